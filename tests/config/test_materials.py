@@ -8,7 +8,8 @@ import pytest
 from twin.assets import asset_path, list_assets
 from twin.config import ConfigError, load_experiment
 from twin.config.quantities import split_quantities
-from twin.mechanics.choice import check_press, must_wrap
+from twin.mechanics.choice import check_press, select_model
+from twin.mechanics.models import PressInput
 
 SOLIDS = [
     name
@@ -143,8 +144,9 @@ def test_two_balls_are_steel():
 def test_wrapped_scenes_are_thin_sheets_that_may_be_thick(name):
     """Both ends of the range are allowed, and its source says why; the press is one of a sheet."""
     scene = load_experiment(f"examples/wrapped_{name}")
-    assert must_wrap(scene.elastomer, scene.press)
-    check_press(scene.mechanics, scene.specimen, scene.elastomer, scene.press)
+    data = scene.mechanics, scene.specimen, scene.elastomer, scene.press
+    assert select_model(PressInput(*data)).wraps
+    check_press(*data)
     for thickness_mm in (0.05, 3.0):
         load_experiment(f"examples/wrapped_{name}", {"elastomer.thickness_mm": thickness_mm})
     with pytest.raises(ConfigError, match=r"elastomer\.thickness_mm: found 4, allowed 0\.05 to 3"):

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -21,6 +22,8 @@ lens = lens:Lens
 enamel = enamel:Enamel
 [fringe_twin.materials]
 lacquer = lacquer:Lacquer
+[fringe_twin.elastomer_models]
+winkler = winkler:WINKLER
 [fringe_twin.codes]
 residue = residue_code:RESIDUE
 """
@@ -57,6 +60,27 @@ width_px = 96
 height_px = 72
 binning = 1
 pixel_pitch_um = { value = 90.0, source = "test" }
+"""
+SPRINGS = """
+name = "springs"
+use = "scenes/rigs/slab"
+
+[specimen]
+kind = "ball"
+diameter_mm = 8.0
+
+[elastomer]
+layout = "contact_face"
+thickness_mm = 4.0
+young_modulus_kpa = 100.0
+poisson_ratio = 0.45
+
+[press]
+control = "depth"
+depth_mm = 0.4
+
+[mechanics]
+model = "winkler"
 """
 STUDY = """
 name = "lenses"
@@ -116,11 +140,25 @@ def test_an_experiment_is_measured_and_reported(
         assert re.search(rf"\b{name}\b", page), name
 
 
+def test_a_ball_presses_a_winkler_bed(installed: Path, tmp_path: Path) -> None:
+    """Springs of stiffness k: force k pi d^2 (R - d / 3), from the volume of the ball's cap."""
+    file, out = tmp_path / "springs.toml", tmp_path / "out"
+    file.write_text(SPRINGS, encoding="utf-8")
+    twin(installed, "press", file, "-o", out)
+    metrics = json.loads((out / "result.json").read_text("utf-8"))["metrics"]
+    k_kpa_mm = 100 * (1 - 0.45) / ((1 + 0.45) * (1 - 0.9)) / 4.0
+    force_n = 1e-3 * k_kpa_mm * np.pi * 0.4**2 * (4.0 - 0.4 / 3)
+    assert metrics["mechanics_model"] == "winkler"
+    assert metrics["force_n"] == pytest.approx(force_n, rel=0.01)
+    assert metrics["relief_peak_mm"] == pytest.approx(0.4, abs=1e-3)
+
+
 def test_the_keys_of_all_kinds_are_listed(installed: Path) -> None:
     keys = twin(installed, "keys").splitlines()
     for key in ("specimen(lens).radius_mm", "coating(enamel).albedo"):
         assert key in keys
     assert any(key.endswith("material(lacquer).albedo") for key in keys)
+    assert "'winkler'" in twin(installed, "keys", "mechanics.model")
 
 
 def test_a_study_varies_a_number_of_a_kind(

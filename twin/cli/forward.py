@@ -58,6 +58,7 @@ def press(
         several.
     """
     from twin.mechanics import write_in_plane
+    from twin.mechanics.models import model_of
     from twin.output import output_folder
     from twin.results.parts import press_metrics, write_pressed, write_result, write_solid
 
@@ -73,7 +74,7 @@ def press(
 
             draw_press(folder / "press.png", loaded, pressed)
         figures = press_metrics(pressed)
-        if pressed.model == "spectral":
+        if model_of(pressed.model).is_linear_slab:
             write_in_plane(folder / "in_plane.nc", pressed, loaded.elastomer, loaded.press)
         if solid:
             write_solid(folder, loaded, pressed)

@@ -16,6 +16,8 @@ from twin.config.bounds import (
     Tack,
     Travel,
 )
+from twin.config.elastomer_models import AUTO, MODELS, models_that_take
+from twin.config.kinds import NameOf
 
 
 class Film(Model):
@@ -160,11 +162,9 @@ class PadFile(Model):
 class Mechanics(Model):
     """Which model presses the elastomer."""
 
-    model: Literal["auto", "spectral", "sheet", "fem", "neo_hookean"] = Field(
-        default="auto",
-        description="auto: spectral while deflections are small; sheet up to 1 mm thick, which "
-        "wraps the specimen; neo_hookean above; fem: other supports and pads from CAD (its mesher, "
-        "and so its last digits, differ from run to run)",
+    model: Annotated[str, NameOf(MODELS, also=AUTO)] = Field(
+        default=AUTO,
+        description="auto: of the models that apply, the one with the least stated error",
     )
     support: Literal["simple", "clamped", "ledge", "bonded", "window"] | None = Field(
         default=None,
@@ -180,9 +180,12 @@ class Mechanics(Model):
     )
 
     @model_validator(mode="after")
-    def _fem_only(self) -> "Mechanics":
+    def _model_takes_its_keys(self) -> "Mechanics":
         for name in ("support", "pad"):
-            sheet_rim = name == "support" and self.model in ("auto", "sheet")
-            if getattr(self, name) is not None and self.model != "fem" and not sheet_rim:
-                raise ValueError(f"{name} needs model = 'fem'; set it, or remove {name}")
+            if getattr(self, name) is None:
+                continue
+            takers = models_that_take(name, self.model)
+            if takers:
+                allowed = " or ".join(f"'{model}'" for model in takers)
+                raise ValueError(f"{name} needs model = {allowed}; set it, or remove {name}")
         return self

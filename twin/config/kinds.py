@@ -84,14 +84,20 @@ def default_kinds(document: type[BaseModel]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class NameOf:
-    """Marks text as the name of a kind; kinds that are registered later are allowed as well."""
+    """Marks text as the name of a kind; kinds that are registered later are allowed as well.
+
+    Attributes
+    ----------
+    also : a word that is allowed in addition, such as 'auto'; the registry is not loaded for it
+    """
 
     registry: Registry[Any]
+    also: str = ""
 
     @property
     def allowed(self) -> str:
         """The names, as a list of keys shows them."""
-        return " | ".join(f"'{name}'" for name in self.registry.names())
+        return " | ".join(f"'{name}'" for name in self._names)
 
     @property
     def meaning(self) -> str:
@@ -106,14 +112,22 @@ class NameOf:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        return handler(schema) | {"enum": list(self.registry.names())}
+        return handler(schema) | {"enum": self._names}
+
+    @property
+    def _names(self) -> list[str]:
+        return [*filter(None, [self.also]), *self.registry.names()]
 
     def _known(self, name: str) -> str:
+        if self.also and name == self.also:
+            return name
         try:
             self.registry[name]
         except InputError as error:
             # The field's key takes the place of the registry's name.
-            raise ValueError(str(error).partition("', ")[2]) from None
+            text = str(error).partition("', ")[2]
+            also = f"allowed: {self.also}, " if self.also else "allowed: "
+            raise ValueError(text.replace("allowed: ", also, 1)) from None
         return name
 
 

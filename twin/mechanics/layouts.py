@@ -98,6 +98,13 @@ def layer_on(
     return _layer(elastomer, y_mm.size, x_mm.size, whole, modulus_kpa)
 
 
+def cell_centres(length_mm: float, load: Press) -> FloatArray:
+    """Return the centres of cells of the solver's pitch or less along one axis of the elastomer."""
+    count = int(np.ceil(length_mm / load.solver_pitch_mm - 1e-9))
+    half = length_mm / 2
+    return np.linspace(-half, half, 2 * count + 1)[1::2]
+
+
 def face_nodes(length_mm: float, load: Press) -> FloatArray:
     """Return the nodes of the coated face along one axis, both ends included."""
     intervals = int(fft.next_fast_len(_count(length_mm, load.relief_pitch_mm), real=True))

@@ -88,7 +88,7 @@ class PressedElastomer:
     validity: Validity
     iterations: int
     converged: bool
-    #: which model pressed: spectral, sheet, fem or neo_hookean
+    #: name of the model that pressed, see `twin.mechanics.models`
     model: str = "spectral"
     #: (row, col) what the coat's texture adds to face_z_mm; None: the coat is smooth
     texture_mm: FloatArray | None = None

@@ -28,6 +28,7 @@ from twin.mechanics.arrays import (
     press_arrays,
 )
 from twin.mechanics.errors import PressError
+from twin.mechanics.models import model_of
 from twin.mechanics.press import PressedElastomer, SheetFields
 from twin.mechanics.texture import in_plane_displacement
 from twin.mechanics.validity import Validity
@@ -92,7 +93,7 @@ def write_in_plane(
     PressError
         The press is not of the spectral model, or the file cannot be written.
     """
-    if pressed.model != "spectral":
+    if not model_of(pressed.model).is_linear_slab:
         raise PressError(f"in-plane displacement: the model is {pressed.model}, allowed: spectral")
     moved = in_plane_displacement(pressed, elastomer, load)
 

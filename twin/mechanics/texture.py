@@ -36,6 +36,7 @@ from twin.config.digest import keyed_sequence
 from twin.config.models import Elastomer, Press, Texture
 from twin.mechanics.layer import BondedLayer, FreeSlab
 from twin.mechanics.layouts import layer_on, preload_of, touched_at_nodes, wrapped
+from twin.mechanics.models import model_of
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.relief import face_normals
 
@@ -276,7 +277,7 @@ def _material_points(
     X_mm, Y_mm = np.meshgrid(pressed.face_x_mm, pressed.face_y_mm)
     if pressed.sheet is not None:
         return pressed.sheet.material_x_mm, pressed.sheet.material_y_mm
-    if pressed.model != "spectral":
+    if not model_of(pressed.model).is_linear_slab:
         return X_mm, Y_mm
     u_x, u_y = in_plane_displacement(pressed, elastomer, load)
     decimals = _DISPLACEMENT_DECIMALS

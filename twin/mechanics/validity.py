@@ -11,6 +11,8 @@ from typing import Literal
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray
+from twin.config.models import Elastomer
+from twin.shape import Shape
 
 Layout = Literal["opposite_face", "contact_face"]
 
@@ -152,6 +154,52 @@ def _with_warnings(figures: Validity, thickness_mm: float, layout: Layout) -> Va
         ),
     )
     return replace(figures, warnings=tuple(text for exceeded, text in checks if exceeded))
+
+
+def contact_validity(
+    shape: Shape,
+    elastomer: Elastomer,
+    cells: tuple[FloatArray, FloatArray, BoolArray],
+    depth_mm: float,
+    deflection_mm: float,
+) -> Validity:
+    """Collect the figures of a slab whose contact is known on cells.
+
+    Parameters
+    ----------
+    cells : (col,) x and (row,) y of the cells' centres, mm, and (row, col) whether they touch
+    depth_mm, deflection_mm : travel, and largest rise of the coated face
+    """
+    x_mm, y_mm, contact = cells
+    pitch_mm = float(np.sqrt((x_mm[1] - x_mm[0]) * (y_mm[1] - y_mm[0])))
+    half_mm = elastomer.length_x_mm / 2, elastomer.length_y_mm / 2
+    return assess(
+        layout=elastomer.layout,
+        depth_mm=depth_mm,
+        thickness_mm=elastomer.thickness_mm,
+        radius_mm=min((ball.radius_mm for ball in shape.spheres()), default=None),
+        deflection_mm=deflection_mm,
+        slope_deg=max_slope_deg(shape.height_above_lowest(x_mm, y_mm), contact, pitch_mm),
+        margin_to_rim_mm=margin_mm(contact, x_mm, y_mm, half_mm),
+        cells_across=float(np.sqrt(4 / np.pi * contact.sum() / max(1, len(shape.spheres())))),
+    )
+
+
+def bend_over_ball(thickness_mm: float, shape: Shape) -> float:
+    """Return thickness over radius of bending of a sheet that wraps the smallest ball; 0: none.
+
+    Edges bend a sheet more sharply, but over less than its thickness.
+    """
+    radius_mm = min((ball.radius_mm for ball in shape.spheres()), default=np.inf)
+    return thickness_mm / (radius_mm + thickness_mm / 2)
+
+
+def sheet_estimate_mm(thickness_mm: float, ratio: float) -> float:
+    """Return the expected height error of a sheet before it is pressed.
+
+    `ratio` is its thickness over its radius of bending.
+    """
+    return _SHEET_ERROR * thickness_mm * ratio
 
 
 def sheet_height_error_mm(thickness_mm: float, bend_1_mm: float) -> float:

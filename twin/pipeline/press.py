@@ -16,6 +16,7 @@ from twin.mechanics import (
     textured,
 )
 from twin.mechanics.choice import unit_press, with_modulus
+from twin.mechanics.models import model_of
 from twin.pipeline.memory import Memory
 
 Progress = Callable[[float], None]
@@ -114,7 +115,7 @@ def transfer_of(experiment: Experiment, pressed: PressedElastomer) -> ContactTra
     ------
     PressError : a thin sheet without back pressure
     """
-    if pressed.model != "sheet":
+    if not model_of(pressed.model).wraps:
         return contact_transfer(experiment.elastomer)
     ridge_mm = ridge_height_mm(experiment.specimen)
     return ridge_transfer(experiment.elastomer, experiment.press.back_pressure_kpa, ridge_mm)

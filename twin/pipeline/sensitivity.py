@@ -1,20 +1,16 @@
 """How a pressed sheet moves with its data: derivatives by numbers of the experiment."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from reconstruction.errors import InputError
 from twin.config import Experiment
-from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics import PressedElastomer
 from twin.mechanics.choice import settled_with
+from twin.mechanics.models import PressInput, SettledPress
 from twin.pipeline.gradients import value_at, with_number
 from twin.pipeline.press import Progress, with_texture
 from twin.results.parts import press_metrics
 from twin.results.press_derivatives import PressDerivative
-
-if TYPE_CHECKING:
-    from twin.mechanics.sheet.neighbour import Neighbourhood
 
 # Central differences of linearised presses: what rounding leaves of them is below 1e-6. A larger
 # step would let single points begin to touch, which no derivative knows.
@@ -45,19 +41,16 @@ def press_derivatives(
         if path.partition(".")[0] not in _TABLES:
             raise InputError(f"{path}: found no derivative by it; allowed: {', '.join(_TABLES)}.*")
         value_at(experiment, path)
-    rest = settled_with(*_data(experiment), progress)
-    from twin.mechanics.sheet.neighbour import Neighbourhood  # its solver loads slowly
-
-    beside = Neighbourhood(rest)
-    derivatives = [_derivative(experiment, path, beside) for path in paths]
+    rest = settled_with(_data(experiment), progress)
+    derivatives = [_derivative(experiment, path, rest) for path in paths]
     return with_texture(experiment, rest.result()), derivatives
 
 
-def _derivative(experiment: Experiment, path: str, beside: "Neighbourhood") -> PressDerivative:
+def _derivative(experiment: Experiment, path: str, rest: SettledPress) -> PressDerivative:
     value = value_at(experiment, path)
     step = _STEP * max(abs(value), 1.0)
     low, high = (
-        beside.press(*_data(with_number(experiment, path, one)))
+        rest.nearby(_data(with_number(experiment, path, one)))
         for one in (value - step, value + step)
     )
     before, after = _figures(low), _figures(high)
@@ -68,8 +61,10 @@ def _derivative(experiment: Experiment, path: str, beside: "Neighbourhood") -> P
     )
 
 
-def _data(experiment: Experiment) -> tuple[Mechanics, Specimen, Elastomer, Press]:
-    return experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+def _data(experiment: Experiment) -> PressInput:
+    return PressInput(
+        experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
+    )
 
 
 def _figures(pressed: PressedElastomer) -> dict[str, float]:

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from twin.mechanics import opposite_transfer
+from twin.mechanics.models import model_of
 from twin.report.bound import bound_section
 from twin.report.camera_images import recorded_section
 from twin.report.experiment import glance, rig_figure
@@ -118,7 +119,7 @@ def discussion(scored: Measurement) -> list[str]:
 
 def _elastomer(scored: Measurement) -> str:
     """Say how elastomer and layout shape the radius."""
-    if scored.metrics["mechanics_model"] == "sheet":
+    if model_of(str(scored.metrics["mechanics_model"])).wraps:
         return _sheet(scored)
     return _on_window() if scored.experiment.elastomer.layout == "contact_face" else _slab(scored)
 

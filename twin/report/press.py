@@ -10,6 +10,7 @@ from matplotlib.figure import Figure as Canvas
 from reconstruction.errors import counted
 from twin.config.models import Experiment
 from twin.mechanics import ContactTransfer, PressedElastomer, SheetFields, face_normals
+from twin.mechanics.models import model_of
 from twin.report.canvas import (
     FIT,
     INK,
@@ -67,9 +68,8 @@ def press_figure(measured: Measurement) -> Figure:
 
 def judge_press(measured: Measurement) -> Verdict:
     """Judge the press by its figures."""
-    warnings, left_out = measured.warnings, "large strain"
-    if measured.metrics["mechanics_model"] == "sheet":
-        left_out = "shear through the thickness"
+    warnings = measured.warnings
+    left_out = model_of(str(measured.metrics["mechanics_model"])).leaves_out
     known = measured.figures.known
     error_um, peak_um = 1e3 * known("height_error_estimate_mm"), 1e3 * known("relief_peak_mm")
     return Verdict(

@@ -22,6 +22,7 @@ import numpy as np
 from twin.config import Experiment
 from twin.config.nominal import NominalGrating
 from twin.mechanics.contact_transfer import Ridges, pitch_at, ridge_height_mm
+from twin.mechanics.models import model_of
 from twin.mechanics.transfer import opposite_transfer
 from twin.results.figures import Metric, Metrics
 from twin.specimens import shape_of
@@ -39,7 +40,7 @@ def _kept_pitch(share: float) -> Callable[[Experiment, Metrics], float]:
 
 
 def _is_sheet(metrics: Metrics) -> bool:
-    return metrics.get("mechanics_model") == "sheet"
+    return model_of(str(metrics.get("mechanics_model"))).wraps
 
 
 def _number(metrics: Metrics, name: str) -> float:

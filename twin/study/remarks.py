@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from reconstruction.errors import counted
+from twin.mechanics.models import model_of
 from twin.results.figures import why_absent
 from twin.study.measuring import TRUE_RIG
 
@@ -21,9 +22,10 @@ _NO_POINT = (
 _NOTHING_TO_SCORE = (
     "no pixel that ought to give a point: move specimen or camera until the specimen is in view"
 )
+# What makes a press touch more, of a model that wraps the object and of others.
 _TOUCHES = {
-    "sheet": "raise press.back_pressure_kpa, or the travel, press.depth_mm",
-    "": "raise press.force_n or press.depth_mm",
+    True: "raise press.back_pressure_kpa, or the travel, press.depth_mm",
+    False: "raise press.force_n or press.depth_mm",
 }
 
 
@@ -86,5 +88,5 @@ def _nothing_measured(figures: Mapping[str, Any]) -> str:
     model = figures.get("mechanics_model")
     if model is None:
         return "no point of the object: move specimen or camera until the specimen is in view"
-    remedy = _TOUCHES.get(str(model), _TOUCHES[""])
+    remedy = _TOUCHES[model_of(str(model)).wraps]
     return f"no point of the object (the press touches nothing that the camera sees): {remedy}"

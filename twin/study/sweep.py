@@ -14,7 +14,8 @@ from reconstruction.reading import read_json
 from twin.config import ConfigError, Experiment
 from twin.config.board import load_board
 from twin.config.study import Study
-from twin.mechanics.choice import may_wrap
+from twin.mechanics.choice import possible_models
+from twin.mechanics.models import PressInput
 from twin.optics.light import pattern_set
 from twin.pipeline.memory import Path as FieldPath
 from twin.pipeline.memory import Reads, values_at, watched
@@ -96,7 +97,9 @@ def _pressing(experiment: Experiment) -> str:
 
 def press_seconds(experiment: Experiment) -> float:
     """Return about how long one press takes."""
-    wraps = experiment.mechanics.model in ("auto", "sheet") and may_wrap(experiment.elastomer)
+    scene = experiment
+    case = PressInput(scene.mechanics, scene.specimen, scene.elastomer, scene.press)
+    wraps = any(model.wraps for model in possible_models(case))
     return _SECONDS_PER_SHEET if wraps else _SECONDS_PER_PRESS
 
 

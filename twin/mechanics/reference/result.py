@@ -6,7 +6,7 @@ once, then bicubic. Scattered results go onto the grids of `PressedElastomer`.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import ndimage
@@ -15,9 +15,9 @@ from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
 from reconstruction.arrays import BoolArray, FloatArray
 from twin.config.models import Elastomer, Press
 from twin.mechanics.errors import PressError
-from twin.mechanics.layouts import face_nodes
+from twin.mechanics.layouts import cell_centres, face_nodes
 from twin.mechanics.press import PressedElastomer
-from twin.mechanics.validity import Validity, assess, margin_mm, max_slope_deg
+from twin.mechanics.validity import Validity, contact_validity
 from twin.shape import Shape
 
 # Share of loaded points round a cell from which on it touches: a curved specimen leaves some points
@@ -60,7 +60,7 @@ def on_grids(
     ------
     PressError : the contact is too small for the cells
     """
-    x, y = _centres(elastomer.length_x_mm, load), _centres(elastomer.length_y_mm, load)
+    x, y = cell_centres(elastomer.length_x_mm, load), cell_centres(elastomer.length_y_mm, load)
     nodes_x, nodes_y = (
         face_nodes(length, load) for length in (elastomer.length_x_mm, elastomer.length_y_mm)
     )
@@ -109,22 +109,7 @@ def _validity(
     cells: tuple[FloatArray, FloatArray, BoolArray],
     peak_mm: float,
 ) -> Validity:
-    x, y, contact = cells
-    pitch = float(np.sqrt((x[1] - x[0]) * (y[1] - y[0])))
-    half = elastomer.length_x_mm / 2, elastomer.length_y_mm / 2
-
-    def judge(depth_mm: float, deflection_mm: float) -> Validity:
-        return assess(
-            layout=elastomer.layout,
-            depth_mm=depth_mm,
-            thickness_mm=elastomer.thickness_mm,
-            radius_mm=min((ball.radius_mm for ball in shape.spheres()), default=None),
-            deflection_mm=deflection_mm,
-            slope_deg=max_slope_deg(shape.height_above_lowest(x, y), contact, pitch),
-            margin_to_rim_mm=margin_mm(contact, x, y, half),
-            cells_across=float(np.sqrt(4 / np.pi * contact.sum() / max(1, len(shape.spheres())))),
-        )
-
+    judge = partial(contact_validity, shape, elastomer, cells)
     judged = judge(found.depth_mm, peak_mm)
     if not found.large_strain:
         return judged
@@ -132,12 +117,6 @@ def _validity(
     remaining = judge(0.0, 0.0).warnings
     error_mm = _ELEMENT_ERROR * found.depth_mm
     return replace(judged, height_error_mm=error_mm, warnings=remaining)
-
-
-def _centres(length_mm: float, load: Press) -> FloatArray:
-    count = int(np.ceil(length_mm / load.solver_pitch_mm - 1e-9))
-    half = length_mm / 2
-    return np.linspace(-half, half, 2 * count + 1)[1::2]
 
 
 def _pressure(found: Scattered, x: FloatArray, y: FloatArray, cell_mm2: float) -> FloatArray:

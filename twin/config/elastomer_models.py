@@ -1,0 +1,47 @@
+"""The elastomer models by name: which of them `mechanics.model` may name, and what a file may set.
+
+A model is one file of `twin.mechanics.models`, of an installed package (entry points of the group
+`fringe_twin.elastomer_models`) or of the user (`--plugin`): an object of a subclass of
+`twin.mechanics.models.ElastomerModel`. Its fields that experiments are checked by are stated here,
+because files are read without loading a solver.
+"""
+
+from typing import ClassVar
+
+from reconstruction.registry import Registry
+
+
+class ModelFields:
+    """What is known of an elastomer model without pressing."""
+
+    name: ClassVar[str] = ""
+    """The value of `mechanics.model`."""
+
+    summary: ClassVar[str] = ""
+    """One line for the list of keys: what the model includes, and where it is right."""
+
+    takes: ClassVar[tuple[str, ...]] = ()
+    """Optional keys of `[mechanics]` that the model takes: `support`, `pad`."""
+
+    is_automatic: ClassVar[bool] = False
+    """Whether `mechanics.model = "auto"` may select it; then it states an error."""
+
+
+MODELS: Registry[ModelFields] = Registry(
+    "elastomer_models", "twin.mechanics.models", lambda model: model.name
+)
+"""The elastomer models."""
+
+AUTO = "auto"
+"""Value of `mechanics.model` that selects the model with the least stated error."""
+
+
+def models_that_take(key: str, model: str) -> tuple[str, ...]:
+    """Return the models that take a key of `[mechanics]`; empty: `model` takes it.
+
+    `auto` takes the keys of each model that it may select.
+    """
+    takers = [kind for kind in MODELS if key in kind.takes]
+    if any(kind.name == model or (model == AUTO and kind.is_automatic) for kind in takers):
+        return ()
+    return tuple(kind.name for kind in takers)

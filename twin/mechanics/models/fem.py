@@ -1,0 +1,84 @@
+"""The `fem` model: tetrahedra, for other supports and pads from CAD.
+
+See `twin.mechanics.reference`; scikit-fem and the mesher are loaded when something is checked or
+pressed.
+"""
+
+from typing import TYPE_CHECKING
+
+from twin.config.models import Elastomer, Mechanics, PadFile
+from twin.mechanics.errors import PressError
+from twin.mechanics.models import MODELS, ElastomerModel, PressInput, Progress
+from twin.mechanics.press import PressedElastomer
+from twin.specimens.mesh_files import read_body_mm
+
+if TYPE_CHECKING:
+    from twin.mechanics.reference.pad import Pad
+
+
+class FemModel(ElastomerModel):
+    """Linear tetrahedra; the slab on any support, or a pad of any shape."""
+
+    name = "fem"
+    summary = (
+        "other supports and pads from CAD (its mesher, and so its last digits, differ from run to "
+        "run)"
+    )
+    takes = ("support", "pad")
+    refuses_sheet_keys = False  # a pad from CAD is not the elastomer that they describe
+
+    def check(self, case: PressInput) -> None:
+        """Raise a film, a support that does not fit the layout, or a pad that cannot be read."""
+        from twin.mechanics.reference.fem import check_fem
+
+        check_fem(case.elastomer, case.mechanics.support)
+        _pad(case.mechanics, case.elastomer)
+
+    def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
+        """Return the press of a meshed slab or pad."""
+        from twin.mechanics.reference.fem import press_fem
+
+        return press_fem(
+            case.specimen,
+            case.elastomer,
+            case.load,
+            support=case.mechanics.support,
+            ledge_mm=case.mechanics.ledge_mm,
+            pad=_pad(case.mechanics, case.elastomer),
+            count=case.mechanics.tetrahedra,
+        )
+
+
+def _pad(mechanics: Mechanics, elastomer: Elastomer) -> "Pad | None":
+    return None if mechanics.pad is None else read_pad(mechanics.pad, elastomer)
+
+
+def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":
+    """Read a pad from CAD, put it in place and name its faces.
+
+    Raises
+    ------
+    InputError : the file is missing, unreadable or not closed, the layout does not fit, or the
+        elastomer's rectangle reaches beyond the pad's coated face
+    """
+    from twin.mechanics.reference.pad import Hold, Pad, check_cover, facing, on_plane
+
+    _check_layout(elastomer)
+    scale = "mechanics.pad.scale_mm"
+    body = read_body_mm("mechanics.pad.file", source.file, scale, source.scale_mm)
+    low, high = body.bounds
+    body.apply_translation((-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]))
+    coated = facing((0, 0, -1), source.facing_deg)
+    window = on_plane("z", float(body.bounds[1, 2]))
+    check_cover(body, coated, elastomer)
+    return Pad(body, elastomer.poisson_ratio, (Hold(window),), touched=coated, coated=coated)
+
+
+def _check_layout(elastomer: Elastomer) -> None:
+    if elastomer.layout != "contact_face":
+        raise PressError(
+            "mechanics.pad: needs elastomer.layout = 'contact_face' (it is seen through its window)"
+        )
+
+
+FEM = MODELS.register(FemModel())

@@ -1,0 +1,102 @@
+"""The `sheet` model: a thin sheet that wraps the specimen, see `twin.mechanics.sheet`."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from twin.config.models import Elastomer
+from twin.mechanics.errors import PressError
+from twin.mechanics.models import MODELS, ElastomerModel, PressInput, Progress
+from twin.mechanics.press import PressedElastomer
+from twin.mechanics.validity import (
+    SHEET_THICKNESS_MM,
+    bend_over_ball,
+    sheet_estimate_mm,
+)
+
+if TYPE_CHECKING:
+    from twin.mechanics.sheet.neighbour import Neighbourhood
+    from twin.mechanics.sheet.press import SettledSheet
+
+
+class SheetModel(ElastomerModel):
+    """A thin sheet with finite rotation and stretch; it leaves out shear through its thickness."""
+
+    name = "sheet"
+    summary = "0.05 to 1 mm thick, wraps the specimen"
+    takes = ("support",)
+    is_automatic = True
+    refuses_sheet_keys = False
+    wraps = True
+    leaves_out = "shear through the thickness"
+
+    def applies(self, case: PressInput) -> bool:
+        """Whether the elastomer is a thin sheet."""
+        return is_thin_sheet(case.elastomer)
+
+    def error_estimate_mm(self, case: PressInput) -> float | None:
+        """Return the effect of shear; None: the elastomer bends, and does not wrap."""
+        try:
+            wraps = case.stretches
+        except PressError:
+            wraps = True  # Travel, air or a key that a linear slab cannot have.
+        thickness_mm = case.elastomer.thickness_mm
+        ratio = bend_over_ball(thickness_mm, case.shape)
+        return sheet_estimate_mm(thickness_mm, ratio) if wraps else None
+
+    def check(self, case: PressInput) -> None:
+        """Raise what a thin sheet cannot be."""
+        from twin.mechanics.sheet.case import check_sheet
+
+        check_sheet(case.shape, case.elastomer, case.load, case.mechanics)
+
+    def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
+        """Return the sheet in equilibrium; it goes on from a kept one of the same case."""
+        return _settled(case, progress).result()
+
+    def settle(self, case: PressInput, progress: Progress | None = None) -> "SettledWithTangent":
+        """Press, and keep the sheet."""
+        return SettledWithTangent(_settled(case, progress))
+
+
+def is_thin_sheet(elastomer: Elastomer) -> bool:
+    """Whether a thin sheet describes an elastomer."""
+    low, high = SHEET_THICKNESS_MM
+    thin = low <= elastomer.thickness_mm <= high
+    return thin and elastomer.layout == "opposite_face" and elastomer.film is None
+
+
+@dataclass(frozen=True, eq=False)
+class SettledWithTangent:
+    """A sheet in equilibrium; its tangent is factorised when the first neighbour is pressed."""
+
+    sheet: "SettledSheet"
+
+    def result(self) -> PressedElastomer:
+        """Return the press."""
+        return self.sheet.result()
+
+    def nearby(self, case: PressInput) -> PressedElastomer:
+        """Return the press of slightly changed data, to first order in the change.
+
+        Raises
+        ------
+        PressError : the sheet sticks, or the change lays it out again
+        SolverError : other equilibria are near this one
+        """
+        return self._neighbourhood.press(case.mechanics, case.specimen, case.elastomer, case.load)
+
+    @cached_property
+    def _neighbourhood(self) -> "Neighbourhood":
+        from twin.mechanics.sheet.neighbour import Neighbourhood
+
+        return Neighbourhood(self.sheet)
+
+
+def _settled(case: PressInput, progress: Progress | None) -> "SettledSheet":
+    from twin.mechanics.sheet.press import settled_sheet  # its compiled kernels load slowly
+
+    return settled_sheet(case.specimen, case.elastomer, case.load, case.mechanics, progress)
+
+
+SHEET = MODELS.register(SheetModel())
