@@ -4,6 +4,7 @@ The package is found by its entry points alone, in a process of its own.
 """
 
 import json
+import math
 import os
 import re
 import subprocess
@@ -23,6 +24,8 @@ enamel = enamel:Enamel
 lacquer = lacquer:Lacquer
 [fringe_twin.codes]
 residue = residue_code:RESIDUE
+[fringe_twin.measurands]
+sagitta = sagitta:SAGITTA
 """
 EXPERIMENT = """
 name = "all_kinds"
@@ -82,8 +85,13 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def twin(installed: Path, *words: object) -> str:
     """Run a command of its own process with the package installed; return what it printed."""
+    return python(installed, "from twin.cli import main; main()", *words)
+
+
+def python(installed: Path, code: str, *words: object) -> str:
+    """Run code in a process of its own with the package installed; return what it printed."""
     done = subprocess.run(
-        [sys.executable, "-c", "from twin.cli import main; main()", *map(str, words)],
+        [sys.executable, "-c", code, *map(str, words)],
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(installed)])},
         capture_output=True,
         text=True,
@@ -114,6 +122,40 @@ def test_an_experiment_is_measured_and_reported(
     assert "residues of two periods" in page
     for name in ("lens", "enamel" if modality == "contact_fpp" else "lacquer"):
         assert re.search(rf"\b{name}\b", page), name
+
+
+SAGITTA = """
+name = "sagitta"
+use = "scenes/examples/gel_on_window"
+[specimen]
+kind = "ball"
+diameter_mm = 8.0
+[[measurand]]
+name = "sag"
+quantity = "sagitta"
+plus_minus_um = 50.0
+[camera]
+binning = 4
+"""
+
+
+def test_a_measurand_has_its_figures_and_its_row(
+    mi: object, installed: Path, tmp_path: Path
+) -> None:
+    """The sagitta is the drawing's within a micrometre, and stated with U and a verdict."""
+    file, out = tmp_path / "sagitta.toml", tmp_path / "out"
+    file.write_text(SAGITTA, encoding="utf-8")
+    twin(installed, "measure", file, "-o", out)
+    metrics = json.loads((out / "result.json").read_text("utf-8"))["metrics"]
+    assert metrics["object_sag_mm"] == pytest.approx(4.0 - math.sqrt(4.0**2 - 1.0), abs=1e-3)
+    assert 0.0 < metrics["object_sag_expanded_um"] < 2.0
+    assert 0.0 < metrics["object_sag_crb_um"] < metrics["object_sag_noise_um"]
+    assert metrics["object_sag_verdict"] == "within tolerance"
+    page = (out / "report.html").read_text("utf-8")
+    row = re.search(r">sag</th>.*?</tr>", page, re.DOTALL)
+    assert row is not None
+    for shown in ("{object_sag_mm:.4f} mm", "{object_sag_expanded_um:.2g}"):
+        assert shown.format(**metrics) in row.group()
 
 
 def test_the_keys_of_all_kinds_are_listed(installed: Path) -> None:

@@ -14,9 +14,9 @@ from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
-from twin.results.features import check_measurands
 from twin.results.folder import as_stored, write_measurement
 from twin.results.names import compensates_at_once
+from twin.results.quantities import check_measurands
 from twin.results.record import Measurement
 
 _MOST_TRIALS = 2**31
