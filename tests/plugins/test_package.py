@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from reconstruction.rig.calibration import read_calibration
+
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs/extend"
 POINTS = """
@@ -26,6 +28,8 @@ lacquer = lacquer:Lacquer
 residue = residue_code:RESIDUE
 [fringe_twin.measurands]
 sagitta = sagitta:SAGITTA
+[fringe_twin.importers]
+calibration_text = calibration_text:CALIBRATION_TEXT
 """
 EXPERIMENT = """
 name = "all_kinds"
@@ -156,6 +160,25 @@ def test_a_measurand_has_its_figures_and_its_row(
     assert row is not None
     for shown in ("{object_sag_mm:.4f} mm", "{object_sag_expanded_um:.2g}"):
         assert shown.format(**metrics) in row.group()
+
+
+CALIBRATION = """
+cam_K 1800 0 321.5 0 1795 238.25 0 0 1
+cam_kc -0.11 0.07 4e-4 -3e-4 0.02
+cam_size 640 480
+proj_K 1400 0 455 0 2790 1139.5 0 0 1
+proj_kc 0.01 -0.02 1e-4 2e-4 0
+proj_size 912 1140
+R 0.05 -0.42 0.02
+T 98 6 21
+"""
+
+
+def test_a_calibration_of_another_format_is_imported(installed: Path, tmp_path: Path) -> None:
+    (tmp_path / "rig.cal").write_text(CALIBRATION, encoding="utf-8")
+    printed = twin(installed, "import-calibration", tmp_path / "rig.cal", "-o", tmp_path / "out")
+    assert "camera cameramatrix: cam_K" in printed
+    assert read_calibration(tmp_path / "out/calibration.yaml").projector.fy_px == 2790.0
 
 
 def test_the_keys_of_all_kinds_are_listed(installed: Path) -> None:
