@@ -30,6 +30,8 @@ residue = residue_code:RESIDUE
 sagitta = sagitta:SAGITTA
 [fringe_twin.importers]
 calibration_text = calibration_text:CALIBRATION_TEXT
+[fringe_twin.integrations]
+frankot_chellappa = frankot_chellappa:FRANKOT_CHELLAPPA
 """
 EXPERIMENT = """
 name = "all_kinds"
@@ -179,6 +181,28 @@ def test_a_calibration_of_another_format_is_imported(installed: Path, tmp_path: 
     printed = twin(installed, "import-calibration", tmp_path / "rig.cal", "-o", tmp_path / "out")
     assert "camera cameramatrix: cam_K" in printed
     assert read_calibration(tmp_path / "out/calibration.yaml").projector.fy_px == 2790.0
+
+
+PERIODIC_SURFACE = """
+import numpy as np
+from reconstruction.photometric import PhotometricOptions, integrate
+
+turn = 2 * np.pi / 64
+row, col = turn * np.arange(64)[:, None], turn * np.arange(64)
+height_mm = 0.3 * np.cos(row) * np.sin(2 * col)
+slopes = np.stack([
+    -0.3 * turn / 0.05 * np.sin(row) * np.sin(2 * col),
+    0.6 * turn / 0.05 * np.cos(row) * np.cos(2 * col),
+])
+name = PhotometricOptions(integration="frankot_chellappa").integration
+np.testing.assert_allclose(integrate(slopes, 0.05, name), height_mm, atol=1e-12)
+"""
+
+
+def test_slopes_are_integrated_by_another_scheme(installed: Path) -> None:
+    """A periodic surface comes back exactly, with its scale."""
+    python(installed, PERIODIC_SURFACE)
+    assert "'frankot_chellappa'" in twin(installed, "keys", "photometric.integration")
 
 
 def test_the_keys_of_all_kinds_are_listed(installed: Path) -> None:
