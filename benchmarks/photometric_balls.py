@@ -24,6 +24,7 @@ import numpy as np
 
 from benchmarks.cap_height import cap_height_ratio
 from reconstruction.arrays import Levels
+from reconstruction.integration_schemes import SCHEMES
 from reconstruction.photometric import (
     BallPress,
     PhotometricDecoder,
@@ -37,7 +38,6 @@ from reconstruction.photometric.calibration_ball import (
     find_contact_circle,
 )
 from reconstruction.photometric.images import mean_background, smoothed
-from reconstruction.photometric.integrate import INTEGRATIONS, Integration
 from reconstruction.photometric.press_files import read_rgb
 from reconstruction.photometric.sensor import MapKind
 from twin.results.decoders import MAP_ORDER
@@ -97,13 +97,11 @@ def whole(circle: ContactCircle, shape: tuple[int, ...]) -> bool:
     )
 
 
-def held_out(
-    presses: Sequence[BallPress], still: Levels, kind: MapKind
-) -> dict[Integration, list[Scored]]:
+def held_out(presses: Sequence[BallPress], still: Levels, kind: MapKind) -> dict[str, list[Scored]]:
     """Return what is measured of each press by integration."""
-    results: dict[Integration, list[Scored]] = {name: [] for name in INTEGRATIONS}
+    results: dict[str, list[Scored]] = {name: [] for name in SCHEMES.names()}
     for calibration, press, circle in _halves(presses, still, kind):
-        for name in INTEGRATIONS:
+        for name in SCHEMES.names():
             decoder = PhotometricDecoder(calibration, PhotometricOptions(name))
             results[name].append(score(decoder, press, circle))
     return results

@@ -167,7 +167,7 @@ def build(part: type[Part], table: Mapping[str, Any], where: str) -> Part:
             close = difflib.get_close_matches(key, known, n=1)
             told = f"did you mean {close[0]}?" if close else f"allowed are {', '.join(known)}"
             raise CaptureError(f"unknown key {key} in {where}; {told}")
-    required = [name for name, item in known.items() if item.default is MISSING]
+    required = [k for k, item in known.items() if item.default is item.default_factory is MISSING]
     missing = [name for name in required if name not in table]
     if missing:
         raise CaptureError(f"missing in {where}: {', '.join(missing)}")

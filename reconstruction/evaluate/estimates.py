@@ -130,6 +130,24 @@ def step_between(
     return _linear(design, z_mm, (upper, lower))
 
 
+def fit_linear(design: FloatArray, z_mm: FloatArray) -> FittedDimension:
+    """Fit heights z = design p without outliers; the value is the first parameter of p.
+
+    Parameters
+    ----------
+    design : (n, k) float, change of each height by each parameter
+    z_mm : (n,) float, heights
+
+    Raises
+    ------
+    FitError : fewer than five points, or fewer than parameters
+    """
+    least = max(_LEAST_POINTS, design.shape[1])
+    if len(z_mm) < least:
+        raise FitError(f"{len(z_mm)} points, {least} needed")
+    return _linear(design, z_mm, (np.ones(len(z_mm), bool),))
+
+
 def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDimension:
     """Fit a + b s and a sine of known pitch; the value is its depth from crest to root.
 

@@ -35,8 +35,8 @@ from scipy.fft import dctn, dstn, idctn, idstn
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError, InputError, require_number
+from reconstruction.integration_schemes import SCHEMES, Boundary
 
-Boundary = Literal["neumann", "dirichlet"]
 BOUNDARIES = ("neumann", "dirichlet")
 RELATIVE_TOLERANCE = 1e-5
 MAX_ITERATIONS = 500
@@ -190,29 +190,30 @@ def _conjugate_gradients(
 
 Form = Literal["2024", "2025"]
 FORMS = ("2024", "2025")
-Integration = Literal["corrected", "sdk_2024", "sdk_2025"]
-INTEGRATIONS = ("corrected", "sdk_2024", "sdk_2025")
 SMALLEST_IMAGE_PX = 4
 
 
 def integrate(
     slopes: ArrayLike,
     pitch_mm: float,
-    integration: Integration = "corrected",
+    integration: str = "corrected",
     boundary: Boundary = "neumann",
     weights: ArrayLike | None = None,
 ) -> FloatArray:
-    """Integrate by the named scheme; boundary and weights act on `corrected` only.
+    """Integrate by a scheme of `SCHEMES`; boundary and weights have no effect on the vendor's.
 
     Raises
     ------
     InputError : unknown scheme, or as `corrected` and `sdk_faithful`
     """
-    if integration not in INTEGRATIONS:
-        raise InputError(f"integration is {integration!r}; give one of {', '.join(INTEGRATIONS)}")
-    if integration == "corrected":
-        return corrected(slopes, pitch_mm, boundary, weights)
-    return sdk_faithful(slopes, pitch_mm, "2024" if integration == "sdk_2024" else "2025")
+    if integration not in SCHEMES:
+        raise InputError(
+            f"integration is {integration!r}; give one of {', '.join(SCHEMES.names())}"
+        )
+    field = _checked(slopes, pitch_mm)
+    return SCHEMES[integration].heights_mm(
+        field, pitch_mm, boundary, None if weights is None else np.asarray(weights, np.float64)
+    )
 
 
 def corrected(

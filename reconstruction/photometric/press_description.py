@@ -24,7 +24,7 @@ File names are relative to the folder of the description; `*` and `?` in them st
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,6 @@ from reconstruction.photometric.calibration_ball import SampleOptions
 from reconstruction.photometric.sensor import KINDS, PhotometricOptions
 
 Names = tuple[str, ...]
-DEFAULTS = PhotometricOptions()
 
 FORMAT, VERSION = "photometric-press", 1
 
@@ -112,7 +111,7 @@ class PressDescription:
     calibration: str = ""
     calibrate: Calibrate | None = None
     frame: Framing = Framing()
-    options: PhotometricOptions = DEFAULTS
+    options: PhotometricOptions = field(default_factory=PhotometricOptions)
 
     def __post_init__(self) -> None:
         if (self.image == "") == (self.images == ()):

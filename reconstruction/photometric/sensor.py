@@ -7,7 +7,7 @@ integration, zero.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,6 +24,7 @@ from reconstruction.arrays import (
     ReasonImage,
 )
 from reconstruction.errors import CaptureError, InputError, require_number
+from reconstruction.integration_schemes import SCHEMES, Boundary, IntegrationScheme
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions, sample_presses
 from reconstruction.photometric.colour_maps import (
     BoundPolynomial,
@@ -35,7 +36,6 @@ from reconstruction.photometric.colour_maps import (
 )
 from reconstruction.photometric.images import (
     CHANNELS,
-    GROWTH_PX,
     checked_image,
     fill_nearest,
     fill_smooth,
@@ -45,9 +45,6 @@ from reconstruction.photometric.images import (
 )
 from reconstruction.photometric.integrate import (
     BOUNDARIES,
-    INTEGRATIONS,
-    Boundary,
-    Integration,
     integrate,
 )
 from reconstruction.photometric.relighting import (
@@ -212,18 +209,13 @@ def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
     )
 
 
-# How far dots are grown before filling. The vendor's 2025 form does not grow them, so that their
-# dark rims pass for slopes; that belongs to its behaviour.
-MARKER_GROWTH_PX = {"corrected": GROWTH_PX, "sdk_2024": 2, "sdk_2025": 0}
-
-
 @dataclass(frozen=True)
 class PhotometricOptions:
     """How to decode.
 
     Parameters
     ----------
-    integration : `corrected`, or the vendor's scheme `sdk_2024` or `sdk_2025`
+    integration : name of a scheme of `SCHEMES`: `corrected`, or the vendor's `sdk_2024`, `sdk_2025`
     boundary : border of `corrected`: `neumann` (free) or `dirichlet` (held at 0)
     doubtful_weight : weight of pixels with a reason code in `corrected`, 0.001 to 1; below 1 the
         weighted solver runs, several times slower
@@ -236,7 +228,7 @@ class PhotometricOptions:
     InputError : a value out of range
     """
 
-    integration: Integration = "corrected"
+    integration: str = "corrected"
     boundary: Boundary = "neumann"
     doubtful_weight: float = 1.0
     untouched_levels: float = 6.0
@@ -245,12 +237,17 @@ class PhotometricOptions:
     def __post_init__(self) -> None:
         if not isinstance(self.relighting, bool):
             raise InputError(f"relighting is {self.relighting!r}; give true or false")
-        for name, allowed in (("integration", INTEGRATIONS), ("boundary", BOUNDARIES)):
+        for name, allowed in (("integration", SCHEMES.names()), ("boundary", BOUNDARIES)):
             if getattr(self, name) not in allowed:
                 value = getattr(self, name)
                 raise InputError(f"{name} is {value!r}; give one of {', '.join(allowed)}")
         require_number("doubtful_weight", self.doubtful_weight, 1e-3, 1.0)
         require_number("untouched_levels", self.untouched_levels, 0.0, open_low=True)
+
+    @property
+    def scheme(self) -> IntegrationScheme:
+        """The integration scheme."""
+        return SCHEMES[self.integration]
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +342,7 @@ class PhotometricDecoder:
     """A calibrated sensor with everything computed that does not depend on the image."""
 
     calibration: SensorCalibration
-    options: PhotometricOptions = PhotometricOptions()
+    options: PhotometricOptions = field(default_factory=PhotometricOptions)
 
     def __post_init__(self) -> None:
         _ = self._bound, self._hidden_in_background
@@ -405,7 +402,7 @@ class PhotometricDecoder:
     def _lit_as_background(self, raw: Levels, hidden: BoolImage) -> tuple[FloatImage, float]:
         """Return smoothed levels in the background's light, and how much that changed them."""
         levels = smoothed(raw, self.calibration.smoothing_px)
-        if not self.options.relighting or self.options.integration != "corrected":
+        if not (self.options.relighting and self.options.scheme.corrects_light):
             return levels, 0.0
         light = light_over_background(levels, self._flat, hidden, self.options.untouched_levels)
         if light is None:
@@ -417,12 +414,12 @@ class PhotometricDecoder:
         return untouched_gel(levels, self._flat, self.options.untouched_levels) & ~hidden
 
     def _markers(self, levels: FloatImage) -> BoolImage:
-        scheme, highest_level = self.options.integration, self.calibration.marker_level
-        growth_px = MARKER_GROWTH_PX[scheme]
-        return find_markers(levels, highest_level, growth_px, small=scheme == "corrected")
+        scheme, highest_level = self.options.scheme, self.calibration.marker_level
+        growth_px, small = scheme.marker_growth_px, scheme.finds_small_markers
+        return find_markers(levels, highest_level, growth_px, small)
 
     def _filled(self, slopes: FloatArray, hidden: BoolImage) -> FloatArray:
-        fill = fill_smooth if self.options.integration == "corrected" else fill_nearest
+        fill = fill_smooth if self.options.scheme.fills_smoothly else fill_nearest
         return fill(slopes, hidden)
 
     def _integrated(self, slopes: FloatArray, reason: ReasonImage) -> FloatArray:
@@ -434,7 +431,7 @@ class PhotometricDecoder:
 
     def _zero(self, height: FloatArray, levels: FloatImage, hidden: BoolImage) -> float:
         """Median height of untouched gel; 0 with a held border or where all is touched."""
-        if self.options.integration == "corrected" and self.options.boundary == "dirichlet":
+        if self.options.scheme.takes_boundary and self.options.boundary == "dirichlet":
             return 0.0
         untouched = self._untouched(levels, hidden)
         return float(np.median(height[untouched])) if untouched.mean() >= LEAST_SHARE else 0.0

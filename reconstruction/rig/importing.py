@@ -1,7 +1,8 @@
 """Calibrations that other programs made, as one of ours.
 
-Numbers are found by their names, whatever program wrote them: camera matrix, distortion and image
-size of both devices, and the motion from the camera's frame to the projector's.
+File formats are kinds of `reconstruction.rig.importers`. Numbers are identified by their names, in
+the same way for all programs: camera matrix, distortion and image size of both devices, and the
+motion from the camera's frame to the projector's.
 
 | program | file |
 |---|---|
@@ -18,7 +19,6 @@ Left, first and 1 are the camera, right, second and 2 the projector. World: on t
 where the projector's axis comes nearest to it; x to the right, y up in the image, z to the camera.
 """
 
-import io
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,13 +29,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from reconstruction.arrays import FloatArray
-from reconstruction.errors import CaptureError, InputError, few, one_line
-from reconstruction.native import read_in_child
-from reconstruction.reading import regular_file
+from reconstruction.errors import CaptureError, InputError, few
 from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.importers import importer_of
 from reconstruction.rig.pinhole import Pinhole
 from reconstruction.rig.plausibility import Check, require_plausible, rig_checks
-from reconstruction.rig.storage import numbers_in
 
 MOST_REFIT_PX = 0.05
 """A lens that our five coefficients follow less well than this is refused."""
@@ -120,24 +118,7 @@ def numbers_of(path: Path) -> dict[str, FloatArray]:
     ------
     CaptureError : see `import_calibration`
     """
-    return _matlab(path) if path.suffix.lower() == ".mat" else numbers_in(path)
-
-
-def _matlab(path: Path) -> dict[str, FloatArray]:
-    try:
-        content = read_in_child("MATLAB", regular_file(path))
-    except InputError as error:
-        raise CaptureError(str(error)) from None
-    except OSError as error:
-        raise CaptureError(f"{path}: is no MATLAB file: {one_line(error)}") from None
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        found = {name: file[name] for name in file.files}
-    if not found:
-        raise CaptureError(
-            f"{path}: holds no numbers that can be read, as of MATLAB's own objects; save a "
-            'structure: s = toStruct(stereoParams); save("x.mat", "-struct", "s", "-v7")'
-        )
-    return found
+    return importer_of(path).read(path)
 
 
 def _plain(name: str) -> str:

@@ -4,6 +4,7 @@ The package is found by its entry points alone, in a process of its own.
 """
 
 import json
+import math
 import os
 import re
 import subprocess
@@ -12,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from reconstruction.rig.calibration import read_calibration
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs/extend"
@@ -26,6 +29,12 @@ lacquer = lacquer:Lacquer
 winkler = winkler:WINKLER
 [fringe_twin.codes]
 residue = residue_code:RESIDUE
+[fringe_twin.measurands]
+sagitta = sagitta:SAGITTA
+[fringe_twin.importers]
+calibration_text = calibration_text:CALIBRATION_TEXT
+[fringe_twin.integrations]
+frankot_chellappa = frankot_chellappa:FRANKOT_CHELLAPPA
 """
 EXPERIMENT = """
 name = "all_kinds"
@@ -106,8 +115,13 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def twin(installed: Path, *words: object) -> str:
     """Run a command of its own process with the package installed; return what it printed."""
+    return python(installed, "from twin.cli import main; main()", *words)
+
+
+def python(installed: Path, code: str, *words: object) -> str:
+    """Run code in a process of its own with the package installed; return what it printed."""
     done = subprocess.run(
-        [sys.executable, "-c", "from twin.cli import main; main()", *map(str, words)],
+        [sys.executable, "-c", code, *map(str, words)],
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(installed)])},
         capture_output=True,
         text=True,
@@ -151,6 +165,81 @@ def test_a_ball_presses_a_winkler_bed(installed: Path, tmp_path: Path) -> None:
     assert metrics["mechanics_model"] == "winkler"
     assert metrics["force_n"] == pytest.approx(force_n, rel=0.01)
     assert metrics["relief_peak_mm"] == pytest.approx(0.4, abs=1e-3)
+
+
+SAGITTA = """
+name = "sagitta"
+use = "scenes/examples/gel_on_window"
+[specimen]
+kind = "ball"
+diameter_mm = 8.0
+[[measurand]]
+name = "sag"
+quantity = "sagitta"
+plus_minus_um = 50.0
+[camera]
+binning = 4
+"""
+
+
+def test_a_measurand_has_its_figures_and_its_row(
+    mi: object, installed: Path, tmp_path: Path
+) -> None:
+    """The sagitta is the drawing's within a micrometre, and stated with U and a verdict."""
+    file, out = tmp_path / "sagitta.toml", tmp_path / "out"
+    file.write_text(SAGITTA, encoding="utf-8")
+    twin(installed, "measure", file, "-o", out)
+    metrics = json.loads((out / "result.json").read_text("utf-8"))["metrics"]
+    assert metrics["object_sag_mm"] == pytest.approx(4.0 - math.sqrt(4.0**2 - 1.0), abs=1e-3)
+    assert 0.0 < metrics["object_sag_expanded_um"] < 2.0
+    assert 0.0 < metrics["object_sag_crb_um"] < metrics["object_sag_noise_um"]
+    assert metrics["object_sag_verdict"] == "within tolerance"
+    page = (out / "report.html").read_text("utf-8")
+    row = re.search(r">sag</th>.*?</tr>", page, re.DOTALL)
+    assert row is not None
+    for shown in ("{object_sag_mm:.4f} mm", "{object_sag_expanded_um:.2g}"):
+        assert shown.format(**metrics) in row.group()
+
+
+CALIBRATION = """
+cam_K 1800 0 321.5 0 1795 238.25 0 0 1
+cam_kc -0.11 0.07 4e-4 -3e-4 0.02
+cam_size 640 480
+proj_K 1400 0 455 0 2790 1139.5 0 0 1
+proj_kc 0.01 -0.02 1e-4 2e-4 0
+proj_size 912 1140
+R 0.05 -0.42 0.02
+T 98 6 21
+"""
+
+
+def test_a_calibration_of_another_format_is_imported(installed: Path, tmp_path: Path) -> None:
+    (tmp_path / "rig.cal").write_text(CALIBRATION, encoding="utf-8")
+    printed = twin(installed, "import-calibration", tmp_path / "rig.cal", "-o", tmp_path / "out")
+    assert "camera cameramatrix: cam_K" in printed
+    assert read_calibration(tmp_path / "out/calibration.yaml").projector.fy_px == 2790.0
+
+
+PERIODIC_SURFACE = """
+import numpy as np
+from reconstruction.photometric import PhotometricOptions, integrate
+
+turn = 2 * np.pi / 64
+row, col = turn * np.arange(64)[:, None], turn * np.arange(64)
+height_mm = 0.3 * np.cos(row) * np.sin(2 * col)
+slopes = np.stack([
+    -0.3 * turn / 0.05 * np.sin(row) * np.sin(2 * col),
+    0.6 * turn / 0.05 * np.cos(row) * np.cos(2 * col),
+])
+name = PhotometricOptions(integration="frankot_chellappa").integration
+np.testing.assert_allclose(integrate(slopes, 0.05, name), height_mm, atol=1e-12)
+"""
+
+
+def test_slopes_are_integrated_by_another_scheme(installed: Path) -> None:
+    """A periodic surface comes back exactly, with its scale."""
+    python(installed, PERIODIC_SURFACE)
+    assert "'frankot_chellappa'" in twin(installed, "keys", "photometric.integration")
 
 
 def test_the_keys_of_all_kinds_are_listed(installed: Path) -> None:

@@ -243,3 +243,12 @@ def test_the_command_writes_a_calibration_that_a_capture_takes(tmp_path: Path, c
     assert again.projector.fy_px == pytest.approx(PROJECTOR.fy_px)
     assert run(["import-calibration", *files, "-o", str(tmp_path / "other")]) == 2
     assert not (tmp_path / "other").exists()
+
+
+def test_an_unknown_format_is_an_error_that_lists_the_known_ones(tmp_path: Path):
+    path = tmp_path / "rig.json"
+    path.write_text("{}")
+    with pytest.raises(CaptureError, match=r"rig\.json: .*matlab: .*\.mat.*; opencv: .*%YAML"):
+        import_calibration([path], SIZES)
+    with pytest.raises(CaptureError, match=r"missing\.yml: cannot be read"):
+        import_calibration([tmp_path / "missing.yml"], SIZES)

@@ -6,7 +6,8 @@ import pytest
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension
 from tests.results.test_object_score import experiment, seen
-from twin.results.object_fits import levels, require_determined
+from twin.results.measurands.step_height import levels
+from twin.results.object_fits import require_determined
 from twin.results.object_points import Heights, ObjectPoints
 from twin.results.object_score import tolerance_of
 

@@ -10,10 +10,12 @@ from reconstruction.errors import InputError
 from twin.config import load_experiment
 from twin.config.base import ConfigError
 from twin.optics.stack import Truth
-from twin.results.features import bars_of, feature_of, features_of, measurands_of, nominal_mm
-from twin.results.object_fits import fit, levels
+from twin.results.features import bars_of, feature_of, features_of
+from twin.results.measurands.step_height import levels
+from twin.results.object_fits import fit
 from twin.results.object_points import Heights
 from twin.results.object_score import score_object
+from twin.results.quantities import measurands_of, nominal_mm
 from twin.specimens import shape_of
 from twin.specimens.true_surface import TrueSurface
 

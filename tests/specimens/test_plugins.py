@@ -47,7 +47,7 @@ import numpy as np
 import twin
 from reconstruction.registry import load_plugin
 from twin.config.schema import experiment_keys
-from twin.results.features import measurands_of
+from twin.results.quantities import measurands_of
 
 ball = twin.load_experiment("examples/slab_ball", {COARSE})  # before the plug-in is known
 load_plugin("lens.py")

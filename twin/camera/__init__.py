@@ -1,5 +1,6 @@
-"""EMVA 1288 camera: exposure and sensor (`sensor`), its noise (`noise`)."""
+"""EMVA 1288 camera: exposure and sensor (`sensor`), its noise (`noise`, `noise_function`)."""
 
+from twin.camera.noise_function import NoiseFunction
 from twin.camera.sensor import (
     Exposed,
     choose_exposure_ms,
@@ -14,6 +15,7 @@ from twin.camera.sensor import (
 
 __all__ = [
     "Exposed",
+    "NoiseFunction",
     "choose_exposure_ms",
     "electrons_per_ms",
     "expose",

@@ -24,6 +24,7 @@ from reconstruction.errors import InputError
 from reconstruction.machine import threads
 from reconstruction.rig.sensor import SensorNoise
 from twin.camera.noise import Key, Sensor, record_frame
+from twin.camera.noise_function import NoiseFunction, noisy_electrons
 from twin.config import Experiment, seed_sequence
 from twin.config.bounds import EXPOSURE_PERCENTILE, EXPOSURE_RANGE_MS
 from twin.config.digest import keyed_sequence
@@ -62,6 +63,8 @@ def expose(
     white_frame: int,
     trial: int = 0,
     progress: Callable[[float], None] = lambda _: None,
+    *,
+    noise: NoiseFunction | None = None,
 ) -> Exposed:
     """Record a radiance stack.
 
@@ -71,8 +74,15 @@ def expose(
     white_frame : index of the frame on which the automatic exposure measures, white if there is one
     trial : repetition: same camera and same fixed pattern, new temporal noise
     progress : called with the finished fraction
+    noise : function of the user in the place of shot and read noise, see `NoiseFunction`; None:
+        the EMVA 1288 model
+
+    Raises
+    ------
+    InputError : no exposure fits; `noise` with camera.noise = false, or it returns no electrons
     """
     camera = experiment.camera
+    _check_noise(camera, noise)
     exposure_ms = choose_exposure_ms(experiment, radiance[white_frame])
     per_radiance = exposure_ms * electrons_per_ms(camera, experiment.projector.wavelength_nm)
     dark_e = camera.dark_current_e_per_s * camera.binning**2 * exposure_ms * 1e-3
@@ -83,7 +93,13 @@ def expose(
     sensor, key = _sensor(camera, per_radiance, dark_e), _key(experiment, trial)
 
     def record(frame: int) -> None:
-        if camera.noise:
+        if noise is not None:
+            light_e = radiance[frame] * np.float32(per_radiance) * pixels.response
+            rng = np.random.default_rng(seed_sequence(experiment, "noise", trial, frame))
+            mean_e = np.maximum(light_e + np.float32(dark_e), np.float32(0))
+            electrons = noisy_electrons(noise, mean_e, rng)
+            stack[frame] = _digitised(camera, electrons, pixels.offset_e)
+        elif camera.noise:
             place = key, frame
             record_frame(
                 radiance[frame], pixels.response, pixels.offset_e, sensor, place, stack[frame]
@@ -92,10 +108,19 @@ def expose(
             mean_e = radiance[frame] * np.float32(per_radiance) + np.float32(dark_e)
             stack[frame] = _expected_dn(camera, mean_e)
 
-    with ThreadPoolExecutor(threads()) as pool:
+    # A function of the user may have a state: its frames are recorded one after another.
+    with ThreadPoolExecutor(threads() if noise is None else 1) as pool:
         for done, _ in enumerate(pool.map(record, range(len(radiance))), start=1):
             progress(done / len(radiance))
     return Exposed(stack, exposure_ms, noise_model(camera))
+
+
+def _check_noise(camera: Camera, noise: NoiseFunction | None) -> None:
+    if noise is not None and not camera.noise:
+        raise InputError(
+            "camera.noise: found false, which records expected values; a function for the noise "
+            "needs true"
+        )
 
 
 def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
@@ -142,6 +167,14 @@ def _fixed_pattern(
 def _expected_dn(camera: Camera, mean_e: FloatImage) -> FloatImage:
     well_e = np.minimum(mean_e, np.float32(full_well_e(camera)))
     return (well_e * gain_dn_per_e(camera) + camera.black_level_dn).astype(np.float32)
+
+
+def _digitised(camera: Camera, electrons: FloatImage, offset_e: FloatImage) -> NDArray[np.uint16]:
+    """Return digital numbers of electrons (row, col): full well, offset, gain, converter."""
+    signal_e = np.minimum(electrons, np.float32(full_well_e(camera))) + offset_e
+    dn = np.rint(signal_e * gain_dn_per_e(camera) + camera.black_level_dn)
+    codes: NDArray[np.uint16] = np.clip(dn, 0, largest_code_dn(camera)).astype(np.uint16)
+    return codes
 
 
 def _sensor(camera: Camera, per_radiance: float, dark_e: float) -> Sensor:

@@ -9,9 +9,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
+from reconstruction.integration_schemes import SCHEMES
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import Flux, Irradiance, Length
-from twin.config.kinds import follows
+from twin.config.kinds import NameOf, follows
 from twin.config.layers import Layer, outer_face
 from twin.config.materials import MATERIALS, Material
 from twin.config.methods import TRAITS
@@ -163,7 +164,9 @@ class Photometric(Model):
     markers: Markers | None = None
     presses: BallPresses = Field(default_factory=BallPresses)
     colour_map: Literal["polynomial", "table"] = "polynomial"
-    integration: Literal["corrected", "sdk_2024", "sdk_2025"] = "corrected"
+    integration: Annotated[str, NameOf(SCHEMES)] = Field(
+        default="corrected", description="how slopes become heights"
+    )
 
 
 def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:

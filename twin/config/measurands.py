@@ -1,7 +1,10 @@
-"""What is to be found out about the specimen: `[[measurand]]` tables, with nominal and tolerance.
+"""What is to be measured of the specimen: `[[measurand]]` tables, with nominal and tolerance.
 
-Lengths of a drawing (step height, width, ...) are in mm, what is left beside it (form, deviation)
-and all limits in um, coverage is a share.
+Lengths of a drawing (step height, width, ...) are in mm, form, deviation and all limits in um,
+coverage is a share.
+
+A quantity is one file of `twin.results.measurands`, of an installed package (entry points of the
+group `fringe_twin.measurands`) or of the user (`--plugin`): see `twin.results.measurands`.
 """
 
 from typing import Annotated, Literal
@@ -9,22 +12,41 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from reconstruction.arrays import Alignment
+from reconstruction.registry import Registry
 from twin.config.base import Fraction, Model
 from twin.config.bounds import Length, Limit, Micrometres, Place, Tolerance
+from twin.config.kinds import NameOf
 
-Quantity = Literal[
-    "step_height", "depth", "width", "radius", "resolution", "form", "deviation", "coverage"
-]
+Unit = Literal["mm", "um", "share"]
+
+
+class QuantityKind:
+    """The properties of a quantity by which its `[[measurand]]` tables are checked.
+
+    Attributes
+    ----------
+    name : value of the key `quantity`
+    summary : one line of documentation
+    unit : mm: a length, which has a nominal value and limits on the deviation from it; um: ideally
+        0, with a largest allowed value; share: with a least allowed value
+    hidden : if the elastomer is between object and coat, the coat's value is not the object's
+    bound_name : figure with the Cramer-Rao bound of the first measurand of this kind; empty: the
+        value is no fit that has a bound
+    """
+
+    name: str
+    summary: str
+    unit: Unit = "mm"
+    hidden: bool = False
+    bound_name: str = ""
+
+
+MEASURANDS: Registry[QuantityKind] = Registry(
+    "measurands", "twin.results.measurands", lambda kind: kind.name
+)
+"""The quantities that a measurand may have."""
+
 Range = tuple[Place, Place]
-
-LENGTHS: tuple[Quantity, ...] = ("step_height", "depth", "width", "radius", "resolution")
-"""Quantities in mm, which have a nominal value."""
-
-HIDDEN: tuple[Quantity, ...] = ("step_height", "depth", "width", "radius")
-"""Lengths that a coat on the far face of an elastomer shows otherwise than the object has them."""
-
-LIMITED: tuple[Quantity, ...] = ("form", "deviation")
-"""Quantities in um, which ought to be 0."""
 
 
 class ObjectMeasurand(Model):
@@ -33,13 +55,7 @@ class ObjectMeasurand(Model):
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)] = Field(
         description="its figures are called object_NAME_..."
     )
-    quantity: Quantity = Field(
-        description="step_height: between the highest and the lowest level (ISO 5436-1 A1); depth, "
-        "width: of a groove, a bar; radius: of a ball or rod; resolution: finest pitch of the "
-        "gratings that keeps half its depth; form: band of 95 % of the deviations after a rigid "
-        "alignment; deviation: RMS after `alignment`; coverage: share of the specimen with a point "
-        "where it touches"
-    )
+    quantity: Annotated[str, NameOf(MEASURANDS)] = Field(description="what is measured")
     part: str = Field(default="", description="of a group: the part's name; empty: the first")
     number: Annotated[int, Field(ge=1, le=100)] = Field(
         default=1, description="which of several balls, rods or bars, counted along x"
@@ -87,19 +103,23 @@ class ObjectMeasurand(Model):
             raise ValueError(
                 f"lower_um: found {self.lower_um:g}, allowed up to upper_um, {self.upper_um:g}"
             )
-        if self.quantity in LIMITED and (both or self.lower_um is not None):
+        if self.unit == "um" and (both or self.lower_um is not None):
             raise ValueError(f"{self.quantity} ought to be 0: give upper_um, its largest value")
-        if self.quantity == "coverage" and (both or self.lower_um or self.upper_um):
-            raise ValueError("coverage is a share: give at_least")
-        if self.quantity not in LENGTHS and self.nominal_mm is not None:
+        if self.unit == "share" and (both or self.lower_um or self.upper_um):
+            raise ValueError(f"{self.quantity} is a share: give at_least")
+        if self.unit != "mm" and self.nominal_mm is not None:
             raise ValueError(f"{self.quantity} has no nominal_mm: remove it")
-        if self.quantity != "coverage" and self.at_least is not None:
-            raise ValueError("at_least: allowed for coverage; use upper_um or plus_minus_um")
+        if self.unit != "share" and self.at_least is not None:
+            shares = ", ".join(kind.name for kind in MEASURANDS if kind.unit == "share")
+            raise ValueError(f"at_least: allowed for {shares}; use upper_um or plus_minus_um")
         return self
 
     @property
-    def unit(self) -> str:
-        """Suffix of its value's name."""
-        if self.quantity in LENGTHS:
-            return "mm"
-        return "um" if self.quantity in LIMITED else "share"
+    def unit(self) -> Unit:
+        """Unit of its value, and suffix of the value's name."""
+        return MEASURANDS[self.quantity].unit
+
+    @property
+    def hidden(self) -> bool:
+        """Whether an elastomer between object and coat hides it, see `QuantityKind`."""
+        return MEASURANDS[self.quantity].hidden

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from twin.config.measurands import Quantity
-
 
 @dataclass(frozen=True)
 class NominalFeature:
@@ -18,8 +16,8 @@ class NominalFeature:
     """Whether its measurands are numbered: radius_1, radius_2."""
 
     @property
-    def lengths_mm(self) -> Mapping[Quantity, float]:
-        """Lengths that are measured by default."""
+    def lengths_mm(self) -> Mapping[str, float]:
+        """Lengths that are measured by default, by the name of their quantity."""
         return {}
 
 
@@ -31,7 +29,7 @@ class NominalBall(NominalFeature):
     radius_mm: float
 
     @property
-    def lengths_mm(self) -> Mapping[Quantity, float]:
+    def lengths_mm(self) -> Mapping[str, float]:
         """Its radius."""
         return {"radius": self.radius_mm}
 
@@ -54,7 +52,7 @@ class NominalRod(NominalFeature):
     along: Literal["x", "y"] = "y"
 
     @property
-    def lengths_mm(self) -> Mapping[Quantity, float]:
+    def lengths_mm(self) -> Mapping[str, float]:
         """Its radius."""
         return {"radius": self.radius_mm}
 
@@ -83,7 +81,7 @@ class NominalBar(NominalFeature):
     gap_mm: float = float("inf")
 
     @property
-    def lengths_mm(self) -> Mapping[Quantity, float]:
+    def lengths_mm(self) -> Mapping[str, float]:
         """Its width."""
         return {"width": self.width_mm}
 
@@ -95,7 +93,7 @@ class NominalStep(NominalFeature):
     height_mm: float
 
     @property
-    def lengths_mm(self) -> Mapping[Quantity, float]:
+    def lengths_mm(self) -> Mapping[str, float]:
         """Its height."""
         return {"step_height": self.height_mm}
 
@@ -110,7 +108,7 @@ class NominalGroove(NominalFeature):
     length_y_mm: float
 
     @property
-    def lengths_mm(self) -> Mapping[Quantity, float]:
+    def lengths_mm(self) -> Mapping[str, float]:
         """Its depth, and its opening as width."""
         return {"depth": self.depth_mm, "width": self.opening_mm}
 
@@ -125,7 +123,7 @@ class NominalGrating(NominalFeature):
     length_y_mm: float
 
     @property
-    def lengths_mm(self) -> Mapping[Quantity, float]:
+    def lengths_mm(self) -> Mapping[str, float]:
         """Depth of its grooves."""
         return {"depth": self.depth_mm}
 

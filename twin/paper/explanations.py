@@ -8,13 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from reconstruction.evaluate.fit import fit_sphere, fit_sphere_algebraic
+from reconstruction.integration_schemes import schemes_in_order
 from twin.config import Experiment
 from twin.paper.claims import DIRECT_AT_MOST
 from twin.paper.plan import GELSIGHT, NOMINAL_RADIUS_MM, mean_of, pressed_face
 from twin.paper.statistics import values_of
 from twin.paper.trials import Trial
 from twin.report.table import Cell, Column, Table
-from twin.results.decoders import INTEGRATION_ORDER, MAP_ORDER
+from twin.results.decoders import MAP_ORDER
 from twin.results.parts import face_points_mm
 from twin.specimens import shape_of
 
@@ -87,7 +88,7 @@ def decoder_table(trials: Sequence[Trial]) -> Table:
     repeated = [one for one in trials if one.number]
     rows: list[dict[str, Cell]] = []
     for kind in MAP_ORDER:
-        for scheme in INTEGRATION_ORDER:
+        for scheme in (known.name for known in schemes_in_order()):
             radius, rmse = (_mean(repeated, f"{kind}_{scheme}", key) for key in ("radius", "rmse"))
             if radius is not None and rmse is not None:
                 name = f"{_MAP_WORDS[kind]}, {scheme}"

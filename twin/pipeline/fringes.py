@@ -16,7 +16,7 @@ from trimesh import Trimesh
 from reconstruction.capture.folder import Capture
 from reconstruction.errors import InputError, require_instance
 from reconstruction.pipeline import Reconstruction, reconstruct
-from twin.camera import expose
+from twin.camera import NoiseFunction, expose
 from twin.config import digest, require_experiment
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
@@ -47,12 +47,22 @@ BoundsOf = Callable[[Experiment, PressedFace, Memory], Callable[[], Metrics]]
 
 @dataclass(frozen=True, eq=False)
 class RunContext:
-    """How a measurement is made: what is kept, who is told, which repetition, which layer."""
+    """How a measurement is made.
+
+    Attributes
+    ----------
+    memory : results of stages that are reused
+    clock : run times of the stages, and who is notified of them
+    trial : repetition with new temporal noise
+    layer : assumed elastomer and load; None: the experiment's
+    noise : function of the user for the camera's noise; None: EMVA 1288
+    """
 
     memory: Memory
     clock: Stopwatch
     trial: int = 0
     layer: SensorLayer | None = None
+    noise: NoiseFunction | None = None
 
     @classmethod
     def alone(cls, clock: Stopwatch | None = None, trial: int = 0) -> "RunContext":
@@ -87,7 +97,7 @@ def measure_fringes(
             ).value
         with run.clock.stage("score"):
             face = None if pressed is None else pressed.pressed
-            done = evaluate(experiment, face, capture.value, points, run.layer)
+            done = evaluate(experiment, face, capture.value, points, run.layer, noise=run.noise)
         with run.clock.stage("object"):
             done = done.with_object()
             figures = {} if further is None else further.result()
@@ -100,15 +110,19 @@ def evaluate(
     recording: Recording,
     reconstruction: Reconstruction,
     layer: SensorLayer | None = None,
+    *,
+    noise: NoiseFunction | None = None,
 ) -> Measurement:
     """Score a reconstruction against the truth, and put everything into one record.
 
     Parameters
     ----------
     layer : assumed elastomer and load, by which the object is found; None: the experiment's
+    noise : function of the user that the recording was made with; a warning names it
     """
     scored = score(experiment, reconstruction, recording.truth)
     figures = taken_figures(pressed, recording) | metrics(scored)
+    figures["warnings"] += noise_warnings(noise)
     figures["warnings"] += decoding_warnings(experiment)
     figures["warnings"] += order_warnings(experiment, reconstruction, recording.truth)
     return Measurement(
@@ -207,14 +221,18 @@ def render_bare(
 
 
 def expose_capture(
-    experiment: Experiment, radiance: RadianceStack, clock: Stopwatch, trial: int
+    experiment: Experiment,
+    radiance: RadianceStack,
+    clock: Stopwatch,
+    trial: int,
+    noise: NoiseFunction | None = None,
 ) -> Recording:
-    """Expose the camera to a rendered stack; `trial` draws new temporal noise."""
+    """Expose the camera to a rendered stack; `trial` draws new temporal noise, by `noise`."""
     clock.count_frames("render", len(radiance.frames))
     patterns = pattern_set(experiment.projector, experiment.patterns)
     with clock.stage("expose") as progress:
         brightest = patterns.exposure_frame
-        exposed = expose(experiment, radiance.frames, brightest, trial, progress)
+        exposed = expose(experiment, radiance.frames, brightest, trial, progress, noise=noise)
     capture = Capture(
         stack=exposed.stack,
         patterns=patterns,
@@ -232,6 +250,17 @@ def decoding_warnings(experiment: Experiment) -> list[str]:
     return [
         "the decoder takes the layers for air, and its heights, widths and radii are wrong by what "
         "they bend the rays; set decode.through_layers = true"
+    ]
+
+
+def noise_warnings(noise: NoiseFunction | None) -> list[str]:
+    """Say that a result contains noise which its experiment does not describe; [] otherwise."""
+    if noise is None:
+        return []
+    name = getattr(noise, "__name__", type(noise).__name__)
+    return [
+        f"camera noise by the function {name}, which the experiment does not contain; standard "
+        "deviations of points and bounds are those of the EMVA 1288 model"
     ]
 
 
@@ -272,8 +301,8 @@ def _recorded(
     return run.memory.recall(
         "capture",
         experiment,
-        (radiance.token, run.trial),
-        lambda seen: expose_capture(seen, radiance.value, run.clock, run.trial),
+        (radiance.token, run.trial, run.noise),
+        lambda seen: expose_capture(seen, radiance.value, run.clock, run.trial, run.noise),
     )
 
 

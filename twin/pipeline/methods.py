@@ -3,7 +3,8 @@
 from pathlib import Path
 from types import NoneType
 
-from reconstruction.errors import require_instance, require_integer
+from reconstruction.errors import InputError, require_instance, require_integer
+from twin.camera import NoiseFunction
 from twin.config import Experiment, require_experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import check_press
@@ -14,9 +15,9 @@ from twin.pipeline.compensation import with_compensation
 from twin.pipeline.fringes import RunContext, check_layers, measure_fringes
 from twin.pipeline.memory import Memory
 from twin.pipeline.progress import ProgressCallback, Stopwatch, no_progress
-from twin.results.features import check_measurands
 from twin.results.folder import as_stored, write_measurement
 from twin.results.names import compensates_at_once
+from twin.results.quantities import check_measurands
 from twin.results.record import Measurement
 
 _MOST_TRIALS = 2**31
@@ -30,6 +31,7 @@ def measure(
     bound: bool = False,
     *,
     layer: SensorLayer | None = None,
+    noise: NoiseFunction | None = None,
 ) -> Measurement:
     """Run one virtual measurement.
 
@@ -41,6 +43,9 @@ def measure(
         `twin.results.bound`
     layer : assumed elastomer and load, by which the object under a thin sheet is found; None:
         those of the experiment
+    noise : function (mean electrons (row, col), random generator) -> electrons (row, col), in the
+        place of the shot and read noise of EMVA 1288, see `twin.camera.NoiseFunction`; for methods
+        with fringes
 
     Raises
     ------
@@ -52,8 +57,13 @@ def measure(
     require_instance("memory", memory, (Memory, NoneType), "give a twin.Memory(), or none")
     require_integer("trial", trial, 0, _MOST_TRIALS)
     check_measurands(experiment)
-    run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial, layer)
+    run = RunContext(Memory() if memory is None else memory, Stopwatch(watch), trial, layer, noise)
     if not experiment.method.fringes:
+        if noise is not None:
+            raise InputError(
+                f"noise: found a function, allowed for methods with fringes; modality = "
+                f"'{experiment.modality}' calibrates its sensor with EMVA 1288 noise"
+            )
         return measure_colours(experiment, run)
     return measure_fringes(experiment, run, bounds_of if bound else None)
 

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-from twin.config.measurands import LENGTHS
 from twin.report.experiment import glance
 from twin.report.object import deviation_table, object_verdict, quantity_table
 from twin.report.page import Block, Note
@@ -40,7 +39,7 @@ def _found(measured: Measurement) -> list[Table]:
     """Return the measurands, and the deviation where no length of the object was measured."""
     found = measured.object
     tables = [quantity_table(measured)] if found.quantities else []
-    lengths = any(one.asked.quantity in LENGTHS for one in found.quantities)
+    lengths = any(one.asked.unit == "mm" for one in found.quantities)
     if found.seen is not None and found.aligned and not lengths:
         tables.append(deviation_table(measured))
     return tables

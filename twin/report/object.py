@@ -3,7 +3,6 @@
 import numpy as np
 
 from reconstruction.evaluate.conformity import NOT_WITHIN, WITHIN
-from twin.config.measurands import LENGTHS
 from twin.report.object_picture import object_figure, touches
 from twin.report.page import Block, Grade, Note, Section, Verdict
 from twin.report.table import Column, Row, Table
@@ -80,7 +79,7 @@ def _short(one: MeasuredQuantity) -> str:
 def _remedies(measured: Measurement) -> list[str]:
     """Say what makes more of the object touch; nothing where its dimensions were measured."""
     found, compensation = measured.object, measured.compensation
-    lengths = [one for one in found.quantities if one.asked.quantity in LENGTHS]
+    lengths = [one for one in found.quantities if one.asked.unit == "mm"]
     nothing = measured.figures.get("object_rms_um") is None
     if not nothing and (compensation is None or all(one.value is not None for one in lengths)):
         return []
@@ -108,7 +107,7 @@ def object_lines(measured: Measurement) -> list[str]:
     judged = [one for one in found.quantities if one.tolerance is not None]
     if judged:
         return [_ascii(told(one)) for one in judged]
-    lines = [_ascii(told(one)) for one in found.quantities if one.asked.quantity in LENGTHS]
+    lines = [_ascii(told(one)) for one in found.quantities if one.asked.unit == "mm"]
     rms_um = figures.get("object_rms_um")
     if rms_um is None:
         lines.append(_NOTHING)
@@ -224,7 +223,7 @@ def _absences(quantities: tuple[MeasuredQuantity, ...]) -> list[str]:
 def _row(one: MeasuredQuantity) -> dict[str, str]:
     share, digits = one.asked.unit == "share", 4 if one.asked.unit == "mm" else 2
     unit = {"mm": " mm", "um": " µm", "share": ""}[one.asked.unit]
-    length = one.asked.quantity in LENGTHS
+    length = one.asked.unit == "mm"
     row = {
         "name": one.asked.name.replace("_", " "),
         "nominal": NONE if one.nominal is None else f"{one.nominal:g} mm",
@@ -333,7 +332,7 @@ def object_rows(measured: Measurement) -> dict[str, str]:
     rows = {}
     for one in measured.object.quantities:
         name = one.asked.name.replace("_", " ")
-        if one.asked.quantity in LENGTHS:
+        if one.asked.unit == "mm":
             rows[f"{name} (mm)"] = (
                 NONE if one.value is None else f"{one.value:.4f} {_interval(one)}"
             )

@@ -4,14 +4,11 @@ World frame, mm; the section runs through the specimen, s = 0 at its middle.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from reconstruction.arrays import FloatArray
-from reconstruction.errors import FitError
-from reconstruction.evaluate import fit_ball
 from twin.config.models import Experiment
 from twin.report.canvas import (
     FIT,
@@ -31,8 +28,8 @@ from twin.report.canvas import (
 from twin.report.page import Figure
 from twin.report.section import Trace, trace_through_apexes
 from twin.report.surfaces import average_on_grid
+from twin.results.measurands import measurand_of
 from twin.results.object_points import ObjectPoints, SeenObject
-from twin.results.object_score import MeasuredQuantity
 from twin.results.record import Measurement
 from twin.specimens import shape_of
 
@@ -141,7 +138,8 @@ def _draw_section(axes: Axes, measured: Measurement, seen: SeenObject) -> None:
     true = _true_profile(seen, trace, grid)
     axes.plot(grid, true, color=NOMINAL, lw=1.0, label="true object")
     if fitted is not None and fitted.points_mm is not None:
-        for s, line in _fit_lines(fitted, fitted.points_mm, trace, seen):
+        kind = measurand_of(fitted.asked)
+        for s, line in kind.curves(fitted.points_mm, trace, seen):
             axes.plot(s, line, color=FIT, lw=1.2, ls="--")
     low, high = (float(z.min()), float(z.max())) if len(z) else (0.0, 1.0)
     margin = 0.15 * max(high - low, 0.01)
@@ -163,34 +161,3 @@ def _true_profile(seen: SeenObject, trace: Trace, place: FloatArray) -> FloatArr
     """World z of the true object's upper side, grown by the skin, along a section; NaN: none."""
     z = seen.heights.z_mm[seen.heights.cells_of(trace.points(place))] if len(place) else place
     return np.where(np.isfinite(z), z + seen.surface.skin_mm, np.nan)
-
-
-def _fit_lines(
-    one: MeasuredQuantity, points: FloatArray, trace: Trace, seen: SeenObject
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Return what was fitted, as curves (s, z): two levels, or the arc of a ball."""
-    if one.asked.quantity == "radius" and seen.shape.spheres():
-        return _arc(points, trace)
-    if one.asked.quantity != "step_height" or one.value is None:
-        return []
-    place, z = trace.position(points[:, 0], points[:, 1]), points[:, 2]
-    middle = (float(z.min()) + float(z.max())) / 2
-    upper = z > middle
-    design = np.column_stack([np.ones(len(z)), points[:, :2], upper])
-    plane: Any = np.linalg.lstsq(design, z, rcond=None)[0]
-    ends = np.array([float(place.min()), float(place.max())])
-    base = plane[0] + trace.points(ends) @ plane[1:3]
-    return [(ends, base), (ends, base + plane[3])]
-
-
-def _arc(points: FloatArray, trace: Trace) -> list[tuple[FloatArray, FloatArray]]:
-    try:
-        ball = fit_ball(points)
-    except FitError:
-        return []
-    middle = float(trace.position(ball.centre_mm[0], ball.centre_mm[1]))
-    aside = float(trace.offset(ball.centre_mm[0], ball.centre_mm[1]))
-    reach = float(np.ptp(trace.position(points[:, 0], points[:, 1]))) / 2
-    s = np.linspace(-reach, reach, 200)
-    up = np.maximum(ball.radius_mm**2 - s**2 - aside**2, 0.0)
-    return [(middle + s, ball.centre_mm[2] + np.sqrt(up))]

@@ -14,6 +14,7 @@ from matplotlib.ticker import MultipleLocator
 from scipy.interpolate import RegularGridInterpolator
 
 from reconstruction.arrays import FloatArray, Levels
+from reconstruction.integration_schemes import schemes_in_order
 from twin.config.lamps import Lamp
 from twin.config.models import Experiment
 from twin.optics.lamps import emitters_of
@@ -200,7 +201,7 @@ def _mark_field(axes: Axes, seen: Measurement) -> None:
 
 
 _SAMPLES = 601
-_COLOURS = {"corrected": MEASURED, "sdk_2025": FIT, "sdk_2024": NOMINAL}
+_COLOURS = (MEASURED, FIT, NOMINAL, "#8c6d31", "#7b4173")
 _STYLES = {"polynomial": "-", "table": ":"}
 
 
@@ -239,10 +240,11 @@ def profile_mm(one: DecodedImage, seen: Measurement, trace: Trace, s_mm: FloatAr
 
 
 def _line(axes: Axes, s_mm: FloatArray, values: FloatArray, one: DecodedImage) -> None:
+    place = [scheme.name for scheme in schemes_in_order()].index(one.integration)
     axes.plot(
         s_mm,
         values,
-        color=_COLOURS[one.integration],
+        color=_COLOURS[place % len(_COLOURS)],
         ls=_STYLES[one.colour_map],
         lw=1.2,
         label=decoder_name(one),

@@ -7,7 +7,7 @@ Two numbers for each measurand that is a fitted length, in um:
 | object_NAME_crb_um | Cramer-Rao bound: the least standard deviation by noise that any unbiased fit of the shape to the decoded coordinates can have |
 | object_NAME_spread_um | standard deviation by noise of the measurement's own fit, through the filter and its covariance |
 | sphere_N_radius_crb_um, sphere_N_radius_spread_um | of the radius on the coat over the scored region |
-| crb_radius_um, crb_width_um, crb_step_um, crb_depth_um | bound of the first measurand of that kind |
+| crb_radius_um, crb_width_um, crb_step_um, crb_depth_um | bound of the first measurand of that kind (`MeasurandKind.bound_name`) |
 | compensated_NUMBER_crb_um, _deg | bound of a number of the object under a thick slab, through optics and mechanics (`twin.pipeline.bound`) |
 | predicted_sigma_z_um | median of the standard deviation of z by noise, filtered |
 | predicted_share | share of the lit pixels that will have a point |
@@ -27,25 +27,18 @@ from reconstruction.codes import code_of
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius_of_all
 from reconstruction.patterns import AXES
-from twin.config.measurands import ObjectMeasurand, Quantity
+from twin.config.measurands import MEASURANDS, ObjectMeasurand
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
-from twin.results.features import Feature, feature_of, features_of, measurands_of
+from twin.results.features import Feature, feature_of, features_of
 from twin.results.figures import Metric
 from twin.results.object_fits import fit, require_determined
 from twin.results.object_points import SeenObject, seen_object
 from twin.results.prediction import PredictedMaps
+from twin.results.quantities import measurands_of
 from twin.results.score import region_of
 from twin.specimens import shape_of
-
-BOUNDED: dict[Quantity, str] = {
-    "radius": "crb_radius_um",
-    "width": "crb_width_um",
-    "step_height": "crb_step_um",
-    "depth": "crb_depth_um",
-}
-"""Quantities that have a bound, and how that of the first of them is called."""
 
 _ALWAYS = ("predicted_sigma_z_um", "predicted_share")
 _LEAST_SPHERE_POINTS = 5
@@ -70,7 +63,7 @@ def is_bound_name(name: str) -> bool:
     """Tell whether a figure is one of `bound_figures`, whatever the experiment."""
     return name.endswith(("_crb_um", "_crb_deg", "_spread_um", "_bound_why")) or name in {
         *_ALWAYS,
-        *BOUNDED.values(),
+        *filter(None, (kind.bound_name for kind in MEASURANDS)),
     }
 
 
@@ -80,14 +73,18 @@ def bound_names(experiment: Experiment) -> set[str]:
         return set()
     names = set(_ALWAYS)
     for asked in _asked(experiment):
-        names |= {*_names(asked), BOUNDED[asked.quantity], f"object_{asked.name}_bound_why"}
+        names |= {
+            *_names(asked),
+            MEASURANDS[asked.quantity].bound_name,
+            f"object_{asked.name}_bound_why",
+        }
     for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
         names |= {*_sphere_names(number), f"sphere_{number}_radius_bound_why"}
     return names
 
 
 def _asked(experiment: Experiment) -> list[ObjectMeasurand]:
-    return [one for one in measurands_of(experiment) if one.quantity in BOUNDED]
+    return [one for one in measurands_of(experiment) if MEASURANDS[one.quantity].bound_name]
 
 
 def _names(asked: ObjectMeasurand) -> tuple[str, str]:
@@ -114,7 +111,7 @@ def bound_figures(
         values, why = _figures_of(asked.quantity, one, prediction)
         found |= dict(zip(_names(asked), values, strict=True))
         found |= {f"object_{asked.name}_bound_why": why} if why else {}
-        first.setdefault(BOUNDED[asked.quantity], values[0])
+        first.setdefault(MEASURANDS[asked.quantity].bound_name, values[0])
     return found | first
 
 
@@ -232,5 +229,5 @@ def information_shares(
             image = np.zeros(prediction.reason.shape)
             image.ravel()[one.pixels] = shares
             found[_names(asked)[0]] = image
-            found.setdefault(BOUNDED[asked.quantity], image)
+            found.setdefault(MEASURANDS[asked.quantity].bound_name, image)
     return found

@@ -7,22 +7,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from reconstruction.arrays import Levels
+from reconstruction.integration_schemes import SCHEMES, schemes_in_order
 from reconstruction.photometric import (
     HeightMap,
     PhotometricDecoder,
     PhotometricOptions,
     SensorCalibration,
 )
-from reconstruction.photometric.integrate import Integration
 from reconstruction.photometric.sensor import MapKind
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
 from twin.results.score import HeightScore, Scores, score_heights
 
-INTEGRATION_ORDER: tuple[Integration, ...] = ("corrected", "sdk_2025", "sdk_2024")
 MAP_ORDER: tuple[MapKind, ...] = ("polynomial", "table")
 MAP_NAMES = {"polynomial": "polynomial", "table": "look-up table"}
-INTEGRATION_NAMES = {"corrected": "corrected", "sdk_2025": "vendor 2025", "sdk_2024": "vendor 2024"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +28,7 @@ class DecodedImage:
     """What one decoder made of an image."""
 
     colour_map: MapKind
-    integration: Integration
+    integration: str
     heights: HeightMap
     score: Scores[HeightScore]
 
@@ -57,17 +55,17 @@ def decode_all(
     Returns
     -------
     list of DecodedImage
-        By map, then by integration, each in its fixed order.
+        By map, then by integration, each in the order of its kind.
 
     Raises
     ------
     FitError : no pixel of the field carries a height
     """
     return [
-        decode_one(experiment, image, calibrations[kind], (kind, integration), truth)
+        decode_one(experiment, image, calibrations[kind], (kind, scheme.name), truth)
         for kind in MAP_ORDER
         if kind in calibrations
-        for integration in INTEGRATION_ORDER
+        for scheme in schemes_in_order()
     ]
 
 
@@ -75,7 +73,7 @@ def decode_one(
     experiment: Experiment,
     image: Levels,
     calibration: SensorCalibration,
-    decoder: tuple[MapKind, Integration],
+    decoder: tuple[MapKind, str],
     truth: Truth,
 ) -> DecodedImage:
     """Decode and score an image by one decoder; errors as `decode_all`."""
@@ -93,4 +91,4 @@ def chosen(experiment: Experiment, decoded: list[DecodedImage]) -> DecodedImage:
 
 def decoder_name(one: DecodedImage) -> str:
     """Name a decoder as figures and tables do."""
-    return f"{MAP_NAMES[one.colour_map]}, {INTEGRATION_NAMES[one.integration]}"
+    return f"{MAP_NAMES[one.colour_map]}, {SCHEMES[one.integration].title}"

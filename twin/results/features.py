@@ -1,10 +1,8 @@
-"""Where a specimen's features lie, and which quantities it has by nature: radius, step, groove.
+"""Places of a specimen's features: balls, bars, gratings, and the parts of a group.
 
 A feature's own frame: x across it, y along it, as its specimen's.
 """
 
-from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +10,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.compensation import BarPlace
 from reconstruction.errors import InputError
-from twin.config.measurands import ObjectMeasurand, Quantity
-from twin.config.models import Experiment
+from twin.config.measurands import ObjectMeasurand
 from twin.config.nominal import NominalBar, NominalGrating
 from twin.config.specimen_base import Specimen
 from twin.shape import Placement, Shape, Sphere
@@ -101,91 +98,3 @@ def feature_of(features: list[Feature], asked: ObjectMeasurand) -> Feature:
             return one
     names = ", ".join(one.name for one in features if one.name) or "none, the specimen is no group"
     raise InputError(f"measurand {asked.name}: part: found '{asked.part}', allowed: {names}")
-
-
-def measurands_of(experiment: Experiment) -> list[ObjectMeasurand]:
-    """Return what is asked of an experiment, after what its specimen has by nature.
-
-    One asked for under the name of a natural one, or for the same of it, takes its place.
-    """
-    asked = {one.name: one for one in experiment.measurand}
-    same = {(one.quantity, one.part, one.number) for one in experiment.measurand}
-    natural = {
-        one.name: one
-        for part in features_of(experiment.specimen)
-        for one in _natural(part)
-        if (one.quantity, one.part, one.number) not in same
-    }
-    return list((natural | asked).values())
-
-
-def check_measurands(experiment: Experiment) -> None:
-    """Refuse measurands that the specimen cannot have, before anything is measured.
-
-    Raises
-    ------
-    InputError : a part, a ball, a rod, a bar or a grating that is not there
-    """
-    features = features_of(experiment.specimen)
-    for asked in experiment.measurand:
-        feature = feature_of(features, asked)
-        kind = feature.specimen.kind
-        count = _how_many(feature, asked)
-        if count is not None and asked.number > count:
-            raise InputError(
-                f"measurand {asked.name}: {asked.quantity} number {asked.number}: the specimen "
-                f"({kind}) has {count or 'none'}; ask for another quantity, number or part"
-            )
-        if asked.quantity == "resolution" and not gratings_of(experiment.specimen):
-            raise InputError(
-                f"measurand {asked.name}: resolution is that of gratings, found {kind}; use kind = "
-                "'grating', or a group of several pitches"
-            )
-
-
-def _how_many(feature: Feature, asked: ObjectMeasurand) -> int | None:
-    """Return the number of features of a quantity; None where they are not counted."""
-    known = _lengths_mm(feature.specimen, asked.quantity)
-    if asked.quantity == "radius":
-        return max(len(known), len(feature.balls))
-    return len(known) or None if asked.quantity == "width" else None
-
-
-def nominal_mm(feature: Feature, asked: ObjectMeasurand) -> float | None:
-    """Return a length as the specimen's description has it; None where it does not."""
-    if asked.nominal_mm is not None:
-        return asked.nominal_mm
-    known = _lengths_mm(feature.specimen, asked.quantity)
-    return known[asked.number - 1] if asked.number <= len(known) else None
-
-
-def _lengths_mm(specimen: Specimen, quantity: Quantity) -> list[float]:
-    """Return the nominal lengths of a quantity, counted along x."""
-    features = specimen.nominal_features()
-    return [one.lengths_mm[quantity] for one in features if quantity in one.lengths_mm]
-
-
-def _natural(feature: Feature) -> Iterator[ObjectMeasurand]:
-    """Yield the measurands of a part that follow from its nominal features."""
-    before, count = _prefix(feature.name), Counter[Quantity]()
-    for nominal in feature.specimen.nominal_features():
-        for quantity in nominal.lengths_mm:
-            count[quantity] += 1
-            number = f"_{count[quantity]}" if nominal.is_counted else ""
-            yield ObjectMeasurand(
-                name=f"{before}{quantity}{number}",
-                quantity=quantity,
-                part=feature.name,
-                number=count[quantity],
-            )
-    if feature.specimen.nominal(NominalGrating):
-        # The gratings of a group share this measurand: its name is the same for all of them.
-        yield ObjectMeasurand(name="resolution", quantity="resolution")
-
-
-def _prefix(part: str) -> str:
-    """Return a part's name as the beginning of a measurand's."""
-    if not part:
-        return ""
-    plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in part.lower())
-    return f"{plain[:20]}_" if plain[0].isalpha() else f"part_{plain[:15]}_"

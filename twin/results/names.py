@@ -8,13 +8,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import fields
 
 from reconstruction.evaluate.conformity import CombinedUncertainty
-from twin.config.measurands import HIDDEN
 from twin.config.models import Experiment
 from twin.config.nominal import NominalHexNut
 from twin.mechanics.choice import is_slab, may_wrap
 from twin.results.bound import bound_names, has_bound
 from twin.results.compensated import slab_bound_name, slab_name
-from twin.results.features import bars_of, feature_of, features_of, measurands_of, nominal_mm
+from twin.results.features import bars_of, feature_of, features_of
 from twin.results.figures import COMPENSATED
 from twin.results.object_points import is_covered
 from twin.results.object_score import (
@@ -24,6 +23,7 @@ from twin.results.object_score import (
     summary_of,
     tolerance_of,
 )
+from twin.results.quantities import measurands_of, nominal_mm
 from twin.results.rods import single_section
 from twin.results.score import FringeScore, HeightScore, region_name, sphere_names
 from twin.specimens import shape_of
@@ -118,7 +118,7 @@ def _of_the_object(experiment: Experiment) -> set[str]:
             tolerance=tolerance_of(one),
             points_mm=None,
             why="not measured yet",
-            covered=is_covered(experiment) and one.quantity in HIDDEN,
+            covered=is_covered(experiment) and one.hidden,
         )
         for one in measurands_of(experiment)
     ]

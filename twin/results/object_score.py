@@ -23,15 +23,17 @@ from reconstruction.evaluate.deviation import (
     deviations,
     normals_of,
 )
-from twin.config.measurands import HIDDEN, LENGTHS, LIMITED, ObjectMeasurand
+from twin.config.measurands import ObjectMeasurand
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
 from twin.mechanics.choice import is_slab
 from twin.optics.stack import Truth
-from twin.results.features import Feature, feature_of, features_of, measurands_of, nominal_mm
+from twin.results.features import Feature, feature_of, features_of
 from twin.results.figures import Metric
-from twin.results.object_fits import FittedValue, fit
+from twin.results.measurands import FittedValue, measurand_of
+from twin.results.object_fits import fit
 from twin.results.object_points import ObjectPoints, SeenObject, is_covered, seen_object
+from twin.results.quantities import measurands_of, nominal_mm
 from twin.results.under_sheet import SheetCompensation
 
 NOTHING_FOUND = "nothing of the object was found"
@@ -91,7 +93,7 @@ class MeasuredQuantity:
         return self.tolerance.margin(self.error, self.uncertainty.expanded)
 
     def _deviation_of(self, value: float | None) -> float | None:
-        if self.asked.quantity not in LENGTHS:
+        if self.asked.unit != "mm":
             return value
         known = value is not None and self.nominal is not None
         return 1e3 * (value - self.nominal) if known else None  # type: ignore[operator]
@@ -228,7 +230,7 @@ def _quantity(
     covered = seen is not None and seen.covered
     if seen is not None:
         value, why = _attempt(asked, feature, seen, seen.measured)
-        if asked.quantity in HIDDEN and covered:
+        if asked.hidden and covered:
             coat, _ = _attempt(asked, feature, seen, _whole(asked, seen.coat))
             true_value, _ = _attempt(asked, feature, seen, _whole(asked, seen.true_face))
             value, why = (None, without) if without else (value, why)
@@ -250,16 +252,16 @@ def _quantity(
         points_mm=None if value is None else value.points_mm,
         why=why,
         coat=None if coat is None else _in_unit(asked, coat.value),
-        covered=covered and asked.quantity in HIDDEN,
+        covered=covered and asked.hidden,
     )
 
 
 def _whole(asked: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
-    """Return the points of a coat that its own figure rests on: of a ball or rod those in contact.
+    """Return the points of a coat that its own figure rests on: those in contact, or all of them.
 
-    Steps, grooves and widths of the coat are of all of it.
+    Which of both is a property of the quantity, see `MeasurandKind.coat_in_contact`.
     """
-    if asked.quantity == "radius":
+    if measurand_of(asked).coat_in_contact:
         return points
     return replace(points, touching=np.ones(len(points.points_mm), bool))
 
@@ -281,8 +283,7 @@ def _elastomer_mm(
         fit(asked, feature, seen, replace(points, points_mm=moved)).value - value.value
         for moved in under.moved(points.points_mm, cells)
     ]
-    if asked.quantity == "radius":
-        changes.append(under.sheet.theory_mm(value.value))
+    changes += measurand_of(asked).theory_mm(value.value, under.sheet)
     return float(np.linalg.norm(changes))
 
 
@@ -293,7 +294,7 @@ def _attempt(
         value = fit(asked, feature, seen, points)
     except FitError as error:
         return None, str(error)
-    if asked.quantity in LENGTHS and not value.value > 2 * value.noise_mm:
+    if asked.unit == "mm" and not value.value > 2 * value.noise_mm:
         return None, (
             f"{asked.quantity}: not determined by these points: {value.value:.3g} mm, u = "
             f"{value.noise_mm:.2g} mm"
@@ -302,7 +303,7 @@ def _attempt(
 
 
 def _in_unit(asked: ObjectMeasurand, value: float) -> float:
-    return 1e3 * value if asked.quantity in LIMITED else value
+    return 1e3 * value if asked.unit == "um" else value
 
 
 def tolerance_of(asked: ObjectMeasurand) -> Tolerance | None:
@@ -311,7 +312,7 @@ def tolerance_of(asked: ObjectMeasurand) -> Tolerance | None:
         return Tolerance(-asked.plus_minus_um, asked.plus_minus_um)
     if asked.at_least is not None:
         return Tolerance(lower=asked.at_least)
-    if asked.quantity == "resolution" and asked.nominal_mm is not None:
+    if asked.nominal_mm is not None and measurand_of(asked).nominal_is_limit:
         return Tolerance(upper=asked.upper_um or 0.0)
     if asked.lower_um is None and asked.upper_um is None:
         return None

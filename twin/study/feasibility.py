@@ -13,8 +13,8 @@ from reconstruction.errors import counted
 from reconstruction.evaluate.conformity import WITHIN
 from twin.config import Experiment
 from twin.config.study import Constraint
-from twin.results.features import measurands_of
 from twin.results.object_score import tolerance_of
+from twin.results.quantities import measurands_of
 from twin.study.cases import Case, quantity
 
 Row = Mapping[str, Any]

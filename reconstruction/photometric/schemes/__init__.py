@@ -1,0 +1,1 @@
+"""The built-in integration schemes, see `reconstruction.integration_schemes`."""

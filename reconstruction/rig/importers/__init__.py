@@ -1,0 +1,77 @@
+"""Formats of calibrations that other programs write. One kind per module, in `IMPORTERS`.
+
+A kind is one file of this package, of an installed package (entry points of the group
+`fringe_twin.importers`) or of the user (`--plugin`). It returns numbers and matrices by the names
+that they have in the file; `reconstruction.rig.importing` makes a rig of them. Minimal example:
+
+    class Plain(Importer):
+        name, summary = "plain", "text: a name and its numbers in each line (.cal)"
+
+        def recognises(self, path):
+            return path.suffix == ".cal"
+
+        def read(self, path):
+            lines = map(str.split, path.read_text().splitlines())
+            return {name: np.array(numbers, float) for name, *numbers in lines}
+
+    IMPORTERS.register(Plain())
+"""
+
+from pathlib import Path
+
+from reconstruction.arrays import FloatArray
+from reconstruction.errors import CaptureError, InputError, one_line
+from reconstruction.reading import regular_file, shown
+from reconstruction.registry import Registry
+
+
+class Importer:
+    """A format of calibration files.
+
+    Attributes
+    ----------
+    name : of the format
+    summary : one line of documentation, as errors list it
+    """
+
+    name: str
+    summary: str
+
+    def recognises(self, path: Path) -> bool:
+        """Whether a file, which exists, has this format: by its name or its first bytes."""
+        raise NotImplementedError(f"importer {self.name!r} has no function recognises")
+
+    def read(self, path: Path) -> dict[str, FloatArray]:
+        """Return every number and matrix of a file by its path inside, `camera/matrix`.
+
+        Raises
+        ------
+        CaptureError : the file is damaged, or contains no numbers
+        """
+        raise NotImplementedError(f"importer {self.name!r} has no function read")
+
+
+IMPORTERS: Registry[Importer] = Registry(
+    "importers", "reconstruction.rig.importers", lambda importer: importer.name
+)
+"""The formats of foreign calibrations."""
+
+
+def importer_of(path: Path) -> Importer:
+    """Return the format of a file.
+
+    Raises
+    ------
+    CaptureError : the file cannot be read, or has none of the formats
+    """
+    try:
+        file = regular_file(path)
+        for importer in IMPORTERS:
+            if importer.recognises(file):
+                return importer
+    except InputError as error:
+        raise CaptureError(str(error)) from None
+    except OSError as error:
+        raise CaptureError(f"{shown(path)}: cannot be read: {one_line(error)}") from None
+    formats = "; ".join(f"{importer.name}: {importer.summary}" for importer in IMPORTERS)
+    raise CaptureError(f"{shown(path)}: found no calibration of a known format, allowed: {formats}")

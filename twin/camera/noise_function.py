@@ -1,0 +1,44 @@
+"""Noise by a function of the user, in the place of the EMVA 1288 model.
+
+def gaussian(mean_e, rng):
+return mean_e + rng.normal(0.0, 20.0, mean_e.shape)
+
+twin.measure(experiment, noise=gaussian)
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from reconstruction.arrays import FloatImage
+from reconstruction.errors import InputError
+
+NoiseFunction = Callable[[FloatImage, np.random.Generator], Any]
+"""From the mean electrons of a frame (row, col) float32 to its electrons (row, col).
+
+The mean contains light, relative response of the pixels and dark current. The result takes the
+place of shot and read noise; full well, dark offsets, gain, rounding and the converter's limits
+follow. The function is called once for each frame, in their order, with a random generator that is
+seeded by experiment, trial and frame.
+"""
+
+
+def noisy_electrons(
+    noise: NoiseFunction, mean_e: FloatImage, rng: np.random.Generator
+) -> FloatImage:
+    """Return the electrons of a frame by a function of the user, (row, col) float32.
+
+    Raises
+    ------
+    InputError : the function returns another shape, or values that are not finite
+    """
+    electrons = np.asarray(noise(mean_e, rng), np.float32)
+    if electrons.shape != mean_e.shape:
+        raise InputError(
+            f"noise: the function returned the shape {electrons.shape}, needed {mean_e.shape}: "
+            "the electrons of each pixel"
+        )
+    if not np.isfinite(electrons).all():
+        raise InputError("noise: the function returned values that are not finite")
+    return electrons

@@ -1,0 +1,44 @@
+"""Deviation of the points from the true object: their RMS after an alignment."""
+
+from reconstruction.arrays import Alignment, FloatArray
+from reconstruction.errors import FitError
+from reconstruction.evaluate.deviation import Deviations, deviations, normals_of
+from twin.config.measurands import ObjectMeasurand
+from twin.results.features import Feature
+from twin.results.measurands import MEASURANDS, FittedValue, MeasurandKind, fitted
+from twin.results.object_points import ObjectPoints, SeenObject
+
+
+class RmsDeviation(MeasurandKind):
+    """The RMS of the distances from the true object."""
+
+    name = "deviation"
+    summary = "RMS after `alignment`"
+    unit = "um"
+
+    def fit(
+        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+    ) -> FittedValue:
+        """Return the RMS along the normal of the object's surface."""
+        kept, aligned, upward = aligned_points(request, seen, points, request.alignment)
+        return fitted(kept, aligned.rms(upward))
+
+
+def aligned_points(
+    request: ObjectMeasurand, seen: SeenObject, points: ObjectPoints, alignment: Alignment
+) -> tuple[ObjectPoints, Deviations, FloatArray]:
+    """Return points of the object, their deviations, and z of the surface's unit normals (n,).
+
+    Raises
+    ------
+    FitError : there is no point
+    """
+    kept = points.part(points.touching if request.over == "contact" else points.over).thinned()
+    if not len(kept.points_mm):
+        raise FitError("deviation: no point on the object in the given ranges")
+    distance = seen.surface.distance_mm
+    normals = normals_of(kept.points_mm, distance)
+    return kept, deviations(kept.points_mm, distance, alignment, normals), normals[:, 2]
+
+
+MEASURANDS.register(RmsDeviation())

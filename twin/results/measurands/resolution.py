@@ -1,0 +1,68 @@
+"""Lateral resolution: the finest pitch of gratings that is measured with half its depth."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from reconstruction.errors import FitError, InputError
+from twin.config.measurands import ObjectMeasurand
+from twin.config.nominal import NominalGrating
+from twin.config.specimen_base import Specimen
+from twin.results.features import Feature, gratings_of
+from twin.results.measurands import (
+    MEASURANDS,
+    SIGMAS_ABOVE_NOISE,
+    FittedValue,
+    MeasurandKind,
+    in_ranges,
+)
+from twin.results.measurands.depth import Depth
+from twin.results.object_points import ObjectPoints, SeenObject
+
+KEPT_SHARE = 0.5
+"""Of a grating's depth that must be left for it to be resolved: ISO 25178-600's lateral period
+limit."""
+
+
+class GratingResolution(MeasurandKind):
+    """The finest resolved pitch."""
+
+    name = "resolution"
+    summary = "finest pitch of the gratings that keeps half its depth"
+    nominal_is_limit = True
+
+    def fit(
+        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+    ) -> FittedValue:
+        """Find the finest pitch that, with all coarser ones, keeps half its depth above noise."""
+        finest = None
+        # Parts that a gel or sheet does not touch are not resolved: the coat's own relief counts.
+        shown = points if points.under is None else in_ranges(request, seen.coat)
+        points = replace(shown, touching=np.ones(len(shown.points_mm), bool))
+        gratings = [(part.specimen.nominal(NominalGrating)[0], part) for part in seen.gratings]
+        for grating, part in sorted(gratings, key=lambda pair: pair[0].pitch_mm, reverse=True):
+            depth = Depth().fit(request, part, seen, points)
+            kept = depth.value / grating.depth_mm
+            if kept < KEPT_SHARE or depth.value < SIGMAS_ABOVE_NOISE * depth.noise_mm:
+                break
+            finest = FittedValue(grating.pitch_mm, 0.0, depth.points_mm)
+        if finest is None:
+            raise FitError("resolution: none of the gratings keeps half its depth above the noise")
+        return finest
+
+    def check(self, request: ObjectMeasurand, specimen: Specimen, feature: Feature) -> None:
+        """Check that there are gratings."""
+        if not gratings_of(specimen):
+            raise InputError(
+                f"measurand {request.name}: resolution is that of gratings, found "
+                f"{feature.specimen.kind}; use kind = 'grating', or a group of several pitches"
+            )
+
+    def defaults(self, feature: Feature) -> Iterator[ObjectMeasurand]:
+        """Yield the resolution, by the same name for all gratings of a group: they share it."""
+        if feature.specimen.nominal(NominalGrating):
+            yield ObjectMeasurand(name=self.name, quantity=self.name)
+
+
+MEASURANDS.register(GratingResolution())

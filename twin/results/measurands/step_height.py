@@ -1,0 +1,118 @@
+"""Height of a step between the highest and the lowest level (ISO 5436-1 type A1)."""
+
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.errors import FitError
+from reconstruction.evaluate.estimates import step_between
+from twin.config.measurands import ObjectMeasurand
+from twin.results.features import Feature
+from twin.results.measurands import (
+    MEASURANDS,
+    Curve,
+    FittedValue,
+    MeasurandKind,
+    SectionLine,
+    fitted,
+)
+from twin.results.object_points import Heights, ObjectPoints, SeenObject
+
+# Of a step: levels are known to so much of it.
+_LEVEL_SHARE = 0.1
+
+
+class IsoStepHeight(MeasurandKind):
+    """The height of a step."""
+
+    name = "step_height"
+    summary = "between the highest and the lowest level (ISO 5436-1 A1)"
+    hidden = True
+    bound_name = "crb_step_um"
+
+    def fit(
+        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+    ) -> FittedValue:
+        """Fit two parallel planes to the levels without their edges, see `levels`."""
+        step_mm = self.requested_mm(request, feature)
+        return step_of(points.part(points.touching), feature, seen, step_mm)
+
+    def curves(self, points_mm: FloatArray, line: SectionLine, seen: SeenObject) -> list[Curve]:
+        """Return both levels."""
+        place, z = line.position(points_mm[:, 0], points_mm[:, 1]), points_mm[:, 2]
+        middle = (float(z.min()) + float(z.max())) / 2
+        upper = z > middle
+        design = np.column_stack([np.ones(len(z)), points_mm[:, :2], upper])
+        plane: Any = np.linalg.lstsq(design, z, rcond=None)[0]
+        ends = np.array([float(place.min()), float(place.max())])
+        base = plane[0] + line.points(ends) @ plane[1:3]
+        return [(ends, base), (ends, base + plane[3])]
+
+
+def step_of(
+    points: ObjectPoints, feature: Feature, seen: SeenObject, step_mm: float | None
+) -> FittedValue:
+    """Fit two levels to points, their edges left out as in ISO 5436-1 type A1.
+
+    Heights are across the specimen's own plane, however it is tilted.
+
+    Parameters
+    ----------
+    step_mm : nominal height; None: from the highest to the lowest cell
+
+    Raises
+    ------
+    FitError : no point, no step, or no cell is left
+    """
+    if not len(points.points_mm):
+        raise FitError("step: no point of the object in the given ranges")
+    xy, upright = points.points_mm[:, :2], feature.world_from_own.rotation[:, 2]
+    heights = Heights.over(seen.surface, xy).across(upright)
+    upper, lower = levels(heights, step_mm)
+    at = heights.cells_of(xy)
+    return fitted(points, step_between(xy, points.points_mm @ upright, upper[at], lower[at]))
+
+
+def levels(heights: Heights, step_mm: float | None = None) -> tuple[BoolImage, BoolImage]:
+    """Return the cells (row, col) of the upper and of the lower level without their edges.
+
+    The upper level is what lies within a tenth of the step below the highest cell, the lower one
+    what lies as near to a step below. W is twice the farthest that a cell of the upper level is
+    from its edge, the width of a ridge. Kept are the upper level's cells W / 3 or more from the
+    edge, and the lower level's ones up to W from the upper level and W / 3 from all else; where the
+    lower level is narrower than W, a third of its own width.
+
+    Parameters
+    ----------
+    step_mm : None: from the highest to the lowest cell
+
+    Raises
+    ------
+    FitError : no step, or no cell is left
+    """
+    z, known = heights.z_mm, np.isfinite(heights.z_mm)
+    if not known.any():
+        raise FitError("step: no specimen in the given ranges")
+    top = float(z[known].max())
+    step = top - float(z[known].min()) if step_mm is None else step_mm
+    if step <= 0:
+        raise FitError("step: the specimen is flat in the given ranges")
+    near = _LEVEL_SHARE * step
+    upper, lower = np.abs(z - top) <= near, np.abs(z - (top - step)) <= near
+    if upper.all() or not lower.any():
+        raise FitError(f"step: the specimen has no level {step:g} mm below its top there")
+    inside, clear = (_inward_mm(level, heights.pitch_mm) for level in (upper, lower))
+    width = 2 * float(inside.max())
+    margin = min(width, 2 * float(clear.max())) / 3
+    away = np.asarray(distance_transform_edt(~upper)) * heights.pitch_mm
+    kept = lower & (clear >= margin) & (away >= margin) & (away <= width)
+    return upper & (inside >= width / 3), kept
+
+
+def _inward_mm(level: BoolImage, pitch_mm: float) -> FloatArray:
+    return np.asarray(distance_transform_edt(level), np.float64) * pitch_mm
+
+
+MEASURANDS.register(IsoStepHeight())

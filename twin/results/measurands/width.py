@@ -1,0 +1,144 @@
+"""Width of a bar at half height, or of a V groove at its face."""
+
+import numpy as np
+
+from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.compensation import bar_under_sheet
+from reconstruction.errors import FitError
+from reconstruction.evaluate import BarWidth, bar_width
+from reconstruction.evaluate.estimates import FittedDimension
+from twin.config.measurands import ObjectMeasurand
+from twin.config.nominal import NominalBar, NominalGroove
+from twin.results.features import Feature, bar_places
+from twin.results.measurands import (
+    MEASURANDS,
+    SIGMAS_ABOVE_NOISE,
+    FittedValue,
+    MeasurandKind,
+    fitted,
+)
+from twin.results.measurands.depth import groove_of
+from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.under_sheet import ObjectUnderSheet
+
+_SECTION_MM = 2.0
+_LEAST_IN_BIN = 3
+
+
+class SectionWidth(MeasurandKind):
+    """The width of a bar or a groove."""
+
+    name = "width"
+    summary = "of a bar, a groove"
+    hidden = True
+    bound_name = "crb_width_um"
+
+    def fit(
+        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+    ) -> FittedValue:
+        """Width at half height of a section across; of a V groove its opening, by the flanks."""
+        for nominal in feature.specimen.nominal(NominalGroove):
+            near, groove = groove_of(nominal, feature, points)
+            return fitted(near, groove.width)
+        if points.under is not None:
+            return _width_under_sheet(request, feature, points, points.under)
+        place = feature.own(points.points_mm)
+        band = np.abs(place[:, 1]) <= _SECTION_MM / 2
+        if bars := feature.specimen.nominal(NominalBar):
+            if request.number > len(bars):
+                raise FitError(f"width {request.number}: the specimen has {len(bars)} bars")
+            bar = bars[request.number - 1]
+            band &= np.abs(place[:, 0] - bar.middle_mm) <= (bar.width_mm + bar.gap_mm) / 2
+        return _section_width(points.part(band), place[band], seen.pixel_mm)
+
+    def count(self, feature: Feature) -> int | None:
+        """Return the number of bars and grooves; None where the specimen has no nominal width."""
+        return len(self.known_mm(feature)) or None
+
+
+def _width_under_sheet(
+    request: ObjectMeasurand, feature: Feature, points: ObjectPoints, under: ObjectUnderSheet
+) -> FittedValue:
+    """Return the width between the walls of a bar, which no sheet touches: by its free spans."""
+    places = bar_places(feature)
+    if request.number > len(places):
+        raise FitError(
+            f"width {request.number}: under a sheet those of bars and V grooves are found; the "
+            f"specimen has {len(places)} bars"
+        )
+    bar = bar_under_sheet(under.sheet, places[request.number - 1])
+    top = points.part(points.touching & points.over)
+    return FittedValue(bar.width_mm, bar.sigma_mm, top.points_mm)
+
+
+def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> FittedValue:
+    """Return the width of a section, from the points' places (n, xyz) in the feature's frame."""
+    pitch = 1.5 * pixel_mm
+    numbers, where = np.unique(np.round(place[:, 0] / pitch).astype(int), return_inverse=True)
+    counts = np.bincount(where)
+    means = np.bincount(where, place[:, 2]) / counts
+    full = counts >= _LEAST_IN_BIN
+    if not full.any():
+        raise FitError("width: no points across the section")
+    s, z = numbers[full] * pitch, means[full]
+    found = bar_width(s, z)
+    scatter = 0.0 if points.sigma_mm is None else float(np.sqrt(np.mean(points.sigma_mm**2)))
+    if found.height_mm <= SIGMAS_ABOVE_NOISE * scatter:
+        raise FitError("width: no ground beside the walls is seen")
+    touched = np.bincount(where, points.touching)[full] > 0
+    for edge in (found.left_mm, found.right_mm):
+        at = int(np.searchsorted(s, edge))
+        if not touched[max(at - 1, 0) : at + 1].any():
+            raise FitError("width: the walls are not touched at half of their height")
+    slope = np.gradient(z, s)
+    noise = 0.0
+    for edge in (found.left_mm, found.right_mm):
+        at = int(np.argmin(np.abs(s - edge)))
+        sigma = _mean_sigma(points, where == np.flatnonzero(full)[at])
+        # What the height errs by, and where within its cell the profile crosses.
+        noise += (sigma / max(abs(float(slope[at])), 1e-9)) ** 2 + pitch**2 / 12
+    edges = _between_edges(found, place[:, 0], (s, z, counts[full].astype(np.float64)))
+    return FittedValue(found.width_mm, float(np.sqrt(noise)), points.points_mm, edges, points)
+
+
+def _between_edges(
+    found: BarWidth, place_mm: FloatArray, profile: tuple[FloatArray, FloatArray, FloatArray]
+) -> FittedDimension:
+    """Return how a width at half height follows from the heights of a section's points.
+
+    The width errs by the heights of the four cells between which the profile crosses. What bounds
+    it is a shape whose two flanks may shift, each by itself, and whose level is free.
+
+    Parameters
+    ----------
+    place_mm : (n,) across
+    profile : cells' place, height and number of points
+    """
+    s, z, counts = profile
+    cell = np.abs(place_mm[:, None] - s).argmin(axis=1)
+    per_cell, flank = np.zeros(len(s)), np.gradient(z, s)
+    for edge, sign in ((found.left_mm, -1.0), (found.right_mm, 1.0)):
+        at = int(np.searchsorted(s, edge)) - 1
+        rise, share = z[at + 1] - z[at], (edge - s[at]) / (s[at + 1] - s[at])
+        step = s[at + 1] - s[at]
+        per_cell[at] -= sign * (1.0 - share) * step / rise
+        per_cell[at + 1] -= sign * share * step / rise
+    middle = (found.left_mm + found.right_mm) / 2
+    left = np.where(s < middle, -flank, 0.0)[cell]
+    right = np.where(s >= middle, -flank, 0.0)[cell]
+    design = np.column_stack([left, right, np.ones(len(cell))])
+    slope = (per_cell / counts)[cell]
+    used = np.ones(len(cell), bool)
+    gradient = np.array([-1.0, 1.0, 0.0])
+    return FittedDimension(found.width_mm, slope, np.zeros(len(cell)), used, design, gradient)
+
+
+def _mean_sigma(points: ObjectPoints, members: BoolImage) -> float:
+    """Return the standard uncertainty of the mean height of some points."""
+    if points.sigma_mm is None:
+        return float(np.std(points.points_mm[members, 2]))
+    sigma = points.sigma_mm[members]
+    return float(np.sqrt(np.mean(sigma**2) * min(1.0, points.together / len(sigma))))
+
+
+MEASURANDS.register(SectionWidth())
