@@ -43,7 +43,7 @@ def test_half_the_cells_move_the_face_by_less_than_a_micrometre() -> None:
     coarse, fine = (
         pressed(
             Ball(),
-            build_sheet(thickness_mm=0.2),
+            build_sheet(thickness_mm=0.2, length_x_mm=14.0, length_y_mm=14.0),
             depth_mm=1.0,
             back_pressure_kpa=3.0,
             cell_mm=cell,

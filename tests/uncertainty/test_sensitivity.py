@@ -56,6 +56,7 @@ def on_coat():
         "elastomer.layout": "contact_face",
         "press.back_pressure_kpa": 0.0,
         "press.solver_pitch_mm": 0.2,
+        "press.relief_pitch_mm": 0.05,
     }
     return load_experiment("examples/slab_balls", settings)
 
