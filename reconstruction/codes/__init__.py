@@ -214,7 +214,10 @@ class PatternCode:
         raise NotImplementedError(f"pattern code {self.name!r} has no function unwrap")
 
     def order_error(self, wrapped: Wrapped, coordinate_px: FloatArray) -> FloatArray:
-        """Return the probability that the order of Rule.OWN is wrong, (row, col) float."""
+        """Return the probability that the order of Rule.OWN is wrong, (row, col) float.
+
+        A kind that does not override it states no risk: 0, for which no pixel is masked.
+        """
         return np.zeros(coordinate_px.shape)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
