@@ -103,7 +103,7 @@ def test_intervals_cover_the_hidden_values_of_eight_sensors(tmp_path):
             within_68.append(one.low_68 <= value <= one.high_68)
             within_95.append(one.low_95 <= value <= one.high_95)
     # Binomial, 16 intervals, three standard deviations; forty sensors: `./run bench identify`.
-    assert 0.33 < np.mean(within_68) <= 1.0
+    assert np.mean(within_68) > 0.33  # from above 16 intervals bound nothing: the bench does
     assert np.mean(within_95) > 0.78
 
 
