@@ -1,7 +1,8 @@
-"""Fixtures for all tests, `--quick`, how hypothesis draws, and how many threads a test has."""
+"""Fixtures for all tests, `--quick`, hypothesis' profile, and the state of the process."""
 
 import gc
 import os
+import signal
 import sys
 from functools import cache
 from pathlib import Path
@@ -29,6 +30,11 @@ SLOW = Path(__file__).with_name("slow.txt")
 
 # The garbage collector takes an eighth of the suite's processor time at Python's 700 new objects.
 gc.set_threshold(20_000)
+
+
+# A shell's background job ignores SIGINT, and so would every command that a test starts and ends.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

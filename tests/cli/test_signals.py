@@ -70,7 +70,10 @@ def test_an_interrupted_command_says_one_line_and_leaves_nothing_by_half(tmp_pat
         assert child.stdout
         first = child.stdout.readline()
         child.send_signal(signal.SIGINT)
-        _, told = child.communicate()
+        try:
+            _, told = child.communicate(timeout=60)
+        finally:
+            child.kill()
     assert first == "busy\n", told
     assert child.returncode == 128 + signal.SIGINT
     assert told.splitlines()[-1] == "twin: ended by SIGINT; nothing is left half-written"

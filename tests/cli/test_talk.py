@@ -161,7 +161,10 @@ def test_a_signal_ends_a_command_that_is_in_a_long_call(tmp_path, name):
     assert child.stdout
     assert child.stdout.readline() == "busy\n"
     child.send_signal(signal.Signals[name])
-    _, told = child.communicate(timeout=60)
+    try:
+        _, told = child.communicate(timeout=60)
+    finally:
+        child.kill()
     assert told == f"twin: ended by {name}; nothing is left half-written\n"
     assert child.returncode == 128 + signal.Signals[name]
     assert list(tmp_path.iterdir()) == []
