@@ -45,7 +45,11 @@ def coat(done: PressedElastomer, seed: int) -> tuple[FloatArray, FloatArray]:
 
 def layer(air_kpa: float, **known: float) -> SheetLayer:
     return SheetLayer(
-        SheetOpening(FRAME_MM, FRAME_MM), THICKNESS_MM, YOUNG_KPA, back_pressure_kpa=air_kpa, **known
+        SheetOpening(FRAME_MM, FRAME_MM),
+        THICKNESS_MM,
+        YOUNG_KPA,
+        back_pressure_kpa=air_kpa,
+        **known,
     )
 
 
