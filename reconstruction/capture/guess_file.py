@@ -4,7 +4,9 @@ import json
 import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+from reconstruction.capture.frame_list import FrameEntry
 from reconstruction.capture.guess import Guess
 from reconstruction.capture.image_looks import FrameGroup, LookedAt
 from reconstruction.capture.phase_anchor import word_px, words_per_fringe
@@ -56,29 +58,44 @@ def _depth(looked: LookedAt) -> int:
 
 
 def _group_lines(group: FrameGroup, found: Guess, size: tuple[int, int]) -> list[str]:
+    entry = _entry(group, found, size)
+    FrameEntry(**entry)  # raises InputError for an entry that `twin decode` would reject
+    remarks = _remarks(group, found)
+    lines = (f"{key} = {_toml(value)}{remarks.get(key, '')}" for key, value in entry.items())
+    return ["[[frames]]", *lines]
+
+
+def _entry(group: FrameGroup, found: Guess, size: tuple[int, int]) -> dict[str, Any]:
+    """Return the keys of `FrameEntry` that describe a group."""
+    entry: dict[str, Any] = {"files": list(group.files), "kind": group.kind}
+    if group.axis is not None:
+        entry["axis"] = group.axis
+        if group.kind == "phase" or not _phases(found, group.axis):
+            entry["period_px"] = _period_px(group, found, size)
+    if group.kind == "phase":
+        entry["shift_deg"] = [round(shift, 4) for shift in group.shifts_deg]
+        entry["sign"] = group.sign or 1
+    return entry
+
+
+def _remarks(group: FrameGroup, found: Guess) -> dict[str, str]:
+    """Return the comments on values that are not certain, by their keys."""
     bits = ("gray", "inverse")
     same = [g for g in found.groups if g.axis == group.axis and {g.kind, group.kind} <= {*bits}]
     files = [name for one in (group, *same) for name in one.files]
-    doubtful = any(name in text for text in found.unsure for name in files)
-    lines = ["[[frames]]", f"files = {json.dumps(list(group.files))}", f'kind = "{group.kind}"']
-    lines[1] += "  # unsure: see above" * doubtful
-    if group.axis is None:
-        return lines
-    lines.append(f'axis = "{group.axis}"')
-    if group.kind == "phase" or not _phases(found, group.axis):
-        period_px = _period_px(group, found, size)
-        lines.append(
-            f"period_px = {period_px:.6g}  # unsure: follows from the size of the projector"
-        )
-    if group.kind == "phase":
-        lines.append(f"shift_deg = {json.dumps([round(shift, 4) for shift in group.shifts_deg])}")
-        lines.append(f"sign = {group.sign or 1}")
-        if group.sign:
-            lines[-2] += "  # unsure: as the first word begins at projector pixel 0"
-        else:
-            lines[-1] += "  # unsure: -1 if the camera sees the projector mirrored"
-            lines[-2] += "  # unsure: of the first image 0 is assumed"
-    return lines
+    remarks = {"period_px": "  # unsure: follows from the size of the projector"}
+    if any(name in text for text in found.unsure for name in files):
+        remarks["files"] = "  # unsure: see above"
+    if group.sign:
+        remarks["shift_deg"] = "  # unsure: as the first word begins at projector pixel 0"
+    else:
+        remarks["shift_deg"] = "  # unsure: of the first image 0 is assumed"
+        remarks["sign"] = "  # unsure: -1 if the camera sees the projector mirrored"
+    return remarks
+
+
+def _toml(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else json.dumps(value)
 
 
 def _phases(found: Guess, axis: Axis | None) -> list[FrameGroup]:
