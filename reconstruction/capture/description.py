@@ -2,7 +2,7 @@
 
 | file | content |
 |---|---|
-| capture.toml | what is known about a capture |
+| capture.toml | sequence, sensor, image size and file names of a capture |
 | patterns.toml | format, version, files in the order of projection, [patterns] as in capture.toml |
 | 000_phase_column_00.png ... | for a real projector: one grey 8-bit image each, of its size |
 
@@ -209,7 +209,7 @@ def write_patterns(
 
 
 def write_manifest(path: Path, patterns: PatternSet) -> None:
-    """Write the manifest alone."""
+    """Write the manifest without the images."""
     files = file_names(patterns)
     header = {"format": PATTERN_FORMAT, "version": PATTERN_VERSION, "files": files}
     write_toml(path, header, {"patterns": pattern_table(patterns)})
@@ -235,7 +235,7 @@ def read_manifest(path: Path | str) -> PatternSet:
 
 
 def is_sequence(path: Path) -> bool:
-    """Tell whether a TOML file describes a sequence alone, as a manifest does."""
+    """Whether a TOML file describes only a sequence, as a manifest does."""
     return reading.is_regular(path) and read_toml(path).get("format") == PATTERN_FORMAT
 
 
@@ -244,7 +244,7 @@ def read_sequence(path: Path, settings: Mapping[str, Any]) -> PatternSet:
 
     Parameters
     ----------
-    settings : values by key, as "patterns.steps", that stand in the place of the file's
+    settings : values by key, as "patterns.steps", that replace those of the file
 
     Raises
     ------

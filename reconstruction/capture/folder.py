@@ -1,4 +1,4 @@
-"""A capture: everything needed to reconstruct, as a folder that any rig can write.
+"""A capture: a folder with all that a reconstruction needs; any rig can write it.
 
 | file | content |
 |---|---|
@@ -52,7 +52,7 @@ SUBFOLDER = "capture"
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """Frames and what is known about them.
+    """Frames with their sequence, sensor noise and calibration.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Capture:
                 f"stack is {self.stack.dtype} {self.stack.shape}; patterns and calibrated camera "
                 f"need {' or '.join(TYPES)} {expected} (frame, row, col)"
             )
-        # This way round a NaN of a float stack is refused as well.
+        # Written as "not below", so that a NaN of a float stack is an error, too.
         largest = 2**self.bit_depth * (1.0 if self.scale is None else float(self.scale.max()))
         if not self.stack.max() < largest:
             raise CaptureError(
@@ -200,7 +200,7 @@ class UncalibratedCapture:
 
 
 def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
-    """Read a capture whose calibration file need not exist.
+    """Read a capture; its calibration file need not exist.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A list of frames in capture.toml: which image is what, for sets that other programs recorded.
+"""A list of frames in capture.toml: the pattern of each image, for sets of other programs.
 
 | key | content |
 |---|---|
@@ -8,13 +8,13 @@
 | [projector] | width_px, height_px |
 | [[frames]] | one table for each group of images, see `FrameEntry` |
 
-Every group is expanded into `ListedFrame`s, one per image; these are sorted into the order that
-the decoder works in, whatever their names and order were, and give the `PatternSet`. A set that
-comes with the manifest of `twin patterns` is the short form of such a list.
+Every group is expanded into `ListedFrame`s, one per image. These are sorted into the order of
+decoding, independently of their names, and define the `PatternSet`. A set with the manifest of
+`twin patterns` is the short form of such a list.
 
 A phase frame shows A + B cos(2 pi x / period + sign * shift); a set of N must be N equal steps of
-360 degrees / N from anywhere. The finest bits of a reflected word may be left out: what remains
-numbers stripes of twice the width, so that bits finer than the fringes need are not used.
+360 degrees / N from anywhere. The finest bits of a reflected word may be left out: the other
+bits number stripes of twice the width, so that bits finer than the fringes need are not used.
 """
 
 import re
@@ -139,8 +139,8 @@ class ListedSet(ImageSet):
 
         Raises
         ------
-        CaptureError : an image is missing, listed twice or in no group's number; the list shows
-            nothing that can be decoded
+        CaptureError : an image is missing or listed twice, a group has a wrong number of images;
+            the listed frames cannot be decoded
         """
         try:
             groups = [_expand(folder, entry, self.dark_file) for entry in self.frames]
@@ -223,7 +223,7 @@ def _expand(folder: Path, entry: FrameEntry, dark_file: str) -> list[ListedFrame
 
 
 def _names(folder: Path, entry: FrameEntry, dark_file: str) -> list[str]:
-    """Return the names that a group stands for, below the folder."""
+    """Return the names of the images of a group, relative to the folder."""
     given = [entry.files] if isinstance(entry.files, str) else entry.files
     names = [name for text in given for name in _matching(folder, text, dark_file)]
     missing = [name for name in names if not reading.is_regular(folder / name)]

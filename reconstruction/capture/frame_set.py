@@ -16,7 +16,7 @@
 | [response] | optional: that of the projector, see `ProjectorResponse` |
 
 Paths are relative to the folder of capture.toml. For images that other programs wrote, [[frames]]
-stands in the place of files and patterns_file, see `frame_list`.
+replaces files and patterns_file, see `frame_list`.
 """
 
 import re
@@ -178,7 +178,7 @@ def _check_fields(files: str, sets: int) -> None:
 
 
 def _is_narrow(name: str | None, form: str | None, conversion: str | None) -> bool:
-    """Tell whether a field is written plainly: a width of ten digits takes as many GB."""
+    """Whether a field has a narrow format: a width of ten digits would take as many GB."""
     width = r"" if name == "name" else r"0?\d{0,2}d?"
     return conversion is None and re.fullmatch(width, form or "") is not None
 

@@ -1,4 +1,4 @@
-"""What was guessed of an unknown set, as a capture.toml with a list of frames to correct."""
+"""The guess about an unknown set of images as a capture.toml for the user to correct."""
 
 import json
 import math
@@ -19,12 +19,12 @@ MOST_CYCLES = 1.6
 
 
 def written(found: Guess, size: tuple[int, int], *, is_known: bool = True) -> str:
-    """Return the content of capture.toml with comments on what was guessed.
+    """Return the content of capture.toml with a comment on each guessed value.
 
     Parameters
     ----------
     size : of the projector, px, as it was guessed with
-    is_known : whether anybody stated it
+    is_known : whether the user stated it
     """
     width_px, height_px = size
     lines = [
@@ -117,8 +117,8 @@ def _period_px(group: FrameGroup, found: Guess, size: tuple[int, int]) -> float:
 def _word_px(bits: FrameGroup, found: Guess, size: tuple[int, int]) -> float:
     """Return the width of a word, px.
 
-    A power of two, unless that leaves out words that are seen, or all words are needed to number
-    fringes of whole pixels.
+    A power of two, unless that excludes words in view, or all words are needed to number fringes of
+    whole pixels.
     """
     length_px = size[AXES.index(bits.axis or "column")]
     power_px = word_px(len(bits.files), length_px)
@@ -149,7 +149,7 @@ def _whole_fringes(found: Guess, size: tuple[int, int]) -> dict[Axis | None, flo
 
 
 def _covering(found: Guess, axis: Axis | None) -> float:
-    """Return the frequency of what covers the projector: the coarsest period, or the beat.
+    """Return the frequency of one cycle per projector: of the coarsest period, or of the beat.
 
     Periods of which the view shows several fringes each number one another by their beats.
     """
@@ -176,6 +176,6 @@ def _sensor_lines(looked: LookedAt) -> list[str]:
 
 
 def require_groups(found: Guess, folder: Path) -> None:
-    """Raise CaptureError where nothing striped was found."""
+    """Raise CaptureError if no image has stripes."""
     if not any(group.axis for group in found.groups):
         raise CaptureError(f"{folder}: no image shows stripes; give a folder of projected patterns")

@@ -6,7 +6,7 @@ is taken off as I - D + black level: a constant per pixel, which drops out of th
 white against black or of merged exposures.
 
 The same sequence taken at several exposures is merged into one stack before decoding. Per pixel the
-brightest exposure whose whole set of frames is unsaturated (Zhang and Yau, Opt. Eng. 48, 033604
+brightest exposure with no saturated frame is used (Zhang and Yau, Opt. Eng. 48, 033604
 (2009)); its DN above the black level are scaled to the longest exposure by s = t_max / t. The
 variance is then (s K sigma_d)^2 + s K (mean - black) + s^2 / 12: `decode` uses it when given s.
 """
@@ -117,7 +117,7 @@ def _read_exr(path: Path) -> Image:
             channels = sorted(file.channels().items(), key=lambda item: "RGBA".find(item[0][-1]))
             found = [np.asarray(one.pixels, np.float32) for _, one in channels]
             return found[0].copy() if len(found) == 1 else np.stack(found, axis=-1)
-    # The binding raises what Python and C++ raise: RuntimeError, TypeError, KeyError ...
+    # The binding raises errors of Python and of C++: RuntimeError, TypeError, KeyError ...
     except Exception as error:
         raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
 
@@ -132,7 +132,7 @@ def _check_depth(path: Path, image: Image, bit_depth: int) -> None:
             f"{path}: holds 8 bits, capture.toml says bit_depth = {bit_depth}; store 16-bit images "
             "or say bit_depth = 8"
         )
-    # This way round NaN is refused as well; a float between the last two levels is not clipped.
+    # A NaN is an error, too; a float between the last two levels is not clipped.
     if not image.max() < largest + 1:
         step = int(np.gcd.reduce(image.ravel())) if image.dtype.kind == "u" else 1
         shifted = f"; all values are multiples of {step}: the bits stand on the left" * (step > 1)
@@ -161,8 +161,8 @@ def _read_dark(path: Path, shape: tuple[int, ...], channel: Channel) -> Image:
 def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     """Return float32 frames with every pixel's dark value moved to the black level.
 
-    A clipped pixel stays clipped, and a lost one (0) stays lost, for `decode` to see. One that a
-    dark value below the black level lifts to `clipped_from_dn` counts as clipped from then on.
+    Clipped and lost (0) pixels keep their values, by which `decode` detects them. A pixel that a
+    dark value below the black level lifts to `clipped_from_dn` counts as clipped.
     """
     black_dn = np.float32(sensor.black_level_dn)
     offset = dark.astype(np.float32) - black_dn
@@ -175,7 +175,7 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
 
 
 def check_exposures(sets: Sequence[Stack], recorded: RecordedFrames) -> None:
-    """Raise CaptureError unless white less black grows in proportion to the exposure time."""
+    """Raise CaptureError unless white less black is proportional to the exposure time."""
     times_ms, patterns, sensor = recorded.exposures_ms, recorded.patterns, recorded.sensor
     if not patterns.uniform:
         return
@@ -219,7 +219,7 @@ def merge_exposures(
 ) -> MergedExposures:
     """Take every pixel from its brightest exposure without a saturated frame.
 
-    Where all saturate, the shortest one is taken: `decode` leaves out its clipped frames.
+    Where all saturate, the shortest one is taken: `decode` ignores its clipped frames.
 
     Parameters
     ----------
