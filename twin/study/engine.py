@@ -2,8 +2,8 @@
 
 One case per worker is computed first and reports which fields its stages read; the other cases
 follow in batches that share stages. When a worker dies, its batch is queued again, and the case
-that it was computing runs alone. A case during which the only worker died three times is recorded
-as failed.
+that it was computing runs alone. A case is recorded as failed when its worker died three times
+while it ran alone.
 
 Several studies can run together (`run_together`): while the first study has no batch to submit,
 because its first or last cases are being computed, batches of the next study are submitted.
