@@ -45,7 +45,6 @@ from twin.specimens import shape_of
 
 _SURFACE_POINTS = 3
 _PENALTY_OVER_SHEAR = 60.0
-_GROWTH = 0.5
 _SYMMETRY_MM = 1e-6
 _SECANTS = 12
 _FORCE_TOLERANCE = 1e-4
