@@ -100,18 +100,9 @@ class ElementGrid:
         face = skfem.FacetBasis(self._mesh, self._quadratic, facets=low, intorder=2 * gauss - 1)
         order, first = _in_order(face), np.asarray(face.global_coordinates())[0]
         weight = face.dx * 2 * np.pi * first if self.axes == 2 else face.dx
-        values = np.stack([np.asarray(shape[0]) for shape in face.basis], axis=-1)
         nodes = self._node_of_unknown[face.element_dofs.T]
-        columns = np.repeat(nodes[:, None], weight.shape[1], axis=1).reshape(weight.size, -1)
-        count = (weight.size, self.nodes_mm.shape[0])
-        rows = np.repeat(np.arange(weight.size), columns.shape[1])
-        trace = sparse.csr_array(
-            (values.reshape(columns.shape)[order].ravel(), (rows, columns[order].ravel())), count
-        )
-        # A facet's basis knows the nodes of its whole element: nothing is seen of those inside.
-        trace.data[np.abs(trace.data) < _ROUNDING] = 0.0
-        trace.eliminate_zeros()
-        return Surface(trace, weight.ravel()[order], self.axes)
+        trace = trace_of(face, nodes, self.nodes_mm.shape[0])
+        return Surface(sparse.csr_array(trace[order]), weight.ravel()[order], self.axes)
 
     @cached_property
     def _mesh(self) -> Any:
@@ -159,6 +150,25 @@ class Surface:
     def vector_trace(self) -> sparse.csr_array:
         """(axes * point, axes * node) sparse: the same for vectors, point by point."""
         return sparse.csr_array(sparse.kron(self.trace, sparse.eye_array(self.axes)))
+
+
+def trace_of(face: Any, nodes: IntArray, count: int) -> sparse.csr_array:
+    """Return the map (point, node) from values at nodes to values at the points of a face.
+
+    Parameters
+    ----------
+    face : facet basis of scikit-fem; its points follow one another facet by facet
+    nodes : (facet, shape) nodes of the elements behind the facets
+    count : of all nodes
+    """
+    values = np.stack([np.asarray(shape[0]) for shape in face.basis], axis=-1)
+    columns = np.broadcast_to(nodes[:, None], values.shape).ravel()
+    rows = np.repeat(np.arange(face.dx.size), nodes.shape[1])
+    trace = sparse.csr_array((values.ravel(), (rows, columns)), (face.dx.size, count))
+    # Shape functions of an element's nodes that are not on the facet are zero there.
+    trace.data[np.abs(trace.data) < _ROUNDING] = 0.0
+    trace.eliminate_zeros()
+    return trace
 
 
 def graded(length_mm: float, count: int, ratio: float) -> FloatArray:
