@@ -89,20 +89,15 @@ class HeightContact:
             pressure[:, None] * normal,
             np.where(touching[:, None, None], stiffness, 0.0),
             pressure,
-            np.zeros_like(pressure),
         )
 
     def settle(self, moved_mm: FloatArray, depth_mm: float) -> "HeightContact":
-        """Return the contact itself: without friction nothing is remembered."""
+        """Return the contact itself: it has no friction, and any specimen may touch with holes."""
         return self
 
     def carry(self, pressure: FloatArray) -> "HeightContact":
         """Return the contact with another carried pressure."""
         return replace(self, carried=pressure)
-
-    def is_spurious(self, moved_mm: FloatArray, depth_mm: float) -> bool:
-        """Tell nothing: a specimen of any shape may touch with holes."""
-        return False
 
     def _shape(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return normals (point, xyz) along the gradient and curvatures (point, 2, 2)."""
