@@ -36,7 +36,8 @@ from reconstruction.characterise import UncertainValue
 from reconstruction.decoding.decode import decode
 from reconstruction.rig.calibration import write_calibration
 from reconstruction.rig.sensor import SensorNoise
-from twin.adoption.adopt import UNFILTERED, Adopted, Given, adopt
+from twin.adoption.adopt import Adopted, Given, adopt
+from twin.adoption.capture_fits import UNFILTERED
 from twin.adoption.write import write_adopted
 from twin.camera import expose
 from twin.camera.sensor import choose_exposure_ms

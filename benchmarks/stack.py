@@ -86,8 +86,9 @@ class StackCase:
     @classmethod
     def of_film(cls, binning: int) -> "StackCase":
         """Press, mesh and load."""
+        from tests.optics.scenes import coated_scene
         from twin.optics.light import light_tables, pattern_set
-        from twin.optics.scene import coated_rig, coated_scene
+        from twin.optics.scene import coated_rig
 
         experiment = load_experiment("examples/slab_balls", SETTINGS | {"camera.binning": binning})
         face = face_mesh(
