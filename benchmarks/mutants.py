@@ -240,7 +240,7 @@ def drawn(mutants: Iterable[Mutant], count: int, seed: int) -> list[Mutant]:
 
 # ---- pytest plugin of the child process ----------------------------------------------------------
 
-_CALLED, _SHARED = set[str](), defaultdict[str, set[str]](set)
+_CALLED, _SHARED, _HERE = set[str](), defaultdict[str, set[str]](set), f"{Path.cwd()}{os.sep}"
 
 
 def pytest_runtest_setup(item: Any) -> None:
@@ -252,9 +252,9 @@ def pytest_runtest_setup(item: Any) -> None:
 
 
 def _trace(frame: Any, _event: str, _argument: Any) -> None:
-    code, root = frame.f_code, f"{Path.cwd()}{os.sep}"
-    if code.co_filename.startswith(root):
-        file = code.co_filename.removeprefix(root)
+    code = frame.f_code
+    if code.co_filename.startswith(_HERE):
+        file = code.co_filename.removeprefix(_HERE)
         _CALLED.add(f"{file}::{code.co_qualname.split('.<')[0]}")
 
 
@@ -301,7 +301,10 @@ class MutantJudge:
             status, output = self._pytest(["-x", *tests], limit_s, "")
         finally:
             path.write_text(source, "utf-8")
-        return {None: "timed_out", 0: "survived"}.get(status, "killed"), output
+        ends = {None: "timed_out", 0: "survived", 1: "killed", 2: "killed", 5: "unseen"}
+        if status not in ends:
+            raise SystemExit(f"pytest ended with status {status}\n{output}")
+        return ends[status], output
 
     def _affordable(self, mutant: Mutant) -> tuple[list[str], float]:
         """Return the fastest tests that call the function or import its folder, and their time."""
