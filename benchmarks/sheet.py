@@ -16,18 +16,17 @@ same time, and continues after an interruption. Last line: {"solid_max_um_h02", 
 
 import json
 import multiprocessing
-import resource
 import statistics
 import time
 from collections.abc import Callable
-from multiprocessing.connection import Connection
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from benchmarks._harness import print_figures, quick_parser
+from benchmarks._harness import print_figures, quick_parser, resident_bytes
 from benchmarks.random_presses import PRESSES, QUICK_PRESSES, outcome, press_all, summary
 from reconstruction.evaluate.fit import fit_sphere
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
@@ -278,21 +277,15 @@ def _seconds(name: str, quick: bool, specimen: Specimen, sheet: Elastomer) -> Fi
 # ---- all -------------------------------------------------------------------------------------
 
 
-def answer(part: Callable[[bool], Figures], quick: bool, connection: Connection) -> None:
-    found = part(quick)
-    # Linux gives KiB.
-    connection.send((found, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20))
+def with_memory(part: Callable[[bool], Figures], quick: bool) -> tuple[Figures, float]:
+    """Return the figures of a part, and the peak memory of this process, GiB."""
+    return part(quick), resident_bytes("VmHWM") / 2**30
 
 
 def in_child(part: Callable[[bool], Figures], quick: bool) -> tuple[Figures, float]:
     """Run a part in a process of its own; return its figures, and its peak memory, GiB."""
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(target=answer, args=(part, quick, theirs))
-    process.start()
-    found: tuple[Figures, float] = ours.recv()
-    process.join()
-    return found
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(with_memory, part, quick).result()
 
 
 def measured(quick: bool) -> Figures:

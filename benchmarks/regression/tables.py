@@ -8,7 +8,7 @@ from benchmarks.regression.figures import BenchmarkCase, MeanOfRuns
 from reconstruction.errors import InputError
 
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
-HEAD = ("| figure | target | measured +- u | case |", "|---|---|---|---|")
+HEAD = ("figure", "target", "measured +- u", "case")
 
 
 def table(cases: Iterable[BenchmarkCase], baselines: Baselines, headlines: bool = False) -> str:
@@ -16,16 +16,20 @@ def table(cases: Iterable[BenchmarkCase], baselines: Baselines, headlines: bool 
 
     Parameters
     ----------
-    headlines : only the rows of the README, each with its case; else a case is named once
+    headlines : the rows of the README, each with its case; else every row, a case named once
     """
     rows = list(_rows(cases, baselines, headlines))
-    if not headlines:
-        before = [""] + [row[-1] for row in rows]
-        rows = [
-            (*row[:-1], "" if row[-1] == above else row[-1])
-            for row, above in zip(rows, before, strict=False)
+    if headlines:
+        lines = (f"| {' | '.join(row)} |" for row in (HEAD, *rows))
+    else:
+        cases_above = [HEAD[-1], *(row[-1] for row in rows)]
+        named_once = [
+            (*row[:-1], row[-1] * (row[-1] != above))
+            for row, above in zip(rows, cases_above, strict=False)
         ]
-    return "\n".join((*_above(baselines), "", *HEAD, *(f"| {' | '.join(row)} |" for row in rows)))
+        lines = (f"|{'|'.join(row)}|" for row in (HEAD, *named_once))
+    head, *rest = lines
+    return "\n".join((*_above(baselines), "", head, "|---|---|---|---|", *rest))
 
 
 def _rows(
