@@ -94,7 +94,7 @@ class Twins:
         still = mean_background(sensor.backgrounds())
         pressed = twins(sensor, real.presses)
         flat = smoothed(still, 3)
-        circles = [find_contact_circle(smoothed(one.image, 3), flat) for one in pressed]
+        circles = [find_contact_circle(smoothed(press.image, 3), flat) for press in pressed]
         return cls(real, pressed, circles, still.astype(np.uint8))
 
     def beyond(self, number: int, radii: float) -> Any:
@@ -132,24 +132,26 @@ def photographed(experiment: Any, case: Any, number: int) -> Shot:
     return Shot(image, find_contact_circle(smoothed(image, 3), calibration.background))
 
 
+def cap_ratios(experiment: Any, shots: list[Shot]) -> dict[str, list[float]]:
+    """Return measured over true cap heights of every shot, by integration scheme."""
+    sensor, calibration = calibrated_sensor(experiment, SENSORS)
+    found = {}
+    for name, scheme in SCHEMES.items():
+        decoder = PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
+        heights = ((decoder.decode(shot.image).height_mm, shot.circle) for shot in shots)
+        ball = BALL_MM / 2, sensor.pitch_mm
+        found[name] = [cap_height_ratio(*height, *ball) for height in heights]
+    return found
+
+
 def balls(experiment: Any, shots: list[Shot]) -> dict[str, float]:
     """Cap heights over true, and the time of a reconstruction."""
-    sensor, calibration = calibrated_sensor(experiment, SENSORS)
-    decoders = {
-        name: PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
-        for name, scheme in SCHEMES.items()
-    }
     figures = {}
-    for name, decoder in decoders.items():
-        values = [
-            cap_height_ratio(
-                decoder.decode(shot.image).height_mm, shot.circle, BALL_MM / 2, sensor.pitch_mm
-            )
-            for shot in shots
-        ]
+    for name, values in cap_ratios(experiment, shots).items():
         print(f"{name}: {np.mean(values):.3f} +- {np.std(values):.3f} on {len(shots)} presses")
         figures[name] = float(np.mean(values))
-    return figures | {"reconstruct_ms": decode_ms(decoders["corrected"], shots[0].image)}
+    decoder = PhotometricDecoder(calibrated_sensor(experiment, SENSORS)[1])
+    return figures | {"reconstruct_ms": decode_ms(decoder, shots[0].image)}
 
 
 def decode_ms(decoder: PhotometricDecoder, image: Any) -> float:
@@ -211,7 +213,7 @@ def noise(unit: Twins) -> dict[str, float]:
     fine = [high_pass(press.image) for press in unit.presses]
     beyond = [unit.beyond(number, 2.5) for number in range(len(fine))]
     spread = np.mean(
-        [one[seen].std(axis=0) for one, seen in zip(fine, beyond, strict=True)], axis=0
+        [noise[far].std(axis=0) for noise, far in zip(fine, beyond, strict=True)], axis=0
     )
     common = [
         np.corrcoef(a[near & far].ravel(), b[near & far].ravel())[0, 1]
@@ -281,21 +283,19 @@ def two_balls(quick: bool) -> dict[str, float]:
     return figures | {"rmse_ratio_faithful": figures["rmse_ratio_faithful_2025"]}
 
 
-def _name(one: DecodedImage) -> str:
-    scheme = next(name for name, integration in SCHEMES.items() if integration == one.integration)
-    return scheme if one.colour_map == "polynomial" else f"{scheme}_table"
+def _name(decoded: DecodedImage) -> str:
+    scheme = next(name for name, scheme in SCHEMES.items() if scheme == decoded.integration)
+    return scheme if decoded.colour_map == "polynomial" else f"{scheme}_table"
 
 
-def _rmse_ratio(one: DecodedImage, base_mm: float) -> float:
+def _rmse_ratio(decoded: DecodedImage, base_mm: float) -> float:
     """Print the fits of a decoded image; return its sphere-fit RMSE over that of contact-FPP."""
-    rmse_mm, scored = _rmse_mm(one.score), one.score
+    rmse_mm, scored = _rmse_mm(decoded.score), decoded.score
     radii = ", ".join(f"{ball.measured.radius_mm:.3f}" for ball in scored.spheres)
     true_um = ", ".join(f"{1e3 * ball.true_face.stats.rmse_mm:.2f}" for ball in scored.spheres)
-    print(
-        f"{_name(one)}: sphere fit RMSE {1e3 * rmse_mm:.2f} um (true coat {true_um}), radii {radii}"
-        f" mm, {rmse_mm / base_mm:.2f} times contact-FPP (paper: {PAPER_RATIO}); z RMSE"
-        f" {one.errors.z_rmse_um:.1f} um"
-    )
+    ratio = f"{rmse_mm / base_mm:.2f} times contact-FPP (paper: {PAPER_RATIO})"
+    fits = f"sphere fit RMSE {1e3 * rmse_mm:.2f} um (true coat {true_um}), radii {radii} mm"
+    print(f"{_name(decoded)}: {fits}, {ratio}; z RMSE {decoded.errors.z_rmse_um:.1f} um")
     return rmse_mm / base_mm
 
 

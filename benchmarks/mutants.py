@@ -340,7 +340,7 @@ class MutantJudge:
 def files_of(patterns: Iterable[str]) -> list[str]:
     """Return the source or test files that patterns name, relative to the root."""
     globs = (name if name.endswith(".py") else f"{name}/test_*.py" for name in patterns)
-    return [path.relative_to(ROOT).as_posix() for one in globs for path in sorted(ROOT.glob(one))]
+    return [path.relative_to(ROOT).as_posix() for glob in globs for path in sorted(ROOT.glob(glob))]
 
 
 # ---- all -----------------------------------------------------------------------------------------
@@ -385,7 +385,7 @@ def main() -> int:
         tree = Path(scratch) / "tree"
         shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*IGNORED))
         for name in chosen.room or groups:
-            mutants = [one for file in groups[name]["sources"] for one in mutants_of(tree, file)]
+            mutants = [m for file in groups[name]["sources"] for m in mutants_of(tree, file)]
             if chosen.mutant:
                 mutants = [mutant for mutant in mutants if mutant.name == chosen.mutant]
             left = [m for m in drawn(mutants, count, chosen.seed) if m.name not in equivalent]

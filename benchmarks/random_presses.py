@@ -48,13 +48,13 @@ class PressOutcome:
     Attributes
     ----------
     end : converged, refused or failed
-    told : the drawn press, and the error if it did not converge
+    message : the drawn press, and the error if it did not converge
     code : digest of the solver's sources
     """
 
     seed: int
     end: str
-    told: str
+    message: str
     cpu_s: float
     memory_gib: float
     code: str

@@ -13,19 +13,17 @@ import numpy as np
 
 from benchmarks import calibration as board_bench
 from benchmarks import mechanics
-from benchmarks.cap_height import cap_height_ratio
 from benchmarks.decode import ideal_rms_px
 from benchmarks.direct import energy_gap
-from benchmarks.gelsight import BALL_MM, DEPTH_MM, FIRST_IMAGE, SCHEMES, SENSORS, photographed
+from benchmarks.gelsight import BALL_MM, DEPTH_MM, FIRST_IMAGE, cap_ratios, photographed
 from benchmarks.regression.figures import Values, repeated
-from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
 from reconstruction.pipeline import reconstruct
 from twin.config import Experiment, load_experiment, vary
 from twin.config.board import load_board
 from twin.pipeline import Memory, measure, press_specimen, record
 from twin.pipeline.calibration import calibrate_rendered
 from twin.pipeline.captures import options_of
-from twin.pipeline.colours import calibrated_sensor, with_ball
+from twin.pipeline.colours import with_ball
 from twin.results.score import Scores
 from twin.specimens.kinds.ball import Ball
 
@@ -219,16 +217,10 @@ def gelsight(seeds: int = 4) -> Values:
 def caps(seed: int) -> dict[str, float]:
     """Return measured over true cap heights, mean over the places, by integration scheme."""
     experiment = load_experiment("examples/gelsight_ball", FEW_PRESSES | {"seed": seed})
-    sensor, rendered = calibrated_sensor(experiment, SENSORS)
     shots = []
     for number, (x_mm, y_mm) in enumerate(PLACES_MM):
         ball = Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm)
         case = with_ball(experiment, ball, DEPTH_MM)
         shots.append(photographed(experiment, case, FIRST_IMAGE + number))
-    found = {}
-    for name, scheme in SCHEMES.items():
-        decoder = PhotometricDecoder(rendered, PhotometricOptions(integration=scheme))
-        heights = ((decoder.decode(shot.image).height_mm, shot.circle) for shot in shots)
-        ratios = [cap_height_ratio(*height, BALL_MM / 2, sensor.pitch_mm) for height in heights]
-        found[f"gelsight_cap_{name}"] = statistics.fmean(ratios)
-    return found
+    ratios = cap_ratios(experiment, shots)
+    return {f"gelsight_cap_{name}": statistics.fmean(values) for name, values in ratios.items()}
