@@ -21,12 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from benchmarks.regression import tables
-from benchmarks.regression.baselines import (
-    Baselines,
-    read_baselines,
-    replace_text,
-    write_baselines,
-)
+from benchmarks.regression.baselines import Baselines, read_baselines, replace_text, write_baselines
 from benchmarks.regression.figures import BenchmarkCase, MeanOfRuns
 from benchmarks.regression.registry import ACCURACY_FIGURES, CASES, FIGURES
 from benchmarks.regression.runs import CaseResults, again, failures, run_cases

@@ -28,14 +28,7 @@ from benchmarks._harness import print_figures, quick_parser, seconds
 from benchmarks.cap_height import cap_height_ratio
 from benchmarks.fit_lamps import UNITS
 from benchmarks.photometric_balls import distance_px, held_out, held_out_drift, whole
-from benchmarks.real_presses import (
-    WIDE_PAD,
-    RealPresses,
-    circle_of,
-    read_presses,
-    spots_of,
-    twins,
-)
+from benchmarks.real_presses import WIDE_PAD, RealPresses, circle_of, read_presses, spots_of, twins
 from reconstruction.photometric import BallPress, PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.calibration_ball import ContactCircle, find_contact_circle
 from reconstruction.photometric.images import mean_background, smoothed
