@@ -10,7 +10,7 @@ left out, + for -, * for /, a constant by 2 % or by one, < for <=, two arguments
 cosine, another axis. The tests of the group (`benchmarks/mutants.toml`) that call the changed
 function then run in a child process; of a kernel or a constant, which no profiler can trace, the
 tests that import its folder run. Kernels are compiled without optimisation. Mutants are named by
-file, function, operator and text, so names survive when lines move. Survivors are printed.
+file, function, operator and line of text, so names survive when lines move. Survivors are printed.
 
 Last line: {"judged", "killed", "equivalent", "timed_out", "unseen", "by_room", "shares"}; mutants
 that exceed the time limit count as killed. Exit status 1 if less than 85 % are killed.
@@ -56,9 +56,12 @@ _SWAPPED: dict[type, tuple[str, type]] = {
     ast.Gt: ("comparison", ast.GtE), ast.GtE: ("comparison", ast.Gt),
 }  # fmt: skip
 _TRIGONOMETRIC = {"sin": "cos", "cos": "sin"}
-_GUARD, _HUGE, _LEAST_TEXT = 1e-6, 1e12, 12
+_GUARD, _HUGE = 1e-6, 1e12
 # Most of these raise an error at once, so they are drawn less often.
 _CRUDE, _CRUDE_SHARE = ("off_by_one", "arguments"), 0.3
+
+
+Place = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ class Mutant:
     Attributes
     ----------
     file, function : path from the root of the tree, and qualified name or `MODULE`
-    before, after : source text around the change
+    before, after : line of the source where the change starts
     place : first and last line, and columns in bytes, of the source that `text` replaces
     """
 
@@ -78,7 +81,7 @@ class Mutant:
     before: str
     after: str
     occurrence: int
-    place: tuple[int, int, int, int]
+    place: Place
     text: str
 
     @property
@@ -89,11 +92,7 @@ class Mutant:
 
     def applied(self, source: str) -> str:
         """Return the source with the change."""
-        first, left, last, right = self.place
-        lines = source.encode().splitlines(keepends=True)
-        head, tail = lines[first - 1][:left], lines[last - 1][right:]
-        lines[first - 1 : last] = [head + self.text.encode() + tail]
-        return b"".join(lines).decode()
+        return _applied(source, self.place, self.text)
 
 
 # ---- operators -----------------------------------------------------------------------------------
@@ -101,15 +100,26 @@ class Mutant:
 
 def mutants_of(root: Path, file: str) -> list[Mutant]:
     """Return every mutant of a source file, in the order of its text."""
+    source = (root / file).read_text("utf-8")
     counts, found = Counter[tuple[str, ...]](), []
-    for node, parents, function in _sites(ast.parse((root / file).read_text("utf-8")), (), MODULE):
+    for node, parents, function in _sites(ast.parse(source), (), MODULE):
+        place = (node.lineno, node.col_offset, node.end_lineno, node.end_col_offset)
         for operator, new in _changes(node, parents):
-            key = (function, operator, *_context(node, parents, new))
-            counts[key] += 1
-            place = (node.lineno, node.col_offset, node.end_lineno, node.end_col_offset)
             text = ast.unparse(new) if isinstance(new, ast.stmt) else f"({ast.unparse(new)})"
+            lines = (changed.splitlines() for changed in (source, _applied(source, place, text)))
+            key = (function, operator, *(line[node.lineno - 1].strip() for line in lines))
+            counts[key] += 1
             found.append(Mutant(file, *key, counts[key], place, text))
     return found
+
+
+def _applied(source: str, place: Place, text: str) -> str:
+    """Return the source with a text in a place."""
+    first, left, last, right = place
+    lines = source.encode().splitlines(keepends=True)
+    head, tail = lines[first - 1][:left], lines[last - 1][right:]
+    lines[first - 1 : last] = [head + text.encode() + tail]
+    return b"".join(lines).decode()
 
 
 def _sites(node: ast.AST, parents: tuple[ast.AST, ...], function: str) -> Iterator[Any]:
@@ -203,29 +213,6 @@ def _is_axis(node: ast.AST) -> bool:
 
 def _called(node: ast.Call) -> str:
     return getattr(node.func, "attr", "") or getattr(node.func, "id", "")
-
-
-def _context(node: ast.AST, parents: Sequence[ast.AST], new: ast.AST) -> tuple[str, str]:
-    """Return source text of the smallest readable expression around a change, before and after."""
-    around, at = node, len(parents)
-    readable = ast.expr | ast.keyword | ast.Assign | ast.Return | ast.AugAssign
-    while at and len(ast.unparse(around)) < _LEAST_TEXT and isinstance(parents[at - 1], readable):
-        around, at = parents[at - 1], at - 1
-    before = " ".join(ast.unparse(around).split())
-    if around is node:
-        return before, " ".join(ast.unparse(new).split())
-    _exchange(parents[-1], node, new)
-    after = " ".join(ast.unparse(around).split())
-    _exchange(parents[-1], new, node)
-    return before, after
-
-
-def _exchange(parent: ast.AST, old: ast.AST, new: ast.AST) -> None:
-    for name, value in ast.iter_fields(parent):
-        if value is old:
-            setattr(parent, name, new)
-        elif isinstance(value, list):
-            value[:] = [new if child is old else child for child in value]
 
 
 def drawn(mutants: Iterable[Mutant], count: int, seed: int) -> list[Mutant]:

@@ -30,6 +30,9 @@ def draw_disc(axes):
 '''
 
 
+DEFAULT = "def area(radius_mm: float, margin: int = 1) -> float:"
+
+
 @pytest.fixture
 def found(tmp_path):
     (tmp_path / "one.py").write_text(SOURCE, encoding="utf-8")
@@ -41,18 +44,18 @@ def changes(found, function):
 
 
 def test_each_operator_changes_what_it_names(found):
-    assert changes(found, MODULE) == {("constant", "HALF = 0.5", "HALF = 0.51")}
-    whole = "-radius_mm * np.sin(radius_mm - HALF)"
+    assert changes(found, MODULE) == {("constant", "HALF = 0.5", "HALF = (0.51)")}
+    whole = "return -radius_mm * np.sin(radius_mm - HALF)"
     assert changes(found, "area") == {
-        ("off_by_one", "1", "2"),
-        ("multiply_divide", whole, "-radius_mm / np.sin(radius_mm - HALF)"),
-        ("drop_factor", whole, "-radius_mm"),
-        ("sign", whole, "radius_mm * np.sin(radius_mm - HALF)"),
-        ("sine_cosine", "np.sin(radius_mm - HALF)", "np.cos(radius_mm - HALF)"),
-        ("add_subtract", "radius_mm - HALF", "radius_mm + HALF"),
-        ("drop_term", "radius_mm - HALF", "radius_mm"),
+        ("off_by_one", DEFAULT, DEFAULT.replace("= 1)", "= (2))")),
+        ("multiply_divide", whole, "return (-radius_mm / np.sin(radius_mm - HALF))"),
+        ("drop_factor", whole, "return (-radius_mm)"),
+        ("sign", whole, "return (radius_mm) * np.sin(radius_mm - HALF)"),
+        ("sine_cosine", whole, "return -radius_mm * (np.cos(radius_mm - HALF))"),
+        ("add_subtract", whole, "return -radius_mm * np.sin((radius_mm + HALF))"),
+        ("drop_term", whole, "return -radius_mm * np.sin((radius_mm))"),
     }
-    assert {one[0] for one in changes(found, "Disc.sums")} == {
+    assert {change[0] for change in changes(found, "Disc.sums")} == {
         "add_subtract", "axis", "arguments", "comparison", "off_by_one"
     }  # fmt: skip
 
