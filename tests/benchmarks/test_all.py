@@ -1,4 +1,4 @@
-"""`./run bench all`: what it compares, what it writes and when."""
+"""`./run bench all`: comparison with targets and baselines, and the files that it writes."""
 
 import json
 
@@ -22,7 +22,7 @@ from reconstruction.errors import InputError
 
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
-    """Two cases whose values a test sets, and files of their own."""
+    """Two cases with values set by a test, and files of their own."""
     return Desk(tmp_path, monkeypatch)
 
 
@@ -214,7 +214,7 @@ def test_the_table_goes_between_its_markers():
 
 
 def test_readme_and_docs_are_in_step_with_the_baselines():
-    """Expected: ./run bench all --update, and nobody by hand, has written the tables."""
+    """Expected: ./run bench all --update has written the tables, without changes by hand."""
     for path, text in bench.pages(read_baselines(bench.BASELINES)).items():
         assert path.read_text(encoding="utf-8") == text
 
@@ -226,7 +226,7 @@ def test_every_figure_has_a_baseline_and_none_is_left_over():
 
 
 def test_no_baseline_misses_its_target():
-    """Expected: ./run bench all --check passes on what was accepted."""
+    """Expected: ./run bench all --check passes on the accepted baselines."""
     for name, known in read_baselines(bench.BASELINES).figures.items():
         verdict = judge_target(FIGURES[name], known.estimate.value)
         assert verdict.passed, f"{name}: {verdict.text}"

@@ -1,4 +1,4 @@
-"""Mutants of a source: what is changed, what is left alone, names, and the draw."""
+"""Mutants of a source: changed and skipped expressions, names, and the draw."""
 
 import ast
 from collections import Counter
