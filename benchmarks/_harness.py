@@ -34,6 +34,11 @@ def seconds(call: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
+def in_turns(actions: Mapping[str, Callable[[], object]], rounds: int) -> list[dict[str, float]]:
+    """Return the wall-clock times of actions per round; in turns, all have the same machine."""
+    return [{name: seconds(action) for name, action in actions.items()} for _ in range(rounds)]
+
+
 def processor_s(who: int = resource.RUSAGE_CHILDREN) -> float:
     """Return the processor time so far, by default of all ended child processes."""
     used = resource.getrusage(who)

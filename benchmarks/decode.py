@@ -22,7 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks._harness import print_figures, quick_parser, resident_bytes, seconds
+from benchmarks._harness import in_turns, print_figures, quick_parser, resident_bytes, seconds
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.patterns import AXES, PatternSet
 from reconstruction.rig.calibration import Calibration, Pinhole
@@ -124,12 +124,6 @@ def fringes_decoder(stack: np.ndarray, patterns: PatternSet) -> Callable[[], obj
     return lambda: peer.decode(frames)
 
 
-def best_s(actions: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Return the least time of each action, run in turns: other programs only add time."""
-    turns = [{name: seconds(action) for name, action in actions.items()} for _ in range(rounds)]
-    return {name: min(turn[name] for turn in turns) for name in actions}
-
-
 def ideal_rms_px(seed: int = 3) -> dict[str, float]:
     """Return the error of noise-free frames at random coordinates, float and 8-bit, unfiltered."""
     patterns, rng = PatternSet(1280, 720), np.random.default_rng(seed)
@@ -194,7 +188,10 @@ def measure(rows: int, cols: int) -> dict[str, object]:
         "opencv_phase_s": lambda: opencv_phase(stack, patterns),
     }
     peer = fringes_decoder(stack, patterns)
-    best = best_s(actions | ({"fringes_s": peer} if peer else {}), REPEATS)
+    actions |= {"fringes_s": peer} if peer else {}
+    # The least times, since other programs only add time.
+    turns = in_turns(actions, REPEATS)
+    best = {name: min(turn[name] for turn in turns) for name in actions}
     # On a busy machine the processor time remains comparable.
     start = time.process_time()
     points = reconstruct()

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks._forked import command, preload
-from benchmarks.fuzzing import run_forked
+from benchmarks.fuzzing import FuzzOutcome, run_forked
 
 EXTREMES = (0, -1, 5e-324, 1e-300, 1e-9, 1e9, 1e300)
 LARGEST = 1e7
@@ -61,22 +61,6 @@ BASES = {
 }
 
 
-class NumberOutcome(NamedTuple):
-    """How a case ended: `told` (an error message), `done`, or the kind of misbehaviour."""
-
-    base: str
-    key: str
-    value: float
-    end: str
-    message: str
-    seconds: float
-
-    @property
-    def is_bad(self) -> bool:
-        """Return True if the program misbehaved."""
-        return self.end not in ("told", "done")
-
-
 def cases_of(base: NumberBase) -> Iterator[tuple[str, float]]:
     """Yield keys and values: the ends of the key's range, and the extremes."""
     from twin.config import load_experiment
@@ -97,7 +81,7 @@ def _numbers_in(tree: dict[str, Any], before: str = "") -> Iterator[str]:
             yield f"{before}{key}"
 
 
-def run_number(name: str, key: str, value: float, folder: Path, limit_s: float) -> NumberOutcome:
+def run_number(name: str, key: str, value: float, folder: Path, limit_s: float) -> FuzzOutcome:
     """Run one case in a child process, and judge it."""
     base, out = BASES[name], folder / "out"
     arguments = [base.command, base.experiment, "--no-report", "-o", "out"]
@@ -112,7 +96,7 @@ def run_number(name: str, key: str, value: float, folder: Path, limit_s: float) 
     if end == "done" and (figure := _absurd(out / "result.json")):
         end, message = "absurd", figure
     shutil.rmtree(out, ignore_errors=True)
-    return NumberOutcome(name, key, value, end, message, seconds)
+    return FuzzOutcome(0, name, f"{key} = {value!r}", end, message, seconds)
 
 
 def _as_toml(path: str, setting: Any, key: str) -> str:

@@ -20,9 +20,12 @@ Last line: {"stack_with_shadow_rays_over_one_frame": ratio,
 
 import statistics
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any
 
-from benchmarks._harness import print_figures, quick_parser, resident_bytes, seconds
+import numpy as np
+
+from benchmarks._harness import in_turns, print_figures, quick_parser, resident_bytes, seconds
 from twin.config import Experiment, load_experiment
 from twin.mechanics import face_mesh, press_with
 from twin.optics.session import activate
@@ -129,23 +132,21 @@ def against_one_frame(case: StackCase) -> dict[str, float]:
     """Seconds of a stack, with shadow rays and without, and of one stock frame, and the ratios."""
     from twin.optics import stock
 
-    scene, shadowed = case.stock_scene(), case.with_shadow_rays()
-    stock.render_frame(scene, 0)
-    shadowed.trace()
-    turns = []
-    for number in range(1, TURNS + 1):
-        calls = shadowed.trace, case.trace, lambda n=number: stock.render_frame(scene, n)
-        turns.append([seconds(call) for call in calls])
-        shown = (f"{name} {s:.2f} s" for name, s in zip(TIMED, turns[-1], strict=True))
-        print(f"turn {number}: {', '.join(shown)}", flush=True)
-    shadowed_s, stack_s, frame_s = (statistics.median(c) for c in zip(*turns, strict=True))
+    scene, shadowed, number = case.stock_scene(), case.with_shadow_rays(), count()
+    calls = shadowed.trace, case.trace, lambda: stock.render_frame(scene, next(number))
+    calls[2]()
+    calls[0]()
+    turns = in_turns(dict(zip(TIMED, calls, strict=True)), TURNS)
+    for turn in turns:
+        print(", ".join(f"{name} {s:.2f} s" for name, s in turn.items()))
+    with_rays, without, frame = (np.array([turn[name] for turn in turns]) for name in TIMED)
     return {
-        "stack_with_shadow_rays_over_one_frame": statistics.median(t[0] / t[2] for t in turns),
-        "stack_without_shadow_rays_over_one_frame": statistics.median(t[1] / t[2] for t in turns),
-        "stack_with_shadow_rays_s": shadowed_s,
-        "stack_s": stack_s,
-        "stock_frame_s": frame_s,
-        "frames_per_s": case.frames / stack_s,
+        "stack_with_shadow_rays_over_one_frame": float(np.median(with_rays / frame)),
+        "stack_without_shadow_rays_over_one_frame": float(np.median(without / frame)),
+        "stack_with_shadow_rays_s": float(np.median(with_rays)),
+        "stack_s": float(np.median(without)),
+        "stock_frame_s": float(np.median(frame)),
+        "frames_per_s": case.frames / float(np.median(without)),
     }
 
 
