@@ -38,7 +38,14 @@ from twin.study.sweep import sweep
 from twin.study.table import read_table
 from twin.study.workers import local_workers
 
-RADII = ("object_radius_1", "object_radius_2", "sphere_1_radius", "sphere_2_radius")
+# Radii with a bound, and the figures with the same spread: behind a thick slab no object radius is
+# reported, only the radius of the coat that its fit uses.
+RADII = {
+    "object_radius_1": "object_radius_1_coat_mm",
+    "object_radius_2": "object_radius_2_coat_mm",
+    "sphere_1_radius": "sphere_1_radius_mm",
+    "sphere_2_radius": "sphere_2_radius_mm",
+}
 SMALL = {"camera.width_px": 640, "camera.height_px": 480, "press.relief_pitch_mm": 0.05}
 BLURRED = {"projector.aperture_mm": 10.0, "projector.focus_mm": 205.0}
 # Fields, and steps of the central differences: above rounding, below the curvature.
@@ -82,7 +89,8 @@ def against_spread(count: int) -> dict[str, float]:
     everywhere = prediction.valid & np.all([height != 0.0 for height in heights], axis=0)
     spread_mm = np.std([height[everywhere] for height in heights], axis=0, ddof=1, dtype=np.float64)
     spreads = {
-        name: 1e3 * float(np.std([row[f"{name}_mm"] for row in figures], ddof=1)) for name in RADII
+        name: 1e3 * float(np.std([row[figure] for row in figures], ddof=1))
+        for name, figure in RADII.items()
     }
     ratios = {
         kind: np.exp(np.mean([np.log(bounds[f"{n}_{kind}_um"] / spreads[n]) for n in RADII]))
