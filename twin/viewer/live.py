@@ -13,7 +13,6 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 
 from reconstruction.arrays import FloatArray, Levels
 from reconstruction.colouring import Deviation
@@ -24,14 +23,15 @@ from twin.config import Experiment
 from twin.extras import missing
 from twin.mechanics import PressedElastomer
 from twin.optics.rig import true_calibration
-from twin.report.view import field_rays, segments
+from twin.optics.view import Lines, Surface
+from twin.report.scene import CAMERA_RGB, PROJECTOR_RGB
 from twin.results.folder import deviation_of
 from twin.results.record import Measurement
-from twin.specimens import shape_of
 from twin.viewer.preview import Preview, PreviewPicture, SliderRange, slider_ranges
 
-_CAMERA_RGB, _PROJECTOR_RGB = (31, 119, 180), (214, 110, 14)
 _STEPS = 100
+# The measured surface is so far above the coat of the preview, which would hide half of it.
+_RAISED_MM = (0.0, 0.0, 0.05)
 _MOST_VERTICES = 200_000
 
 
@@ -118,42 +118,38 @@ class LiveView:
             self._told.content = f"**not possible:** {error}"
             return
         self._fringes.image, self._white.image = _rgb(shown.fringes), _rgb(shown.white)
-        pressed = shown.pressed
+        pressed, scene = shown.pressed, shown.scene
         self._told.content = (
             f"force {pressed.force_n:.3g} N, travel {pressed.depth_mm:.3g} mm, coat up to "
             f"{pressed.face_z_mm.max():.3g} mm; picture in {time.perf_counter() - start:.2f} s"
         )
         if self._pressed is None or not np.array_equal(self._pressed.face_z_mm, pressed.face_z_mm):
-            self._draw_bodies(shown)
+            for surface in scene.surfaces:
+                self._draw_surface(surface)
             self._pressed = pressed
-        self._draw_rig(shown)
+        for lines in scene.lines:
+            self._draw_lines(lines)
+        self._draw_devices(shown)
 
-    def _draw_bodies(self, shown: PreviewPicture) -> None:
-        scene, coat = self._server.scene, shown.coat
-        z_mm = coat.vertices[:, 2]
-        share = (z_mm - z_mm.min()) / max(float(np.ptp(z_mm)), 1e-9)
-        coat.visual.vertex_colors = np.rint(255 * colormaps["viridis"](share)).astype(np.uint8)
-        scene.add_mesh_trimesh("/coat", coat)
-        touched_mm = shown.experiment.elastomer.touched_plane_mm + shown.pressed.depth_mm
-        specimen = shape_of(shown.experiment.specimen).mesh(touched_mm)
-        scene.add_mesh_simple(
-            "/specimen",
-            np.asarray(specimen.vertices),
-            np.asarray(specimen.faces),
-            color=(190, 182, 168),
-        )
+    def _draw_surface(self, surface: Surface) -> Any:
+        """Show a surface; returns the handle that hides it."""
+        rgb, name = np.rint(255 * surface.rgb).astype(np.uint8), f"/{surface.name}"
+        if rgb.ndim == 1:
+            mesh = surface.vertices_mm, surface.triangles
+            return self._server.scene.add_mesh_simple(name, *mesh, color=tuple(rgb.tolist()))
+        from trimesh import Trimesh
 
-    def _draw_rig(self, shown: PreviewPicture) -> None:
-        scene, rig = self._server.scene, true_calibration(shown.experiment)
-        seen = _rgb(shown.fringes)
-        self._add_device("/camera", rig.camera, rig.T_world_from_cam, _CAMERA_RGB, seen)
-        self._add_device("/projector", rig.projector, rig.T_world_from_proj, _PROJECTOR_RGB, None)
-        for name, device, pose, rgb in (
-            ("/camera_rays", rig.camera, rig.T_world_from_cam, _CAMERA_RGB),
-            ("/projector_rays", rig.projector, rig.T_world_from_proj, _PROJECTOR_RGB),
-        ):
-            ends = segments(field_rays(device, pose, rig.layers)).reshape(-1, 2, 3)
-            scene.add_line_segments(name, ends, rgb, thickness=0.2)
+        body = Trimesh(surface.vertices_mm, surface.triangles, vertex_colors=rgb, process=False)
+        return self._server.scene.add_mesh_trimesh(name, body)
+
+    def _draw_lines(self, lines: Lines) -> None:
+        ends_mm = lines.ends_mm.reshape(-1, 2, 3)
+        self._server.scene.add_line_segments(f"/{lines.name}", ends_mm, lines.rgb, thickness=0.2)
+
+    def _draw_devices(self, shown: PreviewPicture) -> None:
+        rig, seen = true_calibration(shown.experiment), _rgb(shown.fringes)
+        self._add_device("/camera", rig.camera, rig.T_world_from_cam, CAMERA_RGB, seen)
+        self._add_device("/projector", rig.projector, rig.T_world_from_proj, PROJECTOR_RGB, None)
 
     def _add_device(
         self,
@@ -188,12 +184,8 @@ class LiveView:
                 f"view: {len(mesh.vertices_mm)} points, at most {_MOST_VERTICES} are shown live; "
                 "measure with camera.binning = 4, or open surface.ply in a mesh viewer"
             )
-        from trimesh import Trimesh
-
-        surface = Trimesh(mesh.vertices_mm, mesh.triangles, process=False)
-        surface.visual.vertex_colors = deviation.rgb[found.valid]
-        # A little above the coat of the preview, which would hide half of it.
-        handle = self._server.scene.add_mesh_trimesh("/measured", surface, position=(0, 0, 0.05))
+        raised_mm, rgb = mesh.vertices_mm + _RAISED_MM, deviation.rgb[found.valid]
+        handle = self._draw_surface(Surface("measured", raised_mm, mesh.triangles, rgb / 255.0))
         box = self._server.gui.add_checkbox(_told_of(deviation), initial_value=True)
 
         def show(_: Any) -> None:

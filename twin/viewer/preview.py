@@ -6,21 +6,22 @@ pixels of a full image and a coarser coat; nothing is decoded.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 
 from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.patterns import PERIOD_RANGE_PX
 from twin.config import Experiment, vary
 from twin.mechanics import PressedElastomer, face_mesh
+from twin.optics.view import Scene, Surface
 from twin.pipeline import Memory
 from twin.pipeline.fringes import record
 from twin.pipeline.press import press
-
-if TYPE_CHECKING:
-    import trimesh
+from twin.report.scene import SPECIMEN, SPECIMEN_RGB, rig_lines
+from twin.specimens import shape_of
 
 _ACROSS_PX = 250
 _BINNINGS = (4, 2, 1)
@@ -57,15 +58,27 @@ class PreviewPicture:
     ----------
     experiment : at full size, with the changes
     fringes, white : (row, col) uint8, 255 at saturation
-    coat : coated face, world mm
-    pressed : the press behind it
+    pressed : the press that the images show
     """
 
     experiment: Experiment
     fringes: Levels
     white: Levels
-    coat: "trimesh.Trimesh"
     pressed: PressedElastomer
+
+    @property
+    def scene(self) -> Scene:
+        """Coat and specimen at the end of the press, and the rays of camera and projector."""
+        coat = face_mesh(self.pressed)
+        z_mm = np.asarray(coat.vertices)[:, 2]
+        share = (z_mm - z_mm.min()) / max(float(np.ptp(z_mm)), 1e-9)
+        touched_mm = self.experiment.elastomer.touched_plane_mm + self.pressed.depth_mm
+        specimen = shape_of(self.experiment.specimen).mesh(touched_mm)
+        surfaces = (
+            Surface.of_mesh("coat", coat, colormaps["viridis"](share)[:, :3]),
+            Surface.of_mesh(SPECIMEN, specimen, np.divide(SPECIMEN_RGB, 255.0)),
+        )
+        return Scene(surfaces, rig_lines(self.experiment, elastomer=False))
 
 
 # key, label, how far it may be moved from where it stands
@@ -149,9 +162,7 @@ class Preview:
             np.clip(np.rint(255.0 * stack[place] / full), 0, 255).astype(np.uint8)
             for place in (patterns.index("phase", "column").start, patterns.index("white").start)
         )
-        return PreviewPicture(
-            vary(self._full, changes), fringes, white, face_mesh(pressed), pressed
-        )
+        return PreviewPicture(vary(self._full, changes), fringes, white, pressed)
 
 
 def thinned(pressed: PressedElastomer) -> PressedElastomer:
