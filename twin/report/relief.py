@@ -93,13 +93,17 @@ def height_surface(
     return Surface.of_grid(name, points_mm, z_mm if values is None else values, scale)
 
 
-def shaded(surface: Surface, enlarged: float, light_deg: float = MAP_LIGHT_DEG) -> FloatArray:
+def shaded(
+    surface: Surface, enlarged: float, light_deg: float = MAP_LIGHT_DEG, *, stretched: bool = True
+) -> FloatArray:
     """Multiply colours by hill shading of the enlarged surface, (row, col, rgba); holes white.
 
     Parameters
     ----------
     surface : over a grid, nearly regular in x and y
     light_deg : direction to the lamp, clockwise from the top of the map
+    stretched : the least light of the surface is 0, the most is 1; else the cosine to the lamp,
+        which does not depend on other points
     """
     points_mm = surface.grid_mm
     rgba = np.ones((*points_mm.shape[:2], 4))
@@ -108,15 +112,21 @@ def shaded(surface: Surface, enlarged: float, light_deg: float = MAP_LIGHT_DEG) 
         return rgba
     # Holes take the nearest height, or their edges would be shaded as cliffs.
     nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
-    pitch_mm = _pitch_mm(points_mm)
-    light = LightSource(light_deg, _LIGHT_HEIGHT_DEG).hillshade(
-        points_mm[..., 2][tuple(nearest)], vert_exag=enlarged, dx=pitch_mm, dy=pitch_mm
-    )
+    normals = _normals(points_mm[..., 2][tuple(nearest)] * enlarged, _pitch_mm(points_mm))
+    lamp = LightSource(light_deg, _LIGHT_HEIGHT_DEG)
+    light = lamp.shade_normals(normals) if stretched else np.clip(normals @ lamp.direction, 0, 1)
     # Only darkened and brightened: another blend would change the hues of the colour bar.
     rgb = surface.rgb.reshape(rgba[..., :3].shape)
     lit = np.clip(rgb * (_AMBIENT + _LAMP * light[..., np.newaxis]), 0.0, 1.0)
     rgba[..., :3] = np.where(holes[..., np.newaxis], 1.0, lit)
     return rgba
+
+
+def _normals(z_mm: Numbers, pitch_mm: float) -> Numbers:
+    """Return unit normals of heights on square cells, row 0 at the top, (row, col, xyz)."""
+    down, across = np.gradient(z_mm, -pitch_mm, pitch_mm)
+    normals = np.stack([-across, -down, np.ones_like(z_mm)], axis=-1)
+    return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
 
 def _pitch_mm(points_mm: Numbers) -> float:
@@ -173,7 +183,7 @@ def relief_picture(surface: Surface, view: View, light_deg: float = MAP_LIGHT_DE
     axes: Axes = canvas.figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(-0.5, fine.width_px - 0.5), ylim=(fine.height_px - 0.5, -0.5))
     axes.axis("off")
-    relief = Relief(surface, view, shaded(surface, view.enlarged, light_deg))
+    relief = Relief(surface, view, shaded(surface, view.enlarged, light_deg, stretched=False))
     relief.project(fine)
     axes.add_collection(relief, autolim=False)
     canvas.draw()  # type: ignore[no-untyped-call]

@@ -138,15 +138,16 @@ def _frame_view(axes: Any, cells: CellMeans, view: View) -> None:
 def draw_height_map(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
     """Draw the measured heights in top view, shaded, as PNG."""
     cells = _relief(points, pixel_mm, _MAP_CELLS)
-    surface, heights = _surface(cells), masked(cells)
+    surface, heights = _surface(cells), masked(cells)[::-1]
     rows, cols = heights.shape
     with drawing(path, 10.0, 0.75 + 8.2 * rows / cols) as figure:
         axes = axes_at(figure, 0.65, 0.15, 8.2, 8.2 * rows / cols)
-        axes.imshow(shaded(surface, z_enlargement(points)), extent=cells.extent_mm)
+        relief = shaded(surface, z_enlargement(points))
+        axes.imshow(relief[::-1], origin="lower", extent=cells.extent_mm)
         assert surface.scale is not None
         axes.contour(
             cells.x_mm,
-            cells.y_mm,
+            cells.y_mm[::-1],
             heights,
             levels=contour_levels(surface.scale.get_clim()[0] or 0.0, float(heights.max())),
             colors="white",
