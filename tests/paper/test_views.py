@@ -23,9 +23,9 @@ def pressed(experiment):
 
 
 def view_camera(width_mm=10.0, size=(64, 48), eye=(0.0, -40.0, 40.0)):
-    from twin.optics.view import View
+    from twin.optics.view import SceneView
 
-    return View(eye, (0.0, 0.0, 0.0), width_mm, *size)
+    return SceneView(eye, (0.0, 0.0, 0.0), width_mm, *size)
 
 
 def bounds(surface):
@@ -50,10 +50,10 @@ def test_view_straight_down_has_world_y_at_the_top(mi):
 
 def test_pictures_are_white_where_nothing_is_and_repeat_byte_for_byte(mi):
     from twin.optics.picture import picture
-    from twin.optics.view import Surface
+    from twin.optics.view import SceneSurface
 
     mesh = trimesh.creation.icosphere(radius=2.0)
-    ball = Surface.of_mesh("ball", mesh, (0.6, 0.1, 0.1), smooth=True)
+    ball = SceneSurface.of_mesh("ball", mesh, (0.6, 0.1, 0.1), smooth=True)
     first, again = (picture([ball], view_camera(), samples=4) for _ in range(2))
     np.testing.assert_array_equal(first, again)
     assert (first[0] == 255).all()

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from twin.optics.view import Surface, View
+from twin.optics.view import SceneSurface, SceneView
 from twin.report.relief import height_scale_of, relief_picture, shaded
 
 HALF_MM, NODES = 10.0, 41
 
 
-def surface(z_mm=0.0, values=None, cut=None) -> Surface:
+def surface(z_mm=0.0, values=None, cut=None) -> SceneSurface:
     """A grid of 0.5 mm; z by (x, y), coloured by z or other values."""
     x_mm, y_mm = np.meshgrid(
         np.linspace(-HALF_MM, HALF_MM, NODES), np.linspace(HALF_MM, -HALF_MM, NODES)
@@ -17,12 +17,12 @@ def surface(z_mm=0.0, values=None, cut=None) -> Surface:
     z_mm = z_mm(x_mm, y_mm) if callable(z_mm) else np.full_like(x_mm, z_mm)
     points_mm = np.stack([x_mm, y_mm, z_mm], axis=-1)
     coloured = z_mm if values is None else values(x_mm, y_mm)
-    return Surface.of_grid("relief", points_mm, coloured, height_scale_of(0.0, 1.0), cut=cut)
+    return SceneSurface.of_grid("relief", points_mm, coloured, height_scale_of(0.0, 1.0), cut=cut)
 
 
-def view(turn_deg: float, lift_deg: float = 35.0) -> View:
+def view(turn_deg: float, lift_deg: float = 35.0) -> SceneView:
     turn, lift = np.deg2rad((turn_deg, lift_deg))
-    return View.around((0, 0, 0), 40.0, turn, lift, width_px=160, height_px=120)
+    return SceneView.around((0, 0, 0), 40.0, turn, lift, width_px=160, height_px=120)
 
 
 def yellow(picture) -> np.ndarray:

@@ -14,7 +14,7 @@ from twin.optics.bsdfs import level
 from twin.optics.materials import mitsuba_mesh
 from twin.optics.rig import perspective_sensor
 from twin.optics.session import renderer_session
-from twin.optics.view import Surface, View
+from twin.optics.view import SceneSurface, SceneView
 
 Picture = Levels
 
@@ -30,8 +30,8 @@ _PRIMARIES = 3
 
 @renderer_session()
 def picture(
-    surfaces: Sequence[Surface],
-    view: View,
+    surfaces: Sequence[SceneSurface],
+    view: SceneView,
     samples: int = 64,
     *,
     gray: bool = False,
@@ -70,7 +70,7 @@ def _render(scene: Any) -> FloatImage:
 
 
 def _scene(
-    surfaces: Sequence[Surface], view: View, primary: int, samples: int, bounces: int
+    surfaces: Sequence[SceneSurface], view: SceneView, primary: int, samples: int, bounces: int
 ) -> Any:
     import mitsuba as mi
 
@@ -90,7 +90,7 @@ def _scene(
     )
 
 
-def _lights(view: View) -> dict[str, Any]:
+def _lights(view: SceneView) -> dict[str, Any]:
     """Sky and two square lamps that follow the view and its width."""
     import mitsuba as mi
 
@@ -115,7 +115,7 @@ def _lights(view: View) -> dict[str, Any]:
     return {"sky": {"type": "constant", "radiance": level(_SKY)}, **lamps}
 
 
-def _mesh(part: Surface, primary: int) -> Any:
+def _mesh(part: SceneSurface, primary: int) -> Any:
     """Return a surface in the light of one primary."""
     one_colour = part.rgb.ndim == 1
     reflectance = (

@@ -29,7 +29,7 @@ Numbers = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class SceneSurface:
     """A triangle mesh with its colours; or a surface over a grid, which has triangles as well.
 
     Attributes
@@ -62,7 +62,7 @@ class Surface:
         *,
         bsdf: Mapping[str, Any] | None = None,
         smooth: bool = False,
-    ) -> "Surface":
+    ) -> "SceneSurface":
         """Return a mesh with its colours; `smooth` uses the normals of its vertices."""
         normals = np.asarray(mesh.vertex_normals) if smooth else None
         corners, facets = np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -77,7 +77,7 @@ class Surface:
         scale: "ScalarMappable",
         *,
         cut: float | None = None,
-    ) -> "Surface":
+    ) -> "SceneSurface":
         """Join the neighbours of a grid of points (row, col, xyz), row 0 at the top.
 
         Parameters
@@ -110,7 +110,7 @@ def _joined(points_mm: Numbers, cut: float | None) -> BoolImage:
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class SceneLines:
     """Straight pieces of one colour.
 
     Attributes
@@ -125,14 +125,14 @@ class Lines:
     rgb: tuple[int, int, int]
 
     @classmethod
-    def along(cls, name: str, paths: list[FloatArray], rgb: tuple[int, int, int]) -> "Lines":
+    def along(cls, name: str, paths: list[FloatArray], rgb: tuple[int, int, int]) -> "SceneLines":
         """Return the pieces of paths, each (corner, xyz)."""
         pairs = [np.stack((path[:-1], path[1:]), axis=1).reshape(-1, 3) for path in paths]
         return cls(name, np.concatenate(pairs).astype("<f4"), rgb)
 
 
 @dataclass(frozen=True)
-class View:
+class SceneView:
     """A pinhole camera that looks at a point, the world's z axis upright in its picture.
 
     Attributes
@@ -159,7 +159,7 @@ class View:
         lift_rad: float,
         distance_mm: float | None = None,
         **more: Any,
-    ) -> "View":
+    ) -> "SceneView":
         """Return the view from a direction, see `turn_and_lift_rad`; by default two widths away."""
         across, target = np.cos(lift_rad), np.asarray(target_mm, np.float64)
         towards = across * np.sin(turn_rad), -across * np.cos(turn_rad), np.sin(lift_rad)
@@ -215,12 +215,12 @@ def point(xyz: FloatArray) -> Point:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class SceneDescription:
     """Surfaces, lines and views, each by its name."""
 
-    surfaces: tuple[Surface, ...]
-    lines: tuple[Lines, ...] = ()
-    views: Mapping[str, View] = field(default_factory=dict)
+    surfaces: tuple[SceneSurface, ...]
+    lines: tuple[SceneLines, ...] = ()
+    views: Mapping[str, SceneView] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from twin.config import Experiment
 from twin.optics.direct import STAGE, solids
 from twin.optics.picture import Picture, picture
-from twin.optics.view import Surface, View, point
+from twin.optics.view import SceneSurface, SceneView, point
 
 _WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 20
 _FROM = (0.5, -0.52, 0.69)
@@ -40,7 +40,7 @@ class _Sitter:
 @lru_cache(maxsize=32)
 def _render(sitter: _Sitter) -> Picture:
     things = [
-        Surface.of_mesh(solid.name, solid.mesh, bsdf=solid.bsdf, smooth=True)
+        SceneSurface.of_mesh(solid.name, solid.mesh, bsdf=solid.bsdf, smooth=True)
         for solid in solids(sitter.experiment)
     ]
     shown = np.concatenate([thing.vertices_mm for thing in things if thing.name != STAGE])
@@ -48,5 +48,5 @@ def _render(sitter: _Sitter) -> Picture:
     middle = (low + high) / 2
     width_mm = _ROOM * float(np.hypot(*(high - low)[:2]))
     eye = middle + _DISTANCE * width_mm * np.array(_FROM)
-    view = View(point(eye), point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
+    view = SceneView(point(eye), point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
     return picture(things, view, _SAMPLES, gray=True)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from reconstruction.evaluate.surface import CUT_OVER_TYPICAL
-from twin.optics.view import Surface, View
+from twin.optics.view import SceneSurface, SceneView
 from twin.paper.panels import PanelData, Picture
 from twin.report.canvas import FAINT, add_colorbar, no_ticks
 from twin.report.relief import enlargement, height_scale_of, relief_picture
@@ -76,7 +76,7 @@ def show_scale(axes: Axes, stage: ReliefView) -> None:
     add_colorbar(axes, height_scale_of(*stage.scale_mm), "z (mm)", extend="both", side="below")
 
 
-def _surface(data: PanelData, stage: ReliefView) -> Surface:
+def _surface(data: PanelData, stage: ReliefView) -> SceneSurface:
     """Return the points near the middle and near the scale as a surface over camera pixels."""
     points = data.points_mm
     away = np.abs(points[..., :2] - np.array(stage.centre_mm)).max(axis=-1)
@@ -87,12 +87,12 @@ def _surface(data: PanelData, stage: ReliefView) -> Surface:
     kept = data.valid & (away <= stage.half_mm) & (z >= low - room) & (z <= high + room)
     shown = np.where(kept[..., np.newaxis], points, np.nan)
     scale = height_scale_of(low, high)
-    return Surface.of_grid("heights", shown, shown[..., 2], scale, cut=CUT_OVER_TYPICAL)
+    return SceneSurface.of_grid("heights", shown, shown[..., 2], scale, cut=CUT_OVER_TYPICAL)
 
 
-def _view(stage: ReliefView, width_px: int, height_px: int) -> View:
+def _view(stage: ReliefView, width_px: int, height_px: int) -> SceneView:
     (x, y), low, high = stage.centre_mm, *stage.scale_mm
-    return View.around(
+    return SceneView.around(
         (x, y, stage.gain * (low + high) / 2),
         2.25 * stage.half_mm,
         0.0,

@@ -12,7 +12,7 @@ from twin.config import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.picture import picture
 from twin.optics.rig import true_calibration
-from twin.optics.view import View
+from twin.optics.view import SceneView
 from twin.paper.rig_scene import (
     device_things,
     frame_things,
@@ -42,9 +42,9 @@ from twin.report.section import (
 from twin.specimens import shape_of
 
 _SAMPLES, _BOUNCES = 12, 3
-_RIG = View((-420.0, -1150.0, 520.0), (35.0, 0.0, 108.0), 412.0, 520, 640)
-_SHEET = View((-26.0, -80.0, 62.0), (0.0, 0.0, -2.0), 56.0, 560, 420)
-_CUT = View((-14.0, -95.0, 30.0), (0.0, 0.0, -5.5), 42.0, 640, 400)
+_RIG = SceneView((-420.0, -1150.0, 520.0), (35.0, 0.0, 108.0), 412.0, 520, 640)
+_SHEET = SceneView((-26.0, -80.0, 62.0), (0.0, 0.0, -2.0), 56.0, 560, 420)
+_CUT = SceneView((-14.0, -95.0, 30.0), (0.0, 0.0, -5.5), 42.0, 640, 400)
 
 
 def draw_setup(stem: Path, experiment: Experiment, pressed: PressedElastomer) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer, face_mesh, fields_at, slab_mesh
 from twin.optics.rig import true_calibration
-from twin.optics.view import Surface
+from twin.optics.view import SceneSurface
 from twin.specimens import bodies
 
 ALUMINIUM, DARK, CREAM = (0.42, 0.44, 0.48), (0.05, 0.05, 0.06), (0.75, 0.75, 0.72)
@@ -29,15 +29,15 @@ _FRINGE_DARK, _FRINGE_BRIGHT = 0.08, 0.62
 
 def sheet_things(
     experiment: Experiment, pressed: PressedElastomer, cut_y_mm: float | None = None
-) -> list[Surface]:
+) -> list[SceneSurface]:
     """Return silicone and coat with a fringe pattern on it; only y > `cut_y_mm` when cut open."""
     coarse = _thinned(pressed, cut_y_mm)
     coat = face_mesh(coarse)
     shade = fringe_shade(experiment, np.asarray(coat.vertices))
     rgb = np.repeat(shade[:, np.newaxis], 3, axis=1)
     return [
-        Surface.of_mesh("silicone", slab_mesh(coarse, experiment.elastomer), SILICONE),
-        Surface.of_mesh("coat", _shifted(coat, 2 * _APART_MM), rgb, smooth=True),
+        SceneSurface.of_mesh("silicone", slab_mesh(coarse, experiment.elastomer), SILICONE),
+        SceneSurface.of_mesh("coat", _shifted(coat, 2 * _APART_MM), rgb, smooth=True),
     ]
 
 
@@ -53,12 +53,12 @@ def fringe_shade(
     return np.asarray(middle + swing * np.cos(phase))
 
 
-def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[Surface]:
+def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneSurface]:
     """Return the specimen where it is pressed to, and the stage under it."""
     top_mm = experiment.elastomer.touched_plane_mm + pressed.depth_mm - _APART_MM
     parts = bodies(experiment.specimen, top_mm)
     things = [
-        Surface.of_mesh(
+        SceneSurface.of_mesh(
             f"part_{k}",
             _smooth(part.mesh),
             CREAM,
@@ -69,10 +69,10 @@ def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[S
     ]
     lowest = min(float(part.mesh.bounds[0, 2]) for part in parts) - _APART_MM
     stage = _box((-14, -11, lowest - 3), (14, 11, lowest))
-    return [*things, Surface.of_mesh("stage_plate", stage, CREAM)]
+    return [*things, SceneSurface.of_mesh("stage_plate", stage, CREAM)]
 
 
-def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list[Surface]:
+def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list[SceneSurface]:
     """Return the frame that holds the sheet's rim; open in front when cut."""
     slab, rim = experiment.elastomer, 8.0
     x, y, low, high = slab.length_x_mm / 2, slab.length_y_mm / 2, -slab.thickness_mm - 2.0, 0.3
@@ -85,12 +85,12 @@ def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list
     if cut_y_mm is None:
         bars["front"] = ((-x - rim, -y - rim, low), (x + rim, -y, high))
     return [
-        Surface.of_mesh(f"holder_{name}", _box(*corners), ALUMINIUM)
+        SceneSurface.of_mesh(f"holder_{name}", _box(*corners), ALUMINIUM)
         for name, corners in bars.items()
     ]
 
 
-def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[Surface]:
+def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneSurface]:
     """Return aluminium extrusions behind the rig, base plate and z stage, schematic."""
     rig = true_calibration(experiment)
     top = float(max(rig.T_world_from_cam[2, 3], rig.T_world_from_proj[2, 3])) + 90.0
@@ -113,23 +113,23 @@ def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[Surf
     column = trimesh.creation.cylinder(12.0, segment=((0, 0, base + 30), (0, 0, under)))
     foot = _box((-30, -30, base), (30, 30, base + 30))
     return [
-        *(Surface.of_mesh(name, _box(*corners), ALUMINIUM) for name, corners in boxes.items()),
-        Surface.of_mesh("stage_column", column, CREAM),
-        Surface.of_mesh("stage_foot", foot, DARK),
+        *(SceneSurface.of_mesh(name, _box(*corners), ALUMINIUM) for name, corners in boxes.items()),
+        SceneSurface.of_mesh("stage_column", column, CREAM),
+        SceneSurface.of_mesh("stage_foot", foot, DARK),
     ]
 
 
-def device_things(experiment: Experiment) -> list[Surface]:
+def device_things(experiment: Experiment) -> list[SceneSurface]:
     """Return housings round the true pinholes, lenses forward."""
     rig = true_calibration(experiment)
     camera, projector = rig.T_world_from_cam, _level_pose(rig.T_world_from_proj)
     return [
-        Surface.of_mesh("camera_lens", _lens(camera, 20.0, -45.0, 12.0), DARK),
-        Surface.of_mesh(
+        SceneSurface.of_mesh("camera_lens", _lens(camera, 20.0, -45.0, 12.0), DARK),
+        SceneSurface.of_mesh(
             "camera_body", _posed_box(camera, (-20, -20, -80), (20, 20, -45)), CAMERA_BLUE
         ),
-        Surface.of_mesh("projector_lens", _lens(projector, 11.0, -14.0, 4.0), DARK),
-        Surface.of_mesh(
+        SceneSurface.of_mesh("projector_lens", _lens(projector, 11.0, -14.0, 4.0), DARK),
+        SceneSurface.of_mesh(
             "projector_body",
             _posed_box(projector, (-38, -14, -72), (38, 26, -14)),
             PROJECTOR_ORANGE,

@@ -20,7 +20,7 @@ from scipy.ndimage import distance_transform_edt
 
 from reconstruction.arrays import FloatArray, Levels
 from reconstruction.cells import CellMeans, SquareCells, box_of
-from twin.optics.view import Numbers, Surface, View
+from twin.optics.view import Numbers, SceneSurface, SceneView
 from twin.report.canvas import draw_map, round_up, sequential
 
 # Finer cells would leave gaps between the pixels of an oblique camera.
@@ -85,16 +85,20 @@ def height_scale_of(low_mm: float, high_mm: float) -> ScalarMappable:
 
 def height_surface(
     name: str, cells: CellMeans, scale: ScalarMappable, values: NDArray[Any] | None = None
-) -> Surface:
+) -> SceneSurface:
     """Return mean heights as a surface, coloured by them or by other means per cell."""
     x_mm, y_mm = np.meshgrid(cells.x_mm, cells.y_mm)
     z_mm = np.where(cells.valid, cells.mean, np.nan)
     points_mm = np.stack([x_mm, y_mm, z_mm], axis=-1)
-    return Surface.of_grid(name, points_mm, z_mm if values is None else values, scale)
+    return SceneSurface.of_grid(name, points_mm, z_mm if values is None else values, scale)
 
 
 def shaded(
-    surface: Surface, enlarged: float, light_deg: float = MAP_LIGHT_DEG, *, stretched: bool = True
+    surface: SceneSurface,
+    enlarged: float,
+    light_deg: float = MAP_LIGHT_DEG,
+    *,
+    stretched: bool = True,
 ) -> FloatArray:
     """Multiply colours by hill shading of the enlarged surface, (row, col, rgba); holes white.
 
@@ -134,14 +138,14 @@ def _pitch_mm(points_mm: Numbers) -> float:
     return float(np.nanmedian(np.abs(np.diff(points_mm[..., 0], axis=1))))
 
 
-class Relief(QuadMesh):
+class ReliefArtist(QuadMesh):
     """A surface over a grid seen obliquely, as one artist: polygons take ten times the time.
 
     Cells are painted from far to near, as the view requires. In axes of three dimensions Matplotlib
     itself places the corners; in a picture `place` does.
     """
 
-    def __init__(self, surface: Surface, view: View, rgba: FloatArray) -> None:
+    def __init__(self, surface: SceneSurface, view: SceneView, rgba: FloatArray) -> None:
         points_mm, cells = surface.grid_mm, surface.cells
         assert cells is not None
         # A cell has the colour of its corner at the smallest x and y.
@@ -157,7 +161,7 @@ class Relief(QuadMesh):
         """Put the corners (row, col, xy), in the order of painting, into the axes."""
         self._coordinates = corners
 
-    def project(self, view: View) -> None:
+    def project(self, view: SceneView) -> None:
         """Place the corners at the pixels of a view."""
         self.place(view.project(self._points_mm * (1.0, 1.0, view.enlarged)))
 
@@ -169,13 +173,15 @@ class Relief(QuadMesh):
         return 0.0
 
 
-def _far_to_near(points_mm: Numbers, axis: int, view: View) -> int:
+def _far_to_near(points_mm: Numbers, axis: int, view: SceneView) -> int:
     """Return 1 where a grid comes nearer to the eye along an axis, -1 where it recedes."""
     step_mm = np.nanmean(np.diff(points_mm[..., :2], axis=axis), axis=(0, 1))
     return 1 if step_mm @ view.towards_eye[:2] >= 0 else -1
 
 
-def relief_picture(surface: Surface, view: View, light_deg: float = MAP_LIGHT_DEG) -> Levels:
+def relief_picture(
+    surface: SceneSurface, view: SceneView, light_deg: float = MAP_LIGHT_DEG
+) -> Levels:
     """Return a surface over a grid as (row, col, 3) uint8; white where there is none."""
     rows, cols = view.height_px, view.width_px
     fine = replace(view, height_px=FINER * rows, width_px=FINER * cols)
@@ -183,7 +189,7 @@ def relief_picture(surface: Surface, view: View, light_deg: float = MAP_LIGHT_DE
     axes: Axes = canvas.figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(-0.5, fine.width_px - 0.5), ylim=(fine.height_px - 0.5, -0.5))
     axes.axis("off")
-    relief = Relief(surface, view, shaded(surface, view.enlarged, light_deg, stretched=False))
+    relief = ReliefArtist(surface, view, shaded(surface, view.enlarged, light_deg, stretched=False))
     relief.project(fine)
     axes.add_collection(relief, autolim=False)
     canvas.draw()  # type: ignore[no-untyped-call]

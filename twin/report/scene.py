@@ -13,7 +13,7 @@ from reconstruction.rig.layers import PlaneLayers
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
 from twin.optics.rig import true_calibration
-from twin.optics.view import Lines, Scene, Surface, View
+from twin.optics.view import SceneDescription, SceneLines, SceneSurface, SceneView
 from twin.report.canvas import near_truth, symmetric_limit
 from twin.report.relief import average_on_grid, enlargement, height_surface
 from twin.results.record import Measurement
@@ -28,7 +28,7 @@ _RELIEF_SHARE = 0.25
 _BISECTIONS = 60
 
 
-def measured_scene(measured: Measurement) -> Scene:
+def measured_scene(measured: Measurement) -> SceneDescription:
     """Return the scene of a measurement with at least one point; views relief, deviation, rig."""
     relief, deviation_um = _cells(measured)
     low, high = np.percentile(relief.mean[relief.valid], (0.5, 99.5))
@@ -40,13 +40,13 @@ def measured_scene(measured: Measurement) -> Scene:
     )
     lines = rig_lines(measured.experiment, elastomer=measured.pressed is not None)
     near = _near_view(relief, float(low), float(high))
-    shown = tuple(name for name in Scene(surfaces, lines).names if name != DEVIATION)
+    shown = tuple(name for name in SceneDescription(surfaces, lines).names if name != DEVIATION)
     views = {
         "relief": replace(near, shows=(HEIGHTS,)),
         "deviation": replace(near, shows=(DEVIATION,)),
         "rig": _rig_view(measured.experiment, shown),
     }
-    return Scene(surfaces, lines, views)
+    return SceneDescription(surfaces, lines, views)
 
 
 def _scale(name: str, low: float, high: float) -> ScalarMappable:
@@ -71,7 +71,7 @@ def _cells(measured: Measurement) -> tuple[CellMeans, CellMeans]:
     )
 
 
-def _specimen(measured: Measurement, relief: CellMeans) -> list[Surface]:
+def _specimen(measured: Measurement, relief: CellMeans) -> list[SceneSurface]:
     """Return the side of the specimen that faces the elastomer, at the end of the press."""
     if measured.pressed is None:
         return []
@@ -89,38 +89,38 @@ def _specimen(measured: Measurement, relief: CellMeans) -> list[Surface]:
     return [height_surface(SPECIMEN, cells, grey)]
 
 
-def _near_view(relief: CellMeans, low_mm: float, high_mm: float) -> View:
+def _near_view(relief: CellMeans, low_mm: float, high_mm: float) -> SceneView:
     """Return the view of the relief from the front left."""
     left, right, bottom, top = relief.extent_mm
     middle = ((left + right) / 2, (bottom + top) / 2, (low_mm + high_mm) / 2)
     width_mm = 0.84 * float(np.hypot(right - left, top - bottom))
     enlarged = max(1.0, enlargement(right - left, high_mm - low_mm, _RELIEF_SHARE) / 2)
-    return View.around(middle, width_mm, -0.5, 0.6, enlarged=enlarged)
+    return SceneView.around(middle, width_mm, -0.5, 0.6, enlarged=enlarged)
 
 
-def _rig_view(experiment: Experiment, shows: tuple[str, ...]) -> View:
+def _rig_view(experiment: Experiment, shows: tuple[str, ...]) -> SceneView:
     """Return the view of camera, projector and the world's origin."""
     rig = true_calibration(experiment)
     ends_mm = np.stack((rig.T_world_from_cam[:3, 3], rig.T_world_from_proj[:3, 3], np.zeros(3)))
     middle = (ends_mm.max(axis=0) + ends_mm.min(axis=0)) / 2
     width_mm = 2.4 * float(np.linalg.norm(ends_mm - middle, axis=1).max())
-    return View.around(middle, width_mm, 0.3, 0.15, shows=shows)
+    return SceneView.around(middle, width_mm, 0.3, 0.15, shows=shows)
 
 
-def rig_lines(experiment: Experiment, *, elastomer: bool) -> tuple[Lines, ...]:
+def rig_lines(experiment: Experiment, *, elastomer: bool) -> tuple[SceneLines, ...]:
     """Return rays to the corners of both fields, bent at the layers, and the elastomer's edges."""
     rig, slab = true_calibration(experiment), experiment.elastomer
     camera = field_rays(rig.camera, rig.T_world_from_cam, rig.layers)
     projector = field_rays(rig.projector, rig.T_world_from_proj, rig.layers)
     lines = (
-        Lines.along(CAMERA, camera, CAMERA_RGB),
-        Lines.along(PROJECTOR, projector, PROJECTOR_RGB),
+        SceneLines.along(CAMERA, camera, CAMERA_RGB),
+        SceneLines.along(PROJECTOR, projector, PROJECTOR_RGB),
     )
     if not elastomer:
         return lines
     half_mm = np.array([slab.length_x_mm, slab.length_y_mm]) / 2
     edges = _edges(half_mm, (slab.touched_plane_mm, 0.0))
-    return (*lines, Lines.along(ELASTOMER, edges, _ELASTOMER_RGB))
+    return (*lines, SceneLines.along(ELASTOMER, edges, _ELASTOMER_RGB))
 
 
 def field_corners(device: Pinhole, pose: FloatArray) -> FloatArray:

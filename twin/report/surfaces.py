@@ -17,7 +17,7 @@ from reconstruction.arrays import FloatArray, at_pixels
 from reconstruction.cells import CellMeans
 from reconstruction.pipeline import Reconstruction
 from twin.optics.stack import Truth
-from twin.optics.view import Surface, View
+from twin.optics.view import SceneSurface, SceneView
 from twin.report.canvas import (
     FIT,
     MEASURED_FILL,
@@ -34,7 +34,7 @@ from twin.report.canvas import (
 from twin.report.page import Figure
 from twin.report.relief import (
     VIEW_LIGHT_DEG,
-    Relief,
+    ReliefArtist,
     average_on_grid,
     draw_cells,
     enlargement,
@@ -47,7 +47,7 @@ from twin.report.relief import (
 from twin.results.record import Measurement, SurfacePoints
 
 _VIEW_CELLS, _MAP_CELLS = 120, 480
-_VIEW = View.around((0.0, 0.0, 0.0), 1.0, *np.deg2rad((28.0, 32.0)))
+_VIEW = SceneView.around((0.0, 0.0, 0.0), 1.0, *np.deg2rad((28.0, 32.0)))
 
 
 def z_enlargement(points: SurfacePoints) -> float:
@@ -113,14 +113,14 @@ def draw_relief_view(path: Path, points: SurfacePoints, pixel_mm: float) -> None
         axes: Any = figure.add_axes((0.0, 0.02, 0.9, 1.0), projection="3d", computed_zorder=False)
         assert isinstance(axes, Axes3D)
         rgba = shaded(surface, view.enlarged, VIEW_LIGHT_DEG)
-        axes.add_collection(Relief(surface, view, rgba), autolim=False)
+        axes.add_collection(ReliefArtist(surface, view, rgba), autolim=False)
         _frame_view(axes, cells, view)
         assert surface.scale is not None
         bar = figure.colorbar(surface.scale, cax=figure.add_axes((0.92, 0.2, 0.013, 0.6)))
         bar.set_label("z (mm)")
 
 
-def _frame_view(axes: Any, cells: CellMeans, view: View) -> None:
+def _frame_view(axes: Any, cells: CellMeans, view: SceneView) -> None:
     left, right, bottom, top = cells.extent_mm
     heights = cells.mean[cells.valid]
     low, high = min(0.0, float(heights.min())), float(heights.max())
@@ -163,7 +163,7 @@ def _relief(points: SurfacePoints, pixel_mm: float, cells: int) -> CellMeans:
     return average_on_grid(found, found[:, 2], pixel_mm, cells)
 
 
-def _surface(cells: CellMeans) -> Surface:
+def _surface(cells: CellMeans) -> SceneSurface:
     scale = height_scale_of(*height_scale(cells.mean[cells.valid]))
     return height_surface("measured heights", cells, scale)
 

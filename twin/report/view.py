@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.optics.view import Scene, Surface, View
+from twin.optics.view import SceneDescription, SceneSurface, SceneView
 from twin.report.page import Section, TurnableView
 from twin.report.scene import DEVIATION, measured_scene
 from twin.results.record import Measurement
@@ -37,7 +37,7 @@ def view_section(measured: Measurement) -> list[Section]:
     return [Section("in-space", "In three dimensions", (view,))]
 
 
-def view_data(scene: Scene) -> dict[str, Any]:
+def view_data(scene: SceneDescription) -> dict[str, Any]:
     """Return the input of the script: surfaces, lines, and the first position of each view."""
     lines = [
         {"name": one.name, "rgb": one.rgb, "points": _as_text(one.ends_mm)} for one in scene.lines
@@ -46,7 +46,7 @@ def view_data(scene: Scene) -> dict[str, Any]:
     return {"grids": [_grid(one) for one in scene.surfaces], "lines": lines, "homes": homes}
 
 
-def _grid(surface: Surface) -> dict[str, Any]:
+def _grid(surface: SceneSurface) -> dict[str, Any]:
     """Return a surface over a regular grid: first x and y, their steps, z and colours."""
     points_mm = surface.grid_mm
     rows, cols = points_mm.shape[:2]
@@ -66,7 +66,7 @@ def _grid(surface: Surface) -> dict[str, Any]:
     }
 
 
-def _home(view: View) -> dict[str, Any]:
+def _home(view: SceneView) -> dict[str, Any]:
     turn, lift = view.turn_and_lift_rad
     return {
         "middle": view.target_mm,

@@ -23,7 +23,7 @@ from twin.config import Experiment
 from twin.extras import missing
 from twin.mechanics import PressedElastomer
 from twin.optics.rig import true_calibration
-from twin.optics.view import Lines, Surface
+from twin.optics.view import SceneLines, SceneSurface
 from twin.report.scene import CAMERA_RGB, PROJECTOR_RGB
 from twin.results.folder import deviation_of
 from twin.results.record import Measurement
@@ -131,7 +131,7 @@ class LiveView:
             self._draw_lines(lines)
         self._draw_devices(shown)
 
-    def _draw_surface(self, surface: Surface) -> Any:
+    def _draw_surface(self, surface: SceneSurface) -> Any:
         """Show a surface; returns the handle that hides it."""
         rgb, name = np.rint(255 * surface.rgb).astype(np.uint8), f"/{surface.name}"
         if rgb.ndim == 1:
@@ -142,7 +142,7 @@ class LiveView:
         body = Trimesh(surface.vertices_mm, surface.triangles, vertex_colors=rgb, process=False)
         return self._server.scene.add_mesh_trimesh(name, body)
 
-    def _draw_lines(self, lines: Lines) -> None:
+    def _draw_lines(self, lines: SceneLines) -> None:
         ends_mm = lines.ends_mm.reshape(-1, 2, 3)
         self._server.scene.add_line_segments(f"/{lines.name}", ends_mm, lines.rgb, thickness=0.2)
 
@@ -185,7 +185,9 @@ class LiveView:
                 "measure with camera.binning = 4, or open surface.ply in a mesh viewer"
             )
         raised_mm, rgb = mesh.vertices_mm + _RAISED_MM, deviation.rgb[found.valid]
-        handle = self._draw_surface(Surface("measured", raised_mm, mesh.triangles, rgb / 255.0))
+        handle = self._draw_surface(
+            SceneSurface("measured", raised_mm, mesh.triangles, rgb / 255.0)
+        )
         box = self._server.gui.add_checkbox(_told_of(deviation), initial_value=True)
 
         def show(_: Any) -> None:

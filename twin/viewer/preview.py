@@ -16,7 +16,7 @@ from reconstruction.errors import InputError
 from reconstruction.patterns import PERIOD_RANGE_PX
 from twin.config import Experiment, vary
 from twin.mechanics import PressedElastomer, face_mesh
-from twin.optics.view import Scene, Surface
+from twin.optics.view import SceneDescription, SceneSurface
 from twin.pipeline import Memory
 from twin.pipeline.fringes import record
 from twin.pipeline.press import press
@@ -67,7 +67,7 @@ class PreviewPicture:
     pressed: PressedElastomer
 
     @property
-    def scene(self) -> Scene:
+    def scene(self) -> SceneDescription:
         """Coat and specimen at the end of the press, and the rays of camera and projector."""
         coat = face_mesh(self.pressed)
         z_mm = np.asarray(coat.vertices)[:, 2]
@@ -75,10 +75,10 @@ class PreviewPicture:
         touched_mm = self.experiment.elastomer.touched_plane_mm + self.pressed.depth_mm
         specimen = shape_of(self.experiment.specimen).mesh(touched_mm)
         surfaces = (
-            Surface.of_mesh("coat", coat, colormaps["viridis"](share)[:, :3]),
-            Surface.of_mesh(SPECIMEN, specimen, np.divide(SPECIMEN_RGB, 255.0)),
+            SceneSurface.of_mesh("coat", coat, colormaps["viridis"](share)[:, :3]),
+            SceneSurface.of_mesh(SPECIMEN, specimen, np.divide(SPECIMEN_RGB, 255.0)),
         )
-        return Scene(surfaces, rig_lines(self.experiment, elastomer=False))
+        return SceneDescription(surfaces, rig_lines(self.experiment, elastomer=False))
 
 
 # key, label, how far it may be moved from where it stands
