@@ -12,9 +12,10 @@ import trimesh
 from numpy.typing import NDArray
 
 from twin.config import Experiment
-from twin.mechanics import PressedElastomer, face_mesh, fields_at, slab_mesh
+from twin.mechanics import PressedElastomer, face_mesh, slab_mesh
 from twin.optics.rig import true_calibration
 from twin.optics.view import SceneSurface
+from twin.report.scene import on_nodes
 from twin.specimens import bodies
 
 ALUMINIUM, DARK, CREAM = (0.42, 0.44, 0.48), (0.05, 0.05, 0.06), (0.75, 0.75, 0.72)
@@ -32,12 +33,13 @@ def sheet_things(
 ) -> list[SceneSurface]:
     """Return silicone and coat with a fringe pattern on it; only y > `cut_y_mm` when cut open."""
     coarse = _thinned(pressed, cut_y_mm)
-    coat = face_mesh(coarse)
-    shade = fringe_shade(experiment, np.asarray(coat.vertices))
+    face = face_mesh(coarse)
+    shade = fringe_shade(experiment, np.asarray(face.vertices))
     rgb = np.repeat(shade[:, np.newaxis], 3, axis=1)
+    coat = SceneSurface.of_mesh("coat", face, rgb, smooth=True)
     return [
         SceneSurface.of_mesh("silicone", slab_mesh(coarse, experiment.elastomer), SILICONE),
-        SceneSurface.of_mesh("coat", _shifted(coat, 2 * _APART_MM), rgb, smooth=True),
+        replace(coat, vertices_mm=np.add(coat.vertices_mm, (0.0, 0.0, 2 * _APART_MM))),
     ]
 
 
@@ -154,29 +156,12 @@ def _thinned(pressed: PressedElastomer, cut_y_mm: float | None) -> PressedElasto
     rows, cols = (_every(nodes, step) for nodes in (pressed.face_y_mm, pressed.face_x_mm))
     if cut_y_mm is not None:
         rows = rows[pressed.face_y_mm[rows] >= cut_y_mm]
-    kept = np.ix_(rows, cols)
-    return replace(
-        pressed,
-        face_x_mm=pressed.face_x_mm[cols],
-        face_y_mm=pressed.face_y_mm[rows],
-        face_z_mm=pressed.face_z_mm[kept],
-        texture_mm=None,
-        sheet=None if pressed.sheet is None else fields_at(pressed.sheet, kept),
-    )
+    return on_nodes(replace(pressed, texture_mm=None), rows, cols)
 
 
 def _every(nodes: NDArray[Any], step: int) -> NDArray[np.intp]:
     """Return every nth index and the last."""
     return np.union1d(np.arange(0, nodes.size, step), [nodes.size - 1])
-
-
-def _shifted(mesh: trimesh.Trimesh, up_mm: float) -> trimesh.Trimesh:
-    return trimesh.Trimesh(
-        np.add(mesh.vertices, (0.0, 0.0, up_mm)),
-        mesh.faces,
-        vertex_normals=mesh.vertex_normals,
-        process=False,
-    )
 
 
 def _smooth(mesh: trimesh.Trimesh) -> trimesh.Trimesh:

@@ -7,11 +7,12 @@ from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 
-from reconstruction.arrays import FloatArray, at_pixels
+from reconstruction.arrays import FloatArray, IntArray, at_pixels
 from reconstruction.cells import CellMeans
 from reconstruction.rig.layers import PlaneLayers
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
+from twin.mechanics import PressedElastomer, fields_at
 from twin.optics.rig import true_calibration
 from twin.optics.view import SceneDescription, SceneLines, SceneSurface, SceneView
 from twin.report.canvas import near_truth, symmetric_limit
@@ -172,3 +173,16 @@ def _edges(half_mm: FloatArray, levels: tuple[float, ...]) -> list[FloatArray]:
     turn = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half_mm
     outlines = [np.column_stack((turn, np.full(5, z))) for z in levels]
     return [*outlines, *(np.stack([one[at] for one in outlines]) for at in range(4))]
+
+
+def on_nodes(pressed: PressedElastomer, rows: IntArray, cols: IntArray) -> PressedElastomer:
+    """Return a press with only these rows and columns of its coated face, for pictures."""
+    grid = np.ix_(rows, cols)
+    return replace(
+        pressed,
+        face_x_mm=pressed.face_x_mm[cols],
+        face_y_mm=pressed.face_y_mm[rows],
+        face_z_mm=pressed.face_z_mm[grid],
+        texture_mm=None if pressed.texture_mm is None else pressed.texture_mm[grid],
+        sheet=None if pressed.sheet is None else fields_at(pressed.sheet, grid),
+    )

@@ -23,8 +23,8 @@ from twin.config import Experiment
 from twin.extras import missing
 from twin.mechanics import PressedElastomer
 from twin.optics.rig import true_calibration
-from twin.optics.view import SceneLines, SceneSurface
-from twin.report.scene import CAMERA_RGB, PROJECTOR_RGB
+from twin.optics.view import SceneSurface
+from twin.report.scene import CAMERA_RGB, PROJECTOR_RGB, rig_lines
 from twin.results.folder import deviation_of
 from twin.results.record import Measurement
 from twin.viewer.preview import Preview, PreviewPicture, SliderRange, slider_ranges
@@ -118,18 +118,16 @@ class LiveView:
             self._told.content = f"**not possible:** {error}"
             return
         self._fringes.image, self._white.image = _rgb(shown.fringes), _rgb(shown.white)
-        pressed, scene = shown.pressed, shown.scene
+        pressed = shown.pressed
         self._told.content = (
             f"force {pressed.force_n:.3g} N, travel {pressed.depth_mm:.3g} mm, coat up to "
             f"{pressed.face_z_mm.max():.3g} mm; picture in {time.perf_counter() - start:.2f} s"
         )
         if self._pressed is None or not np.array_equal(self._pressed.face_z_mm, pressed.face_z_mm):
-            for surface in scene.surfaces:
+            for surface in shown.surfaces:
                 self._draw_surface(surface)
             self._pressed = pressed
-        for lines in scene.lines:
-            self._draw_lines(lines)
-        self._draw_devices(shown)
+        self._draw_rig(shown)
 
     def _draw_surface(self, surface: SceneSurface) -> Any:
         """Show a surface; returns the handle that hides it."""
@@ -142,11 +140,10 @@ class LiveView:
         body = Trimesh(surface.vertices_mm, surface.triangles, vertex_colors=rgb, process=False)
         return self._server.scene.add_mesh_trimesh(name, body)
 
-    def _draw_lines(self, lines: SceneLines) -> None:
-        ends_mm = lines.ends_mm.reshape(-1, 2, 3)
-        self._server.scene.add_line_segments(f"/{lines.name}", ends_mm, lines.rgb, thickness=0.2)
-
-    def _draw_devices(self, shown: PreviewPicture) -> None:
+    def _draw_rig(self, shown: PreviewPicture) -> None:
+        for lines in rig_lines(shown.experiment, elastomer=False):
+            ends_mm, scene = lines.ends_mm.reshape(-1, 2, 3), self._server.scene
+            scene.add_line_segments(f"/{lines.name}", ends_mm, lines.rgb, thickness=0.2)
         rig, seen = true_calibration(shown.experiment), _rgb(shown.fringes)
         self._add_device("/camera", rig.camera, rig.T_world_from_cam, CAMERA_RGB, seen)
         self._add_device("/projector", rig.projector, rig.T_world_from_proj, PROJECTOR_RGB, None)
