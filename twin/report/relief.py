@@ -1,4 +1,4 @@
-"""Surfaces over a grid in figures: shaded, in top view or seen obliquely. Drawn by Matplotlib.
+"""Surfaces over a grid in figures: shaded, in top view or in an oblique view, by Matplotlib.
 
 Points are averaged on square cells, so that maps are in mm for every camera pose. World frame, mm;
 row 0 of a grid is at the top, the largest y.
@@ -25,13 +25,13 @@ from twin.report.canvas import draw_map, round_up, sequential
 
 # Finer cells would leave gaps between the pixels of an oblique camera.
 _PIXELS_PER_CELL = 2.0
-# Maps are lit from the upper left, as readers of maps expect; views from where the reader is.
+# Maps have light from the upper left, as readers of maps expect; views from the reader's side.
 MAP_LIGHT_DEG, VIEW_LIGHT_DEG = 315.0, 225.0
 _LIGHT_HEIGHT_DEG = 40.0
 _AMBIENT, _LAMP = 0.45, 0.7
 # A relief fills about this share of its width.
 _RELIEF_SHARE = 0.2
-# Pixels of a picture are averages of so many painted ones along each axis: edges without stairs.
+# Painted pixels per pixel of a picture along each axis; averages have smooth edges.
 FINER = 2
 
 
@@ -139,10 +139,10 @@ def _pitch_mm(points_mm: Numbers) -> float:
 
 
 class ReliefArtist(QuadMesh):
-    """A surface over a grid seen obliquely, as one artist: polygons take ten times the time.
+    """A surface over a grid in an oblique view, as one artist: polygons take ten times the time.
 
-    Cells are painted from far to near, as the view requires. In axes of three dimensions Matplotlib
-    itself places the corners; in a picture `place` does.
+    Cells are painted from far to near. In axes of three dimensions Matplotlib calls
+    `do_3d_projection`; in a picture `project` computes the pixels of the corners.
     """
 
     def __init__(self, surface: SceneSurface, view: SceneView, rgba: FloatArray) -> None:
@@ -157,19 +157,15 @@ class ReliefArtist(QuadMesh):
         painted: Any = colours[order].reshape(-1, 4)
         self.set_facecolor(painted)
 
-    def place(self, corners: FloatArray) -> None:
-        """Put the corners (row, col, xy), in the order of painting, into the axes."""
-        self._coordinates = corners
-
     def project(self, view: SceneView) -> None:
-        """Place the corners at the pixels of a view."""
-        self.place(view.project(self._points_mm * (1.0, 1.0, view.enlarged)))
+        """Put the corners at the pixels of a view."""
+        self._coordinates = view.project(self._points_mm * (1.0, 1.0, view.enlarged))
 
     def do_3d_projection(self) -> float:
-        """Place the corners; Matplotlib calls it before it draws."""
+        """Put the corners at their projections; Matplotlib calls it before it draws."""
         axes: Any = self.axes
         x, y, _ = proj_transform(*self._points_mm.reshape(-1, 3).T, axes.get_proj())
-        self.place(np.stack([x, y], axis=-1).reshape(*self._points_mm.shape[:2], 2))
+        self._coordinates = np.stack([x, y], axis=-1).reshape(*self._points_mm.shape[:2], 2)
         return 0.0
 
 
@@ -182,7 +178,7 @@ def _far_to_near(points_mm: Numbers, axis: int, view: SceneView) -> int:
 def relief_picture(
     surface: SceneSurface, view: SceneView, light_deg: float = MAP_LIGHT_DEG
 ) -> Levels:
-    """Return a surface over a grid as (row, col, 3) uint8; white where there is none."""
+    """Return an oblique view of a surface as (row, col, 3) uint8; white where there is none."""
     rows, cols = view.height_px, view.width_px
     fine = replace(view, height_px=FINER * rows, width_px=FINER * cols)
     canvas = FigureCanvasAgg(Figure((fine.width_px / 100, fine.height_px / 100), dpi=100))

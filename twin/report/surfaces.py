@@ -142,8 +142,8 @@ def draw_height_map(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
     rows, cols = heights.shape
     with drawing(path, 10.0, 0.75 + 8.2 * rows / cols) as figure:
         axes = axes_at(figure, 0.65, 0.15, 8.2, 8.2 * rows / cols)
-        relief = shaded(surface, z_enlargement(points))
-        axes.imshow(relief[::-1], origin="lower", extent=cells.extent_mm)
+        lit = shaded(surface, z_enlargement(points))
+        axes.imshow(lit[::-1], origin="lower", extent=cells.extent_mm)
         assert surface.scale is not None
         axes.contour(
             cells.x_mm,
