@@ -2,15 +2,20 @@
 
 On the recorded processor with the recorded versions to the last byte. Elsewhere floating-point
 numbers round differently and a few grey levels flip: compiled without fused multiply-add, figures
-moved by up to 1.3e-4. There it shows mistakes that are larger than `CLOSE`, no more.
+moved by up to 1.3e-4. There it shows mistakes that are larger than `CLOSE`, no more. On CUDA thin
+contacts and spectra of the brick's few points moved by 3 %: there `CLOSE` is five times as large.
 """
 
 import pytest
 
 from tests.pipeline.reference import machine, measured, recorded
+from twin.optics.backend import find_backend
 
-CLOSE = 1e-2
+CLOSE = 5e-2 if (on_cuda := find_backend().variant.startswith("cuda")) else 1e-2
 FLIPPED = 20  # pixels that may pass a threshold on one machine only
+# A share counts pixels, and a bias is the small mean of errors a hundred times as large: on CUDA
+# shares differ by 2e-4 and biases by 1.3 nm.
+LEAST = {"_share": 5e-4, "_bias_um": 5e-3}
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +26,7 @@ def found(mi, tmp_path_factory):
 @pytest.mark.parametrize("name", sorted(recorded()["measured"]))
 def test_measured_as_recorded(found, name):
     expected = recorded()["measured"][name]
-    if machine() == recorded()["machine"]:
+    if machine() == recorded()["machine"] and not on_cuda:
         assert found[name] == expected
     else:
         _same_metrics(found[name]["metrics"], expected["metrics"])
@@ -34,7 +39,8 @@ def _same_metrics(found, expected):
     assert found.keys() == expected.keys()
     for metric, value in expected.items():
         if isinstance(value, float):
-            assert found[metric] == pytest.approx(value, rel=CLOSE, abs=1e-9), metric
+            least = next((size for end, size in LEAST.items() if metric.endswith(end)), 1e-9)
+            assert found[metric] == pytest.approx(value, rel=CLOSE, abs=least), metric
         elif isinstance(value, int):
             assert abs(found[metric] - value) <= FLIPPED, metric
         else:

@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SweepOutcome:
-    """What a run did.
+    """Result of a run.
 
     Attributes
     ----------
-    states : how many cases ended in which state
+    states : number of cases of each state
     unsaved : reason of every case that could not be written, by digest
     seconds : wall clock of the run
-    busy_seconds : spent on cases, over all workers
-    finished : cases of the study that have a result, now or before
-    failures : digests of those that failed, now or before, by reason
-    damaged : cases whose files could not be read and that ran again, by digest, and why
+    busy_seconds : spent on cases, summed over all workers
+    finished : number of cases of the study that have a result, of this run or of an earlier one
+    failures : digests of the failed cases, of this run or of an earlier one, by reason
+    damaged : reason of every case that ran again because its files could not be read, by digest
     remarks : warnings of the cases that have a result, the most frequent first
     folder : store of the study, from which settings and figures are read; None: of no store
     """
@@ -101,7 +101,7 @@ class SweepOutcome:
 
     @classmethod
     def together(cls, parts: Sequence["SweepOutcome"]) -> "SweepOutcome":
-        """Return what several runs, one after another, did."""
+        """Return the result of several successive runs as one."""
         states: Counter[State] = Counter()
         for part in parts:
             states.update(part.states)
