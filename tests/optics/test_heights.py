@@ -92,7 +92,7 @@ def test_the_first_hit_is_that_of_all_facets(mi, sheet):
     np.testing.assert_allclose(hit.t.numpy()[seen], expected[seen], atol=3e-5)
     point = hit.compute_surface_interaction(ray).p.numpy().T[seen]
     np.testing.assert_allclose(point, (start + expected[:, None] * direction)[seen], atol=3e-5)
-    met, at_once = heights.met_at_once(ray)
+    met, at_once = heights.newton_hit(ray)
     sure = at_once.numpy()
     assert not (sure & ~seen).any()
     np.testing.assert_allclose(met.t.numpy()[sure], expected[sure], atol=3e-5)
@@ -138,7 +138,7 @@ def test_rays_from_anywhere_meet_the_sheet_where_its_facets_are(mi, sheet):
     place = start + np.where(np.isfinite(expected), expected, 0.0)[:, None] * direction
     clear = np.abs(np.abs(place[:, :2]) - HALF_MM).min(axis=1) > 1e-3
     ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(direction.T))
-    assert not heights.met_at_once(ray)[1].numpy()[expected == np.inf].any()
+    assert not heights.newton_hit(ray)[1].numpy()[expected == np.inf].any()
     hit, crossed = heights.first_hit(scene.shape, ray), heights.is_crossed(ray, mi.Bool(True))
     seen = np.isfinite(expected)
     assert seen.sum() > 0.1 * RAYS

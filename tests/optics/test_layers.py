@@ -109,7 +109,9 @@ def test_radiance_straight_up_loses_what_fresnel_says(mi, rig, media):
     )
     sight = stack_of(media).refract(camera_rays(mi, rig, [0.0]))
     expected = fresnel * np.exp(-depth) / media[-1].ior ** 2
-    assert np.array(sight.seen(mi.Float(media[-1].top_mm)))[0] == pytest.approx(expected, rel=1e-6)
+    assert np.array(sight.transmission(mi.Float(media[-1].top_mm)))[0] == pytest.approx(
+        expected, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("media", STACKS)
@@ -128,7 +130,7 @@ def test_oblique_rays_follow_snell_and_fresnel(mi, rig, media):
     np.testing.assert_allclose(np.array(sight.ray.d)[0], sine / indices[-1], atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(np.array(sight.ray.d), axis=0), 1.0, atol=1e-6)
     expected = transmittance(media, ways, sine) / indices[-1] ** 2
-    np.testing.assert_allclose(np.array(sight.seen(way_mm)), expected, rtol=2e-5)
+    np.testing.assert_allclose(np.array(sight.transmission(way_mm)), expected, rtol=2e-5)
 
 
 def test_a_window_shifts_the_ray_sideways(mi, rig):
@@ -152,7 +154,7 @@ def test_one_interface_transmits_as_mitsubas_own_fresnel(mi, rig):
 
 def test_rays_that_look_up_see_nothing(mi, rig):
     sight = stack_of(GEL_AND_WINDOW).refract(camera_rays(mi, rig, [90.0, 120.0]))
-    np.testing.assert_array_equal(np.array(sight.seen(mi.Float(10.0))), 0.0)
+    np.testing.assert_array_equal(np.array(sight.transmission(mi.Float(10.0))), 0.0)
 
 
 @pytest.mark.parametrize("media", STACKS)
@@ -191,7 +193,7 @@ def test_light_goes_back_the_way_it_came(mi, rig, media):
     np.testing.assert_allclose(np.array(arrival.direction), -np.array(sight.ray.d), atol=2e-6)
     clear = stack_of(tuple(Medium(m.top_mm, m.ior, 0.0) for m in media))
     lossless = clear.refract(rig.camera.ray(mi.Float(x_px), mi.Float(y_px)))
-    absorbed = np.array(sight.seen(way_mm)) / np.array(lossless.seen(way_mm))
+    absorbed = np.array(sight.transmission(way_mm)) / np.array(lossless.transmission(way_mm))
     without = np.array(clear.arrive(rig.camera, 1.0, sight.ray(way_mm)).irradiance)
     np.testing.assert_allclose(np.array(arrival.irradiance) / without, absorbed, rtol=1e-5)
 
