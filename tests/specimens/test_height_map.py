@@ -86,7 +86,7 @@ def test_netcdf_maps_are_named_and_have_units(tmp_path: Path) -> None:
         (np.zeros((3, 4, 2)), r"found float64 of shape \(3, 4, 2\), allowed numbers \(row, col\)"),
         (np.zeros((1, 40)), r"found float64 of shape \(1, 40\)"),
         (np.zeros((4, 4), np.complex128), r"found complex128"),
-        (np.full((4, 4), np.nan), "holds heights that are no numbers"),
+        (np.full((4, 4), np.nan), "found heights that are no numbers"),
         (
             np.diag(np.full(4, 200.0)),
             r"unit_mm: .* a relief of 200 mm, allowed up to 100",

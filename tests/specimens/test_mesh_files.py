@@ -62,8 +62,8 @@ def no_warnings():
         ("nan.stl", stl(with_corner(np.nan)), "vertices that are no numbers"),
         ("inf.stl", stl(with_corner(np.inf)), "vertices that are no numbers"),
         ("nan.ply", PLY.format(vertex="nan 0 0", index=2).encode(), "vertices that are no numbers"),
-        ("far.ply", PLY.format(vertex="0 0 0", index=99).encode(), "name vertices that it lacks"),
-        ("back.ply", PLY.format(vertex="0 0 0", index=-7).encode(), "name vertices that it lacks"),
+        ("far.ply", PLY.format(vertex="0 0 0", index=99).encode(), "refer to missing vertices"),
+        ("back.ply", PLY.format(vertex="0 0 0", index=-7).encode(), "refer to missing vertices"),
         ("flat.stl", stl(BOX * (1, 1, 0)), "encloses no volume"),
         (
             "corner.stl",
@@ -73,13 +73,13 @@ def no_warnings():
         ("large.stl", stl(BOX * 1e30), r"found a size of 4e\+30 .* allowed 1e-06 to 1e\+06"),
         ("small.stl", stl(BOX * 1e-30), "found a size of 4e-30"),
         ("turned.stl", stl(half_turned()), "face both inwards and outwards"),
-        ("many.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(100), "holds no triangles"),
-        ("empty.stl", b"", "cannot be read|holds no triangles"),
-        ("two.obj", b"v 0 0 0\nv 1 0 0\nf 1 2\n", "holds no triangles"),
+        ("many.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(100), "found no triangles"),
+        ("empty.stl", b"", "cannot be read|found no triangles"),
+        ("two.obj", b"v 0 0 0\nv 1 0 0\nf 1 2\n", "found no triangles"),
         (
             "from_0.obj",
             TETRAHEDRON.translate(str.maketrans("1234", "0123")).replace("v 0", "v 1").encode(),
-            "a face names vertex 0, but an OBJ counts from 1",
+            "a face refers to vertex 0, but OBJ indices start at 1",
         ),
     ],
 )
