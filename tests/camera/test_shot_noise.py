@@ -60,12 +60,12 @@ def test_pairs_are_the_transform_of_box_and_muller():
     pairs = [(a, b) for a in ends for b in ends]
     words = np.array(pairs + rng.integers(0, 2**32, (5000, 2)).tolist(), np.uint32)
     radius = np.sqrt(-2.0 * np.log((words[:, 0] + 0.5) / 2.0**32))
-    # The two highest bits name the quarter turn, which begins an eighth before its axis.
+    # The two highest bits select the quarter turn, which starts 1/8 turn before its axis.
     within = (words[:, 1] & 0x3FFFFFFF).astype(float)
     within -= np.where(within >= 2**29, 2**30, 0)
     angle = np.pi / 2 * ((words[:, 1] >> 30) + within / 2**30)
     expected = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    # Beside 1 a float32 has steps of 2^-24, and the square of a small radius is twice that coarse.
+    # Near 1 a float32 has steps of 2^-24; those of the square of a small radius are twice as large.
     limit = np.where(radius > 0.1, 4e-6, 3e-4)[:, None]
     assert (np.abs(_pairs(words) - expected) < limit).all()
 
@@ -84,9 +84,9 @@ def _counts(mean, normal):
 
 @pytest.mark.parametrize(("mean", "limit"), [(FROM_NORMAL, 2e-5), (1000.0, 1e-6), (40000.0, 1e-7)])
 def test_all_probabilities_are_the_poisson_ones(mean, limit):
-    """Setup: the normal number at which each count begins, by bisection in float64.
+    """Setup: the normal number at which each count starts, by bisection in float64.
 
-    Expected: total variation from the Poisson law below the limit; the counts never fall.
+    Expected: total variation from the Poisson law below the limit; the counts never decrease.
     """
     low, high = (int(stats.poisson.ppf(share, mean)) for share in (1e-12, 1.0 - 1e-12))
     count = np.arange(low, high)
@@ -110,7 +110,7 @@ def test_single_precision_moves_few_counts():
 
 
 def test_tables_of_small_counts_are_the_poisson_law():
-    """Total variation of every table from the Poisson law of its mean: what 32 bits leave."""
+    """Total variation of every table from the Poisson law of its mean: rounding to 32 bits."""
     shares = np.diff(small_counts().ends.astype(float), axis=1, prepend=0.0) / 2.0**32
     steps, counts = shares.shape
     mean = np.linspace(0.0, FROM_NORMAL, steps)[:, None]
@@ -152,7 +152,7 @@ def test_both_regimes_live_in_one_frame():
 
 
 @pytest.mark.parametrize("mean", [5.0, 5000.0])
-def test_no_pixel_tells_of_another(mean):
+def test_pixels_are_independent(mean):
     """Correlation between neighbours, between columns that share a block, and between rows, frames
     and keys: none beyond four standard errors.
     """

@@ -25,7 +25,7 @@ def known(value):
 
 @pytest.fixture(scope="module")
 def experiment():
-    """50 mm at 250 mm: the image lies 62.5 mm behind the lens, at a quarter of the size."""
+    """50 mm at 250 mm: the image is 62.5 mm behind the lens, with magnification 0.25."""
     return load_experiment(
         "examples/slab_balls",
         {
@@ -75,7 +75,7 @@ def test_a_projectors_light(experiment):
 
 
 def test_light_of_8_bit_levels(experiment):
-    """Contrast 100: black 0.01, level 51 of 255 a fifth of the rest, 0.208, or squared 0.0496."""
+    """Contrast 100: black 0.01, level 51 of 255 is 0.2 of the rest, 0.208, or squared 0.0496."""
     projector = experiment.projector.model_copy(update={"contrast": 100.0})
     levels = np.array([0, 51, 255], np.uint8)
     np.testing.assert_allclose(response(levels, projector), [0.01, 0.208, 1.0])
@@ -89,7 +89,7 @@ def test_a_board_has_two_texels_a_pixel(experiment):
 
 
 def test_corners_of_a_plate():
-    """8 x 6 mm, moved by (1, 2, 3), turned a quarter: the lower left corner comes to the right."""
+    """8 x 6 mm, moved by (1, 2, 3), rotated by 90 degrees: the lower left corner is then right."""
     T = np.eye(4)
     T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     T[:3, 3] = 1.0, 2.0, 3.0
@@ -107,7 +107,7 @@ def test_ink_on_white_print():
 
 
 def test_the_stage_lies_just_below_the_specimen():
-    """A gap of 20 um keeps the two surfaces apart."""
+    """A gap of 20 um separates the two surfaces."""
     stage, *parts = solids(load_experiment("paper/ball", {"modality": "direct_fpp"}))
     lowest = min(part.mesh.bounds[0, 2] for part in parts)
     np.testing.assert_allclose(stage.mesh.bounds[:, 2], lowest - 0.02)

@@ -232,8 +232,8 @@ def test_a_measured_table_is_not_exported(mi, tmp_path, experiment, bump):
         export_stock(experiment.model_copy(update={"coating": table}), bump, tmp_path)
 
 
-def test_every_kind_says_what_it_is():
-    """Its numbers have descriptions, and what it names of itself is there."""
+def test_every_kind_is_documented():
+    """Its numbers have descriptions, and the numbers that its class variables name exist."""
     for kinds in (COATINGS, MATERIALS):
         for name, kind in kinds.items():
             assert kind.__doc__, name

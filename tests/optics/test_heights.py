@@ -1,4 +1,4 @@
-"""Rays over heights: every answer against all facets in double precision, and Mitsuba's tree."""
+"""Rays over heights: every hit against all facets in double precision, and Mitsuba's tree."""
 
 from dataclasses import replace
 
@@ -31,12 +31,12 @@ def plane(x, y):
 
 RELIEFS = {"spike": spike, "terraces": terraces, "rough": rough, "plane": plane}
 LEAST_SHARE = {"spike": 0.5, "terraces": 0.4, "rough": 0.3, "plane": 0.999}
-"""Of the rays, that are decided at once: those beside steep places are walked."""
+"""Least share of rays with a certain Newton hit; rays near steep facets are marched."""
 
 
 @pytest.fixture(scope="module", params=RELIEFS)
 def sheet(mi, request, grid_face):
-    """Return a face, its heights and the scene of it alone."""
+    """Return a face, its heights and a scene of this face only."""
     from twin.optics.heights import MarchedHeights
     from twin.optics.scene import CoatedScene
 
@@ -48,7 +48,7 @@ def sheet(mi, request, grid_face):
 
 
 def way_to_facets_mm(face, start_mm, direction):
-    """Way to the nearest facet of all, infinite where there is none: Moller and Trumbore 1997."""
+    """Distance to the nearest of all facets, infinite without a hit: Moller and Trumbore 1997."""
     corners = face.vertices.astype(np.float32).astype(np.float64)[face.faces]
     first, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     found = np.full(len(start_mm), np.inf)
@@ -65,7 +65,7 @@ def way_to_facets_mm(face, start_mm, direction):
 
 
 def rays_from_above():
-    """Rays (ray, xyz) towards places on the sheet and beside it, from 10 mm above, most oblique."""
+    """Rays (ray, xyz) towards points on and outside the sheet, from 10 mm above, most oblique."""
     rng = np.random.default_rng(1)
     direction = rng.normal(size=(RAYS, 3))
     direction[:, 2] = -0.3 - 2.0 * np.abs(direction[:, 2])
@@ -78,8 +78,8 @@ def rays_from_above():
 def test_the_first_hit_is_that_of_all_facets(mi, sheet):
     """Rays at 1 to 82 degrees off the vertical, some past the border.
 
-    Expected: what a search of all facets in double precision finds, to float32's resolution of the
-    way; what is met at once is nothing else.
+    Expected: the nearest of all facets in double precision, to float32's resolution of the
+    distance; certain Newton hits agree with it.
     """
     name, face, heights, scene = sheet
     start, direction = rays_from_above()
@@ -99,10 +99,10 @@ def test_the_first_hit_is_that_of_all_facets(mi, sheet):
     assert sure.sum() > LEAST_SHARE[name] * seen.sum()
 
 
-def test_a_free_way_meets_no_facet(mi, sheet):
+def test_a_free_ray_meets_no_facet(mi, sheet):
     """From points of the sheet, upward at 1 to 82 degrees off the vertical.
 
-    Expected: no way that is called free meets a facet.
+    Expected: no ray that `is_free` returns intersects a facet.
     """
     name, face, heights, scene = sheet
     start, direction = rays_from_above()
@@ -127,10 +127,10 @@ def rays_from_anywhere():
 
 
 def test_rays_from_anywhere_meet_the_sheet_where_its_facets_are(mi, sheet):
-    """From above, below and beside it, along its axes and nearly level; none is decided at once.
+    """From above, below and the sides, along its axes and nearly horizontal; all are marched.
 
-    Expected: what a search of all facets finds. Along the plane and within rounding of an edge of
-    the border either answer is right: rays that end within 1e-3 mm of it are left out.
+    Expected: the nearest of all facets. Along the plane and within rounding of an edge of the
+    border both results are correct: rays that end within 1e-3 mm of it are left out.
     """
     _, face, heights, scene = sheet
     start, direction = rays_from_anywhere()
@@ -164,7 +164,7 @@ def test_a_ray_that_ends_before_the_sheet_meets_nothing(mi, sheet):
 
 
 def test_an_uneven_grid_has_no_heights(mi, plane):
-    """Lines half a cell off, on a grid all the same: the tree is used."""
+    """Grid lines with an offset of half a cell: the tree is used."""
     from twin.optics.heights import MarchedHeights
 
     moved = plane.copy()
@@ -196,7 +196,7 @@ def experiment():
 def test_traced_by_heights_as_by_the_tree(mi, experiment, grid_face, name):
     """A spike of 75 degrees and walls that cast shadows on the sheet, with the paper's rig.
 
-    Expected: where light arrives, and how much, is the same; positions agree to 1e-3 px of the
+    Expected: the lit pixels and their radiance are the same; positions agree to 1e-3 px of the
     projector. A ray in a million slips between two facets of the tree.
     """
     from twin.optics.one_trace import maps_of, trace_patches

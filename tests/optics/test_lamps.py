@@ -1,4 +1,4 @@
-"""Lamps beside the gel: closed forms of their light, and where it comes from in the image."""
+"""Lamps at the sides of the gel: closed forms of their light, and its direction in the image."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def look(mi):
 
 
 def seen_share(points_mm):
-    """Radiance in air over that in the gel, and the way in the gel: Fresnel, Snell, Beer."""
+    """Ratio of radiance in air and in the gel, and path length in the gel: Fresnel, Snell, Beer."""
     row, col = np.mgrid[:48, :64]
     tangent = np.hypot((col - 31.5) / 100, (row - 23.5) / 100)
     outside = np.arctan(tangent)
@@ -99,7 +99,7 @@ def test_flat_coat_under_one_led_is_lambert_in_closed_form(look, plane):
     assert found[..., 1:].max() == 0.0
 
 
-def test_bump_in_air_is_what_stock_mitsuba_renders(mi, look, bump):
+def test_bump_in_air_equals_stock_mitsuba(mi, look, bump):
     """Setup: no gel, one even LED; stock `point` emitter of the same intensity, 256 paths a pixel.
 
     Expected: the same image. The bump is steeper than the light, so shadows are in it; pixels on
@@ -122,11 +122,11 @@ def test_bump_in_air_is_what_stock_mitsuba_renders(mi, look, bump):
     assert (stock < 1e-7).any()
 
 
-def test_marched_rays_show_what_the_tree_shows(look, bump):
+def test_marched_rays_equal_the_tree(look, bump):
     """Setup: a bump steeper than the light, in the gel, by its heights and by the scene's tree.
 
     Expected: the same light and shadow but for rounding: 1e-4 of the brightest, on all pixels but
-    those whose ray to the light grazes the relief.
+    those with a ray to the light that grazes the relief.
     """
     from twin.optics.scene import heights_of
 
@@ -139,8 +139,8 @@ def test_marched_rays_show_what_the_tree_shows(look, bump):
     np.testing.assert_allclose(points, at, atol=3e-5)
 
 
-def test_a_face_put_into_a_scene_is_seen_by_its_own_heights(mi, grid_face):
-    """Expected: pixel by pixel what a scene that was loaded with the face shows."""
+def test_a_replaced_face_is_traced_by_its_own_heights(mi, grid_face):
+    """Expected: the image of a scene that was loaded with the face, pixel by pixel."""
     from twin.optics.colour_trace import ColourScene
 
     plane, bump = (
@@ -189,7 +189,7 @@ def test_the_lobe_carries_the_stated_flux(exponent):
     assert np.sum(light * ring) == pytest.approx(2.0, rel=1e-4)
 
 
-def test_the_outer_face_reflects_as_stock_mitsuba_says(mi):
+def test_the_outer_face_reflects_as_in_stock_mitsuba(mi):
     """Expected: `mi.fresnel` from inside, float32; 1 beyond the critical angle."""
     cosines = np.linspace(0.02, 1.0, 50)
     stock = np.array(mi.fresnel(mi.Float(cosines), 1.0 / N_GEL)[0])
@@ -197,7 +197,7 @@ def test_the_outer_face_reflects_as_stock_mitsuba_says(mi):
     assert (reflected_within(np.cos(np.deg2rad([45.5, 60.0, 89.0])), N_GEL) == 1.0).all()
 
 
-def test_what_an_led_sends_up_lands_on_the_coat_by_its_reflectance():
+def test_upward_light_of_an_led_is_reflected_onto_the_coat():
     """Setup: an even LED aimed straight up, 4 mm above the coat, below the outer face at 12 mm.
 
     Expected: all light on the coat's plane is flux times the mean of Fresnel's reflectance over the
@@ -226,7 +226,7 @@ def test_what_an_led_sends_up_lands_on_the_coat_by_its_reflectance():
     ],
 )
 def test_light_comes_back_from_where_the_layers_that_touch_end(layers, face):
-    """Expected: the top of what touches the coat's layer; None where the coat lies in air."""
+    """Expected: the top of the layers in contact with the coat's; None if the coat is in air."""
     found = {
         name: Layer(bottom_mm=low, thickness_mm=thick, ior=ior)
         for name, (low, thick, ior) in layers.items()
@@ -234,7 +234,7 @@ def test_light_comes_back_from_where_the_layers_that_touch_end(layers, face):
     assert outer_face(found) == face
 
 
-def test_a_matte_coat_is_what_its_bsdf_says(look, bump):
+def test_a_matte_coat_equals_its_bsdf(look, bump):
     """Setup: a bump with its BSDF read once, and for every LED. Expected: the same, to float32."""
     one, every = (look(bump, lamp(exponent=3.0), matte=matte)[0] for matte in (True, False))
     np.testing.assert_allclose(one, every, rtol=1e-5, atol=1e-9)
@@ -248,7 +248,7 @@ def test_a_row_spreads_evenly_along_its_direction():
 
 
 def test_channels_are_linear_and_do_not_mix(look, bump):
-    """Setup: red alone, green alone at twice the flux, both.
+    """Setup: only red, only green with a factor of two in flux, both.
 
     Expected: both = red + green, to float32: light is linear.
     """
@@ -261,10 +261,10 @@ def test_channels_are_linear_and_do_not_mix(look, bump):
 
 
 def test_fill_comes_from_beyond_the_critical_angle(look, bump):
-    """Setup: fill next to nothing of direct light, on a bump with 25 degree flanks, in the gel.
+    """Setup: fill with negligible direct light, on a bump with 25 degree flanks, in the gel.
 
-    Expected: on its way out rho / pi E ((1 + n_z) / 2 - n_z / n^2) / (1 - 1 / n^2), within 2e-3
-    (facets are shaded smoothly): hardly less than on the untouched coat.
+    Expected: in the gel rho / pi E ((1 + n_z) / 2 - n_z / n^2) / (1 - 1 / n^2), within 2e-3
+    (facets are shaded smoothly): nearly the value on the undeformed coat.
     """
     found, points = look(bump, lamp(flux_mw=1e-6, fill_mw_per_mm2=0.3))
     x, y = points[..., 0], points[..., 1]
@@ -307,7 +307,7 @@ def test_a_tapered_row_is_darker_at_its_ends():
 
 
 def test_a_tall_row_shines_from_all_heights_in_every_stretch():
-    """Expected: eight even heights over 4 mm, amid 5 mm; each half of the row has both halves."""
+    """Expected: eight even heights over 4 mm about 5 mm; low and high LEDs in both halves."""
     places = emitters_of(
         {"one": lamp(height_mm=5.0, tall_mm=4.0, length_mm=8.0, emitters=8)}
     ).positions_mm
@@ -336,7 +336,7 @@ def test_a_ridge_casts_a_shadow_as_long_as_rays_are_straight(look, grid_face):
 
 
 def test_dots_darken_the_coat_where_they_are_printed(look, plane):
-    """Setup: dots of a tenth of the coat's albedo. Expected: so dark inside, unchanged outside."""
+    """Setup: dots with 0.1 x the coat's albedo. Expected: this factor inside, 1 outside."""
     dots = Markers(pitch_x_mm=4.0, pitch_y_mm=3.0, radius_mm=1.2, relative_albedo=0.1)
     (found, points), bare = look(plane, lamp(), markers=dots), look(plane, lamp())[0]
     x, y = (points[..., i] - p * np.round(points[..., i] / p) for i, p in ((0, 4.0), (1, 3.0)))
@@ -366,8 +366,8 @@ def test_shipped_lamps_stand_on_their_sides(look, bump):
     assert image[bottom, 2].mean() > 1.5 * image[top, 2].mean()
 
 
-def test_emitters_know_half_spaces():
-    """Nothing behind an LED, nothing on the side of a facet that faces away."""
+def test_emitters_are_limited_to_half_spaces():
+    """No light behind an LED, and none on a facet that faces away."""
     one = Emitters(np.array([[0.0, 0, 2]]), np.array([[1.0, 0, 0]]), np.ones(1), np.ones((1, 3)),
                    np.zeros(3), np.zeros(1, bool))  # fmt: skip
     up = np.array([[0.0, 0, 1]])
@@ -387,7 +387,7 @@ def test_emitters_know_half_spaces():
         ({"photometric.presses.shallowest": 0.4}, "must not exceed"),
     ],
 )
-def test_lamps_that_do_not_fit_are_refused(changes, message):
+def test_inconsistent_lamps_are_rejected(changes, message):
     with pytest.raises(ConfigError, match=message):
         load_experiment("examples/gelsight_ball", changes)
 
@@ -417,7 +417,7 @@ def test_drift_of_lamps_has_the_stated_spread():
     drawn = np.array([drifted_flux(rows, rng) for _ in range(4000)])
     assert (drawn[:, 8:] == 1.0).all()
     row_factor = drawn[:, :8].mean(axis=1)
-    # 4000 draws tell a SD to 1.1 %.
+    # 4000 draws determine an SD to 1.1 %.
     assert row_factor.std() == pytest.approx(0.02, rel=0.05)
     assert (drawn[:, :8] - row_factor[:, None]).std() == pytest.approx(0.01, rel=0.03)
     assert drifted_flux({"b": rows["b"]}, rng) is None

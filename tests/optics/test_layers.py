@@ -49,13 +49,13 @@ def stack_of(media):
 
 
 def ways_mm(media, source_mm, z_mm):
-    """Return the vertical way in air and in every medium."""
+    """Return the vertical distance in air and in every medium."""
     tops = [medium.top_mm for medium in media]
     return [source_mm - tops[0], *-np.diff(tops), tops[-1] - z_mm]
 
 
 def tangent_in_air(media, ways, r_mm):
-    """Bisect Snell's law along the whole way for the angle in air; float64."""
+    """Bisect Snell's law along the whole path for the angle in air; float64."""
     low, high = np.zeros_like(r_mm), np.full_like(r_mm, 1e4)
     for _ in range(100):
         tangent = (low + high) / 2
@@ -100,7 +100,7 @@ def points_seen(rig, count=4000):
 
 
 @pytest.mark.parametrize("media", STACKS)
-def test_radiance_straight_up_loses_what_fresnel_says(mi, rig, media):
+def test_radiance_straight_up_is_reduced_by_fresnel(mi, rig, media):
     """Normal incidence: T = prod 4 n m / (n + m)^2, and 1 / n^2 from the wider cone in air."""
     indices = [1.0, *(medium.ior for medium in media)]
     fresnel = np.prod([4 * n * m / (n + m) ** 2 for n, m in pairwise(indices)])
@@ -134,7 +134,7 @@ def test_oblique_rays_follow_snell_and_fresnel(mi, rig, media):
 
 
 def test_a_window_shifts_the_ray_sideways(mi, rig):
-    """One slab of thickness d in air: the ray goes on parallel, d (tan i - tan j) short."""
+    """One slab of thickness d in air: the ray remains parallel, offset by d (tan i - tan j)."""
     media, angle = WINDOW_OVER_AIR, np.deg2rad(35.0)
     sight = stack_of(media).refract(camera_rays(mi, rig, [35.0]))
     found = np.array(sight.ray(sight.ray.o.z / -sight.ray.d.z))[0, 0]
@@ -152,7 +152,7 @@ def test_one_interface_transmits_as_mitsubas_own_fresnel(mi, rig):
     np.testing.assert_allclose(np.array(sight.transmittance), expected, rtol=1e-5)
 
 
-def test_rays_that_look_up_see_nothing(mi, rig):
+def test_upward_rays_have_no_hit(mi, rig):
     sight = stack_of(GEL_AND_WINDOW).refract(camera_rays(mi, rig, [90.0, 120.0]))
     np.testing.assert_array_equal(np.array(sight.transmission(mi.Float(10.0))), 0.0)
 
@@ -177,8 +177,8 @@ def test_projector_pixels_are_those_of_snells_law(mi, rig, media):
 
 
 @pytest.mark.parametrize("media", STACKS)
-def test_light_goes_back_the_way_it_came(mi, rig, media):
-    """A pixel's ray hits a point; light sent from that pinhole to the point leaves that pixel.
+def test_light_paths_are_reversible(mi, rig, media):
+    """A pixel's ray hits a point; the light from that pinhole to the point has that pixel.
 
     Reciprocity: opposite directions, and the same transmittance both ways. Irradiance over that
     of the undisturbed formula E1 (r / t)^2 / (axial^3 r'(t) cos) is the transmittance.
@@ -202,8 +202,8 @@ def test_light_goes_back_the_way_it_came(mi, rig, media):
 def test_the_flux_through_the_layers_is_conserved(mi, rig, experiment, media):
     """Setup: irradiance of the coat's plane, integrated with a window smooth in projector pixels.
 
-    Expected: each projector pixel sends the same flux (a DLP fills a flat screen); what arrives is
-    that flux times its transmittance, summed with the same window: 0.1 %.
+    Expected: each projector pixel sends the same flux (a DLP fills a flat screen); incident is that
+    flux times its transmittance, summed with the same window: 0.1 %.
     Why: the geometry factor (r / t)^2 / r'(t) / cos is right for all angles or the sum is not.
     """
     step_mm = 0.5
@@ -288,7 +288,7 @@ def test_a_plane_in_a_gel_has_the_radiance_of_the_closed_form(mi, experiment, ri
 
 
 def test_the_shadow_in_a_gel_falls_along_the_refracted_light(mi, experiment, rig, plane):
-    """A wall of 3 mm inside the gel: its shadow is as long as the angle in the gel says.
+    """A wall of 3 mm inside the gel: the length of its shadow follows from the angle in the gel.
 
     In air it would be 0.4 mm longer; a camera pixel is 0.24 mm.
     """
@@ -315,7 +315,7 @@ def test_the_shadow_in_a_gel_falls_along_the_refracted_light(mi, experiment, rig
 
 
 def test_truth_is_the_surface_behind_the_layers(mi, experiment, rig, bump):
-    """Points lie on the bump although the rays that see them are bent; depth is the point's own."""
+    """Points are on the bump although camera rays are refracted; depth is that of the point."""
     from twin.optics.one_trace import trace_truth
     from twin.optics.scene import coated_scene
 
@@ -330,7 +330,7 @@ def test_truth_is_the_surface_behind_the_layers(mi, experiment, rig, bump):
     assert x[46, 0] - edge == pytest.approx(shift_mm, rel=0.02)
 
 
-def test_a_face_that_reaches_into_a_layer_is_refused(mi, experiment, bump):
+def test_a_face_that_reaches_into_a_layer_is_rejected(mi, experiment, bump):
     from twin.optics.scene import coated_scene
 
     layers = {"window": Layer(bottom_mm=0.5, thickness_mm=1.0, ior=1.5)}

@@ -1,4 +1,4 @@
-"""Thin lens of the camera: places on the pupil, closed-form blur circle."""
+"""Thin lens of the camera: positions on the pupil, closed-form blur circle."""
 
 import numpy as np
 import pytest
@@ -74,7 +74,7 @@ def test_rays_through_the_rim_span_the_circle_of_confusion(mi):
 
 
 def test_lens_and_distortion_compose(mi):
-    """In the focal plane every place on the lens sees the point that the pinhole sees."""
+    """In the focal plane, rays through all points of the lens meet the ray of the pinhole."""
     from twin.optics.scene import rig_of
 
     distorted = OPEN | {"camera.distortion": [-0.1, 0.02, 1e-3, -1e-3, 0.0]}

@@ -118,7 +118,7 @@ def test_a_fine_table_of_a_power_law_is_the_power_law(experiment):
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
-        ({"response": [0.0, 0.5, 0.4, 1.0]}, "never fall"),
+        ({"response": [0.0, 0.5, 0.4, 1.0]}, "never decrease"),
         ({"response": [0.0, 0.9]}, "the last 1"),
         ({"response": [1.0]}, "two or more"),
         ({"response": [0.0, 1.0], "gamma": 1.5}, "gamma = 1"),

@@ -75,10 +75,10 @@ def ball(roughness=0.0):
 
 @pytest.mark.parametrize("shape", ["block", "ball", "rough ball"])
 def test_flux_is_conserved(mi, rig, shape):
-    """Clear and lossless: nothing is absorbed, all that is sent is deposited, escapes or is cut.
+    """Clear and lossless: `absorbed` is 0, the sent flux is deposited, escapes or is cut.
 
-    `absorbed` adds up what each event takes. Sampling a rough surface loses what its microfacets
-    shade: a few per cent.
+    `absorbed` is the sum of the losses of all events. Sampling a rough surface loses the light that
+    its microfacets shade: a few per cent.
     """
     from twin.optics.photons import trace_photons
 
@@ -96,8 +96,8 @@ def test_flux_is_conserved(mi, rig, shape):
 def test_flux_is_conserved_within_a_body_too(mi, rig, monkeypatch, events):
     """Setup: photons are cut after one and after two surfaces, most of them in the block.
 
-    Expected: all that is sent is still under way. In the other transport mode 1 / n^2 of it is: on
-    leaving the body that comes back, so that no balance of whole ways could tell.
+    Expected: `cut` equals the sent flux. In the other transport mode it would be 1 / n^2 of it; at
+    the exit from the body this factor cancels, so that no balance of complete paths detects it.
     """
     from twin.optics import photons
 
@@ -131,14 +131,14 @@ def test_flux_sent_is_that_of_the_solid_angle(mi, rig):
 
 
 def test_absorption_follows_beer_and_lambert(mi, rig):
-    """A block on the way down: what is deposited falls by exp(-a d / cos), to first order."""
+    """A block above the stage: deposited flux is reduced by exp(-a d / cos), to first order."""
     from twin.optics.photons import trace_photons
 
     clear, dark = (
         trace_photons(*clear_scene(mi, block(mi), a), rig, count=200_000, seed=3).balance
         for a in (0.0, 0.02)
     )
-    # Rays tilt by 16 degrees inside (25 outside); side walls lengthen the way of a few.
+    # Rays tilt by 16 degrees inside (25 outside); side walls lengthen a few paths.
     expected = np.exp(-0.02 * HEIGHT_MM / np.cos(np.arcsin(np.sin(np.deg2rad(25)) / 1.5)))
     assert dark.deposited / clear.deposited == pytest.approx(expected, abs=0.01)
     assert dark.absorbed > 0.9 * (1 - expected) * dark.sent
@@ -200,7 +200,7 @@ def test_fringes_behind_a_block_lie_where_snell_puts_them(through_block, experim
     """Photons and paths against the deterministic connection, phase by phase.
 
     Expected: the decoded phase agrees to 0.002 px in the mean and 0.03 px per pixel; the white
-    frame lies 0.3 % higher, by two more reflections inside the block; the map's blur adds nothing.
+    frame is 0.3 % higher, due to two more reflections in the block; the map's blur has no effect.
     """
     patterns = pattern_set(experiment.projector, experiment.patterns)
     sampled, solved = through_block
@@ -218,7 +218,7 @@ def test_fringes_behind_a_block_lie_where_snell_puts_them(through_block, experim
 
 
 def test_no_ring_where_block_and_stage_meet(through_block, experiment):
-    """Setup: the block stands 0.02 mm above the stage, everything behind it is evenly lit.
+    """Setup: the block is 0.02 mm above the stage; the stage behind it is uniformly lit.
 
     Expected: 3 % of photon noise, no pixel beyond five times that, and rows and columns, the means
     of 40 and 32 pixels, even to 0.8 %: a self-intersection makes rings and stripes.
@@ -235,8 +235,8 @@ def test_no_ring_where_block_and_stage_meet(through_block, experiment):
 def test_light_through_a_ball_equals_stock_with_a_small_lamp(mi):
     """Setup: a clear ball on the stage. Stock `path` reaches a disc lamp of 3 mm radius 60 mm away.
 
-    The lamp's own mirror images in the ball, which a pinhole has no width for, are rendered by
-    themselves on a black stage and taken off.
+    The lamp's own mirror images in the ball, which a pinhole has no width for, are rendered
+    separately on a black stage and subtracted.
     Expected: the image divided by that of the bare stage agrees in blocks of 10 x 10 pixels (2.4
     mm) within Student's t at 0.1 % over 6 runs of stock, plus 3 % of the caustic (the lamp's cosine
     against the projector's even field, the lamp's size, light reflected twice by the stage).
@@ -294,7 +294,7 @@ def white_with_and_without(mi, experiment):
 
 
 def lamp_with_and_without(mi, experiment, runs):
-    """Images of stock with the ball, its mirror images of the lamp taken off, and without it."""
+    """Images of stock with the ball, its mirror images of the lamp subtracted, and without it."""
     from twin.optics.rig import perspective_sensor
     from twin.optics.scene import rig_of
 

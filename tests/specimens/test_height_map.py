@@ -1,4 +1,4 @@
-"""Specimens from height maps: heights come back, and bad input is one line."""
+"""Specimens from height maps: heights are reproduced, and bad input gives one-line errors."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Mesh files of anybody: a body is read, anything else is told in one line, nothing else opened."""
+"""Untrusted mesh files: bodies are read, other content gives one line, no other file is opened."""
 
 import os
 import struct
@@ -83,7 +83,7 @@ def no_warnings():
         ),
     ],
 )
-def test_what_is_no_body_is_told_in_one_line(tmp_path, name, content, told):
+def test_invalid_bodies_give_one_line(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=told) as caught:
         read_closed_mesh("specimen.file", str(tmp_path / name))
@@ -92,7 +92,7 @@ def test_what_is_no_body_is_told_in_one_line(tmp_path, name, content, told):
 
 
 def test_two_sheets_with_nothing_between_enclose_no_volume(tmp_path):
-    """A pillow of four triangles, closed but as flat as a sheet but for rounding."""
+    """A pillow of four triangles, closed, and flat except for rounding."""
     rim = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     low, high = np.array([0.5, 0.5, 0.0]), np.array([0.5, 0.5, 2e-8])
     sides = [(rim[i], rim[(i + 1) % 4]) for i in range(4)]
@@ -118,8 +118,8 @@ def test_a_byte_order_mark_hides_no_vertex(tmp_path):
     assert read_closed_mesh("specimen.file", str(tmp_path / "x.obj")).volume == pytest.approx(1 / 6)
 
 
-def test_what_a_mesh_names_is_not_opened(tmp_path):
-    """A library of materials that is a pipe, from which reading would never end."""
+def test_files_named_in_a_mesh_are_not_opened(tmp_path):
+    """A library of materials that is a pipe, which would block a reader."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "x.obj").write_text(f"mtllib pipe\nusemtl a\n{TETRAHEDRON}")
     surface = read_closed_mesh("specimen.file", str(tmp_path / "x.obj"))
@@ -132,7 +132,7 @@ QUADS = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (
 
 
 def split_cube(corner: str) -> str:
-    """Return an OBJ whose faces name corners as `corner` says: {v}, {t} and {n} are numbers."""
+    """Return an OBJ with corners of faces in the format `corner`: {v}, {t} and {n} are numbers."""
     lines = ["mtllib absent.mtl", "o Cube"]
     lines += [f"v {x} {y} {z}" for x, y, z in CORNERS]
     lines += [f"vt {n / 24} {n % 5 / 5}" for n in range(24)]
@@ -163,7 +163,7 @@ def test_a_sliver_that_joining_makes_a_line_opens_no_edge(tmp_path):
 @pytest.mark.parametrize(
     ("mm_per_unit", "shown"), [(1e-3, "0.004 x 0.003 x 0.002 mm"), (1e3, "4e.03 x 3e.03 x 2e.03")]
 )
-def test_a_file_in_another_unit_is_told_by_the_size_of_its_body(tmp_path, mm_per_unit, shown):
+def test_a_file_in_another_unit_is_detected_by_its_size(tmp_path, mm_per_unit, shown):
     """A box of 4 mm in metres, and in micrometres."""
     (tmp_path / "box.stl").write_bytes(stl(BOX * mm_per_unit))
     specimen = MeshFile(file=str(tmp_path / "box.stl"))

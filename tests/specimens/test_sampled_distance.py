@@ -1,4 +1,4 @@
-"""Signed distances sampled from meshes: against closed forms, and whatever the order of queries."""
+"""Signed distances sampled from meshes: against closed forms, for any order of queries."""
 
 import numpy as np
 import pytest
@@ -56,10 +56,10 @@ def _field(body: trimesh.Trimesh, pitch_mm: float = PITCH_MM) -> SampledField:
 
 
 def test_a_ball_of_facets_is_the_ball() -> None:
-    """Chords of 0.035 mm lie 0.2 um inside at most; facets tilt by 1 deg.
+    """Chords of 0.035 mm are at most 0.2 um inside; facets tilt by 1 deg.
 
-    1 deg over a cell of 0.05 mm is a curvature of 0.35 / mm, of which the facets' small size leaves
-    a third.
+    1 deg over a cell of 0.05 mm is a curvature of 0.35 / mm; averaging over the small facets
+    reduces it to 0.33 x.
     """
     exact = BallDistance((0.0, 0.0, 0.0), 1.0)
     body = MeshDistance(trimesh.creation.icosphere(5, 1.0), UNMOVED)
@@ -71,9 +71,9 @@ def test_a_ball_of_facets_is_the_ball() -> None:
 
 @pytest.mark.parametrize(("edge_mm", "most_mm"), [(0.2, 0.7e-3), (0.1, 1.2e-3)])
 def test_a_rounded_punch_of_facets_is_the_punch(edge_mm: float, most_mm: float) -> None:
-    """Facets of 6 deg lie 0.3 um inside a radius of 0.2 mm.
+    """Facets of 6 deg are 0.3 um inside a radius of 0.2 mm.
 
-    Where the edge's arc begins the curvature jumps by 1 / r: a cubic spline errs by about
+    At the start of the edge's arc the curvature jumps by 1 / r: a cubic spline's error is about
     p^2 / 40 r there, 0.3 um at 0.2 mm and 0.6 um at 0.1 mm.
     """
     punch = Flat(diameter_mm=3.0, height_mm=2.0, edge_radius_mm=edge_mm)
@@ -103,7 +103,7 @@ def test_a_block_keeps_its_edges_to_a_tenth_of_the_pitch() -> None:
 
 
 def test_samples_are_the_distances_to_all_triangles() -> None:
-    """No box that holds the nearest triangle is passed over."""
+    """No box with the nearest triangle is skipped."""
     mesh = trimesh.creation.icosphere(2, 0.9)
     mesh.apply_scale((1.0, 0.6, 0.3))
     cells = np.unique(np.random.default_rng(2).integers(-6, 6, (12, 3)), axis=0)
@@ -136,8 +136,8 @@ def test_derivatives_are_the_differences_of_the_interpolant() -> None:
         np.testing.assert_allclose(bend, hessian[:, axis], atol=step_mm / PITCH_MM**2)
 
 
-def test_the_order_of_queries_does_not_show() -> None:
-    """Bricks are made when touched, at any reach; the same point has the same bytes."""
+def test_results_do_not_depend_on_the_order_of_queries() -> None:
+    """Bricks are computed on demand, at any reach; the same point has the same bytes."""
     mesh = shape_of(Step(edge_radius_mm=0.1)).mesh(0.0)
     points = np.random.default_rng(3).uniform(-0.6, 0.6, (2000, 3))
     whole = _field(mesh).evaluate(points, REACH_MM, UNMOVED)
@@ -171,11 +171,11 @@ def test_poses_share_the_samples() -> None:
 
 
 def test_a_nut_is_inside_where_there_is_steel() -> None:
-    """Two flats lie across y, the corners across x; 10 mm across flats, thread M6 x 1."""
+    """Two flats are normal to y, two corners are on x; 10 mm across flats, thread M6 x 1."""
     (nut,) = distances_of(shape_of(Nut()))
     known = {
         (0.0, 4.9, -2.6): -0.1,  # under a flat
-        (0.0, 5.1, -2.6): 0.1,  # beside it
+        (0.0, 5.1, -2.6): 0.1,  # outside the flat
         (0.0, 4.0, -0.07): -0.07,  # under the upper face
         (0.0, 4.0, 0.2): 0.2,  # above it
         (0.0, 0.0, -2.6): 1.0,  # the hole's axis: out of reach
@@ -184,7 +184,7 @@ def test_a_nut_is_inside_where_there_is_steel() -> None:
     away, gradient, _ = nut.evaluate(np.array(list(known)), 1.0)
     np.testing.assert_allclose(away[:5], list(known.values())[:5], atol=1e-6)
     np.testing.assert_allclose(gradient[0], [0, 1, 0], atol=1e-6)
-    # Chamfer of 30 deg: begins at radius 4.67, falls by tan 30; its normal leans out by 30 deg.
+    # Chamfer of 30 deg from radius 4.67 on, slope tan 30; its normal tilts outwards by 30 deg.
     beyond = 5.75 - (10 / np.sqrt(3) - 1.1)
     assert away[5] == pytest.approx(
         (beyond * np.tan(np.pi / 6) - 0.1) * np.cos(np.pi / 6), abs=2e-3
@@ -205,7 +205,7 @@ def test_a_thread_winds_inside_a_nut() -> None:
 
 @pytest.mark.parametrize("specimen", MESHES, ids=lambda s: s.kind)
 def test_the_surface_is_where_the_distance_is_zero(specimen: Specimen) -> None:
-    """Facets within 1.5 mm of first touch: 0 on them, +-0.05 mm beside them away from edges."""
+    """Facets within 1.5 mm of first touch: 0 on them, +-0.05 mm off them away from edges."""
     surface = shape_of(specimen).mesh(0.0)
     points, facet = trimesh.sample.sample_surface(surface, 1500, seed=1)
     kept = points[:, 2] > -1.5
@@ -220,7 +220,7 @@ def test_the_surface_is_where_the_distance_is_zero(specimen: Specimen) -> None:
 
 
 def test_bodies_that_overlap_in_one_mesh_are_joined() -> None:
-    """Twice inside is inside: parity would see a hole."""
+    """Points inside two bodies are inside; by parity they would be outside."""
     box = trimesh.creation.box((2, 2, 2))
     both = trimesh.util.concatenate([box, box.copy().apply_translation((0.7, 0.3, 0.4))])
     away = (

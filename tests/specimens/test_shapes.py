@@ -1,4 +1,4 @@
-"""Rods, punches, gratings, mesh files and groups: height field and mesh tell one geometry."""
+"""Rods, punches, gratings, mesh files and groups: height field and mesh have the same geometry."""
 
 from pathlib import Path
 
@@ -126,7 +126,7 @@ def test_grid_lines_may_come_in_any_order() -> None:
 def test_a_mesh_file_faces_the_elastomer_with_its_chosen_axis(
     suffix: str, up: str, tmp_path: Path
 ) -> None:
-    # A cone whose tip points along the chosen axis of the file, in micrometres.
+    # A cone with its tip along the chosen axis of the file, in micrometres.
     cone = trimesh.creation.cone(radius=3000.0, height=4000.0, sections=64)
     axis = dict(zip("xyz", np.eye(3), strict=True))[up[1]] * (1 if up[0] == "+" else -1)
     cone.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], axis))

@@ -46,7 +46,7 @@ SPECIMENS: list[Specimen] = [
     Step(edge_radius_mm=0.0),
     VGroove(yaw_deg=90),
 ]
-# Lower than this and a facet is a needle whose normal rounding decides.
+# Facets with a smaller height are needles with normals dominated by rounding.
 LEAST_HEIGHT_MM = 1e-5
 
 
@@ -90,7 +90,7 @@ def test_brick_volume(studs: tuple[int, int], edge_mm: float) -> None:
     brick = Brick(studs_x=studs[0], studs_y=studs[1], edge_radius_mm=edge_mm)
     outer = np.array([8.0 * studs[0] - 0.2, 8.0 * studs[1] - 0.2])
     inner, depth = outer - 3.0, 8.6
-    # What the rounding takes of the stud's profile, and how far its centroid lies inwards.
+    # Area that the rounding removes from the stud's profile, and the offset of its centroid.
     corner = (1 - pi / 4) * edge_mm**2
     inset = edge_mm * (1 - (1 / 6) / (1 - pi / 4))
     stud = pi * 2.4**2 * 1.7 - corner * 2 * pi * (2.4 - inset)
@@ -113,7 +113,7 @@ def _rounded_block(sides_mm: tuple[float, float, float], r: float) -> float:
 
 
 def test_rods_volume_and_heights() -> None:
-    """Cylinders with rounded ends, the plate, and what the cement beads add below the rods."""
+    """Cylinders with rounded ends, the plate, and the cement beads below the rods."""
     rods = Rods()
     radii = np.array(rods.diameters_mm) / 2
     edge, length, bead = rods.edge_radius_mm, rods.length_mm, rods.bead_mm
@@ -131,7 +131,7 @@ def test_rods_volume_and_heights() -> None:
     np.testing.assert_allclose(
         height_above_lowest(rods, middles, np.array([0.0]))[0], 7.23 - 2 * radii, atol=1e-8
     )
-    # Beside the middle rod's axis: the circle; in the gap and at the margin: the plate.
+    # Off the middle rod's axis: the circle; in the gap and at the margin: the plate.
     beside = np.array([middles[1] + 1.0, middles[1] - radii[1] - 0.5, x_low + 0.2])
     circle = 7.23 - radii[1] - sqrt(radii[1] ** 2 - 1)
     found = height_above_lowest(rods, beside, np.array([1.0]))[0]
@@ -139,7 +139,7 @@ def test_rods_volume_and_heights() -> None:
 
 
 def test_bars_volume_and_heights() -> None:
-    """Blocks less what the rounding takes of their upper edges and corners, on a plate.
+    """Blocks minus the volume that rounding removes from upper edges and corners, on a plate.
 
     A quarter round takes (1 - pi / 4) r^2 of an edge; a corner (1 - pi / 6) r^3 of its r^3.
     """
@@ -159,7 +159,7 @@ def test_bars_volume_and_heights() -> None:
 
 
 def test_rounded_edge_of_a_bar_is_an_arc() -> None:
-    """Facets of 6 deg lie within r (1 - cos 3 deg) = 0.14 um of an arc of 0.1 mm."""
+    """Facets of 6 deg are within r (1 - cos 3 deg) = 0.14 um of an arc of 0.1 mm."""
     turn = np.deg2rad(np.array([20.0, 45.0, 70.0]))
     x = 4.81 / 2 - 0.1 + 0.1 * np.cos(turn)
     found = height_above_lowest(Bar(), x, np.array([0.2]))[0]
@@ -167,7 +167,7 @@ def test_rounded_edge_of_a_bar_is_an_arc() -> None:
 
 
 @pytest.mark.parametrize("pattern", ["loop", "whorl"])
-def test_ridges_are_a_pitch_apart_and_as_deep_as_asked(pattern: str) -> None:
+def test_ridges_have_the_given_pitch_and_depth(pattern: str) -> None:
     """Slope of the ridges' height over the mean square of it: 2 pi / pitch for any phase."""
     print_ = Fingerprint(pattern=pattern, minutiae=0)
     step = 0.01
@@ -203,7 +203,7 @@ def test_a_fingerprint_is_its_seed() -> None:
 
 
 def test_the_mesh_of_a_fingerprint_is_its_ridges_on_a_dome() -> None:
-    """Chords err by 1.2 um in ridges; a dome of 30 mm falls by r^2 / 2 R and a bit."""
+    """The error of chords is 1.2 um in ridges; a dome of 30 mm descends by just over r^2 / 2 R."""
     flat, domed = (
         Fingerprint(length_x_mm=6, length_y_mm=6, minutiae=3, dome_radius_mm=radius)
         for radius in (0.0, 30.0)
@@ -264,14 +264,14 @@ def test_bear_lies_on_the_smooth_union() -> None:
 
 
 def test_bear_turns_little_from_facet_to_facet() -> None:
-    """Refraction wants smooth facets: 2 deg in the middle of the distribution; creases more."""
+    """Refraction needs smooth facets: median angle 2 deg; creases have more."""
     angle = np.rad2deg(shape_of(Bear()).mesh(0.0).face_adjacency_angles)
     assert np.median(angle) < 2
     assert np.quantile(angle, 0.9) < 6
 
 
 def test_bear_has_a_face() -> None:
-    """Nose foremost, muzzle beside it lower, feet and belly within the reach of a press."""
+    """Nose foremost, muzzle lower, feet and belly within the reach of a press."""
     grid_x, grid_y = np.linspace(-5, 5, 201), np.linspace(-8, 8, 321)
     height = height_above_lowest(Bear(), grid_x, grid_y)
     row, col = np.unravel_index(height.argmin(), height.shape)
@@ -285,7 +285,7 @@ def test_bear_has_a_face() -> None:
 
 
 def test_bear_level_is_a_signed_distance_for_points_far_from_creases() -> None:
-    """The eye is a ball of 0.5 mm: its level is the distance to it where nothing else is near."""
+    """The eye is a ball of 0.5 mm: far from other parts its level is the distance to it."""
     outside = np.array([[1.35, 4.75, 2.4]]) + 0.9 * np.array([[0.0, 0.6, 0.8]])
     level = bear_level_mm(outside, blend_mm=0.02)
     assert level[0] == pytest.approx(0.4, abs=5e-3)
@@ -358,7 +358,7 @@ def test_same_specimen_same_bytes() -> None:
         (Bear, {"length_mm": 100}, "less than or equal to 60"),
     ],
 )
-def test_what_cannot_be_is_refused(
+def test_impossible_dimensions_are_rejected(
     model: type[Specimen], keys: dict[str, object], line: str
 ) -> None:
     with pytest.raises(ValidationError, match="1 validation error") as caught:
