@@ -70,7 +70,7 @@ def test_dark_current_fills_the_well_too():
     }
     quiet = {"read_noise_e": known(0.0)}
     for noise in (False, True):
-        one = experiment_with(noise=noise, **settings, **quiet)
-        rate = 1000.0 * electrons_per_ms(one.camera, one.projector.wavelength_nm)
-        stack = expose(one, [np.full((20, 20), 300.0 / rate, np.float32)], 0).stack
+        experiment = experiment_with(noise=noise, **settings, **quiet)
+        rate = 1000.0 * electrons_per_ms(experiment.camera, experiment.projector.wavelength_nm)
+        stack = expose(experiment, [np.full((20, 20), 300.0 / rate, np.float32)], 0).stack
         assert (stack == 4095).all()

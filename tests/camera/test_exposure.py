@@ -139,15 +139,16 @@ def test_frames_are_the_same_in_any_order_and_on_any_number_of_threads(monkeypat
     """Frames recorded singly, last first, equal those recorded together on one or two threads."""
     experiment = experiment_with(prnu_percent=1.0)
     frames = uniform(experiment, [0.0, 5.0, 150.0, 9000.0])
-    found = []
+    stacks = []
     for count in ("1", "2"):
         monkeypatch.setenv("NUMBA_NUM_THREADS", count)
-        found.append(expose(experiment, frames, 0).stack)
-    assert np.array_equal(*found)
+        stacks.append(expose(experiment, frames, 0).stack)
+    assert np.array_equal(*stacks)
     backwards = experiment_with(prnu_percent=1.0)
-    alone = [expose(backwards, frames[: end + 1], 0).stack[end] for end in (3, 1, 2, 0)]
+    separate = [expose(backwards, frames[: end + 1], 0).stack[end] for end in (3, 1, 2, 0)]
     assert all(
-        np.array_equal(found[0][end], one) for end, one in zip((3, 1, 2, 0), alone, strict=True)
+        np.array_equal(stacks[0][end], single)
+        for end, single in zip((3, 1, 2, 0), separate, strict=True)
     )
 
 

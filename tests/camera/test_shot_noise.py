@@ -38,16 +38,16 @@ PI = (
 def test_words_are_those_of_threefry(words, expected):
     """Known answers of Random123, the authors' own library, for Threefry 4x32-20."""
     words = tuple(np.uint32(word) for word in words)
-    found = threefry(words[:4], words[4:])
-    assert " ".join(f"{word:08x}" for word in found) == expected
+    random_words = threefry(words[:4], words[4:])
+    assert " ".join(f"{word:08x}" for word in random_words) == expected
 
 
 @numba.njit
 def _pairs(words):
-    found = np.zeros(words.shape, np.float32)
+    numbers = np.zeros(words.shape, np.float32)
     for i in range(len(words)):
-        found[i] = normal_pair(words[i, 0], words[i, 1])
-    return found
+        numbers[i] = normal_pair(words[i, 0], words[i, 1])
+    return numbers
 
 
 def test_pairs_are_the_transform_of_box_and_muller():
@@ -95,9 +95,9 @@ def test_all_probabilities_are_the_poisson_ones(mean, limit):
         middle = (left + right) / 2
         above = _counts(float(mean), middle) > count
         left, right = np.where(above, left, middle), np.where(above, middle, right)
-    found = np.diff(stats.norm.cdf(left))
+    probabilities = np.diff(stats.norm.cdf(left))
     assert (np.diff(left) > 0).all()
-    assert 0.5 * np.abs(found - stats.poisson.pmf(count[1:], mean)).sum() < limit
+    assert 0.5 * np.abs(probabilities - stats.poisson.pmf(count[1:], mean)).sum() < limit
 
 
 def test_single_precision_moves_few_counts():
@@ -132,8 +132,8 @@ def test_drawn_counts_follow_the_poisson_law(mean):
         return
     ends = np.unique(stats.poisson.ppf(np.linspace(0.05, 0.95, 19), mean))
     expected = np.diff(np.r_[0.0, stats.poisson.cdf(ends, mean), 1.0]) * drawn.size
-    found = np.diff(np.r_[0, np.searchsorted(np.sort(drawn), ends, side="right"), drawn.size])
-    assert stats.chisquare(found, expected).pvalue > 1e-3
+    frequencies = np.diff(np.r_[0, np.searchsorted(np.sort(drawn), ends, side="right"), drawn.size])
+    assert stats.chisquare(frequencies, expected).pvalue > 1e-3
 
 
 def test_five_electrons_are_as_skewed_as_poisson_numbers_are():
@@ -156,17 +156,19 @@ def test_pixels_are_independent(mean):
     """Correlation between neighbours, between columns that share a block, and between rows, frames
     and keys: none beyond four standard errors.
     """
-    shape, other = (300, 401), tuple(np.array([11, 22, 33, 45], np.uint32))
+    shape, another_key = (300, 401), tuple(np.array([11, 22, 33, 45], np.uint32))
     means = np.full(shape, mean, np.float32)
-    one = poisson_counts(means, KEY) - mean
-    next_frame, other_key = (poisson_counts(means, *which) - mean for which in ((KEY, 1), (other,)))
+    deviations = poisson_counts(means, KEY) - mean
+    next_frame, other_key = (
+        poisson_counts(means, *which) - mean for which in ((KEY, 1), (another_key,))
+    )
     pairs = [
-        (one[:, 1:], one[:, :-1]),
-        (one[1:], one[:-1]),
-        (one[:, 201:], one[:, :200]),
-        (one, next_frame),
-        (one[1:], next_frame[:-1]),
-        (one, other_key),
+        (deviations[:, 1:], deviations[:, :-1]),
+        (deviations[1:], deviations[:-1]),
+        (deviations[:, 201:], deviations[:, :200]),
+        (deviations, next_frame),
+        (deviations[1:], next_frame[:-1]),
+        (deviations, other_key),
     ]
     for a, b in pairs:
         assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 4 / np.sqrt(a.size)

@@ -24,7 +24,7 @@ def ink(albedo, transmittance):
 @pytest.mark.parametrize("albedo", [0.1, 0.5, 0.8])
 @pytest.mark.parametrize("passed", [0.05, 0.1, 0.2])
 def test_light_to_and_fro_is_summed_up(albedo, passed):
-    """Expected: R + T r T + T r R r T + ..., 200 passes; at most 1 in sum with T; 1e-12."""
+    """Expected: R + T r T + T r R r T + ..., 200 passes; at most R + T; 1e-12."""
     passes = sum(passed**2 * WHITE * (albedo * WHITE) ** k for k in range(200))
     touched = ink(albedo, passed).albedo_over(WHITE)
     assert touched == pytest.approx(albedo + passes, rel=1e-12)

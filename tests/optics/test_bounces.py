@@ -98,5 +98,5 @@ def test_a_plane_reflects_nothing_onto_itself(mi, experiment, plane):
     tables = light_tables(experiment.projector, patterns)
     direct = trace_stack(scene, rig, tables, 4)
     with_bounces = trace_stack(scene, rig, tables, 4, bounces=Bounces(4, paths=4, seed=1))
-    for one, other in zip(direct, with_bounces, strict=True):
-        np.testing.assert_array_equal(one, other)
+    for without, bounced in zip(direct, with_bounces, strict=True):
+        np.testing.assert_array_equal(without, bounced)

@@ -67,9 +67,9 @@ def stage_irradiance():
     # Uniform over the plane: its intensity is proportional to 1 / cos^3.
     flux = np.cos(angle) ** -3 * share * np.sin(angle) * 2.0 * np.pi * (angle[1] - angle[0])
     rings = np.linspace(0.0, 8.0, 801)
-    found, _ = np.histogram(np.abs(place[:, 0]), rings, weights=flux)
+    flux_by_ring, _ = np.histogram(np.abs(place[:, 0]), rings, weights=flux)
     middle = (rings[1:] + rings[:-1]) / 2
-    density = found / (np.pi * (rings[1:] ** 2 - rings[:-1] ** 2))
+    density = flux_by_ring / (np.pi * (rings[1:] ** 2 - rings[:-1] ** 2))
     shadow_mm = (LAMP_Z_MM - STAGE_Z_MM) * np.tan(edge)
     density += np.where(middle > shadow_mm, bare_irradiance(middle), 0.0)
     axis = np.linspace(-6.0, 6.0, 1201)
@@ -77,7 +77,7 @@ def stage_irradiance():
     return gaussian_filter(plane, BLUR_MM / (axis[1] - axis[0])), axis
 
 
-def seen_through_the_ball(experiment):
+def image_through_the_ball(experiment):
     """Return the image over that of the bare stage, and the rays' distances from the middle, mm."""
     from scipy.interpolate import RegularGridInterpolator
 
@@ -98,9 +98,9 @@ def seen_through_the_ball(experiment):
         place, share, closest = through_the_ball(start, ray)
     irradiance, axis = stage_irradiance()
     at = RegularGridInterpolator((axis, axis), irradiance, bounds_error=False, fill_value=0.0)
-    seen = np.nan_to_num(share) * at(np.nan_to_num(place[..., 1::-1]))
+    through = np.nan_to_num(share) * at(np.nan_to_num(place[..., 1::-1]))
     shape = (lens.height_px, SUB_PIXELS, lens.width_px, SUB_PIXELS)
-    means = (one.reshape(shape).mean(axis=(1, 3)) for one in (seen, closest))
+    means = (grid.reshape(shape).mean(axis=(1, 3)) for grid in (through, closest))
     image, distance_mm = means
     return image / bare_irradiance(image), distance_mm
 
@@ -116,11 +116,11 @@ def test_the_stage_through_a_ball_follows_snell_and_fresnel(mi, polar_deg):
     tilt = {"value": polar_deg, "source": "test", "range": [0.0, 20.0]}
     experiment = load_experiment("examples/slab_balls", NEAR | {"camera.pose.polar_deg": tilt})
     ours, bare = white_with_and_without(mi, experiment)
-    expected, distance_mm = seen_through_the_ball(experiment)
-    found = ours / bare
+    expected, distance_mm = image_through_the_ball(experiment)
+    ratio = ours / bare
     middle = distance_mm < RADIUS_MM / 2
     assert expected[middle].mean() > 5.0  # the caustic, not its shadow
-    assert found[middle].mean() == pytest.approx(expected[middle].mean(), rel=0.02)
+    assert ratio[middle].mean() == pytest.approx(expected[middle].mean(), rel=0.02)
     for low_mm in (0.0, 0.5, 1.0):
         ring = (distance_mm >= low_mm) & (distance_mm < low_mm + 0.5)
-        assert np.median(found[ring] / expected[ring]) == pytest.approx(1.0, abs=0.04)
+        assert np.median(ratio[ring] / expected[ring]) == pytest.approx(1.0, abs=0.04)

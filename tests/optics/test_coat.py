@@ -150,12 +150,12 @@ def test_a_smooth_binder_darkens_the_pigment_by_saundersons_law(mi, coated, albe
     """
     angles = ANGLES[:3]
     expected = saunderson(albedo, binder, angles)
-    found = [
+    reflectance = [
         diffuse_reflectance(mi, bsdf_of(mi, coated(albedo, 0.0, binder, roughness)), angles)
         for roughness in (0.02, 0.1, 0.3)
     ]
-    np.testing.assert_allclose(found[0], expected, rtol=0.025)
-    assert np.all(np.array(found) <= 1.005 * expected)
+    np.testing.assert_allclose(reflectance[0], expected, rtol=0.025)
+    assert np.all(np.array(reflectance) <= 1.005 * expected)
 
 
 @pytest.mark.parametrize("binder", [MATTE, *BINDERS])
@@ -197,8 +197,8 @@ def test_a_sweep_on_one_scene_equals_fresh_scenes(mi, experiment, coated, bump):
         swept = trace.light(changed, geometry, view, traced, lambda _: None)
         scene, rig = coated_scene(changed, bump), coated_rig(changed, bump)
         fresh = trace_stack(scene, rig, tables, experiment.render.samples)
-        for one, other in zip(swept.frames, fresh, strict=True):
-            assert one.tobytes() == other.tobytes()
+        for frame, expected in zip(swept.frames, fresh, strict=True):
+            assert frame.tobytes() == expected.tobytes()
     truth = trace_truth(scene, rig)
     assert view.truth.points_world_mm.tobytes() == truth.points_world_mm.tobytes()
     assert view.truth.lit.tobytes() == truth.lit.tobytes()

@@ -73,14 +73,14 @@ def test_light_between_two_blur_levels_is_the_light_of_that_blur(mi, experiment,
     rng = np.random.default_rng(4)
     column_px = rng.uniform(-3.0, 323.0, 400)
     axial_mm = rng.uniform(NEAR_MM, FAR_MM, 400)
-    found = found_at(mi, tables, column_px, axial_mm)
+    interpolated = found_at(mi, tables, column_px, axial_mm)
     light = response(column_levels(patterns, tables["column"]), experiment.projector)
     variance_px2 = Defocus.of(experiment.projector).variance_px2(axial_mm)
     wanted = [
         blurred(light, np.array([x]), sigma)[0]
         for x, sigma in zip(column_px, np.sqrt(variance_px2), strict=True)
     ]
-    np.testing.assert_allclose(found, wanted, atol=1e-3)
+    np.testing.assert_allclose(interpolated, wanted, atol=1e-3)
     assert np.ptp(variance_px2) > 2.0  # the test includes strong defocus
 
 

@@ -105,8 +105,8 @@ def test_same_seed_same_bytes(mi):
 
     experiment = direct(0.1, **{"render.photons": 50_000})
     first, second = (render_bare(experiment).frames for _ in range(2))
-    for one, other in zip(first, second, strict=True):
-        np.testing.assert_array_equal(one, other)
+    for frame, repeated in zip(first, second, strict=True):
+        np.testing.assert_array_equal(frame, repeated)
 
 
 @pytest.mark.parametrize(

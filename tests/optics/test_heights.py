@@ -47,21 +47,25 @@ def sheet(mi, request, grid_face):
     return request.param, face, MarchedHeights.of_grid(height_grid(face)), scene
 
 
-def way_to_facets_mm(face, start_mm, direction):
+def distance_to_facets_mm(face, start_mm, direction):
     """Distance to the nearest of all facets, infinite without a hit: Moller and Trumbore 1997."""
     corners = face.vertices.astype(np.float32).astype(np.float64)[face.faces]
-    first, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    found = np.full(len(start_mm), np.inf)
+    first, u_side, v_side = (
+        corners[:, 0],
+        corners[:, 1] - corners[:, 0],
+        corners[:, 2] - corners[:, 0],
+    )
+    nearest_mm = np.full(len(start_mm), np.inf)
     for k, (start, way) in enumerate(zip(start_mm, direction, strict=True)):
-        across, offset = np.cross(way, other), start - first
-        volume = np.sum(one * across, axis=-1)
+        across, offset = np.cross(way, v_side), start - first
+        volume = np.sum(u_side * across, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             u = np.sum(offset * across, axis=-1) / volume
-            beside = np.cross(offset, one)
-            v, t = beside @ way / volume, np.sum(other * beside, axis=-1) / volume
+            offset_cross_u = np.cross(offset, u_side)
+            v, t = offset_cross_u @ way / volume, np.sum(v_side * offset_cross_u, axis=-1) / volume
             inside = (np.minimum(u, v) >= -1e-9) & (u + v <= 1.0 + 1e-9) & (t > 1e-4)
-        found[k] = t[inside].min(initial=np.inf)
-    return found
+        nearest_mm[k] = t[inside].min(initial=np.inf)
+    return nearest_mm
 
 
 def rays_from_above():
@@ -83,20 +87,20 @@ def test_the_first_hit_is_that_of_all_facets(mi, sheet):
     """
     name, face, heights, scene = sheet
     start, direction = rays_from_above()
-    expected = way_to_facets_mm(face, start, direction)
+    expected = distance_to_facets_mm(face, start, direction)
     ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(direction.T))
-    seen = np.isfinite(expected)
-    assert 0.5 * RAYS < seen.sum() < 0.95 * RAYS
+    has_hit = np.isfinite(expected)
+    assert 0.5 * RAYS < has_hit.sum() < 0.95 * RAYS
     hit = heights.first_hit(scene.shape, ray)
-    np.testing.assert_array_equal(hit.is_valid().numpy(), seen)
-    np.testing.assert_allclose(hit.t.numpy()[seen], expected[seen], atol=3e-5)
-    point = hit.compute_surface_interaction(ray).p.numpy().T[seen]
-    np.testing.assert_allclose(point, (start + expected[:, None] * direction)[seen], atol=3e-5)
+    np.testing.assert_array_equal(hit.is_valid().numpy(), has_hit)
+    np.testing.assert_allclose(hit.t.numpy()[has_hit], expected[has_hit], atol=3e-5)
+    point = hit.compute_surface_interaction(ray).p.numpy().T[has_hit]
+    np.testing.assert_allclose(point, (start + expected[:, None] * direction)[has_hit], atol=3e-5)
     met, at_once = heights.newton_hit(ray)
     sure = at_once.numpy()
-    assert not (sure & ~seen).any()
+    assert not (sure & ~has_hit).any()
     np.testing.assert_allclose(met.t.numpy()[sure], expected[sure], atol=3e-5)
-    assert sure.sum() > LEAST_SHARE[name] * seen.sum()
+    assert sure.sum() > LEAST_SHARE[name] * has_hit.sum()
 
 
 def test_a_free_ray_meets_no_facet(mi, sheet):
@@ -112,7 +116,7 @@ def test_a_free_ray_meets_no_facet(mi, sheet):
     up = direction[::-1] * [1.0, 1.0, -1.0]
     free = heights.is_free(hit.p, mi.Vector3f(up.T), valid).numpy()
     start = hit.p.numpy().T.astype(np.float64) + 1e-5 * np.array([0.0, 0.0, 1.0])
-    assert np.isinf(way_to_facets_mm(face, start[free], up[free])).all()
+    assert np.isinf(distance_to_facets_mm(face, start[free], up[free])).all()
     assert free.sum() > LEAST_SHARE[name] * valid.numpy().sum()
 
 
@@ -134,20 +138,20 @@ def test_rays_from_anywhere_meet_the_sheet_where_its_facets_are(mi, sheet):
     """
     _, face, heights, scene = sheet
     start, direction = rays_from_anywhere()
-    expected = way_to_facets_mm(face, start, direction)
+    expected = distance_to_facets_mm(face, start, direction)
     place = start + np.where(np.isfinite(expected), expected, 0.0)[:, None] * direction
     clear = np.abs(np.abs(place[:, :2]) - HALF_MM).min(axis=1) > 1e-3
     ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(direction.T))
     assert not heights.newton_hit(ray)[1].numpy()[expected == np.inf].any()
     hit, crossed = heights.first_hit(scene.shape, ray), heights.is_crossed(ray, mi.Bool(True))
-    seen = np.isfinite(expected)
-    assert seen.sum() > 0.1 * RAYS
-    np.testing.assert_array_equal(hit.is_valid().numpy()[clear], seen[clear])
-    np.testing.assert_array_equal(crossed.numpy()[clear], seen[clear])
-    both = seen & clear
+    has_hit = np.isfinite(expected)
+    assert has_hit.sum() > 0.1 * RAYS
+    np.testing.assert_array_equal(hit.is_valid().numpy()[clear], has_hit[clear])
+    np.testing.assert_array_equal(crossed.numpy()[clear], has_hit[clear])
+    both = has_hit & clear
     np.testing.assert_allclose(hit.t.numpy()[both], expected[both], rtol=1e-4, atol=1e-4)
     tree = scene.ray_test(ray).numpy()
-    assert (tree != seen)[clear].sum() <= 1
+    assert (tree != has_hit)[clear].sum() <= 1
 
 
 def test_a_ray_that_ends_before_the_sheet_meets_nothing(mi, sheet):
@@ -212,8 +216,8 @@ def test_traced_by_heights_as_by_the_tree(mi, experiment, grid_face, name):
     assert rig.shadows
     assert rig.heights is not None
     marched, traced, unshaded = (
-        maps_of(trace_patches(scene, one, 4).evaluate(), rig.camera.pinhole)
-        for one in (rig, replace(rig, heights=None), replace(rig, shadows=False))
+        maps_of(trace_patches(scene, variant, 4).evaluate(), rig.camera.pinhole)
+        for variant in (rig, replace(rig, heights=None), replace(rig, shadows=False))
     )
     assert (unshaded.weight > 1.1 * traced.weight).sum() > 50
     np.testing.assert_array_equal(marched.lit, traced.lit)

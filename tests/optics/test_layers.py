@@ -121,12 +121,12 @@ def test_oblique_rays_follow_snell_and_fresnel(mi, rig, media):
     sine = np.sin(np.deg2rad(angles))
     sight = stack_of(media).refract(camera_rays(mi, rig, angles))
     way_mm = sight.ray.o.z / -sight.ray.d.z
-    found = np.array(sight.ray(way_mm))
+    points = np.array(sight.ray(way_mm))
     ways = ways_mm(media, 200.0, 0.0)
     indices = [1.0, *(medium.ior for medium in media)]
     reach = sum(d * np.tan(np.arcsin(sine / n)) for d, n in zip(ways, indices, strict=True))
-    np.testing.assert_allclose(found[0], reach, rtol=2e-6, atol=1e-5)
-    np.testing.assert_allclose(found[2], 0.0, atol=1e-5)
+    np.testing.assert_allclose(points[0], reach, rtol=2e-6, atol=1e-5)
+    np.testing.assert_allclose(points[2], 0.0, atol=1e-5)
     np.testing.assert_allclose(np.array(sight.ray.d)[0], sine / indices[-1], atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(np.array(sight.ray.d), axis=0), 1.0, atol=1e-6)
     expected = transmittance(media, ways, sine) / indices[-1] ** 2
@@ -137,10 +137,10 @@ def test_a_window_shifts_the_ray_sideways(mi, rig):
     """One slab of thickness d in air: the ray remains parallel, offset by d (tan i - tan j)."""
     media, angle = WINDOW_OVER_AIR, np.deg2rad(35.0)
     sight = stack_of(media).refract(camera_rays(mi, rig, [35.0]))
-    found = np.array(sight.ray(sight.ray.o.z / -sight.ray.d.z))[0, 0]
+    point = np.array(sight.ray(sight.ray.o.z / -sight.ray.d.z))[0, 0]
     inside = np.arcsin(np.sin(angle) / 1.6)
     shift_mm = 3.0 * (np.tan(angle) - np.tan(inside))
-    assert 200.0 * np.tan(angle) - found == pytest.approx(shift_mm, abs=3e-5)
+    assert 200.0 * np.tan(angle) - point == pytest.approx(shift_mm, abs=3e-5)
     assert np.array(sight.ray.d)[0, 0] == pytest.approx(np.sin(angle), abs=1e-6)
 
 
@@ -170,8 +170,8 @@ def test_projector_pixels_are_those_of_snells_law(mi, rig, media):
     sideways = offset / np.maximum(r_mm, 1e-12) * tangent
     in_air = np.stack([*sideways, -np.ones_like(tangent)], axis=-1) @ pose[:3, :3]
     expected = rig.projector.pinhole.project(in_air)
-    found = np.stack([np.array(arrival.column_px), np.array(arrival.row_px)], axis=-1)
-    assert np.abs(found - expected).max() < 1e-3
+    pixels = np.stack([np.array(arrival.column_px), np.array(arrival.row_px)], axis=-1)
+    assert np.abs(pixels - expected).max() < 1e-3
     sine = np.sin(np.arctan(tangent)) / media[-1].ior
     np.testing.assert_allclose(np.array(arrival.direction)[2], np.sqrt(1 - sine**2), atol=1e-6)
 
@@ -262,10 +262,10 @@ def test_a_plane_in_a_gel_has_the_radiance_of_the_closed_form(mi, experiment, ri
     from twin.optics.scene import coated_scene, rig_of
 
     layers = {"gel": Layer(bottom_mm=0.0, thickness_mm=4.0, ior=1.41, absorption_per_mm=0.03)}
-    seen = experiment.model_copy(update={"layers": layers})
-    media, scene = media_of(layers), coated_scene(seen, plane)
-    hit, path = see(scene, rig_of(seen), rig.camera.ray(mi.Float(59.5), mi.Float(45.5)))
-    point, found = np.array(hit.p)[:, 0].astype(float), np.array(path.weight)[0]
+    layered = experiment.model_copy(update={"layers": layers})
+    media, scene = media_of(layers), coated_scene(layered, plane)
+    hit, path = see(scene, rig_of(layered), rig.camera.ray(mi.Float(59.5), mi.Float(45.5)))
+    point, radiance = np.array(hit.p)[:, 0].astype(float), np.array(path.weight)[0]
     pose = rig.projector.T_world_from_device
     ways, offset = ways_mm(media, pose[2, 3], point[2]), point[:2] - pose[:2, 3]
     r_mm = np.hypot(*offset)
@@ -284,7 +284,7 @@ def test_a_plane_in_a_gel_has_the_radiance_of_the_closed_form(mi, experiment, ri
     irradiance *= transmittance(media, ways, np.sin(angle))
     upwards = transmittance(media, ways_mm(media, 214.0, point[2]), np.array(0.0)) / 1.41**2
     expected = experiment.coating.base_albedo / np.pi * irradiance * upwards
-    assert found == pytest.approx(expected, rel=2e-4)
+    assert radiance == pytest.approx(expected, rel=2e-4)
 
 
 def test_the_shadow_in_a_gel_falls_along_the_refracted_light(mi, experiment, rig, plane):
@@ -300,8 +300,8 @@ def test_the_shadow_in_a_gel_falls_along_the_refracted_light(mi, experiment, rig
     both = trimesh.util.concatenate([plane, wall])
     both.vertex_normals = np.concatenate([plane.vertex_normals, wall.vertex_normals])
     layers = {"gel": Layer(bottom_mm=0.0, thickness_mm=4.0, ior=1.41)}
-    seen = experiment.model_copy(update={"layers": layers})
-    truth = trace_truth(coated_scene(seen, both), rig_of(seen))
+    layered = experiment.model_copy(update={"layers": layers})
+    truth = trace_truth(coated_scene(layered, both), rig_of(layered))
     media, edge = media_of(layers), np.array([5.75, 0.0, 3.0])
     pose = rig.projector.T_world_from_device
     r_mm = np.array(pose[0, 3] - edge[0])

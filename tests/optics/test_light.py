@@ -21,8 +21,8 @@ def test_blur_is_box_then_gaussian():
     staircase = np.repeat(light[:, 0], fine)
     wanted = gaussian_filter1d(staircase, 0.7 * fine, truncate=8, mode="constant")
     at_px = (np.arange(len(staircase)) + 0.5) / fine - 0.5
-    found = blurred(light, at_px, 0.7)[:, 0]
-    np.testing.assert_allclose(found, wanted, atol=2e-6)
+    profile = blurred(light, at_px, 0.7)[:, 0]
+    np.testing.assert_allclose(profile, wanted, atol=2e-6)
 
 
 def test_without_blur_every_point_belongs_to_one_pixel():

@@ -71,7 +71,7 @@ def projector():
     return load_experiment("examples/slab_balls", size | sharp).projector
 
 
-def seen(patterns, projector, column_px, row_px):
+def frames_at(patterns, projector, column_px, row_px):
     """Return frames (frame, row, col) float32 DN of pixels at (row, col) coordinates."""
     tables = light_tables(projector, patterns)
     stack = np.zeros((len(patterns.frames), row_px.size, column_px.size), np.float32)
@@ -90,7 +90,7 @@ def test_projected_codes_are_decoded(projector, case):
     table = {"period_px": 16.0} | case
     patterns = pattern_set(projector, validated(Patterns, table))
     column_px, row_px = np.linspace(1.2, 158.1, 500), np.linspace(1.3, 98.2, 300)
-    stack = seen(patterns, projector, column_px, row_px)
+    stack = frames_at(patterns, projector, column_px, row_px)
     options = DecodeOptions(filter_taps=0, max_order_error=0.5)
     decoded = decode(stack, patterns, SensorNoise(0.01, 0.0, 0.0, 255.0), options)
     # A word displaced by half a period in as few bits as possible has undecided ends.
@@ -104,7 +104,7 @@ def test_projected_codes_are_decoded(projector, case):
 
 def test_configuration_and_decoder_have_the_same_fields():
     """Size is that of the projector; all other defaults and names are one."""
-    of_set = {one.name: one.default for one in fields(PatternSet)}
+    of_set = {item.name: item.default for item in fields(PatternSet)}
     of_set.pop("width_px"), of_set.pop("height_px")
     of_model = {name: field.default for name, field in Patterns.model_fields.items()}
     assert of_model.keys() == of_set.keys()

@@ -71,11 +71,11 @@ def test_light_falls_with_the_square_of_the_distance_and_the_cosine(
     cos_plane, cos_axis = -ray[..., 2] / distance_mm, axial_mm / distance_mm
     white = irradiance_at_1mm(experiment.projector, calibration.projector) / axial_mm**2
     expected = experiment.coating.base_albedo / np.pi * white * cos_plane / cos_axis
-    found = white_frame(experiment, stack)
-    inside = stack.truth.lit & (found > 0.0)
+    radiance = white_frame(experiment, stack)
+    inside = stack.truth.lit & (radiance > 0.0)
     inside &= (np.abs(stack.truth.column_px - 639.5) < 600) & (
         np.abs(stack.truth.row_px - 359.5) < 330
     )
     assert inside.sum() > 500
     assert np.ptp(expected[inside]) > 0.05 * expected[inside].mean()
-    np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-3)
+    np.testing.assert_allclose(radiance[inside], expected[inside], rtol=1e-3)

@@ -84,12 +84,12 @@ def test_flux_is_conserved(mi, rig, shape):
 
     body = {"block": block(mi), "ball": ball(), "rough ball": ball(0.1)}[shape]
     scene, surfaces = clear_scene(mi, body)
-    found = trace_photons(scene, surfaces, rig, count=100_000, seed=1).balance
-    parts = found.absorbed + found.deposited + found.escaped + found.lost + found.cut
-    assert parts == pytest.approx(found.sent, rel=1e-6)
-    assert abs(found.absorbed) < (0.03 if shape == "rough ball" else 1e-5) * found.sent
-    assert found.cut < 0.01 * found.sent
-    assert found.lost == 0.0
+    balance = trace_photons(scene, surfaces, rig, count=100_000, seed=1).balance
+    parts = balance.absorbed + balance.deposited + balance.escaped + balance.lost + balance.cut
+    assert parts == pytest.approx(balance.sent, rel=1e-6)
+    assert abs(balance.absorbed) < (0.03 if shape == "rough ball" else 1e-5) * balance.sent
+    assert balance.cut < 0.01 * balance.sent
+    assert balance.lost == 0.0
 
 
 @pytest.mark.parametrize("events", [1, 2])
@@ -103,10 +103,12 @@ def test_flux_is_conserved_within_a_body_too(mi, rig, monkeypatch, events):
 
     monkeypatch.setattr(photons, "MOST_EVENTS", events)
     scene, surfaces = clear_scene(mi, block(mi))
-    found = photons.trace_photons(scene, surfaces, rig, count=20_000, seed=1).balance
-    assert found.cut + found.escaped + found.deposited == pytest.approx(found.sent, rel=1e-5)
-    assert found.cut > 0.9 * found.sent
-    assert abs(found.absorbed) < 1e-5 * found.sent
+    balance = photons.trace_photons(scene, surfaces, rig, count=20_000, seed=1).balance
+    assert balance.cut + balance.escaped + balance.deposited == pytest.approx(
+        balance.sent, rel=1e-5
+    )
+    assert balance.cut > 0.9 * balance.sent
+    assert abs(balance.absorbed) < 1e-5 * balance.sent
 
 
 def test_flux_sent_is_that_of_the_solid_angle(mi, rig):
@@ -114,7 +116,7 @@ def test_flux_sent_is_that_of_the_solid_angle(mi, rig):
     from twin.optics.photons import trace_photons
 
     scene, surfaces = clear_scene(mi, ball())
-    found = trace_photons(scene, surfaces, rig, count=400_000, seed=2).balance
+    balance = trace_photons(scene, surfaces, rig, count=400_000, seed=2).balance
     eye, axis = (rig.projector.T_world_from_device[:3, k] for k in (3, 2))
     towards = np.array([0.0, 0.0, -HEIGHT_MM / 2]) - eye
     distance = np.linalg.norm(towards)
@@ -127,7 +129,7 @@ def test_flux_sent_is_that_of_the_solid_angle(mi, rig):
     rays = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1) @ basis
     intensity = rig.irradiance_at_1mm / (rays @ axis) ** 3
     flux = np.sum(intensity * np.sin(t)) * (opening / 400) * (2 * np.pi / 64)
-    assert found.sent == pytest.approx(flux, rel=1e-3)
+    assert balance.sent == pytest.approx(flux, rel=1e-3)
 
 
 def test_absorption_follows_beer_and_lambert(mi, rig):
@@ -148,23 +150,23 @@ def test_map_holds_the_photons_flux(mi, rig, experiment, tables):
     from twin.optics.photons import map_photons, trace_photons
 
     photons = trace_photons(*clear_scene(mi, block(mi)), rig, count=100_000, seed=4)
-    found = map_photons(photons, tables)
+    irradiance = map_photons(photons, tables)
     patterns = pattern_set(experiment.projector, experiment.patterns)
     order = [*tables["column"].frames, *tables["row"].frames]
     white = order.index(patterns.index("white").start)
-    assert found.flux_mw(white) == pytest.approx(photons.balance.deposited, rel=2e-3)
+    assert irradiance.flux_mw(white) == pytest.approx(photons.balance.deposited, rel=2e-3)
 
 
 def test_same_seed_same_photons(mi, rig):
     from twin.optics.photons import trace_photons
 
     scene, surfaces = clear_scene(mi, ball())
-    first, second, other = (
+    first, second, reseeded = (
         trace_photons(scene, surfaces, rig, count=20_000, seed=seed) for seed in (5, 5, 6)
     )
     np.testing.assert_array_equal(first.x_mm, second.x_mm)
     np.testing.assert_array_equal(first.flux_mw, second.flux_mw)
-    assert not np.array_equal(first.x_mm, other.x_mm)
+    assert not np.array_equal(first.x_mm, reseeded.x_mm)
 
 
 @pytest.fixture(scope="module")
@@ -245,13 +247,13 @@ def test_light_through_a_ball_equals_stock_with_a_small_lamp(mi):
     near = load_experiment("examples/slab_balls", NEAR)
     ours, bare_ours = white_with_and_without(mi, near)
     theirs, bare_theirs = lamp_with_and_without(mi, near, runs=6)
-    seen = tiles(ours / bare_ours)
+    relative = tiles(ours / bare_ours)
     runs = np.stack([tiles(image / bare_theirs) for image in theirs])
     mean = runs.mean(axis=0)
     error = np.hypot(stats.sem(runs, axis=0), 0.03 * mean.max() / stats.t.ppf(1 - 0.0005, 5))
     assert mean.max() > 5  # there is a caustic
     assert mean.min() < 0.4  # and a shadow
-    assert np.abs((seen - mean) / error).max() < stats.t.ppf(1 - 0.0005, 5)
+    assert np.abs((relative - mean) / error).max() < stats.t.ppf(1 - 0.0005, 5)
 
 
 NEAR = {

@@ -65,8 +65,8 @@ def test_a_gentle_face_needs_no_shadow_rays(mi, experiment, bump):
     proven = trace_stack(scene, rig, tables, 4)
     traced = trace_stack(scene, replace(rig, shadows=True), tables, 4)
     assert max(frame.max() for frame in traced) > 0.0
-    for one, other in zip(proven, traced, strict=True):
-        assert one.tobytes() == other.tobytes()
+    for unshadowed, expected in zip(proven, traced, strict=True):
+        assert unshadowed.tobytes() == expected.tobytes()
 
 
 def test_a_steep_face_keeps_its_shadow(mi, experiment, steep, source_mm):

@@ -130,8 +130,8 @@ def test_rounded_box_has_known_points() -> None:
         np.trace(hessian, axis1=1, axis2=2), [0, 1 / 0.5, 2 / 0.5, 0], atol=1e-12
     )
     turned = BoxDistance(np.zeros(3), _turn(1), np.array([1.0, 2.0, 3.0]), 0.2)
-    found = turned.evaluate(points @ _turn(1).T, 1.0)
-    np.testing.assert_allclose(found[0], away, atol=1e-12)
+    results = turned.evaluate(points @ _turn(1).T, 1.0)
+    np.testing.assert_allclose(results[0], away, atol=1e-12)
 
 
 def test_sharp_edges_are_rounded_by_ten_micrometres_and_no_more() -> None:
@@ -145,8 +145,8 @@ def test_plate_and_frame_are_where_they_should_be() -> None:
     points = np.array([[9.0, -7.5, 0.5], [-10.5, 0.0, -0.2]])
     np.testing.assert_allclose(plate(-0.3).evaluate(points, 9.0)[0], [0.8, 0.1])
     walls = frame_wall(RectangularInside(10.0, 8.0))
-    found = np.array([wall.evaluate(points, 90.0)[0] for wall in walls])
-    np.testing.assert_allclose(found, [[1, 20.5], [19, -0.5], [15.5, 8], [0.5, 8]])
+    distances = np.array([wall.evaluate(points, 90.0)[0] for wall in walls])
+    np.testing.assert_allclose(distances, [[1, 20.5], [19, -0.5], [15.5, 8], [0.5, 8]])
     inward = np.array([wall.evaluate(points, 90.0)[1].sum(axis=0) for wall in walls])
     np.testing.assert_allclose(inward, 2 * np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]]))
     (around,) = frame_wall(RoundInside(10.0))
@@ -171,5 +171,5 @@ def test_results_do_not_depend_on_threads(threads: str, monkeypatch: pytest.Monk
     points = np.random.default_rng(7).uniform(-2, 2, (20000, 3))
     known = _box(1).evaluate(points, REACH_MM)
     monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
-    for one, other in zip(known, _box(1).evaluate(points, REACH_MM), strict=True):
-        assert one.tobytes() == other.tobytes()
+    for values, threaded in zip(known, _box(1).evaluate(points, REACH_MM), strict=True):
+        assert values.tobytes() == threaded.tobytes()

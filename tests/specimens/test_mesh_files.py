@@ -33,20 +33,20 @@ end_header
 
 
 def with_corner(value: float) -> np.ndarray:
-    found = BOX.copy()
-    found[0, 0, 0] = value
-    return found
+    corners = BOX.copy()
+    corners[0, 0, 0] = value
+    return corners
 
 
 def stl(triangles: np.ndarray) -> bytes:
-    rows = [struct.pack("<12fH", 0, 0, 1, *one.ravel(), 0) for one in triangles]
+    rows = [struct.pack("<12fH", 0, 0, 1, *triangle.ravel(), 0) for triangle in triangles]
     return bytes(80) + struct.pack("<I", len(rows)) + b"".join(rows)
 
 
 def half_turned() -> np.ndarray:
-    found = BOX.copy()
-    found[:6] = found[:6, ::-1]
-    return found
+    corners = BOX.copy()
+    corners[:6] = corners[:6, ::-1]
+    return corners
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +57,7 @@ def no_warnings():
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "told"),
+    ("name", "content", "message"),
     [
         ("nan.stl", stl(with_corner(np.nan)), "vertices that are no numbers"),
         ("inf.stl", stl(with_corner(np.inf)), "vertices that are no numbers"),
@@ -85,7 +85,7 @@ def no_warnings():
 )
 def test_invalid_bodies_give_one_line(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         read_closed_mesh("specimen.file", str(tmp_path / name))
     assert str(caught.value).startswith(f"specimen.file: {tmp_path / name}: ")
     assert "\n" not in str(caught.value)

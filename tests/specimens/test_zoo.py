@@ -132,10 +132,10 @@ def test_rods_volume_and_heights() -> None:
         height_above_lowest(rods, middles, np.array([0.0]))[0], 7.23 - 2 * radii, atol=1e-8
     )
     # Off the middle rod's axis: the circle; in the gap and at the margin: the plate.
-    beside = np.array([middles[1] + 1.0, middles[1] - radii[1] - 0.5, x_low + 0.2])
+    x_mm = np.array([middles[1] + 1.0, middles[1] - radii[1] - 0.5, x_low + 0.2])
     circle = 7.23 - radii[1] - sqrt(radii[1] ** 2 - 1)
-    found = height_above_lowest(rods, beside, np.array([1.0]))[0]
-    np.testing.assert_allclose(found, [circle, 7.23, 7.23], atol=1e-6)
+    heights = height_above_lowest(rods, x_mm, np.array([1.0]))[0]
+    np.testing.assert_allclose(heights, [circle, 7.23, 7.23], atol=1e-6)
 
 
 def test_bars_volume_and_heights() -> None:
@@ -153,17 +153,17 @@ def test_bars_volume_and_heights() -> None:
     exact = plate + (block - taken).sum()
     assert shape_of(bars).mesh(0.0).volume == pytest.approx(exact, rel=2e-5)
     middles = np.array(bars.middles_mm)
-    beside = middles + widths / 2 + 0.5
-    found = height_above_lowest(bars, np.concatenate((middles, beside)), np.array([0.1]))[0]
-    np.testing.assert_allclose(found, [0, 0, 0, 1.5, 1.5, 1.5], atol=1e-9)
+    gaps = middles + widths / 2 + 0.5
+    heights = height_above_lowest(bars, np.concatenate((middles, gaps)), np.array([0.1]))[0]
+    np.testing.assert_allclose(heights, [0, 0, 0, 1.5, 1.5, 1.5], atol=1e-9)
 
 
 def test_rounded_edge_of_a_bar_is_an_arc() -> None:
     """Facets of 6 deg are within r (1 - cos 3 deg) = 0.14 um of an arc of 0.1 mm."""
     turn = np.deg2rad(np.array([20.0, 45.0, 70.0]))
     x = 4.81 / 2 - 0.1 + 0.1 * np.cos(turn)
-    found = height_above_lowest(Bar(), x, np.array([0.2]))[0]
-    np.testing.assert_allclose(found, 0.1 - 0.1 * np.sin(turn), atol=0.1 * (1 - cos(pi / 60)) * 3)
+    heights = height_above_lowest(Bar(), x, np.array([0.2]))[0]
+    np.testing.assert_allclose(heights, 0.1 - 0.1 * np.sin(turn), atol=0.1 * (1 - cos(pi / 60)) * 3)
 
 
 @pytest.mark.parametrize("pattern", ["loop", "whorl"])
@@ -194,12 +194,12 @@ def test_minutiae_leave_the_pitch_and_end_ridges() -> None:
 
 
 def test_a_fingerprint_is_its_seed() -> None:
-    one, same, other = (
+    first, same, reseeded = (
         shape_of(Fingerprint(length_x_mm=3, length_y_mm=3, pattern_seed=seed)).mesh(0.0)
         for seed in (1, 1, 2)
     )
-    assert one.vertices.tobytes() == same.vertices.tobytes()
-    assert one.vertices.tobytes() != other.vertices.tobytes()
+    assert first.vertices.tobytes() == same.vertices.tobytes()
+    assert first.vertices.tobytes() != reseeded.vertices.tobytes()
 
 
 def test_the_mesh_of_a_fingerprint_is_its_ridges_on_a_dome() -> None:
@@ -211,10 +211,10 @@ def test_the_mesh_of_a_fingerprint_is_its_ridges_on_a_dome() -> None:
     x = np.linspace(-2.9, 2.9, 101)
     grid_x, grid_y = np.meshgrid(x, x)
     ridges = ridges_mm(flat, grid_x, grid_y)
-    found = [-height_above_lowest(print_, x, x) for print_ in (flat, domed)]
-    np.testing.assert_allclose(found[0] - found[0].max(), ridges - ridges.max(), atol=2e-3)
+    heights = [-height_above_lowest(print_, x, x) for print_ in (flat, domed)]
+    np.testing.assert_allclose(heights[0] - heights[0].max(), ridges - ridges.max(), atol=2e-3)
     dome = np.sqrt(30.0**2 - grid_x**2 - grid_y**2) - 30.0
-    off = found[1] - ridges - dome
+    off = heights[1] - ridges - dome
     np.testing.assert_allclose(off, off.mean(), atol=2e-3)
 
 
@@ -230,8 +230,8 @@ def test_step_volume_and_levels(height_mm: float, edge_mm: float) -> None:
     step = Step(height_mm=height_mm, edge_radius_mm=edge_mm)
     exact = 12 * (12 * 2.0 + 6 * height_mm - (1 - pi / 4) * edge_mm**2)
     assert shape_of(step).mesh(0.0).volume == pytest.approx(exact, rel=1e-6)
-    found = height_above_lowest(step, np.array([-3.0, -0.01, 0.5, 3.0]), np.array([0.1]))[0]
-    np.testing.assert_allclose(found, [height_mm, height_mm, 0, 0], atol=1e-9)
+    heights = height_above_lowest(step, np.array([-3.0, -0.01, 0.5, 3.0]), np.array([0.1]))[0]
+    np.testing.assert_allclose(heights, [height_mm, height_mm, 0, 0], atol=1e-9)
 
 
 def test_rounded_edge_of_a_step_is_an_arc() -> None:
@@ -239,8 +239,10 @@ def test_rounded_edge_of_a_step_is_an_arc() -> None:
     along the normal; vertically that is divided by the slope's cosine."""
     turn = np.deg2rad(np.array([20.0, 45.0, 70.0]))
     x = 0.3 - 0.3 * np.cos(turn)
-    found = height_above_lowest(Step(edge_radius_mm=0.3), x, np.array([0.2]))[0]
-    np.testing.assert_allclose(found, 0.3 - 0.3 * np.sin(turn), atol=0.3 * (1 - cos(pi / 180)) * 3)
+    heights = height_above_lowest(Step(edge_radius_mm=0.3), x, np.array([0.2]))[0]
+    np.testing.assert_allclose(
+        heights, 0.3 - 0.3 * np.sin(turn), atol=0.3 * (1 - cos(pi / 180)) * 3
+    )
 
 
 @pytest.mark.parametrize("angle_deg", [60.0, 90.0, 140.0])
@@ -250,8 +252,10 @@ def test_v_groove_volume_and_flanks(angle_deg: float) -> None:
     exact = 12 * (12 * 2.5 - 0.5**2 * np.tan(half))
     assert shape_of(groove).mesh(0.0).volume == pytest.approx(exact, rel=1e-9)
     x = np.array([0.0, 0.1, -0.2, 5.0])
-    found = height_above_lowest(groove, x, np.array([0.0]))[0]
-    np.testing.assert_allclose(found, [0.5, *(0.5 - x[1:3].__abs__() / np.tan(half)), 0], atol=1e-9)
+    heights = height_above_lowest(groove, x, np.array([0.0]))[0]
+    np.testing.assert_allclose(
+        heights, [0.5, *(0.5 - x[1:3].__abs__() / np.tan(half)), 0], atol=1e-9
+    )
 
 
 def test_bear_lies_on_the_smooth_union() -> None:

@@ -109,7 +109,7 @@ class Coating(Model):
 
     @property
     def is_matte(self) -> bool:
-        """Whether the coat reflects alike into all directions."""
+        """Whether the reflected radiance is the same in all directions."""
         return False
 
     @property

@@ -148,8 +148,8 @@ class Press(Model):
 class PadFile(Model):
     """An elastic body from CAD instead of the flat slab, for example a coated dome on a window.
 
-    It is moved so that its lowest point is z = 0, held on its highest plane, and touched and seen
-    on the facets that face down (contact-face layout).
+    It is moved so that its lowest point is z = 0, and clamped on its highest plane. Contact and
+    coat are on the facets that face down (contact-face layout).
     """
 
     file: str = Field(description="closed surface: STL, PLY or OBJ")

@@ -1,7 +1,7 @@
 """A photometric-stereo sensor as data: lamps at the sides of the gel, and image processing.
 
 World frame: z = 0 is the undeformed coated face, z up to the camera; in the image of a camera that
-looks straight down +x is right and +y is up. Azimuths count from +x towards +y.
+points straight down +x is right and +y is up. Azimuths count from +x towards +y.
 """
 
 from collections.abc import Mapping
@@ -70,7 +70,7 @@ class Lamp(Model):
     wavelength_nm: Annotated[float, Field(ge=300, le=1100)]
     emitters: Annotated[int, Field(ge=1, le=64)] = Field(default=8, description="number of LEDs")
     drift_percent: Drift = Field(
-        default=0.0, description="SD of the row's flux from press to press, all LEDs alike"
+        default=0.0, description="SD of the row's flux from press to press, common to all LEDs"
     )
     led_drift_percent: Drift = Field(
         default=0.0,
@@ -97,7 +97,7 @@ class Markers(Model):
 
 
 class WhiteBalance(Model):
-    """Gains of the driver, before the power law; they amplify noise and signal alike."""
+    """Gains of the driver, before the power law; they amplify noise and signal equally."""
 
     red: Gain = 1.0
     green: Gain = 1.0
@@ -171,20 +171,20 @@ class Photometric(Model):
     )
 
 
-def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
+def check_lamps(lamps: Mapping[str, Lamp], tables: Mapping[str, Any]) -> None:
     """Raise ValueError if lamps contradict the experiment's other tables.
 
     Parameters
     ----------
-    others : the validated tables by name; invalid ones are absent, and reported elsewhere
+    tables : the validated tables of the experiment by name, without invalid tables
 
     Raises
     ------
     ValueError : one line: key, found, allowed, remedy
     """
-    if "modality" in others and not TRAITS[others["modality"]].fringes:
-        _check_method(lamps, others)
-    layers: Mapping[str, Layer] = others.get("layers", {})
+    if "modality" in tables and not TRAITS[tables["modality"]].fringes:
+        _check_method(lamps, tables)
+    layers: Mapping[str, Layer] = tables.get("layers", {})
     face = outer_face(layers)
     top_mm = max((layer.top_mm for layer in layers.values()), default=0.0)
     if face is not None:
@@ -204,17 +204,17 @@ def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
             )
 
 
-def _check_method(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
+def _check_method(lamps: Mapping[str, Lamp], tables: Mapping[str, Any]) -> None:
     missing = [name for name in CHANNELS if name not in {lamp.channel for lamp in lamps.values()}]
     if missing:
         raise ValueError(
             f"no lamp has channel {', '.join(missing)}; modality = 'photometric_stereo' needs all"
             " three: add [lamps.NAME]"
         )
-    if "elastomer" in others and others["elastomer"].layout != "contact_face":
+    if "elastomer" in tables and tables["elastomer"].layout != "contact_face":
         raise ValueError(
             "modality = 'photometric_stereo' views the coat through the gel; set"
             " elastomer.layout = 'contact_face'"
         )
-    if "layers" in others and not others["layers"]:
+    if "layers" in tables and not tables["layers"]:
         raise ValueError("modality = 'photometric_stereo' needs the gel: add [layers.gel]")

@@ -113,12 +113,12 @@ def _in_order(layers: dict[str, Layer]) -> dict[str, Layer]:
     return layers
 
 
-def check_rig(layers: Mapping[str, Layer], others: Mapping[str, Any]) -> None:
+def check_rig(layers: Mapping[str, Layer], tables: Mapping[str, Any]) -> None:
     """Raise ValueError if layers contradict the experiment's other tables.
 
     Parameters
     ----------
-    others : the validated tables by name; invalid ones are absent, and reported elsewhere
+    tables : the validated tables of the experiment by name, without invalid tables
 
     Raises
     ------
@@ -126,18 +126,18 @@ def check_rig(layers: Mapping[str, Layer], others: Mapping[str, Any]) -> None:
     """
     if not layers:
         return
-    if "modality" in others and not TRAITS[others["modality"]].presses:
+    if "modality" in tables and not TRAITS[tables["modality"]].presses:
         raise ValueError(
-            f"modality = '{others['modality']}' images through air only; remove the layers"
+            f"modality = '{tables['modality']}' images through air only; remove the layers"
         )
-    if "render" in others:
-        _check_render(others["render"])
+    if "render" in tables:
+        _check_render(tables["render"])
     for device in ("camera", "projector"):
-        if device in others:
+        if device in tables:
             top_mm = max(layer.top_mm for layer in layers.values())
-            _check_height(device, others[device].pose, top_mm)
-    if "elastomer" in others and others["elastomer"].layout == "contact_face":
-        _check_gel(layers, others["elastomer"].thickness_mm)
+            _check_height(device, tables[device].pose, top_mm)
+    if "elastomer" in tables and tables["elastomer"].layout == "contact_face":
+        _check_gel(layers, tables["elastomer"].thickness_mm)
 
 
 def _check_render(render: Any) -> None:

@@ -58,7 +58,7 @@ class NominalRod(NominalFeature):
 
     @property
     def width_mm(self) -> float:
-        """Width seen from above."""
+        """Width in top view."""
         return 2 * self.radius_mm
 
 

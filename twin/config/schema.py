@@ -51,8 +51,8 @@ def validated(document: type[Document], tree: Any, before: str = "") -> Document
 def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
     """Return pydantic's report on a document as lines; for a misspelt key with a suggestion.
 
-    A typo shows up twice (an unknown key and, for required fields, a missing one): the second
-    line is dropped when the suggestion already names it.
+    A misspelt required key causes two errors (an unknown key and a missing key): the second line is
+    omitted if the suggestion of the first names it.
     """
     lines: list[str] = []
     suggested, outside = set(), set()
@@ -73,12 +73,12 @@ def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
         elif item["type"] in _WRONG_KIND:
             lines.append(_kind_line(path, item["ctx"], item["input"]))
         elif item["type"] not in ("missing", "extra_forbidden"):
-            found = f"{path}: found {_short(item['input'])}, " if path else ""
+            prefix = f"{path}: found {_short(item['input'])}, " if path else ""
             whole = _whole_range(item["loc"], document) if item["type"] in _OUTSIDE else ""
             if item["type"] == "literal_error" and path in outside:
                 continue  # the number's range was reported already
             outside |= {path} if item["type"] in _OUTSIDE else set()
-            lines.append(f"{found}{whole or _allowed(item['msg'])}")
+            lines.append(f"{prefix}{whole or _allowed(item['msg'])}")
     return lines
 
 

@@ -73,9 +73,9 @@ def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) ->
         lit &= ~shaded(scene, rig.heights, hit, to_light, lit, coherent=coherent)
     brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(light.direction), lit)[0]
     weight = dr.select(lit, brdf_cos * light.irradiance, 0.0)
-    nothing = ~hit.is_valid()
+    missed = ~hit.is_valid()
     column_px, row_px, axial_mm = (
-        dr.select(nothing, 0.0, value) for value in (column_px, row_px, light.axial_mm)
+        dr.select(missed, 0.0, value) for value in (column_px, row_px, light.axial_mm)
     )
     return Connection(column_px, row_px, weight, lit, axial_mm)
 

@@ -172,8 +172,8 @@ def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
             dr.select(path.lit, dr.maximum(highest, place), highest),
         )
 
-    nothing = dr.zeros(mi.Float, dr.width(grid.x_px))
-    start = (mi.UInt32(0), *[nothing] * 4, mi.Point2f(dr.inf), mi.Point2f(-dr.inf))
+    zero = dr.zeros(mi.Float, dr.width(grid.x_px))
+    start = (mi.UInt32(0), *[zero] * 4, mi.Point2f(dr.inf), mi.Point2f(-dr.inf))
     end = dr.while_loop(start, lambda sample, *_: sample < grid.samples, add_sample)
     return Patches(samples, *end[1:])
 

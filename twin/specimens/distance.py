@@ -278,8 +278,8 @@ def _beyond_core(
         if over[k] > over[foremost]:
             foremost = k
     # Over a single face, a root would have a rounding error in the last digit.
-    alone = squared <= max(over[foremost], 0.0) ** 2
-    return over[foremost] if alone else np.sqrt(squared), foremost
+    single_face = squared <= max(over[foremost], 0.0) ** 2
+    return over[foremost] if single_face else np.sqrt(squared), foremost
 
 
 @nested
