@@ -7,8 +7,8 @@ follow.
 Binning sums b x b pixels: full well, dark current and fixed pattern add up, noise variances add,
 and the gain is divided by b^2, so that the full scale in DN is constant. The b x b pixels are
 assumed to have equal signals, so that their sum clips at once. If only some of them clip, the sum
-is near full scale with an error of a few sigmas of its shot noise, which does not affect decoded
-coordinates (measured at 1.5 full wells).
+is near full scale, with an error of a few sigmas of its shot noise. Decoded coordinates are not
+affected (measured at 1.5 full wells).
 """
 
 import math

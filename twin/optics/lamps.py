@@ -1,9 +1,9 @@
 """Lamps of a photometric-stereo sensor as rows of point emitters, and their light in closed form.
 
-World frame, mm. An LED at distance r, at the angle theta between its aim and the direction to the
-coat, has the irradiance I0 cos^m(theta) cos(incidence) exp(-a r) / r^2 up to theta = 90 degrees;
-I0 is (m + 1) / 2 pi times its flux. Light paths from LED to coat are straight: LEDs couple into
-the gel through its side, and the window above it is assumed to have the gel's index n.
+World frame, mm. The irradiance of an LED is I0 cos^m(theta) cos(incidence) exp(-a r) / r^2, up to
+theta = 90 degrees. r is its distance, theta the angle between its aim and the direction to the
+coat, and I0 is (m + 1) / 2 pi times its flux. Light paths from LED to coat are straight: LEDs
+couple into the gel through its side, and the window above it is assumed to have the gel's index n.
 
 The window's outer face reflects light that an LED emits upwards: by Fresnel, and totally beyond the
 critical angle c, sin c = 1 / n. This light has the direction of the LED's mirror image in that

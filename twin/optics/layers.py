@@ -1,14 +1,14 @@
 """Light through plane-parallel clear layers: Snell and Fresnel in closed form, without sampling.
 
 World frame, z up. Light propagates down from the air through the media 1 .. m, each below its own
-horizontal interface; medium m contains the surface. With d_i the vertical distance in medium i (air
-is 0) and t the tangent of the angle to the vertical IN AIR, Snell's invariant s = t / sqrt(1 + t^2)
-gives the horizontal distance
+horizontal interface; medium m contains the surface. d_i is the vertical distance in medium i (air
+is 0), t the tangent of the angle to the vertical IN AIR. Snell's invariant s = t / sqrt(1 + t^2)
+determines the horizontal distance
 
     r(t) = sum_i d_i t / q_i,   q_i = sqrt(n_i^2 + (n_i^2 - 1) t^2) = sqrt((n_i^2 - s^2) (1 + t^2)),
 
-so that cos(theta_i) = q_i / (n_i sqrt(1 + t^2)). For n_i >= 1, r(t) is concave and
-increasing, so that Newton's method from the left of the root never overshoots and needs no bounds.
+so that cos(theta_i) = q_i / (n_i sqrt(1 + t^2)). For n_i >= 1, r(t) is concave and increasing:
+Newton's method from the left of the root never overshoots and needs no bounds.
 
 Left out: light that is reflected between the interfaces or from them back to the surface (ghosts,
 total internal reflection), scatter in the media, dispersion within the projector's line.

@@ -1,21 +1,21 @@
 """Light of the projector per frame, as continuous 1-D profiles over its pixel coordinate.
 
-Column patterns depend on the projector column u only and row patterns on the row v only, so that a
-frame's light at (u, v) is profile(u) * edge(v) (or profile(v) * edge(u)), where `edge` is the
-blurred outline of the image. Profiles include 8-bit levels, response, black level (finite
+Column patterns depend on the projector column u only, row patterns on the row v only. A frame's
+light at (u, v) is therefore profile(u) * edge(v) or profile(v) * edge(u); `edge` is the blurred
+outline of the image. Profiles include 8-bit levels, response, black level (finite
 contrast), the DMD's pixel box and the lens blur.
 
 With a projector aperture the blur depends on the distance from the focal plane, and there are
-profiles at several blurs. At a surface point at axial distance z, light from a pupil point at
-offset a (mm, across the axis) has the offset f a (1/z - 1/z_focus) pixels from the chief ray's
-projector pixel, f the focal length in pixels: exact for a thin lens, anywhere in the field. A
-uniformly filled pupil of diameter D therefore spreads over a disc of c = f D |1/z - 1/z_focus|
-pixels, the circle of confusion, with a standard deviation of c / 4 along each axis.
+profiles at several blurs. A pupil point has the offset a from the axis (mm); f is the focal length
+in pixels. At axial distance z its light has the offset f a (1/z - 1/z_focus) pixels from the chief
+ray's projector pixel: exact for a thin lens, anywhere in the field. A uniformly filled pupil of
+diameter D therefore spreads over the circle of confusion, c = f D |1/z - 1/z_focus| pixels in
+diameter. Its standard deviation along each axis is c / 4.
 
-Approximations: the disc is replaced by the Gaussian of the same variance, so that it merges with
-the lens blur into one number (their transfer functions agree to second order in c times the spatial
-frequency); f is that of the undistorted image; irradiance and shadows are those of the pupil's
-centre, so that shadows have no penumbra.
+Approximations: the disc is replaced by the Gaussian of the same variance, which adds to that of the
+lens blur. Their transfer functions agree to second order in c times the spatial frequency. f is
+that of the undistorted image. Irradiance and shadows are those of the pupil's centre: shadows have
+no penumbra.
 """
 
 from dataclasses import dataclass, replace

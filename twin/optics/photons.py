@@ -1,8 +1,8 @@
 """Photon tracing: light from the projector to the stage, through clear or off polished bodies.
 
 No camera path can be connected to a pinhole through a smooth refracting surface, so this light is
-traced in the direction of propagation: each photon starts at the projector with its pixel (u, v)
-and a share of the white image's flux, and is refracted and reflected until it ends on the stage.
+traced in the direction of propagation. Each photon starts at the projector with its pixel (u, v)
+and a share of the white image's flux; refractions and reflections follow until it is on the stage.
 The camera's paths gather the light that the stage reflects. All frames share the photons: their
 noise is common to all frames and cancels in the phase.
 

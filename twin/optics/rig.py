@@ -148,9 +148,9 @@ def lens_places(side: int) -> FloatArray:
     """Return the position of every sub-pixel sample on the unit disc, (side * side, 2), x and y.
 
     The points of a spiral of equal areas (Vogel 1979) are assigned to the square grid of sub-pixels
-    with a stride that is coprime to their number, so that neighbours on the grid are distant on the
-    lens. Of all strides and several rotations of the spiral, the pair with the smallest correlation
-    of pupil and sub-pixel positions is used: pixel box and lens then blur independently (only
+    with a stride that is coprime to their number: neighbours on the grid are distant on the lens.
+    Of all strides and several rotations of the spiral, the pair with the smallest correlation of
+    pupil and sub-pixel positions is used: pixel box and lens then blur independently (only
     approximately with fewer than 25 samples).
     """
     samples = side * side
