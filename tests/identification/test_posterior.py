@@ -133,12 +133,12 @@ def test_scatter_needs_repeats_and_a_mean() -> None:
 def test_the_chains_keep_detailed_balance() -> None:
     """The variance of seven fields of which one row knows the sum: 1 - 1 / (7 + 0.25) each.
 
-    Of 10 chains of 1000 independent samples it is found to 0.4 %; emcee's snooker move, as one of
+    Of 6 chains of 1000 independent samples it is found to 0.5 %; emcee's snooker move, as one of
     ten, narrows it by 1.5 %.
     """
     problem = linear_problem({"sum": {"value": 1.0, "sd": 0.5}}, fields=7)
     likelihood = likelihood_of(problem, problem.rows, linear_emulators(np.ones((1, 7)), ["sum"]))
-    found = np.mean([sample(likelihood, seed).z.var(axis=0).mean() for seed in range(10)])
+    found = np.mean([sample(likelihood, seed).z.var(axis=0).mean() for seed in range(6)])
     assert found == pytest.approx(1 - 1 / 7.25, rel=0.01)
 
 
