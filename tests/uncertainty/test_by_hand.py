@@ -108,7 +108,7 @@ def test_shares_of_a_budget_table():
         trials.append(Trial(n + 1, figures | {"sphere_1_radius_mm": rig + 12.0 * across[n]}))
     table = budget_table("two_balls", [Part("focus", "optics", "k", 3.0)], trials)
     rows = table.rows
-    names = ["calibration", "noise and decoding", "focus", "all, each alone"]
+    names = ["calibration", "noise and decoding", "focus", "all, in quadrature"]
     assert [row["input"] for row in rows[:4]] == names
     assert [row["u"] for row in rows[:4]] == pytest.approx([12.0, 4.0, 3.0, 13.0])
     percent = [row["share"] for row in rows[:4]]
