@@ -95,7 +95,7 @@ class Identified:
 
     @cached_property
     def values(self) -> FloatArray:
-        """(sample, free field) over all models, each with its share of the samples."""
+        """(sample, free field) over all models, in numbers proportional to their probability."""
         return mixed([model.posterior.values for model in self.models], self._weights, self.seed)
 
     @property

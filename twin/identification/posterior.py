@@ -191,7 +191,7 @@ class Posterior:
     log_evidence : logarithm of the probability of the rows, over prior and noise
     log_evidence_sd : its standard uncertainty
     steps, correlation_time : of the chains
-    independent : about how many independent samples the chains are worth
+    independent : effective number of independent samples of the chains
     """
 
     likelihood: Likelihood

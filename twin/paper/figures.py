@@ -97,9 +97,9 @@ FIGURES: dict[str, PaperFigure] = {
         "Metal and clear objects",
         "Fringe image and measured surface of each object, without the sheet (top) and under it "
         "(bottom). Holes are pixels without a measurement; points far outside the true heights are "
-        "omitted. Percentages: share of the surface's pixels with a point, and with an error in "
-        "the stated limit. Each surface has its own height scale: the bare objects are higher than "
-        "the relief of the coat.",
+        "omitted. Percentages: share of the surface's pixels with a point, and with an error "
+        "within the stated limit. Each surface has its own height scale: the bare objects are "
+        "higher than the relief of the coat.",
         "Fig. 5",
         _cases(HARD_OBJECTS, _FPP),
         draw_direct_and_contact,
@@ -115,7 +115,7 @@ FIGURES: dict[str, PaperFigure] = {
     "rods": PaperFigure(
         "Acrylic rods",
         "Rod, fringe image and measured surface, and the mean cross-section of 2 mm of the rod "
-        "with its width where it crosses half of the height between crest and valleys.",
+        "with its width where it crosses 50 % of the height between crest and valleys.",
         "Fig. 7",
         _cases(RODS, ("contact_fpp",)),
         draw_rods,

@@ -37,7 +37,7 @@ def problem() -> SensorProblem:
 
 
 def identified_tables(trials: Mapping[str, Sequence[Trial]]) -> list[Table]:
-    """Return fields, rows and worth; `trials` by the experiment of the problem."""
+    """Return the tables of fields, rows, choices and worth; `trials` by experiment."""
     return [fields_table(), identified_rows_table(trials), choices_table(), worth_table()]
 
 

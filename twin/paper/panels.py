@@ -55,7 +55,7 @@ class PanelBall:
 
 @dataclass(frozen=True)
 class Width:
-    """A rod's width where the section crosses half of its height."""
+    """A rod's width where the section crosses 50 % of its height."""
 
     width_mm: float
     height_mm: float

@@ -10,7 +10,7 @@ from twin.paper.trials import REFUSED, Trial
 from twin.report.table import PAPER, TWIN, Cell, Column, Table
 
 _WIDTHS = {
-    "rod_width_mm": "between its flanking valleys at half of its height",
+    "rod_width_mm": "at 50 % of its height above the flanking valleys",
     "rod_break_width_mm": "between the breaks of its slope",
     "rod_slope_change_width_mm": "between the places where its slope changes fastest",
 }
