@@ -134,7 +134,15 @@ def test_a_pressed_ball_tells_the_elastomer(tmp_path):
     """
     rendered, rig, layer = tmp_path / "press", tmp_path / "rig", tmp_path / "layer.toml"
     layer.write_text(LAYER)
-    small = ["-s", "camera.binning=4", "--no-report", "-o", str(rendered)]
+    small = [
+        "-s",
+        "camera.binning=4",
+        "-s",
+        "press.cell_mm=0.25",
+        "--no-report",
+        "-o",
+        str(rendered),
+    ]
     assert run(["render", "examples/wrapped_balls", *small]) == 0
     ball = ["--ball", str(rendered), "--ball-diameter-mm", "8", "--layer", str(layer)]
     assert run(["adopt", str(rendered), *ball, "-o", str(rig), "--no-report"]) == 0

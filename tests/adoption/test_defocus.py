@@ -84,6 +84,7 @@ def test_rendered_surfaces_at_three_heights_tell_pupil_and_focus(mi, tmp_path):
     base, _ = hidden_rig(3)
     hidden = {"projector.aperture_mm": 12.0, "projector.gamma": 1.0, "projector.blur_px": 0.6}
     rig = vary(base, {name: {"value": x, "source": "hidden"} for name, x in hidden.items()})
+    rig = vary(rig, {"camera.width_px": 360, "camera.height_px": 270})
     focus_mm = Defocus.of(rig.projector).focus_mm + 3.0
     rig = vary(rig, {"projector.focus_mm": {"value": focus_mm, "source": "hidden"}})
     folders = []

@@ -13,7 +13,7 @@ from twin.study.record import StudyRecord
 SMALL = ("camera.binning=4", "camera.width_px=1280", "camera.height_px=960")
 COARSE = ("press.relief_pitch_mm=0.05", "press.solver_pitch_mm=0.16")
 THICK = ('elastomer.thickness_mm={value=0.3, source="test"}', "press.relief_pitch_mm=0.05",
-         "press.solver_pitch_mm=0.4", *SMALL)  # fmt: skip
+         "press.cell_mm=0.3", *SMALL)  # fmt: skip
 FEW_PRESSES = (
     "press.relief_pitch_mm=0.05",
     "press.solver_pitch_mm=0.16",

@@ -9,17 +9,19 @@ from twin.config.sensor_layer import LayerSigma, MeasuredLoad, SensorLayer
 from twin.mechanics.slab_tangent import SolvedSlab, solve_slab
 
 MODULUS_KPA = 400.0
-SPAN_MM = 16.0
+SPAN_MM, WIDE_MM = 12.8, 16.0
 FINE_MM = 0.04
 COAT_CELL_MM = 0.1
 
 
-def slab(thickness_mm: float = 3.0, modulus_kpa: float = MODULUS_KPA) -> Elastomer:
+def slab(
+    thickness_mm: float = 3.0, modulus_kpa: float = MODULUS_KPA, span_mm: float = SPAN_MM
+) -> Elastomer:
     """Return a slab on a simply supported square rim."""
     return Elastomer(
         thickness_mm=thickness_mm,
-        length_x_mm=SPAN_MM,
-        length_y_mm=SPAN_MM,
+        length_x_mm=span_mm,
+        length_y_mm=span_mm,
         young_modulus_kpa=modulus_kpa,
         poisson_ratio=0.49,
     )
@@ -53,11 +55,11 @@ def pressed(
 
 
 def coat_points(
-    heights_mm: FloatArray, noise_mm: float, seed: int = 0
+    heights_mm: FloatArray, noise_mm: float, seed: int = 0, span_mm: float = SPAN_MM
 ) -> tuple[FloatArray, FloatArray]:
     """Return points (n, xyz) of a coat at the middles of its cells, and their sigma (n,)."""
     count = len(heights_mm)
-    places = (np.arange(count) + 0.5) * (SPAN_MM / count) - SPAN_MM / 2
+    places = (np.arange(count) + 0.5) * (span_mm / count) - span_mm / 2
     x, y = np.meshgrid(places, places)
     z = heights_mm + np.random.default_rng(seed).normal(scale=noise_mm, size=x.shape)
     return np.stack((x, y, z), axis=-1).reshape(-1, 3), np.full(x.size, noise_mm)

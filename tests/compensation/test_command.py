@@ -14,7 +14,7 @@ from reconstruction.netcdf import read_arrays
 from reconstruction.pipeline import read_reconstruction, write_reconstruction
 from reconstruction.triangulation import PointMap
 from tests.compensation.sheets import RIM_MM, YOUNG_KPA, pressed_ball
-from tests.compensation.slabs import SPAN_MM, coat_points, pressed, slab
+from tests.compensation.slabs import WIDE_MM, coat_points, pressed, slab
 from twin.cli import run
 from twin.config import load_experiment
 from twin.config.sensor_layer import load_sensor_layer
@@ -37,8 +37,8 @@ thickness_mm = 0.004
 
 SLAB = f"""[elastomer]
 thickness_mm = 3.0
-length_x_mm = {SPAN_MM}
-length_y_mm = {SPAN_MM}
+length_x_mm = {WIDE_MM}
+length_y_mm = {WIDE_MM}
 young_modulus_kpa = 400.0
 poisson_ratio = 0.49
 [press]
@@ -69,8 +69,8 @@ def coat_map() -> PointMap:
 
 def slab_map() -> PointMap:
     """Return the coat of a ball under a slab, pressed 0.7 mm under air, 3 um of noise."""
-    heights = pressed(Ball(diameter_mm=8.0), slab(), 0.7, air_kpa=10.0).coat_mm
-    points, sigma = coat_points(heights, 3e-3)
+    heights = pressed(Ball(diameter_mm=8.0), slab(span_mm=WIDE_MM), 0.7, air_kpa=10.0).coat_mm
+    points, sigma = coat_points(heights, 3e-3, span_mm=WIDE_MM)
     shape = heights.shape
     sigma_xyz = np.broadcast_to(np.float32(sigma[0]), (*shape, 3)).copy()
     reason = np.full(shape, Reason.VALID, np.uint8)

@@ -21,6 +21,7 @@ from twin.mechanics import PressedElastomer
 from twin.specimens.kinds.ball import Ball
 
 THICKNESS_MM, COMPLIANCE, NOISE_MM = 0.2, 40.0, 5e-4
+FRAME_MM = 12.0
 
 
 @cache
@@ -28,8 +29,8 @@ def press(depth_mm: float, air_kpa: float) -> PressedElastomer:
     """Press a ball of 4 mm into a sheet whose rim gives."""
     sheet = build_sheet(
         thickness_mm=THICKNESS_MM,
-        length_x_mm=12.0,
-        length_y_mm=12.0,
+        length_x_mm=FRAME_MM,
+        length_y_mm=FRAME_MM,
         rim_compliance_mm2_per_n=COMPLIANCE,
     )
     return pressed(Ball(), sheet, depth_mm=depth_mm, back_pressure_kpa=air_kpa, cell_mm=0.15)
@@ -44,7 +45,11 @@ def coat(done: PressedElastomer, seed: int) -> tuple[FloatArray, FloatArray]:
 
 def layer(air_kpa: float, **known: float) -> SheetLayer:
     return SheetLayer(
-        SheetOpening(12.0, 12.0), THICKNESS_MM, YOUNG_KPA, back_pressure_kpa=air_kpa, **known
+        SheetOpening(FRAME_MM, FRAME_MM),
+        THICKNESS_MM,
+        YOUNG_KPA,
+        back_pressure_kpa=air_kpa,
+        **known,
     )
 
 

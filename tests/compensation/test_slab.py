@@ -10,7 +10,15 @@ import pytest
 from scipy import ndimage
 
 from reconstruction.errors import FitError, InputError
-from tests.compensation.slabs import SPAN_MM, coat_points, layer_of, pressed, slab, with_load
+from tests.compensation.slabs import (
+    SPAN_MM,
+    WIDE_MM,
+    coat_points,
+    layer_of,
+    pressed,
+    slab,
+    with_load,
+)
 from tests.oracles.axisymmetric import Resolution, RoundSlab, press_axisymmetric
 from twin.mechanics.slab_tangent import CoatMove, SolvedSlab
 from twin.pipeline.slab_model import value_of, with_modulus, with_value
@@ -72,7 +80,7 @@ def test_derivatives_are_those_of_whole_presses(air_kpa: float) -> None:
 @pytest.mark.parametrize(("path", "share"), [("diameter_mm", 1e-2), ("x_mm", 5e-3)])
 def test_the_coat_moves_with_the_ball(path: str, share: float) -> None:
     """Whole presses lose and gain cells at the contact's edge: their differences scatter."""
-    elastomer, depth, step = slab(), 0.6, 1e-4
+    elastomer, depth, step = slab(span_mm=WIDE_MM), 0.6, 1e-4
     rest = pressed(BALL, elastomer, depth)
     rows, cols = rest.touched_cells
     behind = [
@@ -102,9 +110,11 @@ def test_the_coat_moves_with_the_ball(path: str, share: float) -> None:
 )  # fmt: skip
 def test_numbers_are_found_from_a_poor_start(true, begun, path: str, within_mm: float) -> None:
     """Under air, of another grid's coat; the travel is not told."""
-    coat = pressed(true, slab(), 0.7, AIR_KPA).coat_mm
-    asked = replace(slab_object(layer_of(slab(), AIR_KPA), begun), theory=False)
-    fitted = fit_slab(*coat_points(coat, NOISE_MM), asked).fitted
+    span_mm = WIDE_MM if true.kind == "two_balls" else SPAN_MM
+    elastomer = slab(span_mm=span_mm)
+    coat = pressed(true, elastomer, 0.7, AIR_KPA).coat_mm
+    asked = replace(slab_object(layer_of(elastomer, AIR_KPA), begun), theory=False)
+    fitted = fit_slab(*coat_points(coat, NOISE_MM, span_mm=span_mm), asked).fitted
     assert fitted.value(f"specimen.{path}") == pytest.approx(value_of(true, path), abs=within_mm)
     assert fitted.value("press.depth_mm") == pytest.approx(0.7, abs=1e-3)
     assert fitted.chi_square == pytest.approx(1.0, abs=0.05)

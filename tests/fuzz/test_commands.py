@@ -1,15 +1,18 @@
-"""Every command on damaged files and hostile arguments, in processes of its own: 25 fixed seeds."""
+"""Commands on damaged files and hostile arguments, each in its own process: 8 fixed seeds."""
 
 import json
 import random
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from benchmarks import fuzz_stock
 from benchmarks.damage import damaged_bytes
 from benchmarks.fuzzing import LIMIT_S, TARGETS, run_case
+from twin.cli import run
 
 ROOT = Path(__file__).parents[2]
 
@@ -43,7 +46,7 @@ def _seed_of(target: str) -> int:
     ],
 )
 def test_misbehaviour_is_seen(tmp_path, ending, end):
-    """The judge is a test, too: each way of going wrong is told as what it is."""
+    """The judge is a test, too: it reports each kind of misbehaviour by its name."""
     stock, scratch = tmp_path / "stock", tmp_path / "case"
     (stock / "kept").mkdir(parents=True)
     scratch.mkdir()
@@ -64,12 +67,28 @@ def test_misbehaviour_is_seen(tmp_path, ending, end):
     assert found.is_bad
 
 
-def test_commands_survive_damaged_input(tmp_path):
+@pytest.fixture
+def stock(mi, tmp_path, monkeypatch):
+    """Sound inputs; the commands that make them run in this process."""
+    folder = tmp_path / "stock"
+    folder.mkdir()
+
+    def run_here(arguments, **_):
+        assert run(arguments[1:]) == 0
+
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(fuzz_stock, "subprocess", SimpleNamespace(run=run_here))
+    fuzz_stock.make_stock(folder, Path("twin"))
+    return folder
+
+
+@pytest.mark.filterwarnings("ignore:ImageIO's vendored tifffile:DeprecationWarning")
+def test_commands_survive_damaged_input(stock):
     done = subprocess.run(
-        # The limit only ends what never would: how fast the machine is, is not tested.
+        # The limit only ends endless cases; the speed of the machine is not tested.
         [
             *(sys.executable, "-m", "benchmarks.fuzz", "--cases", "8", "--limit", "300"),
-            *("--stock", str(tmp_path / "stock")),
+            *("--stock", str(stock)),
         ],
         cwd=ROOT,
         capture_output=True,

@@ -13,7 +13,7 @@ from twin.identification.record import experiments_at_best, figures_of
 from twin.identification.run import _refined_places, identify, infer
 from twin.identification.simulations import record_of, simulate, variants_of
 from twin.study.table import read_table
-from twin.study.workers import local_workers
+from twin.study.workers import lasting, local_workers
 
 PROBLEM = """
 name = "sensor"
@@ -51,9 +51,8 @@ def _load(tmp_path: Path, text: str = PROBLEM):
 
 def _identify(tmp_path: Path, text: str = PROBLEM, workers: int = 1):
     problem, experiments = _load(tmp_path, text)
-    result = identify(
-        problem, experiments, tmp_path / "out", local_workers(workers), make_measurer=Formula
-    )
+    with lasting(local_workers(workers)) as pool:  # the processes are started once for all stages
+        result = identify(problem, experiments, tmp_path / "out", pool, make_measurer=Formula)
     return result, experiments
 
 
@@ -227,7 +226,7 @@ def test_no_more_places_are_drawn_than_there_are_samples(identified):
 def test_same_results_after_a_resume_and_with_two_workers(tmp_path):
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
-    text = CURVED.replace("= 20", "= 20\nrefine = 8\nlongest = 1000")  # short chains suffice
+    text = CURVED.replace("= 20", "= 12\nrefine = 4\nlongest = 1000")  # short chains suffice
     first, _ = _identify(tmp_path / "one", text)
     again, _ = _identify(tmp_path / "one", text)
     parallel, _ = _identify(tmp_path / "two", text, workers=2)

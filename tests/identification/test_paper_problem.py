@@ -73,6 +73,8 @@ def test_shape_depends_on_pressure_over_modulus(loaded, thickness_mm):
             "elastomer.thickness_mm": thickness_mm,
             "press.depth_mm": 0.5,
             "press.cell_mm": 0.5,
+            "elastomer.length_x_mm": 18.0,
+            "elastomer.length_y_mm": 15.0,
             "elastomer.young_modulus_kpa": 200.0,
             "press.back_pressure_kpa": 1.0,
         },

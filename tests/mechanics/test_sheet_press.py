@@ -42,7 +42,7 @@ def arrays_of(pressed: PressedElastomer | SheetFields) -> dict[str, np.ndarray]:
 
 def test_a_stretched_sheet_lies_at_zero_and_is_touched_at_once() -> None:
     """Its mounted thickness is h / s^2: z = 0 and travel 0 count from there."""
-    done = pressed(Ball(), build_sheet(**SMALL, pre_stretch=1.2), depth_mm=0.02)
+    done = pressed(MARBLE, build_sheet(**TINY, pre_stretch=1.2), depth_mm=0.02)
     assert np.abs(done.face_z_mm[[0, -1]]).max() < 1e-5
     assert 0.005 < done.face_z_mm.max() < 0.02
     assert done.force_n > 1e-4

@@ -8,9 +8,9 @@ from twin.cli import run
 
 
 def test_one_table_and_one_figure(tmp_path, capsys):
-    """No rendering: the mixes' hardness as table and graph, then the same again."""
+    """No rendering: the mixes' hardness as table and graph, again the same of two workers."""
     out = tmp_path / "paper"
-    assert run(["paper", "-o", str(out), "--only", "hardness", "--trials", "2"]) == 0
+    assert run(["paper", "-o", str(out), "--only", "hardness", "--trials", "2", "-j", "1"]) == 0
     assert f"wrote {out / 'report.html'}" in capsys.readouterr().out
     first = (out / "tables.json").read_bytes()
     rows = json.loads(first)["tables"]["hardness"]["rows"]

@@ -13,9 +13,9 @@ SMALL = {
     "camera.binning": 4,
     "camera.width_px": 968,
     "camera.height_px": 732,
-    "press.cell_mm": 0.4,
+    "press.cell_mm": 0.5,
     "elastomer.thickness_mm": 0.145,
-    "press.depth_mm": 0.6,
+    "press.depth_mm": 0.35,
 }
 
 
@@ -23,6 +23,7 @@ SMALL = {
 def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("twin.paper.plan.COARSE", Resolution({**COARSE.settings, **SMALL}, {}))
+        patch.setattr("twin.paper.demo.default_count", lambda: 1)  # no processes to start
         out = tmp_path_factory.mktemp("demo") / "out"
         assert run(["demo", "-o", str(out)]) == 0
         return out

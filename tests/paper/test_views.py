@@ -9,7 +9,7 @@ from twin.config import load_experiment
 from twin.optics.rig import true_calibration
 from twin.pipeline.press import press_specimen
 
-COARSE = {"press.solver_pitch_mm": 0.4, "press.relief_pitch_mm": 0.05}
+COARSE = {"press.cell_mm": 0.4, "press.relief_pitch_mm": 0.05}
 TOWARDS_LAMP = (-1.0, 0.0, 1.0)
 
 

@@ -24,7 +24,7 @@ from twin.pipeline.colours import ColourSensor, LitCoat, calibrated_sensor, with
 from twin.results.folder import read_measurement, write_measurement
 from twin.specimens.kinds.ball import Ball
 
-FEW = {"photometric.presses.count": 12, "photometric.presses.smallest_diameter_mm": 5.5}
+FEW = {"photometric.presses.count": 9, "photometric.presses.smallest_diameter_mm": 5.5}
 BALL_MM, DEPTH_MM = 6.31, 0.7
 PLACES_MM = ((0.0, 0.0), (5.0, 2.5), (-4.0, -3.0))
 

@@ -72,7 +72,8 @@ def test_what_has_no_derivative_is_told(experiment, settings, path, told):
 
 def test_press_writes_them(tmp_path):
     path, out = "elastomer.thickness_mm", tmp_path / "out"
-    settings = ["-s", "press.cell_mm=0.5", "-s", "press.depth_mm=0.5"]
+    small = ("press.cell_mm=0.5", "press.depth_mm=0.5", "elastomer.length_y_mm=15")
+    settings = [word for one in small for word in ("-s", one)]
     command = ["press", "examples/wrapped_balls", "-o", str(out), *settings, "--by", path]
     assert run(command) == 0
     figures = json.loads((out / "result.json").read_text())["metrics"]

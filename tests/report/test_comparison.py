@@ -30,6 +30,7 @@ SMALL = {
     "patterns.steps": 3,
     "render.samples": 1,
     "render.bounce_paths": 1,
+    "render.photons": 200_000,
     "press.solver_pitch_mm": 0.4,
     "press.relief_pitch_mm": 0.05,
 }

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from reconstruction.arrays import FloatArray, at_pixels
+from reconstruction.cells import SquareCells, box_of
 from reconstruction.pipeline import Reconstruction
 from twin.optics.stack import Truth
 from twin.report.canvas import (
@@ -93,23 +94,13 @@ def average_on_grid(
     pixel_mm : a cell is at least two camera pixels wide
     most_cells : and at least so wide that the longer side has no more cells than this
     """
-    x_mm, y_mm = points_world_mm[:, 0].astype(float), points_world_mm[:, 1].astype(float)
-    span_mm = max(float(np.ptp(x_mm)), float(np.ptp(y_mm)))
-    pitch_mm = max(_PIXELS_PER_CELL * pixel_mm, span_mm / most_cells)
-    x0_mm, y0_mm = float(x_mm.min()), float(y_mm.min())
-    col = ((x_mm - x0_mm) / pitch_mm).astype(np.intp)
-    row = ((y_mm - y0_mm) / pitch_mm).astype(np.intp)
-    rows, cols = int(row.max()) + 1, int(col.max()) + 1
-    cell = row * cols + col
-    count = np.bincount(cell, minlength=rows * cols)
-    total = np.bincount(cell, weights=values.astype(float), minlength=rows * cols)
-    mean = np.ma.masked_array(total / np.maximum(count, 1), mask=count == 0)
-    return WorldMap(
-        values=mean.reshape(rows, cols),
-        x_mm=x0_mm + pitch_mm * (np.arange(cols, dtype=np.float64) + 0.5),
-        y_mm=y0_mm + pitch_mm * (np.arange(rows, dtype=np.float64) + 0.5),
-        pitch_mm=pitch_mm,
-    )
+    points_mm = points_world_mm[:, :2].astype(float)
+    low_mm, high_mm = box_of(points_mm)
+    pitch_mm = max(_PIXELS_PER_CELL * pixel_mm, float((high_mm - low_mm).max()) / most_cells)
+    corner_mm = float(low_mm[0]), float(low_mm[1])
+    cells = SquareCells.of(points_mm, pitch_mm, corner_mm).means(values.astype(float))
+    mean = np.ma.masked_array(cells.mean[::-1], mask=~cells.valid[::-1])
+    return WorldMap(mean, cells.x_mm, cells.y_mm[::-1], pitch_mm)
 
 
 _VIEW_CELLS, _MAP_CELLS = 120, 480
