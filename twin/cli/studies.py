@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from twin.propagation.results import Uncertainty
     from twin.study.cases import Case
-    from twin.study.engine import SweepOutcome
+    from twin.study.outcome import SweepOutcome
     from twin.study.record import StudyRecord
     from twin.study.remarks import Remark
     from twin.study.workers import Workers

@@ -11,12 +11,13 @@ from reconstruction.reading import read_json
 from twin.pipeline.methods import check_measurable
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case, Cases
-from twin.study.engine import Run, SweepOutcome, run_together
+from twin.study.engine import Run, run_together
 from twin.study.gradient import descend
 from twin.study.index import DAMAGED, Index, entry_of
 from twin.study.measuring import PLAINLY, Measuring, calibrated
 from twin.study.nominal import check_nominal, nominal_case
 from twin.study.optimise import optimise
+from twin.study.outcome import SweepOutcome
 from twin.study.record import StudyRecord, write_record
 from twin.study.remarks import remarks_of
 from twin.study.store import FAILURE_FILE, Store
@@ -85,7 +86,7 @@ class _Session:
     def whole(self, outcome: SweepOutcome) -> SweepOutcome:
         """Return the outcome with how all the cases stand that were asked for."""
         standing = _standing(Index(self.store), self.asked)
-        return replace(outcome, damaged=self.damaged, **standing)
+        return replace(outcome, damaged=self.damaged, folder=self.store.folder, **standing)
 
 
 def sweep(
