@@ -280,7 +280,7 @@ def test_uncertain_orders_are_masked(synthesise):
         ({"code": "hierarchical", "further_periods_px": (1000.0,)}, "1000"),
         ({"code": "hierarchical", "further_periods_px": (1300.0, 12.0)}, "below all"),
         ({"code": "heterodyne"}, "one or two"),
-        ({"code": "heterodyne", "further_periods_px": (17.0,)}, "falling beat"),
+        ({"code": "heterodyne", "further_periods_px": (17.0,)}, "decreasing beat"),
         ({"code": "heterodyne", "further_periods_px": (19.0,)}, "unambiguous over"),
         ({"further_periods_px": (19.0,)}, "leave it out"),
         ({"code": "micro", "further_periods_px": (19.0,)}, "two or more"),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from reconstruction import compiling
-from reconstruction.compact import Half, Orders, RaySpread, Turns, kept
+from reconstruction.compact import Half, Orders, RaySpread, Turns, stored_value
 from reconstruction.decoding._rows import BIAS, pack_row, unpack_row
 from reconstruction.decoding.decode import AxisDecode, DecodeOptions, decode
 from reconstruction.decoding.plan import CHANCE_UNIT, SIGMA_UNIT_PX, units_of
@@ -116,7 +116,7 @@ def test_decoder_keeps_sixteen_bits_and_gives_single_precision(capture):
     axis = decode(stack, patterns, SENSOR, DecodeOptions(filter_taps=0)).column
     units = {"mean_dn": 2.0**-2, "sigma_px": SIGMA_UNIT_PX, "order_error": CHANCE_UNIT}
     for name, unit in units.items():
-        stored = kept(axis, name)
+        stored = stored_value(axis, name)
         assert isinstance(stored, Half)
         assert stored.unit == unit
         assert getattr(axis, name).dtype == np.float32
