@@ -11,12 +11,12 @@ from reconstruction.decoding._relief import (
     _weigh_relief,
     add_variances,
     find_shares,
-    give_back,
     make_blocks,
     predict_bias,
+    restore_relief,
     weigh_blocks,
     weigh_edge,
-    weigh_others,
+    weigh_neighbours,
     weigh_own,
     write_root,
     write_share,
@@ -62,9 +62,9 @@ def test_weights_of_a_pixel_and_of_those_around():
     weigh_own(*lines(C, F), centre, out)
     assert out[0] == pytest.approx(0.5625)
     ratios = np.array([[1.0, 0.5, 0.25], [0.5, 0.4, 0.1], [0.25, 0.1, 0.2]], np.float32)
-    weigh_others(*lines(C, F, 0.1, NOISE, COUNT, 0.05), ratios, out)
+    weigh_neighbours(*lines(C, F, 0.1, NOISE, COUNT, 0.05), ratios, out)
     assert out[0] == pytest.approx(0.4125 * 2 + 0.05)
-    weigh_others(*lines(C, F, 0.6, NOISE, COUNT, 0.05), ratios, out)
+    weigh_neighbours(*lines(C, F, 0.6, NOISE, COUNT, 0.05), ratios, out)
     assert out[0] == pytest.approx(0.05)
 
 
@@ -81,7 +81,7 @@ def test_lift_and_coarse_part_that_are_given_back():
     assert (lift[0], coarse[0]) == (0.75, -0.25)
     out = np.zeros(2, np.float32)
     x, usable = lines([10.0, 10.0], [1.0, 0.0])
-    give_back(x, usable, *lines([2.0] * 2, [4.0] * 2, [0.75] * 2, [-0.25] * 2), out)
+    restore_relief(x, usable, *lines([2.0] * 2, [4.0] * 2, [0.75] * 2, [-0.25] * 2), out)
     assert out.tolist() == [10.5, 0.0]
 
 
