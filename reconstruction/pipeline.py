@@ -288,17 +288,17 @@ def reconstruction_arrays(decoded: Decoded, point_map: PointMap) -> LabelledArra
 
 
 def _labelled(maps: Maps, attributes: dict[str, Any]) -> LabelledArrays:
-    attributes: dict[str, dict[str, Any]] = {}
+    variables: dict[str, dict[str, Any]] = {}
     for name in maps:
         units = UNITS.get(name.rsplit("_", 1)[-1], "1")
-        attributes[name] = {"units": units, "long_name": _long_name(name)}
-    attributes["mask_reason"].update(
+        variables[name] = {"units": units, "long_name": _long_name(name)}
+    variables["mask_reason"].update(
         comment="where it is not 0, points and their sigmas are 0 and no values",
         flag_values=np.array([int(reason) for reason in Reason], np.uint8),
         flag_meanings=" ".join(reason.name for reason in Reason),
     )
     return LabelledArrays(
-        {name: (PIXELS, values, attributes[name]) for name, values in maps.items()},
+        {name: (PIXELS, values, variables[name]) for name, values in maps.items()},
         coords=pixel_coordinates(*maps["mask_reason"].shape),
         attrs=attributes,
     )

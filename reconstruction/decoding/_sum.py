@@ -261,11 +261,11 @@ def mark_dark(white: Any, black: Any, scale: Any, limits: Limits, reason: Any) -
 
 @nested
 def level_row(
-    frames: RowFrames, opposite: int, count: int, is_ordered: bool, mean: Any, modulation: Any
+    frames: RowFrames, first_inverse: int, count: int, is_ordered: bool, mean: Any, modulation: Any
 ) -> None:
     """Write level and contrast of pairs of frames, the mean of `count`.
 
-    opposite : the first inverse frame
+    first_inverse : the first inverse frame
     is_ordered : the first frame of a pair should be the brighter one, as white is
     """
     stack, first, row = frames
@@ -273,7 +273,7 @@ def level_row(
     for col in range(mean.size):
         mean[col], modulation[col] = ZERO, ZERO
     for k in range(count):
-        a, b = stack[first + k, row], stack[opposite + k, row]
+        a, b = stack[first + k, row], stack[first_inverse + k, row]
         for col in range(mean.size):
             level, opposite = np.float32(a[col]), np.float32(b[col])
             mean[col] += share * (level + opposite)

@@ -1,4 +1,4 @@
-"""The joint adjustment: exact on exact data, honest about noise, clear about what is missing."""
+"""The joint adjustment: exact on exact data, correct sigma, messages on missing data."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from reconstruction.rig.pinhole import Pinhole
 
 BOARD = DotBoard(9, 7, 3.0, 1.2, 1.8)
 CAMERA = Pinhole(1936, 1464, 14500.0, 14500.0, 985.0, 720.0, (-0.8, 0.0, 0.0, 0.0, 0.0))
-# The principal point lies 200 px below the image, where OpenCV accepts no guess.
+# The principal point is 200 px below the image, where OpenCV accepts no guess.
 PROJECTOR = Pinhole(1280, 720, 1536.0, 1536.0, 632.0, 920.0)
 
 
@@ -55,9 +55,9 @@ def board_poses(count=8, tilt_deg=20.0):
 
 
 def observations(rig, poses, noise_px=(0.0, 0.0), seed=0):
-    """Return what an ideal detector sees, dots' perspective bias included, plus noise.
+    """Return the dots of an ideal detector, with perspective bias and noise.
 
-    The projector coordinate is that of the place where the camera sees the dot.
+    The projector coordinate is that of the dot's centre in the camera image.
     """
     rng = np.random.default_rng(seed)
     return [_observation(rig, T, f"pose_{k}", noise_px, rng) for k, T in enumerate(poses)]
@@ -203,7 +203,7 @@ def test_a_moved_dot_is_left_out(rig):
 
 
 def test_boards_that_all_face_the_camera_are_refused(rig):
-    """Parallel boards cannot tell focal length from distance."""
+    """Parallel boards do not distinguish focal length and distance."""
     poses = [np.eye(4) for _ in range(6)]
     for k, T in enumerate(poses):
         T[:2, 3] = 0.5 * k, -0.3 * k

@@ -1,4 +1,4 @@
-"""Boards: what is printed is what is found."""
+"""Boards: the detected features are the printed ones."""
 
 import numpy as np
 import pytest

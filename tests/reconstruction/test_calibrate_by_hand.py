@@ -41,7 +41,7 @@ def test_what_passes_for_a_dot():
     """A blob is an ellipse when 4 pi sqrt(det M) is its area to 12 %, its axes as 0.45 to 1.
 
     A ring of radii 3 and 10 has (100 + 9) / (100 - 9) = 1.198 of its area; of 2 and 10 1.083. A
-    square has 4 pi / 12 = 1.047, and so passes for a dot: the grid and its neighbours tell.
+    square has 4 pi / 12 = 1.047, and so passes for a dot: grid and neighbours decide.
     """
     assert found_at(disc(40, 50, 10)) == [[40, 50]]
     assert found_at(disc(40, 50, 10) - disc(40, 50, 2)) == [[40, 50]]
@@ -54,7 +54,7 @@ def test_what_passes_for_a_dot():
 
 
 def test_a_dot_needs_forty_pixels_and_lies_within_the_image():
-    """Squares of 6 x 6 and 6 x 7 pixels; a disc whose rim is on the image's edge, and beside it."""
+    """Squares of 6 x 6 and 6 x 7 pixels; a disc touching the image's edge, and next to it."""
     small = ((abs(COL - 20.5) < 3) & (abs(ROW - 20.5) < 3)) * 1.0
     large = ((abs(COL - 20.5) < 3) & (abs(ROW - 20) < 4)) * 1.0
     assert (small.sum(), large.sum()) == (36, 42)
@@ -65,7 +65,7 @@ def test_a_dot_needs_forty_pixels_and_lies_within_the_image():
 
 
 def test_a_dirty_dot_is_drawn_away_from_its_dirt():
-    """Of a dot of radius 10, pi 100 px, 9 px lie bare, (5, -3) px from its middle.
+    """Of a dot of radius 10, pi 100 px, 9 px are bare, (5, -3) px from its middle.
 
     Ink is left of 314.16 - 9 px: the centroid moves by -9 / 305.16 of that, (-0.1475, 0.0885) px.
     """
@@ -80,7 +80,7 @@ def test_a_dirty_dot_is_drawn_away_from_its_dirt():
 
 
 def test_shading_across_a_dot_is_divided_out():
-    """White falls linearly by a third across the dot's window: the centre stays to 0.01 px."""
+    """White decreases linearly by 1/3 across the dot's window: the centre is right to 0.01 px."""
     relative, dots = dots_of(disc(60.5, 50.5, 10))
     shade = (1.0 - (COL - 60.0) / 100.0 + (ROW - 50.0) / 300.0).astype(np.float32)
     centre, _ = refine_centres(relative * shade, dots)
@@ -120,7 +120,7 @@ QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 def test_the_world_is_the_first_board():
     """Camera 10 mm before the board, turned a quarter; projector (3, 0, 4) mm from the camera.
 
-    The camera's centre in the board's frame is -R^T t = (0, 0, -10); the projector stands where
+    The camera's centre in the board's frame is -R^T t = (0, 0, -10); the projector is where
     R x + t = 0 in its own frame, at -(3, 0, 4) in the camera's: turned back (0, 3, -4), and so at
     (0, 3, -14) in the world.
     """
@@ -142,7 +142,7 @@ def test_epipolar_lines_of_devices_side_by_side_are_rows():
     """Both look the same way: a camera row is a projector row, at twice the focal length.
 
     The camera's row 59.5, 10 px below its middle, is 20 px below the projector's: 169.5. Points at
-    that row miss by nothing, 3 px below by 3 px, whatever their column.
+    that row have error 0, 3 px below error 3 px, in any column.
     """
     rig = Calibration(CAMERA, PROJECTOR, np.eye(4), motion(shift=(7.0, 0.0, 0.0)))
     measured = np.array([[30.0, 59.5, 10.0, 169.5], [30.0, 59.5, 350.0, 172.5]])
@@ -180,7 +180,7 @@ def test_a_pupil_is_four_times_the_root_of_its_mean_square():
 
 
 def test_lengths_of_a_stretched_board():
-    """A board of 4 x 4 dots 3 mm apart, measured 1 % too large: 24 lengths of 3 mm, 0.03 mm off."""
+    """A board of 4 x 4 dots of 3 mm pitch, 1 % too large: 24 lengths of 3 mm, 0.03 mm off."""
     points = DotBoard(4, 4, 3.0, 1.0, 1.5).points_mm
     errors = length_errors_mm(1.01 * points, SimpleNamespace(points_mm=points), 3.0)
     assert len(errors) == 24

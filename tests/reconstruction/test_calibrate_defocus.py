@@ -42,8 +42,8 @@ def pupil_places():
 def test_displacement_is_that_of_rays_through_the_whole_pupil(tilt_deg, azimuth_deg, z_mm):
     """Setup: a board piece seen through 960 places of the pupil, each a pinhole of its own.
 
-    Expected: the mean position, weighted by the area that each place sees (by differences), and
-    the mean board position that one pixel sees through all places, displaced by b each, to 3 %.
+    Expected: the mean position, weighted by the area visible from each place (by differences), and
+    the mean board position of one pixel through all places, displaced by b each, to 3 %.
     """
     T = board_pose(tilt_deg, azimuth_deg, z_mm)
     normal, f = T[:3, 2], CAMERA.fx_px
@@ -72,7 +72,7 @@ def test_displacement_is_that_of_rays_through_the_whole_pupil(tilt_deg, azimuth_
 
 @pytest.fixture(scope="module")
 def blurred():
-    """Return what a camera of finite aperture sees of eight poses, exactly, and the true rig."""
+    """Return exact images of eight poses with a finite aperture, and the true rig."""
     poses = [board_pose(0, 0)]
     poses += [board_pose(20 - 4 * (k % 2), 137.5 * k, k % 5 - 2.0, 40 * k) for k in range(1, 8)]
     T_proj_from_cam = np.eye(4)

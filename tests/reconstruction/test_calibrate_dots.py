@@ -1,4 +1,4 @@
-"""Dots in an image: sub-pixel centres, identities, and what must be refused."""
+"""Dots in an image: sub-pixel centres, identities, and images to reject."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_every_dot_is_named_and_centred(tilt_deg, spin_deg):
 
 
 def test_shading_does_not_move_the_dots():
-    """Setup: brightness falls to a half across. Expected: centres as without, 0.005 px."""
+    """Setup: brightness decreases to 50 % across. Expected: centres as without it, 0.005 px."""
     image = photograph(motion(20.0, 10.0))
     shade = np.linspace(1.0, 0.5, image.shape[1], dtype=np.float32)
     ids, centres = detect(image)
@@ -136,8 +136,8 @@ def test_centre_of_a_circles_image_in_closed_form():
     """Setup: a circle tilted by 40 degrees near the camera.
 
     Expected: the centre of its image is the mean of the two extreme points of every chord through
-    it; for a tilt about y the horizontal axis of the ellipse ends at X(0) and X(pi), whose mean is
-    the centre's x. The bias has the first-order size r^2 sin(t) cos(t) / z^2.
+    it; for a tilt about y the horizontal axis of the ellipse ends at X(0) and X(pi); their mean
+    is the centre's x. The bias has the first-order size r^2 sin(t) cos(t) / z^2.
     """
     T = motion(40.0, 0.0, distance_mm=60.0)
     radius = 3.0

@@ -91,7 +91,7 @@ def observed() -> list[Observation]:
 
 
 def columns_by(seen: Observation, factor: float) -> Observation:
-    """Return what a projector gives whose columns are counted `factor` times as many."""
+    """Return the observations with `factor` times as many projector columns."""
     width, height = seen.projector_size_px
     return replace(
         seen,
@@ -177,7 +177,7 @@ def test_a_pose_that_moved_a_little_is_a_warning(observed):
 
 
 def out_of_focus(seen: Observation, number: int, pupil_diameter_mm: float) -> Observation:
-    """Return what a camera of that aperture sees, in best focus at the first board's distance."""
+    """Return images of that aperture, in best focus at the first board's distance."""
     T = Rig()._into_camera(number)
     inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
     slopes = defocus_slopes_px(CAMERA, inside, T[:3, 2], Rig().distance_mm)

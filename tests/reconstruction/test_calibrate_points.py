@@ -1,4 +1,4 @@
-"""Projector coordinates at features: from the phase of the white print, nothing else."""
+"""Projector coordinates at features: only from the phase of the white print."""
 
 from types import SimpleNamespace
 
@@ -80,7 +80,7 @@ def test_undecoded_board_is_explained():
 
 
 def test_phase_reaches_the_feature_through_the_decoder(patterns, quiet_sensor, synthesise):
-    """Setup: ideal 8-bit-free frames whose dots are dark. Expected: 1e-3 px through the decoder."""
+    """Setup: ideal 8-bit-free frames with dark dots. Expected: 1e-3 px through the decoder."""
     where, white = coordinates(), dots()
     stack = synthesise(patterns, where[..., 0], where[..., 1])
     stack = (stack * np.where(white, 1.0, 0.05)).astype(np.float32)

@@ -91,7 +91,7 @@ def test_only_rigid_motions_are_taken(calibration, matrix, message):
 
 
 def test_devices_at_one_place_are_refused(calibration):
-    """From one place nobody sees depth."""
+    """Without a baseline there is no depth."""
     at = calibration.T_world_from_cam
     with pytest.raises(InputError, match=r"camera and projector are 0 mm apart; allowed 0\.001"):
         Calibration(calibration.camera, calibration.projector, at, at)

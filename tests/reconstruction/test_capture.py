@@ -54,7 +54,7 @@ def test_stack_is_plain_netcdf(folder, capture):
 
 
 def test_frames_lie_one_after_the_other_uncompressed(folder, capture):
-    """So that any frame is one read; and nothing but the stack takes room."""
+    """Any frame is a single read, and only the stack occupies the file."""
     with h5py.File(folder / "stack.nc", "r") as file:
         assert file["stack"].chunks is None
         assert file["stack"].id.get_storage_size() == capture.stack.nbytes

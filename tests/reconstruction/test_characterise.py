@@ -46,7 +46,7 @@ def shown(patterns, column_px, row_px, gamma, blur_px):
 def test_pairs_give_gain_and_read_noise():
     """Poisson light from black to 3000 DN, twice. Expected: within three uncertainties, below 1 %.
 
-    Light that drifts by 2 % between the two changes nothing.
+    Light that drifts by 2 % between the two has no effect.
     """
     clean = TRUE.black_level_dn + np.linspace(0.0, 3000.0, 12)[:, None, None] * np.ones((90, 120))
     drifted = TRUE.black_level_dn + 1.02 * (clean - TRUE.black_level_dn)
@@ -95,7 +95,7 @@ def moved_texture(rng):
 
 
 def reduced_noise(rng):
-    """Noise of 1 DN at every level, as noise reduction in a camera leaves it."""
+    """Noise of 1 DN at every level, as after noise reduction in a camera."""
     light = np.linspace(0.0, 3000.0, 12)[:, None, None] * np.ones((90, 120))
     return tuple(np.rint(64.0 + light + 1.3 * rng.normal(size=light.shape)) for _ in range(2))
 
@@ -136,7 +136,7 @@ def test_flat_frames_that_show_no_response_are_refused():
 
 
 def test_dark_and_flat_frames():
-    """Offsets of 2 e-, response of 0.8 %, light that falls off by a third over the image."""
+    """Offsets of 2 e-, response of 0.8 %, light that decreases by 1/3 over the image."""
     rng = np.random.default_rng(5)
     offset_dn = 2.0 * 0.17 * rng.normal(size=(150, 200))
     response = 1.0 + 0.008 * rng.normal(size=(150, 200))
@@ -148,7 +148,7 @@ def test_dark_and_flat_frames():
     fall = 1.0 - np.linspace(0.0, 0.33, 200)
     flat = np.stack([recorded(64.0 + 2500.0 * fall * response, 10 + k) for k in range(8)])
     prnu = prnu_of(flat, 64.0)
-    # The mean of the squares of what falls off is 1.013 times the square of their mean.
+    # The mean square of the decreasing light is 1.013 times the square of their mean.
     assert prnu.value == pytest.approx(
         0.008 * np.sqrt(1.0 + np.var(fall) / fall.mean() ** 2), rel=0.04
     )
@@ -166,9 +166,9 @@ def test_dark_and_flat_frames():
     ],
 )
 def test_a_capture_tells_gamma_blur_and_noise(steps, axes, code, gamma, blur_px):
-    """Single capture, pixels without footprint. Expected: what it was made with.
+    """Single capture, pixels without footprint. Expected: the true values.
 
-    Blur is told with half of the footprint that pixels of this spacing would have.
+    Blur includes 50 % of the footprint of pixels of this spacing.
     """
     patterns = PatternSet(640, 360, steps=steps, axes=axes, code=code)
     row, col = np.mgrid[0:90, 0:150].astype(float)
@@ -191,8 +191,8 @@ def test_a_capture_tells_gamma_blur_and_noise(steps, axes, code, gamma, blur_px)
 def test_a_second_fit_begins_where_the_response_puts_the_pixels():
     """Three steps at gamma 2.1: read as if it were 1, some pixels settle beyond a bit's edge.
 
-    Expected: chi-square far above 1 at first; decoded with what was found, 1, and the gamma within
-    0.001. By image pixels as large as a projector's, so that many lie near edges.
+    Expected: chi-square far above 1 at first; decoded with the estimate, 1; gamma within
+    0.001. By image pixels as large as a projector's, so that many are near edges.
     """
     patterns = PatternSet(640, 360, steps=3, code="gray")
     row, col = np.mgrid[0:150, 0:240].astype(float)
@@ -231,7 +231,7 @@ def test_a_gamma_at_the_end_of_its_range_is_none():
 
 
 def white_frame(unevenness, seed=5):
-    """Return a frame of light that falls off slowly, with an uneven coat, and what of it is lit."""
+    """Return a frame of slowly varying light, with an uneven coat, and its lit pixels."""
     row, col = np.mgrid[0:200, 0:300]
     slow = 900.0 + 400.0 * np.cos(row / 90.0) * np.cos(col / 120.0)
     lit = np.hypot(row - 100, col - 150) < 95
@@ -240,7 +240,7 @@ def white_frame(unevenness, seed=5):
 
 
 def test_an_even_coat_has_no_contrast_but_noise():
-    """Noise is 1 % of the light here; what is left is within its uncertainty of 0."""
+    """Noise is 1 % of the light here; the remainder is 0 within its uncertainty."""
     image, lit = white_frame(np.zeros((200, 300)))
     found = sparkle_of(image, TRUE, lit)
     assert found.contrast < 4.0 * found.uncertainty
@@ -250,11 +250,11 @@ def test_an_even_coat_has_no_contrast_but_noise():
 
 @pytest.mark.parametrize(("grain_px", "neighbours"), [(0.0, 0.0), (0.8, 0.61)])
 def test_contrast_of_a_grainy_coat(grain_px, neighbours):
-    """3 % from pixel to pixel, alone or in grains; these keep their share but for the high-pass.
+    """3 % from pixel to pixel, or in grains; these keep their share except for the high-pass.
 
-    A Gaussian of 0.8 px leaves neighbours exp(-1 / (4 0.64)) = 0.68 of their variance in common.
-    The mean over 49 pixels takes 4 pi 0.64 / 49 = 0.16 at most of the variance, and as much of what
-    is in common: (0.68 - 0.16) / (1 - 0.16).
+    After a Gaussian of 0.8 px neighbours share exp(-1 / (4 0.64)) = 0.68 of their variance.
+    The mean over 49 pixels takes at most 4 pi 0.64 / 49 = 0.16 of the variance, and as much of the
+    common part: (0.68 - 0.16) / (1 - 0.16).
     """
     uneven = np.random.default_rng(1).normal(size=(200, 300))
     if grain_px:
@@ -268,7 +268,7 @@ def test_contrast_of_a_grainy_coat(grain_px, neighbours):
 
 
 def test_glints_are_counted():
-    """1 % of the pixels shine by half as much again: 5 % contrast, and nearly all of them told."""
+    """1 % of the pixels are 50 % brighter: 5 % contrast, and nearly all are detected."""
     rng = np.random.default_rng(2)
     image, lit = white_frame(0.5 * (rng.random((200, 300)) < 0.01))
     found = sparkle_of(image, TRUE, lit)

@@ -95,7 +95,7 @@ def test_plug_in_code_is_found_in_an_experiment(residue):
 
 
 def test_a_list_of_frames_states_a_code_from_outside(residue):
-    """Two periods alone are those of the heterodyne code, of which these number too few pixels."""
+    """Two periods are those of the heterodyne code, of which these number too few pixels."""
     frames = [
         ListedFrame(f"{period_px}_{n}.png", "phase", "column", period_px, 90.0 * n)
         for period_px in (21.0, 26.0)
@@ -133,7 +133,7 @@ def hierarchical(wrapped):
     periods_px, x_px = wrapped.fringes.periods_px, None
     for j in sorted(range(len(periods_px)), key=lambda j: -periods_px[j]):
         turns, period_px = wrapped.turns[j], periods_px[j]
-        # The coarsest period spans the image, which begins half a pixel before 0.
+        # The coarsest period spans the image, which starts half a pixel before 0.
         coarse = 0.5 * wrapped.fringes.length_px if x_px is None else x_px
         x_px = period_px * (np.rint(coarse / period_px - turns) + turns)
     return x_px

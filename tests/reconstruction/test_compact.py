@@ -149,7 +149,7 @@ def test_plain_arrays_are_kept_as_they_are():
 def test_result_needs_less_than_half_of_the_memory_of_the_stack(monkeypatch, capture):
     """Expected: all that decoding and triangulating allocate at once, below half of 16-bit frames.
 
-    Setup: a dark capture of full size, beside which the lines and patches of two threads are small.
+    Setup: a dark capture of full size, so that lines and patches of two threads are small.
     Why: with the stack itself that is the promised 1.5, which the benchmark measures.
     """
     monkeypatch.setattr(compiling, "threads", lambda: 2)

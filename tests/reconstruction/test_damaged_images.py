@@ -1,4 +1,4 @@
-"""Image files that are damaged, or of what no sensor records: one line each, and no flood."""
+"""Image files that are damaged or not from a sensor: one line of error each."""
 
 import random
 import struct
@@ -72,7 +72,7 @@ def test_a_cut_exr_is_told_in_one_line(tmp_path):
 
 
 def _refusals(path, read):
-    """Yield what is said of a file that is damaged in 150 ways, where it is refused."""
+    """Yield the errors of a file that is damaged in 150 ways."""
     whole = path.read_bytes()
     for seed in range(150):
         path.write_bytes(damaged_bytes(whole, random.Random(seed))[0])

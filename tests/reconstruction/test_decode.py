@@ -51,7 +51,7 @@ def test_eighteen_steps_cancel_the_harmonics_of_a_response_curve(
 
 
 def test_phase_grows_to_the_right_and_downwards(patterns, quiet_sensor):
-    """Setup: the camera sees projector pixel (u, v) = (col, row), through `image` itself."""
+    """Setup: camera pixel (col, row) = projector pixel (u, v), through `image` itself."""
     window = (slice(0, 90), slice(0, 120))
     stack = np.stack([patterns.image(frame)[window] for frame in patterns.frames])
     quiet = SensorNoise(0.0, 0.0, 0.0, 256.0)
@@ -96,7 +96,7 @@ def test_complementary_bit_leaves_no_order_error(patterns, synthesise, cover, bl
 @pytest.mark.parametrize("noise_dn", [2.0, 6.0])
 @pytest.mark.parametrize("blur_px", [0.5, 1.5, 3.0])
 def test_plain_gray_code_stands_blur_and_noise(synthesise, cover, blur_px, noise_dn):
-    """Why: at a border bit and phase err apart; the levels of two bits tell which border it is.
+    """Why: at a border errors of bit and phase differ; levels of two bits determine the border.
 
     Taken as read, 0.1 to 1.2 % of the pixels are a period off.
     """

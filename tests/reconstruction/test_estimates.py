@@ -75,10 +75,10 @@ def test_the_stated_uncertainty_is_the_scatter_of_the_value(fit):
 
 
 def test_errors_that_neighbours_share_average_less():
-    """Setup: white noise behind a Gaussian of 1 pixel, in whose area 4 pi points share an error.
+    """Setup: white noise after a Gaussian of 1 pixel: 4 pi points share an error.
 
-    Expected: the step scatters by what is stated for that many, 3.5 times as much as for points of
-    their own; 200 values know a scatter to 5 %, and plateaus are cut off at their rim.
+    Expected: the scatter of the step is the predicted one, 3.5 times that of independent points;
+    200 values give a scatter to 5 %, and plateaus are cut off at their rim.
     """
     rng, draws = np.random.default_rng(3), []
     for _ in range(200):
@@ -135,8 +135,8 @@ def _ripple(points):
 def test_each_alignment_takes_off_what_it_may(alignment, left_um):
     """Setup: a rippled surface measured 40 um too high, tilted by 0.5 mrad per axis, 20 um aside.
 
-    Expected: nothing, the offset, then the tilt, then the sliding is taken off; what is left of
-    each is less than the larger parts that remain.
+    Expected: no motion, the offset, also the tilt, also the sliding is subtracted; the remainder
+    of each is less than the larger parts that remain.
     """
     z = 0.2 * np.cos(X) * np.cos(Y)
     points = np.column_stack([X, Y, z])
@@ -189,13 +189,13 @@ BY_HAND = [
     (-9.0, 2.0, "cannot tell"),
     (10.0, 0.0, "within tolerance"),
     (10.1, 0.0, "not within tolerance"),
-    (0.0, 11.0, "cannot tell"),  # U is wider than the tolerance: nothing can be proved
+    (0.0, 11.0, "cannot tell"),  # U is wider than the tolerance: no conformity can be proved
 ]
 
 
 @pytest.mark.parametrize(("value", "expanded", "decided"), BY_HAND)
 def test_the_decision_rule_by_hand(value, expanded, decided):
-    """Tolerance -10 to 10, ISO 14253-1: U is taken off on both sides before conformity is said."""
+    """Tolerance -10 to 10, ISO 14253-1: U is subtracted on both sides for conformity."""
     assert Tolerance(-10.0, 10.0).verdict(value, expanded) == decided
 
 

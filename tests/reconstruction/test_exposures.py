@@ -49,7 +49,7 @@ def test_merged_exposures_reach_every_pixel_with_the_predicted_sigma(synthesise,
 
 
 def test_one_exposure_alone_does_not_reach_everywhere(synthesise):
-    """Why: shows what merging is for."""
+    """Why: shows the use of merging."""
     patterns, _, stacks = scene(synthesise)
     merged = merge_exposures(stacks, EXPOSURES_MS, SENSOR)
     options = DecodeOptions(filter_taps=0, max_phase_sigma_rad=0.2)

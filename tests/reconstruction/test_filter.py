@@ -23,7 +23,7 @@ SLOPE = np.tan(np.radians(53.0))
 
 @pytest.fixture
 def noisy(synthesise):
-    """Return what makes the frames of a coat with shot and read noise, 12 bit."""
+    """Return a function that makes frames of a coat with shot and read noise, 12 bit."""
 
     def frames(column, lines, contrast=1.0, seed=5):
         clean = synthesise(PATTERNS, column, lines, mean_dn=0.0, amplitude_dn=900.0)
@@ -125,7 +125,7 @@ def test_holes_and_borders_do_not_shift_a_slope(synthesise):
 
 
 def test_sigma_next_to_holes_is_that_of_the_pairs_left(noisy):
-    """Setup: 64 exposures of a plane with holes. Expected: spread over sigma is 1 beside them."""
+    """Setup: 64 exposures of a plane with holes. Expected: spread over sigma is 1 next to them."""
     column, lines = (image[:48, :64] for image in coordinates("flat", 1))
     dark = np.random.default_rng(4).random(column.shape) < 0.02
     beside = binary_dilation(dark, iterations=3) & ~binary_dilation(dark)

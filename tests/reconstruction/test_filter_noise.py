@@ -27,7 +27,7 @@ def by_the_decoder(coordinate, sigma, reason):
 
 
 def sigmas():
-    """Noise that grows over the image, px."""
+    """Noise that increases over the image, px."""
     return 0.02 * (1.0 + np.linspace(0.0, 1.0, SHAPE[1]))[None, :] * np.ones((SHAPE[0], 1))
 
 
@@ -63,7 +63,7 @@ def test_derivatives_are_those_of_the_map():
 
 
 def test_noise_of_a_part_is_that_of_the_whole():
-    """Only the surroundings of what is fitted are looked at."""
+    """Only the surroundings of the fitted pixels are used."""
     usable = np.ones(SHAPE, bool)
     found = filter_noise(relief(0.004), sigmas() ** 2, usable, **GAUSS)
     slope = np.zeros(SHAPE)
@@ -99,6 +99,6 @@ def test_predicted_variance_is_the_spread_of_many(bend):
     assert np.std(ratio[far]) < 0.07
     of_window = np.tensordot(draws, window, 2).std()
     assert of_window == pytest.approx(found.noise(window), rel=0.1)
-    # What would be said of pixels that share no error.
+    # The value for pixels that share no error.
     alone = np.sqrt(np.sum(window**2 * found.variance_px2))
     assert of_window > 2.0 * alone

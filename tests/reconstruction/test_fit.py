@@ -165,7 +165,7 @@ def test_both_fits_refuse_the_same_points():
 def test_points_that_hardly_fix_a_sphere_have_a_least_one_too(seed, count):
     """Setup: a few scattered points, on which Gauss-Newton steps do not shrink.
 
-    Expected: the sum of squares does not change to first order: residuals add up to nothing, and
+    Expected: the sum of squares does not change to first order: the residuals sum to 0, and
     so do their components along the normals.
     """
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Lists of frames: which image is what, in layouts true to those of public sets and programs.
+"""Lists of frames: the pattern of each image, in layouts of public sets and programs.
 
 Oracle: the frames of a `PatternSet` written under foreign names in a foreign order; the list must
 give back that set, and every image in its place.
@@ -30,7 +30,7 @@ SIZE = {"width_px": 160, "height_px": 96}
 
 
 def listed(folder, names, groups, top=""):
-    """Write images (their content is their name's place) and the list; return what is found."""
+    """Write images (content: position of the name) and the list; return the order found."""
     for name in names:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -195,7 +195,7 @@ NAMES = [f"p{n}.png" for n in range(4)] + [f"g{n}.png" for n in range(4)]
         (NAMES[:-2], [FRINGES, BITS], "there are 2 Gray frames; fringes of 16 px need 4, or 5"),
         (NAMES, [FRINGES, BITS.replace("g*", "g{0..4}")], "1 of 5 gray images are missing: g4.png"),
         (NAMES, [FRINGES, BITS.replace("g*", "h*")], "finds 0 images"),
-        (NAMES, [FRINGES], "nothing that numbers its fringes"),
+        (NAMES, [FRINGES], "without a word or period that numbers its fringes"),
         (NAMES, [FRINGES, BITS, BITS.replace("gray", "inverse")], "g0.png is listed twice"),
         (NAMES, [FRINGES, BITS, FRINGES.replace("p*", "g?")], "both listed as phase along column"),
         (NAMES, [FRINGES + "\nshift_deg = [0, 90, 180, 190]", BITS], "no 4 equal steps"),

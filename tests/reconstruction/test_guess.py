@@ -1,6 +1,6 @@
-"""What `twin describe` guesses of random captures: right, or marked as unsure.
+"""Guesses of `twin describe` for random captures: right, or marked as unsure.
 
-Oracle: the pattern set that was projected. A camera of 160 x 120 pixels sees all of the projector
+Oracle: the pattern set that was projected. The view of 160 x 120 pixels shows the whole projector
 or a part of it, on a relief with a step, coated unevenly, blurred and with noise; images are
 recorded in several orders, or one is missing.
 """
@@ -81,7 +81,7 @@ def recorded(patterns, rng, how):
 
 
 def wrong_files(text, patterns, shown):
-    """Return the files whose group, place or shift is not what was shown, group by group."""
+    """Return the files with a wrong group, place or shift, group by group."""
     described = tomllib.loads(text)
     listed = {name for group in described.get("frames", []) for name in group["files"]}
     wrong = [[name] for name in shown if name not in listed]

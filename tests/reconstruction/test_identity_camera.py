@@ -1,8 +1,8 @@
-"""Every sequence that can be shown comes back: a camera whose pixels are those of the projector.
+"""Every sequence is decoded correctly by a camera with the pixels of the projector.
 
 Oracle: the coordinate of camera pixel (row, col) is (col, row), exactly; with noise the error in
-units of the predicted sigma has the variance 1. Words alone are steps: their error is bounded by
-half a word, and its mean square is (w^2 - 1) / 12 over whole pixels.
+units of the predicted sigma has the variance 1. Words without phase are steps: their error is at
+most half a word, and its mean square is (w^2 - 1) / 12 over whole pixels.
 """
 
 import numpy as np
@@ -68,7 +68,7 @@ WORDS = [
 
 
 def seen(patterns, noise_dn=0.0, seed=0):
-    """Return the projected images as a camera of the same pixels sees them."""
+    """Return the projected images recorded by a camera of the same pixels."""
     stack = np.stack([patterns.image(frame) for frame in patterns.frames])
     rng = np.random.default_rng(seed)
     return np.rint(stack + rng.normal(0.0, noise_dn, stack.shape)).astype(np.uint8)
@@ -90,7 +90,7 @@ def test_phase_shifting_gives_each_pixel_itself(case):
     """8-bit rounding of the pattern is the only error: sigma 0.29 levels of 95."""
     patterns = PatternSet(**SIZE, **LEVELS, **case)
     decoded = decode(seen(patterns), patterns, QUIET, UNFILTERED)
-    # Where a fringe wraps, plain words and coarse levels may tell a doubt.
+    # Where a fringe wraps, plain words and coarse levels may be in doubt.
     assert np.mean(decoded.valid) > 0.85
     for axis in patterns.axes:
         error_px, _ = errors_px(decoded, axis)
@@ -105,7 +105,7 @@ def test_phase_shifting_gives_each_pixel_itself(case):
 
 @pytest.mark.parametrize("case", PHASE + SEVERAL, ids=told)
 def test_noise_of_phase_shifting_is_as_predicted(case):
-    """Chi-square per pixel of 1 within 5 %: more than 10,000 values, whose spread is 1.4 %."""
+    """Chi-square per pixel of 1 within 5 %: more than 10,000 values with a spread of 1.4 %."""
     patterns = PatternSet(**SIZE, **LEVELS, **case)
     stack = seen(patterns, READ_NOISE_DN, seed=1)
     decoded = decode(stack, patterns, NOISY, UNFILTERED)

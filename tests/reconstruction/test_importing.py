@@ -146,7 +146,7 @@ def test_the_angle_is_that_between_two_known_places():
 
 
 def test_units_and_order_are_what_is_said(tmp_path: Path):
-    """With the devices swapped and lengths in cm the same rig comes out the other way round."""
+    """With the devices swapped and lengths in cm the rig is the same with both exchanged."""
     plain = import_calibration(of_scanner(tmp_path), SIZES).calibration
     swapped = Importing((912, 1140), (640, 480), "cm", projector_first=True, standoff_mm=200.0)
     turned = import_calibration(of_scanner(tmp_path), swapped).calibration

@@ -20,7 +20,7 @@ WITH_A_GAP = PlaneLayers((14.0, 12.0, 9.0), (1.9, 1.0, 1.41))
 def first_leg(device_mm, point_mm, layers):
     """Return the direction in air of the light from a device to a point.
 
-    By symmetry it stays in the plane of incidence, and n sin(theta) is the same in all media: found
+    By symmetry it is in the plane of incidence, and n sin(theta) is the same in all media: found
     by bracketing (Brent) in the sine; the kernels take Newton's method in the tangent.
     """
     way_mm = np.hypot(*(point_mm[:2] - device_mm[:2]))
@@ -36,14 +36,14 @@ def first_leg(device_mm, point_mm, layers):
 
 
 def seen_from(device, T_world_from_device, point_mm, layers):
-    """Return the pixel at which a device sees a point below layers."""
+    """Return the pixel of a point below layers in a device."""
     ray = T_world_from_device[:3, :3].T @ first_leg(T_world_from_device[:3, 3], point_mm, layers)
     return device.project(ray)
 
 
 @pytest.fixture
 def measured(calibration, surface):
-    """Return a function: what camera pixels see through layers, found by forward projection."""
+    """Return a function: view of camera pixels through layers, by forward projection."""
 
     def make(layers, roll_deg=0.0):
         c, s = np.cos(np.deg2rad(roll_deg)), np.sin(np.deg2rad(roll_deg))
@@ -59,7 +59,7 @@ def measured(calibration, surface):
 
 
 def looked_at(rig, camera_px, projector_px, use):
-    """Triangulate single sight lines: a camera of one pixel whose centre is each of them."""
+    """Triangulate single sight lines: a camera of one pixel centred on each of them."""
     found, sigma, valid = [], [], []
     for at, pixel in zip(camera_px, projector_px, strict=True):
         x, y = rig.camera.unproject(at)
@@ -105,7 +105,7 @@ def test_sigma_is_how_far_a_point_moves(measured, use, roll_deg):
     """
     rig, _, camera_px, projector_px = measured(GEL_ON_WINDOW, roll_deg)
     _, sigma, valid = looked_at(rig, camera_px, projector_px, use)
-    assert valid.all()  # where there is no point, nothing moves
+    assert valid.all()  # where there is no point, no value changes
     square = 0.0
     for axis in (0, 1) if use == "both" else (int(use == "row"),):
         step = np.zeros(2)

@@ -20,7 +20,7 @@ def rays_of(camera, rows):
     "distortion", [NO_DISTORTION, (-0.05, 0.1, 1e-4, -2e-4, 0.02), (-0.3, 0.12, 2e-3, 1e-3, 0.0)]
 )
 def test_rays_are_the_inverse_of_the_lens(distortion):
-    """Setup: telephoto and wide angle, also rows far apart. Expected: 1e-10 of `unproject`."""
+    """Setup: telephoto and wide angle, also distant rows. Expected: 1e-10 of `unproject`."""
     camera = Pinhole(160, 120, 110.0, 112.0, 77.0, 61.0, distortion)
     rows = [*range(50), 90, 20, 119]
     rays, found = rays_of(camera, rows)
@@ -42,15 +42,15 @@ def test_beyond_a_fold_there_is_no_ray():
     assert not found[radius > largest].any()
     back = np.stack(distort(rays[..., 0], rays[..., 1], camera.distortion), axis=-1)
     assert np.max(np.abs(back - target)[found]) < 1e-10
-    # Of three solutions, the one that grows with the image radius.
+    # Of three solutions, the one that increases with the image radius.
     assert np.all(np.hypot(rays[..., 0], rays[..., 1])[found] < np.sqrt(2.0 / 3.0) + 1e-9)
 
 
 @pytest.mark.parametrize("k1", [-0.25, -0.1, 0.1, 0.2])
 def test_every_ray_of_a_wide_lens_meets_its_pixel(k1):
-    """Setup: image to 0.72 of the focal length, 0.94 of what k1 = -0.25 can show.
+    """Setup: image to 0.72 of the focal length, 0.94 of the limit of k1 = -0.25.
 
-    Expected: a ray for every pixel, back on it within 1e-9 px (1e-4 asked for).
+    Expected: a ray for every pixel, back on it within 1e-9 px (1e-4 required).
     """
     camera = Pinhole(160, 120, 139.0, 139.0, 79.5, 59.5, (k1, 0.0, 1e-3, -2e-3, 0.0))
     rays, found = rays_of(camera, np.arange(120))
@@ -61,7 +61,7 @@ def test_every_ray_of_a_wide_lens_meets_its_pixel(k1):
 
 
 def test_no_ray_comes_from_behind_the_fold():
-    """Setup: r (1 - 0.5 r^2 + 0.1 r^4) grows to 0.6 at r = 1, falls, and grows again from 1.41 on.
+    """Setup: r (1 - 0.5 r^2 + 0.1 r^4) rises to 0.6 at r = 1, and again from 1.41 on.
 
     Expected: none of the rays that also meet a pixel there, but that no such lens has.
     """

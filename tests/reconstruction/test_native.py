@@ -1,4 +1,4 @@
-"""Native readers in a child: what it reads, and what it dies of, comes back as words."""
+"""Native readers in a child: its data and the reason of a crash are returned."""
 
 import os
 import threading
@@ -57,7 +57,7 @@ def test_a_matlab_file_that_ends_early_is_told(tmp_path):
 
 
 def test_what_a_library_prints_goes_nowhere_and_what_we_print_does_not(capfd):
-    """Of several threads, whose blocks overlap; native code writes to the streams themselves."""
+    """Blocks of several threads overlap; native code writes to the streams themselves."""
     together = threading.Barrier(4)
 
     def read() -> None:

@@ -15,7 +15,7 @@ SETS = [
 
 @pytest.mark.parametrize("patterns", SETS, ids=lambda patterns: patterns.code)
 def test_images_and_manifest_are_the_pattern_set(tmp_path, patterns):
-    """Expected: the projector shows what the decoder expects, in the order of projection."""
+    """Expected: the files are the images of the decoder, in the order of projection."""
     write_patterns(tmp_path, patterns)
     assert read_manifest(tmp_path) == read_manifest(tmp_path / "patterns.toml") == patterns
     found = sorted(path.name for path in tmp_path.glob("*.png"))

@@ -59,7 +59,7 @@ def test_a_solution_behind_the_fold_is_refused():
 
 
 def test_corners_without_a_ray_are_drawn_where_the_field_ends():
-    """Setup: r (1 - 0.5 r^2) ends at 0.544, at r = 0.816; the corners lie at 0.5 and at 1."""
+    """Setup: r (1 - 0.5 r^2) ends at 0.544, at r = 0.816; the corners are at 0.5 and at 1."""
     inside = Pinhole(80, 60, 100.0, 100.0, 39.5, 29.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
     wide = Pinhole(160, 120, 100.0, 100.0, 79.5, 59.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
     corners_px = [[-0.5, -0.5], [79.5, -0.5], [79.5, 59.5], [-0.5, 59.5]]

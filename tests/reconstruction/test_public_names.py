@@ -1,4 +1,4 @@
-"""`import reconstruction` gives the public names, and costs nothing before one is used."""
+"""`import reconstruction` gives the public names, and imports no module before one is used."""
 
 import importlib
 import pkgutil
@@ -49,4 +49,4 @@ def test_rooms_do_not_take_the_place_of_functions():
 
 def test_unknown_names_are_refused():
     with pytest.raises(AttributeError, match="'decoder'"):
-        reconstruction.decoder  # noqa: B018 - the access is what is tested
+        reconstruction.decoder  # noqa: B018 - the access is tested

@@ -1,4 +1,4 @@
-"""Projectors that are not linear: the ripple is taken off, and what is not known of it is sigma."""
+"""Nonlinear projectors: the ripple is subtracted, its uncertainty is in sigma."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ SENSOR = SensorNoise(0.17, 6.2, 64.0, 4095.0)
 def shown(patterns, column_px, row_px, gamma, blur_px=BLUR_PX):
     """Return frames (frame, row, col) of levels raised to gamma and blurred, 0 to 1.
 
-    By a Gaussian filter on a grid 32 times finer than a pixel: nothing of the code's own.
+    By a Gaussian filter on a grid 32 times finer than a pixel: independent of the code.
     """
     frames = []
     for frame in patterns.frames:
@@ -47,8 +47,8 @@ def scene(rows=120, cols=700):
 def test_ripple_is_that_of_the_harmonics(steps, gamma):
     """Closed form: B_m = 1 / (Gamma(g + m + 1) Gamma(g - m + 1)) of cos(phi / 2)^(2 g).
 
-    N steps see z = sum over k of B_(1 + k N) H exp(i k N phi) beside the true phasor, H what pixel
-    box and Gaussian leave of a harmonic. 8-bit levels add 2 mrad.
+    N steps see z = sum over k of B_(1 + k N) H exp(i k N phi) and the true phasor; H is the
+    transfer of pixel box and Gaussian for a harmonic. 8-bit levels add 2 mrad.
     """
     period_px = 36.0
     patterns = PatternSet(1296, 720, steps=steps, period_px=period_px)
@@ -153,7 +153,7 @@ def test_two_periods_of_one_scene_agree():
 
 
 def test_three_steps_have_more_noise_where_their_light_is():
-    """Shot noise alone, A = B: (2 / 3 B^2) (K A - K B / 2 cos 3 phi), 0.5 to 1.5 of its mean."""
+    """Shot noise only, A = B: (2 / 3 B^2) (K A - K B / 2 cos 3 phi), 0.5 to 1.5 of its mean."""
     patterns = PatternSet(1280, 720, steps=3, axes=("column",))
     phases_deg = np.array([0.0, 30.0, 60.0])
     column = np.tile(360.0 + phases_deg / 360.0 * 18.0, (20000, 1))

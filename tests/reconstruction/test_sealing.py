@@ -68,7 +68,7 @@ def test_the_seal_feels_every_byte_but_plain_numbers(tmp_path, dataset):
 
 @pytest.mark.parametrize(("first", "last"), [(16, 32), (32, 64), (16, 4096)])
 def test_a_heap_of_zeros_does_not_take_the_reader_along(tmp_path, dataset, impatient, first, last):
-    """HDF5 goes round and round an object of no size in the heap that holds texts."""
+    """HDF5 loops for ever over an object of size 0 in the heap of texts."""
     path = tmp_path / "x.nc"
     write_arrays(path, dataset)
     content = bytearray(path.read_bytes())

@@ -1,4 +1,4 @@
-"""OpenCV's YAML and XML without OpenCV: what it writes comes back, damage is told by line."""
+"""OpenCV's YAML and XML without OpenCV: its files are read, errors name the line."""
 
 import random
 

@@ -66,7 +66,7 @@ FOLD_RADIUS = np.sqrt(2.0 / 3.0)
 
 
 def test_pixels_without_a_ray_have_no_point(calibration, aim):
-    """Setup: camera to 0.7 of its focal length whose lens r (1 - 0.5 r^2) shows 0.544."""
+    """Setup: camera to 0.7 of its focal length; its lens r (1 - 0.5 r^2) ends at 0.544."""
     camera = Pinhole(120, 90, 110.0, 110.0, 59.5, 44.5, FOLDING)
     rig = dataclasses.replace(calibration, camera=camera, T_world_from_cam=aim([0, 0, 50], [0] * 3))
     decoded = decoded_from(np.broadcast_to([640.0, 360.0], (90, 120, 2)))
@@ -80,7 +80,7 @@ def test_pixels_without_a_ray_have_no_point(calibration, aim):
 
 
 def test_what_the_projector_folds_back_is_no_point(aim):
-    """Setup: a plane, part of which lies beyond the fold of the projector's lens.
+    """Setup: a plane, partly beyond the fold of the projector's lens.
 
     Expected: all before it is found, and no point beyond, though the pixels are on the image and
     have solutions there; next to the fold, those before it are within the tolerance.
@@ -183,7 +183,7 @@ def test_sigma_xyz_and_covariance_are_the_spread(aim, surface, project):
 
 
 def test_camera_frame_is_the_same_points(calibration, surface, project):
-    """Expected: each pixel's point lies on its own ray, z is the depth; 0 where masked."""
+    """Expected: each pixel's point is on its own ray, z is the depth; 0 where masked."""
     decoded = decoded_from(project(calibration, surface(calibration)))
     decoded.mask_reason[5, 6] = Reason.DARK
     found = triangulate(decoded, calibration)

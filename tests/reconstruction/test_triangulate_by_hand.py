@@ -10,7 +10,7 @@ from reconstruction.triangulation import triangulate
 
 from .test_triangulate import decoded_from
 
-# A ray per pixel of 5 mrad either way; the projector stands at (-10, -10, 0).
+# A ray per pixel of 5 mrad either way; the projector is at (-10, -10, 0).
 CAMERA = Pinhole(2, 2, 100.0, 100.0, 0.5, 0.5)
 PROJECTOR = Pinhole(400, 400, 100.0, 100.0, 200.0, 200.0)
 SIDE = np.array([[-1.0, 1.0], [-1.0, 1.0]])
@@ -62,14 +62,14 @@ def test_the_epipolar_edge(u_sigma_px, edge_px, side):
 
 
 def test_rays_that_do_not_meet_in_front_have_no_point():
-    """Left of 200 px by 20 px the projector's plane meets the rays 50 mm behind the camera."""
+    """Left of 200 px by 20 px the projector's plane cuts the rays 50 mm behind the camera."""
     found = triangulate(decoded_from(seen(-50.0)), rig(), "column")
     assert (found.mask_reason == Reason.NO_POINT).all()
     assert not found.points_world_mm.any()
 
 
 def test_a_projector_behind_the_camera():
-    """8 mm behind: a point at 50 mm lies at 58 mm of its depth, at 200 + 100 (0.25 + 10) / 58."""
+    """8 mm behind: a point at 50 mm is at 58 mm of its depth, at 200 + 100 (0.25 + 10) / 58."""
     back = (10.0, 10.0, 8.0)
     pixels = 200.0 + 100.0 * (0.25 * np.stack([SIDE, SIDE.T], axis=-1) + 10.0) / 58.0
     found = triangulate(decoded_from(pixels), rig(back), "both")

@@ -43,8 +43,8 @@ WRITERS = {
     "text.toml": lambda path: write_text(path, "value = 1\n" * 300),
 }
 
-# HDF5 writes zeros for names, reads them back, and takes what it then has for earlier names. Where
-# the zeros were dropped it had memory that the names of the file read before were in.
+# HDF5 writes zeros for names, reads them back, and uses the result as earlier names. If the
+# zeros were dropped it read memory with the names of the file before.
 WRITES_AFTER_READING = """
 import os, resource
 import numpy as np
@@ -152,13 +152,13 @@ def test_too_little_memory_is_an_error_before_hdf5_begins(tmp_path, monkeypatch)
     assert not list(tmp_path.iterdir())
 
 
-# Called with a path, these write by themselves. In children only: what they write is temporary.
+# Called with a path, these write by themselves. In children only: their files are temporary.
 WRITING = r"\.(imwrite|savez|savez_compressed|write_bitmap|write_text|write_bytes)\("
 CHILDREN = {"tetrahedra.py", "tetwild_child.py", "native_child.py"}
 
 
 def test_no_library_is_given_a_path():
-    """All writing goes through `reconstruction.writing`."""
+    """All writing uses `reconstruction.writing`."""
     files = (*ROOT.glob("twin/**/*.py"), *ROOT.glob("reconstruction/**/*.py"))
     found = {file for file in files if re.search(WRITING, file.read_text())}
     assert {file.name for file in found} - CHILDREN == {"writing.py"}
