@@ -74,8 +74,8 @@ def test_a_dirty_dot_is_drawn_away_from_its_dirt():
     speck = np.clip(2.0 - np.abs(COL - 65.5), 0, 1) * np.clip(2.0 - np.abs(ROW - 47.5), 0, 1)
     assert speck.sum() == pytest.approx(9.0)
     relative, dots = dots_of(disc(60.5, 50.5, 10) - speck)
-    centre, found = refine_centres(relative, dots)
-    assert found.all()
+    centre, result = refine_centres(relative, dots)
+    assert result.all()
     np.testing.assert_allclose(centre, [[60.5 - 0.1475, 50.5 + 0.0885]], atol=3e-3)
 
 
@@ -90,9 +90,9 @@ def test_shading_across_a_dot_is_divided_out():
 def test_where_no_white_is_near_brightness_counts_from_a_twentieth():
     """Left 1000 DN, right 10: there 10 / (0.05 * 1000) = 0.2 of white; left 1."""
     image = np.where(COL < 40, 1000.0, 10.0).astype(np.float32)
-    found = relative_brightness(image)
-    assert found[60, 150] == pytest.approx(0.2, rel=1e-6)
-    assert found[60, 5] == pytest.approx(1.0, rel=1e-6)
+    result = relative_brightness(image)
+    assert result[60, 150] == pytest.approx(0.2, rel=1e-6)
+    assert result[60, 5] == pytest.approx(1.0, rel=1e-6)
 
 
 def test_white_keeps_a_margin_from_ink():
@@ -129,13 +129,13 @@ def test_the_world_is_the_first_board():
         camera=CAMERA, projector=PROJECTOR, T_cam_from_board=boards,
         T_proj_from_cam=motion(shift=(3.0, 0.0, 4.0)),
     )  # fmt: skip
-    found = calibration_of(SimpleNamespace(rig=rig))
-    assert (found.camera, found.projector) == (CAMERA, PROJECTOR)
-    np.testing.assert_allclose(found.T_world_from_cam[:3, 3], [0.0, 0.0, -10.0])
-    np.testing.assert_allclose(found.T_world_from_cam[:3, :3], QUARTER.T)
-    np.testing.assert_allclose(found.T_world_from_proj[:3, 3], [0.0, 3.0, -14.0])
-    assert parameters_of(found)["baseline_mm"] == pytest.approx(5.0)
-    np.testing.assert_allclose(found.T_proj_from_cam, rig.T_proj_from_cam, atol=1e-12)
+    result = calibration_of(SimpleNamespace(rig=rig))
+    assert (result.camera, result.projector) == (CAMERA, PROJECTOR)
+    np.testing.assert_allclose(result.T_world_from_cam[:3, 3], [0.0, 0.0, -10.0])
+    np.testing.assert_allclose(result.T_world_from_cam[:3, :3], QUARTER.T)
+    np.testing.assert_allclose(result.T_world_from_proj[:3, 3], [0.0, 3.0, -14.0])
+    assert parameters_of(result)["baseline_mm"] == pytest.approx(5.0)
+    np.testing.assert_allclose(result.T_proj_from_cam, rig.T_proj_from_cam, atol=1e-12)
 
 
 def test_epipolar_lines_of_devices_side_by_side_are_rows():
@@ -146,16 +146,16 @@ def test_epipolar_lines_of_devices_side_by_side_are_rows():
     """
     rig = Calibration(CAMERA, PROJECTOR, np.eye(4), motion(shift=(7.0, 0.0, 0.0)))
     measured = np.array([[30.0, 59.5, 10.0, 169.5], [30.0, 59.5, 350.0, 172.5]])
-    found = np.abs(epipolar_residuals_px(rig, measured))
-    np.testing.assert_allclose(found, [0.0, 3.0], atol=1e-9)
+    result = np.abs(epipolar_residuals_px(rig, measured))
+    np.testing.assert_allclose(result, [0.0, 3.0], atol=1e-9)
 
 
 def test_epipolar_distances_are_pixels_of_wide_pixels_too():
     """Pixels twice as wide as high, fx = 50, fy = 100: 3 px below the line are 3 px."""
     wide = Pinhole(200, 300, 50.0, 100.0, 99.5, 149.5)
     rig = Calibration(CAMERA, wide, np.eye(4), motion(shift=(7.0, 0.0, 0.0)))
-    found = np.abs(epipolar_residuals_px(rig, np.array([[30.0, 59.5, 50.0, 172.5]])))
-    np.testing.assert_allclose(found, 3.0, atol=1e-9)
+    result = np.abs(epipolar_residuals_px(rig, np.array([[30.0, 59.5, 50.0, 172.5]])))
+    np.testing.assert_allclose(result, 3.0, atol=1e-9)
 
 
 def test_residuals_of_a_pose_leave_out_what_was_not_used():
@@ -167,10 +167,10 @@ def test_residuals_of_a_pose_leave_out_what_was_not_used():
         residuals_px=[np.array([[3.0, 4.0, 1.5, 2.0], [9.0] * 4, [0.0] * 4])],
         measured_px=[np.array([[30.0, 59.5, 10.0, 172.5], [0.0] * 4, [30.0, 59.5, 10.0, 169.5]])],
     )
-    (found,) = pose_residuals(adjustment, [SimpleNamespace(name="flat")])
-    assert (found.name, found.features, found.left_out) == ("flat", 2, 1)
-    assert (found.camera_px, found.projector_px) == (2.5, 1.25)
-    assert found.epipolar_px == pytest.approx(3.0 / 2.0**0.5)
+    (result,) = pose_residuals(adjustment, [SimpleNamespace(name="flat")])
+    assert (result.name, result.features, result.left_out) == ("flat", 2, 1)
+    assert (result.camera_px, result.projector_px) == (2.5, 1.25)
+    assert result.epipolar_px == pytest.approx(3.0 / 2.0**0.5)
 
 
 def test_a_pupil_is_four_times_the_root_of_its_mean_square():

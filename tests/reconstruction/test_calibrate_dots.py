@@ -63,8 +63,8 @@ def detect(image):
     relative = relative_brightness(image)
     dots = find_dots(relative, ink_threshold(relative))
     ids, members = label_dots(BOARD, dots)
-    centres, found = refine_centres(relative, dots.chosen(np.array(members)))
-    return np.array(ids)[found], centres[found]
+    centres, result = refine_centres(relative, dots.chosen(np.array(members)))
+    return np.array(ids)[result], centres[result]
 
 
 def imaged_centres(T, ids):
@@ -162,8 +162,8 @@ def test_a_circle_facing_the_camera_has_no_bias():
 def test_homography_is_recovered_and_needs_four_points():
     H = np.array([[1.1, 0.1, 5.0], [-0.2, 0.9, 3.0], [1e-4, -2e-4, 1.0]])
     points = np.random.default_rng(0).uniform(0, 1000, (50, 2))
-    found = fit_homography(points, apply_homography(H, points))
-    np.testing.assert_allclose(found, H, rtol=1e-6)
+    result = fit_homography(points, apply_homography(H, points))
+    np.testing.assert_allclose(result, H, rtol=1e-6)
     with pytest.raises(InputError, match="4 points"):
         fit_homography(points[:3], points[:3])
     with pytest.raises(InputError, match="line"):

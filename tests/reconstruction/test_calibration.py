@@ -10,11 +10,11 @@ from reconstruction.rig.calibration import Calibration, read_calibration, write_
 
 def test_file_holds_every_digit(tmp_path, calibration):
     write_calibration(tmp_path / "calibration.yaml", calibration)
-    found = read_calibration(tmp_path / "calibration.yaml")
-    assert found.camera == calibration.camera
-    assert found.projector == calibration.projector
-    np.testing.assert_array_equal(found.T_world_from_cam, calibration.T_world_from_cam)
-    np.testing.assert_array_equal(found.T_world_from_proj, calibration.T_world_from_proj)
+    result = read_calibration(tmp_path / "calibration.yaml")
+    assert result.camera == calibration.camera
+    assert result.projector == calibration.projector
+    np.testing.assert_array_equal(result.T_world_from_cam, calibration.T_world_from_cam)
+    np.testing.assert_array_equal(result.T_world_from_proj, calibration.T_world_from_proj)
 
 
 def test_file_is_read_by_opencv(tmp_path, calibration):

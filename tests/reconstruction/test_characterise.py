@@ -52,12 +52,12 @@ def test_pairs_give_gain_and_read_noise():
     drifted = TRUE.black_level_dn + 1.02 * (clean - TRUE.black_level_dn)
     for second in (clean, drifted):
         samples = samples_of_pairs(recorded(clean, 1), recorded(second, 2), TRUE)
-        found = photon_transfer(samples, STATED)
-        assert found.gain_dn_per_e.uncertainty < 0.01 * TRUE.gain_dn_per_e
-        assert abs(found.gain_dn_per_e.value - 0.17) < 3.0 * found.gain_dn_per_e.uncertainty
-        assert abs(found.read_noise_e.value - 6.2) < 3.0 * found.read_noise_e.uncertainty
-        assert found.read_noise_e.uncertainty < 0.3
-        assert 0.3 < found.chi2_per_bin < 2.0
+        result = photon_transfer(samples, STATED)
+        assert result.gain_dn_per_e.uncertainty < 0.01 * TRUE.gain_dn_per_e
+        assert abs(result.gain_dn_per_e.value - 0.17) < 3.0 * result.gain_dn_per_e.uncertainty
+        assert abs(result.read_noise_e.value - 6.2) < 3.0 * result.read_noise_e.uncertainty
+        assert result.read_noise_e.uncertainty < 0.3
+        assert 0.3 < result.chi2_per_bin < 2.0
 
 
 def test_uncertainty_of_the_line_is_its_spread():
@@ -66,8 +66,8 @@ def test_uncertainty_of_the_line_is_its_spread():
     for _ in range(200):
         mean = rng.uniform(64.0, 3500.0, 20_000)
         square = TRUE.variance_dn2(mean) * rng.chisquare(1, mean.size)
-        found = photon_transfer(NoiseSamples(mean, square), TRUE)
-        gain, read = found.gain_dn_per_e, found.read_noise_e
+        result = photon_transfer(NoiseSamples(mean, square), TRUE)
+        gain, read = result.gain_dn_per_e, result.read_noise_e
         off.append((gain.value - 0.17) / gain.uncertainty)
         if read is not None:
             off.append((read.value - 6.2) / read.uncertainty)
@@ -141,10 +141,10 @@ def test_dark_and_flat_frames():
     offset_dn = 2.0 * 0.17 * rng.normal(size=(150, 200))
     response = 1.0 + 0.008 * rng.normal(size=(150, 200))
     dark = np.stack([recorded(64.0 + np.zeros((150, 200)), 20 + k) for k in range(6)]) + offset_dn
-    found = dark_of(dark)
-    assert abs(found.black_level_dn.value - 64.0) < 4.0 * found.black_level_dn.uncertainty
-    assert found.noise_dn.value == pytest.approx(0.17 * 6.2, rel=0.02)
-    assert found.dsnu_dn.value == pytest.approx(0.34, rel=0.05)
+    result = dark_of(dark)
+    assert abs(result.black_level_dn.value - 64.0) < 4.0 * result.black_level_dn.uncertainty
+    assert result.noise_dn.value == pytest.approx(0.17 * 6.2, rel=0.02)
+    assert result.dsnu_dn.value == pytest.approx(0.34, rel=0.05)
     fall = 1.0 - np.linspace(0.0, 0.33, 200)
     flat = np.stack([recorded(64.0 + 2500.0 * fall * response, 10 + k) for k in range(8)])
     prnu = prnu_of(flat, 64.0)
@@ -176,16 +176,16 @@ def test_a_capture_tells_gamma_blur_and_noise(steps, axes, code, gamma, blur_px)
     clean = 100.0 + (2600.0 + 2.0 * col) * shown(patterns, column, lines, gamma, blur_px)
     stack = recorded(clean, 2)
     decoded = decode(stack, patterns, STATED, DecodeOptions(filter_taps=0))
-    found = fit_projector(stack, patterns, STATED, decoded)
-    assert abs(found.gamma.value - gamma) < 4.0 * found.gamma.uncertainty + 1e-4
-    assert found.gamma.uncertainty < 0.003
-    assert abs(found.blur_px.value - blur_px) < 3.0 * found.blur_px.uncertainty
-    assert found.blur_px.uncertainty < 0.03
-    assert found.chi2 == pytest.approx(1.0, abs=0.05)
-    gain = found.noise.gain_dn_per_e
+    result = fit_projector(stack, patterns, STATED, decoded)
+    assert abs(result.gamma.value - gamma) < 4.0 * result.gamma.uncertainty + 1e-4
+    assert result.gamma.uncertainty < 0.003
+    assert abs(result.blur_px.value - blur_px) < 3.0 * result.blur_px.uncertainty
+    assert result.blur_px.uncertainty < 0.03
+    assert result.chi2 == pytest.approx(1.0, abs=0.05)
+    gain = result.noise.gain_dn_per_e
     assert gain.value == pytest.approx(0.17, abs=4.0 * gain.uncertainty)
     assert gain.uncertainty < 0.03 * 0.17
-    np.testing.assert_allclose(found.light_dn.mean(), 2600.0 + 150.0, rtol=0.03)
+    np.testing.assert_allclose(result.light_dn.mean(), 2600.0 + 150.0, rtol=0.03)
 
 
 def test_a_second_fit_begins_where_the_response_puts_the_pixels():
@@ -242,10 +242,10 @@ def white_frame(unevenness, seed=5):
 def test_an_even_coat_has_no_contrast_but_noise():
     """Noise is 1 % of the light here; the remainder is 0 within its uncertainty."""
     image, lit = white_frame(np.zeros((200, 300)))
-    found = sparkle_of(image, TRUE, lit)
-    assert found.contrast < 4.0 * found.uncertainty
-    assert found.neighbours is None
-    assert found.glints < 3e-4
+    result = sparkle_of(image, TRUE, lit)
+    assert result.contrast < 4.0 * result.uncertainty
+    assert result.neighbours is None
+    assert result.glints < 3e-4
 
 
 @pytest.mark.parametrize(("grain_px", "neighbours"), [(0.0, 0.0), (0.8, 0.61)])
@@ -260,20 +260,20 @@ def test_contrast_of_a_grainy_coat(grain_px, neighbours):
     if grain_px:
         uneven = gaussian_filter1d(gaussian_filter1d(uneven, grain_px, axis=0), grain_px, axis=1)
     image, lit = white_frame(0.03 * uneven / uneven.std())
-    found = sparkle_of(image, TRUE, lit)
-    kept = 1.0 - 4.0 * np.pi * grain_px**2 / 49.0
-    assert 0.03 * np.sqrt(kept) * 0.97 < found.contrast < 0.03 * 1.02
-    assert abs(found.neighbours - neighbours) < 0.05
-    assert found.glints < 3e-4
+    result = sparkle_of(image, TRUE, lit)
+    remaining = 1.0 - 4.0 * np.pi * grain_px**2 / 49.0
+    assert 0.03 * np.sqrt(remaining) * 0.97 < result.contrast < 0.03 * 1.02
+    assert abs(result.neighbours - neighbours) < 0.05
+    assert result.glints < 3e-4
 
 
 def test_glints_are_counted():
     """1 % of the pixels are 50 % brighter: 5 % contrast, and nearly all are detected."""
     rng = np.random.default_rng(2)
     image, lit = white_frame(0.5 * (rng.random((200, 300)) < 0.01))
-    found = sparkle_of(image, TRUE, lit)
-    assert found.contrast == pytest.approx(0.05, rel=0.06)
-    assert 0.008 < found.glints < 0.011
+    result = sparkle_of(image, TRUE, lit)
+    assert result.contrast == pytest.approx(0.05, rel=0.06)
+    assert 0.008 < result.glints < 0.011
 
 
 def test_too_little_coat_has_no_contrast():

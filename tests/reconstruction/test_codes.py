@@ -209,8 +209,8 @@ def test_light_between_surfaces_leaves_single_images_right(synthesise):
         stack = (direct + 0.5 * aside).astype(np.float32)
         sensor = SensorNoise(1.0, 0.05, 0.0, 1000.0)
         options = DecodeOptions(filter_taps=0, max_order_error=1.0)
-        found = decode(stack, patterns, sensor, options).column.coordinate_px
-        wrong[name] = np.mean(np.abs(found - column) > 9.0)
+        result = decode(stack, patterns, sensor, options).column.coordinate_px
+        wrong[name] = np.mean(np.abs(result - column) > 9.0)
     assert wrong["micro"] == 0.0
     assert wrong["hierarchical"] > 0.3
 

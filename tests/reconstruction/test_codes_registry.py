@@ -71,12 +71,12 @@ def test_order_risk_of_a_plug_in_masks_what_it_cannot_decide(residue, synthesise
     noise_dn = 5.0
     stack = synthesise(patterns, column, row) + rng.normal(0.0, noise_dn, (18, 120, 600))
     sensor = SensorNoise(1e-6, noise_dn * 1e6, 0.0, 400.0)
-    kept, loose = (
+    strict, loose = (
         decode(stack.astype(np.float32), patterns, sensor, DecodeOptions(0, max_order_error=most))
         for most in (0.01, 1.0)
     )
     wrong = np.abs(loose.column.coordinate_px - column) > 10.0
-    assert wrong[loose.valid].mean() > 10.0 * max(wrong[kept.valid].mean(), 1e-4)
+    assert wrong[loose.valid].mean() > 10.0 * max(wrong[strict.valid].mean(), 1e-4)
     right = loose.valid & ~wrong
     ratio = (loose.column.coordinate_px - column)[right] / loose.column.sigma_px[right]
     assert np.median(np.abs(ratio)) == pytest.approx(0.6745, abs=0.03)
@@ -102,11 +102,11 @@ def test_a_list_of_frames_states_a_code_from_outside(residue):
         for n in range(4)
     ]
     size = ProjectorSize(500, 300)
-    found = Arrangement(frames, size, "reflected", residue)
-    assert found.patterns == PatternSet(
+    result = Arrangement(frames, size, "reflected", residue)
+    assert result.patterns == PatternSet(
         500, 300, 21.0, 4, code=residue, further_periods_px=(26.0,), axes=("column",), uniform=False
     )
-    assert found.files == [one.file for one in frames]
+    assert result.files == [frame.file for frame in frames]
     with pytest.raises(InputError, match="unambiguous over"):
         Arrangement(frames, size, "reflected")
     with pytest.raises(InputError, match="allowed are"):

@@ -31,7 +31,7 @@ GREY, PALETTE = 0, 3
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (png(PALETTE), "a part is missing, such as its palette"),
         (png(GREY, 60_000, 60_000, b"x"), "3600000000 pixels.* exceeds limit"),
@@ -42,14 +42,14 @@ GREY, PALETTE = 0, 3
     ],
     ids=["palette", "bomb", "empty", "no data", "no checksum", "nothing"],
 )
-def test_a_damaged_png_is_told_in_one_line(tmp_path, content, told):
+def test_a_damaged_png_is_told_in_one_line(tmp_path, content, message):
     path = tmp_path / "x.png"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         read_pixels(path)
     assert str(caught.value).startswith(f"{path}: is no complete image (")
     assert "\n" not in str(caught.value)
-    with pytest.raises(CaptureError, match=told):
+    with pytest.raises(CaptureError, match=message):
         read_image(path)
     with pytest.raises(CaptureError, match=r"x\.png"):
         read_rgb(path)
@@ -85,9 +85,9 @@ def _refusals(path, read):
 def test_a_damaged_exr_is_read_or_told(tmp_path):
     path = tmp_path / "x.exr"
     write_exr_channels(path, {"Y": np.random.default_rng(1).random((24, 16), np.float32)})
-    told = list(_refusals(path, read_image))
-    assert len(told) > 50
-    assert not any("\n" in line for line in told)
+    messages = list(_refusals(path, read_image))
+    assert len(messages) > 50
+    assert not any("\n" in line for line in messages)
 
 
 def test_a_damaged_archive_is_told_in_one_line(tmp_path):
@@ -95,10 +95,10 @@ def test_a_damaged_archive_is_told_in_one_line(tmp_path):
     numbers = np.random.default_rng(1).random(100)
     np.savez_compressed(path, a=numbers, b=np.arange(4))
     np.testing.assert_array_equal(read_arrays(path)["a"], numbers)
-    told = list(_refusals(path, read_arrays))
-    assert len(told) > 50
-    assert all(line.startswith(f"{path}: is no complete npz file (") for line in told)
-    assert not any("\n" in line for line in told)
+    messages = list(_refusals(path, read_arrays))
+    assert len(messages) > 50
+    assert all(line.startswith(f"{path}: is no complete npz file (") for line in messages)
+    assert not any("\n" in line for line in messages)
 
 
 def test_an_archive_of_objects_is_not_unpacked(tmp_path):

@@ -163,8 +163,8 @@ def test_least_modulation():
     mark_low_modulation(18, limits(), modulation, noise, reason)
     assert reason.tolist() == [2, 0, 2, 0, 3, 2]
     reason[:] = 0
-    asked = limits(min_modulation_dn=12.0)
-    mark_low_modulation(18, asked, *lines([11.9, 12.1], [3, 3]), reason[:2])
+    requested = limits(min_modulation_dn=12.0)
+    mark_low_modulation(18, requested, *lines([11.9, 12.1], [3, 3]), reason[:2])
     assert reason[:2].tolist() == [2, 0]
 
 

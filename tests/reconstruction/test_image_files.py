@@ -30,8 +30,8 @@ def points_mm(calibration, surface):
 @pytest.fixture(scope="module")
 def frames(calibration, points_mm, project, synthesise):
     """Return ideal 8-bit frames, (frame, row, col)."""
-    seen = project(calibration, points_mm)
-    exact = synthesise(PATTERNS, seen[..., 0], seen[..., 1], blur_px=0.7)
+    observed = project(calibration, points_mm)
+    exact = synthesise(PATTERNS, observed[..., 0], observed[..., 1], blur_px=0.7)
     return np.rint(exact).astype(np.uint8)
 
 
@@ -91,9 +91,9 @@ def test_sixteen_bit_tiff_and_float_exr_hold_the_same_frames(write_folder, frame
     for frame, image in zip(PATTERNS.frames, wide, strict=True):
         channels = {"Y": image.astype(np.float32)}
         OpenEXR.File({}, channels).write(str(folder / f"{frame.name}.exr"))
-    found = read_capture(folder).stack
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, wide)
+    result = read_capture(folder).stack
+    assert result.dtype == np.float32
+    np.testing.assert_array_equal(result, wide)
 
 
 def test_calibration_reads_the_same_folders(write_folder, frames):
@@ -102,9 +102,9 @@ def test_calibration_reads_the_same_folders(write_folder, frames):
     save(folder, frames)
     (folder / "calibration.yaml").unlink()
     assert pose_folders(folder.parent) == [folder]
-    found = read_board_capture(folder)
-    np.testing.assert_array_equal(found.stack, frames)
-    assert (found.patterns, found.sensor, found.scale) == (PATTERNS, SENSOR, None)
+    result = read_board_capture(folder)
+    np.testing.assert_array_equal(result.stack, frames)
+    assert (result.patterns, result.sensor, result.scale) == (PATTERNS, SENSOR, None)
 
 
 def test_dark_frame_is_taken_off(write_folder, frames):
@@ -120,8 +120,8 @@ def test_dark_frame_is_taken_off(write_folder, frames):
 def test_clipped_and_lost_pixels_survive_the_dark_frame():
     stack = np.array([[[255, 0, 250, 100]]], np.uint8)
     dark = np.array([[9, 9, 0, 9]], np.uint8)
-    found = subtract_dark(stack, dark, SENSOR)
-    np.testing.assert_array_equal(found, [[[255.0, 0.0, 254.0, 95.0]]])
+    result = subtract_dark(stack, dark, SENSOR)
+    np.testing.assert_array_equal(result, [[[255.0, 0.0, 254.0, 95.0]]])
     # 253 may be a full pixel with read noise: unchanged; 252 is lifted.
     lifted = subtract_dark(np.array([[[253, 252]]], np.uint8), np.array([[0, 0]], np.uint8), SENSOR)
     np.testing.assert_array_equal(lifted, [[[253.0, 255.0]]])

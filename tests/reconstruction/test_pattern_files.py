@@ -18,9 +18,9 @@ def test_images_and_manifest_are_the_pattern_set(tmp_path, patterns):
     """Expected: the files are the images of the decoder, in the order of projection."""
     write_patterns(tmp_path, patterns)
     assert read_manifest(tmp_path) == read_manifest(tmp_path / "patterns.toml") == patterns
-    found = sorted(path.name for path in tmp_path.glob("*.png"))
-    assert tuple(found) == file_names(patterns)
-    for name, frame in zip(found, patterns.frames, strict=True):
+    result = sorted(path.name for path in tmp_path.glob("*.png"))
+    assert tuple(result) == file_names(patterns)
+    for name, frame in zip(result, patterns.frames, strict=True):
         image = imageio.imread(tmp_path / name)
         assert image.dtype == np.uint8
         np.testing.assert_array_equal(image, patterns.image(frame))

@@ -37,8 +37,8 @@ def test_axes_point_right_down_and_forward():
 )
 def test_unproject_inverts_the_distortion(*, k1, k2, p1, p2, k3, x, y):
     device = Pinhole(1000, 800, 900.0, 900.0, 500.0, 400.0, (k1, k2, p1, p2, k3))
-    seen = device.project([x, y, 1.0])
-    np.testing.assert_allclose(device.unproject(seen), [x, y], atol=1e-10)
+    observed = device.project([x, y, 1.0])
+    np.testing.assert_allclose(device.unproject(observed), [x, y], atol=1e-10)
 
 
 def test_unproject_keeps_the_shape():

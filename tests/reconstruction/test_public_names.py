@@ -34,8 +34,8 @@ print(loaded + [name for name in {HEAVY} if name in sys.modules])
 
 @pytest.mark.parametrize("name", reconstruction.__all__)
 def test_every_public_name_is_there_and_documented(name):
-    found = getattr(reconstruction, name)
-    assert found.__doc__
+    result = getattr(reconstruction, name)
+    assert result.__doc__
     assert name in reconstruction.__doc__
 
 

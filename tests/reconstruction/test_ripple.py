@@ -61,9 +61,9 @@ def test_ripple_is_that_of_the_harmonics(steps, gamma):
         * np.exp(-gammaln(gamma + n + 1) - gammaln(gamma - n + 1))
         * np.isfinite(gammaln(gamma - n + 1))
     )
-    kept = np.sinc(m / period_px) * np.exp(-0.5 * (2 * np.pi * BLUR_PX * m / period_px) ** 2)
+    remaining = np.sinc(m / period_px) * np.exp(-0.5 * (2 * np.pi * BLUR_PX * m / period_px) ** 2)
     true = 2 * np.pi * np.arange(2048) / 2048
-    phasor = (size * kept * np.exp(1j * np.outer(true, m))).sum(axis=1)
+    phasor = (size * remaining * np.exp(1j * np.outer(true, m))).sum(axis=1)
     error = np.angle(phasor * np.exp(-1j * true))
     wanted = np.interp(2 * np.pi * np.arange(NODES) / NODES, true + error, error, period=2 * np.pi)
     assert np.sqrt(np.mean(wanted**2)) > (3e-3 if steps == 4 else 3e-2)
@@ -139,15 +139,15 @@ def test_two_periods_of_one_scene_agree():
     """Setup: three steps, gamma 1.3, periods of 18 and 26 px. Expected: chi-square 1 within 5 %."""
     column, row = scene()
     response = ProjectorResponse(1.3, 0.0, BLUR_PX, 0.0)
-    found = []
+    result = []
     for seed, period_px in enumerate((18.0, 26.0)):
         patterns = PatternSet(1280, 720, steps=3, period_px=period_px, axes=("column",))
         stack = recorded(100.0 + 3000.0 * shown(patterns, column, row, 1.3), seed)
-        found.append(decode(stack, patterns, SENSOR, UNFILTERED, response=response).column)
-    one, other = found
-    both = (one.sigma_px > 0.0) & (other.sigma_px > 0.0)
-    variance = one.sigma_px.astype(float) ** 2 + other.sigma_px.astype(float) ** 2
-    step = one.coordinate_px.astype(float) - other.coordinate_px
+        result.append(decode(stack, patterns, SENSOR, UNFILTERED, response=response).column)
+    first, second = result
+    both = (first.sigma_px > 0.0) & (second.sigma_px > 0.0)
+    variance = first.sigma_px.astype(float) ** 2 + second.sigma_px.astype(float) ** 2
+    step = first.coordinate_px.astype(float) - second.coordinate_px
     assert both.mean() > 0.99
     assert np.mean(step[both] ** 2 / variance[both]) == pytest.approx(1.0, abs=0.05)
 
@@ -167,13 +167,15 @@ def test_three_steps_have_more_noise_where_their_light_is():
             clean[k] = 100.0 + 1800.0 * (levels[np.rint(column).astype(int)] > 127)
     sensor = SensorNoise(0.2, 1.0, 0.0, 4095.0)
     stack = recorded(clean, 5, sensor)
-    found = decode(stack, patterns, sensor, UNFILTERED).column
-    spread_px = np.std(found.phase_rad.astype(float) - np.deg2rad(phases_deg) % (2 * np.pi), axis=0)
-    wrapped = (found.phase_rad[:, 0].astype(float) + np.pi) % (2 * np.pi) - np.pi
+    result = decode(stack, patterns, sensor, UNFILTERED).column
+    spread_px = np.std(
+        result.phase_rad.astype(float) - np.deg2rad(phases_deg) % (2 * np.pi), axis=0
+    )
+    wrapped = (result.phase_rad[:, 0].astype(float) + np.pi) % (2 * np.pi) - np.pi
     spread_px[0] = np.std(wrapped)
-    told = found.sigma_px.mean(axis=0) * 2 * np.pi / 18.0
-    np.testing.assert_allclose(told, spread_px, rtol=0.02)
-    assert told[2] / told[0] == pytest.approx(np.sqrt(1450.5 / 550.5), rel=0.02)
+    predicted_rad = result.sigma_px.mean(axis=0) * 2 * np.pi / 18.0
+    np.testing.assert_allclose(predicted_rad, spread_px, rtol=0.02)
+    assert predicted_rad[2] / predicted_rad[0] == pytest.approx(np.sqrt(1450.5 / 550.5), rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -95,11 +95,11 @@ def test_a_file_of_others_is_tried_once(tmp_path, monkeypatch):
     with h5netcdf.File(path, "w") as file:
         file.dimensions["x"] = 4
         file.create_variable("a", ("x",), "f8", data=np.arange(4.0)).attrs["units"] = "mm"
-    asked, real = [], subprocess.run
-    monkeypatch.setattr(subprocess, "run", lambda *a, **k: (asked.append(a), real(*a, **k))[1])
+    requested, real = [], subprocess.run
+    monkeypatch.setattr(subprocess, "run", lambda *a, **k: (requested.append(a), real(*a, **k))[1])
     for _ in range(3):
         assert read_arrays(path).variables["a"][2]["units"] == "mm"
-    assert len(asked) == 1
+    assert len(requested) == 1
 
 
 def test_numbers_that_no_file_can_hold_are_refused(tmp_path):

@@ -103,7 +103,7 @@ def test_a_file_is_whole_or_as_it_was(tmp_path, name, there):
         with no_file_longer_than(limit), pytest.raises(OSError, match="File too large") as raised:
             write(path)
         assert raised.value.filename == str(path)
-        assert [(one.name, one.read_bytes()) for one in path.parent.iterdir()] == (
+        assert [(file.name, file.read_bytes()) for file in path.parent.iterdir()] == (
             [(name, b"earlier")] if there else []
         )
     with no_file_longer_than(size):
@@ -160,5 +160,5 @@ CHILDREN = {"tetrahedra.py", "tetwild_child.py", "native_child.py"}
 def test_no_library_is_given_a_path():
     """All writing uses `reconstruction.writing`."""
     files = (*ROOT.glob("twin/**/*.py"), *ROOT.glob("reconstruction/**/*.py"))
-    found = {file for file in files if re.search(WRITING, file.read_text())}
-    assert {file.name for file in found} - CHILDREN == {"writing.py"}
+    result = {file for file in files if re.search(WRITING, file.read_text())}
+    assert {file.name for file in result} - CHILDREN == {"writing.py"}
