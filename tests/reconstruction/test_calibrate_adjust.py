@@ -202,7 +202,7 @@ def test_a_moved_dot_is_left_out(rig):
     assert result.adjustment.spread_px[0] < 0.012
 
 
-def test_boards_that_all_face_the_camera_are_refused(rig):
+def test_boards_that_all_face_the_camera_are_rejected(rig):
     """Parallel boards do not distinguish focal length and distance."""
     poses = [np.eye(4) for _ in range(6)]
     for k, T in enumerate(poses):
@@ -211,7 +211,7 @@ def test_boards_that_all_face_the_camera_are_refused(rig):
         calibrate(observations(rig, poses, (0.01, 0.002)))
 
 
-def test_too_few_or_unequal_poses_are_refused(rig):
+def test_too_few_or_unequal_poses_are_rejected(rig):
     observed = observations(rig, board_poses(3))
     with pytest.raises(InputError, match="2 board poses"):
         calibrate(observed[:2])
@@ -219,14 +219,14 @@ def test_too_few_or_unequal_poses_are_refused(rig):
         calibrate([*observed, replace(observed[0], camera_size_px=(968, 732))])
 
 
-def test_unknown_coefficients_are_refused():
+def test_unknown_coefficients_are_rejected():
     with pytest.raises(InputError, match="k9"):
         Freedom(camera_distortion=("k9",))
     with pytest.raises(InputError, match="are k1, k1; name each once"):
         Freedom(camera_distortion=("k1", "k1"))
 
 
-def test_more_coefficients_can_be_asked_for(exact):
+def test_more_coefficients_can_be_requested(exact):
     """Setup: projector k1 free as well. Expected: found as 0, with an uncertainty."""
     observed, _ = exact
     free = Freedom(

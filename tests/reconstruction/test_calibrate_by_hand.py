@@ -37,7 +37,7 @@ def found_at(ink):
     return np.round(dots_of(ink)[1].centres_px).tolist()
 
 
-def test_what_passes_for_a_dot():
+def test_shapes_that_pass_for_a_dot():
     """A blob is an ellipse when 4 pi sqrt(det M) is its area to 12 %, its axes as 0.45 to 1.
 
     A ring of radii 3 and 10 has (100 + 9) / (100 - 9) = 1.198 of its area; of 2 and 10 1.083. A
@@ -158,7 +158,7 @@ def test_epipolar_distances_are_pixels_of_wide_pixels_too():
     np.testing.assert_allclose(result, 3.0, atol=1e-9)
 
 
-def test_residuals_of_a_pose_leave_out_what_was_not_used():
+def test_residuals_of_a_pose_exclude_unused_points():
     """Used residuals (3, 4) and (0, 0): RMS over four numbers 2.5; the projector's half of it."""
     rig = Calibration(CAMERA, PROJECTOR, np.eye(4), motion(shift=(7.0, 0.0, 0.0)))
     adjustment = SimpleNamespace(

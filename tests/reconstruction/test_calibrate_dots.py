@@ -95,7 +95,7 @@ def test_shading_does_not_move_the_dots():
     np.testing.assert_allclose(shaded, centres, atol=0.005)
 
 
-def test_a_mirrored_image_is_refused():
+def test_a_mirrored_image_is_rejected():
     with pytest.raises(InputError, match="unmirrored"):
         detect(np.ascontiguousarray(photograph(motion(15.0, 10.0))[:, ::-1]))
 

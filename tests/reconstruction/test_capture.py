@@ -32,7 +32,7 @@ def folder(tmp_path, capture):
     return target
 
 
-def test_capture_comes_back(folder, capture):
+def test_capture_round_trip(folder, capture):
     for place in (folder, folder.parent, str(folder)):
         result = read_capture(place)
         np.testing.assert_array_equal(result.stack, capture.stack)

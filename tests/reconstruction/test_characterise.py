@@ -122,7 +122,7 @@ def test_a_line_that_no_sensor_has_is_no_gain(pair, message, seed):
     assert "\n" not in str(caught.value)
 
 
-def test_flat_frames_that_show_no_response_are_refused():
+def test_flat_frames_that_show_no_response_are_rejected():
     """Full pixels all read alike, so that their spread would be 0; a print is no even surface."""
     rng = np.random.default_rng(6)
     with pytest.raises(InputError, match=r"100\.0% of the pixels are saturated \(from 4088\.2 DN"):
@@ -165,7 +165,7 @@ def test_dark_and_flat_frames():
         (3, ("column",), "gray", 1.8, 0.9),
     ],
 )
-def test_a_capture_tells_gamma_blur_and_noise(steps, axes, code, gamma, blur_px):
+def test_a_capture_determines_gamma_blur_and_noise(steps, axes, code, gamma, blur_px):
     """Single capture, pixels without footprint. Expected: the true values.
 
     Blur includes 50 % of the footprint of pixels of this spacing.
@@ -209,7 +209,7 @@ def test_a_second_fit_begins_where_the_response_puts_the_pixels():
     assert abs(second.blur_px.value - 0.5) < 3.0 * second.blur_px.uncertainty
 
 
-def test_frames_that_cannot_tell_are_refused():
+def test_frames_that_determine_no_response_are_rejected():
     patterns = PatternSet(64, 64, steps=3, axes=("column",), period_px=64.0, uniform=False,
                           code="hierarchical")  # fmt: skip
     column, row = np.meshgrid(np.linspace(9.0, 54.0, 60), np.arange(20.0))

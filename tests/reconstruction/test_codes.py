@@ -190,7 +190,7 @@ def test_sigma_of_single_images_is_the_spread(synthesise, steps):
     assert rms(axis.sigma_px) < 0.75 * steps_alone_px
 
 
-def test_light_between_surfaces_leaves_single_images_right(synthesise):
+def test_light_between_surfaces_causes_no_error_of_single_images(synthesise):
     """Setup: every pixel also gets light of a wide patch 300 px aside. Expected: no order error.
 
     Why: its purpose (Gupta and Nayar 2012). Such light has no fringes left of these periods; a
@@ -291,6 +291,6 @@ def test_uncertain_orders_are_masked(synthesise):
         ({"code": "hierarchical", "further_periods_px": "1300"}, "further_periods_px"),
     ],
 )
-def test_codes_that_cannot_work_are_refused(change, message):
+def test_codes_that_cannot_work_are_rejected(change, message):
     with pytest.raises(InputError, match=message):
         PatternSet(**({"width_px": 1280, "height_px": 720} | change))

@@ -61,7 +61,7 @@ def test_plug_in_code_decodes_exactly(residue, synthesise):
     assert np.array_equal(decoded.row.order[decoded.valid], np.floor(row / 21.0)[decoded.valid])
 
 
-def test_order_risk_of_a_plug_in_masks_what_it_cannot_decide(residue, synthesise):
+def test_order_risk_of_a_plug_in_masks_uncertain_pixels(residue, synthesise):
     """Oracle: of the kept pixels fewer are a period off; sigma is that of the phase."""
     patterns = PatternSet(
         500, 300, steps=4, period_px=21.0, code=residue, further_periods_px=(26.0,)
@@ -167,7 +167,7 @@ def test_own_function_gives_the_coordinates_of_the_code(synthesise, unwrap, chan
         np.testing.assert_allclose(own.modulation_dn, code.modulation_dn)
 
 
-def test_unknown_orders_are_masked_and_other_shapes_refused(synthesise):
+def test_unknown_orders_are_masked_and_other_shapes_rejected(synthesise):
     patterns = PatternSet(500, 300, steps=5, period_px=17.0)
     column, row = ramps(patterns)
     stack = synthesise(patterns, column, row).astype(np.float32)

@@ -74,7 +74,7 @@ def test_sigma_of_clipped_fringes_is_their_spread(synthesise, taps):
 
 
 @pytest.mark.parametrize("frame", [0, 17, 20, 35])
-def test_one_clipped_frame_costs_nothing_but_noise(patterns, quiet_sensor, synthesise, frame):
+def test_one_clipped_frame_only_adds_noise(patterns, quiet_sensor, synthesise, frame):
     column, row = np.full((9, 9), 365.0), np.full((9, 9), 185.0)
     stack = synthesise(patterns, column, row).astype(np.float32)
     whole = decode(stack, patterns, quiet_sensor, UNFILTERED)

@@ -42,7 +42,7 @@ GREY, PALETTE = 0, 3
     ],
     ids=["palette", "bomb", "empty", "no data", "no checksum", "nothing"],
 )
-def test_a_damaged_png_is_told_in_one_line(tmp_path, content, message):
+def test_a_damaged_png_is_rejected_in_one_line(tmp_path, content, message):
     path = tmp_path / "x.png"
     path.write_bytes(content)
     with pytest.raises(InputError, match=message) as caught:
@@ -60,7 +60,7 @@ def test_a_sound_png_is_read(tmp_path):
     np.testing.assert_array_equal(read_image(tmp_path / "x.png"), np.zeros((4, 4), np.uint8))
 
 
-def test_a_cut_exr_is_told_in_one_line(tmp_path):
+def test_a_cut_exr_is_rejected_in_one_line(tmp_path):
     path = tmp_path / "x.exr"
     write_exr_channels(path, {"Y": np.random.default_rng(1).random((24, 16), np.float32)})
     whole = path.read_bytes()
@@ -82,7 +82,7 @@ def _refusals(path, read):
             yield str(error)
 
 
-def test_a_damaged_exr_is_read_or_told(tmp_path):
+def test_a_damaged_exr_is_read_or_rejected(tmp_path):
     path = tmp_path / "x.exr"
     write_exr_channels(path, {"Y": np.random.default_rng(1).random((24, 16), np.float32)})
     messages = list(_refusals(path, read_image))
@@ -90,7 +90,7 @@ def test_a_damaged_exr_is_read_or_told(tmp_path):
     assert not any("\n" in line for line in messages)
 
 
-def test_a_damaged_archive_is_told_in_one_line(tmp_path):
+def test_a_damaged_archive_is_rejected_in_one_line(tmp_path):
     path = tmp_path / "x.npz"
     numbers = np.random.default_rng(1).random(100)
     np.savez_compressed(path, a=numbers, b=np.arange(4))

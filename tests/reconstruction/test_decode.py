@@ -81,7 +81,7 @@ def test_filter_does_not_shift_a_ramp(patterns, quiet_sensor, synthesise, taps):
 
 @pytest.mark.parametrize("blur_px", [0.5, 1.5, 3.0])
 @pytest.mark.parametrize("noise_dn", [2.0, 6.0])
-def test_complementary_bit_leaves_no_order_error(patterns, synthesise, cover, blur_px, noise_dn):
+def test_complementary_bit_prevents_order_errors(patterns, synthesise, cover, blur_px, noise_dn):
     column, row = cover(100, 900, patterns)
     stack = synthesise(patterns, column, row, mean_dn=120.0, amplitude_dn=90.0, blur_px=blur_px)
     stack += np.random.default_rng(3).normal(0.0, noise_dn, stack.shape)
@@ -266,7 +266,7 @@ def test_masked_pixels_hold_zero_and_damaged_floats_are_masked(
         (np.zeros((53, 0, 8), np.uint16), "53 frames"),
     ],
 )
-def test_wrong_stacks_are_refused(patterns, quiet_sensor, stack, message):
+def test_wrong_stacks_are_rejected(patterns, quiet_sensor, stack, message):
     with pytest.raises(InputError, match=message):
         decode(stack, patterns, quiet_sensor)
 

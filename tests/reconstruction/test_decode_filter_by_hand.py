@@ -46,7 +46,7 @@ def test_shares_of_relief():
     np.testing.assert_allclose(f, [0.5, 0.75], rtol=1e-6)
 
 
-def test_bias_is_what_is_relief_and_not_given_back():
+def test_bias_is_the_relief_that_is_not_restored():
     """0.5^2 * 0.5 * 8 + 0.75^2 * 0.25 * 16 = 3.25, over 4 pixels; over none as over one."""
     out = np.zeros(2, np.float32)
     predict_bias(*lines([8.0, 8.0], [16.0, 16.0], [C, C], [F, F], [COUNT, 0.0]), out)

@@ -104,7 +104,7 @@ def test_a_gaussian_filter_shares_errors_over_its_correlation_area():
     assert mean / pixel == pytest.approx(shared_by(1.5), rel=0.25)
 
 
-def test_a_small_exact_level_is_no_outlier_beside_a_large_bent_one():
+def test_a_small_exact_level_is_no_outlier_next_to_a_large_bent_one():
     """Three hundred points 0.1 mm up, exact; two thousand below, a few of them on a flank."""
     upper, lower = (X > 2) & (Y > 0), X < 1
     flank = np.where((X > 0.8) & (Y > 1), 0.01, 0.0) * lower
@@ -114,7 +114,7 @@ def test_a_small_exact_level_is_no_outlier_beside_a_large_bent_one():
     assert not result.used[flank > 0].any()
 
 
-def test_too_few_points_are_told():
+def test_too_few_points_raise_an_error():
     few = np.zeros(4)
     with pytest.raises(FitError, match="upper level"):
         step_between(np.zeros((4, 2)), few, few > 0, few == 0)
@@ -132,7 +132,7 @@ def _ripple(points):
     ("alignment", "left_um"),
     [("none", 50.0), ("offset", 20.0), ("offset_tilt", 1.5), ("rigid", 1.0)],
 )
-def test_each_alignment_takes_off_what_it_may(alignment, left_um):
+def test_each_alignment_subtracts_its_motion(alignment, left_um):
     """Setup: a rippled surface measured 40 um too high, tilted by 0.5 mrad per axis, 20 um aside.
 
     Expected: no motion, the offset, also the tilt, also the sliding is subtracted; the remainder
@@ -151,7 +151,7 @@ def test_each_alignment_takes_off_what_it_may(alignment, left_um):
         assert rms_um == pytest.approx(tilt_um, rel=0.1)
 
 
-def test_alignment_leaves_free_what_the_surface_cannot_tell():
+def test_alignment_keeps_undetermined_motion_at_zero():
     """A ball turns on itself: the best fit neither turns nor drifts, and finds the shift."""
     points = np.column_stack([X, Y, np.sqrt(25 - X**2 - Y**2)]) + np.array([0.01, -0.02, 0.03])
 

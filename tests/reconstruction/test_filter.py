@@ -82,7 +82,7 @@ def test_filter_takes_no_relief_for_the_sake_of_noise(noisy):
         assert error[0] <= most * error[1]
 
 
-def test_nothing_is_added_to_sigma_on_a_plane(noisy):
+def test_sigma_has_no_bias_on_a_plane(noisy):
     """Expected: the Gaussian's own noise gain, times the sigma of the single pixel, within 2 %."""
     column, lines = coordinates("flat", 2)
     stack = noisy(column, lines)
@@ -163,7 +163,7 @@ def test_bands_and_patches_leave_no_trace(noisy, monkeypatch):
         np.testing.assert_array_equal(result.column.sigma_px, expected.column.sigma_px)
 
 
-def test_bias_is_told_without_truth(noisy, calibration, surface, project):
+def test_bias_is_estimated_without_truth(noisy, calibration, surface, project):
     """Expected: a share of points on texture near the noise, next to none on a smooth bump."""
     observed = project(calibration, surface(calibration))
     shares = []

@@ -113,12 +113,12 @@ def test_plane():
         (fit_plane, np.full((9, 3), np.inf), "infinity"),
     ],
 )
-def test_undetermined_shapes_are_refused(fit, points, message):
+def test_undetermined_shapes_are_rejected(fit, points, message):
     with pytest.raises(FitError, match=message):
         fit(points)
 
 
-def test_no_residuals_are_refused():
+def test_no_residuals_are_rejected():
     with pytest.raises(FitError, match="no valid point"):
         residual_stats([])
 

@@ -44,7 +44,7 @@ def names_of(result, folder):
     return [[path.relative_to(folder).as_posix() for path in files] for files in result.files]
 
 
-def test_three_steps_and_plain_gray_along_columns_alone(tmp_path):
+def test_three_steps_and_plain_gray_along_columns_only(tmp_path):
     """Names as of many public sets: 1.bmp to 3.bmp are the fringes, then the bits, no white."""
     names = [f"{n}.bmp" for n in range(1, 8)]
     result = listed(tmp_path, names, [
@@ -255,7 +255,7 @@ def test_one_shifted_word_numbers_fringes(tmp_path):
         ('files = "*.png"', "unknown key files"),
     ],
 )
-def test_mistakes_beside_the_list_are_one_line(tmp_path, top, message):
+def test_mistakes_outside_the_list_are_one_line(tmp_path, top, message):
     with pytest.raises(CaptureError, match=message):
         listed(tmp_path, NAMES, [FRINGES, BITS], top)
 

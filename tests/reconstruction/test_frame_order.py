@@ -98,7 +98,7 @@ def test_clipped_dark_and_nonlinear_frames_pass(synthesise, observed, rig):
     check_order(curved, patterns, SENSOR, rig)
 
 
-def test_nothing_to_see_passes(rig):
+def test_dark_frames_pass(rig):
     patterns = PatternSet(1280, 720, steps=STEPS)
     stack = np.full((len(patterns.frames), 90, 120), 7, np.uint8)
     check_order(stack, patterns, SENSOR, rig)

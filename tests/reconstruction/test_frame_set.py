@@ -52,7 +52,7 @@ def test_description_is_read_with_defaults(tmp_path):
         ("{index:03d}_{name}", "{index:03d}_{colour}", "allowed are the fields index"),
         ("{index:03d}_{name}", "image", "the same name for all frames"),
         ("{index:03d}_{name}", "{index:q}", "allowed are the fields"),
-        ("bit_depth = 8", "bit_depth = 8\nexposures_ms = [1.0, 4.0]", "{set} stands for"),
+        ("bit_depth = 8", "bit_depth = 8\nexposures_ms = [1.0, 4.0]", "{set} is the number"),
         ("bit_depth = 8", "bit_depth = 8\nexposures_ms = [0.0]", "exposures_ms is 0.0"),
         ("version = 1", "version = 2", "format and version"),
     ],

@@ -118,7 +118,7 @@ def test_noise_of_phase_shifting_is_as_predicted(case):
 
 @pytest.mark.parametrize("noise_dn", [0.0, READ_NOISE_DN])
 @pytest.mark.parametrize("case", WORDS, ids=case_name)
-def test_words_alone_give_the_middle_of_their_stripe(case, noise_dn):
+def test_words_without_phase_give_the_middle_of_their_stripe(case, noise_dn):
     patterns = PatternSet(**SIZE, **LEVELS, **case)
     decoded = decode(observed(patterns, noise_dn), patterns, NOISY)
     assert decoded.valid.all()
@@ -180,7 +180,7 @@ def test_a_bit_at_its_threshold_matters_only_if_the_word_changes_by_more_than_on
         ),
     ],
 )
-def test_impossible_sequences_are_refused_in_one_line(case, message):
+def test_impossible_sequences_are_rejected_in_one_line(case, message):
     with pytest.raises(InputError, match=message) as caught:
         PatternSet(**SIZE, **case)
     assert "\n" not in str(caught.value)

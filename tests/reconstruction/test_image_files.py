@@ -254,14 +254,14 @@ def test_values_beyond_the_bit_depth_tell_left_aligned_bits(write_folder, frames
         (b"P5\n30 2\n255\n", "need 72"),
     ],
 )
-def test_damaged_grey_maps_are_refused(tmp_path, head, message):
+def test_damaged_grey_maps_are_rejected(tmp_path, head, message):
     path = tmp_path / "image.pgm"
     path.write_bytes(head + bytes(range(12)))
     with pytest.raises(CaptureError, match=message):
         read_image(path)
 
 
-def test_grey_maps_and_arrays_hold_what_is_stored(tmp_path):
+def test_grey_maps_and_arrays_have_the_stored_values(tmp_path):
     """A largest value of 4095 is not stretched, and there are comments between the numbers."""
     path = tmp_path / "image.pgm"
     path.write_bytes(b"P5 # 12 bits\n3 2 # columns rows\n4095\n" + bytes(range(12)))

@@ -145,7 +145,7 @@ def test_the_angle_is_that_between_two_known_places():
     assert rig.triangulation_angle_deg == pytest.approx(45.0)
 
 
-def test_units_and_order_are_what_is_said(tmp_path: Path):
+def test_units_and_order_are_the_stated_ones(tmp_path: Path):
     """With the devices swapped and lengths in cm the rig is the same with both exchanged."""
     plain = import_calibration(of_scanner(tmp_path), SIZES).calibration
     swapped = Importing((912, 1140), (640, 480), "cm", projector_first=True, standoff_mm=200.0)
@@ -157,7 +157,7 @@ def test_units_and_order_are_what_is_said(tmp_path: Path):
     assert turned.T_world_from_cam[2, 3] == 200.0
 
 
-def test_an_implausible_rig_is_refused(tmp_path: Path):
+def test_an_implausible_rig_is_rejected(tmp_path: Path):
     """98 mm read as metres; the focal length of a lens in mm in the place of pixels."""
     with pytest.raises(CaptureError, match=r"baseline_mm is .*, plausible 1 to 2e\+04.*--unit"):
         import_calibration(of_scanner(tmp_path), replace(SIZES, unit="m"))
@@ -167,7 +167,7 @@ def test_an_implausible_rig_is_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize("skew", [0.0, 0.02])
-def test_other_lenses_are_fitted_anew_and_their_pixels_agree(tmp_path: Path, skew: float):
+def test_other_lenses_are_refitted_and_their_pixels_agree(tmp_path: Path, skew: float):
     """A rational lens of eight coefficients; a skew of a hundredth of a pixel."""
     eight = np.array([[-0.11, 0.07, 4e-4, -3e-4, 0.02, 2e-3, 1e-3, 0.0]])
     path = stored(
@@ -184,7 +184,7 @@ def test_other_lenses_are_fitted_anew_and_their_pixels_agree(tmp_path: Path, ske
     assert np.abs(missed).max() < MOST_REFIT_PX
 
 
-def test_a_lens_that_cannot_be_followed_is_refused(tmp_path: Path):
+def test_a_lens_that_cannot_be_followed_is_rejected(tmp_path: Path):
     path = stored(
         tmp_path / "skewed.yml", K1=matrix(CAMERA, 30.0), D1=np.array([CAMERA.distortion]),
         K2=matrix(PROJECTOR), D2=np.array([PROJECTOR.distortion]), R=ROTATION,
@@ -204,7 +204,7 @@ def test_a_lens_that_cannot_be_followed_is_refused(tmp_path: Path):
         ({"M1": np.zeros((2, 2))}, "no camera matrix of the camera"),
     ],
 )
-def test_what_does_not_fit_is_told_in_one_line(tmp_path: Path, change, message: str):
+def test_inconsistent_parts_are_one_line(tmp_path: Path, change, message: str):
     values = {
         "M1": matrix(CAMERA), "D1": np.array([CAMERA.distortion]), "M2": matrix(PROJECTOR),
         "D2": np.array([PROJECTOR.distortion]), "R": ROTATION, "T": TRANSLATION_MM[:, None],
@@ -222,7 +222,7 @@ def test_sizes_must_come_from_somewhere(tmp_path: Path):
 
 
 @pytest.mark.parametrize("content", [b"", b"MATLAB 5.0 MAT-file, damaged" + bytes(200), b"\x89HDF"])
-def test_damaged_matlab_files_are_told(tmp_path: Path, content: bytes):
+def test_damaged_matlab_files_raise_an_error(tmp_path: Path, content: bytes):
     path = tmp_path / "x.mat"
     path.write_bytes(content)
     with pytest.raises(CaptureError, match=r"x\.mat: "):

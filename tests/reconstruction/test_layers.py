@@ -147,7 +147,7 @@ def test_layers_are_kept_in_the_calibration(calibration, tmp_path):
         ("layers: [ { top_mm: 500., ior: 1.5 } ]\n", "above the camera"),
     ],
 )
-def test_wrong_layers_are_told(calibration, tmp_path, text, message):
+def test_wrong_layers_raise_an_error(calibration, tmp_path, text, message):
     path = tmp_path / "calibration.yaml"
     write_calibration(path, calibration)
     path.write_text(path.read_text() + text)
@@ -155,6 +155,6 @@ def test_wrong_layers_are_told(calibration, tmp_path, text, message):
         read_calibration(path)
 
 
-def test_a_list_of_another_length_is_refused():
+def test_a_list_of_another_length_is_rejected():
     with pytest.raises(InputError, match="2 interfaces and 1 indices"):
         PlaneLayers((1.0, 0.0), (1.5,))

@@ -60,7 +60,7 @@ def test_every_ray_of_a_wide_lens_meets_its_pixel(k1):
     assert np.abs(camera.project(ends) - pixels).max() < 1e-9
 
 
-def test_no_ray_comes_from_behind_the_fold():
+def test_no_ray_is_from_behind_the_fold():
     """Setup: r (1 - 0.5 r^2 + 0.1 r^4) rises to 0.6 at r = 1, and again from 1.41 on.
 
     Expected: none of the rays that also meet a pixel there, but that no such lens has.

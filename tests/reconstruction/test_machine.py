@@ -39,7 +39,7 @@ def _page_faults(how: str) -> int:
     not hasattr(ctypes.CDLL(None), "mallopt") or not Path("/proc/self/stat").exists(),
     reason="no GNU C library, or no Linux that counts page faults",
 )
-def test_freed_memory_is_not_zeroed_anew():
+def test_freed_memory_is_not_zeroed_again():
     """The system gives a page at its first touch: memory that was used before touches none.
 
     Otherwise thirty arrays of 40 MB fault at least once in 2 MB, the largest pages there are.

@@ -29,14 +29,14 @@ def child_that(tmp_path, monkeypatch, does: str):
         ("sys.exit(1)", "it cannot be read"),
     ],
 )
-def test_an_end_is_told_in_one_line(tmp_path, monkeypatch, does, message):
+def test_the_end_of_a_child_is_one_line(tmp_path, monkeypatch, does, message):
     child_that(tmp_path, monkeypatch, does)
     with pytest.raises(OSError, match=rf"x: is damaged \({message}\)$") as caught:
         read_in_child("HDF5", tmp_path / "x")
     assert "\n" not in str(caught.value)
 
 
-def test_numbers_of_matlab_are_read_by_the_child_alone(tmp_path, monkeypatch):
+def test_numbers_of_matlab_are_read_by_the_child_only(tmp_path, monkeypatch):
     """SciPy's reader crashes on some damaged files."""
     values = {"om": np.array([[0.1, -0.2, 1e-300]]), "s": {"n": 3, "word": "abc", "t": [1.5, 2.0]}}
     scipy.io.savemat(tmp_path / "x.mat", values)
@@ -47,7 +47,7 @@ def test_numbers_of_matlab_are_read_by_the_child_alone(tmp_path, monkeypatch):
     np.testing.assert_array_equal(result["s/t"], [1.5, 2.0])
 
 
-def test_a_matlab_file_that_ends_early_is_told(tmp_path):
+def test_a_truncated_matlab_file_raises_an_error(tmp_path):
     scipy.io.savemat(tmp_path / "x.mat", {"om": np.ones((50, 3))})
     whole = (tmp_path / "x.mat").read_bytes()
     (tmp_path / "x.mat").write_bytes(whole[: len(whole) // 2])
@@ -56,7 +56,7 @@ def test_a_matlab_file_that_ends_early_is_told(tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_what_a_library_prints_goes_nowhere_and_what_we_print_does_not(capfd):
+def test_output_of_a_library_is_discarded_and_ours_is_not(capfd):
     """Blocks of several threads overlap; native code writes to the streams themselves."""
     together = threading.Barrier(4)
 

@@ -61,7 +61,7 @@ def test_default_options_filter(calibration, surface, project, synthesise):
     assert 0.15 < ratio < 0.25
 
 
-def test_netcdf_comes_back(reconstruction, tmp_path):
+def test_netcdf_round_trip(reconstruction, tmp_path):
     path = tmp_path / "reconstruction.nc"
     write_reconstruction(path, reconstruction.decoded, reconstruction.point_map)
     result = read_reconstruction(path)
@@ -144,7 +144,7 @@ def test_ply_carries_deviation_as_colour(reconstruction, tmp_path):
     assert b"colour is deviation_um: blue -2 um, white 0, red +2 um" in header
 
 
-def test_wrong_arrays_are_refused(tmp_path):
+def test_wrong_arrays_are_rejected(tmp_path):
     with pytest.raises(InputError, match="shape"):
         write_ply(tmp_path / "a.ply", np.zeros((3, 2)))
     with pytest.raises(InputError, match="PLY property quality"):

@@ -36,7 +36,7 @@ def test_images_and_manifest_are_the_pattern_set(tmp_path, patterns):
         ("[patterns]", "[patterns", "TOML"),
     ],
 )
-def test_damaged_manifests_are_refused(tmp_path, old, new, message):
+def test_damaged_manifests_are_rejected(tmp_path, old, new, message):
     write_patterns(tmp_path, SETS[0])
     path = tmp_path / "patterns.toml"
     text = path.read_text(encoding="utf-8")

@@ -86,7 +86,7 @@ def test_bad_arguments_are_named(change, message):
         PatternSet(**({"width_px": 1280, "height_px": 720} | change))
 
 
-def test_unknown_axis_kind_and_frame_are_refused(patterns):
+def test_unknown_axis_kind_and_frame_are_rejected(patterns):
     with pytest.raises(InputError, match="axis"):
         patterns.gray_bits("diagonal")
     with pytest.raises(InputError, match="no 'phase' frames"):

@@ -46,12 +46,12 @@ def test_unproject_keeps_the_shape():
     assert DISTORTED.project(np.ones((3, 4, 3))).shape == (3, 4, 2)
 
 
-def test_a_folding_distortion_is_refused():
+def test_a_folding_distortion_is_rejected():
     with pytest.raises(InputError, match="no inverse"):
         Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0, (-1.0, 0.0, 0.0, 0.0, 0.0)).unproject([99, 50])
 
 
-def test_a_solution_behind_the_fold_is_refused():
+def test_a_solution_behind_the_fold_is_rejected():
     """The polynomial rises again there and reaches the pixel, at r = 2.19; the lens does not."""
     lens = Pinhole(500, 100, 100.0, 100.0, 249.5, 49.5, (-0.5, 0.1, 0.0, 0.0, 0.0))
     with pytest.raises(InputError, match="no inverse"):
@@ -70,7 +70,7 @@ def test_corners_without_a_ray_are_drawn_where_the_field_ends():
 
 
 @pytest.mark.parametrize("point", [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, np.nan]])
-def test_points_beside_or_behind_are_refused(point):
+def test_points_outside_or_behind_are_rejected(point):
     with pytest.raises(InputError, match="z <= 0"):
         DISTORTED.project(point)
 

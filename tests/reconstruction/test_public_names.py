@@ -20,7 +20,7 @@ def run_python(code):
     )
 
 
-def test_import_alone_loads_nothing():
+def test_import_loads_no_submodule():
     code = f"""
 import sys, reconstruction
 assert set(reconstruction.__all__) <= set(dir(reconstruction))
@@ -47,6 +47,6 @@ def test_rooms_do_not_take_the_place_of_functions():
         assert callable(getattr(reconstruction, name))
 
 
-def test_unknown_names_are_refused():
+def test_unknown_names_are_rejected():
     with pytest.raises(AttributeError, match="'decoder'"):
         reconstruction.decoder  # noqa: B018 - the access is tested

@@ -70,6 +70,6 @@ def test_response_table_makes_a_root_camera_linear(dtype):
     ("table", "message"),
     [([0.0, 1.0, 1.0], "rising"), ([[0.0, 1.0]], "rising"), ([0.0, 1.0], "ends at 1")],
 )
-def test_bad_tables_are_refused(table, message):
+def test_bad_tables_are_rejected(table, message):
     with pytest.raises(InputError, match=message):
         apply_response(np.full((1, 2, 2), 2, np.uint8), table)

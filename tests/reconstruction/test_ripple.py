@@ -72,7 +72,7 @@ def test_ripple_is_that_of_the_harmonics(steps, gamma):
     assert table[NODES] == table[0]
 
 
-def test_a_linear_projector_has_no_ripple_and_nothing_is_changed():
+def test_a_linear_projector_has_no_ripple_and_no_correction():
     patterns = PatternSet(1280, 720, steps=3)
     column, row = scene(20)
     stack = recorded(100.0 + 3000.0 * shown(patterns, column, row, 1.0), 1)
@@ -90,7 +90,7 @@ def test_a_linear_projector_has_no_ripple_and_nothing_is_changed():
 @pytest.mark.parametrize("gamma", [1.15, 2.2])
 @pytest.mark.parametrize("steps", [3, 4])
 @pytest.mark.parametrize("taps", [0, 8])
-def test_errors_are_those_that_sigma_tells(steps, gamma, taps):
+def test_errors_agree_with_sigma(steps, gamma, taps):
     """Expected: normalised errors of a known response have a mean square of 1 within 8 %.
 
     Without it the three-step ripple is tens of sigmas.
@@ -112,7 +112,7 @@ def test_errors_are_those_that_sigma_tells(steps, gamma, taps):
     assert chi2(blind) > (1.5 * chi2(known) if steps == 3 else 0.9)
 
 
-def test_what_is_not_known_of_gamma_is_in_sigma():
+def test_uncertainty_of_gamma_is_in_sigma():
     """Setup: 24 projectors, gamma off by normal quantiles of unit variance; light without noise.
 
     Expected: the mean square of the errors is sigma squared within 10 %: the errors are linear in
@@ -189,7 +189,7 @@ def test_three_steps_have_more_noise_where_their_light_is():
         ({"curve": "0 1"}, "list"),
     ],
 )
-def test_responses_that_cannot_be_are_refused(change, message):
+def test_responses_that_cannot_be_are_rejected(change, message):
     with pytest.raises(InputError, match=message):
         ProjectorResponse(**change)
 

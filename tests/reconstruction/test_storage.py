@@ -38,7 +38,7 @@ def test_matrices_of_opencv_come_back_with_every_digit(rows, cols, data):
 
 
 @pytest.mark.parametrize("loader", [storage._LOADER, yaml.BaseLoader])
-def test_what_people_write_is_read(loader, monkeypatch):
+def test_files_written_by_hand_are_read(loader, monkeypatch):
     monkeypatch.setattr(storage, "_LOADER", loader)
     result = parse_storage(
         "%YAML:1.0\r\n---\r\n# a comment\na:\n   - { x:1, y:2. }\n"
@@ -76,7 +76,7 @@ def test_what_people_write_is_read(loader, monkeypatch):
     ],
 )
 @pytest.mark.parametrize("loader", [storage._LOADER, yaml.BaseLoader])
-def test_what_is_no_storage_is_told_with_its_line(content, message, loader, monkeypatch):
+def test_text_that_is_no_storage_is_rejected_with_its_line(content, message, loader, monkeypatch):
     """With PyYAML's C library and without it."""
     monkeypatch.setattr(storage, "_LOADER", loader)
     with pytest.raises(InputError, match=message) as caught:
@@ -98,7 +98,7 @@ def test_what_is_no_storage_is_told_with_its_line(content, message, loader, monk
         (("   cols: 2\n", ""), "a matrix needs rows, cols, dt, data"),
     ],
 )
-def test_a_damaged_matrix_is_told_with_its_line(change, message):
+def test_a_damaged_matrix_is_rejected_with_its_line(change, message):
     text = written(a=np.array([[1.0, 2.0], [3.0, 4.0]]))
     assert change[0] in text
     with pytest.raises(InputError, match=f"line 3: {message}"):
@@ -118,7 +118,7 @@ def test_whole_numbers_of_whole_types_are_taken():
 
 @settings(max_examples=40, derandomize=True, deadline=None)
 @given(numbers=st.lists(NUMBERS, min_size=1, max_size=12))
-def test_xml_holds_what_yaml_holds(numbers):
+def test_xml_has_the_content_of_yaml(numbers):
     values = {"a": np.array([numbers]), "b": 3, "c": -0.5, "d": "word"}
     storage = cv2.FileStorage(".xml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
     for name, value in values.items():
@@ -152,7 +152,7 @@ def test_every_number_is_found_by_its_path(tmp_path):
         ("<s>1</s>", "found no key"),
     ],
 )
-def test_damaged_xml_is_told_in_one_line(content, message):
+def test_damaged_xml_is_rejected_in_one_line(content, message):
     with pytest.raises(InputError, match=message) as caught:
         parse_storage(f'<?xml version="1.0"?>\n{content}\n', (YAML, XML))
     assert "\n" not in str(caught.value)
@@ -167,7 +167,7 @@ def test_entities_do_not_grow_without_end():
         parse_storage(text, (XML,))
 
 
-def test_a_damaged_calibration_is_read_or_told_and_opencv_is_not_asked(
+def test_a_damaged_calibration_is_read_or_rejected_without_opencv(
     tmp_path, calibration, monkeypatch
 ):
     path = tmp_path / "calibration.yaml"

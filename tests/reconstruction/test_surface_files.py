@@ -69,7 +69,7 @@ def test_files_hold_the_same_heights(wave, tmp_path):
     np.testing.assert_array_equal(channels["Z"].pixels, result.z_mm)
 
 
-def test_mesh_faces_the_camera_and_leaves_the_hole_open(wave, tmp_path):
+def test_mesh_faces_the_camera_and_keeps_the_hole_open(wave, tmp_path):
     mesh = surface_mesh(wave)
     write_mesh_ply(tmp_path / "m.ply", mesh)
     loaded = trimesh.load(tmp_path / "m.ply", process=False)
@@ -87,7 +87,7 @@ def test_a_jump_is_cut():
     assert np.ptp(corners[..., 2], axis=1).max() == 0.0
 
 
-def test_nothing_measured_is_refused(wave):
+def test_a_capture_without_points_is_rejected(wave):
     empty = PointMap(
         wave.points_world_mm,
         wave.sigma_xyz_mm,

@@ -46,7 +46,7 @@ def test_points_come_back(calibration, surface, project, use):
 
 
 @pytest.mark.parametrize("layers", [None, PlaneLayers((1.0,), (1.5,))])
-def test_one_axis_alone_needs_no_epipolar_test(calibration, surface, project, layers):
+def test_a_single_axis_needs_no_epipolar_test(calibration, surface, project, layers):
     """Expected: the points that columns give with any rows; the other axis cannot be used."""
     rig = dataclasses.replace(calibration, layers=layers)
     whole = decoded_from(project(calibration, surface(calibration)))
@@ -79,7 +79,7 @@ def test_pixels_without_a_ray_have_no_point(calibration, aim):
     assert not result.points_world_mm[lost].any()
 
 
-def test_what_the_projector_folds_back_is_no_point(aim):
+def test_coordinates_beyond_the_projector_fold_give_no_point(aim):
     """Setup: a plane, partly beyond the fold of the projector's lens.
 
     Expected: all before it is found, and no point beyond, though the pixels are on the image and
@@ -113,7 +113,7 @@ def test_what_the_projector_folds_back_is_no_point(aim):
     cy_px=st.floats(-300.0, 1200.0),
     relief_mm=st.floats(0.0, 3.0),
 )
-def test_any_rig_sees_what_it_projects(
+def test_any_rig_triangulates_its_projected_points(
     aim, surface, project, *, angle_deg, azimuth_deg, distance_mm, camera_k1, projector_k1,
     tangential, cy_px, relief_mm,
 ):  # fmt: skip
@@ -203,7 +203,7 @@ def test_both_is_never_worse(calibration, surface, project):
     assert np.all(both <= row * 1.000001)
 
 
-def test_masked_pixels_stay_masked_and_zero(calibration, surface, project):
+def test_masked_pixels_remain_masked_and_zero(calibration, surface, project):
     decoded = decoded_from(project(calibration, surface(calibration)))
     decoded.mask_reason[3:5, 7] = Reason.SATURATED
     result = triangulate(decoded, calibration)
@@ -254,7 +254,7 @@ def test_parallel_planes_have_no_point():
     assert np.all(result.mask_reason == Reason.NO_POINT)
 
 
-def test_images_of_another_size_are_refused(calibration):
+def test_images_of_another_size_are_rejected(calibration):
     decoded = decoded_from(np.zeros((5, 6, 2)))
     with pytest.raises(InputError, match="120 x 90"):
         triangulate(decoded, calibration)

@@ -111,13 +111,13 @@ def test_a_file_is_whole_or_as_it_was(tmp_path, name, there):
     assert path.read_bytes() == (tmp_path / name).read_bytes()
 
 
-def test_a_device_stays_one(tmp_path):
+def test_a_device_remains_a_device(tmp_path):
     with pytest.raises(OSError, match=r"No space left on device: '/dev/full'"):
         write_bytes("/dev/full", b"1")
     assert Path("/dev/full").is_char_device()
 
 
-def test_a_link_stays_one(tmp_path):
+def test_a_link_remains_a_link(tmp_path):
     """Also one that leads to a file that is not there yet."""
     (tmp_path / "link").symlink_to("file")
     for text in ("first", "second"):
@@ -132,7 +132,7 @@ def test_parts_follow_one_another(tmp_path):
     assert (tmp_path / "file").read_bytes() == b"head" + np.arange(3, dtype=np.int32).tobytes()
 
 
-def test_what_cannot_be_written_is_named(tmp_path):
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").touch()
     for place, kind in (("missing/a", FileNotFoundError), ("file/a", NotADirectoryError)):
         with pytest.raises(kind) as raised:
