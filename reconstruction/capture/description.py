@@ -216,7 +216,7 @@ def write_manifest(path: Path, patterns: PatternSet) -> None:
 
 
 def read_manifest(path: Path | str) -> PatternSet:
-    """Return the sequence that a manifest, or the folder that holds it, describes.
+    """Return the sequence that a manifest, or the folder that contains it, describes.
 
     Raises
     ------

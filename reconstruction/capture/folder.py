@@ -56,7 +56,7 @@ class Capture:
 
     Parameters
     ----------
-    stack : (frame, row, col) uint8 or uint16, DN, in the order of `patterns.frames`; float32 holds
+    stack : (frame, row, col) uint8 or uint16, DN, in the order of `patterns.frames`; float32:
         the expected values of a noise-free rendering, or corrected frames
     sensor : camera noise
     calibration : camera and projector; the camera has the image size of the stack
@@ -169,7 +169,7 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
 
 
 def read_capture(folder: Path | str) -> Capture:
-    """Read a capture from its folder, or from a folder that holds it as `capture/`.
+    """Read a capture from its folder, or from a folder that contains it as `capture/`.
 
     The order of the frames is checked; image files of several exposures are merged.
 

@@ -35,7 +35,7 @@ def written(guess: Guess, size: tuple[int, int], *, is_known: bool = True) -> st
         *_depth_lines(guess.folder_features),
         f"word = {json.dumps(guess.word)}" if guess.word != "reflected" else "",
         "",
-        "[projector]" + "  # unsure: not to be seen in images" * (not is_known),
+        "[projector]" + "  # unsure: not visible in images" * (not is_known),
         f"width_px = {width_px}",
         f"height_px = {height_px}",
     ]
@@ -134,7 +134,7 @@ def _word_px(bits: FrameGroup, guess: Guess, size: tuple[int, int]) -> float:
 def _whole_fringes(guess: Guess, size: tuple[int, int]) -> dict[Axis | None, float]:
     """Return the width of a word along each axis, px, if the bits number exactly all words.
 
-    Empty where the fringes would not be whole pixels along all axes.
+    Empty if the fringes would not be whole pixels along all axes.
     """
     widths: dict[Axis | None, float] = {}
     for bits in (bits_group for bits_group in guess.groups if bits_group.kind == "gray"):

@@ -131,7 +131,7 @@ def _check_exchange(gram: FloatArray, remainder: FloatArray, first: int, names: 
         i, j = pair
         raise CaptureError(
             f"frames {first + i} ({names[i]}) and {first + j} ({names[j]}) look exchanged: "
-            f"the other way round they fit the {len(names)} phase steps"
+            f"in exchanged order they fit the {len(names)} phase steps"
         )
 
 
@@ -341,8 +341,8 @@ def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) 
         first, second = (patterns.frames[gray.start + bit].name for bit in (i, j))
         raise CaptureError(
             f"frames {gray.start + i} ({first}) and {gray.start + j} ({second}) look exchanged: "
-            f"{stated:.0%} of the changes between neighbouring pixels jump over words, the other "
-            f"way round {shares[i, j]:.0%}"
+            f"{stated:.0%} of the changes between neighbouring pixels jump over words, in "
+            f"exchanged order {shares[i, j]:.0%}"
         )
 
 

@@ -247,8 +247,8 @@ def _inverse_doubts(
     if uncertain:
         names = [bits.features[bit].file for bit in uncertain]
         doubts.append(
-            f"{few(names)}: bit or inverse follows from the order of the names; the other way round"
-            " the words grow from the other end of the projector"
+            f"{few(names)}: bit or inverse follows from the order of the names; if exchanged,"
+            " the words increase from the opposite end of the projector"
         )
     if is_turned or wrong:
         turned = [

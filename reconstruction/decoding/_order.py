@@ -217,10 +217,10 @@ def read_word_row(frames: RowFrames, code: Code, read: Word) -> None:
 
 @nested
 def place_words(code: Code, answer: Numbered) -> None:
-    """Move coordinates from the first pixel of each word to its middle; sigma: as likely anywhere.
+    """Move coordinates from the first pixel of each word to its middle; sigma: uniform.
 
-    A stripe is whole pixels or parts of them: its edge is at w p - 1/2, x being whole at the
-    centre of a pixel; p / sqrt(12) is the standard deviation of the uniform distribution. The last
+    The edge of a stripe is at w p - 1/2, because x is whole at the centre of a pixel.
+    p / sqrt(12) is the standard deviation of the uniform distribution. The last
     word may be cut off by the end of the image.
     """
     end = np.float32(code.length_px - 0.5)
@@ -320,11 +320,11 @@ def _bit_between(low: Any, code: Code) -> int:
 
 @inlined
 def _misread(far: Any, near: Any, contrast: Any, noise: Any) -> Any:
-    """Return the log likelihood ratio of the word as read to its neighbour.
+    """Return the log likelihood ratio of the word as read and its neighbour.
 
     A pixel near the border of two plain words has one bit between its levels: that of this border.
-    As read it is the near one; had the other bit been misread, it would be the far one, and the
-    near one at its full contrast. Profile likelihood: the level is only assumed to be
+    If the word was read correctly it is the near bit. If the second bit was misread it is the far
+    bit, and the near bit has its full contrast. Profile likelihood: the level is only assumed to be
     between the levels of the edge.
 
     far, near : distances of the two bits from their threshold, DN

@@ -190,7 +190,7 @@ def filter_noise(
     ----------
     coordinate_px : (row, col) without noise
     single_px2 : (row, col) variance of each single pixel's coordinate
-    usable : (row, col) pixels that take part
+    usable : (row, col) pixels that are filtered
     taps, sigma_px : width and standard deviation of the Gaussian; taps 0: no filter
     limit_px : a pair of pixels with a mean that differs by more than half of this is excluded
     """

@@ -44,7 +44,7 @@ def _draw_reasons(drawing: Drawing, place: Axes, decoded: Decoded) -> None:
         vmin=-0.5,
         vmax=len(reasons) - 0.5,
     )
-    place.set(title="why pixels are left out", xlabel="camera column (px)")
+    place.set(title="reason without coordinate", xlabel="camera column (px)")
     scale = drawing.colorbar(shown, ax=place, ticks=range(len(reasons)))
     scale.ax.set_yticklabels([reason.name.lower().replace("_", " ") for reason in reasons])
 
