@@ -212,7 +212,9 @@ def _fringes(
     lone = [
         image
         for axis in AXES
-        for image in lone_fringes([other for other in rest if other.axis == axis])
+        for image in lone_fringes(
+            [striped_image for striped_image in rest if striped_image.axis == axis]
+        )
     ]
     if lone:
         names = ", ".join(image.file for image in lone)

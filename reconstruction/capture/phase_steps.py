@@ -115,11 +115,11 @@ def _turns_per_px(fields: Phasor) -> float:
     )
 
 
-def is_same(image: ImageFeatures, other: ImageFeatures) -> bool:
+def is_same(first: ImageFeatures, second: ImageFeatures) -> bool:
     """Whether two images have stripes of one frequency."""
-    length = image.lines.shape[1]
-    is_few = other.frequency * length < FEW_CYCLES
-    difference = abs(image.frequency - other.frequency) * length
+    length = first.lines.shape[1]
+    is_few = second.frequency * length < FEW_CYCLES
+    difference = abs(first.frequency - second.frequency) * length
     return bool(difference < (SAME_OF_FEW if is_few else SAME_CYCLES))
 
 
@@ -241,7 +241,7 @@ def coarse_sets(
         if {features[k].kind, features[k + 1].kind} == {"white", "black"}
     ]
     if not known and plain and is_three:
-        # Half a turn apart, white and black have mean and modulation of all fringes.
+        # With phases half a turn different, white and black have mean and modulation of all fringes.
         references.append((3, _reference(features[plain[-1] : plain[-1] + 2], (0.0, 180.0))))
     sets: list[FrameGroup] = []
     doubts: list[str] = []
