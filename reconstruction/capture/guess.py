@@ -212,9 +212,7 @@ def _fringes(
     lone = [
         image
         for axis in AXES
-        for image in lone_fringes(
-            [striped_image for striped_image in rest if striped_image.axis == axis]
-        )
+        for image in lone_fringes([striped for striped in rest if striped.axis == axis])
     ]
     if lone:
         names = ", ".join(image.file for image in lone)

@@ -241,7 +241,7 @@ def coarse_sets(
         if {features[k].kind, features[k + 1].kind} == {"white", "black"}
     ]
     if not known and plain and is_three:
-        # With phases half a turn different, white and black have mean and modulation of all fringes.
+        # Opposite in phase, white and black have mean and modulation of all fringes.
         references.append((3, _reference(features[plain[-1] : plain[-1] + 2], (0.0, 180.0))))
     sets: list[FrameGroup] = []
     doubts: list[str] = []
