@@ -1,6 +1,6 @@
-"""What a few small measurements and a study give, as digests and coarse figures.
+"""Digests and coarse figures of a few small measurements and a study.
 
-`python -m tests.pipeline.reference` records them anew: only where bytes are meant to change.
+`python -m tests.pipeline.reference` records them again: only where bytes are meant to change.
 """
 
 import hashlib
@@ -94,7 +94,7 @@ def contents(folder):
 
 
 def arrays_in(path):
-    """Yield the arrays of a file by name; nothing of a file that holds none."""
+    """Yield the arrays of a file by name; none of a file without arrays."""
     if path.suffix == ".nc":
         with h5netcdf.File(path, "r") as file:
             for name, variable in sorted(file.variables.items()):
@@ -130,7 +130,7 @@ def described(values):
 
 
 def machine():
-    """Name what decides on the last digit: processor, threads of the linear algebra, versions."""
+    """Name the influences on the last digit: processor, threads of the linear algebra, versions."""
     others = {name: found for name, found in versions().items() if name != "fringe-twin"}
     told = os.environ.get("OPENBLAS_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS")
     count = told or str(len(os.sched_getaffinity(0)))
@@ -138,7 +138,7 @@ def machine():
 
 
 def recorded():
-    """Read what was recorded."""
+    """Read the recorded digests and figures."""
     return json.loads(REFERENCE.read_text(encoding="utf-8"))
 
 

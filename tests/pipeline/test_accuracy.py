@@ -1,4 +1,4 @@
-"""The measuring chain in millimetres: what the twin loses without any noise, and with it."""
+"""The measuring chain in millimetres: the twin's errors without any noise, and with it."""
 
 from dataclasses import replace
 
@@ -95,7 +95,7 @@ def test_predicted_sigma_z_is_the_actual_spread(default, taps):
     """Spread of z over 16 exposures of one rendering, per pixel, against the predicted sigma.
 
     Expected: 16 values spread by sqrt(14.339 / 15) = 0.9777 in the median (chi-square, 15 degrees
-    of freedom), here to 0.8 %; and 95 % of the heights lie within 1.96 sigma of their mean (its own
+    of freedom), here to 0.8 %; and 95 % of the heights are within 1.96 sigma of their mean (its own
     scatter taken into account).
     """
     experiment, recording = default

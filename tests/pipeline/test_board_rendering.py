@@ -1,4 +1,4 @@
-"""Boards as they are rendered: print, pose, corners and what defocus does to them."""
+"""Boards as they are rendered: print, pose, corners and the effect of defocus."""
 
 import numpy as np
 import pytest
@@ -18,10 +18,10 @@ SMALL = {"camera.binning": 4, "patterns.steps": 6}
 def test_tilted_board_out_of_focus_is_displaced_as_predicted(mi):
     """Setup: f/8 lens, 20 degrees, 4 mm above and below the focus, no noise; true poses.
 
-    Expected: the projector coordinates at the dots, beyond what the camera's misses explain, are
+    Expected: the projector coordinates at the dots, beyond the errors by the camera's dots, are
     off by the closed form of `defocus` in the mean over the board. Half the difference of both
-    heights leaves out what depends on the size of the blur alone: the phase leans towards where
-    the board is brighter. To a tenth: the phase is a fit over a window, not at one point.
+    heights omits effects of the size of the blur only: the phase leans towards where
+    the board is brighter. To 10 %: the phase is a fit over a window, not at one point.
     """
     above, below = (
         defocus_misses(BoardPose(tilt_deg=20.0, azimuth_deg=80.0, z_mm=z_mm))
@@ -59,7 +59,7 @@ def test_corner_boards_are_observed(mi, name):
     """Setup: one tilted pose, default noise. Expected: every corner to 0.05 px in the camera.
 
     The projector coordinate belongs to the place seen, so its error beyond the camera's share is
-    that of the phase alone: 5e-3 px.
+    that of the phase only: 5e-3 px.
     """
     board, experiment = load_board(name), load_experiment("examples/slab_balls", SMALL)
     pose = BoardPose(tilt_deg=12.0, azimuth_deg=40.0)
@@ -97,7 +97,7 @@ def test_paper_board_has_twelve_poses():
 
 
 def test_pose_leans_towards_its_azimuth():
-    """Expected: the normal has the stated tilt and azimuth whatever the spin."""
+    """Expected: the normal has the stated tilt and azimuth for any spin."""
     T = board_pose(BoardPose(tilt_deg=20.0, azimuth_deg=50.0, spin_deg=33.0, x_mm=1.0))
     tilt, azimuth = np.radians([20.0, 50.0])
     normal = [np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)]

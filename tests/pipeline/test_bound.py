@@ -1,4 +1,4 @@
-"""What is predicted from the trace, against the spread of many measurements."""
+"""Predictions from the trace, against the spread of many measurements."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def test_bounds_beside_and_alone_are_the_same(balls):
 
 
 def test_more_light_and_shorter_fringes_bound_lower(balls):
-    """In shot noise the bound falls with the root of the light, and in proportion to the period."""
+    """In shot noise the bound is proportional to the period and to 1 / sqrt(light)."""
 
     def bound(**changes):
         changed = {name.replace("__", "."): value for name, value in changes.items()}
@@ -94,7 +94,7 @@ def test_more_light_and_shorter_fringes_bound_lower(balls):
 
 
 def test_what_a_slab_shows_of_its_object_is_bounded():
-    """Through optics and mechanics: by twice the light, and by what is known of the travel.
+    """Through optics and mechanics: by twice the light, and by the uncertainty of the travel.
 
     The whole fit is held against this bound in `./run bench compensation`.
     """
@@ -197,7 +197,7 @@ def test_what_moves_press_or_camera_has_no_derivative(balls):
 
 
 def test_single_images_have_no_bound_and_are_measured_without_one(balls):
-    """What such an image adds depends on the place; no figure is better than a wrong one."""
+    """The information of such an image depends on the place: no figure is returned."""
     periods = [15.5, 15.76, 16.45, 20.4, 20.72]
     further = {"patterns.period_px": 18.0, "patterns.further_periods_px": periods}
     experiment = vary(balls, {"patterns.code": "micro", "patterns.steps": 3} | further)

@@ -59,7 +59,7 @@ spin_deg = 10.0
 """
 
 
-# Inches; what they show: tests/report/test_calibration_figures.py.
+# Inches; their contents: tests/report/test_calibration_figures.py.
 PICTURES = {
     "residuals.png": (10.2, 4.2),
     "pose_residuals.png": (7.0, 3.4),
@@ -108,7 +108,7 @@ def test_rendered_calibration_finds_the_true_rig(folder):
 
 
 def test_world_frame_is_the_first_board(folder):
-    """The first pose lies in the rig's own reference frame: transforms agree with the true ones."""
+    """The first pose is in the rig's own reference frame: transforms agree with the true ones."""
     found = read_calibration(folder / "calibration.yaml")
     true = true_calibration(load_experiment("examples/slab_balls", SMALL))
     np.testing.assert_allclose(
@@ -155,7 +155,7 @@ def test_captures_are_what_a_rig_owner_has(folder):
 
 
 def test_captures_give_the_same_calibration(folder, calibrated):
-    """Expected: the same figures, but for rounding that depends on how arrays lie in memory."""
+    """Expected: the same figures, but for rounding that depends on the memory layout of arrays."""
     rendered, real = figures(folder), figures(calibrated)
     assert "baseline_mm_error" not in real  # the truth is not known
     absent = [name for name, value in real.items() if value is None]
@@ -167,7 +167,7 @@ def test_captures_give_the_same_calibration(folder, calibrated):
 
 
 def test_calibration_of_folders_holds_the_true_rig(calibrated):
-    """Expected: every parameter within twice its U: with 11 free ones, one lies beyond U (k = 2)
+    """Expected: every parameter within twice its U: with 11 free ones, one is beyond U (k = 2)
     in every second calibration, and one beyond 2 U in 1500.
     """
     true = parameters_of(true_calibration(load_experiment("examples/slab_balls", SMALL)))
@@ -180,7 +180,7 @@ def test_calibration_of_folders_holds_the_true_rig(calibrated):
 
 
 def test_calibration_file_opens_in_opencv(calibrated):
-    """Expected: nodes as OpenCV's functions take them; tables and pictures lie beside."""
+    """Expected: nodes as OpenCV's functions take them; tables and pictures in the same folder."""
     found = read_calibration(calibrated / "calibration.yaml")
     storage = cv2.FileStorage(str(calibrated / "calibration.yaml"), cv2.FILE_STORAGE_READ)
     matrix = storage.getNode("camera").getNode("camera_matrix").mat()
@@ -276,7 +276,7 @@ MISTAKES = {
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda function: function.__name__)
 def test_mistakes_in_folders_are_one_line(folder, board_file, tmp_path, capsys, mistake):
-    """Setup: copies of two pose folders with one mistake. Expected: where and what, exit code 2."""
+    """Setup: copies of two pose folders, one mistake. Expected: file and mistake, exit code 2."""
     captures, out = tmp_path / "captures", tmp_path / "out"
     for name in ("pose_00", "pose_01"):
         shutil.copytree(folder / "captures" / name, captures / name)
@@ -301,7 +301,7 @@ def test_one_bad_pose_does_not_stop_the_others(folder, board_file, tmp_path, cap
     assert [told.partition("pose_0")[2][0] for told in found["warnings"]] == ["0", "3"]
     assert "1 of 29 frames are missing" in found["warnings"][1]
     assert {path.name for path in out.glob("skipped_*")} == {"skipped_pose_00.png"}
-    # It shows what the pose shows: patterns of all kinds, in the mean brighter than dark.
+    # It shows the pose's mean image: patterns of all kinds, in the mean brighter than dark.
     assert imageio.imread(out / "skipped_pose_00.png").mean() > 64
     assert "grid is not recognised" in found["warnings"][0]
     assert "left out: " in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""What a call leaves in the process of its caller: nothing, in any thread; and first calls at once.
+"""Calls do not change the process of their caller, in any thread; simultaneous first calls.
 
 A new process each: the first call imports and starts the renderer.
 """
@@ -101,14 +101,14 @@ def answer_of(script: str) -> Any:
 
 
 def test_a_call_leaves_the_process_as_it_was():
-    """A measurement, a press that is refused, and an error in the middle of rendering."""
+    """A measurement, a press that is rejected, and an error in the middle of rendering."""
     outcomes = answer_of(CALLER + BALLS + LEAVING)
     assert [outcome for outcome, _ in outcomes] == ["done", "PressError", "ZeroDivisionError"]
     assert [changed for _, changed in outcomes] == [{}, {}, {}]
 
 
 def test_first_measurements_in_two_threads_are_those_of_one():
-    """Nothing is imported before, and both threads share what the stages keep."""
+    """No module is imported before, and both threads share the stages' cache."""
     found = answer_of(BALLS + THREADS)
     assert isinstance(found["after"], dict)
     assert found == dict.fromkeys(found, found["after"])

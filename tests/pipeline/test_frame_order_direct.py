@@ -18,7 +18,7 @@ def test_bare_specimen_passes_at_any_exposure(mi):
     would, eight times longer (clipped) and ten times shorter (dark).
 
     Expected: no alarm, with and without calibration; and the same images with two frames exchanged
-    are still refused at the normal exposure, or the check would be asleep.
+    are still rejected at the normal exposure, or the check would be without effect.
     """
     _, recording = take(load_experiment("examples/slab_ball", SMALL))
     for factor in (1.0, 8.0, 0.1):

@@ -1,4 +1,4 @@
-"""Through a gel from press to score: rays bent by the decoder, and what one for air makes of it."""
+"""Through a gel from press to score: rays refracted by the decoder, or a decoder for air."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ TINY = {
 def test_a_gel_measured_in_air_looks_thinner(mi):
     """Setup: the shipped example at low resolution; the camera looks straight down.
 
-    Expected: the camera's ray is hardly bent, the projector's meets it higher up, by
+    Expected: the camera's ray is hardly bent, the projector's intersects it higher up, by
     sum d_i (1 - tan i' / tan i) at the incidence i of the image's centre: within 3 %, the angle
     changes over the field.
     Why: the score states the error that refraction makes in a sensor that does not correct it.

@@ -15,7 +15,7 @@ def coarse():
 def test_a_load_is_carried_over(coarse):
     """Setup: a ball pressed 0.5 mm into the paper's sheet, then into the other sensor's gel.
 
-    Expected: by force, what that depth needs, to the four digits kept, with its origin told; by
+    Expected: by force, the force of that depth, to the four digits kept, with its origin stated; by
     depth, the same depth; under force control either way round.
     """
     deep = vary(coarse, {"press.depth_mm": 0.5})

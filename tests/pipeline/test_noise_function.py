@@ -20,7 +20,7 @@ def mean_only(mean_e, rng):
 
 
 def test_the_recording_follows_the_function_and_the_result_names_it(mi: object) -> None:
-    """The same memory gives recordings by the function and by EMVA 1288, each as it is alone."""
+    """One memory gives recordings by the function and by EMVA 1288, as an empty memory does."""
     experiment, memory = twin.load_experiment("examples/slab_ball", SMALL), twin.Memory()
     clean = twin.measure(experiment, memory=memory, noise=mean_only)
     noisy = twin.measure(experiment, memory=memory)

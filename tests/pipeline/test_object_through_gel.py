@@ -71,12 +71,12 @@ def test_the_object_is_measured_as_well_as_the_gel_shows_it(mi, name, text):
     assert figures.known(f"object_{asked}_mm") == pytest.approx(
         figures.known(f"object_{asked}_true_face_mm"), abs=3e-3
     )
-    # And the gel itself shows these objects: what is asked is within 3 um of the drawing.
+    # And the gel itself shows these objects: the requested dimension is within 3 um of the drawing.
     assert abs(figures.known(f"object_{asked}_error_um")) < 3.0
 
 
 def test_raised_text_gets_its_verdict(mi, text):
-    """The same with the camera's noise: 0.2 mm within 10 um, and the sentence says so."""
+    """The same with the camera's noise: 0.2 mm within 10 um, as the verdict states."""
     done = measured("text", text)
     (height,) = done.object.quantities
     assert height.decision == "within tolerance"

@@ -28,7 +28,8 @@ FEW = {"photometric.presses.count": 9, "photometric.presses.smallest_diameter_mm
 BALL_MM, DEPTH_MM = 6.31, 0.7
 PLACES_MM = ((0.0, 0.0), (5.0, 2.5), (-4.0, -3.0))
 
-# Means over 3 x 3 tiles of two real units' untouched images (red, green, blue; rows from the top).
+# Means over 3 x 3 tiles of two real units' images without contact (red, green, blue; rows from the
+# top).
 UNITS = np.array(
     [
         [
@@ -85,7 +86,7 @@ def done(calibrated, experiment, memory):
 def test_the_untouched_image_is_what_the_lamps_were_fitted_to(calibrated):
     """Expected: the published tables of both units within 3 levels RMS (they differ by 5).
 
-    Not a judgement of the lamps, whose fit used these tables: heights of real presses are one.
+    Not a judgement of the lamps, as their fit used these tables; heights of real presses are one.
     """
     background = calibrated[1].background
     rows, cols = (np.array_split(np.arange(n), 3) for n in (240, 320))
@@ -190,7 +191,7 @@ def test_another_decoder_uses_the_same_calibration(experiment, done, memory):
 
 
 def test_another_specimen_uses_the_same_sensor(experiment, done, memory):
-    """Neither specimen and load nor what is decoded or scored is part of the sensor."""
+    """Neither specimen and load nor decoding or score is part of the sensor."""
     changes = {"specimen.diameter_mm": 7.0, "press.depth_mm": 0.5, "score.roi_radius_mm": 0.5}
     other = measure(vary(experiment, changes), memory=memory)
     assert other.colours.calibration is done.colours.calibration
@@ -200,7 +201,8 @@ def test_another_specimen_uses_the_same_sensor(experiment, done, memory):
 def test_a_kept_calibration_serves_other_processes(
     experiment, calibrated, memory, tmp_path, monkeypatch
 ):
-    """Setup: the shared sensor's calibration is kept in a folder; reference presses are refused.
+    """Setup: the shared sensor's calibration is kept in a folder; reference presses are made to
+    fail.
 
     Expected: a new memory finds it, to the last bit, for any specimen, load and decoder; not with
     other reference presses, nor where a file is damaged.
@@ -292,7 +294,7 @@ def test_a_truncated_background_is_half_a_level_darker(experiment):
 def test_levels_follow_gamma_and_full_well(experiment):
     """Setup: a camera without noise, radiance for a quarter of the full well in every channel.
 
-    Expected: 255 * 0.25 ** (1 / 1.4) = 94.7, so 95, whatever the lamp's wavelength.
+    Expected: 255 * 0.25 ** (1 / 1.4) = 94.7, so 95, for any wavelength of the lamp.
     """
     quiet = vary(experiment, {"camera.noise": False} | EVEN)
     camera, lamps = quiet.camera, quiet.lamps

@@ -1,4 +1,4 @@
-"""Derivatives of presses by an experiment's numbers; what is not differentiable is told."""
+"""Derivatives of presses by an experiment's numbers; all others raise an error."""
 
 import json
 
@@ -31,7 +31,7 @@ def experiment():
 
 
 def test_hardness_acts_through_the_modulus(experiment):
-    """Chain rule: what moves by Shore A moves by E times dE/dShore."""
+    """Chain rule: the derivative by Shore A is that by E times dE/dShore."""
     _, (by_shore,) = press_derivatives(experiment, ["elastomer.shore_a"])
     modulus_kpa = young_modulus(experiment.elastomer).best_kpa
     known = {"shore_a": None, "shore_00": None, "young_modulus_kpa": modulus_kpa}

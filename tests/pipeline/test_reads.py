@@ -1,4 +1,4 @@
-"""What a computation reads of an experiment is found by watching it."""
+"""The fields that a computation reads of an experiment are recorded while it runs."""
 
 import copy
 import json
@@ -87,7 +87,7 @@ def test_properties_and_types_are_looked_through(base):
 
 
 def test_tables_that_may_be_absent(base):
-    """Whether a table is there counts even when nothing in it was read."""
+    """The presence of a table counts even if no field in it was read."""
     reads = reads_of(base, lambda seen: seen.elastomer.film is None)
     film = Film(thickness_mm=0.1, young_modulus_kpa=100.0)
     assert reads.hold_for(base)

@@ -1,4 +1,4 @@
-"""A measurement with fringes as a folder: what is written is what is read back."""
+"""A measurement with fringes as a folder: reading gives the written values."""
 
 import json
 
@@ -41,8 +41,8 @@ def test_a_record_comes_back(done, folder):
 
 
 def test_what_does_not_exist_is_absent(done, folder):
-    """Frames are not kept in files; nothing is pressed onto a bare specimen; fringes are not seen
-    in colours."""
+    """Frames are not kept in files; no elastomer is pressed onto a bare specimen; fringes are not
+    seen in colours."""
     again, presses = read_measurement(folder), done.experiment.method.presses
     assert again.fringes.frames is None
     assert (again.pressed is not None) == (folder / "press.nc").is_file() == presses

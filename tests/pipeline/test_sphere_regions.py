@@ -24,7 +24,7 @@ def figures(mi):
     "name", ["radius_mm", "algebraic_radius_mm", "rmse_mm", "algebraic_p95_mm"]
 )
 def test_the_scored_region_is_one_of_them(figures, name):
-    """score.roi_radius_mm is 1.5 mm in the paper's rig: asked twice, it gives the same."""
+    """score.roi_radius_mm is 1.5 mm in the paper's rig: requested twice, it gives the same."""
     assert figures[f"sphere_1_within_1p5_{name}"] == figures[f"sphere_1_{name}"]
 
 

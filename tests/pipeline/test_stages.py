@@ -1,4 +1,4 @@
-"""Shared stages give the bytes of a measurement of its own, whatever is varied."""
+"""Shared stages give the bytes of a separate measurement, for any varied field."""
 
 import numpy as np
 import pytest
@@ -57,8 +57,8 @@ def test_random_walk_gives_the_same_bytes(mi, base):
     """Setup: from case to case one or two fields, chosen at random, change their value.
 
     Expected: every case equals `measure` on its own, to the last bit of every array.
-    Why: what a stage looks at is found by watching it, so no field can be forgotten; a stage that
-    looked at something unseen (a global, a cache) would show here.
+    Why: the fields that a stage reads are recorded while it runs, so no field can be forgotten; a
+    stage that looked at something unseen (a global, a cache) would show here.
     """
     rng = np.random.default_rng(20261121)
     memory, experiment = Memory(), base
@@ -72,7 +72,7 @@ def test_random_walk_gives_the_same_bytes(mi, base):
     assert recalled["geometry"] >= 2
 
 
-# Each in turn is changed and changed back; what is computed anew, in the order of the stages.
+# Each in turn is changed and changed back; the stages computed again, in their order.
 BARE = {
     "coating.base_albedo": (0.3, ""),
     "camera.exposure_ms": (5.0, "capture reconstruction"),
@@ -84,7 +84,7 @@ BARE = {
 
 
 def test_a_bare_specimen_shares_its_stages(mi, base):
-    """Expected: the bytes of a measurement of its own, and no stage that looks at nothing new."""
+    """Expected: the bytes of a separate measurement; no stage repeats without a changed field."""
     steel = base.specimen.material.model_dump()
     ball = {"kind": "ball", "diameter_mm": 8.0, "material": steel}
     size = {"camera.width_px": 160, "camera.height_px": 120, "modality": "direct_fpp"}
@@ -103,7 +103,7 @@ def test_a_bare_specimen_shares_its_stages(mi, base):
 
 @pytest.fixture(scope="module")
 def counted(mi, base):
-    """Count what each stage computes over a grid, sorted as the engine sorts it."""
+    """Count the results that each stage computes over a grid, sorted as the engine sorts it."""
 
     def count(fields):
         import itertools
@@ -157,7 +157,7 @@ def test_a_texture_is_laid_on_one_press(counted, base):
 
 
 def test_hardness_stays_free_under_a_texture(counted):
-    """The modulus moves the last digit of the coat's displacement, not what is rendered."""
+    """The modulus moves the last digit of the coat's displacement, not the rendered image."""
     texture = {"rms_um": 10.0, "correlation_mm": 0.2}
     found = counted({"coating.texture": [texture], "elastomer.shore_a": [6.0, 10.0, 14.0]})
     assert found["texture"] == 3
@@ -176,7 +176,7 @@ def test_hardness_needs_presses_under_force_control(mi, base):
 
 
 def test_a_refusal_is_shared_too(mi, base):
-    """A press that fails is not tried again for every coat; the reason stays the same."""
+    """A press that fails is not tried again for every coat; the reason remains the same."""
     memory = Memory()
     deep = vary(base, {"elastomer.thickness_mm": 1.2, "press.depth_mm": 1.5})
     reasons = set()

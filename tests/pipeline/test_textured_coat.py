@@ -1,4 +1,4 @@
-"""A rough coat through camera and decoder: what a sphere fit leaves of it."""
+"""A rough coat through camera and decoder: residuals of a sphere fit."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def rmse_um(points_mm, region):
 def recorded(mi, ball_cap):
     """Recordings of an ideal cap, smooth and rough."""
     experiment = load_experiment("examples/slab_balls", COARSE)
-    # Not the press that the cap stands in for: its material lies where it lay.
+    # Not the press that the cap replaces: its material does not move.
     cap = replace(ball_cap, model="fem")
     rough = textured(cap, experiment.elastomer, experiment.press, TEXTURE, seed=1)
     return record(experiment, cap), record(experiment, rough)
@@ -63,10 +63,10 @@ def test_the_true_face_is_the_textured_one(residuals):
 
 
 def test_residuals_add_in_quadrature(residuals):
-    """Expected: what the smooth cap leaves, and the texture, whole or as the decoder shows it.
+    """Expected: the residual of the smooth cap, and the texture, whole or as the decoder shows it.
 
-    Unfiltered to 3 %, of which a pixel's own box is 1 %. The filter gives back what its Gaussian
-    takes from relief as far as that rises above the noise: the residual lies between that under the
+    Unfiltered to 3 %, of which a pixel's own box is 1 %. The filter restores the relief that its
+    Gaussian removes, as far as it exceeds the noise: the residual is between that under the
     plain Gaussian, to 15 %, and the true one.
     """
     if residuals["taps"]:

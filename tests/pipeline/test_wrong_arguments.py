@@ -1,4 +1,4 @@
-"""Arguments of a wrong type to the public calls: one line that says what to give, at once."""
+"""Arguments of a wrong type to the public calls: one line that names the allowed type, at once."""
 
 from collections.abc import Callable
 from functools import cache
@@ -39,7 +39,10 @@ def loaded() -> Any:
         (lambda: twin.measure(loaded(), trial=-1), "trial is -1; give a whole number from 0"),
         (lambda: twin.measure(loaded(), trial=0.5), "trial is 0.5; give a whole number from 0"),
         (lambda: twin.with_compensation(None), "done is of type NoneType"),
-        (lambda: twin.compensate(None), "measured is of type NoneType; give what twin.measure"),
+        (
+            lambda: twin.compensate(None),
+            "measured is of type NoneType; give a result of twin.measure",
+        ),
         (lambda: twin.calibrate(None), "source is of type NoneType; give an experiment"),
         (lambda: twin.adopt(), "adopt: found no capture; give at least one folder"),
         (lambda: twin.load_experiment(None), f"path is of type NoneType; {FOR_PATH}"),

@@ -1,4 +1,4 @@
-"""Tables as CSV: what a reader gets back, and what a spreadsheet may not run."""
+"""Tables as CSV: values that a reader gets back, and cells that a spreadsheet must not run."""
 
 import csv
 import io

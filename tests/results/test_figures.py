@@ -24,7 +24,7 @@ def test_words_are_no_figures():
 
 
 def test_what_does_not_exist_is_no_number():
-    """None adds to nothing, sorts nowhere, and who insists is told why there is none."""
+    """None is left out of sums and sorting; `known` raises an error with the reason."""
     figures = Figures(METRICS)
     with pytest.raises(InputError, match="z_rmse_um: found none, no valid point"):
         figures.known("z_rmse_um")

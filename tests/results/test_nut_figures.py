@@ -1,4 +1,4 @@
-"""Hole and hexagon of a nut's relief, against reliefs whose share of a hexagon is known."""
+"""Hole and hexagon of a nut's relief, against reliefs with a known share of a hexagon."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def grid(pitch_mm=0.04):
 
 
 def tent(share, hole_mm=0.3):
-    """A ring with a hole of 2 mm radius, whose contours have this share of a hexagon."""
+    """A ring with a hole of 2 mm radius; its contours have this share of a hexagon."""
     x, y = grid()
     radius, azimuth = np.hypot(x, y), np.arctan2(y, x)
     edge_mm = 5.3 + share * SIXTH_MM * np.cos(6 * azimuth)
@@ -42,7 +42,7 @@ def test_the_share_is_that_of_the_contour(share):
 
 
 def test_the_nut_itself_is_a_hexagon_but_for_its_walls():
-    """The face of the specimen's mesh that meets the sheet, turned and moved.
+    """The face of the specimen's mesh towards the sheet, turned and moved.
 
     A mean over 0.1 mm of radius across an upright wall ends the corners early.
     """

@@ -29,9 +29,9 @@ def test_every_nth_point_is_enough(count, left, together):
 
 
 def test_noise_of_a_mean_of_four():
-    """Slopes of 1/4: alone 2 um / sqrt(4) = 1 um; two share an error: 1.41; all four: 2, no more.
+    """Slopes of 1/4: independent 2 um / sqrt(4) = 1 um; pairs share an error: 1.41; all four: 2.
 
-    Without a sigma the spread of the residuals (here 3 um) stands for one error of all.
+    Without a sigma the spread of the residuals (here 3 um) is one error common to all.
     """
     residuals = np.array([3.0, -3.0, 3.0, -3.0]) * 1e-3
     mean = FittedDimension(0.0, np.full(4, 0.25), residuals, np.ones(4, bool))
@@ -59,7 +59,7 @@ def test_a_point_lies_in_the_nearest_cell():
 def test_levels_of_a_ridge_of_five_cells():
     """Cells of 1 mm, ridge over 18 to 22: its middle is 3 from the edge, so W = 6 and W / 3 = 2.
 
-    Kept are 19 to 21 of the ridge, and of the ground what is 2 to 6 away: five cells a side.
+    Kept are 19 to 21 of the ridge, and of the ground the cells 2 to 6 away: five cells a side.
     """
     z = np.zeros((4, 41))
     z[:, 18:23] = 0.1
@@ -76,12 +76,12 @@ def test_a_level_reaches_a_tenth_of_the_step():
     upper, lower = levels(Heights(np.arange(60.0), np.arange(30.0), z, 1.0))
     # The upper level is 24 wide to its only edge: W = 48, and W / 3 = 16 of it is left out.
     assert np.flatnonzero(upper[0]).tolist() == list(range(9))
-    # The ground is 32 wide to its edge: 16 of it are left out, and what is beyond 48 of the ridge.
+    # The ground is 32 wide to its edge: 16 of it are left out, and all beyond 48 of the ridge.
     assert np.flatnonzero(lower[0]).tolist() == list(range(43, 60))
 
 
 def test_noise_of_a_width_is_that_of_its_cells_where_it_is_crossed():
-    """Points 50 um apart in cells of 75 um, walls of a cell's slope, exact heights.
+    """Points at a pitch of 50 um in cells of 75 um, walls of a cell's slope, exact heights.
 
     Each crossing is known to 75 um / sqrt(12); both together to 30.6 um.
     """
@@ -100,7 +100,7 @@ def asked_of(quantity, **more):
 def test_deviation_and_form_of_a_flat_face():
     """Raised by 20 um and known to 3 um: deviation 20 um, known to 3 um over the root of n.
 
-    Its form, after the best fit, is nothing; half of it raised by 20 um more makes a band of 20 um.
+    Its form, after the best fit, is 0; half of it raised by 20 um more makes a band of 20 um.
     """
     plain = asked_of("deviation", alignment="none")
     raised = seen(experiment(FLAT, measurand=plain), 0.02, 3e-3)

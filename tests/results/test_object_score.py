@@ -30,9 +30,9 @@ def experiment(specimen, **more):
 
 
 def seen(case, error_mm=0.0, sigma_mm=None, skin_mm=0.0, touched=np.isfinite):
-    """Score the specimen's own upper side, as a coat that lies on all of it would show it.
+    """Score the specimen's own upper side, as a coat in contact with all of it would show it.
 
-    `touched`: of world x, where the coat lies on it.
+    `touched`: of world x, where the coat touches it.
     """
     x = np.linspace(-HALF_MM[0], HALF_MM[0], COLS)
     y = np.linspace(HALF_MM[1], -HALF_MM[1], ROWS)
@@ -99,7 +99,7 @@ def test_known_dimensions_are_found(specimen, name, true_mm):
 def test_the_stated_interval_covers_the_truth(specimen):
     """Setup: 20 times the same surface with independent normal noise of 3 um.
 
-    Expected: within U (k = 2) of what the surface itself gives in at least 16 of 20 (binomial 95 %:
+    Expected: within U (k = 2) of the surface's own value in at least 16 of 20 (binomial 95 %:
     0.3 %), and not by an interval that is far too wide. A section's width is known to its cells.
     """
     case, rng = experiment(specimen), np.random.default_rng(2)
@@ -117,7 +117,7 @@ def test_the_stated_interval_covers_the_truth(specimen):
 
 
 def test_a_value_gets_its_verdict_from_limits_and_uncertainty():
-    """A step read 8 um too high, known to 3 um: within 15, cannot tell within 10, not within 5."""
+    """A step read 8 um too high, known to 3 um: within 15, undecided at 10, not within 5."""
     x_mm = np.linspace(-HALF_MM[0], HALF_MM[0], COLS)
     asked = [
         {"name": f"within_{limit}", "quantity": "step_height", "plus_minus_um": limit,
@@ -146,7 +146,7 @@ def test_a_constant_error_is_taken_off_by_the_stated_alignment():
 
 
 def test_a_skin_of_nominal_thickness_is_taken_off_deviations():
-    """The far face of a slab of 1.3 mm lies as much above the object, along the normal."""
+    """The far face of a slab of 1.3 mm is as much above the object, along the normal."""
     slab = {"elastomer.layout": "opposite_face", "layers": {}}
     slab["elastomer.thickness_mm"] = {"value": 1.3, "source": "test"}
     case = experiment(STEP, **slab)
@@ -182,7 +182,7 @@ def test_resolution_is_the_finest_pitch_that_keeps_half_its_depth():
 
 
 def test_levels_leave_out_the_edges():
-    """A ridge 1.2 mm wide on a plate: a third of its width is left out beside each edge."""
+    """A ridge 1.2 mm wide on a plate: a third of its width is left out at each edge."""
     x, y = np.arange(-3, 3, 0.02), np.arange(-2, 2, 0.02)
     z = np.where(np.abs(x) <= 0.6, 0.2, 0.0) * np.ones((len(y), 1))
     upper, lower = levels(Heights(x, y, z, 0.02))
@@ -229,7 +229,7 @@ def test_a_single_bar_has_a_width():
 
 @pytest.mark.parametrize("error_mm", [0.0, 0.003])
 def test_a_bar_without_ground_has_no_width(error_mm):
-    """A bare bar shows its top alone: the section has no walls that a width could be between."""
+    """A bare bar shows only its top: the section has no walls that a width could be between."""
     noise = error_mm * np.random.default_rng(1).standard_normal((181, 241))
     bar = experiment({"kind": "bar", "width_mm": 3.0})
     figures = seen(bar, noise if error_mm else 0.0, max(error_mm, 1e-6)).figures

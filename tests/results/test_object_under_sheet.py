@@ -72,7 +72,7 @@ def test_the_first_figure_in_words_is_the_object(wrapped):
 
 
 def test_what_is_touched_too_little_is_absent_and_says_what_to_do():
-    """A coat that stays flat without air: nothing of the ball carries the sheet."""
+    """A coat that remains flat without air: the ball does not carry the sheet."""
     coat = coat_map()
     flat = coat.points_world_mm * np.float32([1.0, 1.0, 0.0])
     without_air = {"press.back_pressure_kpa": 0.0}

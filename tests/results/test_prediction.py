@@ -22,7 +22,7 @@ SHAPE = (12, 16)
 
 @pytest.fixture(scope="module")
 def plain():
-    """An experiment whose projector has no gamma, and which sets its exposure."""
+    """An experiment with a projector without gamma, and a set exposure."""
     return load_experiment("examples/slab_balls", {"camera.binning": 4, "camera.exposure_ms": 20.0})
 
 
@@ -203,7 +203,7 @@ def test_clipped_frames_cost_what_the_decoder_says(plain, share):
 
 @pytest.mark.parametrize(("sigma_mm", "is_known"), [(1e-3, True), (1e3, False)])
 def test_a_bound_wider_than_its_points_is_absent_with_the_reason(sigma_mm, is_known):
-    """A cap of 3 mm, radius 4: noise of 1 um leaves it open by some um, 1 m by more than a metre.
+    """A cap of 3 mm, radius 4: with noise of 1 um its sigma is some um, with 1 m above a metre.
 
     Such a bound was a figure of 1e12 um, which studies ranked.
     """
@@ -223,5 +223,5 @@ def test_a_bound_wider_than_its_points_is_absent_with_the_reason(sigma_mm, is_kn
     names = "sphere_1_radius_crb_um", "sphere_1_radius_spread_um"
     assert [found[name] is not None for name in names] == [is_known] * 2
     why = found.get("sphere_1_radius_bound_why", "")
-    assert why.startswith("" if is_known else "radius: not determined, noise leaves it open by ")
+    assert why.startswith("" if is_known else "radius: not determined, its noise is ")
     assert bool(why) != is_known

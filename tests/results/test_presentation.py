@@ -1,4 +1,4 @@
-"""Results as a person meets them: in one line, as a table with a picture, as labelled arrays."""
+"""Presentation of results: in one line, as a table with a picture, as labelled arrays."""
 
 import io
 import re
@@ -52,7 +52,7 @@ def test_figures_are_a_list(measured):
 
 @pytest.mark.parametrize("part", ["measured", "pressed", "reconstruction"])
 def test_plots_have_mm_axes_and_are_pictures(measured, part):
-    """Each has three panels in mm; a notebook gets the picture without being asked."""
+    """Each has three panels in mm; a notebook displays the picture by itself."""
     results = {
         "measured": measured,
         "pressed": measured.pressed,
@@ -76,7 +76,7 @@ def test_a_section_is_the_measured_face(measured):
     found, true = curves["measured"], curves["true"]
     inner = np.abs(found[:, 0]) < 8.0
     z_true = np.interp(found[inner, 0], true[:, 0], true[:, 1])
-    # Cells of some 0.1 mm on slopes of up to 0.3: their means differ by where the points lie.
+    # Cells of some 0.1 mm on slopes of up to 0.3: their means differ by the points' positions.
     assert np.abs(found[inner, 1] - z_true).max() < 0.02
 
 
@@ -164,7 +164,7 @@ def test_a_capture_in_pictures(measured):
 
 
 def test_labels_of_neighbouring_panels_are_apart(measured):
-    """All that belongs to a panel, labels included, ends 0.2 inches before the next one begins."""
+    """All that belongs to a panel, labels included, ends 0.2 inches before the next panel."""
     drawing = measured.fringes.capture.plot()
     drawing.png()
     boxes = sorted(axes.get_tightbbox().extents[[0, 2]].tolist() for axes in drawing.axes[:3])

@@ -44,7 +44,7 @@ def axis(coordinates_px, bias_share):
 
 @pytest.fixture
 def truth():
-    """Two pixels are unlit, and three not on the specimen; the projector sees 100, 200."""
+    """Two pixels are unlit, and three not on the specimen; the projector lights 100, 200."""
     lit, measured = np.arange(12) < 10, np.arange(12) < 9
     zero = np.zeros((*SHAPE, 3))
     return Truth(
@@ -79,7 +79,7 @@ def test_ten_pixels(fringes, reconstruction, truth):
     """Errors 10, -10, 20, -20, 50, 40, -30, 100 um: sum 160, squares 16000.
 
     P95 of the sizes 10, 10, 20, 20, 30, 40, 50, 100: 0.65 of the way from 50 to 100. Over sigma 1,
-    -1/2, 2, -1/2, 2, 2, -1, 2: median 1.5, from which they lie 1/2 in the median. Bias: variances
+    -1/2, 2, -1/2, 2, 2, -1, 2: median 1.5, their median distance from it is 1/2. Bias: variances
     100, 400 and 2500 um^2 by shares 1, 0.5 and 0.64 make 1900 um^2 of eight pixels.
     """
     found = score_truth(fringes, reconstruction, truth)
@@ -97,7 +97,7 @@ def test_ten_pixels(fringes, reconstruction, truth):
 def test_wrong_orders_are_half_a_period_off(fringes, reconstruction, truth):
     """Period 18 px: off by 9 in column (two), in row (two), and in both (one); 8.9 is right.
 
-    What has no point, or ought to have none, does not count.
+    Pixels without a point, or that must have none, do not count.
     """
     assert fringes.patterns.period_px == 18.0
     assert wrong_orders(fringes, reconstruction, truth) == 5
@@ -109,7 +109,7 @@ def test_wrong_orders_that_make_the_error_are_a_warning(fringes, reconstruction,
     """Of eight points five are wrong. The others err by 10, -20 and 40 um: 26.46 um RMS.
 
     With them 44.7 um, less than twice as much. With 1000 um for 100 in one of them 354.6 um: so a
-    ball on a white stage had 3.9 mm RMS by 42 of 4486 points, and said nothing.
+    ball on a white stage had 3.9 mm RMS by 42 of 4486 points, without a warning.
     """
     assert order_warnings(fringes, reconstruction, truth) == []
     reconstruction.point_map.points_world_mm[1, 1, 2] = 1.0
@@ -171,7 +171,7 @@ def test_heights_of_four_pixels_in_the_field():
 
 
 def test_the_region_of_a_ball_is_a_disc():
-    """Ball at (1, 2), 0.5 mm: what is 0.3, 0.4 aside counts, 0.4 both ways or unusable does not."""
+    """Ball at (1, 2), 0.5 mm: points at 0.3, 0.4 count, at 0.4, 0.4 or unusable do not."""
     ball = SimpleNamespace(x_mm=1.0, y_mm=2.0)
     beside = [(0.5, 0.0), (0.0, -0.5), (0.3, 0.4), (0.4, 0.4), (-0.501, 0.0), (0.0, 0.501), (0, 0)]
     points = np.array([[[1.0 + x, 2.0 + y, 0.0] for x, y in beside]])
@@ -217,7 +217,7 @@ def test_a_rod_lies_where_its_pose_says():
 def test_a_section_averages_its_length_in_bins():
     """Bins of 0.05 mm about the middle (1, 2): three points each make a mean, two are a gap.
 
-    Points 1.001 mm along the rod are not in a length of 2 mm, those at 1.0 are. A mean height lies
+    Points 1.001 mm along the rod are not in a length of 2 mm, those at 1.0 are. A mean height is
     at the mean of its points' places.
     """
     across = [0.0, 0.01, -0.02, 0.0, 0.05, 0.06, 0.1, 0.1, 0.11]

@@ -1,7 +1,7 @@
-"""The way of a measurement in stages: press, trace, light, record, reconstruct, score.
+"""The stages of a measurement: press, trace, light, record, reconstruct, score.
 
-A single measurement is the way with an empty memory, a sweep the same way with one that lasts. A
-command that takes part of the way imports that part: nothing comes before it is asked for.
+A single measurement runs the stages with an empty memory, a sweep with a persistent one. A
+command that runs some stages imports only these: imports happen at first use.
 """
 
 from importlib import import_module

@@ -1,6 +1,6 @@
-"""What a measurement will know, without making it: press, trace, predict.
+"""Predicted uncertainty of a measurement without rendering it: press, trace, predict.
 
-No frame is rendered, no noise drawn, nothing decoded; the stages before the frames are those of the
+No frame is rendered or decoded, no noise drawn; the stages before the frames are those of the
 measurement, and kept in the same memory.
 """
 
@@ -31,7 +31,7 @@ from twin.results.prediction import PredictedMaps, predict
 def predicted(
     experiment: Experiment, pressed: PressedFace, memory: Memory
 ) -> tuple[PredictedMaps, Truth]:
-    """Trace a pressed face, and predict what a measurement will know of every pixel.
+    """Trace a pressed face, and predict coordinates and sigmas of every pixel.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def predicted(
 def _prediction(
     experiment: Experiment, pressed: PressedFace, memory: Memory, ahead: bool = False
 ) -> Callable[[], tuple[PredictedMaps, Truth]]:
-    """Trace, and return what predicts from it; in any thread, where images are made `ahead`."""
+    """Trace, and return the predicting function; any thread may call it if `ahead`."""
     geometry = loaded(experiment, pressed, memory)
     view = viewed(experiment, geometry, memory)
     rays = traced(experiment, geometry, view, memory)
@@ -63,9 +63,9 @@ def _prediction(
 def bounds_of(
     experiment: Experiment, pressed: PressedFace, memory: Memory
 ) -> Callable[[], dict[str, Metric]]:
-    """Trace, and return what finds the bounds of the measurands, in any thread: it renders nothing.
+    """Trace, and return the function of the measurands' bounds, for any thread: it does not render.
 
-    The bounds are empty where the trace alone has none.
+    The bounds are empty where the trace is not sufficient.
     """
     if not has_bound(experiment):
         return dict
@@ -80,7 +80,8 @@ def bounds_alone(
 
     Raises
     ------
-    InputError : the trace alone has no bound of this experiment, or as `twin.pipeline.measure`
+    InputError : the trace is not sufficient for a bound of this experiment, or as
+        `twin.pipeline.measure`
     MissingBackend : no usable Dr.Jit backend
     """
     if not has_bound(experiment):
@@ -99,14 +100,14 @@ def bounds_alone(
 
 
 def object_bounds(experiment: Experiment, layer: SensorLayer, memory: Memory) -> dict[str, Metric]:
-    """Return the bounds of an object's own numbers under a thick slab; nothing elsewhere.
+    """Return the bounds of an object's own numbers under a thick slab; empty for other layouts.
 
     Through optics and mechanics: by the predicted sigma of the coat's points, and how the coat
-    moves with the object. None where the coat cannot tell.
+    moves with the object. None where the coat does not determine them.
 
     Parameters
     ----------
-    layer : what is believed of elastomer and load, with its uncertainties
+    layer : nominal elastomer and load, with their uncertainties
 
     Raises
     ------

@@ -48,7 +48,7 @@ def calibrated_layer(
 
 
 def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
-    """Return the layer with what was found of its sheet, and how well."""
+    """Return the layer with the fitted values of its sheet and their uncertainties."""
     found = {
         "shore_a": None,
         "shore_00": None,
@@ -72,7 +72,7 @@ def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
 
 
 def _calibration_figures(found: CalibratedSheet) -> dict[str, Any]:
-    """Return what a known ball told, for result.json; None of what it does not tell."""
+    """Return the estimates from a known ball, for result.json; None where it determines none."""
     sheet = found.layer
     modulus = sheet.young_modulus_kpa, sheet.sigma_young_modulus_kpa
     rim = sheet.rim_compliance_mm2_per_n, sheet.sigma_rim_compliance_mm2_per_n
@@ -92,7 +92,7 @@ def _calibration_figures(found: CalibratedSheet) -> dict[str, Any]:
 
 
 def _known_travel(layer: SensorLayer) -> KnownTravel | None:
-    """Return the travel that the stage told, where its uncertainty is stated."""
+    """Return the stage's travel reading, if its uncertainty is stated."""
     travel_mm, sigma_mm = layer.press.depth_mm, layer.sigma.depth_mm
     if travel_mm is None or sigma_mm is None:
         return None

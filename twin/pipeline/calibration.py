@@ -1,6 +1,6 @@
 """Calibrate from captures, or render the board poses of an experiment's rig and calibrate on them.
 
-A rendered calibration knows the true rig, so that every parameter's error is known. The names in
+In a rendered calibration the true rig and so every parameter's error is known. The names in
 its folder are the contract of `twin calibrate -o DIR`:
 
 | file | content |
@@ -8,7 +8,7 @@ its folder are the contract of `twin calibrate -o DIR`:
 | result.json | metrics (units in their names), digest, versions |
 | calibration.yaml | the calibration, OpenCV YAML |
 | parameters.csv, poses.csv, features.csv | uncertainties, residuals by pose, every feature |
-| skipped_NAME.png | mean image of a pose that took no part; `warnings` in result.json say why |
+| skipped_NAME.png | mean image of a pose that took no part; reason in `warnings`, result.json |
 | experiment.toml | of a rendered calibration: the resolved experiment |
 """
 
@@ -68,7 +68,7 @@ class SkippedPose:
 
 @dataclass(frozen=True, eq=False)
 class BoardCalibration:
-    """A calibration with what it rests on.
+    """A calibration with its captures and settings.
 
     Attributes
     ----------
@@ -176,7 +176,7 @@ def calibrate_rendered(
     Parameters
     ----------
     experiment : its rig, patterns, camera noise and seed count; specimen and press do not
-    keep : new folder for the captures, each with the TRUE calibration beside it
+    keep : new folder for the captures, each with the TRUE calibration in the same folder
     as_images : keep image files instead, as a real camera gives them, without a calibration
 
     Raises
@@ -208,7 +208,7 @@ def calibrate_captures(
 ) -> BoardCalibration:
     """Calibrate on a folder with one capture folder per board pose, the first used the world.
 
-    Poses that are incomplete, of another size, or show no board take no part and are told.
+    Poses that are incomplete, of another size, or show no board are left out, with a warning.
 
     Raises
     ------
@@ -252,7 +252,7 @@ def calibrate_rig(
     Parameters
     ----------
     source : folder with one capture folder per board pose, the first of which gives the world
-        frame; or an experiment, whose rig is rendered on the board's own poses
+        frame; or an experiment: its rig is rendered with the board's own poses
     board : board file, or the name of a shipped board
 
     Raises

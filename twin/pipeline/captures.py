@@ -113,7 +113,7 @@ def options_of(decode: Decode) -> ReconstructOptions:
 
 
 def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
-    """Count the valid points and, by reason, the masked pixels; say how well they are known."""
+    """Count the valid points and, by reason, the masked pixels; state their uncertainty."""
     reasons = result.point_map.mask_reason
     figures: dict[str, Any] = {
         "points": int(result.point_map.valid.sum()),
@@ -167,7 +167,7 @@ def decode_capture(
 
 
 def decoding_metrics(decoded: Decoded) -> dict[str, Any]:
-    """Count the valid and, by reason, the masked pixels; say how well coordinates are known."""
+    """Count the valid and, by reason, the masked pixels; state the coordinates' uncertainty."""
     figures: dict[str, Any] = {
         "pixels": int(decoded.valid.sum()),
         "valid_share": float(decoded.valid.mean()),

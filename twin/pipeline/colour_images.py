@@ -1,7 +1,7 @@
 """From a colour sensor's linear radiance to the 8-bit image that its driver delivers.
 
 Order as in the product: the lens' vignetting, sensor noise, white balance, power law, 8 bits, crop,
-resize. Cropping is exact for a pinhole, so that only what is kept is rendered.
+resize. Cropping is exact for a pinhole, so that only the cropped area is rendered.
 """
 
 from dataclasses import replace
@@ -34,7 +34,7 @@ def image_pinhole(experiment: Experiment) -> Pinhole:
     """Pinhole of the final image; its pixels need not be square."""
     kept, size = cropped_pinhole(experiment), experiment.photometric
     x, y = size.width_px / kept.width_px, size.height_px / kept.height_px
-    # Pixel centres are half a pixel in, whatever the size of the pixels.
+    # Pixel centres are half a pixel in, for any size of the pixels.
     return replace(
         kept,
         width_px=size.width_px,
@@ -47,7 +47,7 @@ def image_pinhole(experiment: Experiment) -> Pinhole:
 
 
 def fixed_exposure_ms(experiment: Experiment, background: FloatImage) -> float:
-    """Return the exposure; an automatic one is set on the brightest channel of the untouched coat.
+    """Return the exposure; an automatic one is set on the brightest channel of the undeformed coat.
 
     Images are compared with the background: all must have its exposure.
 
@@ -92,7 +92,7 @@ def vignetting(pinhole: Pinhole, exponent: float) -> FloatImage:
 
 
 def develop(experiment: Experiment, radiance: FloatImage, trial: int = 0) -> Levels:
-    """Expose the camera and return what its driver delivers.
+    """Expose the camera and return its driver's images.
 
     Parameters
     ----------

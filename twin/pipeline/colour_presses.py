@@ -36,13 +36,13 @@ from twin.results.parts import write_rows
 HEIGHT_FILE, POINTS_FILE, CALIBRATION_FILE = "height.nc", "points.ply", "sensor_calibration.npz"
 PRESSES_FOLDER, PRESSES_FILE, HEIGHTS_FILE = "presses", "presses.csv", "heights.png"
 _DIGITS = 6
-# Figures of several presses whose median is told.
+# Figures of several presses that are reported by their median.
 _MEDIANS = ("valid_share", "highest_mm", "untouched_share", "untouched_drift_um")
 
 
 @dataclass(frozen=True)
 class ColourOutcome:
-    """What was measured, and a line for each thing that speaks against it."""
+    """The measured points, and a warning for each doubt about them."""
 
     figures: dict[str, Any]
     doubts: tuple[str, ...]
@@ -143,7 +143,7 @@ def _medians(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def press_figures(result: PhotometricResult) -> dict[str, Any]:
-    """Return the range of the valid heights, what untouched gel shows, and pixels by reason."""
+    """Return the range of the valid heights, the undeformed gel's heights, and pixels by reason."""
     height_map = result.height_map
     heights_mm = height_map.height_mm[height_map.valid]
     figures: dict[str, Any] = {

@@ -1,7 +1,7 @@
 """Photometric stereo: the coat in the light of coloured lamps, seen through its gel.
 
-One sensor sees everything: reference balls that teach it which colour goes with which slope, the
-untouched gel, and the specimen. All of them are pressed, rendered and developed alike. The stages
+One sensor records all presses: reference balls that calibrate the colour of each slope, the
+undeformed gel, and the specimen. All of them are pressed, rendered and developed alike. The stages
 sensor -> references -> calibrations serve every specimen under the same sensor.
 """
 
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 # Dots of the product are read up to this grey level (measured behaviour of the vendor's programs).
 MARKER_LEVEL = 70
-# A small ball in a dark corner now and then leaves no circle: such a press would be repeated.
+# A small ball in a dark corner sometimes shows no circle: such a press would be repeated.
 UNREADABLE_SHARE = 0.1
 # Numbers of images, so that no two share their noise: backgrounds, presses, then the specimen.
 _FIRST_PRESS, _FIRST_TRIAL = 1000, 2000
@@ -60,7 +60,7 @@ _FIRST_PRESS, _FIRST_TRIAL = 1000, 2000
 
 @dataclass(frozen=True, eq=False)
 class LitCoat:
-    """The untouched coat under its lamps, loaded.
+    """The undeformed coat under its lamps, loaded.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class ColourSensor:
 
     @renderer_session()  # no other thread puts a face into the same scene in between
     def image(self, face: "trimesh.Trimesh", number: int) -> Levels:
-        """Return what the driver delivers of a pressed face, in the light of image `number`.
+        """Return the driver's image of a pressed face, in the light of image `number`.
 
         With its noise. Between presses the lamps drift; the background has their stated light.
         """
@@ -111,7 +111,7 @@ class ColourSensor:
         return develop(self.experiment, radiance, number)
 
     def backgrounds(self) -> Levels:
-        """Return untouched images, (frame, row, col, 3); their mean alone where it is truncated."""
+        """Return images without contact, (frame, row, col, 3); if truncated, their mean only."""
         plan, untouched = self.experiment.photometric.presses, self.coat.background
         frames = np.stack([develop(self.experiment, untouched, n) for n in range(plan.backgrounds)])
         if not plan.truncated_background:
@@ -194,14 +194,14 @@ def calibrated_sensor(
 
 
 def check_sensor(experiment: Experiment) -> None:
-    """Refuse a rig that is no sensor for photometric stereo.
+    """Raise InputError if a rig is no sensor for photometric stereo.
 
     Raises
     ------
     InputError : no lamps, a camera that leans, or depth of field
     """
     if not experiment.lamps:
-        raise InputError("lamps: found none; photometric stereo needs [lamps.NAME] beside the gel")
+        raise InputError("lamps: found none; photometric stereo needs [lamps.NAME] around the gel")
     camera = experiment.camera
     if camera.pose.polar_deg or camera.pose.roll_deg:
         raise InputError(
@@ -276,7 +276,7 @@ def _lit_coat(experiment: Experiment) -> LitCoat:
 
 
 def _untouched_face(experiment: Experiment) -> "trimesh.Trimesh":
-    """Return the untouched coat on the nodes of a pressed one: a press, its relief taken off."""
+    """Return the undeformed coat on the nodes of a pressed one: a press without its relief."""
     case = with_ball(experiment, Ball(diameter_mm=8.0), 0.2)
     pressed = press_smooth(case)
     flat, free = np.zeros_like(pressed.face_z_mm), np.zeros_like(pressed.pressure_kpa)

@@ -1,7 +1,7 @@
 """The same specimens by several methods, each measurement in a result folder of its own.
 
-Everything of one comparison lies in one folder, `NAME/METHOD/` as `twin measure` writes it, and
-`result.json` over all. A measurement that lies there finished is not made again.
+One comparison is stored in one folder, `NAME/METHOD/` as `twin measure` writes it, and
+`result.json` over all. A finished measurement in that folder is not repeated.
 
 Fringes are projected by the experiment's own rig. Photometric stereo is another sensor with another
 gel: specimen, scoring and load of the experiment are carried over to a rig of its own. The load is
@@ -46,7 +46,7 @@ Match = Literal["force", "depth"]
 
 # Digits kept of a force that was computed: the last ones of the finite-element model vary.
 _FORCE_DIGITS = 4
-# Not the seed: all specimens meet one sensor, whose noise and reference presses are the rig's.
+# Not the seed: one sensor measures all specimens, with the rig's noise and reference presses.
 _CARRIED = ("name", "description", "specimen", "stage", "score")
 _LOAD = ("control", "depth_mm", "force_n")
 _DRAWN = ("z_rmse_um", "completeness", "object_rms_um")
@@ -55,13 +55,13 @@ _DRAWN = ("z_rmse_um", "completeness", "object_rms_um")
 
 @dataclass(frozen=True)
 class PhotometricPlan:
-    """Which sensor stands for photometric stereo, and what its press has in common.
+    """Sensor that represents photometric stereo, and the quantity common to both presses.
 
     Attributes
     ----------
     rig : TOML file without specimen, or the name of a shipped rig
     settings : values by dotted path laid over the rig
-    match : what both presses share: force (N) or depth (mm)
+    match : quantity that is equal in both presses: force (N) or depth (mm)
     """
 
     rig: str = "rigs/gelsight_mini"
@@ -72,7 +72,7 @@ class PhotometricPlan:
 def case_for(experiment: Experiment, method: Method, plan: PhotometricPlan) -> Experiment:
     """Return the experiment as `method` measures it.
 
-    An experiment that brings lamps of its own is a photometric rig already and stays as it is.
+    An experiment that brings lamps of its own is a photometric rig already and is not changed.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def _carried_over(experiment: Experiment, rig: Experiment, match: Match) -> Expe
 def _load(
     experiment: Experiment, rig: Experiment, match: Match
 ) -> tuple[Press, dict[str, Provenance]]:
-    """Return the press of the rig under the experiment's load, and where the load comes from."""
+    """Return the press of the rig under the experiment's load, and the source of the load."""
     pitches = rig.press.model_dump(include={"solver_pitch_mm", "relief_pitch_mm"})
     own = experiment.press
     if match == own.control:
@@ -319,7 +319,7 @@ def is_comparison(folder: Path) -> bool:
 
 @dataclass(frozen=True)
 class _Run:
-    """What all measurements of one comparison share; see `compare`."""
+    """Settings common to all measurements of one comparison; see `compare`."""
 
     out: Path
     fill: Filler

@@ -1,6 +1,6 @@
-"""The rigid object from a measured coat: `twin compensate`, and the figures beside a measurement's.
+"""The rigid object from a measured coat: `twin compensate`, and its figures in a measurement.
 
-Nothing of the truth is used: the measured points, and what is known of elastomer and load
+The truth is not used: inputs are the measured points, and the nominal elastomer and load
 (`SensorLayer`). The specimen's nominal places only name figures: which part is ball 1.
 """
 
@@ -70,7 +70,7 @@ _GEL_CELL_MM = 0.08
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensationResult:
-    """A compensation with what it rests on.
+    """A compensation with its input.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ def compensate_result(
 
     Raises
     ------
-    InputError : no points, no layer, a layout that is not known, or points that tell no object
+    InputError : no points, no layer, a layout that is not known, or points that determine no object
     """
     inputs = [folder, *([layer_file] if layer_file else [])]
     with output_folder(out, inputs) as target:
@@ -172,7 +172,7 @@ def compensate(
     measured: Measurement | Reconstruction | PointMap,
     layer: SensorLayer | Path | str | None = None,
 ) -> CompensationResult:
-    """Find the object behind a measured coat, its contact and force; writes nothing.
+    """Compute the object behind a measured coat, its contact and force; writes no files.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def compensate(
     InputError : no points, no layer, a layout that is not known, or points that show no object
     """
     kinds = (Measurement, Reconstruction, PointMap)
-    require_instance("measured", measured, kinds, "give what twin.measure returns")
+    require_instance("measured", measured, kinds, "give a result of twin.measure")
     experiment = measured.experiment if isinstance(measured, Measurement) else None
     if isinstance(layer, (str, Path)):
         layer = load_sensor_layer(Path(layer))
@@ -221,15 +221,15 @@ def _compensation(
 def compensate_points(
     points: PointMap, layer: SensorLayer, specimen: Specimen | None = None
 ) -> Compensated:
-    """Compensate measured points by what carries them: thin sheet, gel on a window, thick slab.
+    """Compensate measured points under a thin sheet, a gel on a window or a thick slab.
 
     Parameters
     ----------
-    specimen : the form whose numbers are fitted under a thick slab, where the layer tells none
+    specimen : the form with fitted numbers under a thick slab, if the layer states none
 
     Raises
     ------
-    InputError : a layout that is not known, or points that tell no object
+    InputError : a layout that is not known, or points that determine no object
     """
     elastomer = layer.elastomer
     on_window, thin = elastomer.layout == "contact_face", may_wrap(elastomer)
@@ -297,13 +297,13 @@ def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Me
     """Return a measurement by fringes with the figures of the object behind its coat.
 
     They begin with `compensated_`, as those of the command `twin measure`; `compensation_failure`
-    among the metrics says why there are none.
+    among the metrics is the reason if there are none.
 
     Parameters
     ----------
     layer : assumed elastomer and load; default: those of the measurement, or of the experiment
     """
-    require_instance("done", done, Measurement, "give what twin.measure returns")
+    require_instance("done", done, Measurement, "give a result of twin.measure")
     if not isinstance(done.images, Fringes):
         return done
     points = done.images.reconstruction.point_map
@@ -332,9 +332,9 @@ def _sheet_figures(compensation: SheetCompensation) -> dict[str, Any]:
 def compensated_figures(
     experiment: Experiment, points: PointMap, layer: SensorLayer | None = None
 ) -> dict[str, Any]:
-    """Return figures of the object under a thin sheet, to stand beside those of the coat.
+    """Return figures of the object under a thin sheet, in addition to those of the coat.
 
-    Nothing where the elastomer does not wrap; why, where the points tell no object.
+    Empty where the elastomer does not wrap; the reason, where the points determine no object.
     """
     if not may_compensate(experiment):
         return {}
@@ -373,7 +373,7 @@ def _layer_of(folder: Path, layer_file: Path | None) -> tuple[SensorLayer, Exper
         return load_sensor_layer(layer_file), experiment
     if experiment is None:
         raise InputError(
-            f"{folder}: tells no elastomer; give --layer layer.toml with [elastomer] and [press], "
+            f"{folder}: found no elastomer; give --layer layer.toml with [elastomer] and [press], "
             "see docs/compensation.md"
         )
     return sensor_layer_of(experiment), experiment

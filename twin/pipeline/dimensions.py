@@ -30,11 +30,11 @@ RECONSTRUCTION_FILE = "reconstruction.nc"
 
 @dataclass(frozen=True)
 class Region:
-    """A box of the world (mm; None: without bounds), and what is asked of the surface in it.
+    """A box of the world (mm; None: without bounds), and the requested dimension in it.
 
     Attributes
     ----------
-    along : the world axis along which a cylinder or a bar lies
+    along : the world axis of a cylinder or a bar
     fraction : of a bar's height, at which its width is measured
     nesting_mm : index of the roughness filter
     """

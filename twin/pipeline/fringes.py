@@ -52,7 +52,7 @@ class RunContext:
     Attributes
     ----------
     memory : results of stages that are reused
-    clock : run times of the stages, and who is notified of them
+    clock : run times of the stages, and the callback that is notified of them
     trial : repetition with new temporal noise
     layer : assumed elastomer and load; None: the experiment's
     noise : function of the user for the camera's noise; None: EMVA 1288
@@ -66,7 +66,7 @@ class RunContext:
 
     @classmethod
     def alone(cls, clock: Stopwatch | None = None, trial: int = 0) -> "RunContext":
-        """Return a run that neither finds nor leaves anything."""
+        """Return a run that neither reads nor writes stored results."""
         return cls(Memory(), clock or Stopwatch(), trial)
 
 
@@ -77,7 +77,7 @@ def measure_fringes(
 
     Parameters
     ----------
-    bounds_of : traces, and returns what finds further figures beside the stages after the trace
+    bounds_of : traces, and returns a function of further figures that runs during the later stages
 
     Raises
     ------
@@ -165,7 +165,7 @@ def record(
 ) -> Recording:
     """Render the sequence on a face that is pressed already, and expose the camera.
 
-    `memory` holds what recordings before kept, such as the loaded face; the bytes are the same.
+    `memory` holds results of earlier recordings, such as the loaded face; the bytes are the same.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def render(
     Parameters
     ----------
     face : coated face in world mm, normals towards the camera
-    progress : told the finished fraction
+    progress : called with the finished fraction
 
     Raises
     ------
@@ -209,11 +209,11 @@ def render_bare(
 ) -> RadianceStack:
     """Render all frames on the bare specimen standing on its stage.
 
-    `memory` holds what renders before kept, such as the loaded specimen; the bytes are the same.
+    `memory` holds results of earlier renders, such as the loaded specimen; the bytes are the same.
 
     Raises
     ------
-    InputError : a part has no material, or the stock engine was asked for: it shows everything
+    InputError : a part has no material, or the stock engine was requested: it renders all parts
         behind clear bodies black
     MissingBackend : no usable Dr.Jit backend
     """
@@ -244,17 +244,17 @@ def expose_capture(
 
 
 def decoding_warnings(experiment: Experiment) -> list[str]:
-    """Say what the decoder is told to leave out, one line each."""
+    """Return a warning for each effect that the decoder's settings neglect."""
     if experiment.decode.through_layers or not experiment.layers:
         return []
     return [
-        "the decoder takes the layers for air, and its heights, widths and radii are wrong by what "
-        "they bend the rays; set decode.through_layers = true"
+        "the decoder takes the layers for air, and its heights, widths and radii are wrong by the "
+        "refraction of the rays; set decode.through_layers = true"
     ]
 
 
 def noise_warnings(noise: NoiseFunction | None) -> list[str]:
-    """Say that a result contains noise which its experiment does not describe; [] otherwise."""
+    """Return a warning if a result contains noise that its experiment does not describe."""
     if noise is None:
         return []
     name = getattr(noise, "__name__", type(noise).__name__)
@@ -265,7 +265,7 @@ def noise_warnings(noise: NoiseFunction | None) -> list[str]:
 
 
 def check_layers(experiment: Experiment) -> None:
-    """Refuse a coat that is seen through a gel which the experiment does not describe.
+    """Raise InputError if a coat is behind a gel that the experiment does not describe.
 
     Raises
     ------
@@ -317,7 +317,7 @@ def loaded(experiment: Experiment, pressed: PressedFace | None, memory: Memory) 
 
     Raises
     ------
-    InputError : what is seen cannot be rendered
+    InputError : the view cannot be rendered
     MissingBackend : no usable Dr.Jit backend
     """
     check = check_direct_engine if pressed is None else check_layers

@@ -1,8 +1,8 @@
-"""Calibrations of photometric sensors kept in a folder, for whoever measures with the same sensor.
+"""Stored calibrations of photometric sensors, one folder for all measurements of a sensor.
 
 DIR/NAME/ holds one: the values of all fields that it was made from, as the stages read them
-(`reads.json`, see `memory`), and an .npz file per colour map. It serves every experiment with the
-same values in these fields, whatever process made it. `reads.json` is written last, each file under
+(`reads.json`, see `memory`), and an .npz file per colour map. It is valid for every experiment with
+the same values in these fields, by any process. `reads.json` is written last, each file under
 another name and renamed: a calibration is never half there, and two processes may write the same.
 """
 
@@ -43,7 +43,7 @@ class KeptCalibrations:
     def find(self, experiment: Experiment) -> Calibrations | None:
         """Return the calibrations of an experiment's sensor by colour map, if they are kept.
 
-        What is damaged counts as not kept: it is made anew.
+        A damaged entry counts as absent: it is computed again.
         """
         for file in sorted(self.folder.glob(f"*/{_READS_FILE}")):
             with suppress(InputError):
@@ -56,7 +56,7 @@ class KeptCalibrations:
     def put(
         self, reads: Sequence[Reads], calibrations: Mapping[MapKind, SensorCalibration]
     ) -> None:
-        """Keep calibrations with what the stages that made them looked at.
+        """Store calibrations with the fields that their stages read.
 
         Raises
         ------

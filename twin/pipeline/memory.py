@@ -1,10 +1,10 @@
-"""Keep the stages' latest results and hand them out again where nothing that they read differs.
+"""Cache the stages' latest results; reuse one if every field that its stage read is the same.
 
 A stage is handed a watched experiment, which notes every field that is read and the value found
 there. The stage is deterministic, so it takes the same course, and gives the same bytes, for every
-experiment with the same values in these fields: no list of "what matters to the press" is kept by
-hand, and none can go stale. (Mokhov, Mitchell, Peyton Jones: Build systems a la carte, ICFP 2018,
-call this a constructive trace.)
+experiment with the same values in these fields: no list of "fields that matter to the press" is
+kept by hand, and none can become outdated. (Mokhov, Mitchell, Peyton Jones: Build systems a la
+carte, ICFP 2018, call this a constructive trace.)
 """
 
 import inspect
@@ -28,7 +28,7 @@ from twin.config.schema import models_of
 
 Path = tuple[str, ...]
 
-# Before the kind of a table that was looked into: no JSON begins so.
+# Prefix of the kind of a table that was accessed: no JSON text starts with it.
 _PRESENT = b"table "
 
 
@@ -40,14 +40,14 @@ class Reads:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """What was read, in alphabetical order; a table that is one of several kinds is whole."""
+        """Paths that were read, sorted; a table that is one of several kinds counts as a whole."""
         return tuple(sorted(self._found))
 
     def note(self, path: Path, value: Any) -> None:
         """Enter a field; of a table that is looked into only that it is there."""
         if not isinstance(value, type):
             self._found[path] = _content(path, value)
-        elif path not in self._found:  # read as a whole before: that says more
+        elif path not in self._found:  # read as a whole before: more specific
             self._found[path] = _presence(value)
 
     @classmethod
@@ -56,7 +56,7 @@ class Reads:
         together = cls()
         for part in parts:
             for path, value in part._found.items():
-                # Of a table, its content says more than that it is there.
+                # A table's content is more specific than its presence.
                 if not value.startswith(_PRESENT) or path not in together._found:
                     together._found[path] = value
         return together
@@ -67,18 +67,18 @@ class Reads:
 
     @classmethod
     def from_json(cls, content: Iterable[Any]) -> "Reads":
-        """Take what `as_json` returned."""
+        """Return the reads from the output of `as_json`."""
         reads = cls()
         reads._found = {tuple(path): value.encode() for path, value in content}
         return reads
 
     def hold_for(self, experiment: Experiment) -> bool:
-        """Tell whether another experiment has the same values in all these fields."""
+        """Return True if another experiment has the same values in all these fields."""
         return all(_at(experiment, path, kept) == kept for path, kept in self._found.items())
 
 
 def watched(experiment: Experiment, reads: Reads) -> Experiment:
-    """Return a stand-in for an experiment that enters what is read of it into `reads`."""
+    """Return a proxy of an experiment that records the fields read of it in `reads`."""
     return cast(Experiment, _Watched(experiment, reads, (), {}))
 
 
@@ -94,7 +94,7 @@ def values_at(experiment: Experiment, paths: Iterable[Path]) -> tuple[bytes, ...
 
 
 class _Watched:
-    """Stand-in for one table; everything that is not a plain field read counts as reading all."""
+    """Proxy of one table; everything that is not a plain field read counts as reading all."""
 
     __slots__ = ("_watched_changes", "_watched_model", "_watched_path", "_watched_reads")
 
@@ -103,7 +103,7 @@ class _Watched:
         self._watched_changes = changes
 
     def model_copy(self, *, update: Mapping[str, Any]) -> "_Watched":
-        """Return a changed copy: what is replaced is not read of it, the rest when looked at."""
+        """Return a changed copy: replaced fields do not count as read, the rest when accessed."""
         changes = {**self._watched_changes, **update}
         return _Watched(self._watched_model, self._watched_reads, self._watched_path, changes)
 
@@ -157,12 +157,12 @@ class _Watched:
 
 
 def _only_kind(kind: type[BaseModel], name: str) -> bool:
-    """Tell whether a field holds one kind of table; one of several is looked at by `type()`."""
+    """Return True if a field has a single kind of table; several kinds are read by `type()`."""
     return len(models_of(kind.model_fields[name])) == 1
 
 
 def _at(experiment: Experiment, path: Path, like: bytes) -> bytes:
-    """Value at a path in the form in which `like` is given; empty where there is nothing."""
+    """Value at a path in the form in which `like` is given; empty if it does not exist."""
     node: Any = experiment
     for name in path:
         node = getattr(node, name, None)
@@ -190,7 +190,7 @@ _serial = itertools.count()
 
 @dataclass(frozen=True, eq=False)
 class Kept(Generic[Result]):
-    """A result with what it was made from.
+    """A result with the fields and inputs it was computed from.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class Kept(Generic[Result]):
 
         Raises
         ------
-        InputError : the stage refused: it would again
+        InputError : raised by the stage for these inputs, now or before
         """
         if isinstance(self.outcome, InputError):
             raise self.outcome
@@ -235,7 +235,7 @@ class Memo(Generic[Result]):
 
     @property
     def asked(self) -> int:
-        """How often it was asked for a result."""
+        """Number of requests for a result."""
         return self.computed + self.recalled
 
     @property
@@ -253,7 +253,8 @@ class Memo(Generic[Result]):
 
         Parameters
         ----------
-        inputs : names what comes from earlier stages: their tokens, or digests of their contents
+        inputs : identifies the results of earlier stages: their tokens, or digests of their
+            contents
         compute : the stage. It may look at the experiment that it is handed, and at its inputs,
             only
         """
@@ -263,7 +264,7 @@ class Memo(Generic[Result]):
             found = _kept(experiment, inputs, compute)
             with self._lock:
                 self._kept.append(found)
-        found.value  # noqa: B018  # raises what the stage raised
+        found.value  # noqa: B018  # raises the stage's error
         return found
 
     def _taken(self, experiment: Experiment, inputs: Hashable) -> Kept[Result] | None:
@@ -292,8 +293,8 @@ def _kept(
 
 
 # Stages in their order, and how many results of each are kept: a pressed face has a few MB, a stack
-# of frames at full size 600 MB. One is enough where cases come sorted by their stages. First what
-# calibrates a photometric sensor: it takes longer than all that follows.
+# of frames at full size 600 MB. One is enough if cases are sorted by their stages. First the
+# calibration of a photometric sensor: it takes longer than all later stages.
 _CAPACITY = {
     "sensor": 2,
     "references": 2,
@@ -315,7 +316,7 @@ _CAPACITY = {
 
 
 class Memory:
-    """What the stages of measurements keep for the next one; a new one is empty.
+    """Cache of the stages of measurements for later measurements; empty at first.
 
     Attributes
     ----------
@@ -338,7 +339,7 @@ class Memory:
         return self._memos[stage].recall(experiment, inputs, compute)
 
     def asked(self) -> dict[str, int]:
-        """Return how often each stage was asked for a result."""
+        """Return the number of requests for each stage's result."""
         return {name: memo.asked for name, memo in self._memos.items()}
 
     def stages(self) -> Iterator[tuple[str, int, int, tuple[Path, ...]]]:

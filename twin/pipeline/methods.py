@@ -37,9 +37,9 @@ def measure(
 
     Parameters
     ----------
-    memory : what measurements before it kept, and where it keeps its own; the bytes are the same
+    memory : cache of earlier measurements' stages, extended by this one; the bytes are the same
     trial : repetition with new temporal noise
-    bound : also say among the figures how well each dimension can be known, see
+    bound : also give the bound of each dimension's uncertainty among the figures, see
         `twin.results.bound`
     layer : assumed elastomer and load, by which the object under a thin sheet is found; None:
         those of the experiment
@@ -75,9 +75,9 @@ def measure_into(
     watch: ProgressCallback = no_progress,
     memory: Memory | None = None,
 ) -> Measurement:
-    """Measure, and write everything of it into an empty folder; `command` is who asked.
+    """Measure, and write all files into an empty folder; `command` is the calling command.
 
-    What is returned is what `read_measurement` would read there.
+    The result equals that of `read_measurement` for that folder.
 
     Raises
     ------
@@ -110,14 +110,14 @@ def measure_whole(
 
 
 def check_measurable(experiment: Experiment) -> None:
-    """Refuse an experiment that cannot be measured, as far as that is plain without measuring.
+    """Raise InputError if it is known without measuring that an experiment cannot be measured.
 
-    The checks are those of the measurement itself; what only the press or the image can tell, such
-    as the depth that a force needs, is not among them.
+    The checks are those of the measurement itself; errors that only the press or the image shows,
+    such as the depth that a force needs, are not included.
 
     Raises
     ------
-    InputError : what cannot be pressed or rendered, and what to change
+    InputError : the part that cannot be pressed or rendered, and the change that is needed
     """
     method = experiment.method
     if method.presses:

@@ -31,7 +31,7 @@ class PressedFace:
 
     @classmethod
     def of(cls, pressed: PressedElastomer) -> "PressedFace":
-        """Name the coated face by its heights and the nodes that they stand on."""
+        """Name the coated face by its heights and their nodes."""
         name = hashlib.blake2b(digest_size=16)
         for values in (pressed.face_x_mm, pressed.face_y_mm, pressed.face_z_mm):
             name.update(repr(values.shape).encode() + values.tobytes())
@@ -47,7 +47,7 @@ def press(experiment: Experiment, memory: Memory, progress: Progress | None = No
 
     Raises
     ------
-    InputError : the press is refused, or its solver does not converge
+    InputError : the press is invalid, or its solver does not converge
     """
     smooth, token = _smooth(experiment, memory, progress)
     made_from = token, smooth.pressed.young_modulus_kpa
@@ -68,7 +68,7 @@ def press_specimen(experiment: Experiment, progress: Progress | None = None) -> 
 
 
 def press_smooth(experiment: Experiment, progress: Progress | None = None) -> PressedElastomer:
-    """Press with the model that the experiment asks for; the coat's texture is left out."""
+    """Press with the model that the experiment requests; the coat's texture is left out."""
     return press_with(
         experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press, progress
     )
@@ -85,7 +85,7 @@ def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedEla
 def _smooth(
     experiment: Experiment, memory: Memory, progress: Progress | None
 ) -> tuple[PressedFace, int]:
-    """Return the press without texture, and the token of what it comes from."""
+    """Return the press without texture, and the token of its inputs."""
     shape = memory.recall("shape", experiment, (), _unit_press)
     if shape.value is None:
         own = memory.recall(
@@ -109,7 +109,7 @@ def _with_texture(experiment: Experiment, smooth: PressedFace) -> PressedFace:
 
 
 def transfer_of(experiment: Experiment, pressed: PressedElastomer) -> ContactTransfer:
-    """Return what the coat shows of grooves of each pitch, by the kind of model that pressed.
+    """Return the coat's transfer of grooves of each pitch, by the kind of model that pressed.
 
     Raises
     ------

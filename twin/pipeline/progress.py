@@ -1,4 +1,4 @@
-"""Progress of a command, told by a callback, and the time of its stages."""
+"""Progress of a command, reported to a callback, and the time of its stages."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from typing import Protocol
 
 
 class ProgressCallback(Protocol):
-    """Progress callback: is told the finished fraction of a stage."""
+    """Progress callback: receives the finished fraction of a stage."""
 
     def __call__(self, stage: str, fraction: float, /) -> None:
         """Report the finished fraction of a stage."""

@@ -12,8 +12,8 @@ from twin.pipeline.press import Progress, with_texture
 from twin.results.parts import press_metrics
 from twin.results.press_derivatives import PressDerivative
 
-# Central differences of linearised presses: what rounding leaves of them is below 1e-6. A larger
-# step would let single points begin to touch, which no derivative knows.
+# Central differences of linearised presses: their rounding error is below 1e-6. A larger
+# step would let single points begin to touch, which no derivative includes.
 _STEP = 1e-6
 _TABLES = ("elastomer", "press", "specimen")
 
@@ -34,8 +34,8 @@ def press_derivatives(
 
     Raises
     ------
-    InputError : a path is no such number; no thin sheet presses; it sticks; a number lays the sheet
-        out anew; or other equilibria lie beside the one found
+    InputError : a path is no such number; no thin sheet presses; it sticks; a number changes the
+        sheet's grid; or several equilibria are near the solution
     """
     for path in paths:
         if path.partition(".")[0] not in _TABLES:

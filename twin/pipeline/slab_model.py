@@ -34,20 +34,20 @@ _OF_THE_SPECIMEN = "specimen."
 _STEP_MM = 1e-4
 # Of the layer's numbers, as a share of them.
 _SMALL_SHARE = 1e-4
-# What large strain takes off the coat's height u: share of depth over thickness, and the power of u
-# with which it falls (docs/compensation.md).
+# Large strain reduces the coat's height u: share of depth over thickness, and the power of u in
+# this decrease (docs/compensation.md).
 _THEORY_SHARE, _THEORY_POWER, _THEORY_LEFT = 0.1, 4.0, 0.3
 
 
 @dataclass(frozen=True)
 class SlabObject:
-    """What presses, into what, and which of its numbers are wanted.
+    """Pressed specimen and slab, and the specimen's numbers that are fitted.
 
     Attributes
     ----------
     specimen : of the form that is known, about where it is and as large as it is
-    wanted : numbers of the specimen, such as `diameter_mm`
-    theory : whether what the linear slab leaves out counts as uncertainty
+    wanted : fitted numbers of the specimen, such as `diameter_mm`
+    theory : whether effects that the linear slab neglects count as uncertainty
     """
 
     specimen: Specimen
@@ -62,7 +62,7 @@ class SlabObject:
 
     @property
     def load(self) -> Press:
-        """The press with the travel that was told, or a start for it."""
+        """The press with its stated travel, or a start value."""
         told = self.layer.press
         start = told.depth_mm or min(0.5, 0.5 * self.layer.elastomer.thickness_mm)
         return Press(
@@ -218,14 +218,14 @@ def _kpa(solved: SolvedSlab) -> float:
 
 
 def _large_strain_mm(solved: SolvedSlab) -> FloatArray:
-    """Return a standard deviation of what large strain changes of the coat, (row, col)."""
+    """Return the standard deviation of the coat by large strain, mm, (row, col)."""
     raised = np.maximum(solved.raised_mm, 0.0)
     highest = float(raised.max())
     return np.asarray(_strain(solved) * highest * (raised / highest) ** _THEORY_POWER)
 
 
 def _left_out_mm(solved: SolvedSlab) -> FloatArray:
-    """Return what may be left of large strain when its size is fitted, (row, col)."""
+    """Return the remaining effect of large strain after fitting its size, mm, (row, col)."""
     raised = np.maximum(solved.raised_mm, 0.0)
     return np.asarray(_THEORY_LEFT * _strain(solved) * raised * (1 - raised / float(raised.max())))
 

@@ -1,4 +1,4 @@
-"""The object under a thick slab from its coat: which numbers are wanted, and the fit of them."""
+"""The object under a thick slab from its coat: the fitted numbers, and their fit."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -44,11 +44,11 @@ from twin.specimens import shape_of
 # middle by curvature times cell^2 / 24, below 0.1 um.
 _CELL_MM = 0.1
 _MOST_CELLS = 60_000
-# Of the slab: nothing is filled in, so that the object's surroundings are enough.
+# Of the slab: gaps are not filled, so that the object's surroundings are enough.
 _LEAST_SHARE = 0.02
-# Grids of the contact. What the finer one finds elsewhere is what it may be wrong by itself.
+# Grids of the contact. The difference between the two is the uncertainty of the finer one.
 _SOLVER_PITCHES_MM = 0.08, 0.055
-# Allowed beside the start: factors of lengths, places, angles, and of what the layer is.
+# Allowed range about the start: factors of lengths, positions, angles, factor of the layer.
 _LENGTH_FACTOR, _PLACE_MM, _ANGLE_DEG, _LAYER_FACTOR = 4.0, 5.0, 20.0, 2.0
 _LEAST_TRAVEL_MM, _MOST_TRAVEL = 0.01, 0.98
 _PLANE_MM = 1.0
@@ -58,17 +58,17 @@ _FORCE_THEORY = 0.04
 
 
 def slab_object(layer: SensorLayer, specimen: Specimen | None) -> SlabObject:
-    """Return what is fitted: the layer's own specimen, or that of the experiment.
+    """Return the fitted object: the layer's own specimen, or that of the experiment.
 
     Raises
     ------
-    InputError : none is told, or no numbers of its kind are known to be wanted
+    InputError : no specimen is stated, or its kind has no fitted numbers
     """
     pressed = layer.specimen or specimen
     if pressed is None:
         raise InputError(
             f"elastomer: {layer.elastomer.thickness_mm:g} mm thick, coated on the far face, which "
-            "shows no free form; tell [specimen] in the layer file: the form that was pressed, its "
+            "shows no free form; add [specimen] to the layer file: the form that was pressed, its "
             "numbers about right, see docs/compensation.md"
         )
     wanted = layer.fitted or pressed.slab_fit_paths
@@ -93,11 +93,11 @@ def fit_slab(
     Parameters
     ----------
     points_mm, sigma_mm : (n, xyz) world, and (n,) standard uncertainty of z
-    extra : numbers of the layer that are fitted, in place of those that its sigmas tell
+    extra : numbers of the layer that are fitted, in place of those with a stated sigma
 
     Raises
     ------
-    FitError : no press explains the points, or the numbers cannot be told apart
+    FitError : no press explains the points, or the numbers cannot be distinguished
     """
     relief = _relief(points_mm, sigma_mm, asked.elastomer)
     unknowns = _unknowns(asked, extra)
@@ -108,16 +108,16 @@ def fit_slab(
 
 
 def bound_slab(points_mm: FloatArray, sigma_mm: FloatArray, asked: SlabObject) -> dict[str, float]:
-    """Return the least standard deviation of each number wanted, by noise (Cramer-Rao).
+    """Return the least standard deviation of each fitted number, by noise (Cramer-Rao).
 
     Parameters
     ----------
-    points_mm, sigma_mm : as `fit_slab`, of points whose noise is independent
+    points_mm, sigma_mm : as `fit_slab`, of points with independent noise
     asked : the object as it is
 
     Raises
     ------
-    FitError : no such press, or numbers that the coat cannot tell apart
+    FitError : no such press, or numbers that the coat does not distinguish
     """
     relief = _relief(points_mm, sigma_mm, asked.elastomer)
     unknowns = _unknowns(asked, ())
@@ -137,7 +137,7 @@ def calibrate_slab(
 
     Returns
     -------
-    the layer with what was found and its standard uncertainties, and the figures
+    the layer with the fitted values and their standard uncertainties, and the figures
 
     Raises
     ------
@@ -191,7 +191,7 @@ def _relief(points_mm: FloatArray, sigma_mm: FloatArray, elastomer: Elastomer) -
 
 
 def _unknowns(asked: SlabObject, extra: Sequence[FittedNumber]) -> list[FittedNumber]:
-    """Return what is fitted: the object, the travel, and what is uncertain of layer and plane."""
+    """Return the unknowns: the object, the travel, and the uncertain numbers of layer and plane."""
     found = [_of_the_specimen(asked.specimen, path) for path in asked.wanted]
     found += [one for one in [_travel(asked)] if one is not None]
     layer, told = asked.layer, {one.name for one in extra}
@@ -233,7 +233,7 @@ def _travel(asked: SlabObject) -> FittedNumber | None:
 
 
 def _force(asked: SlabObject) -> KnownForce | None:
-    """Return what a gauge told, as uncertain as gauge and linear theory are."""
+    """Return a gauge's force with the uncertainty of gauge and linear theory."""
     force, sigma = asked.layer.press.force_n, asked.layer.sigma.force_n
     return (
         None if force is None else KnownForce(force, float(np.hypot(sigma, _FORCE_THEORY * force)))

@@ -1,8 +1,8 @@
-"""The one-trace renderer in steps, each of which serves every experiment that it does not look at.
+"""The one-trace renderer in steps; a step is reused if the fields that it reads are the same.
 
 Surfaces serve all coats and devices; rays to them, and photons, all patterns; frames
-all cameras' noise. Each step takes the experiment for what it reads itself and the earlier steps'
-results for the rest. Import within a `renderer_session`.
+all cameras' noise. Each step takes the experiment for the fields it reads itself and the earlier
+steps' results for the rest. Import within a `renderer_session`.
 """
 
 import gc
@@ -34,7 +34,7 @@ _BARE = {"type": "diffuse"}
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Surfaces, loaded: a pressed face, whose coat changes from step to step, or a bare specimen.
+    """Loaded surfaces: a pressed face with a changing coat, or a bare specimen.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Geometry:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Devices about a scene, how far from the projector it reaches, and what they truly see."""
+    """Devices about a scene, its largest distance from the projector, and its true geometry."""
 
     rig: Rig
     axial_mm: tuple[float, float]
@@ -57,7 +57,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Traced:
-    """What frames are made of: rays of the camera, those of clear bodies, and the patterns."""
+    """Input of the frames: rays of the camera, those of clear bodies, and the patterns."""
 
     patches: Patches
     photons: Photons | None
@@ -108,7 +108,7 @@ def patches_of(experiment: Experiment, geometry: Geometry, view: View) -> Patche
 
 @renderer_session()
 def maps_of_patches(patches: Patches, view: View) -> TraceMaps:
-    """Return what the camera's rays see together, as images."""
+    """Return the surface points at the camera's rays, as images."""
     return maps_of(patches, view.rig.camera.pinhole)
 
 
@@ -118,7 +118,7 @@ def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photon
 
     Raises
     ------
-    InputError : blur that grows with the distance
+    InputError : blur that increases with the distance
     """
     if not geometry.surfaces.sharp:
         return None
@@ -142,7 +142,7 @@ def light(
     traced: Traced,
     progress: Callable[[float], None],
 ) -> RadianceStack:
-    """Light what was traced with the experiment's sequence."""
+    """Light the traced scene with the experiment's sequence."""
     # Pixels at edges, and bounces, trace on: they need the coat.
     dress(experiment, geometry)
     bounces = _bounces(experiment, geometry, traced)

@@ -14,7 +14,7 @@ Two numbers for each measurand that is a fitted length, in um:
 | object_NAME_bound_why, sphere_N_radius_bound_why | text: why the two above are absent |
 
 The shape is fitted to the expected points, without noise, by the code of the measurement itself.
-Systematic errors (filter bias, calibration, what the elastomer does) are no part of it.
+Systematic errors (filter bias, calibration, the elastomer's effect) are not included.
 """  # noqa: E501 - a table
 
 from collections.abc import Iterator
@@ -45,9 +45,9 @@ _LEAST_SPHERE_POINTS = 5
 
 
 def has_bound(experiment: Experiment) -> bool:
-    """Tell whether the trace alone says what a measurement will know.
+    """Return True if the trace is sufficient to predict a measurement's uncertainty.
 
-    Fringes on a pressed coat, by direct light: what is reflected between surfaces, or through
+    Fringes on a pressed coat, by direct light: light reflected between surfaces, or through
     clear bodies, is not in the trace. Single images of micro phase shifting know more of some
     places than of others, and have no closed form. Both axes, white and black are shown.
     """
@@ -60,7 +60,7 @@ def has_bound(experiment: Experiment) -> bool:
 
 
 def is_bound_name(name: str) -> bool:
-    """Tell whether a figure is one of `bound_figures`, whatever the experiment."""
+    """Return True if a figure is one of `bound_figures` of any experiment."""
     return name.endswith(("_crb_um", "_crb_deg", "_spread_um", "_bound_why")) or name in {
         *_ALWAYS,
         *filter(None, (kind.bound_name for kind in MEASURANDS)),
@@ -124,9 +124,9 @@ class _ExpectedFit:
 
     Attributes
     ----------
-    estimate : None where `why` says why there is none
+    estimate : None where it is absent; `why` gives the reason
     pixels : (n,) index of each point's pixel
-    each : how many pixels each point stands for
+    each : number of pixels that each point represents
     points_mm : (n, xyz) world, those that took part
     """
 
@@ -164,7 +164,7 @@ def _expected_fit(
     asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None
 ) -> _ExpectedFit:
     if seen is None:
-        return _ExpectedFit(why="nothing of the object is expected to be found")
+        return _ExpectedFit(why="no points of the object are expected")
     try:
         fitted = fit(asked, feature, seen, seen.measured)
     except FitError as error:
@@ -205,7 +205,7 @@ def _bound_and_spread_um(
     Parameters
     ----------
     pixels : (n,) index of each point's pixel
-    each : how many pixels each point stands for
+    each : number of pixels that each point represents
     """
     slope = np.zeros(prediction.reason.shape)
     slope.ravel()[pixels] = estimate.slope
@@ -217,7 +217,7 @@ def _bound_and_spread_um(
 def information_shares(
     experiment: Experiment, prediction: PredictedMaps, truth: Truth, pressed: PressedElastomer
 ) -> dict[str, FloatArray]:
-    """Return where the information about each bound comes from: (row, col), summing to 1.
+    """Return each pixel's share of the information about a bound: (row, col), summing to 1.
 
     That is the derivative of the bound's logarithm by that of each pixel's sigma.
     """

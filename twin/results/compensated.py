@@ -112,7 +112,7 @@ def slab_name(path: str) -> str:
 
 
 def load_figures(found: Compensated, layer: SensorLayer) -> dict[str, Any]:
-    """Return what a gauge's force tells of the sheet; nothing where there is no gauge."""
+    """Return the sheet's modulus from a gauge's force; empty without a gauge."""
     force_n, sigma_n = layer.press.force_n, layer.sigma.force_n
     if force_n is None or not isinstance(found, CompensatedSheet):
         return {}
@@ -171,7 +171,7 @@ def _bar_figures(name: str, found: CompensatedSheet, bar: BarPlace) -> dict[str,
 
 
 def _under(parts: Sequence[ObjectPart], ball: Sphere, found: Compensated) -> ObjectPart | None:
-    """Return the part whose cells lie over a ball's nominal middle."""
+    """Return the part that covers a ball's nominal centre."""
     col = int(np.argmin(np.abs(found.relief.x_mm - ball.x_mm)))
     row = int(np.argmin(np.abs(found.relief.y_mm - ball.y_mm)))
     return next((part for part in parts if part.cells[row, col]), None)
@@ -182,11 +182,11 @@ def object_points(coat: PointMap, found: Compensated, texture_mm: float | None =
 
     Each measured point moves down its normal by the local thickness, if there is a sheet; its sigma
     is that of the coat and, along the normal, the coat's texture, which the object does not have,
-    what is open of the layer, and what edges near by leave uncertain.
+    the layer's uncertain parameters and nearby edges.
 
     Parameters
     ----------
-    texture_mm : RMS of the coat's texture; None: not known, what the points scatter by counts
+    texture_mm : RMS of the coat's texture; None: unknown, the scatter of the points is used
     """
     relief = found.relief
     world = coat.points_world_mm.astype(np.float64)

@@ -1,6 +1,6 @@
 """One image by every decoder: the paper's look-up table or the polynomial, three integrations.
 
-The decoders share image, reference presses and truth, so that they differ by nothing else.
+The decoders share image, reference presses and truth, so that only the decoding differs.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ MAP_NAMES = {"polynomial": "polynomial", "table": "look-up table"}
 
 @dataclass(frozen=True, eq=False)
 class DecodedImage:
-    """What one decoder made of an image."""
+    """Points and score from one image by one decoder."""
 
     colour_map: MapKind
     integration: str

@@ -1,10 +1,10 @@
 """Derivatives of a bound by design fields, from the tangents of the trace on.
 
-What follows the trace is closed form: levels, contrast and sigma (`prediction`) are differentiated
-by a complex step, exact to the last digit; the triangulation's slope likewise, for a camera that
-stays; the exposure that the white frame asks for by the pixels at its percentile; the bound by the
-share of its information that each pixel gives, d ln bound = sum shares d ln sigma. The pixels that
-a fit rests on stay, and so does the surface.
+The steps after the trace have closed forms: levels, contrast and sigma (`prediction`) are
+differentiated by a complex step, exact to the last digit; the triangulation's slope likewise, for a
+camera that stays; the white frame's automatic exposure by the pixels at its percentile; the bound
+by the share of its information that each pixel gives, d ln bound = sum shares d ln sigma. The
+pixels that a fit rests on stay, and so does the surface.
 """
 
 from collections.abc import Callable
@@ -44,9 +44,9 @@ OF_THE_NUMBERS = (
 
 
 def differentiated(experiment: Experiment) -> tuple[str, ...]:
-    """Return the fields that move neither the press nor what each camera pixel sees.
+    """Return the fields that change neither the press nor the view of any camera pixel.
 
-    Those of the coat are what its kind states to be differentiable.
+    Those of the coat are the fields that its kind declares differentiable.
     """
     of_the_coat = (f"coating.{name}" for name in experiment.coating.differentiable)
     return (*of_the_coat, *OF_THE_PROJECTOR, *OF_THE_NUMBERS)
@@ -54,7 +54,7 @@ def differentiated(experiment: Experiment) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """One field: what it does to the description, and to the trace.
+    """One field: its effect on the description and on the trace.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def log_sigma_tangent(
 
 
 def _log(value: Any) -> FloatArray:
-    """Return the derivative of the logarithm of what a complex step was taken through."""
+    """Return the derivative of the logarithm of the value of a complex step."""
     return np.asarray(np.imag(value) / np.real(value) / abs(_STEP), np.float64)
 
 

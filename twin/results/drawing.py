@@ -1,4 +1,4 @@
-"""A measurement in pictures and as a labelled data set: what was measured beside what is true."""
+"""A measurement in pictures and as a labelled data set: measured and true heights."""
 
 from typing import TYPE_CHECKING
 
@@ -48,7 +48,7 @@ def measurement_arrays(measured: "Measurement") -> LabelledArrays:
     """Return the maps of a measurement over camera row and column.
 
     World x and y of each pixel's point are coordinates. Where there is no point, the maps are NaN
-    and `mask_reason` says why; files that `twin` writes hold 0 there.
+    and `mask_reason` gives the reason; files that `twin` writes hold 0 there.
     """
     points, truth = measured.points, measured.truth
     valid = points.valid

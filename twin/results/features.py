@@ -20,7 +20,7 @@ from twin.specimens.catalogue import pose_of
 
 @dataclass(frozen=True, eq=False)
 class Feature:
-    """One specimen, alone or as part of a group.
+    """One specimen, single or part of a group.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """Figures of a measurement by name, with units in their names: a number, or that there is none.
 
-`Metrics` is what result.json holds: numbers, and words beside them (warnings, the press model, why
-a rod has no crest). `Figures` are its numbers. A figure that does not exist is None by type, so
-that nothing can score it as 0: who needs the number asks for `known`.
+`Metrics` is the content of result.json: numbers, and texts in addition (warnings, the press model,
+why a rod has no crest). `Figures` are its numbers. A figure that does not exist is None by type, so
+that no score can use it as 0: a caller that needs the number calls `known`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ Metric = float | str | Sequence[str] | None
 Metrics = Mapping[str, Metric]
 Default = TypeVar("Default")
 COMPENSATED = "compensated_"
-"""What the figures begin with that are the object's, found from the coat."""
+"""Prefix of the object's figures that are computed from the coat."""
 
 
 class FigureError(InputError, KeyError):
@@ -108,7 +108,7 @@ def warnings_of(metrics: Metrics) -> tuple[str, ...]:
 
 
 def why_absent(figures: Mapping[str, Any]) -> str:
-    """Say why a measurement has no error and no shares; empty where it has."""
+    """Return the reason why a measurement has no error and no shares; empty where it has."""
     if 0 in (figures.get("lit_pixels"), figures.get("wanted_pixels")):
         return "no pixel that ought to give a point"
     return "no valid point" if figures.get("points") == 0 else ""

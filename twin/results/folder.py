@@ -12,7 +12,7 @@ With fringes:
 
 | file | content |
 |---|---|
-| capture/ | what a real rig would have recorded: stack, description, calibration |
+| capture/ | recordings as of a real rig: stack, description, calibration |
 | white.exr | white frame as linear radiance |
 | reconstruction.nc | maps of the decoder |
 | height_map.*, surface.ply | heights on a regular grid, triangle mesh |
@@ -21,13 +21,13 @@ By photometric stereo:
 
 | file | content |
 |---|---|
-| image.png, background.png | what the sensor's driver delivers, 8-bit RGB |
+| image.png, background.png | images as the sensor's driver delivers them, 8-bit RGB |
 | sensor_calibration.npz | the sensor's colour map (see `read_sensor_calibration`) |
 | other_calibration.npz | the other kind of colour map, on the same reference images |
 | height.nc | height, slopes and reason codes |
 | decoders.csv | figures of this image by every colour map and every integration |
 
-What is read back is scored anew from the stored maps; a stored image is decoded anew.
+A measurement that is read is scored again from the stored maps; a stored image is decoded again.
 """
 
 from collections.abc import Sequence
@@ -102,13 +102,13 @@ _NEEDED_OF_A_PRESS = (
 
 
 def write_measurement(folder: Path, command: str, done: Measurement) -> None:
-    """Write everything of one measurement into an empty folder; `command` is who asked."""
+    """Write one measurement into an empty folder; `command` is the calling command."""
     write_told(folder, command, done)
     write_maps(folder, done)
 
 
 def write_told(folder: Path, command: str, done: Measurement) -> None:
-    """Write what is told in words and figures, the small files; `command` is who asked."""
+    """Write the small files: texts and figures; `command` is the calling command."""
     write_result(folder, command, done.experiment, done.metrics)
     write_timings(folder, done.seconds)
 
@@ -155,7 +155,7 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
 
 
 def deviation_of(done: Measurement) -> Deviation:
-    """Return measured less true z, um, on what is measured."""
+    """Return measured less true z, um, at the measured pixels."""
     found, true = done.points, done.truth
     error_um = 1e3 * (found.world_mm[..., 2] - true.points_world_mm[..., 2])
     return Deviation(error_um, found.valid & true.measured)
@@ -284,7 +284,7 @@ def _read_result(folder: Path) -> dict[str, Any]:
 
 
 def _require(folder: Path, figures: Metrics, names: tuple[str, ...]) -> None:
-    """Refuse a result that lacks figures, or has words in their place."""
+    """Raise InputError if a result lacks figures, or has texts in their place."""
     missing = sorted(set(names) - set(Figures(figures)) - ({"warnings"} & set(figures)))
     if missing:
         raise InputError(f"{folder / RESULT_FILE}: no {', '.join(missing)}; measure again")

@@ -21,7 +21,7 @@ from twin.optics.stack import TraceMaps
 
 @dataclass(frozen=True)
 class FringeNumbers:
-    """The numbers between irradiance and sigma; complex where a derivative is asked for.
+    """The numbers between irradiance and sigma; complex where a derivative is requested.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def white_radiance(maps: TraceMaps, experiment: Experiment) -> FloatImage:
 
 
 def outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) -> Any:
-    """Return the share of white that the blurred outline of the image leaves, (row, col)."""
+    """Return the share of white that remains after blurring the image's outline, (row, col)."""
     projector, sigma = experiment.projector, np.sqrt(numbers.blur_px2(maps.axial_mm))
     along = outline(maps.column_px, projector.width_px, sigma)
     return along * outline(maps.row_px, projector.height_px, sigma)
@@ -93,7 +93,7 @@ def outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) ->
 
 @dataclass(frozen=True, eq=False)
 class AxisLevels:
-    """What the fringes along one axis give each pixel, (row, col).
+    """Levels of the fringes along one axis at each pixel, (row, col).
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ def clipping(
     experiment: Experiment, levels: AxisLevels, place_px: FloatArray, axis: Axis,
     reason: ReasonImage,
 ) -> FloatArray:  # fmt: skip
-    """Return how much sigma grows by frames that clip; mark pixels that too few are left of.
+    """Return the factor on sigma by clipped frames; mark pixels with too few unclipped frames.
 
     As the decoder does: least squares over the frames below the limit, see `_phase.refit_row`.
     """

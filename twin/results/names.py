@@ -1,6 +1,6 @@
 """Names of all figures that a measurement may have, known before it is made.
 
-A study that ranks by a figure which no case will have must say so before its first case. A test
+A study that ranks by a figure which no case will have must fail before its first case. A test
 measures by every method and finds no figure that is not named here.
 """
 
@@ -45,9 +45,9 @@ _OF_A_BAR = ("width_mm", "width_sigma_um", "turn_deg", "sheet_on_edge", "width_w
 
 
 def may_compensate(experiment: Experiment) -> bool:
-    """Tell whether the object behind a measured coat is found: under a sheet, or on a window.
+    """Return True if the object behind a measured coat is computed: under a sheet, or on a window.
 
-    Or, of a form whose numbers are fitted, under a slab.
+    Or under a slab, if the form has fitted dimensions.
     """
     elastomer, method = experiment.elastomer, experiment.method
     free_form = elastomer.layout == "contact_face" or may_wrap(elastomer)
@@ -56,12 +56,12 @@ def may_compensate(experiment: Experiment) -> bool:
 
 
 def compensates_at_once(experiment: Experiment) -> bool:
-    """Tell whether the object is found in a second: not by a fit under a slab, which takes five."""
+    """Return True if compensating takes about 1 s: a fit under a slab takes 5 s."""
     return may_compensate(experiment) and not is_slab(experiment.elastomer)
 
 
 def of_the_object(names: Iterable[str]) -> bool:
-    """Tell whether a figure of the object behind the coat is among the names."""
+    """Return True if a figure of the object behind the coat is among the names."""
     return any(name.startswith(COMPENSATED) for name in names)
 
 

@@ -1,9 +1,9 @@
-"""How much of a hex nut a relief shows: depth of its hole, and the hexagon of its outline.
+"""Figures of a hex nut in a relief: depth of its hole, and the hexagon of its outline.
 
-The outline is the relief's contour as far below the ring as the chamfer falls to the corners: there
-the nut itself is a whole hexagon. What a sheet spans comes out round. The contour's sixth harmonic
-in phase with the nut's is its share of a hexagon: 0 for a circle, 1 for a hexagon, 0.87 for the
-bare nut (heights are averaged over 0.1 mm across its walls). Noise does not move its mean.
+The outline is the relief's contour as far below the ring as the chamfer descends at the corners:
+there the nut itself is a whole hexagon. A free span of the sheet is round. The contour's sixth
+harmonic in phase with the nut's is its share of a hexagon: 0 for a circle, 1 for a hexagon, 0.87
+for the bare nut (heights are averaged over 0.1 mm across its walls). Noise does not move its mean.
 """
 
 from math import pi, radians, sqrt
@@ -22,16 +22,16 @@ _RING_MM, _CENTRE_MM = 0.2, 0.4
 # Beyond so many corner radii a contour is no longer the nut's.
 _FARTHEST = 1.8
 _LEAST_SEEN = 0.9
-# A nut without a chamfer is a hexagon at its face; the contour must lie below the ring's own noise.
+# A nut without a chamfer is a hexagon at its face; the contour must be below the ring's own noise.
 _LEAST_DOWN_MM = 0.2
 
 
 def nut_figures(
     experiment: Experiment, points_mm: NDArray[np.floating[Any]], prefix: str = ""
 ) -> dict[str, float]:
-    """Return what points (n, xyz), world frame, mm, show of a nut; nothing of anything else.
+    """Return a nut's figures from points (n, xyz), world frame, mm; empty for other specimens.
 
-    `nut_hole_depth_mm` is by how much the middle lies below the ring, `nut_hexagon_share` the share
+    `nut_hole_depth_mm` is the depth of the middle below the ring, `nut_hexagon_share` the share
     of the hexagon's sixth harmonic; 0 where the relief is too flat for the contour. Each is absent
     where its points are.
     """
@@ -62,7 +62,7 @@ def contour_radii_mm(
     level_mm: float,
     between_mm: tuple[float, float],
 ) -> FloatArray:
-    """Return where a relief falls below a level, outwards: (direction,) radii, NaN where nowhere.
+    """Return the (direction,) radii at which a relief first drops below a level, or NaN.
 
     Points, (n,) each, are averaged in sectors by steps of radius; a step without points is passed.
     """
@@ -91,9 +91,9 @@ def _falls_below(r_mm: FloatArray, z_mm: FloatArray, level_mm: float) -> float:
 
 
 def hexagon_share(contour_mm: FloatArray, across_flats_mm: float) -> float:
-    """Return the share of a hexagon in a contour, (direction,) radii, mm; corners lie at 0.
+    """Return the share of a hexagon in a contour, (direction,) radii, mm; corners at 0.
 
-    0 where more than a tenth of the contour is missing.
+    0 where more than 10 % of the contour is missing.
     """
     azimuth = (np.arange(contour_mm.size) + 0.5) / contour_mm.size * 2 * pi
     seen = np.isfinite(contour_mm)

@@ -1,11 +1,11 @@
-"""Measured points of the object: which of them lie on it, where it touches, and how well known.
+"""Measured points of the object: points on it, points in contact, and their noise.
 
 Under a thin sheet they are the cells of the compensated coat: its local thickness is taken off, and
-where the object touches is found from the coat. Of a slab no thickness is known that would be one.
+where the object touches is found from the coat. Under a slab no such thickness is known.
 
 Scored are every n-th row and column of the image, at most 40,000 points; distances to the object
-are taken at 2,500 of them. More would not make a best fit better, whose points share the errors of
-their neighbours.
+are taken at 2,500 of them. More would not improve a best fit: neighbouring points share their
+errors.
 """
 
 from dataclasses import dataclass, replace
@@ -69,7 +69,7 @@ class Heights:
         return replace(self, z_mm=aside + upright[2] * self.z_mm)
 
     def cells_of(self, xy_mm: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return row and column of the cells that points (n, xy) lie in."""
+        """Return row and column of the cells that contain points (n, xy)."""
         places = [
             np.clip(np.rint((xy_mm[:, axis] - of[0]) / self.pitch_mm), 0, len(of) - 1)
             for axis, of in ((1, self.y_mm), (0, self.x_mm))
@@ -85,13 +85,13 @@ class ObjectPoints:
     ----------
     points_mm : (n, xyz) world
     sigma_mm : (n,) standard uncertainty along z; None where the method predicts none
-    touching : (n,) bool: the elastomer lies on the specimen there, or the specimen itself is seen
+    touching : (n,) bool: the elastomer touches the specimen there, or the bare specimen is visible
     over : (n,) bool: above the specimen, touching or not
     together : how many of them share one error
     pixels : (n,) index of the camera pixel, under a sheet of the cell, row after row; None where
         it is not known
-    points_each : how many measured points each one stands for
-    under : the sheet whose local thickness was taken off; None: nothing was taken off
+    points_each : number of measured points that each point represents
+    under : the sheet with the subtracted local thickness; None: no subtraction
     """
 
     points_mm: FloatArray
@@ -126,8 +126,8 @@ class ObjectPoints:
     def noise_mm(self, estimate: FittedDimension) -> float:
         """Return the standard uncertainty of a fitted value from that of the points.
 
-        Without one their scatter stands for it, taken as one error of all: what integrates slopes
-        has errors as wide as the field.
+        Without sigma the scatter is used, as one error common to all: a method that integrates
+        slopes has errors as wide as the field.
         """
         if self.under is not None and self.pixels is not None:
             return self.under.noise_mm(estimate, self.pixels)
@@ -144,12 +144,12 @@ class SeenObject:
 
     Attributes
     ----------
-    surface : where it truly is; under an elastomer whose local thickness is not known grown by the
+    surface : its true position; under an elastomer of unknown local thickness grown by the
         nominal one
     measured : the points found of it
     coat, true_face : the surface that was seen, coat or specimen: its points, and the truth at the
         same pixels
-    coverage : share of the specimen's pixels that have a point where it touches; None: none seen
+    coverage : share of the specimen's pixels that have a point where it touches; None: not visible
     heights : of the specimen over the points
     pixel_mm : distance of neighbouring points
     gratings : parts with grooves of a known pitch
@@ -180,7 +180,7 @@ def surface_of(
 
     Parameters
     ----------
-    grown : by the nominal thickness of what is between it and the surface that is seen
+    grown : by the nominal thickness of the layer between it and the visible surface
     """
     shape = shape_of(experiment.specimen)
     if pressed is None:
@@ -197,7 +197,7 @@ def seen_object(
     pressed: PressedElastomer | None,
     under: ObjectUnderSheet | None = None,
 ) -> SeenObject | None:
-    """Pick the points of the object; None where nothing of it was found.
+    """Pick the points of the object; None without points on it.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def _nth(count: int) -> int:
 def _places(
     true_mm: FloatArray, wanted: BoolImage, heights: Heights, pressed: PressedElastomer | None
 ) -> tuple[BoolImage, BoolImage]:
-    """Tell which pixels (row, col) touch the specimen, and which lie above it."""
+    """Return masks (row, col) of the pixels in contact with the specimen, and of those above it."""
     touching, over = np.zeros(wanted.shape, bool), np.zeros(wanted.shape, bool)
     if pressed is None:
         return wanted, wanted

@@ -1,10 +1,10 @@
 """Score the object itself: its deviation from the truth, and its measurands with their verdicts.
 
-The coat is what a contact sensor sees, the object what it is asked about. Under a thin sheet the
+A contact sensor measures the coat; the object is the required result. Under a thin sheet the
 object's points are those of `twin.results.under_sheet`: the local thickness is taken off, and no
 nominal one. Under a slab no thickness makes an object of the coat: its lengths are not measured
-then, and deviations are those from the specimen grown by the nominal thickness. What the coat
-itself shows is a figure of its own, with nothing taken off.
+then, and deviations are those from the specimen grown by the nominal thickness. The coat
+itself has separate figures, without subtraction.
 """
 
 from collections.abc import Iterator
@@ -36,23 +36,23 @@ from twin.results.object_points import ObjectPoints, SeenObject, is_covered, see
 from twin.results.quantities import measurands_of, nominal_mm
 from twin.results.under_sheet import SheetCompensation
 
-NOTHING_FOUND = "nothing of the object was found"
+NOTHING_FOUND = "no points of the object were measured"
 _ALIGNED_NAMES = {"none": "", "offset": "offset_", "offset_tilt": "offset_tilt_", "rigid": "rigid_"}
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredQuantity:
-    """One measurand: what was found, how well it is known, and whether it is within tolerance.
+    """One measurand: value, uncertainty, and whether it is within tolerance.
 
     Attributes
     ----------
-    value : of the object, in the measurand's unit; None where `why` says why there is none
-    coat : the same of the measured surface, coat or specimen, with nothing taken off
-    true_face : that of the true surface: what a perfect measurement would have found
+    value : of the object, in the measurand's unit; None if absent, `why` gives the reason
+    coat : the same of the measured surface, coat or specimen, without subtraction
+    true_face : that of the true surface: the result of a perfect measurement
     uncertainty : of the value, in um (of a share: as the share)
     covered : the elastomer is between object and coat: `coat` is an apparent figure
     tolerance : on the value's deviation, in um (of a share: on the share); None: none is given
-    points_mm : (n, xyz) what it rests on; None without a value
+    points_mm : (n, xyz) the fitted points; None without a value
     """
 
     asked: ObjectMeasurand
@@ -73,7 +73,7 @@ class MeasuredQuantity:
 
     @property
     def true_face_error(self) -> float | None:
-        """The same of the true coat: what the elastomer causes."""
+        """The same of the true coat: the elastomer's effect."""
         return self._deviation_of(self.true_face)
 
     @property
@@ -101,11 +101,11 @@ class MeasuredQuantity:
 
 @dataclass(frozen=True, eq=False)
 class ObjectScore:
-    """What was found of the object.
+    """Measured values of the object.
 
     Attributes
     ----------
-    seen : None where nothing of it was found
+    seen : None without points of the object
     quantities : its measurands
     aligned : deviations of the measured points that touch, by alignment
     """
@@ -146,7 +146,7 @@ def score_object(
     Parameters
     ----------
     points : world_mm (row, col, xyz), valid (row, col), sigma_z_mm (row, col) or None
-    compensation : what the object under a thin sheet is found from
+    compensation : input of the compensation of the object under a thin sheet
 
     Raises
     ------
@@ -208,7 +208,7 @@ def _form(left: Deviations) -> float:
 def why_not_compensated(
     experiment: Experiment, compensation: SheetCompensation | None = None
 ) -> str:
-    """Say why the coat shows no lengths of the object; empty where it does."""
+    """Return the reason why the coat shows no lengths of the object; empty where it does."""
     elastomer = experiment.elastomer
     if not is_covered(experiment) or (compensation is not None and compensation.found is not None):
         return ""
@@ -225,7 +225,7 @@ def why_not_compensated(
 def _quantity(
     asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None, without: str
 ) -> MeasuredQuantity:
-    """Measure one quantity; `without` says why a covered object has no lengths, if it has none."""
+    """Measure one quantity; `without`: why a covered object has no lengths, empty if it has."""
     value, coat, true_value, why = None, None, None, NOTHING_FOUND
     covered = seen is not None and seen.covered
     if seen is not None:
@@ -269,10 +269,10 @@ def _whole(asked: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
 def _elastomer_mm(
     asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None, value: FittedValue
 ) -> float:
-    """Return the standard uncertainty of a value by what is open of the sheet that was taken off.
+    """Return a value's standard uncertainty by the uncertain parameters of the subtracted sheet.
 
     All points move together by each uncertainty of the layer; of a radius the theory of thin sheets
-    leaves out a little more. A width by the free spans has that within its own uncertainty.
+    neglects a little more. A width by the free spans has that within its own uncertainty.
     """
     points = None if seen is None else seen.measured
     if seen is None or points is None or points.under is None or value.estimate is None:
@@ -307,7 +307,7 @@ def _in_unit(asked: ObjectMeasurand, value: float) -> float:
 
 
 def tolerance_of(asked: ObjectMeasurand) -> Tolerance | None:
-    """Return what is allowed of a measurand's deviation; None where nothing is stated."""
+    """Return the tolerance of a measurand's deviation; None if not stated."""
     if asked.plus_minus_um is not None:
         return Tolerance(-asked.plus_minus_um, asked.plus_minus_um)
     if asked.at_least is not None:
@@ -344,7 +344,7 @@ def quantity_figures(one: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
 
 
 def summary_of(found: tuple[MeasuredQuantity, ...]) -> dict[str, Metric]:
-    """Count the verdicts; the least margin in um is what a design is ranked by."""
+    """Count the verdicts; designs are ranked by the least margin in um."""
     judged = [one for one in found if one.tolerance is not None]
     if not judged:
         return {}

@@ -1,7 +1,7 @@
 """Files of single stages in a folder, written and read, and the figures of press and recording.
 
-`face_figures` are what the coated face alone would give, without light, noise or calibration: a
-press of a slab costs a tenth of a second, a measurement seconds, and sensitivities and explanations
+`face_figures` are those of the coated face itself, without light, noise or calibration: a
+press of a slab takes 0.1 s, a measurement seconds, and sensitivities and explanations
 need hundreds of them.
 """
 
@@ -81,7 +81,7 @@ def write_rows(path: Path, rows: Sequence[Metrics], digits: int) -> None:
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Metrics], digits: int | None = None) -> str:
-    """Return rows as CSV (RFC 4180); numbers with all their digits unless told otherwise.
+    """Return rows as CSV (RFC 4180); numbers with all their digits by default.
 
     A text that a spreadsheet would run as a formula gets an apostrophe in front.
     """
@@ -128,7 +128,7 @@ def write_solid(folder: Path, experiment: Experiment, pressed: PressedElastomer)
 
 
 def write_recording(folder: Path, recording: Recording) -> None:
-    """Write the capture as a rig would deliver it, and beside it what only a twin knows."""
+    """Write the capture as a rig would deliver it, and separately the truth of the twin."""
     write_captured(folder, recording.capture)
     write_truth(folder / "truth.nc", recording.truth)
     patterns = recording.capture.patterns
@@ -161,7 +161,7 @@ def truth_arrays(truth: Truth) -> LabelledArrays:
 
 
 def read_truth(path: Path) -> Truth:
-    """Read what `write_truth` wrote.
+    """Read the files of `write_truth`.
 
     Raises
     ------

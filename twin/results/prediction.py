@@ -1,6 +1,6 @@
-"""What a measurement will know, from the trace alone: levels, contrast, sigma of every pixel.
+"""Predicted levels, contrast and sigma of every pixel of a measurement, from the trace only.
 
-No frame is rendered, no noise drawn, nothing decoded. Of each pixel the trace gives the irradiance
+No frame is rendered or decoded, no noise drawn. Of each pixel the trace gives the irradiance
 E of a white field and the projector coordinate; then
 
 | step | formula |
@@ -11,7 +11,7 @@ E of a white field and the projector coordinate; then
 | coordinate | sigma_x = period sigma_phi / 2 pi; of several periods 1 / sqrt(sum 1 / sigma^2) |
 | height | sigma_x |dz/dx|, of the triangulation, at the surface's own slope |
 
-What the filter makes of it: `reconstruction.decoding.filter_noise`.
+The filter's effect on it: `reconstruction.decoding.filter_noise`.
 
 The estimate of N >= 4 steps takes all frames to have the noise of their mean. It is not the last
 word of the frames: with fringes of full contrast shot noise is small in the dark frames, and a fit
@@ -49,7 +49,7 @@ from twin.results.fringe_levels import (
     white_radiance,
 )
 
-# Of a band of rows that stays in the cache with all that is made of it.
+# Rows of a band that fits into the processor's cache with its intermediate arrays.
 _BAND_PIXELS = 1 << 16
 
 
@@ -61,7 +61,7 @@ class AxisPrediction:
     ----------
     sigma_px : (row, col) of the single pixel's coordinate
     height_by_px : (row, col) mm by which the surface's height errs per px of the coordinate
-    filtered : what the filter makes of the noise
+    filtered : effect of the filter on the noise
     """
 
     sigma_px: FloatArray
@@ -71,7 +71,7 @@ class AxisPrediction:
 
 @dataclass(frozen=True, eq=False)
 class PredictedMaps:
-    """What a measurement is expected to know.
+    """Expected coordinates and sigmas of a measurement.
 
     Attributes
     ----------
@@ -114,11 +114,11 @@ class PredictedMaps:
 
 
 def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> PredictedMaps:
-    """Return what a measurement will know of every pixel.
+    """Return the predicted coordinates and sigmas of every pixel.
 
     Parameters
     ----------
-    truth : of the same view; its normals say how a depth counts as height
+    truth : of the same view; its normals convert a depth into a height
 
     Raises
     ------
@@ -142,7 +142,7 @@ def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> PredictedM
 def _by_bands(
     shape: tuple[int, ...], found: Callable[[slice], tuple[NDArray[Any], ...]]
 ) -> tuple[NDArray[Any], ...]:
-    """Join what is found of one band of rows after the other.
+    """Join the results of consecutive bands of rows.
 
     Arrays of a whole image leave the cache between two operations, and each new one is memory that
     the system must clear first: a third of the speed.
@@ -176,7 +176,7 @@ class _Single:
     reason: ReasonImage
 
     def as_decoded(self) -> Decoded:
-        """Return what a decoder without noise and filter would hand on."""
+        """Return the output of a decoder without noise and filter."""
         nothing = np.zeros(self.reason.shape, np.float32)
 
         def axis(name: Axis) -> AxisDecode:
@@ -211,7 +211,7 @@ def _dark(experiment: Experiment, white: FloatImage, numbers: FringeNumbers) -> 
 def _placed(
     experiment: Experiment, single: _Single, truth: Truth, exposure_ms: float
 ) -> PredictedMaps:
-    """Triangulate what is expected, and see what the filter makes of the noise."""
+    """Triangulate the expected coordinates, and compute the filter's effect on the noise."""
     places, sigma, reason = single.places, single.sigma, single.reason
     decode = experiment.decode
     used: tuple[Axis, ...] = AXES if decode.use == "both" else (decode.use,)

@@ -1,4 +1,4 @@
-"""Measurands of an experiment: its `[[measurand]]` tables, and what the specimen has by default."""
+"""Measurands of an experiment: its `[[measurand]]` tables, and the specimen's defaults."""
 
 from collections import Counter
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The one record of a measurement, whatever the method: points, truth, score, images, figures."""
+"""The record of a measurement by any method: points, truth, score, images, figures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -53,7 +53,7 @@ class SurfacePoints:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What the virtual rig delivers, and the truth that a real rig does not have."""
+    """Data that the virtual rig delivers, and the truth that a real rig does not have."""
 
     radiance: RadianceStack
     capture: Capture
@@ -67,11 +67,11 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Fringes:
-    """What fringe projection saw, and what its decoder made of it.
+    """Capture of fringe projection, and the decoder's result.
 
     Attributes
     ----------
-    stored : the capture, or its folder: 600 MB at full size, read when they are asked for
+    stored : the capture, or its folder: 600 MB at full size, read at first use
     frames : linear radiance of every frame; None where the measurement was read from files
     """
 
@@ -81,7 +81,7 @@ class Fringes:
 
     @cached_property
     def capture(self) -> Capture:
-        """What the camera recorded.
+        """Images that the camera recorded.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class Fringes:
 
 @dataclass(frozen=True, eq=False)
 class Colours:
-    """What a sensor for photometric stereo saw, and what every decoder made of it.
+    """Images of a photometric sensor, and the result of every decoder.
 
     Attributes
     ----------
@@ -152,9 +152,9 @@ class Measurement:
     images : Fringes or Colours, by method
     metrics : as in result.json; `figures` are its numbers, `warnings` its warnings
     pressed : None where the bare specimen is seen
-    digest, versions : name what it was made from
+    digest, versions : identify its experiment and software
     seconds : wall clock by stage
-    compensation : what the object under a thin sheet is found from; None where none was pressed
+    compensation : input of the compensation under a thin sheet; None if no sheet was pressed
     """
 
     experiment: Experiment
@@ -182,7 +182,7 @@ class Measurement:
         )
 
     def _in_short(self) -> dict[str, str]:
-        """Return the figures that tell most, as texts."""
+        """Return the main figures as texts."""
         score = self.score.against_truth
         shown = {
             one.asked.name.replace("_", " "): _length(one)
@@ -210,7 +210,8 @@ class Measurement:
     def to_xarray(self) -> "xarray.Dataset":
         """Return heights, truth, deviation and sigma over camera pixels, with units.
 
-        World x and y are coordinates; what has no point is NaN, and `mask_reason` says why.
+        World x and y are coordinates; pixels without a point are NaN, and `mask_reason` gives the
+        reason.
         """
         from twin.results.drawing import measurement_arrays
 
@@ -249,19 +250,19 @@ class Measurement:
 
     @property
     def picture(self) -> Levels:
-        """What the camera saw: one fringe image, or the colours."""
+        """The camera's view: one fringe image, or the colours."""
         return self.images.picture
 
     @property
     def press(self) -> PressedElastomer:
-        """The pressed elastomer; TypeError where nothing was pressed."""
+        """The pressed elastomer; TypeError without a press."""
         if self.pressed is None:
             raise TypeError(f"{self.experiment.modality} presses nothing")
         return self.pressed
 
     @property
     def pixel_mm(self) -> float:
-        """Width of a pixel on the flat coated face, or where the bare specimen stands highest."""
+        """Width of a pixel on the flat coated face, or at the bare specimen's highest point."""
         if isinstance(self.images, Colours):
             return self.images.heights.pitch_mm
         camera = self.experiment.camera

@@ -1,9 +1,9 @@
-"""Width and height of a rod's cross-section, read from a relief as one reads a caliper.
+"""Width and height of a rod's cross-section, measured in a relief as with a caliper.
 
 A sheet draped over a rod on a plate rises from two valleys to a crest. The profile runs from valley
 to valley. Its width is taken where it crosses half of the height of the crest over their level, and
-between the breaks of its slope, where a sheet leaves the rod: where it bends most, or where its
-slope changes fastest.
+between the breaks of its slope, where a sheet separates from the rod: where it bends most, or where
+its slope changes fastest.
 """
 
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ class RodSection:
 def section_of(
     points_mm: FloatArray, along_mm: float, centre_mm: tuple[float, float]
 ) -> RodSection:
-    """Average points, (n, 3) mm, over the middle of a rod that lies along world y.
+    """Average points, (n, 3) mm, over the middle of a rod along world y.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def section_of(
     bins = np.round(x[inside] / STEP_MM).astype(int)
     where = np.unique(bins, return_inverse=True)[1]
     counts = np.bincount(where)
-    # A bin of a pixel's width holds columns that lie on one side of its middle.
+    # A bin of a pixel's width contains columns on only one side of its middle.
     across, means = (np.bincount(where, one[inside]) / counts for one in (x, z))
     full = counts >= _LEAST_IN_BIN
     return RodSection(across[full], means[full])
@@ -112,9 +112,9 @@ def rod_figures(
 ) -> dict[str, float | str | None]:
     """Return widths and height of the coat over a rod, from its points (n, xyz).
 
-    They are apparent figures of the coat, as one reads a caliper. A width that its section does not
-    have is None, and `rod_failure` says why; without a crest that is all. Nothing where the
-    specimen is not a single rod.
+    They are apparent figures of the coat, as measured with a caliper. A width that its section does
+    not have is None, and `rod_failure` gives the reason; without a crest that is all. Empty where
+    the specimen is not a single rod.
     """
     if single_section(experiment.specimen) is None:
         return {}

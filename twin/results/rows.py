@@ -48,7 +48,7 @@ def draw_rows(rows: Sequence[Row], x: str, names: Sequence[str], by: str = "") -
     ----------
     x : column of numbers or of texts
     names : columns to choose from; those without a figure are left out
-    by : column whose values are distinguished by colour
+    by : column with the values that are distinguished by colour
     """
     from reconstruction.drawing import Drawing
 

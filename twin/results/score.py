@@ -1,12 +1,12 @@
-"""Score points in millimetres, whatever the method: against the truth and against fitted spheres.
+"""Score points of any method, mm: against the truth and against fitted spheres.
 
 Sphere metrics follow the paper: least-squares sphere over the points of each ball's region, then
 RMSE, MAE and 95th percentile of the absolute radial residuals. "Least squares" is read both ways:
-of radial distances (geometric) and of squared distances (algebraic), over every region that is
-asked for. The same fit over the true coated face at the same pixels separates what the elastomer
-did from what the measurement did.
+of radial distances (geometric) and of squared distances (algebraic), over every requested
+region. The same fit over the true coated face at the same pixels separates the elastomer's error
+from that of the measurement.
 
-Nothing is registered before comparing: where a method's points lie belongs to the method.
+Points are not registered before comparing: their position is part of the method's error.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,7 +38,7 @@ from twin.results.rods import rod_figures, single_section
 from twin.shape import Sphere
 from twin.specimens import shape_of
 
-# Four points fix a sphere exactly: its residuals are 0 whatever the error.
+# Four points fix a sphere exactly: its residuals are 0 for any error.
 _LEAST_SPHERE_POINTS = 5
 _FIT_FIGURES = ("radius_mm", "rmse_mm", "mae_mm", "p95_mm")
 _KINDS = ("", "true_face_", "algebraic_", "true_face_algebraic_")
@@ -51,11 +51,12 @@ _SPHERE_FIGURES = (
 
 @dataclass(frozen=True)
 class TruthScore:
-    """Errors of world z against the true surface at the pixel centres, wanted valid pixels only.
+    """Errors of world z against the true surface at the pixel centres, valid target pixels only.
 
-    `completeness` is the share of the wanted pixels with a point, `good_share` that of those whose
+    `completeness` is the share of the target pixels with a point, `good_share` that of those whose
     point is also right within `score.good_within_um`. A figure that does not exist (the error of no
-    point, the share of no pixel) is None: 0 would beat every measurement. `why_absent` says why.
+    point, the share of no pixel) is None: 0 would beat every measurement. `why_absent` gives the
+    reason.
     """
 
     points: int
@@ -68,7 +69,7 @@ class TruthScore:
 
 @dataclass(frozen=True)
 class FringeScore(TruthScore):
-    """What fringes tell besides.
+    """Further figures of fringe projection.
 
     `filter_bias_um` and `filter_bias_share` need no truth, see `filter_bias`. `error_over_sigma` is
     the robust spread of error / predicted sigma: 1 when the predicted sigma is the actual one, more
@@ -85,7 +86,7 @@ class FringeScore(TruthScore):
 
 @dataclass(frozen=True)
 class HeightScore(TruthScore):
-    """What heights from slopes tell besides; only pixels within the stated field count.
+    """Further figures of heights from slopes; only pixels within the stated field count.
 
     `height_scale` is the slope of measured over true z, by least squares with a free zero; 1 where
     heights are neither flattened nor stretched, and None on a flat truth, which has no scale.
@@ -193,7 +194,7 @@ def score_truth(
 
 
 def _errors(experiment: Experiment, error_um: NDArray[np.floating], wanted: int) -> dict[str, Any]:
-    """Figures of `TruthScore` from the errors (n,) of the wanted pixels that have a point."""
+    """Figures of `TruthScore` from the errors (n,) of the target pixels that have a point."""
     good = np.abs(error_um) <= experiment.score.good_within_um
     return {
         "points": len(error_um),
@@ -206,7 +207,7 @@ def _errors(experiment: Experiment, error_um: NDArray[np.floating], wanted: int)
 
 
 def share_of(count: int, whole: int) -> float | None:
-    """Return count / whole; None where there is nothing to have a share of."""
+    """Return count / whole; None if `whole` is 0."""
     return count / whole if whole else None
 
 
@@ -223,7 +224,7 @@ def wanted_pixels(experiment: Experiment, truth: Truth) -> NDArray[np.bool_]:
     """Pixels that ought to give a point, (row, col).
 
     On a coat under fringes those that both devices see. On a bare specimen every pixel that shows
-    it: that the method has blind flanks and shadows there is what is to be found out. In the light
+    it: the method's blind flanks and shadows there are part of its result. In the light
     of lamps the coat within the stated field.
     """
     if experiment.method.fringes:
@@ -246,9 +247,9 @@ def in_world(heights: HeightMap) -> FloatArray:
 def wrong_orders(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> int | None:
-    """Count decoded lit pixels whose projector column or row is off by half a period or more.
+    """Count decoded lit pixels with a projector column or row off by half a period or more.
 
-    None where no pixel was decoded: none of nothing is no merit.
+    None where no pixel was decoded: a count of 0 would be misleading.
     """
     both = reconstruction.decoded.valid & wanted_pixels(experiment, truth)
     wrong = _of_another_period(experiment, reconstruction, truth)
@@ -258,13 +259,13 @@ def wrong_orders(
 def _of_another_period(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> BoolImage:
-    """Mark pixels whose projector column or row is off by half a period or more."""
+    """Mark pixels with a projector column or row off by half a period or more."""
     patterns = pattern_set(experiment.projector, experiment.patterns)
     wrong: BoolImage = np.zeros(truth.column_px.shape, np.bool_)
     for axis in reconstruction.decoded.axes:
         decoded = getattr(reconstruction.decoded, axis).coordinate_px
         true_px = truth.row_px if axis == "row" else truth.column_px
-        # Of words alone either is right at their border: the step is a whole word.
+        # A code of words has no phase: at a border either word is right, the step is a whole word.
         limit_px = patterns.period_along(axis) / (2 if patterns.steps else 1)
         wrong |= np.abs(decoded - true_px) >= limit_px
     return wrong
@@ -273,7 +274,7 @@ def _of_another_period(
 def order_warnings(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> list[str]:
-    """Say, in one line, where points of a wrong fringe order make most of the z error.
+    """Return a one-line warning if points of a wrong fringe order cause most of the z error.
 
     A few on which column and row agree by chance escape the decoder's checks, and err by
     centimetres.
@@ -297,7 +298,7 @@ def order_warnings(
     ]
 
 
-# Of the RMS error without wrong fringe orders: from here on these are what it shows.
+# Of the RMS error without wrong fringe orders: beyond this share they dominate it.
 _DOMINATED = 2.0
 _BY_ANOTHER_SURFACE = (
     "; there the light that stage and specimen throw on each other is stronger than the "

@@ -29,7 +29,7 @@ from twin.config.sensor_layer import SensorLayer, sensor_layer_of
 from twin.mechanics.choice import may_wrap
 from twin.mechanics.hardness import young_modulus
 
-# Air over modulus and thickness that wraps a sheet round things of a few mm, at half of the limit
+# Air over modulus and thickness that wraps a sheet round objects of a few mm, at half of the limit
 # beyond which a wrapped sheet thins without bound: docs/sheet.md.
 _WRAPPING_STRAIN_PER_MM = 0.03
 _MUCH_LESS = 0.7
@@ -74,7 +74,7 @@ class ObjectUnderSheet:
     def noise_mm(self, estimate: FittedDimension, cells: IntArray) -> float:
         """Return the standard uncertainty of a fit by noise and texture of the coat, mm.
 
-        The residuals' own variance and correlation area stand for those of the points.
+        The residuals' own variance and correlation area are used for those of the points.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class ObjectUnderSheet:
 
 @dataclass(frozen=True, eq=False)
 class SheetCompensation:
-    """What the object under a measured coat is found from; it is found once, when it is needed.
+    """Input of the compensation of a measured coat; the object is computed once, at first use.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class SheetCompensation:
 
     @property
     def found(self) -> ObjectUnderSheet | None:
-        """The object; None where `why` says why there is none."""
+        """The object; None if absent, `why` gives the reason."""
         return None if isinstance(self._outcome, str) else self._outcome
 
     @property
@@ -134,7 +134,7 @@ class SheetCompensation:
 def sheet_compensation(
     experiment: Experiment, points: PointMap, layer: SensorLayer | None = None
 ) -> SheetCompensation | None:
-    """Return what the object is found from; None where no thin sheet was pressed."""
+    """Return the compensation's input; None where no thin sheet was pressed."""
     method = experiment.method
     if not (method.fringes and method.presses and may_wrap(experiment.elastomer)):
         return None
@@ -142,7 +142,7 @@ def sheet_compensation(
 
 
 def more_contact(under: ObjectUnderSheet | None) -> str:
-    """Say how a thin sheet is made to touch more of an object."""
+    """Return advice on how a thin sheet touches more of an object."""
     if under is None:
         return "press deeper"
     layer = under.sheet.layer

@@ -2,7 +2,7 @@
 
 A kind is one file of this package, of an installed package (entry points of the group
 `fringe_twin.measurands`) or of the user (`--plugin`). Its figures, its uncertainty, its verdict and
-its row on the page follow from what `fit` returns. Minimal example:
+its row on the page follow from the result of `fit`. Minimal example:
 
     class Sagitta(MeasurandKind):
         name, unit = "sagitta", "mm"
@@ -102,7 +102,7 @@ Curve = tuple[FloatArray, FloatArray]
 class MeasurandKind(QuantityKind):
     """A quantity that is fitted to points of the object.
 
-    A kind states the attributes of `QuantityKind`, and what differs here.
+    A kind states the attributes of `QuantityKind`, and the differences to its defaults.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ class Coverage(MeasurandKind):
     ) -> FittedValue:
         """Return the share of the whole specimen."""
         if seen.coverage is None:
-            raise FitError("coverage: the camera sees nothing of the specimen")
+            raise FitError("coverage: no pixel of the camera shows the specimen")
         return FittedValue(seen.coverage, 0.0, points.points_mm[points.touching])
 
 

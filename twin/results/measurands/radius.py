@@ -49,7 +49,7 @@ class Radius(MeasurandKind):
         return max(len(self.known_mm(feature)), len(feature.balls))
 
     def theory_mm(self, value_mm: float, sheet: CompensatedSheet) -> tuple[float, ...]:
-        """Return what the theory of thin sheets leaves out of a radius."""
+        """Return the error of a radius by the theory of thin sheets."""
         return (sheet.theory_mm(value_mm),)
 
     def curves(self, points_mm: FloatArray, line: SectionLine, seen: SeenObject) -> list[Curve]:

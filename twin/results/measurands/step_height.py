@@ -78,8 +78,8 @@ def step_of(
 def levels(heights: Heights, step_mm: float | None = None) -> tuple[BoolImage, BoolImage]:
     """Return the cells (row, col) of the upper and of the lower level without their edges.
 
-    The upper level is what lies within a tenth of the step below the highest cell, the lower one
-    what lies as near to a step below. W is twice the farthest that a cell of the upper level is
+    The upper level is within 0.1 x the step below the highest cell, the lower level
+    as near to a step below. W is twice the farthest that a cell of the upper level is
     from its edge, the width of a ridge. Kept are the upper level's cells W / 3 or more from the
     edge, and the lower level's ones up to W from the upper level and W / 3 from all else; where the
     lower level is narrower than W, a third of its own width.

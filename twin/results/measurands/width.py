@@ -84,7 +84,7 @@ def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> 
     found = bar_width(s, z)
     scatter = 0.0 if points.sigma_mm is None else float(np.sqrt(np.mean(points.sigma_mm**2)))
     if found.height_mm <= SIGMAS_ABOVE_NOISE * scatter:
-        raise FitError("width: no ground beside the walls is seen")
+        raise FitError("width: no ground next to the walls is visible")
     touched = np.bincount(where, points.touching)[full] > 0
     for edge in (found.left_mm, found.right_mm):
         at = int(np.searchsorted(s, edge))
@@ -95,7 +95,7 @@ def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> 
     for edge in (found.left_mm, found.right_mm):
         at = int(np.argmin(np.abs(s - edge)))
         sigma = _mean_sigma(points, where == np.flatnonzero(full)[at])
-        # What the height errs by, and where within its cell the profile crosses.
+        # The height's error, and the position within its cell where the profile crosses.
         noise += (sigma / max(abs(float(slope[at])), 1e-9)) ** 2 + pitch**2 / 12
     edges = _between_edges(found, place[:, 0], (s, z, counts[full].astype(np.float64)))
     return FittedValue(found.width_mm, float(np.sqrt(noise)), points.points_mm, edges, points)
@@ -106,8 +106,8 @@ def _between_edges(
 ) -> FittedDimension:
     """Return how a width at half height follows from the heights of a section's points.
 
-    The width errs by the heights of the four cells between which the profile crosses. What bounds
-    it is a shape whose two flanks may shift, each by itself, and whose level is free.
+    The width errs by the heights of the four cells between which the profile crosses. For the
+    bound the model is a shape with two independently shifting flanks and a free level.
 
     Parameters
     ----------
