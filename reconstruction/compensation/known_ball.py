@@ -1,15 +1,15 @@
-"""Calibrate a sheet on one press of a known ball: thickness, modulus, how its rim gives; mm, kPa.
+"""Calibrate thickness, modulus and rim compliance of a sheet on a press of a known ball; mm, kPa.
 
-What one press determines: the local thickness over the ball, by its radius; and with known air the
-tension of the free span, so the modulus. What it does not: thickness and pre-stretch apart. A sheet
-stretched more into its frame is thinner by the square of it before anything touches: along that
-ridge, h s^-2 nearly constant, nothing measured changes. The thickness is that at the pre-stretch
-taken, and serves every later press of the same mounted sheet.
+One press determines the local thickness over the ball, from its radius, and with known air pressure
+the tension of the free span and so the modulus. It does not separate thickness h and pre-stretch s:
+a mounted sheet is thinner by s^-2, and no measured quantity changes if h s^-2 is nearly constant.
+The calibrated thickness therefore belongs to the stated pre-stretch; it is valid for every later
+press of the same mounted sheet.
 
-A rim that gives leaves the sheet thicker over the ball. Its compliance is fitted where it is stated
-as uncertain, with what was believed of it and whatever else tells: with a known travel the tip of
-the ball, which lies where the stage has put it, z = travel - h s^-2 above the mounted coat; with a
-modulus known from elsewhere the tension of the free span. Weighted least squares, Gauss-Newton.
+With a compliant rim the sheet over the ball is thicker. The compliance is fitted if it has an
+uncertainty, using its prior value and the additional data that exist. A known travel gives the
+height of the ball's tip, z = travel - h s^-2 above the mounted coat. A modulus known from
+elsewhere gives the tension of the free span. Weighted least squares, Gauss-Newton.
 """
 
 from collections.abc import Iterator
@@ -26,29 +26,29 @@ from reconstruction.evaluate.estimates import ball_radius
 
 _MOST_TURNS = 6
 _CLOSE_MM, _CLOSE_MM2_PER_N = 1e-5, 0.05
-# Error of the free span's modulus, and what a mm of thickness adds in a frame of 12 mm, where the
-# sheet bends: against the one-dimensional solver, tests/compensation.
+# Error of the free span's modulus, and its increase per mm of thickness in a frame of 12 mm, where
+# the sheet bends; compared with the one-dimensional solver, tests/compensation.
 _MODULUS_THEORY, _MODULUS_PER_MM = 0.02, 0.15
-# Of the tip's place, beside what the theory leaves out of a radius: against the twin's sheet.
+# Error of the tip's height in addition to `theory_mm` of a radius; compared with the twin's sheet.
 _TIP_THEORY_MM = 2e-3
-# By which the rim gives more for its derivative, times shear modulus times thickness.
+# Increase of the rim's compliance for its derivative, times shear modulus times thickness.
 _STEP_MM = 0.05
-# Of the thickness and of the modulus in the layer file. A thickness is measured or cast to some per
-# cent; a hardness gives a modulus to 20 %. A wrong unit or ball gives more.
+# Allowed factor to the thickness and the modulus of the layer file. A thickness is known to a few
+# per cent, a modulus from the hardness to 20 %. A wrong unit or ball gives a larger factor.
 _THICKNESS_FACTOR, _MODULUS_FACTOR = 2.0, 3.0
-# During the iteration, which may pass the solution.
+# Allowed factor during the iteration, which may overshoot the solution.
 _STEP_FACTOR = 5.0
-# Relative, k = 1: with k = 2 half of the value, which is then not determined.
+# Standard uncertainty over the value. Above it the expanded uncertainty (k = 2) exceeds 50 %.
 _MOST_RELATIVE_SIGMA = 0.25
-# Radii of balls of one diameter, over their mean: a sheet is not equally thick everywhere.
+# Range over mean of the radii of equal balls: the thickness of a sheet is not uniform.
 _MOST_RADIUS_SPREAD = 0.1
-# A softer rim holds nothing, and no elastomer file takes it.
+# Limit of a usable rim, and of the elastomer file's key.
 _SOFTEST_MM2_PER_N = 100.0
 
 
 @dataclass(frozen=True)
 class KnownTravel:
-    """Travel of the stage after first touch, and its standard uncertainty, mm."""
+    """Travel of the stage after first contact, and its standard uncertainty, mm."""
 
     travel_mm: float
     sigma_mm: float
@@ -56,16 +56,16 @@ class KnownTravel:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedSheet:
-    """A sheet as one press of a known ball tells it.
+    """Values of a sheet calibrated on one press of a known ball.
 
     Attributes
     ----------
-    layer : with thickness, modulus and the rim's compliance found, and their standard
+    layer : with the fitted thickness, modulus and rim compliance and their standard
         uncertainties; the pre-stretch counts as exact, as later presses share it
-    radius_before_mm : of the ball by the layer as it was believed
-    balls : how many parts were balls
-    thickness_per_pre_stretch_mm : by how much the thickness would grow per unit of pre-stretch
-    modulus_found : whether the free span told one
+    radius_before_mm : radius of the ball with the layer's values before the calibration
+    balls : number of contact parts that are balls
+    thickness_per_pre_stretch_mm : change of the thickness per unit of pre-stretch
+    modulus_found : whether the free span determined a modulus
     rim_found : whether the rim's compliance was fitted
     """
 
@@ -86,19 +86,20 @@ def calibrate_sheet(
     sigma_radius_mm: float = 0.0,
     travel: KnownTravel | None = None,
 ) -> CalibratedSheet:
-    """Find the thickness with which the ball has its radius, and the modulus of the free span.
+    """Fit the thickness that gives the ball its radius, and the modulus of the free span.
 
     Parameters
     ----------
     points_mm, sigma_z_mm : as `compensate_sheet`
-    layer : as it is believed: where to begin; its rim's compliance is fitted where it has a sigma
+    layer : prior values, at which the fit starts; its rim's compliance is fitted if its sigma is
+        not 0
     ball_radius_mm, sigma_radius_mm : of every ball in contact, and its standard uncertainty
-    travel : where the stage tells it; serves the rim's compliance
+    travel : of the stage, if known; used for the rim's compliance
 
     Raises
     ------
-    FitError : no part is a ball, balls differ, no thickness and no rim give the radius, or they are
-        not determined, or thickness or modulus are far from those of the layer
+    FitError : no part is a ball; balls differ; no thickness and no rim give the radius, or they are
+        not determined; or thickness or modulus are far from those of the layer
     InputError : the radius is no positive number
     """
     require_number("ball radius", ball_radius_mm, 0.0, open_low=True)
@@ -111,7 +112,7 @@ def calibrate_sheet(
     _require_modulus(known.believed, told.modulus_kpa)
     if here.rim_compliance_mm2_per_n > _SOFTEST_MM2_PER_N:
         raise FitError(
-            f"calibration: the rim would give by {here.rim_compliance_mm2_per_n:.3g} mm^2/N, "
+            f"calibration: the rim has a compliance of {here.rim_compliance_mm2_per_n:.3g} mm^2/N, "
             f"allowed 0 to {_SOFTEST_MM2_PER_N:g}; check travel and modulus of the layer"
         )
     calibrated = replace(
@@ -133,11 +134,11 @@ def calibrate_sheet(
 
 
 def require_determined(name: str, value: float, sigma: float) -> None:
-    """Check that a calibrated number is known better than to 25 %.
+    """Check that the standard uncertainty of a calibrated number is at most 25 % of it.
 
     Raises
     ------
-    FitError : it is not
+    FitError : the uncertainty is larger
     """
     if not sigma <= _MOST_RELATIVE_SIGMA * abs(value):
         raise FitError(
@@ -167,7 +168,7 @@ def _require_equal(balls: list[ObjectPart]) -> None:
 
 @dataclass(frozen=True)
 class _Known:
-    """What is known before, and of the ball."""
+    """Values known before the calibration, and the ball's radius."""
 
     believed: SheetLayer
     radius_mm: float
@@ -181,7 +182,7 @@ class _Known:
 
 @dataclass(frozen=True)
 class _Told:
-    """What a press tells of its balls with a layer, and how that changes with the thickness."""
+    """Measurements of the balls of one press with a layer, and their derivatives by thickness."""
 
     radius_mm: float
     radius_by_thickness: float
@@ -196,7 +197,7 @@ class _Told:
 def _converged(
     points_mm: FloatArray, sigma_z_mm: FloatArray, known: _Known
 ) -> tuple[SheetLayer, float, _Told, _Told | None, "_Fit"]:
-    """Return the layer found, the radius before, what the press tells there, and the last step."""
+    """Return the fitted layer, the first radius, the last press, its softer one and step."""
     here, before = known.believed, 0.0
     for turn in range(_MOST_TURNS):
         told = _told(points_mm, sigma_z_mm, here)
@@ -236,7 +237,7 @@ def _softer(layer: SheetLayer) -> SheetLayer:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """One step of Gauss-Newton in thickness and compliance, and their standard uncertainties."""
+    """One Gauss-Newton step of thickness and compliance, and their standard uncertainties."""
 
     step: FloatArray
     sigma: FloatArray
@@ -269,7 +270,7 @@ def _fit(known: _Known, here: SheetLayer, told: _Told, softer: _Told | None) -> 
     matrix, left = np.array(slopes), np.array(miss)
     step = np.linalg.lstsq(matrix, left, rcond=None)[0]
     if softer is not None and step[1] < -here.rim_compliance_mm2_per_n:
-        # No rim pushes: at most it is rigid.
+        # A rim cannot have a negative compliance; the limit is a rigid rim.
         rigid = -here.rim_compliance_mm2_per_n
         alone = np.linalg.lstsq(matrix[:, :1], left - matrix[:, 1] * rigid, rcond=None)[0]
         step = np.array([alone[0], rigid])
@@ -279,9 +280,9 @@ def _fit(known: _Known, here: SheetLayer, told: _Told, softer: _Told | None) -> 
 def _further(
     known: _Known, here: SheetLayer, told: _Told, softer: _Told
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield what else tells of the rim, over its sigma: miss, slope by thickness, and change.
+    """Yield further equations for the rim, over their sigma: misfit and two differences.
 
-    The change is that of a softer rim.
+    The differences are the derivative by thickness and the change for a softer rim.
     """
     believed = known.believed
     prior, at = believed.sigma_rim_compliance_mm2_per_n, here.rim_compliance_mm2_per_n
@@ -321,7 +322,7 @@ def _require_thickness(known: _Known, thickness_mm: float, factor: float) -> Non
 
 
 def _moved(known: _Known, here: SheetLayer, fit: _Fit) -> SheetLayer:
-    """Return the layer a step on.
+    """Return the layer after one more step.
 
     Raises
     ------
@@ -346,11 +347,11 @@ def _modulus_by_rim(here: SheetLayer, told: _Told, softer: _Told | None) -> floa
 
 
 def _with_modulus(layer: SheetLayer, modulus_kpa: float, of_rim_kpa: float) -> SheetLayer:
-    """Return the layer with the modulus of its free span; E h is what the air weighs.
+    """Return the layer with the modulus of its free span; the air pressure determines E h.
 
     Parameters
     ----------
-    of_rim_kpa : standard uncertainty by the rim's compliance
+    of_rim_kpa : standard uncertainty from the rim's compliance
     """
     shares = (
         _MODULUS_THEORY + _MODULUS_PER_MM * layer.thickness_mm,
@@ -363,7 +364,7 @@ def _with_modulus(layer: SheetLayer, modulus_kpa: float, of_rim_kpa: float) -> S
 
 
 def _mean_ball(found: CompensatedSheet, balls: list[ObjectPart]) -> tuple[float, float, float]:
-    """Return the balls' mean radius, its derivative by the thickness, and their mean tip."""
+    """Return the balls' mean radius, its derivative by the thickness, and their mean tip height."""
     small = 1e-3 * found.layer.thickness_mm
     slopes, tips = [], []
     for ball in balls:
