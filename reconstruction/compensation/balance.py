@@ -170,8 +170,8 @@ def footing_of(
     width_mm = float(np.hypot(sigma_mm, layer.thickness_mm))
     carried = (pressure > balance.least_kpa) & relief.measured & off_the_rim(relief)
     pressed = _up_to_half(carried, pressure, relief, width_mm)
-    apart_mm = ndimage.distance_transform_edt(pressed, sampling=relief.pitch_mm[::-1])
-    off_edges = apart_mm > _HALF_WIDTH * width_mm + min(relief.pitch_mm)
+    edge_distance_mm = ndimage.distance_transform_edt(pressed, sampling=relief.pitch_mm[::-1])
+    off_edges = edge_distance_mm > _HALF_WIDTH * width_mm + min(relief.pitch_mm)
     # A contact of one or two cells width after that was a line contact.
     sure = np.asarray(ndimage.binary_opening(off_edges, np.ones((3, 3))))
     return Footing(sure, _unevenness(shape.bend_per_mm, pressed, relief, _NEAR_WIDTHS * width_mm))
@@ -209,8 +209,8 @@ def _narrowest(
 def free_span(relief: Relief, contact: BoolArray) -> BoolArray:
     """Return the cells of the free span, without those near contact, rim or gaps."""
     reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(relief.pitch_mm)))
-    apart = ndimage.binary_erosion(relief.measured & ~contact, iterations=reach)
-    return np.asarray(apart & off_the_rim(relief))
+    away_from_contact = ndimage.binary_erosion(relief.measured & ~contact, iterations=reach)
+    return np.asarray(away_from_contact & off_the_rim(relief))
 
 
 def _pressure(
@@ -236,10 +236,10 @@ def _up_to_half(
     half = ndimage.maximum_filter(np.where(contact, pressure_kpa, 0.0), reach) / 2
     for _ in range(reach):
         edge = contact & ~ndimage.binary_erosion(contact)
-        off = edge & (pressure_kpa < half)
-        if not off.any():
+        beyond_edge = edge & (pressure_kpa < half)
+        if not beyond_edge.any():
             break
-        contact = contact & ~off
+        contact = contact & ~beyond_edge
     return contact
 
 

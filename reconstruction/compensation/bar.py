@@ -184,39 +184,39 @@ class _Edge:
     on_edge: bool
 
 
-def bar_under_sheet(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
+def bar_under_sheet(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
     """Measure the width of a bar with a flat top.
 
     Raises
     ------
     FitError : no air pressure, a sheet that sticks, or a top or spans that give no width
     """
-    if found.layer.back_pressure_kpa <= 0:
+    if result.layer.back_pressure_kpa <= 0:
         raise FitError("width: back_pressure_kpa is 0; air must press the sheet onto the bar")
-    if found.layer.sticks:
+    if result.layer.sticks:
         raise FitError("width: the tension at an edge is unknown for a sheet that sticks")
-    bar = _placed(found, bar)
+    bar = _placed(result, bar)
     for _ in range(_TURNS):
-        told = _told(found, bar)
-        if not bar.width_mm / 2 < told.width_mm < 2 * bar.width_mm:
-            raise FitError(f"width: found {told.width_mm:.2f} mm, not near {bar.width_mm:g} mm")
-        bar = replace(bar, width_mm=told.width_mm)
-    return told
+        measured = _measured_width(result, bar)
+        if not bar.width_mm / 2 < measured.width_mm < 2 * bar.width_mm:
+            raise FitError(f"width: found {measured.width_mm:.2f} mm, not near {bar.width_mm:g} mm")
+        bar = replace(bar, width_mm=measured.width_mm)
+    return measured
 
 
-def _placed(found: CompensatedSheet, bar: BarPlace) -> BarPlace:
+def _placed(result: CompensatedSheet, bar: BarPlace) -> BarPlace:
     """Return the bar centred between its flanks, aligned with the middles of its two halves."""
     turn, shift = np.deg2rad(bar.along_deg), _MIDDLE_SHARE * bar.length_mm / 4
     along = np.array([-np.sin(turn), np.cos(turn)])
     across = np.array([along[1], -along[0]])
     middle = np.array([bar.x_mm, bar.y_mm])
-    points = found.relief.points_mm[found.relief.measured]
+    points = result.relief.points_mm[result.relief.measured]
     own = (points[:, :2] - middle) @ np.stack([across, along], axis=1)
     near, ends = np.abs(own[:, 0]) < bar.width_mm / 2 + _ASIDE_MM, []
     for side in (-1.0, 1.0):
         half = near & (np.abs(own[:, 1] - side * shift) < shift)
         between = _between_flanks(
-            own[half, 0], points[half, 2], found.relief.pitch_mm[0], bar.width_mm / 3
+            own[half, 0], points[half, 2], result.relief.pitch_mm[0], bar.width_mm / 3
         )
         ends.append(middle + between * across + side * shift * along)
     (x, y), line = np.mean(ends, axis=0), ends[1] - ends[0]
@@ -251,10 +251,10 @@ def _between_flanks(
     return float(first + (left[-1] + right[0] + 1) / 2) * pitch_mm
 
 
-def _told(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
-    axes = _Axes.of(found, bar)
-    sheet = _sheet(found, axes, bar)
-    spans = [_span(found, axes, bar, sheet, side) for side in (-1.0, 1.0)]
+def _measured_width(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
+    axes = _Axes.of(result, bar)
+    sheet = _sheet(result, axes, bar)
+    spans = [_span(result, axes, bar, sheet, side) for side in (-1.0, 1.0)]
 
     def edges(of: _Sheet, radius_mm: float) -> list[_Edge]:
         # With a thicker sheet the bar's top is deeper below the coat.
@@ -262,19 +262,22 @@ def _told(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
         return [_edge(span, of, radius_mm, drop_mm) for span in spans]
 
     def width(of: _Sheet, radius_mm: float) -> float:
-        return sum(one.across_mm for one in edges(of, radius_mm)) + 2 * radius_mm
+        return sum(edge.across_mm for edge in edges(of, radius_mm)) + 2 * radius_mm
 
     radius, best = bar.edge_radius_mm, width(sheet, bar.edge_radius_mm)
-    here, layer = edges(sheet, radius), [width(one, radius) - best for one in _moved(found, sheet)]
+    here, layer = (
+        edges(sheet, radius),
+        [width(changed, radius) - best for changed in _moved(result, sheet)],
+    )
     shares = {
-        "noise_mm": float(np.linalg.norm([one.noise_mm for one in here])),
+        "noise_mm": float(np.linalg.norm([edge.noise_mm for edge in here])),
         "layer_mm": float(np.linalg.norm(layer)),
         "edge_mm": abs(width(sheet, radius + bar.sigma_edge_radius_mm) - best),
-        "theory_mm": sum(_theory_mm(one) for one in here),
+        "theory_mm": sum(_theory_mm(edge) for edge in here),
     }
-    left, right = (float(np.rad2deg(one.turn_rad)) for one in here)
+    left, right = (float(np.rad2deg(edge.turn_rad)) for edge in here)
     sigma = float(np.linalg.norm(list(shares.values())))
-    on_edge = all(one.on_edge for one in here)
+    on_edge = all(edge.on_edge for edge in here)
     return BarUnderSheet(best, sigma, turn_deg=(left, right), on_edge=on_edge, **shares)
 
 
@@ -287,15 +290,15 @@ class _Axes:
     band: BoolArray
 
     @classmethod
-    def of(cls, found: CompensatedSheet, bar: BarPlace) -> "_Axes":
-        turn, relief = np.deg2rad(bar.along_deg), found.relief
+    def of(cls, result: CompensatedSheet, bar: BarPlace) -> "_Axes":
+        turn, relief = np.deg2rad(bar.along_deg), result.relief
         along, middle = np.array([-np.sin(turn), np.cos(turn), 0.0]), (bar.x_mm, bar.y_mm, 0.0)
         own = (relief.points_mm - middle) @ np.stack([np.cross(along, (0, 0, 1.0)), along], axis=1)
         band = (np.abs(own[..., 1]) < _MIDDLE_SHARE * bar.length_mm / 2) & relief.measured
         top = band & (np.abs(own[..., 0]) < bar.width_mm / 2 - bar.edge_radius_mm - _TOP_OFF_MM)
         if top.sum() < _LEAST_CELLS:
             raise FitError(f"width: {int(top.sum())} cells on the bar's top, {_LEAST_CELLS} needed")
-        points = found.object_mm[top]
+        points = result.object_mm[top]
         flat = fit_plane(points)
         flat = fit_plane(points[inliers(flat.residuals_mm)])
         along -= (along @ flat.normal) * flat.normal
@@ -309,76 +312,79 @@ class _Axes:
         return np.asarray((points_mm - self.middle_mm) @ self.rotation.T)
 
 
-def _sheet(found: CompensatedSheet, axes: _Axes, bar: BarPlace) -> _Sheet:
-    layer, across = found.layer, axes.own(found.relief.points_mm)[..., 0]
-    beside = axes.band & (np.abs(np.abs(across) - bar.width_mm / 2) < _SPAN_MM)
-    thinning = float(np.median(found.thinning[beside]))
+def _sheet(result: CompensatedSheet, axes: _Axes, bar: BarPlace) -> _Sheet:
+    layer, across = result.layer, axes.own(result.relief.points_mm)[..., 0]
+    near_walls = axes.band & (np.abs(np.abs(across) - bar.width_mm / 2) < _SPAN_MM)
+    thinning = float(np.median(result.thinning[near_walls]))
     return _Sheet(layer.thickness_mm, layer.young_modulus_kpa, layer.back_pressure_kpa, thinning)
 
 
-def _moved(found: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
+def _moved(result: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
     """Return the sheet with each of its values changed by one standard uncertainty."""
-    layer = found.layer
+    layer = result.layer
     return [
         replace(sheet, thickness_mm=sheet.thickness_mm + layer.sigma_thickness_mm),
         replace(sheet, young_modulus_kpa=sheet.young_modulus_kpa + layer.sigma_young_modulus_kpa),
         replace(sheet, pressure_kpa=sheet.pressure_kpa + layer.sigma_back_pressure_kpa),
-        replace(sheet, thinning=sheet.thinning + float(np.median(found.sigma_thinning))),
+        replace(sheet, thinning=sheet.thinning + float(np.median(result.sigma_thinning))),
     ]
 
 
-def _span(found: CompensatedSheet, axes: _Axes, bar: BarPlace, sheet: _Sheet, side: float) -> _Span:
+def _span(
+    result: CompensatedSheet, axes: _Axes, bar: BarPlace, sheet: _Sheet, side: float
+) -> _Span:
     """Fit the span next to an edge, twice: the first fit gives the length of bending decay."""
     tail = 2 * sheet.local_mm
     for _ in range(2):
-        span = _fitted(found, axes, (side, bar.width_mm / 2), _TAILS * tail)
+        span = _fitted(result, axes, (side, bar.width_mm / 2), _TAILS * tail)
         tail = sheet.tail_mm(sheet.tension(span.curvature_per_mm))
     return span
 
 
 def _fitted(
-    found: CompensatedSheet, axes: _Axes, wall: tuple[float, float], clear_mm: float
+    result: CompensatedSheet, axes: _Axes, wall: tuple[float, float], clear_mm: float
 ) -> _Span:
-    relief, own, (side, half_mm) = found.relief, axes.own(found.relief.points_mm), wall
+    relief, own, (side, half_mm) = result.relief, axes.own(result.relief.points_mm), wall
     beyond = side * own[..., 0] - half_mm
-    start = found.layer.thickness_mm + relief.pitch_mm[0] + clear_mm
-    end = min(start + _SPAN_MM, _free_to_mm(found, axes, beyond) - clear_mm)
-    kept = axes.band & (beyond > start) & (beyond < end)
-    if kept.sum() < _LEAST_CELLS:
+    start = result.layer.thickness_mm + relief.pitch_mm[0] + clear_mm
+    end = min(start + _SPAN_MM, _free_to_mm(result, axes, beyond) - clear_mm)
+    span_cells = axes.band & (beyond > start) & (beyond < end)
+    if span_cells.sum() < _LEAST_CELLS:
         raise FitError(
-            f"width: {int(kept.sum())} cells of a free span next to the bar, {_LEAST_CELLS} needed"
+            f"width: {int(span_cells.sum())} cells of a free span next to the bar, "
+            f"{_LEAST_CELLS} needed"
         )
-    across, along, up = np.moveaxis(own[kept], -1, 0)
-    return _arc(np.stack((side * across, up, along), axis=-1), kept, found)
+    across, along, up = np.moveaxis(own[span_cells], -1, 0)
+    return _arc(np.stack((side * across, up, along), axis=-1), span_cells, result)
 
 
-def _free_to_mm(found: CompensatedSheet, axes: _Axes, beyond_mm: FloatArray) -> float:
+def _free_to_mm(result: CompensatedSheet, axes: _Axes, beyond_mm: FloatArray) -> float:
     """Return the distance from the wall at which the sheet touches or is clamped again.
 
     Uses the contact pressure averaged along the bar: in the map, texture makes specks of contact.
     """
-    pitch = found.relief.pitch_mm[0]
+    pitch = result.relief.pitch_mm[0]
     cells = axes.band & (beyond_mm > 0)
     number = (beyond_mm[cells] / pitch).astype(int)
     count = np.maximum(np.bincount(number), 1)
-    free = off_the_rim(found.relief)[cells].astype(float)
-    pressure, inner = (np.bincount(number, of) / count for of in (found.pressure_kpa[cells], free))
-    taken = (pressure > found.layer.back_pressure_kpa / 2) | (inner < 1)
+    free = off_the_rim(result.relief)[cells].astype(float)
+    pressure, inner = (np.bincount(number, of) / count for of in (result.pressure_kpa[cells], free))
+    taken = (pressure > result.layer.back_pressure_kpa / 2) | (inner < 1)
     first = int(np.ceil(3 * CURVATURE_SIGMA_MM / pitch))
     again = np.flatnonzero(taken[first:])
     return float(first + again[0] if len(again) else len(taken)) * pitch - CURVATURE_SIGMA_MM
 
 
-def _arc(points: FloatArray, kept: BoolArray, found: CompensatedSheet) -> _Span:
+def _arc(points: FloatArray, span_cells: BoolArray, result: CompensatedSheet) -> _Span:
     """Fit an arc to points (n, across up along); place and angle may change along the bar."""
     origin, y = points[:, :2].mean(axis=0), points[:, 2]
     across, up = (points[:, :2] - origin).T
     angle, curvature = float(np.arctan(-np.polyfit(across, up, 1)[0])), 0.0
-    used, one = np.ones(len(y), bool), np.ones_like(y)
+    used, ones = np.ones(len(y), bool), np.ones_like(y)
     for _ in range(_ARC_TURNS):
         c, s = np.cos(angle), np.sin(angle)
         place, height = across * c - up * s, across * s + up * c
-        design = np.column_stack([one, place, place**2, y, y**2, place * y, place * y**2])
+        design = np.column_stack([ones, place, place**2, y, y**2, place * y, place * y**2])
         flat = height - _over_parabola(place, curvature)
         sagging, slope, half, *_ = fitted = np.linalg.lstsq(design[used], flat[used])[0]
         rest = flat - design @ fitted
@@ -386,11 +392,11 @@ def _arc(points: FloatArray, kept: BoolArray, found: CompensatedSheet) -> _Span:
         angle, curvature = angle - float(np.arctan(slope)), float(2 * half)
     if curvature <= 0:
         raise FitError("width: the coat next to the bar is not curved like a free span")
-    spread, members = np.zeros(kept.shape), np.zeros(kept.shape, bool)
-    spread[kept], members[kept] = rest, used
-    variance, area = variance_and_area(spread, members, found.relief.cell_area_mm2)
+    spread, members = np.zeros(span_cells.shape), np.zeros(span_cells.shape, bool)
+    spread[span_cells], members[span_cells] = rest, used
+    variance, area = variance_and_area(spread, members, result.relief.cell_area_mm2)
     covariance = np.linalg.inv(design[used].T @ design[used])[:3, :3] * variance
-    together = area / found.relief.cell_area_mm2
+    together = area / result.relief.cell_area_mm2
     return _Span(
         origin, angle, float(sagging), curvature, covariance * together, float(place.min())
     )

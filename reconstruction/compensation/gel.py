@@ -153,20 +153,20 @@ def compensate_gel(relief: Relief, layer: GelLayer) -> CompensatedGel:
 def _pressure(deflect: Deflect, heights_mm: FloatArray, known: FloatArray) -> FloatArray:
     """Return the non-negative pressure over modulus with the least misfit of the heights."""
     largest = _largest_compliance(deflect, known)
-    found = np.maximum(known * heights_mm, 0.0) / largest
+    pressure = np.maximum(known * heights_mm, 0.0) / largest
     # One factor for the size of the deflection; the passes find the shape.
-    first = deflect(found)
-    found *= max(float(np.sum(known * first * heights_mm) / np.sum(known * first**2)), 0.0)
-    ahead, momentum = found, 1.0
+    first = deflect(pressure)
+    pressure *= max(float(np.sum(known * first * heights_mm) / np.sum(known * first**2)), 0.0)
+    ahead, momentum = pressure, 1.0
     for _ in range(_PASSES):
         downhill = known * deflect(known * (deflect(ahead) - heights_mm))
         moved = np.maximum(ahead - downhill / largest**2, 0.0)
-        if float(np.sum((ahead - moved) * (moved - found))) > 0:
+        if float(np.sum((ahead - moved) * (moved - pressure))) > 0:
             momentum = 1.0  # the step reverses: restart
         after = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
-        ahead = moved + (momentum - 1) / after * (moved - found)
-        found, momentum = moved, after
-    return found
+        ahead = moved + (momentum - 1) / after * (moved - pressure)
+        pressure, momentum = moved, after
+    return pressure
 
 
 def _largest_compliance(deflect: Deflect, known: FloatArray) -> float:

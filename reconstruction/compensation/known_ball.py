@@ -105,11 +105,11 @@ def calibrate_sheet(
     require_number("ball radius", ball_radius_mm, 0.0, open_low=True)
     require_number("sigma of the ball radius", sigma_radius_mm, 0.0)
     known = _Known(layer, ball_radius_mm, sigma_radius_mm, travel)
-    here, before, told, softer, fit = _converged(points_mm, sigma_z_mm, known)
+    here, before, measured, softer, fit = _converged(points_mm, sigma_z_mm, known)
     _require_settled(fit)
     _require_thickness(known, here.thickness_mm, _THICKNESS_FACTOR)
     require_determined("thickness_mm", here.thickness_mm, float(fit.sigma[0]))
-    _require_modulus(known.believed, told.modulus_kpa)
+    _require_modulus(known.prior, measured.modulus_kpa)
     if here.rim_compliance_mm2_per_n > _SOFTEST_MM2_PER_N:
         raise FitError(
             f"calibration: the rim has a compliance of {here.rim_compliance_mm2_per_n:.3g} mm^2/N, "
@@ -121,12 +121,12 @@ def calibrate_sheet(
         sigma_pre_stretch=0.0,
         sigma_rim_compliance_mm2_per_n=fit.sigma[1] if known.fits_rim else 0.0,
     )
-    free = told.modulus_kpa
-    of_rim = _modulus_by_rim(here, told, softer) * calibrated.sigma_rim_compliance_mm2_per_n
+    free = measured.modulus_kpa
+    of_rim = _modulus_by_rim(here, measured, softer) * calibrated.sigma_rim_compliance_mm2_per_n
     return CalibratedSheet(
         layer=calibrated if free is None else _with_modulus(calibrated, free, of_rim),
         radius_before_mm=before,
-        balls=told.balls,
+        balls=measured.balls,
         thickness_per_pre_stretch_mm=2 * here.thickness_mm / here.pre_stretch,
         modulus_found=free is not None,
         rim_found=known.fits_rim,
@@ -170,18 +170,18 @@ def _require_equal(balls: list[ObjectPart]) -> None:
 class _Known:
     """Values known before the calibration, and the ball's radius."""
 
-    believed: SheetLayer
+    prior: SheetLayer
     radius_mm: float
     sigma_radius_mm: float
     travel: KnownTravel | None
 
     @property
     def fits_rim(self) -> bool:
-        return self.believed.sigma_rim_compliance_mm2_per_n > 0
+        return self.prior.sigma_rim_compliance_mm2_per_n > 0
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Balls:
     """Measurements of the balls of one press with a layer, and their derivatives by thickness."""
 
     radius_mm: float
@@ -196,35 +196,35 @@ class _Told:
 
 def _converged(
     points_mm: FloatArray, sigma_z_mm: FloatArray, known: _Known
-) -> tuple[SheetLayer, float, _Told, _Told | None, "_Fit"]:
+) -> tuple[SheetLayer, float, _Balls, _Balls | None, "_Fit"]:
     """Return the fitted layer, the first radius, the last press, its softer one and step."""
-    here, before = known.believed, 0.0
+    here, before = known.prior, 0.0
     for turn in range(_MOST_TURNS):
-        told = _told(points_mm, sigma_z_mm, here)
-        before = told.radius_mm if turn == 0 else before
-        softer = _told(points_mm, sigma_z_mm, _softer(here)) if known.fits_rim else None
-        fit = _fit(known, here, told, softer)
+        measured = _measure_balls(points_mm, sigma_z_mm, here)
+        before = measured.radius_mm if turn == 0 else before
+        softer = _measure_balls(points_mm, sigma_z_mm, _softer(here)) if known.fits_rim else None
+        fit = _fit(known, here, measured, softer)
         if fit.is_close or turn == _MOST_TURNS - 1:
             break
         here = _moved(known, here, fit)
-    return here, before, told, softer, fit
+    return here, before, measured, softer, fit
 
 
-def _told(points_mm: FloatArray, sigma_z_mm: FloatArray, layer: SheetLayer) -> _Told:
-    found = compensate_sheet(points_mm, sigma_z_mm, layer)
-    balls = [part for part in parts_of(found) if part.form == "ball"]
+def _measure_balls(points_mm: FloatArray, sigma_z_mm: FloatArray, layer: SheetLayer) -> _Balls:
+    compensated = compensate_sheet(points_mm, sigma_z_mm, layer)
+    balls = [part for part in parts_of(compensated) if part.form == "ball"]
     if not balls:
         raise FitError("calibration: no part of the contact is a ball; press one, with air")
     _require_equal(balls)
-    radius, slope, tip = _mean_ball(found, balls)
-    free = found.modulus_of_free_span_kpa()
-    return _Told(
+    radius, slope, tip = _mean_ball(compensated, balls)
+    free = compensated.modulus_of_free_span_kpa()
+    return _Balls(
         radius_mm=radius,
         radius_by_thickness=slope,
         noise_mm=float(np.sqrt(np.mean([ball.noise_mm**2 for ball in balls]) / len(balls))),
-        theory_mm=found.theory_mm(radius),
+        theory_mm=compensated.theory_mm(radius),
         tip_mm=tip,
-        thinning=float(np.mean([found.thinning[ball.core].mean() for ball in balls])),
+        thinning=float(np.mean([compensated.thinning[ball.core].mean() for ball in balls])),
         modulus_kpa=None if free is None else free[0],
         balls=len(balls),
     )
@@ -257,66 +257,68 @@ def _require_settled(fit: _Fit) -> None:
         )
 
 
-def _fit(known: _Known, here: SheetLayer, told: _Told, softer: _Told | None) -> _Fit:
-    sigma = float(np.linalg.norm([told.noise_mm, told.theory_mm, known.sigma_radius_mm]))
-    miss = [(known.radius_mm - told.radius_mm) / sigma]
-    slopes = [[told.radius_by_thickness / sigma]]
+def _fit(known: _Known, here: SheetLayer, measured: _Balls, softer: _Balls | None) -> _Fit:
+    sigma = float(np.linalg.norm([measured.noise_mm, measured.theory_mm, known.sigma_radius_mm]))
+    misfits = [(known.radius_mm - measured.radius_mm) / sigma]
+    slopes = [[measured.radius_by_thickness / sigma]]
     if softer is not None:
         per = 1 / (_softer(here).rim_compliance_mm2_per_n - here.rim_compliance_mm2_per_n)
-        slopes[0].append((softer.radius_mm - told.radius_mm) * per / sigma)
-        for one, by_thickness, by_compliance in _further(known, here, told, softer):
-            miss.append(one)
+        slopes[0].append((softer.radius_mm - measured.radius_mm) * per / sigma)
+        for misfit, by_thickness, by_compliance in _further(known, here, measured, softer):
+            misfits.append(misfit)
             slopes.append([by_thickness, by_compliance * per])
-    matrix, left = np.array(slopes), np.array(miss)
-    step = np.linalg.lstsq(matrix, left, rcond=None)[0]
+    matrix, target = np.array(slopes), np.array(misfits)
+    step = np.linalg.lstsq(matrix, target, rcond=None)[0]
     if softer is not None and step[1] < -here.rim_compliance_mm2_per_n:
         # A rim cannot have a negative compliance; the limit is a rigid rim.
         rigid = -here.rim_compliance_mm2_per_n
-        alone = np.linalg.lstsq(matrix[:, :1], left - matrix[:, 1] * rigid, rcond=None)[0]
-        step = np.array([alone[0], rigid])
+        thickness_only = np.linalg.lstsq(matrix[:, :1], target - matrix[:, 1] * rigid, rcond=None)[
+            0
+        ]
+        step = np.array([thickness_only[0], rigid])
     return _Fit(step, np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix))))
 
 
 def _further(
-    known: _Known, here: SheetLayer, told: _Told, softer: _Told
+    known: _Known, here: SheetLayer, measured: _Balls, softer: _Balls
 ) -> Iterator[tuple[float, float, float]]:
     """Yield further equations for the rim, over their sigma: misfit and two differences.
 
     The differences are the derivative by thickness and the change for a softer rim.
     """
-    believed = known.believed
-    prior, at = believed.sigma_rim_compliance_mm2_per_n, here.rim_compliance_mm2_per_n
+    prior = known.prior
+    prior_sigma, at = prior.sigma_rim_compliance_mm2_per_n, here.rim_compliance_mm2_per_n
     change = _softer(here).rim_compliance_mm2_per_n - at
-    yield (believed.rim_compliance_mm2_per_n - at) / prior, 0.0, change / prior
+    yield (prior.rim_compliance_mm2_per_n - at) / prior_sigma, 0.0, change / prior_sigma
     if known.travel is not None:
         mounted = here.pre_stretch**-2
         expected_mm = known.travel.travel_mm - here.thickness_mm * mounted
-        shares = told.noise_mm, told.theory_mm, _TIP_THEORY_MM, known.travel.sigma_mm
+        shares = measured.noise_mm, measured.theory_mm, _TIP_THEORY_MM, known.travel.sigma_mm
         sigma = float(np.linalg.norm(shares))
         yield (
-            (expected_mm - told.tip_mm) / sigma,
-            (mounted - told.thinning) / sigma,
-            (softer.tip_mm - told.tip_mm) / sigma,
+            (expected_mm - measured.tip_mm) / sigma,
+            (mounted - measured.thinning) / sigma,
+            (softer.tip_mm - measured.tip_mm) / sigma,
         )
-    if told.modulus_kpa and softer.modulus_kpa and believed.sigma_young_modulus_kpa:
-        theory = (_MODULUS_THEORY + _MODULUS_PER_MM * here.thickness_mm) * told.modulus_kpa
-        sigma = float(np.hypot(theory, believed.sigma_young_modulus_kpa))
+    if measured.modulus_kpa and softer.modulus_kpa and prior.sigma_young_modulus_kpa:
+        theory = (_MODULUS_THEORY + _MODULUS_PER_MM * here.thickness_mm) * measured.modulus_kpa
+        sigma = float(np.hypot(theory, prior.sigma_young_modulus_kpa))
         yield (
-            (believed.young_modulus_kpa - told.modulus_kpa) / sigma,
-            -told.modulus_kpa / here.thickness_mm / sigma,
-            (softer.modulus_kpa - told.modulus_kpa) / sigma,
+            (prior.young_modulus_kpa - measured.modulus_kpa) / sigma,
+            -measured.modulus_kpa / here.thickness_mm / sigma,
+            (softer.modulus_kpa - measured.modulus_kpa) / sigma,
         )
 
 
 def _require_thickness(known: _Known, thickness_mm: float, factor: float) -> None:
     """Raise FitError if a thickness is more than a factor away from that of the layer."""
-    believed_mm = known.believed.thickness_mm
-    if not believed_mm / factor <= thickness_mm <= believed_mm * factor:
+    prior_mm = known.prior.thickness_mm
+    if not prior_mm / factor <= thickness_mm <= prior_mm * factor:
         raise FitError(
             f"calibration: a radius of {known.radius_mm:g} mm would take a sheet of "
-            f"{thickness_mm:.3g} mm, allowed {believed_mm / _THICKNESS_FACTOR:.3g} to "
-            f"{believed_mm * _THICKNESS_FACTOR:.3g}; check the ball, and thickness_mm = "
-            f"{believed_mm:g} and back_pressure_kpa = {known.believed.back_pressure_kpa:g} of the "
+            f"{thickness_mm:.3g} mm, allowed {prior_mm / _THICKNESS_FACTOR:.3g} to "
+            f"{prior_mm * _THICKNESS_FACTOR:.3g}; check the ball, and thickness_mm = "
+            f"{prior_mm:g} and back_pressure_kpa = {known.prior.back_pressure_kpa:g} of the "
             "layer"
         )
 
@@ -338,12 +340,12 @@ def _moved(known: _Known, here: SheetLayer, fit: _Fit) -> SheetLayer:
     )
 
 
-def _modulus_by_rim(here: SheetLayer, told: _Told, softer: _Told | None) -> float:
+def _modulus_by_rim(here: SheetLayer, measured: _Balls, softer: _Balls | None) -> float:
     """Return the derivative of the free span's modulus by the compliance, kPa per mm^2/N."""
-    if softer is None or told.modulus_kpa is None or softer.modulus_kpa is None:
+    if softer is None or measured.modulus_kpa is None or softer.modulus_kpa is None:
         return 0.0
     change = _softer(here).rim_compliance_mm2_per_n - here.rim_compliance_mm2_per_n
-    return (softer.modulus_kpa - told.modulus_kpa) / change
+    return (softer.modulus_kpa - measured.modulus_kpa) / change
 
 
 def _with_modulus(layer: SheetLayer, modulus_kpa: float, of_rim_kpa: float) -> SheetLayer:
@@ -363,13 +365,15 @@ def _with_modulus(layer: SheetLayer, modulus_kpa: float, of_rim_kpa: float) -> S
     return replace(layer, young_modulus_kpa=modulus_kpa, sigma_young_modulus_kpa=sigma)
 
 
-def _mean_ball(found: CompensatedSheet, balls: list[ObjectPart]) -> tuple[float, float, float]:
+def _mean_ball(
+    compensated: CompensatedSheet, balls: list[ObjectPart]
+) -> tuple[float, float, float]:
     """Return the balls' mean radius, its derivative by the thickness, and their mean tip height."""
-    small = 1e-3 * found.layer.thickness_mm
+    small = 1e-3 * compensated.layer.thickness_mm
     slopes, tips = [], []
     for ball in balls:
-        points, core = found.object_mm[ball.core], ball.core
-        moved = points - small * (found.thinning[core, None] * found.normal[core])
+        points, core = compensated.object_mm[ball.core], ball.core
+        moved = points - small * (compensated.thinning[core, None] * compensated.normal[core])
         radius, fit = ball_radius(points)
         slopes.append((ball_radius(moved)[0].value - radius.value) / small)
         tips.append(fit.centre_mm[2] + fit.radius_mm)

@@ -67,8 +67,8 @@ class SurfaceMetric:
     @property
     def flat(self) -> "SurfaceMetric":
         """The surface of the mounted sheet."""
-        one, none = np.ones_like(self.xx), np.zeros_like(self.xx)
-        return replace(self, xx=one, xy=none, yy=one, squeeze=none)
+        ones, none = np.ones_like(self.xx), np.zeros_like(self.xx)
+        return replace(self, xx=ones, xy=none, yy=ones, squeeze=none)
 
     @property
     def determinant(self) -> FloatArray:
@@ -146,7 +146,7 @@ class _Elements:
         rows, cols = metric.xx.shape
         number = np.arange((rows + 1) * (cols + 1)).reshape(rows + 1, cols + 1)
         corners = (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
-        nodes = np.stack([one.ravel() for one in corners], axis=-1)
+        nodes = np.stack([corner.ravel() for corner in corners], axis=-1)
         step = (metric.x_mm[1] - metric.x_mm[0], metric.y_mm[1] - metric.y_mm[0])
         points = _GAUSS * 2 * _CORNERS
         slopes = np.stack([_slopes(point, step) for point in points])
@@ -298,8 +298,8 @@ def _along(
     slack = 1e-12 * abs(value)
     while share > _LEAST_SHARE:
         moved = place + share * step
-        kept = bool((elements.determinants(moved) > least).all())
-        if kept and elements.value(moved) <= value + 1e-4 * share * slope + slack:
+        admissible = bool((elements.determinants(moved) > least).all())
+        if admissible and elements.value(moved) <= value + 1e-4 * share * slope + slack:
             return moved, *elements.energy(moved)
         share /= 2
     raise FitError("membrane: no step lowers the energy; the relief is too rough: smooth it more")

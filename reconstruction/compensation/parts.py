@@ -136,17 +136,17 @@ class ObjectPart:
     pressure_kpa: float
 
 
-def parts_of(found: Compensated) -> list[ObjectPart]:
+def parts_of(compensated: Compensated) -> list[ObjectPart]:
     """Return the parts of the contact from -x to +x, without those of too few cells."""
-    labels, count = ndimage.label(found.contact)
-    core = without_blurred_edge(found.contact, found.relief, found.blur_mm)
+    labels, count = ndimage.label(compensated.contact)
+    core = without_blurred_edge(compensated.contact, compensated.relief, compensated.blur_mm)
     parts = []
     for number in range(1, count + 1):
         cells = labels == number
         own = cells & core
         if own.sum() >= _LEAST_CELLS:
             try:
-                parts.append(_fitted(found, cells, own))
+                parts.append(_fitted(compensated, cells, own))
             except FitError:  # too small or of no known form: it is in the map only
                 continue
     return sorted(parts, key=lambda part: part.middle_mm)
@@ -158,16 +158,16 @@ def without_blurred_edge(contact: BoolArray, relief: Relief, blur_mm: float) -> 
     return np.asarray(ndimage.binary_erosion(contact, iterations=reach))
 
 
-def _fitted(found: Compensated, cells: BoolArray, core: BoolArray) -> ObjectPart:
-    points, relief = found.object_mm[core], found.relief
+def _fitted(compensated: Compensated, cells: BoolArray, core: BoolArray) -> ObjectPart:
+    points, relief = compensated.object_mm[core], compensated.relief
     form, fit = _form(points)
     residual, radius, noise, layer, theory = fit_plane(points).residuals_mm, 0.0, 0.0, 0.0, 0.0
     if fit is not None:
         estimate = fit(points)
         residual, radius = estimate.residuals_mm[estimate.used], estimate.value
-        noise = _noise_mm(found, core, estimate)
-        layer = _layer_mm(found, core, lambda moved: fit(moved).value)
-        theory = found.theory_mm(radius)
+        noise = _noise_mm(compensated, core, estimate)
+        layer = _layer_mm(compensated, core, lambda moved: fit(moved).value)
+        theory = compensated.theory_mm(radius)
     row, col = np.nonzero(cells)
     return ObjectPart(
         cells=cells,
@@ -180,7 +180,7 @@ def _fitted(found: Compensated, cells: BoolArray, core: BoolArray) -> ObjectPart
         noise_mm=noise,
         layer_mm=layer,
         residual_um=1e3 * rms(residual),
-        pressure_kpa=float(found.pressure_kpa[cells].mean()),
+        pressure_kpa=float(compensated.pressure_kpa[cells].mean()),
     )
 
 
@@ -190,16 +190,16 @@ def _form(points_mm: FloatArray) -> tuple[Form, RadiusFit | None]:
     directions = np.linalg.svd(points_mm - points_mm.mean(axis=0), full_matrices=False)[2][:2]
     candidates: list[tuple[Form, RadiusFit]] = [("ball", _ball)]
     candidates += [("rod", partial(_rod, axis=axis)) for axis in directions]
-    found: tuple[Form, RadiusFit | None] = ("flat", None)
+    best: tuple[Form, RadiusFit | None] = ("flat", None)
     for form, fit in candidates:
         try:
             estimate = fit(points_mm)
         except FitError:
             continue
-        left = rms(estimate.residuals_mm[estimate.used])
-        if estimate.value < _LARGEST_RADIUS_MM and left < _MUCH_LESS * least:
-            least, found = left, (form, fit)
-    return found
+        residual_mm = rms(estimate.residuals_mm[estimate.used])
+        if estimate.value < _LARGEST_RADIUS_MM and residual_mm < _MUCH_LESS * least:
+            least, best = residual_mm, (form, fit)
+    return best
 
 
 def _ball(points_mm: FloatArray) -> FittedDimension:
@@ -210,26 +210,26 @@ def _rod(points_mm: FloatArray, axis: FloatArray) -> FittedDimension:
     return cylinder_radius(points_mm, axis)[0]
 
 
-def _noise_mm(found: Compensated, core: BoolArray, estimate: FittedDimension) -> float:
+def _noise_mm(compensated: Compensated, core: BoolArray, estimate: FittedDimension) -> float:
     """Return the standard uncertainty of a radius from noise and texture of the coat.
 
     Uses the residuals' variance along the normal as that along z; both are equal at gentle
     slopes.
     """
-    relief: Relief = found.relief
-    rest, kept = np.zeros(core.shape), np.zeros(core.shape, bool)
-    rest[core], kept[core] = estimate.residuals_mm, estimate.used
-    variance, area = variance_and_area(rest, kept, relief.cell_area_mm2)
+    relief: Relief = compensated.relief
+    rest, used = np.zeros(core.shape), np.zeros(core.shape, bool)
+    rest[core], used[core] = estimate.residuals_mm, estimate.used
+    variance, area = variance_and_area(rest, used, relief.cell_area_mm2)
     spread = np.full(int(core.sum()), np.sqrt(variance))
     return estimate.noise_mm(spread, area / relief.cell_area_mm2)
 
 
-def _layer_mm(found: Compensated, core: BoolArray, radius_of: RadiusOf) -> float:
+def _layer_mm(compensated: Compensated, core: BoolArray, radius_of: RadiusOf) -> float:
     """Return the uncertainty from the layer: its moves shift all points along their normals."""
-    points = found.object_mm[core]
+    points = compensated.object_mm[core]
     radius, changes = radius_of(points), [0.0]
-    for move in found.layer_moves_mm:
+    for move in compensated.layer_moves_mm:
         away = move[core]
         if away.any():
-            changes.append(radius_of(points - away[:, None] * found.normal[core]) - radius)
+            changes.append(radius_of(points - away[:, None] * compensated.normal[core]) - radius)
     return float(np.linalg.norm(changes))

@@ -86,39 +86,39 @@ class Relief:
         """
         rest = np.where(self.measured, self.heights_mm - self.smoothed(sigma_mm), 0.0)
         limit = 4 * spread(rest[self.measured])
-        kept = self.measured & (np.abs(rest) <= max(limit, 1e-12))
-        return variance_and_area(rest, kept, self.cell_area_mm2)
+        used = self.measured & (np.abs(rest) <= max(limit, 1e-12))
+        return variance_and_area(rest, used, self.cell_area_mm2)
 
 
 def variance_and_area(
-    rest_mm: FloatArray, kept: BoolArray, cell_area_mm2: float
+    rest_mm: FloatArray, used: BoolArray, cell_area_mm2: float
 ) -> tuple[float, float]:
     """Return (variance, correlation area) of residuals (row, col) over the `kept` cells.
 
     The area is the sum of the autocorrelation as far as it is positive along both axes, at least
     one cell.
     """
-    count = int(kept.sum())
+    count = int(used.sum())
     if count < 2:
         raise FitError("residuals: fewer than two cells were measured; give another region")
-    values = np.where(kept, rest_mm, 0.0)
+    values = np.where(used, rest_mm, 0.0)
     variance = float(np.sum(values**2)) / count
     if variance == 0.0:
         return 0.0, cell_area_mm2
     width = 1.0
     for axis in range(2):
-        width *= _correlated_cells(values, kept, variance, axis)
+        width *= _correlated_cells(values, used, variance, axis)
     return variance, width * cell_area_mm2
 
 
-def _correlated_cells(values: FloatArray, kept: BoolArray, variance: float, axis: int) -> float:
+def _correlated_cells(values: FloatArray, used: BoolArray, variance: float, axis: int) -> float:
     """Return 1 + 2 sum of the autocorrelation along an axis, up to its first value below 0."""
     total = 1.0
     for lag in range(1, min(_CORRELATED_CELLS, values.shape[axis] - 1) + 1):
         first = np.take(values, range(values.shape[axis] - lag), axis=axis)
         second = np.take(values, range(lag, values.shape[axis]), axis=axis)
-        both = np.take(kept, range(values.shape[axis] - lag), axis=axis) & np.take(
-            kept, range(lag, values.shape[axis]), axis=axis
+        both = np.take(used, range(values.shape[axis] - lag), axis=axis) & np.take(
+            used, range(lag, values.shape[axis]), axis=axis
         )
         if not both.any():
             break
@@ -193,10 +193,10 @@ def filled(z_mm: FloatArray, known: BoolArray, inside: BoolArray) -> FloatArray:
     load, rows, cols = np.zeros(len(row)), [], []
     for down, right in ((0, 1), (2, 1), (1, 0), (1, 2)):
         neighbour = number[row + down, col + right]
-        other = neighbour >= 0
-        rows.append(np.flatnonzero(other))
-        cols.append(neighbour[other])
-        load += np.where(other, 0.0, wide[row + down, col + right])
+        is_gap = neighbour >= 0
+        rows.append(np.flatnonzero(is_gap))
+        cols.append(neighbour[is_gap])
+        load += np.where(is_gap, 0.0, wide[row + down, col + right])
     places = np.concatenate(rows), np.concatenate(cols)
     near = sparse.csc_matrix((np.ones(len(places[0])), places), shape=(len(row),) * 2)
     laplace = sparse.csc_matrix(4.0 * sparse.identity(len(row)) - near)

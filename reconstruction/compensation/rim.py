@@ -37,12 +37,12 @@ def on_springs(
     if rim_yield_mm < _RIGID_MM:
         return surface
     free = np.pad(~surface.held, 1)
-    beside = surface.held & ndimage.binary_dilation(free, np.ones((3, 3)))[1:-1, 1:-1]
+    rim_nodes = surface.held & ndimage.binary_dilation(free, np.ones((3, 3)))[1:-1, 1:-1]
     x, y = np.meshgrid(surface.x_mm, surface.y_mm)
-    nodes = np.stack((x[beside], y[beside]), axis=-1)
+    nodes = np.stack((x[rim_nodes], y[rim_nodes]), axis=-1)
     lengths = _nearest_lengths_mm(frame, nodes)
     springs = np.zeros(surface.held.shape)
-    springs[beside] = lengths / (rim_yield_mm * _cosines(relief, frame, nodes))
+    springs[rim_nodes] = lengths / (rim_yield_mm * _cosines(relief, frame, nodes))
     return replace(surface, springs=springs)
 
 
@@ -76,11 +76,11 @@ def _cosines(relief: Relief, frame: SheetOpening, nodes_mm: FloatArray) -> Float
     def angle(within_mm: float) -> FloatArray:
         x, y = (nodes_mm - within_mm * outwards).T
         at = [
-            (one - axis[0]) / (axis[1] - axis[0])
-            for one, axis in ((y, relief.y_mm), (x, relief.x_mm))
+            (coordinate - axis[0]) / (axis[1] - axis[0])
+            for coordinate, axis in ((y, relief.y_mm), (x, relief.x_mm))
         ]
         by_y, by_x = (
-            ndimage.map_coordinates(one, at, order=1, mode="nearest") for one in (down, right)
+            ndimage.map_coordinates(slope, at, order=1, mode="nearest") for slope in (down, right)
         )
         return np.asarray(np.arctan(by_x * outwards[:, 0] + by_y * outwards[:, 1]))
 

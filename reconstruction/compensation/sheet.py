@@ -208,10 +208,10 @@ class CompensatedSheet(PresentedObject):
         layer = self.layer
         pressed_mm2 = float(self.balance.upright_mm2[self._grown()].sum())
         of_air = 1e-3 * pressed_mm2 * layer.back_pressure_kpa
-        found, known = self.force_n - of_air, force_n - of_air
-        if layer.sticks or min(found, known) <= 0:
+        tension_n, known_tension_n = self.force_n - of_air, force_n - of_air
+        if layer.sticks or min(tension_n, known_tension_n) <= 0:
             raise FitError("modulus: the tension's share of the force is not known")
-        modulus = layer.young_modulus_kpa * known / found
+        modulus = layer.young_modulus_kpa * known_tension_n / tension_n
         of_force = np.linalg.norm(
             (
                 sigma_n,
@@ -220,7 +220,7 @@ class CompensatedSheet(PresentedObject):
             )
         )
         of_thickness = layer.sigma_thickness_mm / layer.thickness_mm
-        return modulus, modulus * float(np.hypot(of_force / known, of_thickness))
+        return modulus, modulus * float(np.hypot(of_force / known_tension_n, of_thickness))
 
     @property
     def sigma_thickness_mm(self) -> FloatArray:
@@ -311,14 +311,14 @@ def _stretched(relief: Relief, layer: SheetLayer, spread_out: MaterialMap) -> St
 
 
 def _open_of_rim(
-    surface: SurfaceMetric, relief: Relief, layer: SheetLayer, found: MaterialMap | None
+    surface: SurfaceMetric, relief: Relief, layer: SheetLayer, spread_out: MaterialMap | None
 ) -> FloatArray:
     """Return the thinning's standard uncertainty from the rim's compliance, (row, col)."""
-    if found is None or not layer.sigma_rim_compliance_mm2_per_n:
+    if spread_out is None or not layer.sigma_rim_compliance_mm2_per_n:
         return np.zeros(relief.measured.shape)
     softer = on_springs(surface, relief, layer.frame, layer.rim_yield + layer.sigma_rim_yield)
-    moved = material_map(softer, layer.pre_stretch, near=found)
-    return np.abs(_on_cells(moved.thinning - found.thinning, relief))
+    moved = material_map(softer, layer.pre_stretch, near=spread_out)
+    return np.abs(_on_cells(moved.thinning - spread_out.thinning, relief))
 
 
 def _with_sticking(
@@ -351,7 +351,7 @@ def _on_elements(relief: Relief, metric: FloatArray, squeeze: FloatArray) -> Sur
             (relief.x_mm, relief.y_mm), relief.pitch_mm, (cols, rows), strict=True
         )
     ]
-    x, y = (np.linspace(*one) for one in ends)
+    x, y = (np.linspace(*limits) for limits in ends)
     xx, xy, yy = (mean(metric[..., part]) for part in range(3))
     return SurfaceMetric(x, y, xx, xy, yy, mean(squeeze), held)
 

@@ -141,7 +141,7 @@ class FittedSlab:
         return float(np.sqrt(slope @ self.covariance @ slope))
 
     def _place(self, name: str) -> int:
-        return [one.name for one in self.unknowns].index(name)
+        return [unknown.name for unknown in self.unknowns].index(name)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -232,33 +232,34 @@ def fit_under_slab(
     ------
     FitError : no press with numbers in their ranges, or numbers that the heights do not separate
     """
-    values, before = np.array([one.start for one in unknowns]), None
+    values, before = np.array([unknown.start for unknown in unknowns]), None
     # A small weight of the heights at first: prior values keep the numbers near the start.
-    shared = _Weighing(relief, models[0], tuple(unknowns), force, 1.0).apart(values)
+    widening = _Weighing(relief, models[0], tuple(unknowns), force, 1.0).widening(values)
     for model in models:
         before = values
         for _ in range(_MOST_TURNS):
-            problem = _Weighing(relief, model, tuple(unknowns), force, shared)
+            problem = _Weighing(relief, model, tuple(unknowns), force, widening)
             values = _settled(problem, values)
-            found_apart = problem.apart(values)
-            if shared / _AGREES <= found_apart <= _AGREES * shared:
+            updated = problem.widening(values)
+            if widening / _AGREES <= updated <= _AGREES * widening:
                 break
-            shared = found_apart
+            widening = updated
     _check_inside(values, unknowns)
-    found = problem.told(values)
+    fitted = problem.result(values)
     if len(models) < 2:
-        return found
+        return fitted
     moved = values - before
-    return replace(found, covariance=found.covariance + np.outer(moved, moved))
+    return replace(fitted, covariance=fitted.covariance + np.outer(moved, moved))
 
 
 def _check_inside(values: FloatArray, unknowns: Sequence[FittedNumber]) -> None:
     """Raise FitError if a number without a prior is at an end of its range."""
-    for one, value in zip(unknowns, values.tolist(), strict=True):
-        room = min(value - one.low, one.high - value)
-        if np.isinf(one.sigma) and room < _AT_THE_END * (one.high - one.low):
+    for unknown, value in zip(unknowns, values.tolist(), strict=True):
+        room = min(value - unknown.low, unknown.high - value)
+        if np.isinf(unknown.sigma) and room < _AT_THE_END * (unknown.high - unknown.low):
             raise FitError(
-                f"slab: {one.name} ran to {value:.4g}, allowed {one.low:.4g} to {one.high:.4g}; "
+                f"slab: {unknown.name} ran to {value:.4g}, allowed {unknown.low:.4g} to "
+                f"{unknown.high:.4g}; "
                 "start nearer to the object, or state the travel (press.depth_mm, sigma.depth_mm)"
             )
 
@@ -280,7 +281,7 @@ def bound_under_slab(
     FitError : no such press, or numbers that the heights do not separate
     """
     slopes = _Weighing(relief, model, tuple(unknowns), force, 1.0).slopes(
-        np.array([one.start for one in unknowns])
+        np.array([unknown.start for unknown in unknowns])
     )
     return _inverse(slopes.T @ slopes, tuple(unknowns))
 
@@ -288,7 +289,8 @@ def bound_under_slab(
 def _settled(problem: "_Weighing", start: FloatArray) -> FloatArray:
     """Return the numbers with the least sum of squares, near a start."""
     low, high = (
-        np.array([getattr(one, name) for one in problem.unknowns]) for name in ("low", "high")
+        np.array([getattr(unknown, name) for unknown in problem.unknowns])
+        for name in ("low", "high")
     )
     done = least_squares(
         problem.residuals,
@@ -318,10 +320,10 @@ class _Weighing:
         model: SlabModel,
         unknowns: tuple[FittedNumber, ...],
         force: KnownForce | None,
-        apart: float,
+        widening: float,
     ) -> None:
         self.relief, self.unknowns, self.force = relief, unknowns, force
-        self._widening = apart
+        self._widening = widening
         self._model, self._at = model, np.full(len(unknowns), np.nan)
         self._coat: SlabCoat | None = None
         self._far: FloatArray | None = None
@@ -341,31 +343,31 @@ class _Weighing:
         rows.append((values - self._known) / self._sigma)
         if self.force is not None:
             rows.append(np.array([(coat.force_n - self.force.force_n) / self.force.sigma_n]))
-        found = np.concatenate(rows)
+        stacked = np.concatenate(rows)
         if self._far is None:
-            self._far = np.full_like(found, _TOO_FAR * (1 + float(np.abs(found).max())))
-        return found
+            self._far = np.full_like(stacked, _TOO_FAR * (1 + float(np.abs(stacked).max())))
+        return stacked
 
     def slopes(self, values: FloatArray) -> FloatArray:
         """Return the residuals' derivatives, (m, n)."""
-        found = self._solved(values).slopes()
-        rows = [np.stack([self._over_sigma(one) for one in found.coat_mm], axis=-1)]
+        coat_slopes = self._solved(values).slopes()
+        rows = [np.stack([self._over_sigma(slope) for slope in coat_slopes.coat_mm], axis=-1)]
         rows.append(np.diag(1 / self._sigma))
         if self.force is not None:
-            rows.append(found.force_n[None] / self.force.sigma_n)
+            rows.append(coat_slopes.force_n[None] / self.force.sigma_n)
         return np.concatenate(rows)
 
-    def told(self, values: FloatArray) -> FittedSlab:
+    def result(self, values: FloatArray) -> FittedSlab:
         """Return the fit at given values, with its covariance."""
         coat, slopes = self._solved(values), self.slopes(values)
         cells = int(self._weighted.sum())
         chi_square, shared = self._spread(values)
         heights, known = (part.T @ part for part in (slopes[:cells], slopes[cells:]))
-        found = _inverse(heights + known, self.unknowns)
+        inverse = _inverse(heights + known, self.unknowns)
         # Covariance for the actual noise, of an estimate with the weights used in the fit.
-        covariance = found @ (heights * chi_square * shared / self._widening + known) @ found
+        covariance = inverse @ (heights * chi_square * shared / self._widening + known) @ inverse
         for field in coat.theory_mm:
-            shift = found @ slopes[:cells].T @ self._over_sigma(field)
+            shift = inverse @ slopes[:cells].T @ self._over_sigma(field)
             covariance = covariance + np.outer(shift, shift)
         misfit = (coat.coat_mm - self.relief.heights_mm)[self._weighted]
         return FittedSlab(
@@ -380,7 +382,7 @@ class _Weighing:
             shared_cells=shared,
         )
 
-    def apart(self, values: FloatArray) -> float:
+    def widening(self, values: FloatArray) -> float:
         """Return the variance factor by which the heights' weight is reduced, at least 1."""
         chi_square, shared = self._spread(values)
         return max(chi_square * shared, 1.0)
@@ -395,11 +397,11 @@ class _Weighing:
 
     @cached_property
     def _known(self) -> FloatArray:
-        return np.array([one.known for one in self.unknowns])
+        return np.array([unknown.known for unknown in self.unknowns])
 
     @cached_property
     def _sigma(self) -> FloatArray:
-        return np.array([one.sigma for one in self.unknowns])
+        return np.array([unknown.sigma for unknown in self.unknowns])
 
     def _solved(self, values: FloatArray) -> SlabCoat:
         if self._coat is None or not np.array_equal(values, self._at):
@@ -422,6 +424,6 @@ def _inverse(normal: FloatArray, unknowns: tuple[FittedNumber, ...]) -> FloatArr
         raise FitError(f"slab: the coat does not depend on {blind}; remove it from the fit")
     correlation = normal / np.outer(scale, scale)
     if np.linalg.cond(correlation) > 1e10:
-        names = ", ".join(one.name for one in unknowns)
+        names = ", ".join(unknown.name for unknown in unknowns)
         raise FitError(f"slab: the coat does not separate {names}; fit fewer, or state the travel")
     return np.asarray(np.linalg.inv(correlation) / np.outer(scale, scale))

@@ -178,11 +178,11 @@ def test_noise_is_what_its_uncertainty_says() -> None:
 @pytest.mark.parametrize(
     ("known", "bar", "why"),
     [
-        ({"back_pressure_kpa": 0.0}, {}, "without air"),
+        ({"back_pressure_kpa": 0.0}, {}, "air must press"),
         ({"sticks": True}, {}, "sticks"),
         ({}, {"width_mm": 1.5}, "width:"),
         ({}, {"x_mm": 6.0}, "width:"),
-        ({}, {"width_mm": 0.4}, "does not fall from its top"),
+        ({}, {"width_mm": 0.4}, "is not below the bar's top"),
     ],
 )
 def test_what_tells_no_width_is_refused(

@@ -89,5 +89,5 @@ def test_two_balls_and_a_gap_in_the_map() -> None:
 
 
 def test_a_flat_coat_is_refused() -> None:
-    with pytest.raises(FitError, match="nothing presses"):
+    with pytest.raises(FitError, match="no object presses"):
         compensated(np.full((CELLS, CELLS), -0.1), 4.0, 0.0)
