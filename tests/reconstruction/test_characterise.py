@@ -215,7 +215,7 @@ def test_frames_that_cannot_tell_are_refused():
     column, row = np.meshgrid(np.linspace(9.0, 54.0, 60), np.arange(20.0))
     stack = (100.0 + 2000.0 * shown(patterns, column, row, 1.0, 0.7)).astype(np.uint16)
     decoded = decode(stack, patterns, TRUE, DecodeOptions(filter_taps=0))
-    with pytest.raises(InputError, match="do not tell"):
+    with pytest.raises(InputError, match="do not determine"):
         fit_projector(stack, patterns, TRUE, decoded)
 
 
