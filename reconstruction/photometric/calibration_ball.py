@@ -25,7 +25,7 @@ OUTLIER_SIGMAS = 2.5
 SIGMA_PER_MAD = 1.4826
 # Margin inside the circle: its radius is uncertain by a few pixels (published practice: 4 px).
 RIM_PX = 4.0
-# Undeformed pixels per pixel in contact: enough for a flat result there (published practice).
+# Undeformed pixels per pixel in contact: makes undeformed gel flat (published practice).
 UNTOUCHED_SHARE = 0.2
 UNTOUCHED_RADII = 2.5
 # Largest ratio of contact radius to ball radius: slope 2.1, more than any gel follows.

@@ -34,9 +34,9 @@ from reconstruction.photometric.calibration_ball import Samples
 COLOUR_DEGREE = 3
 PLACE_DEGREE = 3
 # Relative to features of unit RMS. The penalty of terms in colour only is far below the noise of
-# 8-bit levels; that of their change over the image fits the number of presses. Chosen on held-out
-# halves of 67 real presses: slope error 0.056 and 0.066; a perceptron with two hidden layers of 32
-# has 0.058 and 0.067.
+# 8-bit levels. That of their variation over the image is larger, so that only variation shown by
+# the presses is fitted. Chosen on held-out halves of 67 real presses: slope error 0.056 and 0.066;
+# a perceptron with two hidden layers of 32 has 0.058 and 0.067.
 RIDGE = 1e-5
 RIDGE_OF_PLACE = 1e-2
 CHUNK = 8192
