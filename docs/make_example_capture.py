@@ -18,7 +18,7 @@ import numpy as np
 
 from reconstruction.capture.description import file_names, write_patterns, write_toml
 from reconstruction.capture.folder import Capture
-from reconstruction.capture.frame_set import FRAMES_FORMAT, FRAMES_VERSION
+from reconstruction.capture.recorded import FRAMES_FORMAT, FRAMES_VERSION
 from reconstruction.rig.calibration import write_calibration
 from twin.config import load_experiment
 from twin.pipeline import Recording, press_specimen, record

@@ -22,7 +22,7 @@ class ResidueCode(PatternCode):
     takes_further_periods = True
 
     def check(self, fringes):
-        """Refuse periods that do not number the whole image."""
+        """Raise an error for periods that do not number the whole image."""
         whole = [int(period) for period in fringes.periods_px]
         if len(whole) != 2 or list(fringes.periods_px) != whole or math.gcd(*whole) != 1:
             raise InputError("patterns residue: give two whole periods without common divisor")

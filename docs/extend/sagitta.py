@@ -21,7 +21,7 @@ class Sagitta(MeasurandKind):
     bound_name = "crb_sagitta_um"
 
     def nominal_mm(self, nominal):
-        """Return R - sqrt(R^2 - r^2); None of what is no ball with such a ring."""
+        """Return R - sqrt(R^2 - r^2); None if the feature is no ball larger than the ring."""
         if not isinstance(nominal, NominalBall) or nominal.radius_mm <= RING_MM:
             return None
         return nominal.radius_mm - math.sqrt(nominal.radius_mm**2 - RING_MM**2)

@@ -20,7 +20,7 @@ class Winkler(ElastomerModel):
     leaves_out = "the springs' coupling"
 
     def check(self, case: PressInput) -> None:
-        """Raise another layout or control, film, air, weight, and what no slab can be."""
+        """Raise PressError for another layout or control, film, air pressure or weight."""
         super().check(case)
         elastomer, load = case.elastomer, case.load
         loaded = elastomer.film or load.back_pressure_kpa or load.gravity_deg is not None

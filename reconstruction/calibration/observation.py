@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Stack
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 from reconstruction.calibration.boards import Board, DotBoard, Indices
 from reconstruction.calibration.features import find_corners, find_dots, label_dots, refine_centres
 from reconstruction.calibration.plane_images import (
@@ -19,11 +19,10 @@ from reconstruction.calibration.plane_images import (
     projector_points,
 )
 from reconstruction.capture.description import DESCRIPTION_FILE
-from reconstruction.capture.folder import described, read_uncalibrated
+from reconstruction.capture.folder import UncalibratedCapture, described, read_uncalibrated
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError
-from reconstruction.patterns import AXES, PatternSet
-from reconstruction.rig.projected_light import ProjectorResponse
+from reconstruction.patterns import AXES
 from reconstruction.rig.sensor import SensorNoise
 
 # Formats of recorded poses; a folder with such files but no description is an error.
@@ -41,18 +40,8 @@ WINDOW_SHARE = 0.25
 WORK_HEIGHT_PX = 180
 
 
-@dataclass(frozen=True, eq=False)
-class BoardCapture:
-    """Frames of one board pose, (frame, row, col) DN, and what is known about them.
-
-    scale : (row, col) float32, by which merged exposures were multiplied, see `merge_exposures`
-    """
-
-    stack: Stack
-    patterns: PatternSet
-    sensor: SensorNoise
-    scale: FloatImage | None = None
-    response: ProjectorResponse | None = None
+BoardCapture = UncalibratedCapture
+"""Frames of one board pose."""
 
 
 def read_board_capture(folder: Path | str) -> BoardCapture:
@@ -67,7 +56,7 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
     if found.patterns.axes != AXES or not found.patterns.uniform:
         missing = "white and black" if found.patterns.axes == AXES else "fringes along both axes"
         raise CaptureError(f"{folder}: a board needs {missing}; record them as well")
-    return BoardCapture(found.stack, found.patterns, found.sensor, found.scale, found.response)
+    return found
 
 
 def pose_folders(folder: Path | str) -> list[Path]:

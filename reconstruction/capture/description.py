@@ -2,12 +2,12 @@
 
 | file | content |
 |---|---|
-| capture.toml | what is known about a capture |
+| capture.toml | sequence, sensor, image size and file names of a capture |
 | patterns.toml | format, version, files in the order of projection, [patterns] as in capture.toml |
 | 000_phase_column_00.png ... | for a real projector: one grey 8-bit image each, of its size |
 
 TOML is written by hand rather than by a library: it holds only numbers, flags and file names. A
-real rig gives one image file per frame, and another kind of capture.toml: see `frame_set`.
+real rig gives one image file per frame, and another kind of capture.toml: see `recorded`.
 """
 
 import difflib
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from reconstruction import reading
+from reconstruction.capture.recorded import RecordedFrames
 from reconstruction.errors import CaptureError, InputError, require_integer
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.projected_light import ProjectorResponse
@@ -63,6 +64,19 @@ class Description:
             value = getattr(self, name)
             if not isinstance(value, str) or not value or Path(value).name != value:
                 raise InputError(f"{name} is {value!r}; give the name of a file in this folder")
+
+    def recorded(self, folder: Path) -> RecordedFrames:
+        """Return the frames of the folder that contains this description."""
+        return RecordedFrames(
+            folder,
+            self.patterns,
+            self.sensor,
+            self.bit_depth,
+            folder / self.calibration_file,
+            self.response,
+            stack_file=folder / self.stack_file,
+            shape=(self.height_px, self.width_px),
+        )
 
 
 def write_description(path: Path, description: Description) -> None:
@@ -123,17 +137,11 @@ def read_parts(
             name: build(part, table_of(values, name), name) for name, part in tables.items()
         }
         if RESPONSE in values:
-            parts[RESPONSE] = read_response(values)
+            parts[RESPONSE] = build(ProjectorResponse, table_of(values, RESPONSE), RESPONSE)
         return build(whole, values | parts, path.name)
-    except InputError as error:
+    # TypeError: a value of a type that cannot be compared with the allowed ones.
+    except (InputError, TypeError) as error:
         raise CaptureError(f"{path}: {error}") from error
-
-
-def read_response(values: dict[str, Any]) -> ProjectorResponse | None:
-    """Return what [response] of capture.toml says of the projector; None where there is none."""
-    if RESPONSE not in values:
-        return None
-    return build(ProjectorResponse, table_of(values, RESPONSE), RESPONSE)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -201,7 +209,7 @@ def write_patterns(
 
 
 def write_manifest(path: Path, patterns: PatternSet) -> None:
-    """Write the manifest alone."""
+    """Write the manifest without the images."""
     files = file_names(patterns)
     header = {"format": PATTERN_FORMAT, "version": PATTERN_VERSION, "files": files}
     write_toml(path, header, {"patterns": pattern_table(patterns)})
@@ -227,7 +235,7 @@ def read_manifest(path: Path | str) -> PatternSet:
 
 
 def is_sequence(path: Path) -> bool:
-    """Tell whether a TOML file describes a sequence alone, as a manifest does."""
+    """Whether a TOML file describes only a sequence, as a manifest does."""
     return reading.is_regular(path) and read_toml(path).get("format") == PATTERN_FORMAT
 
 
@@ -236,7 +244,7 @@ def read_sequence(path: Path, settings: Mapping[str, Any]) -> PatternSet:
 
     Parameters
     ----------
-    settings : values by key, as "patterns.steps", that stand in the place of the file's
+    settings : values by key, as "patterns.steps", that replace those of the file
 
     Raises
     ------

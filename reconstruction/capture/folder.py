@@ -1,4 +1,4 @@
-"""A capture: everything needed to reconstruct, as a folder that any rig can write.
+"""A capture: a folder with all that a reconstruction needs; any rig can write it.
 
 | file | content |
 |---|---|
@@ -6,29 +6,34 @@
 | stack.nc | netCDF-4: `stack` (frame, row, col) uint8, uint16 or float32, DN; `frame_name` |
 | calibration.yaml | OpenCV YAML, see `rig.calibration` |
 
-The stack is not compressed: xarray, MATLAB and HDFView read it as it is.
-
-Or, from a real camera, one image per frame and another kind of capture.toml: see `description`.
+Or, from a real camera, one image per frame and another kind of capture.toml: see `recorded`.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from reconstruction.arrays import FloatImage, Stack
 from reconstruction.capture.description import (
     DESCRIPTION_FILE,
     Description,
     read_description,
+    read_toml,
     write_description,
 )
+from reconstruction.capture.frame_list import read_listed
 from reconstruction.capture.frame_order import check_order
-from reconstruction.capture.frame_set import is_frame_set
-from reconstruction.capture.image_files import find_frames, read_frames, read_image_set
-from reconstruction.errors import CaptureError, InputError, few, one_line, require_integer
-from reconstruction.netcdf import LabelledArrays, pixel_coordinates, read_arrays, write_arrays
+from reconstruction.capture.frame_set import read_frame_set
+from reconstruction.capture.image_files import (
+    check_exposures,
+    merge_exposures,
+    read_exposures,
+    with_file_names,
+)
+from reconstruction.capture.recorded import FRAMES_FORMAT, RecordedFrames
+from reconstruction.capture.stack_file import NAMES, TYPES, read_stack, stack_arrays, write_stack
+from reconstruction.errors import CaptureError, InputError, require_integer
+from reconstruction.netcdf import pixel_coordinates
 from reconstruction.patterns import PatternSet
 from reconstruction.reading import is_regular
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
@@ -43,16 +48,11 @@ if TYPE_CHECKING:
 STACK_FILE = "stack.nc"
 CALIBRATION_FILE = "calibration.yaml"
 SUBFOLDER = "capture"
-DIMENSIONS = ("frame", "row", "col")
-STACK = "stack"
-NAMES = "frame_name"
-# Digital numbers of a sensor, or the expected values of a noise-free rendering.
-TYPES = ("uint8", "uint16", "float32")
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """Frames and what is known about them.
+    """Frames with their sequence, sensor noise and calibration.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Capture:
                 f"stack is {self.stack.dtype} {self.stack.shape}; patterns and calibrated camera "
                 f"need {' or '.join(TYPES)} {expected} (frame, row, col)"
             )
-        # This way round a NaN of a float stack is refused as well.
+        # Written as "not below", so that a NaN of a float stack is an error, too.
         largest = 2**self.bit_depth * (1.0 if self.scale is None else float(self.scale.max()))
         if not self.stack.max() < largest:
             raise CaptureError(
@@ -114,7 +114,7 @@ class Capture:
         }
 
     def plot(self) -> "Drawing":
-        """Draw the first frame, and the least and the greatest value of each pixel in all frames.
+        """Draw the first frame, and the mean and the greatest value of each pixel in all frames.
 
         Returns
         -------
@@ -126,7 +126,7 @@ class Capture:
         panels = drawing.subplots(1, 3)
         images = {
             f"frame {self.patterns.frames[0].name}": self.stack[0],
-            "least of all frames": self.stack.min(axis=0),
+            "mean of all frames": self.stack.mean(axis=0),
             "greatest of all frames": self.stack.max(axis=0),
         }
         for axes, (title, image) in zip(panels, images.items(), strict=True):
@@ -178,34 +178,14 @@ def read_capture(folder: Path | str) -> Capture:
     CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
         in another order
     """
-    folder = find_capture(folder)
-    if is_frame_set(folder / DESCRIPTION_FILE):
-        return _read_images(folder)
-    description = read_description(folder / DESCRIPTION_FILE)
-    calibration = read_calibration(folder / description.calibration_file)
-    shape = (description.height_px, description.width_px)
-    stack = read_stack(folder / description.stack_file, description.patterns, shape)
-    parts = (description.patterns, description.sensor, calibration)
+    recorded = find_recorded(find_capture(folder))
+    calibration = read_calibration(recorded.calibration_file)
+    stack, scale = read_frames(recorded, calibration)
+    parts = (recorded.patterns, recorded.sensor, calibration, recorded.bit_depth)
     try:
-        capture = Capture(stack, *parts, description.bit_depth, response=description.response)
-        check_order(stack, *parts)
-    except InputError as error:
-        raise CaptureError(f"{folder}: {error}") from error
-    return capture
-
-
-def _read_images(folder: Path) -> Capture:
-    description = read_image_set(folder / DESCRIPTION_FILE)
-    found = find_frames(folder, description)
-    calibration = read_calibration(folder / description.calibration_file)
-    frames = read_frames(folder, description, found, calibration)
-    parts = (found.patterns, description.sensor, calibration)
-    try:
-        return Capture(
-            frames.stack, *parts, description.bit_depth, frames.scale, description.response
-        )
+        return Capture(stack, *parts, scale, recorded.response)
     except CaptureError as error:
-        raise CaptureError(f"{folder}: {error}") from error
+        raise CaptureError(f"{recorded.folder}: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,31 +200,68 @@ class UncalibratedCapture:
 
 
 def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
-    """Read a capture whose calibration file need not exist.
+    """Read a capture; its calibration file need not exist.
 
     Raises
     ------
     CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
         in another order
     """
-    folder = find_capture(folder)
-    if is_frame_set(folder / DESCRIPTION_FILE):
-        listed = read_image_set(folder / DESCRIPTION_FILE)
-        found = find_frames(folder, listed)
-        frames = read_frames(folder, listed, found)
-        return UncalibratedCapture(
-            frames.stack, found.patterns, listed.sensor, frames.scale, listed.response
-        )
-    description = read_description(folder / DESCRIPTION_FILE)
-    shape = (description.height_px, description.width_px)
-    stack = read_stack(folder / description.stack_file, description.patterns, shape)
+    recorded = find_recorded(find_capture(folder))
+    stack, scale = read_frames(recorded)
+    return UncalibratedCapture(stack, recorded.patterns, recorded.sensor, scale, recorded.response)
+
+
+def find_recorded(folder: Path) -> RecordedFrames:
+    """Return the frames that the capture.toml of a folder describes, of any kind.
+
+    Raises
+    ------
+    CaptureError : capture.toml is damaged; images or the manifest are missing; the list of frames
+        cannot be decoded
+    """
+    path = folder / DESCRIPTION_FILE
+    values = read_toml(path)
+    if values.get("format") != FRAMES_FORMAT:
+        return read_description(path).recorded(folder)
+    read = read_listed if "frames" in values else read_frame_set
+    return read(path).recorded(folder)
+
+
+def read_frames(
+    recorded: RecordedFrames, calibration: Calibration | None = None
+) -> tuple[Stack, FloatImage | None]:
+    """Read and check recorded frames; where there are several exposures, merge them.
+
+    Parameters
+    ----------
+    calibration : exchanged axes are also detected by it; None: there is none yet
+
+    Returns
+    -------
+    stack (frame, row, col), DN, and the factor of each pixel (row, col), see `merge_exposures`
+
+    Raises
+    ------
+    CaptureError : missing or damaged files, unequal sizes or types, values beyond the bit depth,
+        exposures that do not fit the light, frames clearly in another order
+    """
+    patterns, sensor = recorded.patterns, recorded.sensor
+    if recorded.stack_file is not None:
+        stacks = [read_stack(recorded.stack_file, patterns, recorded.shape)]
+    else:
+        stacks = read_exposures(recorded)
     try:
-        check_order(stack, description.patterns, description.sensor)
+        for stack in stacks:
+            check_order(stack, patterns, sensor, calibration)
+        if len(stacks) == 1:
+            return stacks[0], None
+        check_exposures(stacks, recorded)
+        merged = merge_exposures(stacks, recorded.exposures_ms, sensor)
     except InputError as error:
-        raise CaptureError(f"{folder}: {error}") from error
-    return UncalibratedCapture(
-        stack, description.patterns, description.sensor, response=description.response
-    )
+        message = with_file_names(str(error), recorded)
+        raise CaptureError(f"{recorded.folder}: {message}") from error
+    return merged.stack, merged.scale
 
 
 def described(folder: Path) -> Path | None:
@@ -263,67 +280,3 @@ def find_capture(folder: Path | str) -> Path:
             f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/; give the folder of a capture"
         )
     return found
-
-
-def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
-    """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
-    write_arrays(path, stack_arrays(stack, patterns))
-
-
-def stack_arrays(stack: Stack, patterns: PatternSet) -> LabelledArrays:
-    """Return a (frame, row, col) stack, DN, and the names of its frames."""
-    attributes = {"units": "DN", "long_name": "camera frames"}
-    names = np.array([frame.name for frame in patterns.frames], dtype=object)
-    return LabelledArrays({STACK: (DIMENSIONS, stack, attributes), NAMES: ("frame", names, {})})
-
-
-def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stack:
-    """Read the stack that `patterns` and the image `shape` (rows, cols) announce.
-
-    Raises
-    ------
-    CaptureError : missing, truncated or damaged file, wrong variable, type, size or frames
-    """
-    if not is_regular(path):
-        raise CaptureError(f"{path}: the stack of frames is missing")
-    try:
-        file = read_arrays(path)
-    except OSError as error:
-        raise CaptureError(
-            f"{path}: is no complete netCDF-4 file ({one_line(error)}); copy or record it again"
-        ) from error
-    _check(path, file, patterns, shape)
-    return file[STACK]
-
-
-def _check(path: Path, file: LabelledArrays, patterns: PatternSet, shape: tuple[int, int]) -> None:
-    if STACK not in file or NAMES not in file:
-        raise CaptureError(f"{path}: needs the variables {STACK} and {NAMES}")
-    dims, stack, _ = file.variables[STACK]
-    if dims != DIMENSIONS or str(stack.dtype) not in TYPES:
-        raise CaptureError(
-            f"{path}: stack is {stack.dtype} {dims}; it must be {' or '.join(TYPES)} {DIMENSIONS}"
-        )
-    _check_frames(path, [_text(name) for name in file[NAMES]], patterns)
-    expected = (len(patterns.frames), *shape)
-    if stack.shape != expected:
-        raise CaptureError(
-            f"{path}: stack has shape {stack.shape}; capture.toml announces {expected}"
-        )
-
-
-def _check_frames(path: Path, found: list[str], patterns: PatternSet) -> None:
-    expected = [frame.name for frame in patterns.frames]
-    if found == expected:
-        return
-    missing = [name for name in expected if name not in found]
-    extra = [name for name in found if name not in expected]
-    raise CaptureError(
-        f"{path}: holds {len(found)} frames, the pattern set has {len(expected)}; "
-        f"missing: {few(missing)}; not expected: {few(extra)}; "
-        "frames must be in the order of the pattern set"
-    )
-
-
-def _text(name: Any) -> str:
-    return name.decode("utf-8") if isinstance(name, bytes) else str(name)

@@ -1,8 +1,8 @@
-"""Sort listed frames into the order of decoding, and tell what sequence they show.
+"""Sort listed frames into the order of decoding, and determine their sequence.
 
-What is stated about each frame (period, shift, bit) decides, not its name or place: sets of equal
-steps by period, words by their bits. The code is stated, or the one whose `is_shown_by` is True for
-the widths of the words and the periods of the fringes.
+The stated period, shift and bit of each frame decide, not its name or place: sets of equal steps by
+period, words by their bits. The code is stated, or it is the one with `is_shown_by` True for the
+widths of the words and the periods of the fringes.
 """
 
 import math
@@ -21,7 +21,7 @@ EQUAL_STEPS = 0.02
 
 @dataclass(frozen=True)
 class ListedFrame:
-    """One image and what it shows.
+    """One image and its pattern.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class ListedFrame:
 
     @property
     def told(self) -> str:
-        """What it shows, as messages say it."""
+        """Its pattern in words, for messages."""
         along = f" along {self.axis}" if self.axis else ""
         if self.kind == "phase":
             return f"phase{along}, period {self.period_px:g} px, shift {self.shift_deg:g} degrees"
@@ -336,16 +336,11 @@ def _left_out(
     return count
 
 
-def _needed(length_px: int, width_px: float) -> int:
-    """Return the bits that number all words of the image."""
-    return (math.ceil(length_px / width_px) - 1).bit_length()
-
-
 def _inferred_px(
     frames: list[ListedFrame], fringe_px: float, length_px: int, shifted: bool
 ) -> float:
-    """Return the width of a word from the number of bits, where it says that."""
-    count, plain = len(frames), _needed(length_px, fringe_px)
+    """Return the width of a word by the number of bits, if that determines it."""
+    count, plain = len(frames), AxisFringes(length_px, (fringe_px,)).bits
     if shifted or count == plain:
         return fringe_px
     if count == plain + 1:

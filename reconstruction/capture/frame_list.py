@@ -1,4 +1,4 @@
-"""A list of frames in capture.toml: which image is what, for sets that other programs recorded.
+"""A list of frames in capture.toml: the pattern of each image, for sets of other programs.
 
 | key | content |
 |---|---|
@@ -8,13 +8,13 @@
 | [projector] | width_px, height_px |
 | [[frames]] | one table for each group of images, see `FrameEntry` |
 
-Every group is expanded into `ListedFrame`s, one per image; these are sorted into the order that
-the decoder works in, whatever their names and order were, and give the `PatternSet`. A set that
-comes with the manifest of `twin patterns` is the short form of such a list.
+Every group is expanded into `ListedFrame`s, one per image. These are sorted into the order of
+decoding, independently of their names, and define the `PatternSet`. A set with the manifest of
+`twin patterns` is the short form of such a list.
 
 A phase frame shows A + B cos(2 pi x / period + sign * shift); a set of N must be N equal steps of
-360 degrees / N from anywhere. The finest bits of a reflected word may be left out: what remains
-numbers stripes of twice the width, so that bits finer than the fringes need are not used.
+360 degrees / N from anywhere. The finest bits of a reflected word may be left out: the other
+bits number stripes of twice the width, so that bits finer than the fringes need are not used.
 """
 
 import re
@@ -24,26 +24,20 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from reconstruction import reading
-from reconstruction.capture.description import (
-    DESCRIPTION_FILE,
-    build,
-    read_response,
-    read_toml,
-    table_of,
-    take_header,
-)
+from reconstruction.capture.description import DESCRIPTION_FILE, build, read_parts
 from reconstruction.capture.frame_arrangement import Arrangement, ListedFrame, ProjectorSize
-from reconstruction.capture.frame_set import (
-    CHANNELS,
+from reconstruction.capture.recorded import (
     FRAMES_FORMAT,
     FRAMES_VERSION,
-    Channel,
+    ImageSet,
+    RecordedFrames,
     natural_key,
+    require_below,
+    require_one_of,
 )
 from reconstruction.codes import code_of
 from reconstruction.errors import CaptureError, InputError, few, require_integer, require_number
-from reconstruction.patterns import AXES, WORDS, Axis, Kind, PatternSet, WordName
-from reconstruction.rig.projected_light import ProjectorResponse
+from reconstruction.patterns import AXES, WORDS, Axis, WordName
 from reconstruction.rig.sensor import SensorNoise
 
 EntryKind = Literal["phase", "gray", "inverse", "gray_and_inverse", "white", "black"]
@@ -89,8 +83,8 @@ class FrameEntry:
     exposure_ms: float | None = None
 
     def __post_init__(self) -> None:
-        _require_one_of("kind", self.kind, get_args(EntryKind))
-        _require_one_of("bits", self.bits, get_args(BitOrder))
+        require_one_of("kind", self.kind, get_args(EntryKind))
+        require_one_of("bits", self.bits, get_args(BitOrder))
         if not _all_of(str, self.files) or not self.files:
             raise InputError(f"frames files is {self.files!r}; give a name or a list of names")
         is_uniform = self.kind in ("white", "black")
@@ -117,59 +111,56 @@ class FrameEntry:
             require_integer("frames bit", bit, 0, 16)
 
 
-@dataclass(frozen=True)
-class ListedSet:
+@dataclass(frozen=True, kw_only=True)
+class ListedSet(ImageSet):
     """Content of a capture.toml with a list of frames.
 
     Parameters
     ----------
     word : how words are shown as bits, see `PatternSet`
-    channel : of colour images the one to read; "": images are grey
     code : name of the pattern code; "": the one that the frames show, which is stated where several
         codes project such frames
     """
 
-    sensor: SensorNoise
     projector: ProjectorSize
     frames: tuple[FrameEntry, ...]
-    bit_depth: int
-    calibration_file: str = "calibration.yaml"
-    dark_file: str = ""
-    channel: Channel = ""
     word: WordName = "reflected"
-    response: ProjectorResponse | None = None
     code: str = ""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.code != "":
             code_of(self.code)
-        require_integer("bit_depth", self.bit_depth, 8, 16)
-        _require_one_of("channel", self.channel, CHANNELS)
-        _require_one_of("word", self.word, WORDS)
-        for name in ("calibration_file", "dark_file"):
-            if not isinstance(getattr(self, name), str):
-                raise InputError(f"{name} is {getattr(self, name)!r}; give the name of a file")
-        largest = 2**self.bit_depth - 1
-        if self.sensor.saturation_dn > largest:
-            raise InputError(
-                f"sensor saturation_dn is {self.sensor.saturation_dn:g}; {self.bit_depth} bits end "
-                f"at {largest}, give at most that"
-            )
+        require_one_of("word", self.word, WORDS)
+        object.__setattr__(self, "frames", _entries(self.frames))
 
+    def recorded(self, folder: Path) -> RecordedFrames:
+        """Return the images of a folder in the order of decoding.
 
-@dataclass(frozen=True)
-class FoundFrames:
-    """What is shown, and the image of every frame in the order of `patterns.frames`, set by set."""
+        Raises
+        ------
+        CaptureError : an image is missing or listed twice, a group has a wrong number of images;
+            the listed frames cannot be decoded
+        """
+        try:
+            groups = [_expand(folder, entry, self.dark_file) for entry in self.frames]
+            return self._arranged(folder, [frame for group in groups for frame in group])
+        except InputError as error:
+            raise CaptureError(f"{folder / DESCRIPTION_FILE}: {error}") from error
 
-    patterns: PatternSet
-    files: list[list[Path]]
-    exposures_ms: tuple[float, ...] = ()
-
-
-def is_listed(path: Path) -> bool:
-    """Tell whether a capture.toml of single images lists its frames."""
-    content = read_toml(path)
-    return content.get("format") == FRAMES_FORMAT and "frames" in content
+    def _arranged(self, folder: Path, frames: Sequence[ListedFrame]) -> RecordedFrames:
+        exposures = sorted({frame.exposure_ms for frame in frames})
+        sets = [[one for one in frames if one.exposure_ms == exposure] for exposure in exposures]
+        found = [Arrangement(one, self.projector, self.word, self.code) for one in sets]
+        for one, exposure in zip(found, exposures, strict=True):
+            if one.patterns != found[0].patterns:
+                raise CaptureError(
+                    f"the frames of exposure_ms {exposure:g} show another sequence than those of "
+                    f"{exposures[0]:g}; list all frames for every exposure"
+                )
+        files = [[folder / name for name in one.files] for one in found]
+        times_ms = tuple(exposures) if len(exposures) > 1 else ()
+        return self.recorded_as(folder, found[0].patterns, files, times_ms)
 
 
 def read_listed(path: Path) -> ListedSet:
@@ -179,57 +170,24 @@ def read_listed(path: Path) -> ListedSet:
     ------
     CaptureError : no TOML, wrong format or version, unknown or missing key, value out of range
     """
-    values = read_toml(path)
-    try:
-        take_header(values, (FRAMES_FORMAT, FRAMES_VERSION))
-        entries = values.get("frames")
-        if not _all_of(dict, entries) or not isinstance(entries, list) or not entries:
-            raise CaptureError("frames is no list of tables; write each as [[frames]]")
-        parts: dict[str, Any] = {
-            "sensor": build(SensorNoise, table_of(values, "sensor"), "sensor"),
-            "projector": build(ProjectorSize, table_of(values, "projector"), "projector"),
-            "frames": tuple(build(FrameEntry, one, "frames") for one in entries),
-            "response": read_response(values),
-        }
-        return build(ListedSet, values | parts, path.name)
-    except (InputError, TypeError) as error:
-        raise CaptureError(f"{path}: {error}") from error
+    tables = {"sensor": SensorNoise, "projector": ProjectorSize}
+    return read_parts(path, (FRAMES_FORMAT, FRAMES_VERSION), ListedSet, tables)
 
 
-def find_listed(folder: Path, description: ListedSet) -> FoundFrames:
-    """Return the images of a list in the order of decoding, and what they show.
-
-    Raises
-    ------
-    CaptureError : an image is missing, listed twice or in no group's number; the list shows nothing
-        that can be decoded
-    """
-    try:
-        frames = [
-            one for entry in description.frames for one in _expand(folder, entry, description)
-        ]
-        return _arranged(folder, frames, description)
-    except InputError as error:
-        raise CaptureError(f"{folder / DESCRIPTION_FILE}: {error}") from error
+def _entries(frames: Any) -> tuple[FrameEntry, ...]:
+    """Return the tables [[frames]] as entries; entries are returned as they are."""
+    if not isinstance(frames, (list, tuple)) or not frames:
+        raise CaptureError("frames is no list of tables; write each as [[frames]]")
+    if all(isinstance(frame, FrameEntry) for frame in frames):
+        return tuple(frames)
+    if not all(isinstance(frame, dict) for frame in frames):
+        raise CaptureError("frames is no list of tables; write each as [[frames]]")
+    return tuple(build(FrameEntry, frame, "frames") for frame in frames)
 
 
-def _arranged(folder: Path, frames: Sequence[ListedFrame], description: ListedSet) -> FoundFrames:
-    exposures = sorted({frame.exposure_ms for frame in frames})
-    sets = [[one for one in frames if one.exposure_ms == exposure] for exposure in exposures]
-    size, word = description.projector, description.word
-    found = [Arrangement(one, size, word, description.code) for one in sets]
-    for one, exposure in zip(found, exposures, strict=True):
-        if one.patterns != found[0].patterns:
-            raise CaptureError(
-                f"the frames of exposure_ms {exposure:g} show another sequence than those of "
-                f"{exposures[0]:g}; list all frames for every exposure"
-            )
-    files = [[folder / name for name in one.files] for one in found]
-    return FoundFrames(found[0].patterns, files, tuple(exposures) if len(exposures) > 1 else ())
-
-
-def _expand(folder: Path, entry: FrameEntry, description: ListedSet) -> list[ListedFrame]:
-    names = _names(folder, entry, description.dark_file)
+def _expand(folder: Path, entry: FrameEntry, dark_file: str) -> list[ListedFrame]:
+    """Return one frame for each image of a group."""
+    names = _names(folder, entry, dark_file)
     common: dict[str, Any] = {
         "axis": entry.axis,
         "period_px": entry.period_px,
@@ -245,26 +203,27 @@ def _expand(folder: Path, entry: FrameEntry, description: ListedSet) -> list[Lis
         if len(names) != 1:
             raise CaptureError(f"{entry.files!r} finds {len(names)} {entry.kind} images; give one")
         return [ListedFrame(names[0], entry.kind, **common)]
-    if entry.kind != "gray_and_inverse":
-        bits = _bits(entry, len(names))
-        pairs = zip(names, bits, strict=True)
-        kind: Any = entry.kind
-        return [ListedFrame(one, kind, bit=k, shifted=entry.shifted, **common) for one, k in pairs]
-    if len(names) % 2:
+    kinds: Any = ("gray", "inverse") if entry.kind == "gray_and_inverse" else (entry.kind,)
+    if len(names) % len(kinds):
         raise CaptureError(
             f"{entry.files!r} finds {len(names)} images of kind gray_and_inverse: an odd number; "
             "every Gray frame needs its inverse"
         )
-    bits = _bits(entry, len(names) // 2)
-    kinds: tuple[Kind, Kind] = ("gray", "inverse")
+    bits = _bits(entry, len(names) // len(kinds))
     return [
-        ListedFrame(one, kinds[k % 2], bit=bits[k // 2], shifted=entry.shifted, **common)
-        for k, one in enumerate(names)
+        ListedFrame(
+            name,
+            kinds[k % len(kinds)],
+            bit=bits[k // len(kinds)],
+            shifted=entry.shifted,
+            **common,
+        )
+        for k, name in enumerate(names)
     ]
 
 
 def _names(folder: Path, entry: FrameEntry, dark_file: str) -> list[str]:
-    """Return the names that a group stands for, below the folder."""
+    """Return the names of the images of a group, relative to the folder."""
     given = [entry.files] if isinstance(entry.files, str) else entry.files
     names = [name for text in given for name in _matching(folder, text, dark_file)]
     missing = [name for name in names if not reading.is_regular(folder / name)]
@@ -281,12 +240,7 @@ def _names(folder: Path, entry: FrameEntry, dark_file: str) -> list[str]:
 
 
 def _matching(folder: Path, text: str, dark_file: str) -> list[str]:
-    parts = text.split("/")
-    if parts[0] in ("", "~") or ".." in parts or "**" in text or "\0" in text:
-        raise InputError(
-            f"frames files is {text[:200]!r}; give names in the folder of capture.toml or in a "
-            "named folder below it, without .. or **"
-        )
+    require_below("frames files", text)
     found = _RANGE.search(text)
     if found:
         names = [text[: found.start()] + number + text[found.end() :] for number in _numbers(found)]
@@ -333,12 +287,6 @@ def _bits(entry: FrameEntry, count: int) -> list[int]:
             )
         return bits
     return list(range(count)) if entry.bits == "coarse_first" else list(range(count))[::-1]
-
-
-def _require_one_of(name: str, value: object, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        shown = ", ".join(repr(one) for one in allowed)
-        raise InputError(f"{name} is {value!r}; allowed are {shown}")
 
 
 def _all_of(kind: type, value: object) -> bool:

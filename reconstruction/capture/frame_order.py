@@ -1,17 +1,17 @@
-"""Find out from the data whether frames stand in the order that the pattern set says.
+"""Check by the data whether the frames have the order of the pattern set.
 
-Four looks at a sample of the lit pixels; each names the mistake that explains the data:
+Five checks of a sample of the lit pixels; each names the mistake that explains the data:
 - the whole sequence: does another order (exchanged axes, shifted by one, reversed ...) turn far
   more of the lit pixels into points?
 - each N-step set: do its frames follow A + B cos(phi + 2 pi n / N), equally bright, and does an
   exchange of two of them fit better? (`check_phase_sets`)
-- phase against the half-periods that an edge-safe Gray code tells: does the set start at step 0?
+- phase against the half-periods of an edge-safe Gray code: does the set start at step 0?
   (`check_first_step`)
 - Gray words of neighbouring pixels: do they differ by one? (`check_words`)
 - phase against plain Gray words where a word ends: is it 0 there, and does it grow with the word?
   (`check_borders`)
 
-Not to be seen in the frames: phase frames that start late, or run backwards along both axes, with
+Not detected: phase frames that start late, or run backwards along both axes, with
 multi-frequency codes; a foreign phase frame with fewer than five steps.
 """
 
@@ -27,6 +27,7 @@ from reconstruction.capture.set_order import (
     check_first_step,
     check_phase_sets,
     check_words,
+    exchanged,
 )
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.errors import CaptureError
@@ -69,9 +70,9 @@ def check_order(
     Parameters
     ----------
     stack : (frame, row, col), DN of one exposure
-    patterns : what should have been projected, in this order
-    sensor : tells noise from light
-    calibration : lets exchanged axes be noticed even where both axes look alike; None: none yet
+    patterns : the projected sequence, in this order
+    sensor : camera noise, by which lit pixels are selected
+    calibration : detects exchanged axes even if both axes are similar; None: there is none yet
 
     Raises
     ------
@@ -139,43 +140,35 @@ def _share_of_points(sample: Sample, take: list[int] | None) -> float:
 
 
 def _mistakes(patterns: PatternSet) -> Iterator[Order]:
-    """Yield likely mistakes of whole sequences: what to say, and the index of every frame."""
-    frames = patterns.frames
-    count, is_both = len(frames), patterns.axes == AXES
-    kinds = {"phase": 0, "gray": 1, "inverse": 2, "white": 3, "black": 4}
+    """Yield likely mistakes of whole sequences: the message, and the index of every frame."""
+    frames, count = patterns.frames, len(patterns.frames)
+    kinds = ("phase", "gray", "inverse", "white", "black")
+    is_both, has_uniform, has_phase = patterns.axes == AXES, patterns.uniform, patterns.steps > 0
 
-    def sorted_by(key: Callable[[PatternFrame], object]) -> list[int]:
-        recorded = sorted(frames, key=key)  # type: ignore[arg-type]
+    def sorted_by(key: Callable[[PatternFrame], tuple[object, ...]]) -> list[int]:
+        recorded = sorted(frames, key=key)
         return [recorded.index(frame) for frame in frames]
 
-    def uniform_first(frame: PatternFrame) -> tuple[int, ...]:
-        return (frame.axis is not None,)
-
-    def by_axis(frame: PatternFrame) -> tuple[int, ...]:
-        return (-1 if frame.axis is None else -2 + AXES.index(frame.axis),)
-
-    if patterns.uniform:
-        yield "white and black look exchanged", [*range(count - 2), count - 1, count - 2]
-    if is_both:
-        yield (
-            "rows and columns look exchanged",
-            sorted_by(lambda f: (kinds[f.kind], f.axis != "row", f.index)),
-        )
-    if patterns.uniform:
-        yield "white and black look recorded first", sorted_by(uniform_first)
-    yield (
-        "Gray frames look recorded before phase frames",
-        sorted_by(lambda f: (f.kind not in ("gray", "phase"), f.kind != "gray")),
-    )
-    if is_both:
-        yield "frames look recorded axis by axis (phase, Gray, phase, Gray)", sorted_by(by_axis)
-    yield "the frames look recorded backwards", list(range(count))[::-1]
-    for shift in (1, 2):
-        turned = [(i + shift) % count for i in range(count)]
-        yield f"shifted by {shift}: {shift} frame(s) too many at the start", turned
-        turned = [(i - shift) % count for i in range(count)]
-        yield f"shifted by {shift}: the first {shift} frame(s) look missing", turned
-    if patterns.steps:
+    by_rows = sorted_by(lambda f: (kinds.index(f.kind), f.axis != "row", f.index))
+    uniform_first = sorted_by(lambda f: (f.axis is not None,))
+    gray_first = sorted_by(lambda f: (f.kind not in ("gray", "phase"), f.kind != "gray"))
+    by_axis = sorted_by(lambda f: (f.axis != "column",))
+    orders = [
+        (has_uniform, "white and black look exchanged", exchanged(count, count - 2, count - 1)),
+        (is_both, "rows and columns look exchanged", by_rows),
+        (has_uniform, "white and black look recorded first", uniform_first),
+        (True, "Gray frames look recorded before phase frames", gray_first),
+        (is_both, "frames look recorded axis by axis (phase, Gray, phase, Gray)", by_axis),
+        (True, "the frames look recorded backwards", list(range(count))[::-1]),
+    ]
+    for n in (1, 2):
+        late, early = ([(i + shift) % count for i in range(count)] for shift in (n, -n))
+        orders += [
+            (True, f"shifted by {n}: {n} frame(s) too many at the start", late),
+            (True, f"shifted by {n}: the first {n} frame(s) look missing", early),
+        ]
+    yield from ((message, take) for applies, message, take in orders if applies)
+    if has_phase:
         yield from _mistaken_phases(patterns)
 
 
@@ -183,10 +176,8 @@ def _mistaken_phases(patterns: PatternSet) -> Iterator[Order]:
     count, is_both = len(patterns.frames), patterns.axes == AXES
     if is_both:
         column, row = (list(range(count))[patterns.index("phase", axis)] for axis in AXES)
-        yield (
-            "the phase frames of columns and rows look exchanged",
-            [*row, *column, *range(row[-1] + 1, count)],
-        )
+        take = [*row, *column, *range(row[-1] + 1, count)]
+        yield "the phase frames of columns and rows look exchanged", take
     for axes in (AXES, AXES[:1], AXES[1:]) if is_both else (patterns.axes,):
         text = f"the phase frames along {' and '.join(axes)} look recorded backwards"
         yield text, _phase_backwards(patterns, axes)
@@ -204,6 +195,5 @@ def _exchanged_gray(patterns: PatternSet) -> Iterator[Order]:
     frames = patterns.frames
     gray = [i for i, frame in enumerate(frames) if frame.kind == "gray"]
     for i, j in combinations(gray, 2):
-        take = list(range(len(frames)))
-        take[i], take[j] = j, i
-        yield f"frames {i} ({frames[i].name}) and {j} ({frames[j].name}) look exchanged", take
+        text = f"frames {i} ({frames[i].name}) and {j} ({frames[j].name}) look exchanged"
+        yield text, exchanged(len(frames), i, j)

@@ -16,7 +16,7 @@
 | [response] | optional: that of the projector, see `ProjectorResponse` |
 
 Paths are relative to the folder of capture.toml. For images that other programs wrote, [[frames]]
-stands in the place of files and patterns_file, see `frame_list`.
+replaces files and patterns_file, see `frame_list`.
 """
 
 import re
@@ -24,7 +24,6 @@ import string
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -34,66 +33,59 @@ from reconstruction.capture.description import (
     DESCRIPTION_FILE,
     MANIFEST_FILE,
     file_names,
+    read_manifest,
     read_parts,
-    read_toml,
     write_manifest,
     write_toml,
 )
+from reconstruction.capture.recorded import (
+    FRAMES_FORMAT,
+    FRAMES_VERSION,
+    ImageSet,
+    RecordedFrames,
+    natural_key,
+    require_below,
+)
 from reconstruction.errors import CaptureError, InputError, few, require_integer, require_number
 from reconstruction.patterns import PatternSet
-from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.writing import write_png
 
-FRAMES_FORMAT, FRAMES_VERSION = "fringe-frames", 1
-_MOST_SIGNS = 200
 FIELDS = ("index", "number", "name", "set")
-Channel = Literal["", "red", "green", "blue"]
-CHANNELS: tuple[Channel, ...] = get_args(Channel)
 _FILES = "{index:03d}_{name}.png"
+_LONGEST_SHOWN = 200
 
 
-@dataclass(frozen=True)
-class FrameSet:
+@dataclass(frozen=True, kw_only=True)
+class FrameSet(ImageSet):
     """Content of capture.toml; see the module."""
 
-    sensor: SensorNoise
     files: str
-    bit_depth: int
     patterns_file: str = "patterns.toml"
-    calibration_file: str = "calibration.yaml"
-    dark_file: str = ""
     exposures_ms: tuple[float, ...] = ()
-    channel: Channel = ""
-    response: ProjectorResponse | None = None
 
     def __post_init__(self) -> None:
-        require_integer("bit_depth", self.bit_depth, 8, 16)
-        for name in ("files", "patterns_file", "calibration_file", "dark_file"):
-            value = getattr(self, name)
-            if not isinstance(value, str) or not (value or name == "dark_file"):
-                raise InputError(f"{name} is {value!r}; give the name of a file")
+        super().__post_init__()
+        self.require_names("files", "patterns_file", "calibration_file", allow_empty=False)
         object.__setattr__(self, "exposures_ms", _exposures(self.exposures_ms))
-        if self.channel not in CHANNELS:
-            raise InputError(f"channel is {self.channel!r}; allowed are red, green and blue")
-        _require_below(self.files)
+        require_below("files", self.files)
         _check_fields(self.files, self.sets)
-        largest = 2**self.bit_depth - 1
-        if self.sensor.saturation_dn > largest:
-            raise InputError(
-                f"sensor saturation_dn is {self.sensor.saturation_dn:g}; {self.bit_depth} bits end "
-                f"at {largest}, give at most that"
-            )
 
     @property
     def sets(self) -> int:
         """How many times the sequence was taken."""
         return max(1, len(self.exposures_ms))
 
+    def recorded(self, folder: Path) -> RecordedFrames:
+        """Return the images of a folder in the order of the manifest.
 
-def is_frame_set(path: Path) -> bool:
-    """Tell whether a capture.toml describes single images."""
-    return read_toml(path).get("format") == FRAMES_FORMAT
+        Raises
+        ------
+        CaptureError : the manifest or images are missing, or there are too many images
+        """
+        patterns = read_manifest(folder / self.patterns_file)
+        files = frame_files(folder, self, patterns)
+        return self.recorded_as(folder, patterns, files, self.exposures_ms)
 
 
 def read_frame_set(path: Path) -> FrameSet:
@@ -150,12 +142,6 @@ def _sorted_files(
     return files
 
 
-def natural_key(path: Path) -> list[tuple[int, str]]:
-    """Sort key by which frame_2 comes before frame_10."""
-    parts = re.split(r"(\d+)", path.as_posix())
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
-
-
 def _gap(files: list[Path]) -> str:
     """Name the first jump in the running numbers, if the names end in one."""
     found = [re.search(r"(\d+)\D*$", path.name) for path in files]
@@ -170,16 +156,6 @@ def _is_glob(files: str) -> bool:
     return any(sign in files for sign in "*?")
 
 
-def _require_below(files: str) -> None:
-    """Refuse names that lead out of the folder, and patterns that search all below it."""
-    parts = files.split("/")
-    if parts[0] in ("", "~") or ".." in parts or "**" in files or "\0" in files:
-        raise InputError(
-            f"files is {files[:_MOST_SIGNS]!r}; give names in the folder of capture.toml or in a "
-            "named folder below it, without .. or **"
-        )
-
-
 def _check_fields(files: str, sets: int) -> None:
     try:
         parts = [part[1:] for part in string.Formatter().parse(files) if part[1] is not None]
@@ -188,7 +164,7 @@ def _check_fields(files: str, sets: int) -> None:
     named, allowed = [str(part[0]) for part in parts], ("set",) if _is_glob(files) else FIELDS
     if not all(name in allowed and _is_narrow(name, *form) for name, *form in parts):
         raise InputError(
-            f"files is {files[:_MOST_SIGNS]!r}; allowed are the fields {', '.join(FIELDS)} in "
+            f"files is {files[:_LONGEST_SHOWN]!r}; allowed are the fields {', '.join(FIELDS)} in "
             "braces, numbers with up to two digits of width as in {index:03d}, or * and ? with at "
             "most {set}"
         )
@@ -202,7 +178,7 @@ def _check_fields(files: str, sets: int) -> None:
 
 
 def _is_narrow(name: str | None, form: str | None, conversion: str | None) -> bool:
-    """Tell whether a field is written plainly: a width of ten digits takes as many GB."""
+    """Whether a field has a narrow format: a width of ten digits would take as many GB."""
     width = r"" if name == "name" else r"0?\d{0,2}d?"
     return conversion is None and re.fullmatch(width, form or "") is not None
 

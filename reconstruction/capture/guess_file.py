@@ -1,10 +1,12 @@
-"""What was guessed of an unknown set, as a capture.toml with a list of frames to correct."""
+"""The guess about an unknown set of images as a capture.toml for the user to correct."""
 
 import json
 import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+from reconstruction.capture.frame_list import FrameEntry
 from reconstruction.capture.guess import Guess
 from reconstruction.capture.image_looks import FrameGroup, LookedAt
 from reconstruction.capture.phase_anchor import word_px, words_per_fringe
@@ -17,12 +19,12 @@ MOST_CYCLES = 1.6
 
 
 def written(found: Guess, size: tuple[int, int], *, is_known: bool = True) -> str:
-    """Return the content of capture.toml with comments on what was guessed.
+    """Return the content of capture.toml with a comment on each guessed value.
 
     Parameters
     ----------
     size : of the projector, px, as it was guessed with
-    is_known : whether anybody stated it
+    is_known : whether the user stated it
     """
     width_px, height_px = size
     lines = [
@@ -56,29 +58,44 @@ def _depth(looked: LookedAt) -> int:
 
 
 def _group_lines(group: FrameGroup, found: Guess, size: tuple[int, int]) -> list[str]:
+    entry = _entry(group, found, size)
+    FrameEntry(**entry)  # raises InputError for an entry that `twin decode` would reject
+    remarks = _remarks(group, found)
+    lines = (f"{key} = {_toml(value)}{remarks.get(key, '')}" for key, value in entry.items())
+    return ["[[frames]]", *lines]
+
+
+def _entry(group: FrameGroup, found: Guess, size: tuple[int, int]) -> dict[str, Any]:
+    """Return the keys of `FrameEntry` that describe a group."""
+    entry: dict[str, Any] = {"files": list(group.files), "kind": group.kind}
+    if group.axis is not None:
+        entry["axis"] = group.axis
+        if group.kind == "phase" or not _phases(found, group.axis):
+            entry["period_px"] = _period_px(group, found, size)
+    if group.kind == "phase":
+        entry["shift_deg"] = [round(shift, 4) for shift in group.shifts_deg]
+        entry["sign"] = group.sign or 1
+    return entry
+
+
+def _remarks(group: FrameGroup, found: Guess) -> dict[str, str]:
+    """Return the comments on values that are not certain, by their keys."""
     bits = ("gray", "inverse")
     same = [g for g in found.groups if g.axis == group.axis and {g.kind, group.kind} <= {*bits}]
     files = [name for one in (group, *same) for name in one.files]
-    doubtful = any(name in text for text in found.unsure for name in files)
-    lines = ["[[frames]]", f"files = {json.dumps(list(group.files))}", f'kind = "{group.kind}"']
-    lines[1] += "  # unsure: see above" * doubtful
-    if group.axis is None:
-        return lines
-    lines.append(f'axis = "{group.axis}"')
-    if group.kind == "phase" or not _phases(found, group.axis):
-        period_px = _period_px(group, found, size)
-        lines.append(
-            f"period_px = {period_px:.6g}  # unsure: follows from the size of the projector"
-        )
-    if group.kind == "phase":
-        lines.append(f"shift_deg = {json.dumps([round(shift, 4) for shift in group.shifts_deg])}")
-        lines.append(f"sign = {group.sign or 1}")
-        if group.sign:
-            lines[-2] += "  # unsure: as the first word begins at projector pixel 0"
-        else:
-            lines[-1] += "  # unsure: -1 if the camera sees the projector mirrored"
-            lines[-2] += "  # unsure: of the first image 0 is assumed"
-    return lines
+    remarks = {"period_px": "  # unsure: follows from the size of the projector"}
+    if any(name in text for text in found.unsure for name in files):
+        remarks["files"] = "  # unsure: see above"
+    if group.sign:
+        remarks["shift_deg"] = "  # unsure: as the first word begins at projector pixel 0"
+    else:
+        remarks["shift_deg"] = "  # unsure: of the first image 0 is assumed"
+        remarks["sign"] = "  # unsure: -1 if the camera sees the projector mirrored"
+    return remarks
+
+
+def _toml(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else json.dumps(value)
 
 
 def _phases(found: Guess, axis: Axis | None) -> list[FrameGroup]:
@@ -100,8 +117,8 @@ def _period_px(group: FrameGroup, found: Guess, size: tuple[int, int]) -> float:
 def _word_px(bits: FrameGroup, found: Guess, size: tuple[int, int]) -> float:
     """Return the width of a word, px.
 
-    A power of two, unless that leaves out words that are seen, or all words are needed to number
-    fringes of whole pixels.
+    A power of two, unless that excludes words in view, or all words are needed to number fringes of
+    whole pixels.
     """
     length_px = size[AXES.index(bits.axis or "column")]
     power_px = word_px(len(bits.files), length_px)
@@ -132,7 +149,7 @@ def _whole_fringes(found: Guess, size: tuple[int, int]) -> dict[Axis | None, flo
 
 
 def _covering(found: Guess, axis: Axis | None) -> float:
-    """Return the frequency of what covers the projector: the coarsest period, or the beat.
+    """Return the frequency of one cycle per projector: of the coarsest period, or of the beat.
 
     Periods of which the view shows several fringes each number one another by their beats.
     """
@@ -159,6 +176,6 @@ def _sensor_lines(looked: LookedAt) -> list[str]:
 
 
 def require_groups(found: Guess, folder: Path) -> None:
-    """Raise CaptureError where nothing striped was found."""
+    """Raise CaptureError if no image has stripes."""
     if not any(group.axis for group in found.groups):
         raise CaptureError(f"{folder}: no image shows stripes; give a folder of projected patterns")

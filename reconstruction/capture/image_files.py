@@ -6,7 +6,7 @@ is taken off as I - D + black level: a constant per pixel, which drops out of th
 white against black or of merged exposures.
 
 The same sequence taken at several exposures is merged into one stack before decoding. Per pixel the
-brightest exposure whose whole set of frames is unsaturated (Zhang and Yau, Opt. Eng. 48, 033604
+brightest exposure with no saturated frame is used (Zhang and Yau, Opt. Eng. 48, 033604
 (2009)); its DN above the black level are scaled to the longest exposure by s = t_max / t. The
 variance is then (s K sigma_d)^2 + s K (mean - black) + s^2 / 12: `decode` uses it when given s.
 """
@@ -21,28 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatImage, ReasonImage, Stack
-from reconstruction.capture.description import read_manifest
-from reconstruction.capture.frame_list import (
-    FoundFrames,
-    ListedSet,
-    find_listed,
-    is_listed,
-    read_listed,
-)
-from reconstruction.capture.frame_order import check_order
-from reconstruction.capture.frame_set import (
-    CHANNELS,
-    Channel,
-    FrameSet,
-    frame_files,
-    read_frame_set,
-)
 from reconstruction.capture.raw_images import read_npy, read_pgm
+from reconstruction.capture.recorded import CHANNELS, Channel, RecordedFrames
 from reconstruction.errors import CaptureError, InputError, one_line, require_number
 from reconstruction.machine import threads
 from reconstruction.native import quiet
 from reconstruction.reading import MOST_IMAGE_BYTES, read_pixels, regular_file
-from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.sensor import SensorNoise
 
 Image = NDArray[Any]
@@ -51,78 +35,27 @@ TYPES = ("uint8", "uint16", "float32")
 EXPOSURE_FACTOR = 1.5
 
 
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """Stack (frame, row, col), DN, and by how much merged exposures were scaled, (row, col)."""
-
-    stack: Stack
-    scale: FloatImage | None
-
-
-def read_frames(
-    folder: Path,
-    description: FrameSet | ListedSet,
-    found: FoundFrames,
-    calibration: Calibration | None = None,
-) -> Frames:
-    """Read, check, and where there are several exposures merge the frames of a folder.
-
-    Parameters
-    ----------
-    calibration : helps to notice exchanged axes; None: none yet
+def read_exposures(recorded: RecordedFrames) -> list[Stack]:
+    """Read the images of every exposure, and subtract the dark frame.
 
     Raises
     ------
-    CaptureError : missing or damaged images, unequal sizes or types, values beyond the bit depth,
-        exposures that do not fit the light, frames clearly in another order
+    CaptureError : missing or damaged images, unequal sizes or types, values beyond the bit depth
     """
-    patterns, channel = found.patterns, description.channel
-    sets = [read_stack_of_images(files, description.bit_depth, channel) for files in found.files]
-    if description.dark_file:
-        dark = _read_dark(folder / description.dark_file, sets[0].shape[1:], channel)
-        sets = [subtract_dark(stack, dark, description.sensor) for stack in sets]
-    try:
-        for stack in sets:
-            check_order(stack, patterns, description.sensor, calibration)
-        if len(sets) == 1:
-            return Frames(sets[0], None)
-        _check_exposures(sets, description.sensor, found)
-        merged = merge_exposures(sets, found.exposures_ms, description.sensor)
-    except InputError as error:
-        raise CaptureError(f"{folder}: {_with_files(str(error), found)}") from error
-    return Frames(merged.stack, merged.scale)
+    channel = recorded.channel
+    sets = [read_stack_of_images(one, recorded.bit_depth, channel) for one in recorded.files]
+    if recorded.dark_file is None:
+        return sets
+    dark = _read_dark(recorded.dark_file, sets[0].shape[1:], channel)
+    return [subtract_dark(stack, dark, recorded.sensor) for stack in sets]
 
 
-def _with_files(message: str, found: FoundFrames) -> str:
-    """Name the image of each frame that a message names: a list gives them other names."""
-    for frame, path in zip(found.patterns.frames, found.files[0], strict=True):
+def with_file_names(message: str, recorded: RecordedFrames) -> str:
+    """Add to each frame that a message names the name of its image, where the two differ."""
+    for frame, path in zip(recorded.patterns.frames, (recorded.files or ((),))[0], strict=False):
         if frame.name not in path.name:
             message = message.replace(f"({frame.name})", f"({frame.name}: {path.name})")
     return message
-
-
-def find_frames(folder: Path, description: FrameSet | ListedSet) -> FoundFrames:
-    """Return the images of a capture in the order of decoding, and what they show.
-
-    Raises
-    ------
-    CaptureError : images or the manifest are missing, or the list cannot be decoded
-    """
-    if isinstance(description, ListedSet):
-        return find_listed(folder, description)
-    patterns = read_manifest(folder / description.patterns_file)
-    files = frame_files(folder, description, patterns)
-    return FoundFrames(patterns, files, description.exposures_ms)
-
-
-def read_image_set(path: Path) -> FrameSet | ListedSet:
-    """Read a capture.toml of single images, with or without a list of them.
-
-    Raises
-    ------
-    CaptureError : see `read_frame_set`, `read_listed`
-    """
-    return read_listed(path) if is_listed(path) else read_frame_set(path)
 
 
 def read_stack_of_images(files: Sequence[Path], bit_depth: int, channel: Channel = "") -> Stack:
@@ -184,7 +117,7 @@ def _read_exr(path: Path) -> Image:
             channels = sorted(file.channels().items(), key=lambda item: "RGBA".find(item[0][-1]))
             found = [np.asarray(one.pixels, np.float32) for _, one in channels]
             return found[0].copy() if len(found) == 1 else np.stack(found, axis=-1)
-    # The binding raises what Python and C++ raise: RuntimeError, TypeError, KeyError ...
+    # The binding raises errors of Python and of C++: RuntimeError, TypeError, KeyError ...
     except Exception as error:
         raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
 
@@ -199,7 +132,7 @@ def _check_depth(path: Path, image: Image, bit_depth: int) -> None:
             f"{path}: holds 8 bits, capture.toml says bit_depth = {bit_depth}; store 16-bit images "
             "or say bit_depth = 8"
         )
-    # This way round NaN is refused as well; a float between the last two levels is not clipped.
+    # A NaN is an error, too; a float between the last two levels is not clipped.
     if not image.max() < largest + 1:
         step = int(np.gcd.reduce(image.ravel())) if image.dtype.kind == "u" else 1
         shifted = f"; all values are multiples of {step}: the bits stand on the left" * (step > 1)
@@ -228,8 +161,8 @@ def _read_dark(path: Path, shape: tuple[int, ...], channel: Channel) -> Image:
 def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     """Return float32 frames with every pixel's dark value moved to the black level.
 
-    A clipped pixel stays clipped, and a lost one (0) stays lost, for `decode` to see. One that a
-    dark value below the black level lifts to `clipped_from_dn` counts as clipped from then on.
+    Clipped and lost (0) pixels keep their values, by which `decode` detects them. A pixel that a
+    dark value below the black level lifts to `clipped_from_dn` counts as clipped.
     """
     black_dn = np.float32(sensor.black_level_dn)
     offset = dark.astype(np.float32) - black_dn
@@ -241,8 +174,9 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     return result
 
 
-def _check_exposures(sets: Sequence[Stack], sensor: SensorNoise, found: FoundFrames) -> None:
-    times_ms, patterns = found.exposures_ms, found.patterns
+def check_exposures(sets: Sequence[Stack], recorded: RecordedFrames) -> None:
+    """Raise CaptureError unless white less black is proportional to the exposure time."""
+    times_ms, patterns, sensor = recorded.exposures_ms, recorded.patterns, recorded.sensor
     if not patterns.uniform:
         return
     white, black = patterns.index("white").start, patterns.index("black").start
@@ -285,7 +219,7 @@ def merge_exposures(
 ) -> MergedExposures:
     """Take every pixel from its brightest exposure without a saturated frame.
 
-    Where all saturate, the shortest one is taken: `decode` leaves out its clipped frames.
+    Where all saturate, the shortest one is taken: `decode` ignores its clipped frames.
 
     Parameters
     ----------

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
-from reconstruction.capture.frame_set import Channel, natural_key
 from reconstruction.capture.image_files import Image, read_image
+from reconstruction.capture.recorded import Channel, natural_key
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import Axis
 

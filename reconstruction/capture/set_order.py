@@ -1,4 +1,4 @@
-"""Do the frames of a set stand in their order? Phase steps, first step and Gray words.
+"""Check the order of the frames of a set: phase steps, first step and Gray words.
 
 Phase steps, from sums over many pixels. Symbols: x_np light of pixel p in step n, of unit standard
 deviation over the steps; G = x x^T the (N, N) matrix of sums over pixels; H the projection on 1,
@@ -6,18 +6,18 @@ cos, sin of 2 pi n / N. The residual of an order P of the frames is tr((1 - H) P
 exchanges are tried without the images.
 
 First step: the phase must agree with the half-periods of the Gray code. A set that starts k steps
-late is a perfect set with all coordinates moved by k period / N. Only the Gray code tells: all bits
-of an edge-safe code together are even in the first half of every period, so that the mean of
-+-exp(i phi) has the argument pi / 2, less the half pixel by which stripes begin earlier. A set
+late is a perfect set with all coordinates moved by k period / N. Only the Gray code shows it: the
+bits of an edge-safe code have even parity in the first half of every period, so that the mean of
++-exp(i phi) has the argument pi / 2, less the half pixel by which stripes start earlier. A set
 recorded backwards has the phase 2 pi / N - phi.
 
-Plain Gray words do not tell halves of a period, but where it ends: between neighbouring pixels
-whose words differ by one the phase passes 0, and it grows towards the larger word. A set whose
-shifts have the wrong sign falls there.
+Plain Gray words show the ends of a period, not its halves: between neighbouring pixels with words
+that differ by one the phase passes 0 and increases towards the larger word. With shifts of the
+wrong sign it decreases there.
 
 Gray words: those of neighbouring pixels differ by one. Exchanged Gray frames change neither the
 parity of a word nor that it differs from its neighbours in one bit, but by how much its number
-differs. BoolImage that nowhere change within the view tell nothing.
+differs. Bits that do not change within the view are not checked.
 """
 
 from itertools import combinations
@@ -36,16 +36,16 @@ LEVEL_TOLERANCE = 0.15
 EXCHANGE_GAIN = 0.5
 # A single strange frame: its RMS deviation in units of the modulation, and its share of all.
 STRANGE_DEVIATION, STRANGE_SHARE = 0.2, 0.5
-# Share of the variance no cosine explains; a gamma of 2.2 leaves 0.08, frames at random 0.8.
+# Share of the variance that no cosine explains: 0.08 at a gamma of 2.2, 0.8 for random frames.
 CHAOTIC = 0.35
-# Fewer steps leave no or one degree of freedom, in which no frame can be told from another.
+# Fewer steps have no or one degree of freedom, which identifies no frame.
 LEAST_STEPS = 5
 # In steps; and in radians, which blur, noise and a few fringes may move the mean by.
 LEAST_STEPS_OFF, LEAST_ANGLE_OFF = 0.7, 0.2
 # More steps than this are rather a set recorded backwards, where that explains them.
 MOST_STEPS_OFF = 2.0
-# Phase and Gray code go together above, and have nothing to do with each other below these shares
-# of the mean that ideal frames give.
+# Phase and Gray code agree above the first share of the mean that ideal frames give; below the
+# second share they are independent.
 AGREES, DISAGREES = 0.6, 0.3
 # Points per projector pixel at which the pattern itself is looked up.
 FINE = 16
@@ -54,13 +54,20 @@ ALTERNATING = (Rule.WORD_PER_HALF_PERIOD, Rule.TWO_WORDS)
 
 POSITIONS = 8_000
 LEAST_CHANGES = 30
-# Share by which the phase must fall rather than grow with the word.
+# Share by which the phase must decrease rather than increase with the word.
 BACKWARDS = 0.5
 # A pixel is used when its frames differ by this many sigmas of its noise.
 LIT_SIGMAS = 20.0
 # Share of jumps by more than one: steep edges and light between parts give up to 0.6 without any
 # mistake, which no exchange lowers: it is blamed only if it explains most. Coarse bits jump seldom.
 MANY_JUMPS, EXPLAINED = 0.02, 1.0 / 3.0
+
+
+def exchanged(count: int, i: int, j: int) -> list[int]:
+    """Return the indices of `count` frames with two of them exchanged."""
+    order = list(range(count))
+    order[i], order[j] = j, i
+    return order
 
 
 def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
@@ -102,7 +109,7 @@ def _projection(steps: int) -> FloatArray:
 def _check_levels(missed_dn: FloatArray, mean_dn: float, first: int, names: list[str]) -> None:
     """Compare each frame's mean with the cosine that the means of all frames must follow."""
     worst = int(np.argmax(np.abs(missed_dn)))
-    # What the frame misses of the cosine through the others; its own weight in the fit is 3 / N.
+    # Deviation of the frame from the cosine through the others; its own weight in the fit is 3 / N.
     excess = float(missed_dn[worst] / (1.0 - 3.0 / len(names)))
     if abs(excess) > LEVEL_TOLERANCE * mean_dn:
         ratio = 1.0 + excess / max(mean_dn - excess / len(names), 1e-9)
@@ -116,8 +123,7 @@ def _check_exchange(gram: FloatArray, remainder: FloatArray, first: int, names: 
     stated = float(np.sum(remainder * gram))
     best, pair = stated, (0, 0)
     for i, j in combinations(range(len(names)), 2):
-        order = np.arange(len(names))
-        order[[i, j]] = j, i
+        order = exchanged(len(names), i, j)
         residual = float(np.sum(remainder * gram[np.ix_(order, order)]))
         if residual < best:
             best, pair = residual, (i, j)
@@ -130,9 +136,9 @@ def _check_exchange(gram: FloatArray, remainder: FloatArray, first: int, names: 
 
 
 def _is_real(gain: float, pair: tuple[int, int], steps: int) -> bool:
-    """Tell whether exchanging the frames changes the residual as much as their steps demand."""
-    # Two unit cosines apart by the angle a differ by 2 (1 - cos a) in square, twice for two frames;
-    # the fit through N frames takes up a part of it.
+    """Whether exchanging the frames changes the residual as much as their steps demand."""
+    # Two unit cosines with a phase difference a differ by 2 (1 - cos a) in square, two frames by
+    # 4 (1 - cos a); the fit through N frames absorbs a part of it.
     angle = 2.0 * np.pi * (pair[1] - pair[0]) / steps
     return bool(gain > 0.3 * 4.0 * (1.0 - np.cos(angle)) * (1.0 - 3.0 / steps))
 
@@ -229,7 +235,7 @@ def read_bits(pixels: FloatImage | FloatArray, patterns: PatternSet, axis: Axis)
     if patterns.inverse:
         return np.asarray(gray > pixels[patterns.index("inverse", axis)])
     if patterns.steps:
-        # Of the axis itself: the mean of the other one's fringes knows nothing of its light.
+        # Of the same axis: the fringes along the other one have another mean.
         return np.asarray(gray > pixels[patterns.index("phase", axis)].mean(axis=0))
     white, black = (pixels[patterns.index(kind)].mean(axis=0) for kind in ("white", "black"))
     return np.asarray(gray > 0.5 * (white + black))
@@ -240,7 +246,7 @@ def check_borders(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> No
 
     Raises
     ------
-    CaptureError : along an axis the phase falls with the word, or passes 0 elsewhere
+    CaptureError : along an axis the phase decreases with the word, or passes 0 elsewhere
     """
     is_plain = patterns.kind.rule is Rule.WORD_PER_PERIOD
     if not is_plain or not patterns.steps or min(stack.shape[1:]) < 2:
@@ -323,11 +329,10 @@ def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) 
     stated = _share_of_jumps(bits, patterns)
     if stated <= MANY_JUMPS:
         return
-    found = {}
-    for i, j in combinations(range(len(bits)), 2):
-        order = np.arange(len(bits))
-        order[[i, j]] = j, i
-        found[i, j] = _share_of_jumps(bits[order], patterns)
+    found = {
+        (i, j): _share_of_jumps(bits[exchanged(len(bits), i, j)], patterns)
+        for i, j in combinations(range(len(bits)), 2)
+    }
     # Where several explain it alike, the nearest frames.
     i, j = min(found, key=lambda pair: (round(found[pair], 2), pair[1] - pair[0]))
     if found[i, j] < EXPLAINED * stated:

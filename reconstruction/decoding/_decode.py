@@ -1,6 +1,6 @@
 """A band of image rows from camera frames to projector coordinates, pixel by pixel.
 
-Nothing but the result is ever as large as the image.
+Only the result is as large as the image.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reconstruction.arrays import FloatImage
-from reconstruction.compiling import compiled, merged, nested
+from reconstruction.compiling import compiled, inlined, merged, nested
 from reconstruction.decoding._chain import Unwrapping, unwrap_row
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
@@ -22,8 +22,7 @@ from reconstruction.decoding._order import (
     Word,
     number_row,
     place_words,
-    read_gray_row,
-    read_pairs_row,
+    read_word_row,
     reflect_row,
     settle_borders,
     settle_row,
@@ -113,7 +112,7 @@ class Work(NamedTuple):
     modulations: Any  # (axis, set, col)
     phases: Any  # (axis, set, col)
     sigmas: Any  # (set, col), of noise
-    doubts: Any  # (set, col), with what is not known of the projector's response
+    doubts: Any  # (set, col), with the uncertainty of the projector's response
     answers: Any  # (line, col): coordinate and sigma of both axes
     lines: Any  # (line, col): error, and two to pack with
     order: Any
@@ -185,7 +184,7 @@ def _root_of_mean(sets: int, variance: Any, out: Any) -> None:
 def fit_row(
     row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps, reason: Any
 ) -> None:  # fmt: skip
-    """Fit all fringe sets of one image row and tell which pixels have a phase."""
+    """Fit all fringe sets of one image row, and mark the pixels that have a phase."""
     layout, sets, total = plan.layout, plan.layout.sets, work.sums
     sums = Sums(total[0], total[1], total[2], total[3], total[4], total[5])
     for axis in range(layout.first_axis, layout.end_axis):
@@ -210,7 +209,7 @@ def fit_row(
 
 @merged
 def _level_words(row: int, stack: Any, plan: Plan, scale: Any, work: Work, reason: Any) -> None:
-    """Give words without a phase their level and contrast, and tell which pixels see light."""
+    """Write level and contrast of words without a phase, and mark the pixels that are lit."""
     layout = plan.layout
     for axis in range(layout.first_axis, layout.end_axis):
         bright, dim = work.lines[1], work.lines[2]
@@ -284,10 +283,7 @@ def _read_order(
     widening = np.float32(NEAR_SIGMAS * plan.threshold_noise)
     for col in range(margin.size):
         margin[col] *= widening
-    if code.first_inverse < 0:
-        read_gray_row(frames, code.bits, read)
-    else:
-        read_pairs_row(frames, code, read)
+    read_word_row(frames, code, read)
     if code.shown == REFLECTED:
         number_row(code, read.gray, phase, order, answer)
     else:
@@ -306,10 +302,18 @@ def _read_order(
         place_words(code, answer)
 
 
+@inlined
+def answer_of(axis: int, work: Work) -> Numbered:
+    """Return the lines of one axis' answer."""
+    return Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], work.lines[0])
+
+
 @merged
-def inform(axis: int, row: int, plan: Plan, work: Work, error: Any, maps: Maps) -> None:
-    """Write what does not depend on the other axis."""
-    spare, units = work.lines[2], plan.units
+def settle_axis(axis: int, row: int, plan: Plan, work: Work, maps: Maps) -> None:
+    """Mask the answer of one axis, and write the maps that do not depend on the other axis."""
+    spare, units, error = work.lines[2], plan.units, work.lines[0]
+    length, most = plan.codes[axis].length_px, plan.limits.max_order_error
+    settle_row(length, most, answer_of(axis, work), work.usable, maps.reason[row])
     write_turns(work.phases[axis, 0], maps.turns[axis, row])
     pack_row(work.mean[axis], units.level, spare, maps.mean[axis, row])
     pack_row(work.modulations[axis, 0], units.level, spare, maps.modulation[axis, row])
@@ -319,26 +323,25 @@ def inform(axis: int, row: int, plan: Plan, work: Work, error: Any, maps: Maps) 
 @merged
 def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps) -> None:
     """Give one row of the band its fringe numbers, and write the result."""
-    reason, error, usable = maps.reason[row], work.lines[0], work.usable
-    layout = plan.layout
-    for axis in range(layout.first_axis, layout.end_axis):
-        answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
-        if layout.steps:
+    for axis in range(plan.layout.first_axis, plan.layout.end_axis):
+        answer = answer_of(axis, work)
+        if plan.layout.steps:
             find_sigmas(axis, plan, scale, work)
         if plan.is_chain:
-            unwrapping = plan.unwrappings[axis]
-            unwrap_row(unwrapping, work.phases[axis], work.sigmas, work.doubts, usable, answer)
+            unwrap_row(
+                plan.unwrappings[axis], work.phases[axis], work.sigmas, work.doubts, work.usable,
+                answer,
+            )  # fmt: skip
         else:
             _read_order(axis, row, stack, plan, scale, work, answer)
-        length = plan.codes[axis].length_px
-        settle_row(length, plan.limits.max_order_error, answer, usable, reason)
-        inform(axis, row, plan, work, error, maps)
-    write_valid_axes(row, plan, work, reason, maps)
+        settle_axis(axis, row, plan, work, maps)
+    write_valid_axes(row, plan, work, maps)
 
 
 @merged
-def write_valid_axes(row: int, plan: Plan, work: Work, reason: Any, maps: Maps) -> None:
+def write_valid_axes(row: int, plan: Plan, work: Work, maps: Maps) -> None:
     """Write coordinates and their sigma, once the reasons of both axes are known."""
+    reason = maps.reason[row]
     for axis in range(plan.layout.first_axis, plan.layout.end_axis):
         write_valid(work.answers[COORDINATE[axis]], reason, maps.coordinate_px[axis, row])
         write_valid(work.answers[SIGMA[axis]], reason, work.lines[1])

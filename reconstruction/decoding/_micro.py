@@ -1,13 +1,12 @@
 """Number the fringes of one image row by single images of near periods: micro phase shifting.
 
-Gupta and Nayar, Proc. CVPR 2012, 813. All periods are so near one another that light between
-surfaces leaves mean A and modulation B the same in all images:
-I_k = A + B m_k cos(2 pi x / p_k + s_k); m_k is what the lens' blur makes of the modulation beside
-that of the first period, the same in the whole image.
+Gupta and Nayar, Proc. CVPR 2012, 813. All periods are nearly equal, so that interreflection affects
+mean A and modulation B of all images equally: I_k = A + B m_k cos(2 pi x / p_k + s_k). m_k is the
+modulation relative to that of the first period, by lens blur, and the same in the whole image.
 
 N steps of the first period give A, B and its phase, and so the candidates, one per fringe:
-x_m = p_0 (phi / 2 pi + m). Symbols, per candidate and pixel: theta = (A, B, x); r_k what image k
-differs from the candidate; J_k its derivative by theta; v its variance; L the information of the N
+x_m = p_0 (phi / 2 pi + m). Symbols, per candidate and pixel: theta = (A, B, x); r_k image k
+less the candidate; J_k its derivative by theta; v its variance; L the information of the N
 steps on theta. With H = L + sum J J^T / v and g = sum J r / v the candidate is at its best at
 x_m + (H^-1 g)_x and then costs c_m = sum r^2 / v - g^T H^-1 g, a chi-square. Its chance is
 exp(-c_m / 2) among all candidates (equal ones beforehand); where even the best costs more than
@@ -24,22 +23,21 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.compiling import compiled, inlined, nested
 from reconstruction.decoding._decode import (
-    COORDINATE,
-    SIGMA,
     Maps,
     Plan,
+    answer_of,
     fit_row,
-    inform,
     make_work,
+    settle_axis,
     write_valid_axes,
 )
-from reconstruction.decoding._order import TURN, Numbered, settle_row
+from reconstruction.decoding._order import TURN, Numbered
 from reconstruction.decoding._phase import keep_usable
 from reconstruction.decoding._sum import Limits, RowFrames, Shifts, noise_dn2
 
-# Where the projector's image begins.
+# Left edge of the projector's image.
 FIRST_PX = -0.5
-# Of a chi-square: what is beyond is no noise.
+# Of a chi-square: a larger one is not explained by noise.
 MISFIT_SIGMAS = 3.0
 
 
@@ -49,7 +47,7 @@ class MicroPeriods(NamedTuple):
     first_px: float
     further_px: FloatArray  # (image,)
     shifts_rad: FloatArray  # (image,), of the single images
-    shares: FloatArray  # (image,), of the modulation, beside the first period's
+    shares: FloatArray  # (image,), modulation relative to that of the first period
     turn_cosines: FloatArray  # (image,), of its phase, from one fringe of the first period on
     turn_sines: FloatArray
     first_image: int  # of the single ones in the stack; 0: this axis is not shown
@@ -57,7 +55,7 @@ class MicroPeriods(NamedTuple):
 
 
 class PixelLight(NamedTuple):
-    """What the N steps say of a pixel: its levels, and the information on A, B and x."""
+    """Levels of a pixel by the N steps, and their information on A, B and x."""
 
     mean: float
     modulation: float
@@ -79,7 +77,7 @@ class MicroWork(NamedTuple):
 
 
 class FittedRow(NamedTuple):
-    """What the N steps say of one row, lines of (col) float32."""
+    """Result of the N steps for one row, lines of (col) float32."""
 
     mean: Any
     modulation: Any
@@ -113,7 +111,7 @@ def _of_steps(
 def _candidate(
     light: PixelLight, periods: MicroPeriods, values: Any, weights: Any, waves: Any
 ) -> Any:
-    """Return what a candidate costs, how far from it it costs least, px, and the variance of that.
+    """Return the cost of a candidate, the offset of the least cost, px, and its variance.
 
     values, weights : (image,), DN and 1 / DN^2
     waves : (2, image), cosine and sine of every image's phase there
@@ -234,20 +232,18 @@ def _decode_band(
     (work, spare), layout = lines, plan.layout
     for row in range(first_row, end_row):
         scale = plan.scale[row] if plan.scale.size else work.ones
-        reason, error, usable = maps.reason[row], work.lines[0], work.usable
-        fit_row(row, stack, plan, scale, work, maps, reason)
+        fit_row(row, stack, plan, scale, work, maps, maps.reason[row])
         for axis in range(layout.first_axis, layout.end_axis):
-            answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
             phase = work.phases[axis, 0]
-            keep_usable(usable, phase)
+            keep_usable(work.usable, phase)
             single = RowFrames(stack, periods[axis].first_image, row)
             shifts = Shifts(layout.cosines[axis, 0], layout.sines[axis, 0])
             fitted = FittedRow(
-                work.mean[axis], work.modulations[axis, 0], phase, work.excess[axis], usable
+                work.mean[axis], work.modulations[axis, 0], phase, work.excess[axis], work.usable
             )
+            answer = answer_of(axis, work)
             number_micro_row(
                 single, periods[axis], shifts, plan.limits, scale, fitted, spare[axis], answer
             )
-            settle_row(periods[axis].length_px, plan.limits.max_order_error, answer, usable, reason)
-            inform(axis, row, plan, work, error, maps)
-        write_valid_axes(row, plan, work, reason, maps)
+            settle_axis(axis, row, plan, work, maps)
+        write_valid_axes(row, plan, work, maps)

@@ -33,7 +33,7 @@ ZERO, BIT, TWO = np.uint32(0), np.uint32(1), np.uint32(2)
 SHIFTS = (np.uint32(16), np.uint32(8), np.uint32(4), np.uint32(2))
 NONE, STEP = np.int32(0), np.int32(1)
 NOTHING, INFINITE = np.float32(0.0), np.float32(np.inf)
-# Where the first projector pixel begins.
+# Left edge of the first projector pixel.
 FIRST = np.float32(-0.5)
 TINY = 1e-12
 # So near to a border, in periods, the phase decides between two plain words.
@@ -45,13 +45,13 @@ class Word(NamedTuple):
     """The Gray word of one row along one axis, lines of (col)."""
 
     gray: Any  # uint32, first frame in the highest bit
-    nearest: Any  # how near to the mean a level comes, DN
+    nearest: Any  # smallest distance of a level from its threshold, DN
     mean: Any
     margin: Any  # nearer levels are not certain, DN
 
 
 class FringeRow(NamedTuple):
-    """What the fringes of one row say along one axis, lines of (col) float32."""
+    """Result of the fringes for one row along one axis, lines of (col) float32."""
 
     phase: Any  # rad
     sigma: Any  # rad, of all that is not known of it
@@ -59,7 +59,7 @@ class FringeRow(NamedTuple):
 
 
 class Numbered(NamedTuple):
-    """What one row says along one axis, lines of (col) float32."""
+    """Coordinates of one row along one axis, lines of (col) float32."""
 
     coordinate: Any  # px
     sigma: Any  # px
@@ -67,7 +67,7 @@ class Numbered(NamedTuple):
 
 
 class Code(NamedTuple):
-    """What was projected along one axis.
+    """The projected code along one axis.
 
     period_high_px has so few digits that its product with an order is exact in single precision;
     period_low_px is the rest.
@@ -169,51 +169,57 @@ def _number(gray: Any, cell: Any, code: Code) -> Any:
 
 
 @nested
-def read_gray_row(frames: RowFrames, bits: int, read: Word) -> None:
-    """Write the Gray word, and how near to A a level comes."""
-    stack, first, row = frames
-    word, nearest, mean = read.gray, read.nearest, read.mean
+def _read_two_bits(
+    a: Any, b: Any, threshold_a: Any, threshold_b: Any, factor: Any, word: Any, nearest: Any
+) -> None:
     for col in range(word.size):
-        word[col], nearest[col] = ZERO, INFINITE
-    for bit in range(0, bits - 1, 2):
-        a, b = stack[first + bit, row], stack[first + bit + 1, row]
-        for col in range(a.size):
-            least = nearest[col]  # read before the first write, see `_add_six`
-            high = np.float32(a[col]) - mean[col]
-            low = np.float32(b[col]) - mean[col]
-            bright = (TWO if high > NOTHING else ZERO) | (BIT if low > NOTHING else ZERO)
-            word[col] = (word[col] << TWO) | bright
-            nearest[col] = smaller(smaller(abs(high), abs(low)), least)
-    if bits % 2:
-        frame = stack[first + bits - 1, row]
-        for col in range(frame.size):
-            least = nearest[col]
-            over = np.float32(frame[col]) - mean[col]
-            word[col] = (word[col] << BIT) | (BIT if over > NOTHING else ZERO)
-            nearest[col] = smaller(abs(over), least)
+        least = nearest[col]  # read before the first write, see `_add_six`
+        high = factor * (np.float32(a[col]) - np.float32(threshold_a[col]))
+        low = factor * (np.float32(b[col]) - np.float32(threshold_b[col]))
+        bright = (TWO if high > NOTHING else ZERO) | (BIT if low > NOTHING else ZERO)
+        word[col] = (word[col] << TWO) | bright
+        nearest[col] = smaller(smaller(abs(high), abs(low)), least)
 
 
 @nested
-def read_pairs_row(frames: RowFrames, code: Code, read: Word) -> None:
-    """Write the Gray word from pairs of frames, and how near half their difference comes to 0."""
+def _read_bit(frame: Any, threshold: Any, factor: Any, word: Any, nearest: Any) -> None:
+    for col in range(word.size):
+        least = nearest[col]
+        over = factor * (np.float32(frame[col]) - np.float32(threshold[col]))
+        word[col] = (word[col] << BIT) | (BIT if over > NOTHING else ZERO)
+        nearest[col] = smaller(abs(over), least)
+
+
+@nested
+def read_word_row(frames: RowFrames, code: Code, read: Word) -> None:
+    """Write the bits as read, and the smallest distance of a bit from its threshold, DN.
+
+    The threshold is the mean; of pairs of frames it is the inverse frame, at half the difference.
+    """
     stack, first, row = frames
-    word, nearest = read.gray, read.nearest
+    word, nearest, mean, inverse = read.gray, read.nearest, read.mean, code.first_inverse
     for col in range(word.size):
         word[col], nearest[col] = ZERO, INFINITE
-    for bit in range(code.bits):
-        a, b = stack[first + bit, row], stack[code.first_inverse + bit, row]
-        for col in range(a.size):
-            least = nearest[col]
-            over = HALF * (np.float32(a[col]) - np.float32(b[col]))
-            word[col] = (word[col] << BIT) | (BIT if over > NOTHING else ZERO)
-            nearest[col] = smaller(abs(over), least)
+    for bit in range(0, code.bits - 1, 2):
+        a, b = stack[first + bit, row], stack[first + bit + 1, row]
+        if inverse < 0:
+            _read_two_bits(a, b, mean, mean, ONE, word, nearest)
+        else:
+            c, d = stack[inverse + bit, row], stack[inverse + bit + 1, row]
+            _read_two_bits(a, b, c, d, HALF, word, nearest)
+    if code.bits % 2:
+        last = code.bits - 1
+        if inverse < 0:
+            _read_bit(stack[first + last, row], mean, ONE, word, nearest)
+        else:
+            _read_bit(stack[first + last, row], stack[inverse + last, row], HALF, word, nearest)
 
 
 @nested
 def place_words(code: Code, answer: Numbered) -> None:
     """Move coordinates from the first pixel of each word to its middle; sigma: as likely anywhere.
 
-    A stripe is whole pixels or parts of them: w p - 1/2 is where it begins, x being whole at the
+    A stripe is whole pixels or parts of them: its edge is at w p - 1/2, x being whole at the
     centre of a pixel; p / sqrt(12) is the standard deviation of the uniform distribution. The last
     word may be cut off by the end of the image.
     """
@@ -232,7 +238,7 @@ def place_words(code: Code, answer: Numbered) -> None:
 def number_row(code: Code, word: Any, phase: Any, order: Any, answer: Numbered) -> None:
     """Write order and coordinate as read, and error probability 1 where words contradict."""
     coordinate, error = answer.coordinate, answer.error
-    # The choice of the code stands outside the loops: only so do they become vector code.
+    # The code is chosen outside the loops: otherwise they do not become vector code.
     if code.kind == COMPLEMENTARY:
         for col in range(word.size):
             cell, over = _cell(phase[col], code)
@@ -275,10 +281,10 @@ def weigh_near_bits(
 ) -> None:
     """Add the probability that a bit near its threshold was misread, where that matters.
 
-    A bit that matters and lies within `gray_sigmas` of its threshold makes the order uncertain.
+    A bit that matters and is within `gray_sigmas` of its threshold makes the order uncertain.
     """
     word, nearest, mean, margin = read
-    # At the border of two words either is half a word off, which sigma tells.
+    # At the border of two words either is half a word off, which sigma includes.
     allowed = STEP if code.is_word else NONE
     is_settled = (code.kind == PLAIN) & (code.shown == REFLECTED) & (not code.is_word)
     for col in range(word.size):
@@ -318,8 +324,8 @@ def _misread(far: Any, near: Any, contrast: Any, noise: Any) -> Any:
 
     A pixel near the border of two plain words has one bit between its levels: that of this border.
     As read it is the near one; had the other bit been misread, it would be the far one, and the
-    near one at its full contrast. Profile likelihood: of the level within the edge nothing is
-    taken to be known but that it lies within.
+    near one at its full contrast. Profile likelihood: the level is only assumed to be
+    between the levels of the edge.
 
     far, near : distances of the two bits from their threshold, DN
     """
@@ -331,12 +337,12 @@ def _misread(far: Any, near: Any, contrast: Any, noise: Any) -> Any:
 def settle_borders(
     code: Code, frames: RowFrames, read: Word, fringe: FringeRow, order: Any, answer: Numbered
 ) -> None:
-    """Let the phase say on which side of the border of two plain words a pixel lies.
+    """Decide by the phase on which side of the border of two plain words a pixel is.
 
     There the bit that flips and the phase that wraps have noise of their own, and an edge that the
-    projector's response or blur displaced does not even need noise. Which border it is, the levels
-    of the two bits next to the word tell. What stays is the chance that they were confused, and,
-    where neither is between its levels, that noise carried the phase over the border.
+    projector's response or blur displaced does not even need noise. The levels of the two bits
+    next to the word determine which border it is. The error probability is that of confusing them
+    and, where neither bit is between its levels, that of noise moving the phase over the border.
     """
     mean, margin = read.mean, read.margin
     step_px = np.float32(code.period_px)
@@ -397,6 +403,6 @@ def settle_row(
 
 @nested
 def write_valid(values: Any, reason: Any, out: Any) -> None:
-    """Copy a row without what a masked pixel must not tell."""
+    """Copy a row; masked pixels become 0."""
     for col in range(reason.size):
         out[col] = values[col] if reason[col] == VALID else NOTHING

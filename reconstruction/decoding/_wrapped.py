@@ -1,6 +1,6 @@
 """Wrapped phases of a whole image, and the result of an order that was found outside the kernels.
 
-The general path of codes and functions in numpy; compiled codes never store what is here.
+Used by codes and functions in numpy only: compiled codes never store whole images of phases.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -11,18 +11,17 @@ import numpy as np
 
 from reconstruction.compiling import compiled
 from reconstruction.decoding._decode import (
-    COORDINATE,
-    SIGMA,
     Maps,
     Plan,
     Work,
+    answer_of,
     find_sigmas,
     fit_row,
-    inform,
     make_work,
+    settle_axis,
     write_valid_axes,
 )
-from reconstruction.decoding._order import TURN, Numbered, settle_row
+from reconstruction.decoding._order import TURN
 from reconstruction.decoding._rows import copy_row
 from reconstruction.decoding._sum import find_noise
 
@@ -86,18 +85,16 @@ def _place_band(
 ) -> None:
     layout = plan.layout
     for row in range(first_row, end_row):
-        reason, error = maps.reason[row], work.lines[0]
+        copy_row(wrapped.usable[row], work.usable)
         for axis in range(layout.first_axis, layout.end_axis):
-            answer = Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], error)
+            answer = answer_of(axis, work)
             copy_row(ordered.coordinate[axis, row], answer.coordinate)
-            copy_row(ordered.error[axis, row], error)
+            copy_row(ordered.error[axis, row], answer.error)
             copy_row(wrapped.phases[axis, 0, row], work.phases[axis, 0])
             copy_row(wrapped.mean[axis, row], work.mean[axis])
             copy_row(wrapped.modulation[axis, row], work.modulations[axis, 0])
             per_rad = np.float32(plan.codes[axis].period_px / TURN)
-            for col in range(error.size):
+            for col in range(answer.sigma.size):
                 answer.sigma[col] = per_rad * wrapped.sigmas[axis, 0, row, col]
-            length, most = plan.codes[axis].length_px, plan.limits.max_order_error
-            settle_row(length, most, answer, wrapped.usable[row], reason)
-            inform(axis, row, plan, work, error, maps)
-        write_valid_axes(row, plan, work, reason, maps)
+            settle_axis(axis, row, plan, work, maps)
+        write_valid_axes(row, plan, work, maps)

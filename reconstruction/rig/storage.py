@@ -1,19 +1,22 @@
-"""OpenCV's YAML and XML read without OpenCV, whose reader corrupts memory on some damaged files.
+"""OpenCV's YAML and XML read without OpenCV: its reader corrupts memory on some damaged files.
 
 The part of YAML that `cv2.FileStorage` writes: maps and lists, indented or in brackets, numbers and
 texts, and matrices `!!opencv-matrix` of rows, cols, dt and data. In XML the same by elements: a map
-has one of each name, items of a list are named `_`, and numbers stand in a row.
+has one of each name, items of a list are named `_`, and numbers are separated by blanks.
+
+PyYAML splits YAML into events, ElementTree splits XML; both limit the resources that a file can
+use, and neither gives a value a type: that is done here.
 """
 
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import yaml
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import CaptureError, InputError, one_line
@@ -24,46 +27,16 @@ MATRIX = "opencv-matrix"
 # A calibration has 3 kB in short lines and two levels.
 MOST_BYTES, MOST_LINE, MOST_NESTED = 1_000_000, 1000, 32
 _WHOLE_TYPES = ("u", "c", "w", "s", "i")
-_ENTRY = re.compile(r'(?P<key>[\w.-]+|"[^"]*")[ ]*:(?:[ ]*!!(?P<tag>[\w-]+))?(?:[ ]+(?P<rest>.*))?')
-_TOKEN = re.compile(r'[\[\]{},:]|"[^"]*"|[^\s\[\]{},:"]+')
+_TAG = f"tag:yaml.org,2002:{MATRIX}"
+_NO_BLANK = re.compile(r':(?=[\[{]|"[^,\]}\s])')
 _WHOLE = re.compile(r"[+-]?\d{1,18}")
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?")
-
-
-@dataclass(frozen=True)
-class _Line:
-    number: int
-    indent: int
-    text: str
-
-    def wrong(self, told: str) -> InputError:
-        return InputError(f"line {self.number}: {told}")
-
-
-class _Lines:
-    """Lines that hold something, and which of them is next."""
-
-    def __init__(self, text: str) -> None:
-        self._rest = [
-            _Line(number, len(line) - len(line.lstrip(" ")), line.strip())
-            for number, line in enumerate(text.split("\n"), 1)
-            if line.strip() and line.lstrip()[0] not in "#%" and line.strip() not in ("---", "...")
-        ][::-1]
-
-    @property
-    def next(self) -> _Line | None:
-        return self._rest[-1] if self._rest else None
-
-    def take(self) -> _Line:
-        return self._rest.pop()
-
-    def take_inside(self, indent: int) -> _Line | None:
-        """Take the next line if it is indented deeper."""
-        return self.take() if self.next is not None and self.next.indent > indent else None
+# Without the C library of PyYAML the same events take ten times as long.
+_LOADER = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 
 
 def read_storage(path: Path | str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]:
-    """Return what a file of OpenCV's holds: maps, lists, numbers, texts, and float matrices.
+    """Return the content of a file of OpenCV: maps, lists, numbers, texts, and float matrices.
 
     Parameters
     ----------
@@ -85,7 +58,7 @@ def read_storage(path: Path | str, heads: tuple[str, ...] = (YAML,)) -> dict[str
 
 
 def parse_storage(text: str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]:
-    """Return what the text of such a file says, as `read_storage`.
+    """Return the content of the text of such a file, as `read_storage`.
 
     Raises
     ------
@@ -128,11 +101,71 @@ def _numbers(node: Any, path: str) -> Iterator[tuple[str, FloatArray]]:
 
 
 def _of_yaml(text: str) -> Any:
-    lines = _Lines(text)
-    found = _block(lines, 0)
-    if lines.next is not None:
-        raise lines.next.wrong("is indented less than what stands above it")
-    return found
+    # Forms of OpenCV that no YAML parser reads: the first line %YAML:1.0, and in brackets no blank
+    # between a colon and a bracket or a text.
+    content = _NO_BLANK.sub(": ", "\n".join(["", *text.split("\n")[1:]]))
+    try:
+        return _Nodes(yaml.parse(content, Loader=_LOADER)).document()
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise InputError(f"line {line}: is no YAML: {error.problem}") from None
+    except yaml.YAMLError as error:
+        raise InputError(f"is no YAML: {one_line(error)}") from None
+
+
+class _Nodes:
+    """Values from the events of a YAML parser."""
+
+    def __init__(self, events: Iterator[Any]) -> None:
+        self._events = (one for one in events if not isinstance(one, yaml.StreamStartEvent))
+
+    def document(self) -> Any:
+        """Return the content of the only document; None if there is none."""
+        if isinstance(next(self._events), yaml.StreamEndEvent):
+            return None
+        found = self._value(next(self._events), 0)
+        next(self._events)
+        last = next(self._events)
+        _require(isinstance(last, yaml.StreamEndEvent), last, "a second document begins")
+        return found
+
+    def _value(self, event: Any, depth: int) -> Any:
+        _require(depth <= MOST_NESTED, event, f"nests deeper than {MOST_NESTED} levels")
+        _require(not isinstance(event, yaml.AliasEvent), event, "has an alias; write the value")
+        found: Any
+        if isinstance(event, yaml.SequenceStartEvent):
+            found = [self._value(item, depth + 1) for item in self._until(yaml.SequenceEndEvent)]
+        elif isinstance(event, yaml.MappingStartEvent):
+            found = self._map(depth + 1)
+        else:
+            found = event.value if event.style else _plain(event.value) if event.value else None
+        return _matrix(f"line {_line(event)}", found) if event.tag == _TAG else found
+
+    def _map(self, depth: int) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for event in self._until(yaml.MappingEndEvent):
+            _require(isinstance(event, yaml.ScalarEvent), event, "is no entry KEY: VALUE")
+            key, value = event.value, self._value(next(self._events), depth)
+            # In brackets OpenCV writes no blank after a colon.
+            if value is None and not event.style and ":" in key:
+                key, _, rest = key.partition(":")
+                value = _plain(rest)
+            _require(key not in found, event, f"the key {key} is there twice")
+            found[key] = value
+        return found
+
+    def _until(self, end: type) -> Iterator[Any]:
+        while not isinstance(event := next(self._events), end):
+            yield event
+
+
+def _line(event: Any) -> int:
+    return int(event.start_mark.line) + 1
+
+
+def _require(holds: bool, event: Any, message: str) -> None:
+    if not holds:
+        raise InputError(f"line {_line(event)}: {message}")
 
 
 def _of_xml(text: str) -> Any:
@@ -155,112 +188,14 @@ def _element(element: "ElementTree.Element", depth: int) -> Any:
         return [_element(one, depth + 1) for one in inner]
     found = {one.tag: _element(one, depth + 1) for one in inner}
     if len(found) < len(inner):
-        raise InputError(f"{where}: a name stands there twice")
+        raise InputError(f"{where}: a name is there twice")
     return _matrix(where, found) if element.get("type_id") == MATRIX else found
-
-
-def _block(lines: _Lines, depth: int) -> Any:
-    """Read a map or a list whose entries stand under each other."""
-    first = lines.next
-    if first is None:
-        return None
-    if depth > MOST_NESTED:
-        raise first.wrong(f"entries nest deeper than {MOST_NESTED} levels")
-    return (_items if first.text.startswith("-") else _entries)(lines, first.indent, depth)
-
-
-def _entries(lines: _Lines, indent: int, depth: int) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    while (line := lines.next) is not None and line.indent == indent:
-        entry = _ENTRY.fullmatch(line.text)
-        if entry is None:
-            raise line.wrong("is no entry KEY: VALUE")
-        key = entry["key"].strip('"')
-        if key in found:
-            raise line.wrong(f"the key {key} stands there twice")
-        lines.take()
-        value = _value(lines, line, entry["rest"] or "", depth)
-        where = f"line {line.number}"
-        found[key] = _matrix(where, value) if entry["tag"] == MATRIX else value
-    _require_end(lines, indent)
-    return found
-
-
-def _items(lines: _Lines, indent: int, depth: int) -> list[Any]:
-    found = []
-    while (line := lines.next) is not None and line.indent == indent and line.text[0] == "-":
-        lines.take()
-        found.append(_value(lines, line, line.text[1:].strip(), depth))
-    _require_end(lines, indent)
-    return found
-
-
-def _require_end(lines: _Lines, indent: int) -> None:
-    line = lines.next
-    if line is not None and line.indent > indent:
-        raise line.wrong("is indented more than what stands above it")
-
-
-def _value(lines: _Lines, line: _Line, rest: str, depth: int) -> Any:
-    if not rest:
-        deeper = lines.next is not None and lines.next.indent > line.indent
-        return _block(lines, depth + 1) if deeper else None
-    if rest[0] not in "[{":
-        return _plain(rest)
-    tokens = _tokens(lines, line, rest)
-    found = _in_brackets(next(tokens), tokens, line, depth + 1)
-    if next(tokens, None) is not None:
-        raise line.wrong("something follows the closing bracket")
-    return found
-
-
-def _tokens(lines: _Lines, line: _Line, rest: str) -> Iterator[str]:
-    """Yield the tokens of a value in brackets, which may go on in deeper lines."""
-    open_brackets = 0
-    while True:
-        if _TOKEN.sub("", rest).strip():
-            raise line.wrong("a quotation mark is not closed")
-        for token in _TOKEN.findall(rest):
-            open_brackets += (token in "[{") - (token in "]}")
-            yield token
-        if open_brackets <= 0:
-            return
-        more = lines.take_inside(line.indent)
-        if more is None:
-            raise line.wrong("a bracket is not closed")
-        rest = more.text
-
-
-def _in_brackets(token: str, tokens: Iterator[str], line: _Line, depth: int) -> Any:
-    """Read the value that begins with a token."""
-    if token not in ("[", "{"):
-        if token in ("]", "}", ",", ":"):
-            raise line.wrong(f"found {token} in the place of a value")
-        return _plain(token)
-    if depth > MOST_NESTED:
-        raise line.wrong(f"brackets nest deeper than {MOST_NESTED} levels")
-    pairs: list[tuple[str, Any]] = []
-    closing, is_map = ("}", True) if token == "{" else ("]", False)
-    token = next(tokens, "")
-    while token != closing:
-        key = ""
-        if is_map:
-            key = token.strip('"')
-            if next(tokens, "") != ":":
-                raise line.wrong(f"found no colon after {key}")
-            token = next(tokens, "")
-        pairs.append((key, _in_brackets(token, tokens, line, depth + 1)))
-        token = next(tokens, "")
-        if token not in (",", closing):
-            raise line.wrong("found no comma between two values")
-        token = next(tokens, "") if token == "," else token
-    return dict(pairs) if is_map else [value for _, value in pairs]
 
 
 def _plain(text: str) -> int | float | str:
     if _WHOLE.fullmatch(text):
         return int(text)
-    return float(text) if _REAL.fullmatch(text) else text.strip('"')
+    return float(text) if _REAL.fullmatch(text) else text
 
 
 def _is_number(value: Any) -> bool:

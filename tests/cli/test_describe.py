@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from reconstruction.capture.folder import read_capture
-from reconstruction.capture.frame_list import find_listed, read_listed
+from reconstruction.capture.frame_list import read_listed
 from reconstruction.decoding.decode import decode
 from reconstruction.netcdf import read_arrays
 from reconstruction.patterns import PatternSet
@@ -68,7 +68,7 @@ def test_described_sets_are_decoded(tmp_path, capsys, name):
     patterns = SETS[name]
     folder = write_set(tmp_path / "set", patterns)
     assert described(folder, patterns) == 0
-    found = find_listed(folder, read_listed(folder / "capture.toml")).patterns
+    found = read_listed(folder / "capture.toml").recorded(folder).patterns
     assert (found.axes, found.steps, found.word) == (patterns.axes, patterns.steps, patterns.word)
     assert (found.inverse, found.uniform) == (patterns.inverse, patterns.uniform)
     assert found.code == patterns.code
@@ -104,7 +104,7 @@ def test_bits_tell_the_first_shift_and_the_sign(tmp_path, code, is_mirrored):
     for path in folder.glob("*.bmp") if is_mirrored else ():
         imageio.imwrite(path, imageio.imread(path)[:, ::-1])
     assert described(folder, patterns) == 0
-    found = find_listed(folder, read_listed(folder / "capture.toml"))
+    found = read_listed(folder / "capture.toml").recorded(folder)
     assert found.patterns.period_px == 32.0
     assert f"sign = {-1 if is_mirrored else 1}\n" in (folder / "capture.toml").read_text()
     assert run(["decode", str(folder), "-o", str(tmp_path / "out"), "--filter-taps", "0"]) == 0
@@ -155,7 +155,7 @@ def test_a_camera_that_sees_a_part_of_the_projector(tmp_path, is_renamed):
     text = (folder / "capture.toml").read_text()
     assert text.count("period_px = 16 ") == 2
     (folder / "capture.toml").write_text(text.replace("period_px = 16 ", "period_px = 18 "))
-    assert find_listed(folder, read_listed(folder / "capture.toml")).patterns == own.patterns
+    assert read_listed(folder / "capture.toml").recorded(folder).patterns == own.patterns
     assert run(["decode", str(folder), "-o", str(tmp_path / "out")]) == 0
     column_px = np.asarray(read_arrays(tmp_path / "out" / "decoded.nc")["column_px"])
     expected = decode(own.stack, own.patterns, own.sensor).column.coordinate_px

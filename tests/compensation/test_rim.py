@@ -21,7 +21,7 @@ from twin.mechanics import PressedElastomer
 from twin.specimens.kinds.ball import Ball
 
 THICKNESS_MM, COMPLIANCE, NOISE_MM = 0.2, 40.0, 5e-4
-FRAME_MM = 11.0
+FRAME_MM = 12.0
 
 
 @cache

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from scipy import stats
 
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.optics.light import light_tables, pattern_set
 
@@ -52,7 +53,7 @@ def test_bounces_equal_the_stock_path_tracer(mi, experiment, corner, most):
     from twin.optics.materials import coated_mesh
     from twin.optics.one_trace import trace_stack
     from twin.optics.rig import perspective_sensor
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     rig = rig_of(experiment)
     patterns = pattern_set(experiment.projector, experiment.patterns)
@@ -91,7 +92,7 @@ def test_bounces_equal_the_stock_path_tracer(mi, experiment, corner, most):
 def test_a_plane_reflects_nothing_onto_itself(mi, experiment, plane):
     from twin.optics.bounces import Bounces
     from twin.optics.one_trace import trace_stack
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     rig, scene = rig_of(experiment), coated_scene(experiment, plane)
     patterns = pattern_set(experiment.projector, experiment.patterns)

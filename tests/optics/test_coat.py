@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.optics.light import light_tables, pattern_set
 
@@ -178,7 +179,7 @@ def test_the_coat_is_reciprocal(mi, coated, binder):
 def test_a_sweep_on_one_scene_equals_fresh_scenes(mi, experiment, coated, bump):
     """Matte, binder, binder, matte: every frame byte for byte, by patches traced once per coat."""
     from twin.optics.one_trace import trace_stack, trace_truth
-    from twin.optics.scene import coated_rig, coated_scene
+    from twin.optics.scene import coated_rig
 
     coatings = [
         coated(albedo=0.05, flakes=0.5),
@@ -214,7 +215,7 @@ def test_another_coating_needs_neither_geometry_nor_kernel(mi, experiment, coate
     import drjit as dr
 
     from twin.optics.one_trace import trace_stack
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     tables = tables_of(experiment)
     gc.collect()  # a scene of another test that dies meanwhile would change the kernels

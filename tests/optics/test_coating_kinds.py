@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
+from tests.optics.scenes import coated_scene
 from twin.config import ConfigError, digest, load_experiment, to_toml, vary
 from twin.config.coatings import COATINGS, Texture
 from twin.config.materials import MATERIALS
@@ -57,7 +58,7 @@ def values(mi, bsdf, pairs, wavelength_nm=None):
 def frames_of(experiment, face, coating):
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.one_trace import trace_stack
-    from twin.optics.scene import coated_rig, coated_scene
+    from twin.optics.scene import coated_rig
 
     seen = experiment.model_copy(update={"coating": coating})
     tables = light_tables(seen.projector, pattern_set(seen.projector, seen.patterns))

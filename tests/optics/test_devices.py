@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from reconstruction.rig.calibration import Pinhole
+from tests.optics.scenes import coated_scene
 
 DISTORTED = (-0.12, 0.05, 1e-3, -2e-3, 0.01)
 
@@ -96,7 +97,7 @@ def test_beyond_the_fold_there_is_no_light(mi, plane, device):
     from twin.config import load_experiment
     from twin.optics.light import light_tables, pattern_set
     from twin.optics.one_trace import trace_stack, trace_truth
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     experiment = load_experiment(
         "examples/slab_balls", {"render.samples": 1, "projector.height_px": 1280}

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.optics.height_grid import height_grid
 
@@ -200,7 +201,7 @@ def test_traced_by_heights_as_by_the_tree(mi, experiment, grid_face, name):
     projector. A ray in a million slips between two facets of the tree.
     """
     from twin.optics.one_trace import maps_of, trace_patches
-    from twin.optics.scene import coated_rig, coated_scene
+    from twin.optics.scene import coated_rig
 
     def height(x, y):
         if name == "high spike":

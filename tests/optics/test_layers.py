@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from reconstruction.errors import InputError
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.config.layers import Layer, Medium, media_of
 
@@ -236,7 +237,6 @@ def test_layers_of_air_change_nothing(mi, experiment, rig, bump):
     """Index 1: the refracted path is the straight one, to the rounding of float32."""
     from twin.optics.connection import see
     from twin.optics.devices import SubPixels
-    from twin.optics.scene import coated_scene
 
     scene, grid = coated_scene(experiment, bump), SubPixels.of_image(120, 92, 1)
     air = stack_of((Medium(8.0, 1.0, 0.0), Medium(3.0, 1.0, 0.0)))
@@ -257,7 +257,7 @@ def test_layers_of_air_change_nothing(mi, experiment, rig, bump):
 def test_a_plane_in_a_gel_has_the_radiance_of_the_closed_form(mi, experiment, rig, plane):
     """L = T_camera / n^2 * albedo / pi * T_projector E, at the pixel that looks straight down."""
     from twin.optics.connection import see
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     layers = {"gel": Layer(bottom_mm=0.0, thickness_mm=4.0, ior=1.41, absorption_per_mm=0.03)}
     seen = experiment.model_copy(update={"layers": layers})
@@ -291,7 +291,7 @@ def test_the_shadow_in_a_gel_falls_along_the_refracted_light(mi, experiment, rig
     In air it would be 0.4 mm longer; a camera pixel is 0.24 mm.
     """
     from twin.optics.one_trace import trace_truth
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     wall = trimesh.creation.box(extents=[0.5, 40.0, 6.0])
     wall.apply_translation([6.0, 0.0, 0.0])
@@ -315,7 +315,6 @@ def test_the_shadow_in_a_gel_falls_along_the_refracted_light(mi, experiment, rig
 def test_truth_is_the_surface_behind_the_layers(mi, experiment, rig, bump):
     """Points lie on the bump although the rays that see them are bent; depth is the point's own."""
     from twin.optics.one_trace import trace_truth
-    from twin.optics.scene import coated_scene
 
     window = stack_of((Medium(12.0, 1.7, 0.0), Medium(2.0, 1.0, 0.0)))
     truth = trace_truth(coated_scene(experiment, bump), replace(rig, layers=window))
@@ -329,7 +328,6 @@ def test_truth_is_the_surface_behind_the_layers(mi, experiment, rig, bump):
 
 
 def test_a_face_that_reaches_into_a_layer_is_refused(mi, experiment, bump):
-    from twin.optics.scene import coated_scene
 
     layers = {"window": Layer(bottom_mm=0.5, thickness_mm=1.0, ior=1.5)}
     with pytest.raises(InputError, match=r"reaches z = 0\.8 mm, allowed below 0\.5 mm"):

@@ -21,6 +21,7 @@ import pytest
 from scipy import stats
 
 from reconstruction.rig.pinhole import Pinhole
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.config.layers import Layer
 
@@ -47,7 +48,7 @@ def experiment():
 
 @pytest.fixture(scope="module")
 def scene_of_both(mi, experiment, bump):
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     return coated_scene(experiment, bump), rig_of(experiment)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.optics.export import export_stock
 from twin.optics.light import light_tables, pattern_set
@@ -95,7 +96,7 @@ def test_an_edge_out_of_focus_has_the_discs_second_moment(mi, grid_face):
     the coat is matte, since a highlight would give the places on the lens different weights.
     """
     from twin.optics.one_trace import trace_stack
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     height_mm, edge_mm, samples = 6.0, 0.02, 256
     experiment = load_experiment("examples/slab_balls", OPEN)

@@ -17,6 +17,7 @@ import pytest
 import trimesh
 from scipy import stats
 
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.optics.light import light_tables, pattern_set
 
@@ -67,7 +68,7 @@ def coated_sheets(mi, experiment, two_sheets):
 @pytest.fixture(scope="module")
 def setting(mi, experiment, two_sheets):
     """Return the scene, the rig, the sequence and its light."""
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     patterns = pattern_set(experiment.projector, experiment.patterns)
     tables = light_tables(experiment.projector, patterns)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.optics.light import pattern_set
 from twin.pipeline import render
@@ -124,7 +125,7 @@ def test_one_look_up_per_smooth_pixel_is_as_good_as_one_per_sample(mi, bump):
     from reconstruction.rig.sensor import SensorNoise
     from twin.optics.light import light_tables
     from twin.optics.one_trace import trace_stack
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     centre = {"camera.binning": 2, "camera.width_px": 640, "camera.height_px": 480}
     experiment = load_experiment("examples/slab_balls", centre)

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_dilation, binary_erosion
 
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.optics.height_grid import height_grid, shades_itself
 from twin.optics.light import light_tables, pattern_set
@@ -55,7 +56,7 @@ def steep(grid_face):
 def test_a_gentle_face_needs_no_shadow_rays(mi, experiment, bump):
     """Every frame is the same byte for byte, traced with shadow rays and without."""
     from twin.optics.one_trace import trace_stack
-    from twin.optics.scene import coated_rig, coated_scene
+    from twin.optics.scene import coated_rig
 
     scene, rig = coated_scene(experiment, bump), coated_rig(experiment, bump)
     assert not rig.shadows
@@ -76,7 +77,7 @@ def test_a_steep_face_keeps_its_shadow(mi, experiment, steep, source_mm):
     the flank, the march's steps and the facets' chords of 1 um decide.
     """
     from twin.optics.one_trace import trace_truth
-    from twin.optics.scene import coated_rig, coated_scene
+    from twin.optics.scene import coated_rig
 
     truth = trace_truth(coated_scene(experiment, steep), coated_rig(experiment, steep))
     points = truth.points_world_mm.astype(np.float64)
@@ -151,7 +152,7 @@ def test_the_shadow_of_a_step_of_30_um(mi, grid_face, name, tangent):
     at asin(sin 65 / 1.41) = 40 degrees, 25 um. Pixels are 3.3 um apart, the riser is 2 um wide.
     """
     from twin.optics.one_trace import trace_truth
-    from twin.optics.scene import coated_rig, coated_scene
+    from twin.optics.scene import coated_rig
 
     face = grid_face(
         lambda x, _: 0.03 * (x > 1e-9), lambda x, y: (0.0 * x, 0.0 * y),

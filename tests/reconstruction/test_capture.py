@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import xarray
 
-from reconstruction.capture.folder import Capture, read_capture, write_capture, write_stack
+from reconstruction.capture.folder import Capture, read_capture, write_capture
+from reconstruction.capture.stack_file import write_stack
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise

@@ -7,7 +7,7 @@ give back that set, and every image in its place.
 import numpy as np
 import pytest
 
-from reconstruction.capture.frame_list import find_listed, is_listed, read_listed
+from reconstruction.capture.frame_list import read_listed
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import PatternSet
 
@@ -37,8 +37,7 @@ def listed(folder, names, groups, top=""):
         path.touch()
     text = HEAD.format(top=top) + "".join(f"\n[[frames]]\n{group}\n" for group in groups)
     (folder / "capture.toml").write_text(text)
-    assert is_listed(folder / "capture.toml")
-    return find_listed(folder, read_listed(folder / "capture.toml"))
+    return read_listed(folder / "capture.toml").recorded(folder)
 
 
 def names_of(found, folder):

@@ -23,6 +23,10 @@ saturation_dn = 255.0
 """
 
 
+def frame_set(files, **keys):
+    return FrameSet(sensor=SENSOR, files=files, bit_depth=8, **keys)
+
+
 def touch(folder, names):
     for name in names:
         (folder / name).touch()
@@ -31,7 +35,11 @@ def touch(folder, names):
 def test_description_is_read_with_defaults(tmp_path):
     path = tmp_path / "capture.toml"
     path.write_text(TEXT)
-    expected = FrameSet(SENSOR, "{index:03d}_{name}.png", 8, "patterns.toml", "calibration.yaml")
+    expected = frame_set(
+        "{index:03d}_{name}.png",
+        patterns_file="patterns.toml",
+        calibration_file="calibration.yaml",
+    )
     assert read_frame_set(path) == expected
 
 
@@ -63,7 +71,7 @@ def test_mistakes_in_the_description_are_one_line(tmp_path, find, replace, messa
 def test_named_files_come_in_the_order_of_the_patterns(tmp_path):
     names = [f"{frame.name}.png" for frame in PATTERNS.frames]
     touch(tmp_path, names)
-    found = frame_files(tmp_path, FrameSet(SENSOR, "{name}.png", 8), PATTERNS)
+    found = frame_files(tmp_path, frame_set("{name}.png"), PATTERNS)
     assert [path.name for path in found[0]] == names
 
 
@@ -71,15 +79,13 @@ def test_missing_frames_are_named(tmp_path):
     names = [f"{frame.name}.png" for frame in PATTERNS.frames]
     touch(tmp_path, [name for name in names if name not in ("phase_row_01.png", "white.png")])
     with pytest.raises(CaptureError, match=r"2 of \d+ frames .* phase_row_01.png, white.png;"):
-        frame_files(tmp_path, FrameSet(SENSOR, "{name}.png", 8), PATTERNS)
+        frame_files(tmp_path, frame_set("{name}.png"), PATTERNS)
 
 
 def test_counted_files_come_in_natural_order_without_the_dark_one(tmp_path):
     count = len(PATTERNS.frames)
     touch(tmp_path, [f"cam_{i}.png" for i in range(1, count + 1)] + ["cam_dark.png"])
-    found = frame_files(
-        tmp_path, FrameSet(SENSOR, "cam_*.png", 8, dark_file="cam_dark.png"), PATTERNS
-    )
+    found = frame_files(tmp_path, frame_set("cam_*.png", dark_file="cam_dark.png"), PATTERNS)
     assert [path.name for path in found[0]] == [f"cam_{i}.png" for i in range(1, count + 1)]
 
 
@@ -87,18 +93,18 @@ def test_gap_in_the_running_numbers_is_named(tmp_path):
     numbers = [i for i in range(len(PATTERNS.frames)) if i != 7]
     touch(tmp_path, [f"cam_{i:02d}.png" for i in numbers])
     with pytest.raises(CaptureError, match=r"numbers jump from 6 to 8"):
-        frame_files(tmp_path, FrameSet(SENSOR, "cam_*.png", 8), PATTERNS)
+        frame_files(tmp_path, frame_set("cam_*.png"), PATTERNS)
 
 
 def test_each_exposure_has_its_files(tmp_path):
     for number in range(2):
         (tmp_path / f"{number}").mkdir()
         touch(tmp_path / f"{number}", [f"{frame.name}.tif" for frame in PATTERNS.frames])
-    description = FrameSet(SENSOR, "{set}/{name}.tif", 8, exposures_ms=(1.0, 4.0))
+    description = frame_set("{set}/{name}.tif", exposures_ms=(1.0, 4.0))
     found = frame_files(tmp_path, description, PATTERNS)
     assert [files[0].parent.name for files in found] == ["0", "1"]
     with pytest.raises(InputError, match="use both or neither"):
-        FrameSet(SENSOR, "{name}.tif", 8, exposures_ms=(1.0, 4.0))
+        frame_set("{name}.tif", exposures_ms=(1.0, 4.0))
 
 
 @pytest.mark.parametrize(
@@ -117,10 +123,10 @@ def test_each_exposure_has_its_files(tmp_path):
 def test_fields_are_narrow(files):
     """A width is memory: two digits are wide enough for any name."""
     with pytest.raises(InputError, match="allowed are the fields") as caught:
-        FrameSet(SENSOR, files, 8)
+        frame_set(files)
     assert len(str(caught.value)) < 500
 
 
 @pytest.mark.parametrize("files", ["{index:03d}_{name}.png", "{number:2}.png", "{index:d}.png"])
 def test_usual_fields_stay(files):
-    assert FrameSet(SENSOR, files, 8).files == files
+    assert frame_set(files).files == files

@@ -236,7 +236,7 @@ def test_damage_is_explained_in_one_line(write_folder, frames, name):
 )
 def test_files_outside_of_the_folder_are_not_looked_for(files):
     with pytest.raises(InputError, match="give names in the folder of"):
-        FrameSet(SensorNoise(1.0, 4.0, 0.0, 255.0), files=files, bit_depth=8)
+        FrameSet(sensor=SensorNoise(1.0, 4.0, 0.0, 255.0), files=files, bit_depth=8)
 
 
 def test_values_beyond_the_bit_depth_tell_left_aligned_bits(write_folder, frames):

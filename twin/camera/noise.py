@@ -128,13 +128,6 @@ def record_frame(
     _record(plain, pattern, sensor, small_counts(), key, np.uint32(frame), lines, recorded)
 
 
-def poisson_counts(mean: FloatImage, key: Key, frame: int = 0) -> FloatImage:
-    """Return Poisson numbers, (row, col) float32, whole; of means (row, col) float32, e-."""
-    counts = np.zeros(mean.shape, np.float32)
-    _draw(mean, small_counts(), key, np.uint32(frame), _lines(mean.shape[1]), counts)
-    return counts
-
-
 class _RowScratch(NamedTuple):
     """What a frame is worked out in, row by row; compiled code makes no arrays."""
 
@@ -297,14 +290,6 @@ def _draw_row(
     for col in range(mean.size):
         if mean[col] < _FROM_NORMAL:
             counts[col] = _small_count(mean[col], words[0, col], words[1, col], tables)
-
-
-@_compiled
-def _draw(mean: Any, tables: Any, key: Any, frame: Any, lines: _RowScratch, counts: Any) -> None:
-    """Draw Poisson numbers of the means of one frame."""
-    words, read = lines.words, lines.read
-    for row in range(mean.shape[0]):
-        _draw_row(mean[row], tables, key, (np.uint32(row), frame), words, counts[row], read)
 
 
 @_compiled

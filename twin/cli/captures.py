@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from cyclopts import Parameter
 
@@ -60,18 +60,12 @@ def reconstruct(
     if photometric:
         _reconstruct_presses(capture, out)
         return
-    from twin.config import decode_settings
     from twin.output import end_exchange
-    from twin.pipeline.captures import order_doubts, reconstruct_capture
+    from twin.pipeline.captures import reconstruct_capture
 
     end_exchange(capture)
-    given = {"use": use, "filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
-    chosen = decode_settings(**{key: value for key, value in given.items() if value is not None})
-    with progress_bars() as watch:
-        figures = reconstruct_capture(capture, out, chosen, watch)
-    print_metrics(figures)
-    _warn(order_doubts(figures))
-    say(f"wrote {out}")
+    settings = {"use": use, "filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
+    _decode_by(reconstruct_capture, capture, out, settings)
 
 
 @app.command
@@ -94,15 +88,29 @@ def decode(
     filter_sigma_px
         Standard deviation of that Gaussian, px; default: as in twin keys.
     """
-    from twin.config import decode_settings
-    from twin.pipeline.captures import decode_capture, order_doubts
+    from twin.pipeline.captures import decode_capture
 
-    given = {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
-    chosen = decode_settings(**{key: value for key, value in given.items() if value is not None})
+    settings = {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
+    _decode_by(decode_capture, capture, out, settings)
+
+
+def _decode_by(
+    compute: "Callable[..., dict[str, Any]]", capture: Path, out: Path, settings: dict[str, Any]
+) -> None:
+    """Write the result of a capture and print its figures; settings that are None keep defaults."""
+    from twin.config import decode_settings
+    from twin.pipeline.captures import order_doubts
+
+    chosen = {key: value for key, value in settings.items() if value is not None}
     with progress_bars() as watch:
-        figures = decode_capture(capture, out, chosen, watch)
+        figures = compute(capture, out, decode_settings(**chosen), watch)
+    _print_figures(figures, order_doubts(figures), out)
+
+
+def _print_figures(figures: dict[str, Any], doubts: "Iterable[str]", out: Path) -> None:
     print_metrics(figures)
-    _warn(order_doubts(figures))
+    for doubt in doubts:
+        sys.stderr.write(f"twin: warning: {doubt}\n")
     say(f"wrote {out}")
 
 
@@ -149,19 +157,12 @@ def describe(
     say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")
 
 
-def _warn(doubts: "Iterable[str]") -> None:
-    for doubt in doubts:
-        sys.stderr.write(f"twin: warning: {doubt}\n")
-
-
 def _reconstruct_presses(description: Path, out: Path) -> None:
     from twin.pipeline.colour_presses import reconstruct_presses
 
     with progress_bars() as watch:
         outcome = reconstruct_presses(description, out, watch)
-    print_metrics(outcome.figures)
-    _warn(outcome.doubts)
-    say(f"wrote {out}")
+    _print_figures(outcome.figures, outcome.doubts, out)
 
 
 @app.command

@@ -105,17 +105,6 @@ def _tree_of(mesh: Any) -> Any:
     return mi.load_dict({"type": "scene", COATED_FACE: mesh}, optimize=False)
 
 
-def coated_scene(experiment: Experiment, face: "trimesh.Trimesh") -> CoatedScene:
-    """Scene of the coated face alone: the coat is opaque, nothing below it is seen.
-
-    Raises
-    ------
-    InputError : the face pokes through the layers that it is seen through
-    """
-    check_below_layers(experiment.layers, face)
-    return CoatedScene(face, coating_in_layer(experiment).bsdf())
-
-
 def marched_scene(
     experiment: Experiment, face: "trimesh.Trimesh", bsdf: dict[str, Any]
 ) -> CoatedScene:

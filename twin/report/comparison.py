@@ -98,7 +98,7 @@ def write_comparison(
     return write_page(path, _page(methods, list(by_name), sections))
 
 
-def comparison_table(outcomes: list[Outcome]) -> str:
+def comparison_table(outcomes: Sequence[Outcome]) -> str:
     """Return the result of a comparison as a short plain-text table, at most 100 columns."""
     table = Table(
         "comparison",

@@ -1,17 +1,17 @@
-"""Run the cases of a study that its store lacks, on any executor, to the end.
+"""Compute the cases of a study that its store lacks, on any `concurrent.futures.Executor`.
 
-One case per worker is computed ahead and tells which fields its stages look at; the others follow
-in batches that share stages. A dead worker costs the case it was at: the rest of its batch is
-handed out again, that case by itself, and one that kills its worker three times is recorded as
-failed.
+One case per worker is computed first and reports which fields its stages read; the other cases
+follow in batches that share stages. When a worker dies, its batch is queued again, and the case
+that it was computing runs alone. A case is recorded as failed when its worker died three times
+while it ran alone.
 
-Several studies run together (`run_together`): where the first has nothing to hand out, because its
-first cases or its last ones are still at work, the next one's go ahead.
+Several studies can run together (`run_together`): while the first study has no batch to submit,
+because its first or last cases are being computed, batches of the next study are submitted.
 """
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
@@ -21,66 +21,27 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case
 from twin.study.measuring import PLAINLY, StageReads
 from twin.study.order import batches_of, in_sharing_order
-from twin.study.remarks import Remark
+from twin.study.outcome import SweepOutcome
 from twin.study.store import Store, write_failure
-from twin.study.worker import DIED, Batch, BatchReport, MakeMeasurer, Report, State, compute
+from twin.study.worker import DIED, Batch, BatchReport, MakeMeasurer, Report, compute
 from twin.study.workers import Workers
 
 _STRIKES = 3
-_ROUNDS_AHEAD = 4  # where those computed ahead fail, or are at another run
-_MOST_DEATHS = 10  # one after another, without any case finished between them
+_ROUNDS_AHEAD = 4  # if the first cases fail, or another run computes them
+_MOST_DEATHS = 10  # in a row, with no case finished between them
 _FIRST_REASONS = 3
 _AHEAD = 2  # batches per worker that wait in the executor
 _WAIT_FOR_OTHERS_S = 0.2
 
 
-@dataclass(frozen=True)
-class SweepOutcome:
-    """What a run did.
-
-    Attributes
-    ----------
-    states : how many cases ended in which state
-    unsaved : reason of every case that could not be written, by digest
-    seconds : wall clock of the run
-    busy_seconds : spent on cases, over all workers
-    finished : cases of the study that have a result, now or before
-    failures : digests of those that failed, now or before, by reason
-    damaged : cases whose files could not be read and that ran again, by digest, and why
-    remarks : warnings of the cases that have a result, the most frequent first
-    """
-
-    states: Mapping[State, int]
-    unsaved: dict[str, str]
-    seconds: float
-    busy_seconds: float
-    finished: int = 0
-    failures: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    damaged: Mapping[str, str] = field(default_factory=dict)
-    remarks: Sequence[Remark] = ()
-
-    @classmethod
-    def together(cls, parts: Sequence["SweepOutcome"]) -> "SweepOutcome":
-        """Return what several runs, one after another, did."""
-        states: Counter[State] = Counter()
-        for part in parts:
-            states.update(part.states)
-        return cls(
-            states=states,
-            unsaved={digest: why for part in parts for digest, why in part.unsaved.items()},
-            seconds=sum(part.seconds for part in parts),
-            busy_seconds=sum(part.busy_seconds for part in parts),
-        )
-
-
 @dataclass
 class Run:
-    """Runs of a study's cases into a store; what stages look at is known after the first.
+    """Computes a study's cases into a store; the first case reports the fields that stages read.
 
     Attributes
     ----------
-    done : told about every batch, for example to enter it into an index
-    tell : told in a sentence, once each, the first reasons why cases fail, while others still run
+    done : called with the reports of every batch, for example to enter them into an index
+    tell : called with a sentence for each of the first reasons of failure, while cases still run
     """
 
     store: Store
@@ -92,7 +53,7 @@ class Run:
     tell: Callable[[str], None] = lambda _: None
     _missing: list[Case] = field(default_factory=list)
     _queue: deque[list[Case]] = field(default_factory=deque)
-    _alone: deque[Case] = field(default_factory=deque)
+    _alone: deque[list[Case]] = field(default_factory=deque)
     _strikes: Counter[str] = field(default_factory=Counter)
     _reports: dict[str, Report] = field(default_factory=dict)
     _reads: StageReads = ()
@@ -102,7 +63,7 @@ class Run:
     _told: set[str] = field(default_factory=set)
 
     def __call__(self, cases: Iterable[Case]) -> SweepOutcome:
-        """Compute what is not in the store yet.
+        """Compute the cases that the store lacks.
 
         Raises
         ------
@@ -111,7 +72,7 @@ class Run:
         return run_together([(self, cases)], self.workers, self.watch)[0]
 
     def begin(self, cases: Iterable[Case]) -> None:
-        """Look up which cases the store lacks."""
+        """Determine which cases the store lacks."""
         self._reports = {}
         self.store.abandoned()
         known = self.store.finished()
@@ -129,7 +90,7 @@ class Run:
         return sum(report.state != "elsewhere" for report in self._reports.values())
 
     def outcome(self, seconds: float) -> SweepOutcome:
-        """Return what became of the cases, after so many seconds."""
+        """Return the result of a run of this duration."""
         reports = self._reports.values()
         return SweepOutcome(
             states=Counter(report.state for report in reports),
@@ -139,28 +100,31 @@ class Run:
         )
 
     def next_batch(self) -> list[Case] | None:
-        """Take what can be handed out now; None: nothing, or the rest waits for what is out."""
+        """Take the next batch; None: there is none, or the rest depends on batches at work."""
         if not (self._queue or self._alone or self._at_work):
             self._refill()
-        if not self._queue:
+        return self._taken(self._queue)
+
+    def next_alone(self) -> list[Case] | None:
+        """Take a case during which a worker died: no other case may run at the same time."""
+        return self._taken(self._alone)
+
+    def _taken(self, queue: deque[list[Case]]) -> list[Case] | None:
+        if not queue:
             return None
         self._at_work += 1
-        return self._queue.popleft()
+        return queue.popleft()
 
-    def put_back(self, batch: list[Case]) -> None:
-        """Take back a batch that could not be handed out."""
+    def put_back(self, batch: list[Case], *, alone: bool) -> None:
+        """Return a batch to its queue: the executor did not accept it."""
         self._at_work -= 1
-        self._queue.appendleft(batch)
-
-    def next_alone(self) -> Case | None:
-        """Take a case that has to run by itself, for a worker died at it."""
-        return self._alone.popleft() if self._alone else None
+        (self._alone if alone else self._queue).appendleft(batch)
 
     def _refill(self) -> None:
-        """Queue cases ahead; once stages are known all others; then what another run was at."""
+        """Queue the first cases; then all others; then those that another run was computing."""
         left = [case for case in self._missing if case.digest not in self._reports]
         if left and not self._reads and self._rounds_left:
-            # One per worker and far apart.
+            # One per worker, evenly spaced.
             self._rounds_left -= 1
             step = max(1, len(left) // self.workers.count)
             self._queue.extend([case] for case in left[::step][: self.workers.count])
@@ -171,50 +135,48 @@ class Run:
             self._queue_elsewhere()
 
     def _queue_elsewhere(self) -> None:
-        """Hand out again what another run was at."""
+        """Queue the cases again that another run was computing."""
         states = {digest: report.state for digest, report in self._reports.items()}
         left = [case for case in self._missing if states.get(case.digest) == "elsewhere"]
         if left:
             time.sleep(_WAIT_FOR_OTHERS_S)
             self._queue.append(left)
 
-    def enter_batch(self, found: BatchReport) -> None:
-        """Take the report of a batch."""
+    def enter(self, found: BatchReport) -> None:
+        """Record the report of a batch."""
         self._at_work -= 1
-        self._note(found)
-
-    def enter_alone(self, found: BatchReport) -> None:
-        """Take the report of a case that ran by itself."""
-        self._note(found)
-
-    def _note(self, found: BatchReport) -> None:
         # A case that failed has not been through all stages.
         if not self._reads and found.cases[-1].state in ("done", "unsaved"):
             self._reads = found.reads if any(found.reads) else ()
         self._enter(found.cases)
 
-    def lost(self, batches: list[list[Case]]) -> None:
-        """Queue anew what a dead worker took along; what was being computed runs by itself."""
+    def lost(self, batches: list[list[Case]], *, alone: bool) -> None:
+        """Queue the batches of a dead worker again; the cases that it was computing run alone.
+
+        Parameters
+        ----------
+        alone : the batch was a case that ran alone, which gets one more strike
+        """
         suspects, known = set(self.store.abandoned()), self.store.finished()
         for batch in batches:
             self._at_work -= 1
             self._enter([Report(case.digest, "done") for case in batch if case.digest in known])
             left = [case for case in batch if case.digest not in known]
-            self._alone.extend(case for case in left if case.digest in suspects)
+            if alone:
+                self._strike(left)
+                continue
+            self._alone.extend([case] for case in left if case.digest in suspects)
             innocent = [case for case in left if case.digest not in suspects]
             if innocent:
                 self._queue.appendleft(innocent)
 
-    def lost_alone(self, case: Case) -> None:
-        """Try a case again that its worker died at, but not for ever."""
-        self._strikes[case.digest] += 1
-        self.store.abandoned()
-        if case.digest in self.store.finished():
-            self._enter([Report(case.digest, "done")])
-        elif self._strikes[case.digest] >= _STRIKES:
-            self._give_up(case)
-        else:
-            self._alone.append(case)
+    def _strike(self, cases: list[Case]) -> None:
+        for case in cases:
+            self._strikes[case.digest] += 1
+            if self._strikes[case.digest] >= _STRIKES:
+                self._give_up(case)
+            else:
+                self._alone.append([case])
 
     def _give_up(self, case: Case) -> None:
         reason = f"its worker died {_STRIKES} times (killed, out of memory, or a crash)"
@@ -238,7 +200,7 @@ class Run:
                 self.tell(f"a case failed: {reason}")
 
     def batch(self, cases: list[Case]) -> Batch:
-        """Return what a worker is told of some cases."""
+        """Return the cases with all that a worker needs to compute them."""
         return Batch(
             store=self.store.folder,
             cases=tuple((case.digest, case.experiment, case.conditions) for case in cases),
@@ -252,12 +214,12 @@ def run_together(
     workers: Workers,
     watch: ProgressCallback = no_progress,
 ) -> list[SweepOutcome]:
-    """Compute what the stores of several runs lack, on the same workers.
+    """Compute the cases that the stores of several runs lack, on the same workers.
 
     Parameters
     ----------
-    parts : in the order in which they are handed out; a later one fills the gaps of the earlier
-    watch : told of the cases of all
+    parts : in order of priority: batches of a later run are submitted while earlier runs have none
+    watch : called with the share of all cases that have ended
 
     Raises
     ------
@@ -273,70 +235,65 @@ def run_together(
     return [run.outcome(seconds) for run in runs]
 
 
-_Pending = dict["Future[BatchReport]", tuple[Run, list[Case]]]
-
-
 @dataclass
 class _Together:
-    """Runs at work on one executor."""
+    """Runs at work on one executor.
+
+    Attributes
+    ----------
+    _pending : batches that the executor has, and their runs, by their futures
+    _alone : the only pending batch is a case during which a worker died before
+    """
 
     runs: list[Run]
     workers: Workers
     watch: ProgressCallback
+    _pending: dict["Future[BatchReport]", tuple[Run, list[Case]]] = field(default_factory=dict)
+    _alone: bool = False
     _deaths: int = 0
 
     def to_the_end(self) -> None:
         executor = self.workers.open()
         try:
             while True:
-                executor = self._drain(executor)
-                alone = self._next_alone()
-                if alone is None:
-                    break
-                executor = self._one_alone(executor, *alone)
+                broken = not self._hand_out(executor)
+                if not (self._pending or broken):
+                    return
+                if self._take_in() or broken:
+                    executor = self._after_death(executor)
         finally:
             (self.workers.release or self.workers.close)(executor)
 
-    def _next(self) -> tuple[Run, list[Case]] | None:
-        for run in self.runs:
-            batch = run.next_batch()
-            if batch is not None:
-                return run, batch
-        return None
-
-    def _next_alone(self) -> tuple[Run, Case] | None:
-        found = ((run, run.next_alone()) for run in self.runs)
-        return next(((run, case) for run, case in found if case is not None), None)
-
-    def _drain(self, executor: Executor) -> Executor:
-        """Work off the queues."""
-        pending: _Pending = {}
-        while True:
-            broken = not self._hand_out(executor, pending)
-            if not (pending or broken):
-                return executor
-            if self._take_in(pending) or broken:
-                executor = self._after_death(executor, list(pending.values()))
-                pending.clear()
-
-    def _hand_out(self, executor: Executor, pending: _Pending) -> bool:
-        """Let some batches per worker wait in the executor; False: it takes none and has none."""
-        while len(pending) < _AHEAD * self.workers.count:
+    def _hand_out(self, executor: Executor) -> bool:
+        """Submit some batches per worker; False: the executor is broken and has no batch."""
+        while len(self._pending) < (1 if self._alone else _AHEAD * self.workers.count):
             found = self._next()
             if found is None:
                 break
             run, batch = found
             try:
-                pending[executor.submit(compute, run.batch(batch))] = found
+                self._pending[executor.submit(compute, run.batch(batch))] = found
             except BrokenProcessPool:
-                run.put_back(batch)
-                return bool(pending)
+                run.put_back(batch, alone=self._alone)
+                return bool(self._pending)
         return True
 
-    def _take_in(self, pending: _Pending) -> bool:
-        """Wait for reports; tells whether a worker died."""
+    def _next(self) -> tuple[Run, list[Case]] | None:
+        """Take the next batch of any run; if no run has one, a case that has to run alone."""
+        self._alone = False
+        for run in self.runs:
+            if (batch := run.next_batch()) is not None:
+                return run, batch
+        for run in self.runs if not self._pending else ():
+            if (batch := run.next_alone()) is not None:
+                self._alone = True
+                return run, batch
+        return None
+
+    def _take_in(self) -> bool:
+        """Wait for reports; True if a worker died."""
         died = False
-        for future in wait(pending, return_when=FIRST_COMPLETED).done:
+        for future in wait(self._pending, return_when=FIRST_COMPLETED).done:
             try:
                 report = future.result()
             except Exception as error:
@@ -344,41 +301,36 @@ class _Together:
                     raise
                 died = True
                 continue
-            run, _ = pending.pop(future)
-            run.enter_batch(report)
-            self._entered()
+            run, _ = self._pending.pop(future)
+            run.enter(report)
+            self._report_progress()
         return died
 
-    def _one_alone(self, executor: Executor, run: Run, case: Case) -> Executor:
-        try:
-            run.enter_alone(executor.submit(compute, run.batch([case])).result())
-        except Exception as error:
-            if not is_death(error):
-                raise
-            executor, before = self._after_death(executor, []), run.ended
-            run.lost_alone(case)
-            if run.ended == before:
-                return executor
-        self._entered()
-        return executor
-
-    def _entered(self) -> None:
-        """Tell how far all are; workers do not die one after another."""
+    def _report_progress(self) -> None:
+        """Report the share of all cases that have ended, and count deaths from 0 again."""
         self._deaths = 0
         total = sum(run.total for run in self.runs)
-        self.watch("cases", sum(run.ended for run in self.runs) / max(total, 1))
+        self.watch("cases", self._ended() / max(total, 1))
 
-    def _after_death(self, executor: Executor, lost: list[tuple[Run, list[Case]]]) -> Executor:
-        """Start anew."""
+    def _ended(self) -> int:
+        return sum(run.ended for run in self.runs)
+
+    def _after_death(self, executor: Executor) -> Executor:
+        """Queue the lost batches again, and start new workers."""
         self.workers.close(executor)
         self._deaths += 1
         if self._deaths > _MOST_DEATHS:
             raise InputError("workers: found dying one after another; use -j 1 to see why")
+        before = self._ended()
         for run in self.runs:
-            run.lost([batch for of, batch in lost if of is run])
+            lost = [batch for owner, batch in self._pending.values() if owner is run]
+            run.lost(lost, alone=self._alone)
+        self._pending.clear()
+        if self._ended() > before:
+            self._report_progress()
         return self.workers.open()
 
 
 def is_death(error: Exception) -> bool:
-    """Tell whether an executor's error means that a worker was lost."""
+    """Whether an executor's error means that a worker died."""
     return isinstance(error, BrokenProcessPool) or type(error).__name__ == "KilledWorker"

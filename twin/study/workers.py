@@ -1,7 +1,7 @@
-"""Who computes: this process, a pool of processes on this machine, or a Dask cluster.
+"""Executors that compute cases: this process, processes of this machine, or a Dask cluster.
 
-Anything with the interface of `concurrent.futures.Executor` will do (`of_executor`): batches and
-their reports are plain data, and results go to the store, not through the executor.
+All are a `concurrent.futures.Executor`, and any other one can be used (`of_executor`): batches and
+their reports are plain data, and results are written to the store by the workers.
 """
 
 import multiprocessing
@@ -30,26 +30,30 @@ _CONNECT_WITHIN = "20s"
 _WAITS_FOR_EVER = sys.version_info < (3, 11, 5)
 
 
+def _end(executor: Executor) -> None:
+    executor.shutdown(wait=True, cancel_futures=True)
+
+
 @dataclass(frozen=True)
 class Workers:
     """Computing processes.
 
     Attributes
     ----------
-    count : how many compute at once
-    open : starts them, and again after one of them died
-    close : ends them; what still waits is not begun
-    release : takes them back at the end of a run, by default to end them
+    count : how many compute at the same time
+    open : starts them, and starts them again after one of them died
+    close : ends them; batches that wait are not started
+    release : called at the end of a run, by default to end them
     """
 
     count: int
     open: Callable[[], Executor]
-    close: Callable[[Executor], None]
+    close: Callable[[Executor], None] = _end
     release: Callable[[Executor], None] | None = None
 
 
 class _Here(Executor):
-    """Computes in this process, at once."""
+    """Computes in this process, within `submit`."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
         future: Future[Any] = Future()
@@ -75,14 +79,14 @@ def local_workers(count: int, cores: int | None = None) -> Workers:
     if count < 1:
         raise InputError(f"--workers: found {count}, allowed 1 or more, best {available} here")
     if count == 1 and cores is None:
-        return Workers(1, _Here, _end)
+        return Workers(1, _Here)
     threads = max(1, available // count)
-    return Workers(count, lambda: _pool(count, threads), _end)
+    return Workers(count, lambda: _pool(count, threads))
 
 
 @contextmanager
 def lasting(workers: Workers) -> Iterator[Workers]:
-    """Keep the workers, and what they have in memory, from one run to the next."""
+    """Keep the workers, and their cached stages, from one run to the next."""
     held: list[Executor] = []
     try:
         yield replace(
@@ -97,7 +101,7 @@ def lasting(workers: Workers) -> Iterator[Workers]:
 
 @contextmanager
 def opened(workers: Workers) -> Iterator[Executor]:
-    """Use the workers for tasks of one's own; they are taken back at the end."""
+    """Use the workers for other tasks; they are released at the end."""
     executor = workers.open()
     try:
         yield executor
@@ -112,7 +116,7 @@ def default_count() -> int:
 
 
 def dask_workers(address: str) -> Workers:
-    """Return the workers of a running Dask cluster; they must see the store under its path.
+    """Return the workers of a running Dask cluster; the store must have the same path there.
 
     Raises
     ------
@@ -123,28 +127,24 @@ def dask_workers(address: str) -> Workers:
     client.close()
     if not found:
         raise InputError(f"--cluster {address}: found no workers; start dask worker {address}")
-    cluster = _Cluster(address)
-    return Workers(len(found), cluster.open, cluster.close)
+    return Workers(len(found), lambda: _Cluster(address))
 
 
-class _Cluster:
-    """Connections to a Dask scheduler, one per executor."""
+class _Cluster(Executor):
+    """A Dask cluster through a connection of its own."""
 
     def __init__(self, address: str) -> None:
-        self._address, self._clients = address, dict[int, Any]()
-
-    def open(self) -> Executor:
-        client = _client(self._address)
+        self._client = _client(address)
         # Never pure: Dask would take two batches of the same content for one.
-        executor: Executor = client.get_executor(pure=False)
-        self._clients[id(executor)] = client
-        return executor
+        self._executor = self._client.get_executor(pure=False)
 
-    def close(self, executor: Executor) -> None:
-        client = self._clients.pop(id(executor), None)
-        if client is not None:
-            executor.shutdown(wait=True)
-            client.close()
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = self._executor.submit(fn, *args, **kwargs)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._executor.shutdown(wait=wait)
+        self._client.close()
 
 
 def _client(address: str) -> Any:
@@ -162,9 +162,9 @@ def _client(address: str) -> Any:
 
 
 def of_executor(executor: Executor, count: int) -> Workers:
-    """Use an executor of one's own, of `count` workers; who made it ends it.
+    """Use any executor with `count` workers; the caller ends it.
 
-    When one of its workers dies the run stops, for it cannot be started again here.
+    When one of its workers dies the run stops: the executor cannot be started again here.
     """
     unused = [executor]
 
@@ -174,14 +174,6 @@ def of_executor(executor: Executor, count: int) -> Workers:
         return unused.pop()
 
     return Workers(count, start, lambda _: None)
-
-
-def _end(executor: Executor) -> None:
-    # Interrupted: nobody waits until the workers have finished what they are at.
-    if isinstance(sys.exc_info()[1], KeyboardInterrupt):
-        for child in multiprocessing.active_children():
-            child.terminate()
-    executor.shutdown(wait=True, cancel_futures=True)
 
 
 def _pool(count: int, threads: int) -> Executor:
@@ -209,9 +201,12 @@ class _LimitedPool(ProcessPoolExecutor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         queue: Any = vars(self).get("_call_queue")
         if _WAITS_FOR_EVER and vars(self).get("_broken") and queue is not None:
-            # The workers are ended, and what is still being written to them must fail instead of
-            # waiting for a reader (CPython's issue 94777; its later versions close it themselves).
+            # The workers are ended: writing to them must fail instead of waiting for a reader
+            # (CPython's issue 94777; its later versions close it themselves).
             queue._reader.close()
+        if isinstance(sys.exc_info()[1], KeyboardInterrupt):  # do not wait for running batches
+            for child in multiprocessing.active_children():
+                child.terminate()
         super().shutdown(wait, cancel_futures=cancel_futures)
 
 

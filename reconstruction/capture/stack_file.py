@@ -1,0 +1,86 @@
+"""The frames of a capture as one netCDF-4 file: stack.nc.
+
+Variables: `stack` (frame, row, col), uint8 or uint16 digital numbers of a sensor, or float32
+expected values of a noise-free rendering; `frame_name` (frame). Not compressed: xarray, MATLAB and
+HDFView read it as it is.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reconstruction.arrays import Stack
+from reconstruction.errors import CaptureError, few, one_line
+from reconstruction.netcdf import LabelledArrays, read_arrays, write_arrays
+from reconstruction.patterns import PatternSet
+from reconstruction.reading import is_regular
+
+DIMENSIONS = ("frame", "row", "col")
+STACK = "stack"
+NAMES = "frame_name"
+TYPES = ("uint8", "uint16", "float32")
+
+
+def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
+    """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
+    write_arrays(path, stack_arrays(stack, patterns))
+
+
+def stack_arrays(stack: Stack, patterns: PatternSet) -> LabelledArrays:
+    """Return a (frame, row, col) stack, DN, and the names of its frames."""
+    attributes = {"units": "DN", "long_name": "camera frames"}
+    names = np.array([frame.name for frame in patterns.frames], dtype=object)
+    return LabelledArrays({STACK: (DIMENSIONS, stack, attributes), NAMES: ("frame", names, {})})
+
+
+def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stack:
+    """Read the stack that `patterns` and the image `shape` (rows, cols) announce.
+
+    Raises
+    ------
+    CaptureError : missing, truncated or damaged file, wrong variable, type, size or frames
+    """
+    if not is_regular(path):
+        raise CaptureError(f"{path}: the stack of frames is missing")
+    try:
+        file = read_arrays(path)
+    except OSError as error:
+        raise CaptureError(
+            f"{path}: is no complete netCDF-4 file ({one_line(error)}); copy or record it again"
+        ) from error
+    _check(path, file, patterns, shape)
+    return file[STACK]
+
+
+def _check(path: Path, file: LabelledArrays, patterns: PatternSet, shape: tuple[int, int]) -> None:
+    if STACK not in file or NAMES not in file:
+        raise CaptureError(f"{path}: needs the variables {STACK} and {NAMES}")
+    dims, stack, _ = file.variables[STACK]
+    if dims != DIMENSIONS or str(stack.dtype) not in TYPES:
+        raise CaptureError(
+            f"{path}: stack is {stack.dtype} {dims}; it must be {' or '.join(TYPES)} {DIMENSIONS}"
+        )
+    _check_frames(path, [_text(name) for name in file[NAMES]], patterns)
+    expected = (len(patterns.frames), *shape)
+    if stack.shape != expected:
+        raise CaptureError(
+            f"{path}: stack has shape {stack.shape}; capture.toml announces {expected}"
+        )
+
+
+def _check_frames(path: Path, found: list[str], patterns: PatternSet) -> None:
+    expected = [frame.name for frame in patterns.frames]
+    if found == expected:
+        return
+    missing = [name for name in expected if name not in found]
+    extra = [name for name in found if name not in expected]
+    raise CaptureError(
+        f"{path}: holds {len(found)} frames, the pattern set has {len(expected)}; "
+        f"missing: {few(missing)}; not expected: {few(extra)}; "
+        "frames must be in the order of the pattern set"
+    )
+
+
+def _text(name: Any) -> str:
+    return name.decode("utf-8") if isinstance(name, bytes) else str(name)
