@@ -57,7 +57,7 @@ def test_one_axis_alone_needs_no_epipolar_test(calibration, surface, project, la
     np.testing.assert_array_equal(found.points_world_mm, unchecked.points_world_mm)
     assert found.valid.mean() > 0.9
     for use in ("row", "both"):
-        with pytest.raises(InputError, match="decoded was 'column' alone"):
+        with pytest.raises(InputError, match="only 'column' was decoded"):
             triangulate(alone, rig, use)
 
 
