@@ -55,13 +55,13 @@ def test_ball_in_a_large_strain_solid() -> None:
     places = (np.arange(CELLS) + 0.5) * PITCH_MM - CELLS * PITCH_MM / 2
     radius = np.minimum(np.hypot(places, places[:, None]), 10.0)
     heights = CubicSpline(case["r_mm"], case["touched_face_mm"])(radius)
-    gel = compensated(heights, 4.0, 0.01)
-    (ball,) = parts_of(gel)
+    fitted = compensated(heights, 4.0, 0.01)
+    (ball,) = parts_of(fitted)
     assert ball.form == "ball"
     assert ball.radius_mm == pytest.approx(4.0, rel=3e-3)
     assert abs(ball.radius_mm - 4.0) < 3 * ball.sigma_mm
-    assert gel.force_n == pytest.approx(1e3 * 1e-3 * case["force_over_modulus_mm2"], rel=0.1)
-    assert gel.misfit_mm == pytest.approx(0.01, rel=0.15)
+    assert fitted.force_n == pytest.approx(1e3 * 1e-3 * case["force_over_modulus_mm2"], rel=0.1)
+    assert fitted.misfit_mm == pytest.approx(0.01, rel=0.15)
 
 
 def test_two_balls_and_a_gap_in_the_map() -> None:
@@ -77,15 +77,15 @@ def test_two_balls_and_a_gap_in_the_map() -> None:
     inner = slice(62, 62 + CELLS)
     valid = np.ones((CELLS, CELLS), bool)
     valid[:, 36:39] = False
-    gel = compensated(pressed.deflection_mm[inner, inner], 2.0, 1e-3, valid)
-    assert not gel.contact[~valid].any()
-    parts = sorted(parts_of(gel), key=lambda part: -int(part.core.sum()))
+    fitted = compensated(pressed.deflection_mm[inner, inner], 2.0, 1e-3, valid)
+    assert not fitted.contact[~valid].any()
+    parts = sorted(parts_of(fitted), key=lambda part: -int(part.core.sum()))
     right = next(part for part in parts if part.middle_mm[0] > 1.5)
     assert right.radius_mm == pytest.approx(2.0, rel=0.01)
     true_n = float(pressed.pressure.sum()) * PITCH_MM**2
-    assert gel.force_n == pytest.approx(true_n, rel=0.05)
+    assert fitted.force_n == pytest.approx(true_n, rel=0.05)
     # Unmeasured cells can have no pressure.
-    assert gel.pressure_kpa[np.broadcast_to(~valid, gel.contact.shape)].max() == 0.0
+    assert fitted.pressure_kpa[np.broadcast_to(~valid, fitted.contact.shape)].max() == 0.0
 
 
 def test_a_flat_coat_is_rejected() -> None:

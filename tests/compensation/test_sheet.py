@@ -39,7 +39,7 @@ def test_ball_force_contact_and_modulus(thickness_mm: float, pressure_kpa: float
     assert modulus[0] == pytest.approx(YOUNG_KPA, rel=0.02 + 0.15 * thickness_mm)
 
 
-@pytest.mark.parametrize("believed", [0.8, 1.25])
+@pytest.mark.parametrize("factor", [0.8, 1.25])
 def test_a_force_gauge_determines_the_modulus(factor: float) -> None:
     """From the force of the oracle, for any prior modulus, within its uncertainty."""
     profile = pressed_ball(0.1, 2.0)
