@@ -31,24 +31,24 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "young_modulus_kpa": ((), "kPa", "Young's modulus of the elastomer"),
     "iterations": ((), "1", "passes of the contact solver"),
     "converged": ((), "1", "1 when the contact solver converged"),
-    "texture_mm": (FACE, "mm", "what the coat's texture adds to face_z_mm"),
+    "texture_mm": (FACE, "mm", "height of the coat's texture, included in face_z_mm"),
 }
 OPTIONAL = {"texture_mm"}
 
-# field of SheetFields: units, long name; stored where there are some, on the coated face's nodes
+# field of SheetFields: units, long name; stored for sheets only, at the coated face's nodes
 SHEET_VARIABLES: dict[str, tuple[str, str]] = {
     "thickness_mm": ("mm", "local thickness, along the coated face's normal"),
     "stretch_1": ("1", "larger principal stretch"),
     "stretch_2": ("1", "smaller principal stretch"),
-    "material_x_mm": ("mm", "x on the mounted sheet of what lies here"),
-    "material_y_mm": ("mm", "y on the mounted sheet of what lies here"),
+    "material_x_mm": ("mm", "x on the mounted sheet of the material point at this node"),
+    "material_y_mm": ("mm", "y on the mounted sheet of the material point at this node"),
 }
 
 
 def press_arrays(pressed: "PressedElastomer") -> LabelledArrays:
     """Return all fields over their coordinates x, y (solver cells) and face_x, face_y (nodes), mm.
 
-    Figures of `Validity` are attributes.
+    Figures of `Validity` are stored as attributes.
     """
     variables = {
         name: labelled(np.asarray(getattr(pressed, name)), *told)

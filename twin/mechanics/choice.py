@@ -1,8 +1,8 @@
 """Press with the model that the experiment names, or with the one of the least stated error.
 
-At a given depth the shape of a linear slab does not depend on its modulus. With unit modulus the
-contact pressure is what the solver finds; pressure and force of any modulus are that times the
-modulus, to the last bit, because the solver works in pressure over modulus: one press for all.
+At a given depth the shape of a linear slab does not depend on its modulus. The solver works in
+pressure over modulus, so the results for any modulus are those of a unit modulus times the modulus,
+to the last bit: one press serves all moduli.
 """
 
 from dataclasses import replace
@@ -38,11 +38,11 @@ def press_with(
 
     Parameters
     ----------
-    progress : called with the share of the load steps that is done, by models that make some
+    progress : called with the finished share of the load steps, by models that have load steps
 
     Raises
     ------
-    PressError : what the model cannot do, and what to change
+    PressError : the model cannot press this; the message states the remedy
     SolverError : the solution did not converge
     """
     case = PressInput(mechanics, specimen, elastomer, load)
@@ -55,11 +55,11 @@ def press_with(
 
 
 def settled_with(case: PressInput, progress: Progress | None = None) -> SettledPress:
-    """Press with the chosen model, and keep the equilibrium for derivatives.
+    """Press with the chosen model, and return the equilibrium for derivatives.
 
     Parameters
     ----------
-    progress : called with the share of the load steps that is done
+    progress : called with the finished share of the load steps
 
     Raises
     ------
@@ -72,12 +72,12 @@ def settled_with(case: PressInput, progress: Progress | None = None) -> SettledP
 def check_press(
     mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
 ) -> None:
-    """Raise what `press_with` raises before it solves anything.
+    """Raise the errors that `press_with` raises before it solves.
 
     Raises
     ------
-    PressError : what the model cannot do, and what to change; of several models that `auto` may
-        select, what the first cannot do, if none can press
+    PressError : the model cannot press this; the message states the remedy; if `auto` may select
+        several models and none can press, the error of the first
     """
     case = PressInput(mechanics, specimen, elastomer, load)
     refusals = []
@@ -90,17 +90,17 @@ def check_press(
 
 
 def possible_models(case: PressInput) -> list[ElastomerModel]:
-    """Return the model that the experiment names, or those that `auto` may select, by name."""
+    """Return the model that the experiment names, or those that `auto` may select."""
     if case.mechanics.model != AUTO:
         return [MODELS[case.mechanics.model]]
     return [model for model in MODELS if model.is_automatic and model.applies(case)]
 
 
 def select_model(case: PressInput) -> ElastomerModel:
-    """Return the model that presses: of those that apply, the one with the least stated error.
+    """Return the model with the least stated error among those that apply.
 
-    A model without a stated error is selected only if no other states one. Of equal errors that of
-    a thin sheet is preferred, which is solved faster than solid elements.
+    A model without a stated error is selected only if no model states an error. Of equal errors
+    that of a thin sheet is preferred, which is solved faster than solid elements.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def select_model(case: PressInput) -> ElastomerModel:
 
 
 def may_wrap(elastomer: Elastomer) -> bool:
-    """Whether a thin sheet, which wraps the object, describes an elastomer."""
+    """Whether an elastomer is a thin sheet, which wraps the object."""
     return is_thin_sheet(elastomer)
 
 
@@ -134,10 +134,10 @@ def is_slab(elastomer: Elastomer) -> bool:
 
 
 def modulus_only_scales(case: PressInput) -> bool:
-    """Whether a press depends on the modulus through the size of pressure and force alone.
+    """Whether the modulus only scales the pressure and force of a press, not its shape.
 
-    Not under force control; not with a coat, weight or back pressure of given size beside the
-    modulus; not in the references, whose solvers work in kPa.
+    False under force control; with a coat, weight or back pressure, which have a stiffness or
+    pressure of their own; and for the reference models, whose solvers work in kPa.
     """
     if (
         case.load.control != "depth"
@@ -153,7 +153,7 @@ def modulus_only_scales(case: PressInput) -> bool:
 def unit_press(
     mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
 ) -> PressedElastomer | None:
-    """Press an elastomer of 1 kPa; None where the modulus does more than scale.
+    """Press an elastomer of 1 kPa; None where the modulus also changes the shape.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def unit_press(
 
 
 def with_modulus(pressed: PressedElastomer, elastomer: Elastomer) -> PressedElastomer:
-    """Scale what `unit_press` found to an elastomer's own modulus."""
+    """Scale the result of `unit_press` to an elastomer's own modulus."""
     modulus_kpa = young_modulus(elastomer).best_kpa
     return replace(
         pressed,

@@ -1,4 +1,4 @@
-"""Q2/Q1 (Taylor-Hood) elements on rectangle and brick grids: where they are and what they see.
+"""Q2/Q1 (Taylor-Hood) elements on rectangle and brick grids: nodes, weights and gradients.
 
 Meshes, elements and quadrature are scikit-fem's, as for the tetrahedra (`taylor_hood`); here they
 are put in the order of the grid. Axes: r, z in axisymmetry; x, y, z in space; z is the last and
@@ -38,7 +38,7 @@ class ElementGrid:
 
     @property
     def components(self) -> tuple[tuple[int, int], ...]:
-        """The tensor components that an element's `gradient` rows stand for."""
+        """The tensor components of the rows of an element's `gradient`."""
         return _AXISYMMETRIC if self.axes == 2 else _SPATIAL
 
     @cached_property
@@ -61,13 +61,13 @@ class ElementGrid:
 
     @cached_property
     def element_corners(self) -> IntArray:
-        """(element, 2^axes) pressure nodes, numbered apart from the displacement's."""
+        """(element, 2^axes) pressure nodes, numbered separately from the displacement's."""
         return np.asarray(self._pressure.element_dofs.T, dtype=np.int64)
 
     @cached_property
     def corner_shapes(self) -> FloatArray:
         """(point, 2^axes) pressure shape functions at the integration points."""
-        # Shape functions of a grid's elements differ by scale alone: those of the first do.
+        # Shape functions of a grid's elements differ only by scale: those of the first do for all.
         return np.stack([np.asarray(shape[0])[0] for shape in self._pressure.basis], axis=-1)
 
     @cached_property
@@ -94,7 +94,7 @@ class ElementGrid:
     def surface(self, gauss: int) -> "Surface":
         """Return the touched face (z = 0) with `gauss` integration points per element and axis.
 
-        Points follow one another facet by facet, ascending in the first axis, then in the second.
+        Points are in order, facet by facet, ascending in the first axis, then in the second.
         """
         low = self._mesh.facets_satisfying(lambda at: np.isclose(at[-1], self.edges_mm[-1][0]))
         face = skfem.FacetBasis(self._mesh, self._quadratic, facets=low, intorder=2 * gauss - 1)
@@ -108,7 +108,7 @@ class ElementGrid:
         trace = sparse.csr_array(
             (values.reshape(columns.shape)[order].ravel(), (rows, columns[order].ravel())), count
         )
-        # A facet's basis knows the nodes of its whole element: nothing is seen of those inside.
+        # A facet's basis includes the nodes of its whole element: the inner ones have weight 0.
         trace.data[np.abs(trace.data) < _ROUNDING] = 0.0
         trace.eliminate_zeros()
         return Surface(trace, weight.ravel()[order], self.axes)
@@ -133,7 +133,7 @@ class ElementGrid:
 
     @cached_property
     def _node_of_unknown(self) -> IntArray:
-        """Number in the grid of scikit-fem's unknowns, by where they are."""
+        """Number in the grid of scikit-fem's unknowns, by their position."""
         places = zip(self.lines_mm, self._displacement.doflocs, strict=True)
         halfway = [((line[1:] + line[:-1]) / 2, at) for line, at in places]
         numbers = tuple(np.searchsorted(between, at) for between, at in halfway)
@@ -162,14 +162,14 @@ class Surface:
 
 
 def graded(length_mm: float, count: int, ratio: float) -> FloatArray:
-    """Return count + 1 edges on 0..length whose steps grow by `ratio`."""
+    """Return count + 1 edges on 0..length with steps that increase by the factor `ratio`."""
     steps = ratio ** np.arange(count)
     edges: FloatArray = np.concatenate(([0.0], np.cumsum(steps)))
     return edges * (length_mm / float(steps.sum()))
 
 
 def _in_order(face: Any) -> IntArray:
-    """Return the order of a face's points: facets by their centres, points within by place."""
+    """Return the order of a face's points: facets by their centres, then points by position."""
     at = np.asarray(face.global_coordinates())[-2::-1]
     centres = np.broadcast_to(at.mean(axis=2, keepdims=True), at.shape)
     # The last key counts first; rounded, as points of one line differ in their last digits.

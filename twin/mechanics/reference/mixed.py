@@ -1,7 +1,7 @@
 """Rubber in mixed form: neo-Hookean and small-strain material, residual and tangent of a body.
 
 At unit Young's modulus: residuals are forces and volumes. Unknowns: displacements node by node,
-then pressures, whatever the elements. Symbols: F deformation gradient, J = det F, mu shear modulus,
+then pressures, for any elements. Symbols: F deformation gradient, J = det F, mu shear modulus,
 K bulk modulus, p pressure-like unknown (the hydrostatic part; tension is positive), P first
 Piola-Kirchhoff stress, cof = J F^-T = dJ/dF.
 
@@ -26,7 +26,7 @@ from twin.mechanics.reference.grid import ElementGrid
 
 @dataclass(frozen=True)
 class Response:
-    """What a material point answers, at unit Young's modulus."""
+    """Response of a material point, at unit Young's modulus."""
 
     #: (..., 3, 3) first Piola-Kirchhoff stress
     stress: FloatArray
@@ -137,7 +137,7 @@ class MixedBody:
         return state[: self.displacements].reshape(-1, self.grid.axes)
 
     def is_admissible(self, state: FloatArray) -> bool:
-        """Tell whether no integration point is turned inside out."""
+        """Return True if no integration point is turned inside out."""
         return bool((np.linalg.det(self._deformation(state)) > 0).all())
 
     def assemble(self, state: FloatArray) -> tuple[FloatArray, sparse.csc_array]:
