@@ -1,4 +1,4 @@
-"""How many cells and nodes a press may have: counted from its lengths before anything is solved.
+"""Limits of the cells and nodes of a press: counted from its lengths before it is solved.
 
 Memory with the mesh of the coated face, measured on 2 to 5 million: 150 bytes per node under a
 slab, 240 under a sheet, and 120 bytes per cell of the slab's grid.
@@ -14,7 +14,7 @@ MOST_SLAB_CELLS = 20_000_000
 
 
 def check_face_nodes(elastomer: Elastomer, load: Press) -> None:
-    """Refuse a mesh of the coated face that takes more than some 5 GB.
+    """Raise an error for a mesh of the coated face that takes more than some 5 GB.
 
     Raises
     ------
@@ -29,7 +29,7 @@ def check_face_nodes(elastomer: Elastomer, load: Press) -> None:
 
 
 def check_slab_cells(window_mm: tuple[float, float], load: Press) -> None:
-    """Refuse a slab's grid that takes more than some 3 GB.
+    """Raise an error for a slab's grid that takes more than some 3 GB.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Pressed elastomers as netCDF-4 files and their faces as PLY or STL meshes.
 
 Files follow the CF conventions: every variable has `units` and `long_name`; arrays are (y, x).
-A file is written under a temporary name and renamed: it is never half there.
+A file is written under a temporary name and renamed, so that it is never incomplete.
 """
 
 from collections.abc import Callable, Mapping
@@ -36,7 +36,7 @@ from twin.mechanics.validity import Validity
 _PLAIN = "fringe-twin press 2"
 """Files of this schema and the first have no coordinates: x is the variable x_mm, and so on."""
 _GROUPED = "fringe-twin press 1"
-"""Files of this schema keep the figures of `Validity` in a group of that name."""
+"""Files of this schema have the figures of `Validity` in a group of that name."""
 
 
 def write_press(path: Path, pressed: PressedElastomer) -> None:
@@ -53,12 +53,12 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
 
 
 def read_press(path: Path) -> PressedElastomer:
-    """Read what `write_press` wrote.
+    """Read a file of `write_press`.
 
     Raises
     ------
     PressError
-        The file is missing, damaged or something else.
+        The file is missing, damaged or of another kind.
     """
     try:
         file = read_arrays(path)
@@ -111,7 +111,7 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     Raises
     ------
     PressError
-        The file is to be neither, or cannot be written.
+        The suffix is neither, or the file cannot be written.
     """
     kind = path.suffix.lower()
     if kind not in (".ply", ".stl"):

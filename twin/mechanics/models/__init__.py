@@ -95,7 +95,7 @@ class SettledPress(Protocol):
 
 
 class ElastomerModel(elastomer_models.ModelFields):
-    """The interface of an elastomer model; a model overrides `press`, and the rest if it differs."""
+    """Interface of an elastomer model; a model overrides `press`, and the rest if it differs."""
 
     refuses_sheet_keys: ClassVar[bool] = True
     """Whether tack, friction, pre-stretch, a round frame or a soft rim are errors."""
@@ -196,5 +196,5 @@ def refuse_sheet_keys(elastomer: Elastomer, model: str) -> None:
         low, high = SHEET_THICKNESS_MM
         raise PressError(
             f"elastomer.{keys[0]}: found {getattr(elastomer, keys[0])!r}, which the {model} model "
-            f"does not model; use the sheet model (opposite_face, no film, {low:g} to {high:g} mm)"
+            f"lacks; use the sheet model (opposite_face, no film, {low:g} to {high:g} mm)"
         )

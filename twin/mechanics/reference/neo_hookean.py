@@ -1,14 +1,14 @@
 """The `neo_hookean` model: large deflection and strain in space, for sheets and deep presses.
 
-Neo-Hookean Q2/Q1 bricks on a grid that is fine where the linear press makes contact; one half or
-quarter of it where specimen and slab are symmetric. A sheet that deflects by about its thickness
-stretches as it bends, which a linear slab leaves out. World frame, mm; the grid's own z counts
+Neo-Hookean Q2/Q1 bricks on a grid that is fine where the linear press makes contact; 1/2 or
+1/4 of it if specimen and slab are symmetric. A sheet that deflects by about its thickness
+stretches as it bends, which a linear slab neglects. World frame, mm; the grid's own z counts
 from the touched face.
 
 Contact with the rigid height field is frictionless, z along the press; the specimen's surface is
 z = d - S(x, y). Augmented Lagrangian penalty on the overlap d - S - z at integration points in the
-current configuration. Its gradient g = (S_x, S_y, 1) is the surface's normal over its share along
-the press.
+current configuration. Its gradient g = (S_x, S_y, 1) is the surface's normal over its component
+along the press.
 """
 
 from dataclasses import dataclass, replace
@@ -94,15 +94,15 @@ class HeightContact:
         )
 
     def settle(self, moved_mm: FloatArray, depth_mm: float) -> "HeightContact":
-        """Return the contact itself: without friction nothing is remembered."""
+        """Return the contact itself: without friction it has no history."""
         return self
 
     def carry(self, pressure: FloatArray) -> "HeightContact":
-        """Return the contact with another carried pressure."""
+        """Return the contact with a new carried pressure."""
         return replace(self, carried=pressure)
 
     def is_spurious(self, moved_mm: FloatArray, depth_mm: float) -> bool:
-        """Tell nothing: a specimen of any shape may touch with holes."""
+        """Return False: a specimen of any shape may touch with holes."""
         return False
 
     def _shape(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -117,7 +117,7 @@ class HeightContact:
 
 @dataclass(frozen=True)
 class Bricks:
-    """How finely to solve in space."""
+    """Numbers of elements and load steps in space."""
 
     #: elements along each half of x and y
     half: int = 10
@@ -125,7 +125,7 @@ class Bricks:
     through: int | None = None
     #: elements along the half width of a contact
     contact: float = 3.0
-    #: load steps to the depth that the linear slab finds, more where that is over a thickness
+    #: load steps to the depth of the linear slab, more if that is over a thickness
     steps: int = 6
 
 
@@ -137,23 +137,23 @@ def press_neo_hookean(
     bricks: Bricks | None = None,
     linear: bool = False,
 ) -> PressedElastomer:
-    """Press `specimen` into `elastomer` as `load` says, at large strain.
+    """Press `specimen` into `elastomer` by `load`, at large strain.
 
     Parameters
     ----------
     elastomer : flat slab on a simply supported rim, or a pad with free sides bonded to a window
     load : depth or force, and pitches. A free slab may travel farther than it is thick.
-    linear : small strain and contact on the undeformed face by the same elements: what remains
-        against the spectral press is the elements' error
+    linear : small strain and contact on the undeformed face by the same elements: the difference
+        from the spectral press is then the elements' error
 
     Returns
     -------
-    As from the spectral press; faces are seen at deformed positions
+    As from the spectral press; faces are at deformed positions
 
     Raises
     ------
-    PressError : as `press`; also a film or a preload, which this model does not know
-    SolverError : no equilibrium was found
+    PressError : as `press`; also a film or a preload, which this model does not include
+    SolverError : no equilibrium
     """
     fineness, shape = bricks or Bricks(), shape_of(specimen)
     guess = press(specimen, elastomer, load, any_depth=True)
@@ -189,7 +189,7 @@ def _untouched(body: MixedBody, field: HeightField, element_mm: float, linear: b
 
 
 def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:
-    """Refuse what this model does not know.
+    """Raise an error for a film or a preload.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:
     modulus_kpa = young_modulus(elastomer).best_kpa
     if elastomer.film is not None or preload_of(elastomer, load, modulus_kpa):
         raise PressError(
-            "mechanics.model = 'neo_hookean' knows neither film, back pressure nor weight; "
+            "mechanics.model = 'neo_hookean' has neither film, back pressure nor weight; "
             "remove elastomer.film, press.back_pressure_kpa and press.gravity_deg"
         )
 
@@ -213,7 +213,7 @@ def _march(problem: Problem, start: Equilibrium, depth_mm: float, steps: int) ->
 def _to_force(
     problem: Problem, start: Equilibrium, guess: PressedElastomer, steps: int, copies: float
 ) -> Equilibrium:
-    """Press until the force is reached, then between the last two steps."""
+    """Press until the force is reached, then solve between the last two steps."""
     aim = guess.force_n / (guess.young_modulus_kpa * 1e-3) / copies
     below, step = start, guess.depth_mm / steps
     above = press_to(problem, below, below.depth_mm + step)
@@ -260,7 +260,7 @@ def _edges(
     """Return count + 1 edges, `size_mm` apart at the contacts and farther apart away from them."""
     fine = np.linspace(*ends, 4001)
     distance = np.abs(fine[:, None] - touched).min(axis=1)
-    # The contact of a stiffening sheet is wider than the linear one.
+    # The contact of a stiffening sheet is wider than that of the linear slab.
     beyond = np.maximum(distance - 0.5 * size_mm, 0.0)
     low, high = 0.05, 20.0
     for _ in range(40):
@@ -273,7 +273,7 @@ def _edges(
 
 
 def _is_symmetric(field: HeightField, axis: int) -> bool:
-    """Tell whether the specimen is its own mirror image about x = 0 (axis 0) or y = 0."""
+    """Return True if the specimen is symmetric about x = 0 (axis 0) or y = 0."""
     height = np.where(np.isfinite(field.height_mm), field.height_mm, 1e3)
     at, flip = ((field.x_mm, np.s_[:, ::-1]), (field.y_mm, np.s_[::-1]))[axis]
     centred = abs(at[0] + at[-1]) < _SYMMETRY_MM
@@ -281,7 +281,7 @@ def _is_symmetric(field: HeightField, axis: int) -> bool:
 
 
 def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
-    """Return the unknowns that support and symmetry leave free."""
+    """Return the unknowns that are free of support and symmetry."""
     nodes = body.grid.nodes_mm
     held = np.zeros(nodes.shape, dtype=bool)
     near = 1e-9 * elastomer.thickness_mm
@@ -290,7 +290,7 @@ def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
             held[np.abs(nodes[:, axis]) < near, axis] = True
         rim = np.abs(np.abs(nodes[:, axis]) - length / 2) < near
         if elastomer.layout == "opposite_face":
-            # As the spectral slab: only the displacement across the rim's side is free.
+            # As the spectral slab: only the displacement normal to the rim's side is free.
             held[rim, 1 - axis] = True
             held[rim, 2] = True
     if elastomer.layout == "contact_face":
@@ -337,8 +337,8 @@ def _mirrored(points: FloatArray, grid: ElementGrid) -> FloatArray:
 
 
 def _surface(points: FloatArray) -> FaceHeight:
-    """Return z over x and y, continuously differentiable; beyond the outline the nearest."""
-    # Nodes on a plane of symmetry come twice.
+    """Return z over x and y, continuously differentiable; outside the outline that nearest."""
+    # Nodes on a plane of symmetry are in the list twice.
     _, once = np.unique(np.round(points[:, :2], 9), axis=0, return_index=True)
     at, z = points[once, :2], points[once, 2]
     smooth, nearest = CloughTocher2DInterpolator(at, z), NearestNDInterpolator(at, z)

@@ -1,7 +1,8 @@
-"""Between grids and scattered points: what a reference asks of a specimen, and what it gives back.
+"""A specimen's heights at scattered points, and a reference's result on the grids of a press.
 
-Specimens answer on grids only; finite elements ask anywhere, with slopes and curvatures: sampled
-once, then bicubic. Scattered results go onto the grids of `PressedElastomer`.
+Specimens have heights on grids only; finite elements need them at any point, with slopes and
+curvatures: sampled once, then bicubic. Scattered results are interpolated on the grids of
+`PressedElastomer`.
 """
 
 from collections.abc import Callable
@@ -20,8 +21,8 @@ from twin.mechanics.press import PressedElastomer
 from twin.mechanics.validity import Validity, contact_validity
 from twin.shape import Shape
 
-# Share of loaded points round a cell from which on it touches: a curved specimen leaves some points
-# of a facet free.
+# Share of loaded points round a cell above which it touches: of a curved specimen some points of a
+# facet are free.
 _TOUCHING = 0.3
 
 # Height error over depth of the default bricks (spectral press at small strain, halved elements).
@@ -41,11 +42,11 @@ class Scattered:
     at_mm: FloatArray
     force: FloatArray
     plan_mm2: FloatArray
-    #: the points run facet by facet
+    #: the points are in order of their facets
     points_per_facet: int
     depth_mm: float
     iterations: int
-    #: solved at large strain: what a linear slab leaves out is in
+    #: solved at large strain, which a linear slab neglects
     large_strain: bool = False
 
 
@@ -89,11 +90,11 @@ def on_grids(
 
 
 def check_depth(depth_mm: float, elastomer: Elastomer) -> None:
-    """Refuse a force that needs as deep a press as the slab is thick.
+    """Raise an error if a force needs a depth of the slab's thickness or more.
 
     Raises
     ------
-    PressError : it does
+    PressError : the depth is too large
     """
     if depth_mm >= elastomer.thickness_mm:
         raise PressError(
@@ -113,14 +114,14 @@ def _validity(
     judged = judge(found.depth_mm, peak_mm)
     if not found.large_strain:
         return judged
-    # Depth and deflection need no warning here: those of a press without any remain.
+    # Depth and deflection need no warning here: only those of a press without them remain.
     remaining = judge(0.0, 0.0).warnings
     error_mm = _ELEMENT_ERROR * found.depth_mm
     return replace(judged, height_error_mm=error_mm, warnings=remaining)
 
 
 def _pressure(found: Scattered, x: FloatArray, y: FloatArray, cell_mm2: float) -> FloatArray:
-    """Return pressure over modulus (row, col), 0 where the faces are apart."""
+    """Return pressure over modulus (row, col), 0 where the faces do not touch."""
     # Pressures of single points ripple: take whole facets.
     at, force, area = (
         data.reshape(-1, found.points_per_facet, *data.shape[1:])
@@ -141,7 +142,7 @@ def _pressure(found: Scattered, x: FloatArray, y: FloatArray, cell_mm2: float) -
 
 _LARGEST_GRID = 800
 _FINEST_PITCH_MM = 0.02
-# Beside the specimen the surface is continued for so many cells, out of the spline's reach.
+# Outside the specimen the surface is continued by this number of cells, beyond the spline's reach.
 _REACH_CELLS = 2
 
 
@@ -155,12 +156,12 @@ class HeightField:
     height_mm: FloatArray
 
     def value(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return the height at points (n,), inf beside the specimen."""
+        """Return the height at points (n,), inf outside the specimen."""
         height = np.asarray(self._spline.ev(y_mm, x_mm), dtype=np.float64)
         return np.where(self._is_present(x_mm, y_mm), height, np.inf)
 
     def slope(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (n, [x, y]) first derivatives; continued smoothly beside the specimen."""
+        """Return (n, [x, y]) first derivatives; continued smoothly outside the specimen."""
         along = [self._spline.ev(y_mm, x_mm, dx=dy, dy=dx) for dx, dy in ((1, 0), (0, 1))]
         return np.stack(along, axis=-1)
 
@@ -190,18 +191,18 @@ class HeightField:
 
 
 def sample(shape: Shape, length_x_mm: float, length_y_mm: float) -> HeightField:
-    """Sample a specimen over a centred rectangle, as finely as 800 cells per axis allow.
+    """Sample a specimen over a centred rectangle, with at most 800 cells per axis.
 
     Raises
     ------
-    PressError : the specimen lies beside the rectangle
+    PressError : the specimen is outside the rectangle
     """
     x_low, x_high, y_low, y_high = shape.bounds_mm()
     x = _axis(max(x_low, -length_x_mm / 2), min(x_high, length_x_mm / 2))
     y = _axis(max(y_low, -length_y_mm / 2), min(y_high, length_y_mm / 2))
     height = shape.height_above_lowest(x, y) if x.size and y.size else np.full((1, 1), np.inf)
     if not np.isfinite(height).any():
-        raise PressError("specimen: lies beside the pad's touched face; move it")
+        raise PressError("specimen: outside the pad's touched face; move it")
     return HeightField(x, y, height)
 
 

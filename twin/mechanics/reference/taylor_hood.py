@@ -1,7 +1,7 @@
 """Linear elasticity on tetrahedra: P2 displacement and P1 pressure (Taylor-Hood), no locking.
 
 At unit Young's modulus: [[A, B^T], [B, -M / K]] with A = int 2 mu (eps:eps - div div / 3),
-B = int q div u, M = int q q. The matrix is factorised once; every load then costs one
+B = int q div u, M = int q q. The matrix is factorised once; each load then takes one
 substitution. Nodes are the vertices followed by the edges' midpoints.
 """
 
@@ -63,7 +63,7 @@ class ElasticBody:
 
         Raises
         ------
-        PressError : nothing was chosen
+        PressError : the selector chooses no facet
         """
         corners, centres, normals = self._boundary
         chosen = where(centres, normals)

@@ -1,6 +1,6 @@
-"""The sheet on one grid over its bodies: its energy, forces and tangent at any place.
+"""The sheet on one grid with its bodies: its energy, forces and tangent at any position.
 
-One energy with its exact tangent; a convexified one can be asked for in its place.
+One energy with its exact tangent, or optionally with a convexified tangent.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,16 +23,18 @@ from twin.mechanics.sheet.stencil import Stencil, control_areas, stencil
 from twin.shape import Distances, SignedDistance
 from twin.specimens.distance import is_clear_of
 
-# A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.
+# A band is a block of cell rows for one thread; its forces reach two rows beyond it.
 _BAND_ROWS = 8
-# Shares of the cohesive range: anchored below the first, let go above the second, where the pull is
-# largest. Springs held farther would add to the work of peeling: 10 % at 0.2 mm, 50 % at 0.1 mm.
+# Shares of the cohesive range: anchored below the first, released above the second, where the pull
+# is largest. Springs that act farther would increase the work of peeling: 10 % at 0.2 mm, 50 % at
+# 0.1 mm.
 _GRIPS, _LETS_GO = 0.25, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """What the sheet may touch: bodies that travel with the specimen, and the frame's walls."""
+    """Bodies that may touch the sheet: those that travel with the specimen, and the frame's walls.
+    """
 
     moving: Sequence[SignedDistance]
     fixed: Sequence[SignedDistance] = ()
@@ -40,7 +42,7 @@ class Bodies:
 
 @dataclass(frozen=True, eq=False)
 class SheetState:
-    """A sheet in equilibrium, or on its way there."""
+    """A sheet in equilibrium, or during the iteration."""
 
     control_mm: FloatArray
     grip: Grip
@@ -51,12 +53,12 @@ class SheetState:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The energy at one place; its forces and tangent stay with the sheet until the next."""
+    """The energy at one position; the sheet stores its forces and tangent until the next."""
 
     energy: float
     control_mm: FloatArray
     surface: FloatArray
-    #: whether the tangent was asked for
+    #: whether the tangent was computed
     tangent: bool
 
     @cached_property
@@ -74,14 +76,14 @@ class System:
 
     @classmethod
     def of(cls, free: BoolArray) -> "System":
-        """Return that of a grid whose control points (row, col, xyz) are free so."""
+        """Return the system of a grid with free control points (row, col, xyz)."""
         pattern = stencil(free)
         return cls(pattern, linear_solver(pattern.start, pattern.columns))
 
 
 @dataclass(eq=False)
 class Sheet:
-    """A sheet on one grid over its bodies: the solver's memory between states."""
+    """A sheet on one grid with its bodies, and the arrays that the solver reuses."""
 
     grid: SheetGrid
     laws: Laws
@@ -89,15 +91,15 @@ class Sheet:
     #: specimen's z = 0 plane in the sheet's frame at zero travel
     touched_z_mm: float
     sticks: bool = False
-    #: cells where it touches
+    #: width of the cells in the contact
     cell_mm: float = 0.0
-    #: of which this is a window: its threads and the systems of its windows are used
+    #: sheet of which this is a window: it shares its threads and the systems of its windows
     whole: "Sheet | None" = None
     system: System = field(init=False)
     pool: ThreadPoolExecutor = field(init=False)
-    #: of a rim that gives; a window ends short of it
+    #: springs of a compliant rim; a window ends before it
     rim: tuple[RimSpring, ...] = field(init=False, default=())
-    #: whose forces and tangent are held
+    #: evaluation whose forces and tangent are stored
     latest: Evaluation = field(init=False)
     factorisations: int = field(init=False, default=0)
     evaluations: int = field(init=False, default=0)
@@ -116,7 +118,7 @@ class Sheet:
         self.area_mm2 = control_areas(self.grid)
 
     def _system_of_window(self) -> System:
-        """Return the one of a window of the same form before, whose factors nobody needs longer."""
+        """Return the system of an earlier window of the same form; its factors are overwritten."""
         form = (self.grid.free.shape, self.grid.free.tobytes())
         if form not in self._systems:
             self._systems[form] = System.of(self.grid.free)
@@ -157,7 +159,7 @@ class Sheet:
         return self.latest
 
     def surface(self, control_mm: FloatArray) -> FloatArray:
-        """Return (row, col, 4, 3, xyz): place and derivatives at the Gauss points."""
+        """Return (row, col, 4, 3, xyz): position and derivatives at the Gauss points."""
         rows, cols = self.grid.y.cells, self.grid.x.cells
         out = np.zeros((rows, cols, 4, 3, 3))
         for parity in (0, 1):
@@ -172,9 +174,9 @@ class Sheet:
 
     @property
     def reach_mm(self) -> float:
-        """Distance of the middle surface from a body beyond which the two do not feel each other.
+        """Distance of the middle surface from a body beyond which the body has no effect.
 
-        Half a thickness, half as much again where the sheet is compressed, and the tack's range.
+        Half a thickness, 1.5 times that where the sheet is compressed, and the tack's range.
         """
         return 0.75 * self.laws.thickness_mm + self.laws.tack_range_mm
 
@@ -185,7 +187,7 @@ class Sheet:
         return _stacked(found, place_mm.shape[:3])
 
     def _near(self, place_mm: FloatArray, travel_mm: float) -> Touch:
-        """Return the distances to those bodies and walls that the sheet feels anywhere."""
+        """Return the distances to the bodies and walls within reach of any point of the sheet."""
         found = []
         sides = (
             (self.bodies.moving, self._lowered(place_mm, travel_mm)),
@@ -225,7 +227,7 @@ class Sheet:
         return share
 
     def factorise(self, viscosity: float) -> bool:
-        """Factorise the last tangent and a viscosity, kPa/mm; tell whether it is definite."""
+        """Factorise the last tangent plus a viscosity, kPa/mm; return True if it is definite."""
         values = self._tangent.reshape(-1)[self.system.stencil.taken]
         if viscosity:
             weights = np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
@@ -234,11 +236,11 @@ class Sheet:
         return self.system.solver.factorise(values)
 
     def newton_step_mm(self) -> FloatArray:
-        """Return (row, col, xyz): what the last factors make of the last forces."""
+        """Return (row, col, xyz): the step of the last factors for the last forces."""
         return self.answer_mm(self.forces())
 
     def answer_mm(self, forces: FloatArray) -> FloatArray:
-        """Return (row, col, xyz): what the last factors make of forces (unknown,)."""
+        """Return (row, col, xyz): the step of the last factors for forces (unknown,)."""
         step = np.zeros(self._forces.shape)
         step[self.grid.free] = -self.system.solver.solve(forces)
         return step
@@ -277,14 +279,14 @@ class Sheet:
         return square
 
     def regripped(self, state: SheetState) -> SheetState:
-        """Anchor what touches and free what has left: neither raises the energy."""
+        """Anchor points that touch and free points that have left: neither raises the energy."""
         surface = self.surface(state.control_mm)
         touch = self.touch(surface[..., 0, :], state.travel_mm)
         gap = self.gap_mm(surface, touch)
         nearest = gap.argmin(axis=0)[None]
         gap = gap.min(axis=0)
         normal = np.take_along_axis(touch.gradient, nearest[..., None], axis=0)[0]
-        # Tabled distances have gradients that are not quite 1 long; springs need them so.
+        # Tabulated distances have gradients that are not quite 1 long; springs need unit length.
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         reach = self.laws.tack_range_mm if self.laws.tack > 0 else 0.0
         new = ((gap < _GRIPS * reach) & (state.grip.held == 0))[..., None]
@@ -298,7 +300,7 @@ class Sheet:
         return replace(state, grip=grip)
 
     def window(self, rows: slice, cols: slice) -> "Sheet":
-        """Return some of its cells as a sheet of their own, held all round."""
+        """Return some of its cells as a sheet of their own, held along its whole outline."""
         grid = self.grid.window(rows, cols)
         z_mm, cell_mm = self.touched_z_mm, self.cell_mm
         return Sheet(grid, self.laws, self.bodies, z_mm, cell_mm=cell_mm, whole=self)

@@ -1,6 +1,6 @@
 """Energy, forces and tangent of the thin sheet, compiled: one cell of splines at a time.
 
-Arrays are (row, col) of cells, then Gauss point; what is summed at one is in `point`.
+Arrays are (row, col) of cells, then Gauss point; the terms at one point are in `point`.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -27,7 +27,7 @@ class Cell(NamedTuple):
     #: (9, 6) functions and derivatives at a point, and (5,) those of one along the grid
     functions: FloatArray
     plain: FloatArray
-    #: (54,) and (6, 81) a point's tangent with its second side taken to the functions
+    #: (54,) and (6, 81) a point's tangent with its second side mapped to the functions
     side: FloatArray
     half: FloatArray
     #: (9, 81) tangent between functions, [i, 9 j + 3 k + l] for j not below i
@@ -35,14 +35,14 @@ class Cell(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What one call of `assemble_rows` works in."""
+    """Scratch arrays of one call of `assemble_rows`."""
 
     point: Point
     cell: Cell
 
 
 class Assembled(NamedTuple):
-    """What `assemble_rows` adds to."""
+    """Sums to which `assemble_rows` adds."""
 
     #: (row,) of each row of cells
     energy: FloatArray
@@ -53,7 +53,7 @@ class Assembled(NamedTuple):
 
 
 def scratch() -> Scratch:
-    """Return what one call of `assemble_rows` works in."""
+    """Return the scratch arrays of one call of `assemble_rows`."""
     cell = Cell(np.zeros((9, 6)), np.zeros(5), np.zeros(54), np.zeros((6, 81)), np.zeros((9, 81)))
     return Scratch(point_scratch(), cell)
 
@@ -67,7 +67,7 @@ def assemble_rows(
     work: Scratch,
     sums: Assembled,
 ) -> None:
-    """Add the energy, forces and, if asked for, the tangent of some cell rows.
+    """Add the energy, forces and, if requested, the tangent of some cell rows.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def assemble_rows(
 
 
 def _contiguous(rest: Rest) -> Rest:
-    """Return it as it lies in a whole sheet: windows of arrays would be compiled for anew."""
+    """Return contiguous arrays, as of a whole sheet: for views Numba would compile again."""
     return Rest(*map(np.ascontiguousarray, rest))
 
 

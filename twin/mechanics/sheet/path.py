@@ -1,8 +1,8 @@
-"""The way to a press: travel first, pressure after contact, coarse cells first, fine ones last.
+"""Load stepping of a press: first the travel, then the pressure; coarse cells before fine ones.
 
-Every step starts from the line through the last two states. Only the end of the way must be in
-equilibrium. A step that flows away is halved; where even a small one does, the last state that held
-is told.
+Every step starts from the line through the last two states. Only the last step must be in
+equilibrium. A step in which the sheet flows away is halved; if even a small one does, the error
+states the last stable state.
 """
 
 from collections.abc import Callable
@@ -21,20 +21,20 @@ from twin.mechanics.validity import THINNEST
 
 TRAVEL_STEP_MM, PRESSURE_STEPS_KPA = 0.2, (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0)
 _PRESSURE_STEP_BEYOND_KPA = 2.0
-#: of a step; below, the path has ended
+#: of a step; below this the path has ended
 _SMALLEST_STEP = 1 / 16
-# A stop on the way is no result: where many equilibria lie side by side, as on a slack sheet, the
-# way goes on before one of them is found.
+# A load step is no result: if many equilibria are close together, as on a slack sheet, the next
+# load step starts before one of them is reached.
 _MOST_STEPS_ON_THE_WAY = 20
 _ROUGH_STEP_MM, _ROUGH_RESIDUAL_KPA = 5e-3, 1.0
-# Straight on is far too far where a tent falls round the specimen.
+# The whole step is far too large where a sheet that spans free moves onto the specimen.
 _PREDICTED_SHARES = (1.0, 0.5, 0.25, 0.0)
 
 Progress = Callable[[float], None]
 
 
 class LimitPressureError(PressError):
-    """No equilibrium was found under a pressure; most often the sheet thins without bound."""
+    """No equilibrium at a pressure; most often because the sheet thins without bound."""
 
     def __init__(self, travel_mm: float, held_kpa: float, lost_kpa: float, reason: str) -> None:
         holds = f"holds {held_kpa:.2f} kPa" if held_kpa > 0 else "holds no pressure found"
@@ -49,7 +49,7 @@ class LimitPressureError(PressError):
 
 @dataclass(frozen=True)
 class Loads:
-    """What a state bears."""
+    """Loads of a state."""
 
     travel_mm: float
     pressure_kpa: float = 0.0
@@ -63,10 +63,10 @@ def mounted(grid: SheetGrid) -> SheetState:
 
 
 def waypoints(goal: Loads) -> list[Loads]:
-    """Return the loads at which the path stops: travel in equal steps, then pressure.
+    """Return the load steps of a path: travel in equal steps, then pressure.
 
     The travels before the last do not depend on the goal, so that presses to different travels
-    share the beginning of their paths.
+    share the first steps of their paths.
     """
     count = int(np.ceil(goal.travel_mm / TRAVEL_STEP_MM - 1e-9))
     steps = [*(Loads(_common_travel(k)) for k in range(1, count)), Loads(goal.travel_mm)]
@@ -99,13 +99,13 @@ def follow(
     shared : list of SheetState, optional
         States at the first travels of `waypoints`, from earlier paths of this sheet; added to.
     walked : list of SheetState, optional
-        Takes the states on the way that bear a pressure.
-    progress : called with the share of the stops that is done
+        Takes the states of load steps with a pressure.
+    progress : called with the finished share of the load steps
 
     Raises
     ------
     LimitPressureError
-        The sheet holds less than the pressure; names what it still holds.
+        The sheet is not stable at the pressure; states the largest pressure with an equilibrium.
     SolverError
         No equilibrium; names the last travel that had one.
     """
@@ -130,7 +130,7 @@ def follow(
 
 def _on_the_way(sheet: Sheet, accuracy: Accuracy) -> Accuracy:
     less = replace(accuracy, most_steps=_MOST_STEPS_ON_THE_WAY, strict=False)
-    if sheet.sticks:  # its anchors remember where it has been
+    if sheet.sticks:  # its anchors depend on its path
         return less
     return replace(
         less,
@@ -140,7 +140,7 @@ def _on_the_way(sheet: Sheet, accuracy: Accuracy) -> Accuracy:
 
 
 def _common_travel(step: int) -> float:
-    # Rounded, so that a goal of 0.6 mm is the third stop and not its neighbour in binary.
+    # Rounded, so that a goal of 0.6 mm is the third step and not its neighbour in binary.
     return round(step * TRAVEL_STEP_MM, 9)
 
 
@@ -160,7 +160,7 @@ def advance(
 ) -> tuple[SheetState, SheetState]:
     """Move from `state` to `goal`; return the new state and the one before it.
 
-    `walked` takes the states that bear a pressure.
+    `walked` takes the states with a pressure.
     """
     step = 1.0
     done = 0.0
@@ -189,7 +189,7 @@ def refined(coarse: Sheet, fine: Sheet, state: SheetState) -> SheetState:
     moved = replace(state, control_mm=control, grip=grip)
     if not coarse.sticks:
         return moved
-    # The springs to the anchors keep their stretch; new ones arise where the fine sheet touches.
+    # The springs to the anchors keep their stretch; new ones are added where the fine sheet touches
     stretch = np.where(
         state.grip.held[..., None] > 0,
         coarse.surface(state.control_mm)[..., 0, :] - _lifted(state),
@@ -233,9 +233,9 @@ def _between(start: Loads, goal: Loads, share: float) -> Loads:
 
 
 def _predicted(sheet: Sheet, state: SheetState, before: SheetState, loads: Loads) -> SheetState:
-    """Return the place of least energy on the line through the last two states, at `loads`.
+    """Return the state of least energy on the line through the last two states, at `loads`.
 
-    Or the last state, if they do not lie on one line of loads.
+    Or the last state, if the three are not on one line of loads.
     """
     there = replace(state, travel_mm=loads.travel_mm, pressure_kpa=loads.pressure_kpa)
     made = np.array([state.travel_mm - before.travel_mm, state.pressure_kpa - before.pressure_kpa])
@@ -251,7 +251,7 @@ def _predicted(sheet: Sheet, state: SheetState, before: SheetState, loads: Loads
 
 
 def check_thickness(sheet: Sheet, state: SheetState, least: float = THINNEST) -> None:
-    """Refuse a state that is thinner than silicone bears: a sheet on its way to no equilibrium.
+    """Raise an error for a sheet thinner than silicone can be: it would reach no equilibrium.
 
     `least` is of the undeformed thickness.
 

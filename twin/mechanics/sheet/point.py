@@ -2,7 +2,7 @@
 
 The sheet is described by v = (r, r_1, r_2, r_11, r_22, r_12), the surface midway between its
 deformed faces and its derivatives along the undeformed sheet, and by the two fundamental forms
-a = (a11, a22, a12), a_ij = r_i . r_j, and b likewise, b_ij = n . r_ij. All potentials are functions
+a = (a11, a22, a12), a_ij = r_i . r_j, and b, b_ij = n . r_ij. All potentials are functions
 of r, a and b; their derivatives by v follow from
 
     da11 = 2 r_1 . dr_1 (a22, a12 likewise),   db_m = n . dr_m - Gamma_m^e n . dr_e,
@@ -27,7 +27,7 @@ Metric = tuple[float, float, float, float]
 
 
 class Felt(NamedTuple):
-    """What the sheet feels: constants of its potentials, bodies near it and where it sticks."""
+    """Data of the potentials: their constants, the bodies near the sheet, and its anchors."""
 
     laws: Laws
     touch: Touch
@@ -35,11 +35,11 @@ class Felt(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """What is asked of an evaluation beside energy and forces."""
+    """Options of an evaluation in addition to energy and forces."""
 
     #: fill the tangent
     tangent: bool
-    #: leave out of the tangent what can make it indefinite
+    #: omit terms of the tangent that can make it indefinite
     convex: bool
 
 
@@ -64,7 +64,7 @@ class Point(NamedTuple):
 
 
 def point_scratch() -> Point:
-    """Return what one Gauss point is worked out in."""
+    """Return the scratch arrays of one Gauss point."""
     slopes = np.zeros((6, 5))
     slopes[0, 0] = slopes[1, 0] = slopes[3, 4] = slopes[4, 4] = 1.0
     return Point(
@@ -76,7 +76,7 @@ def point_scratch() -> Point:
 
 @inlined
 def potentials(at: At, felt: Felt, asked: Asked, point: Point) -> float:
-    """Fill stress, forces and, if wanted, moduli; return the energy per area."""
+    """Fill stress, forces and, if requested, moduli; return the energy per area."""
     v, n = point.v, point.normal
     laws, touch, grip = felt.laws, felt.touch, felt.grip
     metric, bending = _geometry(point)
@@ -168,7 +168,7 @@ def _touch(
 
 @inlined
 def _stick(at: At, grip: Grip, stiffness: float, point: Point) -> float:
-    """Add the spring to the anchor, along the surface that was touched there; return its energy."""
+    """Add the spring to the anchor, along the touched surface there; return its energy."""
     j_row, i_col, q = at
     normal, total, along = grip.normal[j_row, i_col, q], 0.0, 0.0
     for k in range(3):

@@ -1,4 +1,4 @@
-"""What a sheet in equilibrium tells: faces, contact, force and figures, as a press's result."""
+"""The result of a sheet in equilibrium: faces, contact, force and figures of a press."""
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def pressed_of(
 
 
 def _fields(carried: FloatArray) -> SheetFields:
-    """Return what the coated face's nodes carry (row, col, 5) by its names."""
+    """Return the named fields of the values (row, col, 5) on the coated face's nodes."""
     return SheetFields(
         thickness_mm=carried[..., 0],
         stretch=carried[..., 1:3],
@@ -98,7 +98,7 @@ def _touching(
 ) -> FloatArray:
     """Return (row, col, 1): 1 where specimen or plate touches.
 
-    A sheet with tack touches as far as the middle of the cohesive range, where its pull is largest.
+    A sheet with tack touches up to the middle of the cohesive range, where its pull is largest.
     """
     lift = np.array([0.0, 0.0, sheet.touched_z_mm + state.travel_mm])
     points = (middle_mm - lift).reshape(-1, 3)
