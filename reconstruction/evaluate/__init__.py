@@ -1,6 +1,6 @@
 """Dimensions of measured surfaces, each with a stated definition and a robust fit; lengths mm.
 
-A module is imported when something of it is asked for: SciPy's optimisers take half a second.
+A module is imported at the first use of one of its names: SciPy's optimisers take half a second.
 """
 
 from importlib import import_module

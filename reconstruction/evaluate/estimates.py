@@ -2,8 +2,8 @@
 
 Each fit returns its value and the derivative of the value by each point's height, so that any
 uncertainty of the points can be propagated: u^2 = N sum (dv/dz_i)^2 sigma_i^2 (JCGM 100, 5.1.2).
-N is how many neighbouring points share one error: a Gaussian filter of standard deviation s pixels
-averages the noise of 4 pi s^2 of them, so that many points carry the information of one.
+N is the number of neighbouring points that share one error: a Gaussian filter of standard deviation
+s pixels averages the noise of 4 pi s^2 points, which then carry the information of a single point.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_c
 _MOST_TURNS = 20
 _LEAST_POINTS = 5
 _LEAST_IN_FIT = 20
-# Residuals of 0.1 um are no outliers, however exact the other points are.
+# Residuals of 0.1 um are no outliers, for any accuracy of the remaining points.
 _NEVER_OUT_MM = 1e-4
 _SINGULAR = 1e-9
 
@@ -31,10 +31,10 @@ class FittedDimension:
     Attributes
     ----------
     value : mm
-    slope : (n,) derivative of the value by each point's height; 0 for a point left out
-    residuals_mm : (n,) of all points; `used` tells which took part
-    design : (n, k) change of each point's height by the parameters of the shape, 0 for a point
-        left out; None where no shape is fitted
+    slope : (n,) derivative of the value by each point's height; 0 for an unused point
+    residuals_mm : (n,) of all points; `used` marks the fitted points
+    design : (n, k) change of each point's height by the parameters of the shape, 0 for an unused
+        point; None if no shape is fitted
     gradient : (k,) derivative of the value by these parameters
     """
 
@@ -46,14 +46,14 @@ class FittedDimension:
     gradient: FloatArray | None = None
 
     def noise_mm(self, sigma_mm: FloatArray, together: float) -> float:
-        """Return the standard uncertainty that the points' (n,) causes.
+        """Return the standard uncertainty that the points' sigma (n,) causes.
 
         Parameters
         ----------
-        together : how many neighbouring points share one error, at least 1
+        together : number of neighbouring points that share one error, at least 1
         """
         alone = float(np.sum((self.slope * sigma_mm) ** 2))
-        # Sharing cannot do more than move all points by their sigma in one direction.
+        # At most, shared errors move all points by their sigma in one direction.
         all_as_one = float(np.sum(np.abs(self.slope) * sigma_mm)) ** 2
         return float(np.sqrt(min(max(together, 1.0) * alone, all_as_one)))
 
@@ -61,21 +61,21 @@ class FittedDimension:
         """Return the least standard deviation that any unbiased fit of the shape can have.
 
         The Cramer-Rao bound sqrt(g^T F^-1 g), F = sum_i J_i J_i^T / sigma_i^2 the information of
-        points whose errors are independent and normal, J_i `design`, g `gradient`; a fit weighted
-        by 1 / sigma^2 attains it. None where no shape is fitted, or its points do not fix it.
+        independent, normally distributed errors, J_i `design`, g `gradient`; a fit weighted
+        by 1 / sigma^2 attains it. None if no shape is fitted, or its points do not determine it.
 
         Parameters
         ----------
         sigma_mm : (n,) of the heights, above 0 where used
-        points_each : how many measured points each one stands for
+        points_each : number of measured points per point of the fit
         """
         parts = self._bound_parts(sigma_mm)
         return None if parts is None else float(np.sqrt(parts.sum() / points_each))
 
     def bound_shares(self, sigma_mm: FloatArray) -> FloatArray | None:
-        """Return by how much the bound changes with each point's sigma, (n,): d ln b / d ln sigma.
+        """Return the relative change of the bound with each point's sigma, d ln b / d ln sigma.
 
-        They are at least 0 and add up to 1: where the information about the value comes from.
+        (n,), at least 0 and with sum 1: each point's share of the information about the value.
         """
         parts = self._bound_parts(sigma_mm)
         if parts is None:
@@ -100,7 +100,7 @@ class FittedDimension:
 
 
 def shared_by(filter_sigma_px: float, stride_px: int = 1) -> float:
-    """Return how many of the points (every `stride_px`-th pixel) share one error after a filter.
+    """Return the number of points (every `stride_px`-th pixel) that share one error after a filter.
 
     The squared sum over the sum of squares of a Gaussian's autocorrelation: 4 pi sigma^2.
     """
@@ -112,7 +112,7 @@ def step_between(
 ) -> FittedDimension:
     """Fit two parallel planes z = a + b x + c y + h upper; the value is h.
 
-    ISO 5436-1 type A1 with planes in the place of lines: the caller leaves out the edges.
+    ISO 5436-1 type A1 with planes in the place of lines: the caller excludes the edges.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
 
     Parameters
     ----------
-    s_mm, z_mm : (n,) float, place across the grooves and height
+    s_mm, z_mm : (n,) float, position across the grooves and height
 
     Raises
     ------
@@ -180,7 +180,7 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
 
 @dataclass(frozen=True, eq=False)
 class GrooveFit:
-    """A V groove: its depth, its width at the face, and the place of its root."""
+    """A V groove: its depth, its width at the face, and the position of its root."""
 
     depth: FittedDimension
     width: FittedDimension
@@ -193,7 +193,7 @@ def v_groove(s_mm: FloatArray, z_mm: FloatArray, depth_mm: float, width_mm: floa
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-    depth_mm, width_mm : about how deep and wide the groove is; within a factor of two
+    depth_mm, width_mm : approximate depth and width of the groove, within a factor of two
 
     Raises
     ------
@@ -276,7 +276,7 @@ def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDime
 def _radius(
     radius_mm: float, design: FloatArray, upward: FloatArray, kept: BoolImage, residuals: FloatArray
 ) -> FittedDimension:
-    """Return a radius whose points' errors along z count by their share along the normal."""
+    """Return a radius; an error along z counts by its component along the surface normal."""
     slope, all_residuals = np.zeros(len(kept)), np.zeros(len(kept))
     slope[kept] = np.linalg.pinv(design)[0] * upward
     all_residuals[kept] = residuals
@@ -291,7 +291,7 @@ def _linear(
 ) -> FittedDimension:
     """Fit by least squares, repeated without outliers; the value is parameter `which`.
 
-    An outlier is one among its own group: a small level must not be one beside a large one.
+    Outliers are determined in each group, so that a large level does not hide or exclude a small.
     """
     kept = np.any(groups, axis=0)
     for _ in range(_MOST_TURNS):

@@ -24,11 +24,11 @@ class Flatness:
     Attributes
     ----------
     peak_to_valley_mm, rms_mm : float
-        ISO 12781-1's peak-to-valley and RMS flatness deviation, over the points kept.
+        ISO 12781-1's peak-to-valley and RMS flatness deviation, over the inliers.
     kept : (n,) bool
         Points that are no outliers.
     plane : PlaneFit
-        Through the points kept.
+        Through the inliers.
     """
 
     peak_to_valley_mm: float
@@ -38,7 +38,7 @@ class Flatness:
 
 
 def flatness(points_mm: ArrayLike) -> Flatness:
-    """Fit the reference plane (least squares, repeated without outliers) and rate the deviations.
+    """Fit the reference plane (least squares, repeated without outliers); return the deviations.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def flatness(points_mm: ArrayLike) -> Flatness:
 
     Raises
     ------
-    FitError : too few points, or they lie on a line
+    FitError : too few points, or all on one line
     """
     points = np.asarray(points_mm, np.float64)
     plane = fit_plane(points)
@@ -77,13 +77,13 @@ class ArealRoughness:
 
 
 _LONGEST_NESTING = 10.0
-"""Over the longer side of the field; the Gaussian's memory and time grow with it."""
+"""Over the longer side of the field; the Gaussian's memory and time increase with it."""
 
 
 def areal_roughness(
     z_mm: ArrayLike, valid: ArrayLike, pitch_mm: float, nesting_mm: float
 ) -> ArealRoughness:
-    """Remove the plane, then the waviness (Gaussian L-filter of ISO 16610-61), and rate the rest.
+    """Remove the plane and the waviness (Gaussian L-filter of ISO 16610-61), and rate the rest.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def areal_roughness(
     pitch_mm : float
         Distance of the grid's nodes.
     nesting_mm : float
-        Nesting index of the L-filter: half of a wave this long passes into the roughness.
+        Nesting index of the L-filter: of a wave this long 50 % passes into the roughness.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def areal_roughness(
     if not 2.0 * pitch_mm <= nesting_mm <= longest_mm:
         raise FitError(
             f"nesting_mm: found {nesting_mm:g}, allowed at least {2 * pitch_mm:g} (two pitches) "
-            f"and at most {longest_mm:g} (ten fields): a longer wave takes nothing off"
+            f"and at most {longest_mm:g} (ten fields): a longer wave has no effect"
         )
     y, x = np.mgrid[: z.shape[0], : z.shape[1]] * pitch_mm
     plane = flatness(np.column_stack([x[kept], y[kept], z[kept]])).plane
@@ -125,7 +125,7 @@ def areal_roughness(
 
 
 def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> FloatArray:
-    """Heights less their Gaussian mean, where half of the filter's weight lies on heights."""
+    """Heights less their Gaussian mean, where at least 50 % of the filter's weight has heights."""
     weight = gaussian_filter(kept.astype(np.float64), sigma_px, mode="constant")
     wave = gaussian_filter(level, sigma_px, mode="constant") / np.maximum(weight, 1e-12)
     rated = kept & (weight >= _LEAST_SUPPORT)
@@ -138,7 +138,7 @@ def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> F
 _LEAST_POINTS = 5
 _MOST_LINE_TURNS = 10
 _STEPS_PER_SIGMA = 4
-# Of the fastest change of slope on a side: what counts as an edge, and not as texture.
+# Of the fastest change of slope on a side: the least that is an edge, not texture.
 _STRONG = 0.5
 _REACH_STEPS = 4 * _STEPS_PER_SIGMA
 
@@ -181,13 +181,13 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
     """Fit z = a + b s + h d(s) to a profile with a ridge or groove between two edges.
 
     d is 1 over the middle third of the width W between the edges and 0 over the two stretches that
-    begin W / 3 outside of them and are 2 W / 3 long (ISO 5436-1, 7.2); what lies between is left
-    out. Outliers are left out of a second fit.
+    start W / 3 outside of them and are 2 W / 3 long (ISO 5436-1, 7.2); the points between them are
+    not used. Outliers are excluded from a second fit.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-        Positions along the profile and heights; points without height are left out beforehand.
+        Positions along the profile and heights; points without height are removed beforehand.
     left_mm, right_mm : float
         The edges.
 
@@ -210,12 +210,12 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
 
 
 def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWidth:
-    """Measure a bar on a level ground: where the profile crosses `fraction` of its height.
+    """Measure a bar on a level ground between its crossings of `fraction` of its height.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-        Positions, growing, and heights.
+        Positions, ascending, and heights.
     fraction : float
         Between 0 and 1; half the height by default.
 
@@ -240,32 +240,32 @@ def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWid
 def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
     """Measure a crest between the breaks of its slope, where it bends most.
 
-    On either side the place in the upper half of the crest at which the downward curvature
-    -z'' / (1 + z'^2)^(3/2) of the profile, smoothed by a Gaussian, is strongest: the upper edge of
+    On either side the position in the upper half of the crest at which the downward curvature
+    -z'' / (1 + z'^2)^(3/2) of the profile, smoothed by a Gaussian, is largest: the upper edge of
     a trapezoid, up to one sigma inside of steep ones. A round crest has no such edge and
     no break width.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-        Positions, growing, and heights.
+        Positions, ascending, and heights.
     sigma_mm : float
         Standard deviation of the Gaussian.
 
     Raises
     ------
-    FitError : the profile does not bend down on both sides of its middle, or its bends are nearer
-        to each other than sigma_mm, as on a round crest
+    FitError : the profile does not bend down on both sides of its middle, or the distance of its
+        bends is less than sigma_mm, as on a round crest
     """
     return _width_between_bends(s_mm, z_mm, sigma_mm, _curvature)
 
 
 def slope_change_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
-    """Measure a crest between the places where its slope changes fastest; as `break_width`.
+    """Measure a crest between the positions where its slope changes fastest; as `break_width`.
 
-    There -z'' of the smoothed profile is strongest: the upper edge of a trapezoid, however steep.
-    Where a sheet hangs over the flanks and falls a second time, the first edge counts: from the
-    middle outward the first summit of -z'' that has at least half of its largest value.
+    There -z'' of the smoothed profile is largest: the upper edge of a trapezoid of any steepness.
+    If a sheet spans free over the flanks and bends a second time, the first edge is used: from the
+    middle outward the first maximum of -z'' that is at least 50 % of its largest value.
     """
     return _width_between_bends(s_mm, z_mm, sigma_mm, _slope_change, _first_strong)
 
@@ -286,7 +286,7 @@ def _width_between_bends(
     ground, top = float(np.median(np.sort(z)[: s.size // 3])), float(z.max())
     upper = heights >= (ground + top) / 2
     down = np.where(upper, -bend(heights, step), 0.0)
-    # The Gaussian sees a level ground beyond both ends, towards which they bend.
+    # The Gaussian continues both ends by a level ground, towards which they bend.
     down[:_REACH_STEPS] = down[-_REACH_STEPS:] = 0.0
     middle = int(np.flatnonzero(upper)[[0, -1]].mean())
     left, right = middle - 1 - pick(down[:middle][::-1]), middle + pick(down[middle:])
@@ -295,14 +295,14 @@ def _width_between_bends(
     ends = _summit(even, down, left), _summit(even, down, right)
     if ends[1] - ends[0] < sigma_mm:
         raise FitError(
-            f"break width: the crest is round: its bends are {max(ends[1] - ends[0], 0.0):.3f} mm "
-            f"apart, which a filter of {sigma_mm:g} mm does not resolve"
+            f"break width: the crest is round: the distance of its bends is "
+            f"{max(ends[1] - ends[0], 0.0):.3f} mm, less than the {sigma_mm:g} mm of the filter"
         )
     return BarWidth(ends[1] - ends[0], top - ground, *ends)
 
 
 def _first_strong(outward: FloatArray) -> int:
-    """Index of the first local maximum that is strong; the largest value's where none is."""
+    """Index of the first local maximum that is strong; of the largest value without such."""
     higher = np.r_[False, outward[1:-1] >= np.maximum(outward[:-2], outward[2:]), False]
     strong = np.flatnonzero(higher & (outward >= _STRONG * outward.max()))
     return int(strong[0]) if strong.size else int(np.argmax(outward))
@@ -330,13 +330,13 @@ def _slope_change(z: FloatArray, step: float) -> FloatArray:
 
 
 def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:
-    """Position between samples `at` and `at + 1` where z takes a level."""
+    """Position between samples `at` and `at + 1` where z crosses a level."""
     share = (level - z[at]) / (z[at + 1] - z[at])
     return float(s[at] + share * (s[at + 1] - s[at]))
 
 
 def _robust_line(design: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least squares, repeated without outliers; parameters and residuals of the points kept."""
+    """Least squares, repeated without outliers; parameters, and residuals of the inliers."""
     kept: BoolImage = np.ones(z.size, bool)
     for _ in range(_MOST_LINE_TURNS):
         found, *_ = np.linalg.lstsq(design[kept], z[kept], rcond=None)

@@ -1,4 +1,4 @@
-"""Balls and cylinders of points of which some are wrong: soft-L1 first, then least squares; mm."""
+"""Balls and cylinders from points with outliers: soft-L1 first, then least squares; mm."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ from reconstruction.evaluate.fit import (
 )
 
 _MOST_TURNS = 20
-# The first scale comes from a fit that outliers have pulled off: it is taken anew once.
+# The first scale is from a fit that outliers have biased: it is computed again once.
 _SOFT_TURNS = 2
 _LEAST_POINTS = 20
 
@@ -111,7 +111,7 @@ def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: Fl
         raise FitError(f"ball: {len(points)} points are left without outliers, 5 needed")
     away = points - centre_mm
     normals = away / np.linalg.norm(away, axis=1, keepdims=True)
-    # The radius' variance is what of the ones is not a mixture of the normals' components.
+    # The radius' variance is from the part of the ones orthogonal to the normals' components.
     ones = np.ones(len(points))
     alone = ones - normals @ np.linalg.lstsq(normals, ones, rcond=None)[0]
     return float(np.sqrt(residuals_mm @ residuals_mm / freedom / (alone @ alone)))

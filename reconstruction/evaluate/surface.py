@@ -1,7 +1,7 @@
-"""The measured surface as other programs take it: height map on a grid, triangle mesh, files.
+"""The measured surface for further programs: height map on a grid, triangle mesh, files.
 
-A cell's height is the mean world z of the valid points in it; a cell without a point has none. No
-interpolation, so nothing is shown that was not measured.
+A cell's height is the mean world z of the valid points in it; a cell without a point has none.
+There is no interpolation, so every height was measured.
 """
 
 import json
@@ -107,7 +107,7 @@ def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
 
 
 def write_height_png(path: Path, heights: HeightGrid) -> None:
-    """Write as 16-bit PNG, and beside it PATH.json with the scale: z = first + step (level - 1)."""
+    """Write as 16-bit PNG, and PATH.json with the scale: z = first + step (level - 1)."""
     z = heights.z_mm[heights.valid].astype(np.float64)
     first, step = float(z.min()), max(float(np.ptp(z)) / (_PNG_LEVELS - 1), 1e-9)
     level = np.rint((heights.z_mm - first) / step) + 1

@@ -114,7 +114,7 @@ def test_nodes_of_a_face():
 
 
 def test_fields_go_on_beyond_both_rims():
-    """Periodic: what leaves on one side enters on the other. Odd: mirrored with the other sign."""
+    """Periodic: the values of one side continue on the opposite side. Odd: with changed sign."""
     field = np.arange(1.0, 31.0).reshape(5, 6)
     wide, (y, x) = wrapped(field, (np.arange(5.0), 0.5 * np.arange(6.0)))
     assert wide.shape == (13, 14)
@@ -153,7 +153,7 @@ def test_a_coarse_cell_lies_between_four_fine_ones():
 
 
 def test_the_touched_coat_is_the_ball_at_its_nodes():
-    """Gel on a window: within the contact the coat lies on the ball at every node, to 0.6 um."""
+    """Gel on a window: within the contact the coat is on the ball at every node, to 0.6 um."""
     gel = slab(layout="contact_face", thickness_mm=3.0, poisson_ratio=0.45)
     pressing = load(depth_mm=0.3, solver_pitch_mm=0.25, relief_pitch_mm=0.05)
     ball = Ball(diameter_mm=8.0)

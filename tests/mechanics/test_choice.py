@@ -1,4 +1,4 @@
-"""The model that the experiment asks for is the one that presses; all agree where they overlap."""
+"""The model of the experiment is used for the press; all models agree where they overlap."""
 
 from importlib import import_module
 
@@ -34,7 +34,7 @@ def test_fem_and_spectral_agree_on_the_papers_slab():
 
 
 def test_a_domed_pad_from_an_experiment_file():
-    """End to end from STL: the coat lies on the ball in the middle and on the dome outside."""
+    """End to end from STL: the coat is on the ball in the middle and on the dome outside."""
     found = pressed("examples/domed_pad", mechanics__tetrahedra=800)
     row = np.abs(found.face_y_mm).argmin()
     middle, edge = (np.interp(x, found.face_x_mm, found.face_z_mm[row]) for x in (0.0, 5.5))
@@ -74,7 +74,7 @@ def case(ball_mm=8.0, depth_mm=0.2, pressure_kpa=0.0, gravity_deg=None, **sheet)
         ({"thickness_mm": 1.0, "depth_mm": 0.9, "ball_mm": 7.0}, "sheet"),
         # Too thick a sheet for a ball of R 2.5: 0.33.
         ({"thickness_mm": 1.0, "depth_mm": 0.9, "ball_mm": 5.0}, "neo_hookean"),
-        # Solid elements know neither weight nor back pressure.
+        # Solid elements have neither weight nor back pressure.
         (
             {"thickness_mm": 1.2, "depth_mm": 1.0, "density_kg_m3": 1e3, "gravity_deg": 0.0},
             "spectral",

@@ -1,4 +1,4 @@
-"""What the coat keeps of a groove: closed form, the solver's operators, and a pressed grating."""
+"""Share of a groove on the coat: closed form, the solver's operators, and a pressed grating."""
 
 import numpy as np
 import pytest

@@ -58,7 +58,7 @@ def test_a_thin_stiff_film_is_a_plate_and_a_membrane() -> None:
     film, q = CoatFilm(share=0.002, shear_ratio=2e4, poisson_ratio=0.3), np.geomspace(0.05, 20, 60)
     found = solve_coated(q, 0.49, "bonded", film).normal_t
     assert found[-1] < 0.9  # a half-space would have 1
-    # Half the film's thickness lies between its middle and the interface.
+    # Half the film's thickness is between its middle and the interface.
     np.testing.assert_allclose(found, plate_on_layer(q, 0.49, film), rtol=2e-3)
 
 

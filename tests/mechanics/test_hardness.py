@@ -76,7 +76,7 @@ def test_shore_00_is_sneddons_sphere(shore_00: int, kpa: int) -> None:
 
 
 def test_shore_00_range_holds_the_data_sheets() -> None:
-    # Ecoflex 00-30 and 00-50, 3 / 1.75 of the 100 % modulus: the second lies below.
+    # Ecoflex 00-30 and 00-50, 3 / 1.75 of the 100 % modulus: the second is below.
     estimate = estimate_modulus_00(30)
     assert estimate.low_kpa < 118 < estimate.high_kpa
     assert estimate.low_kpa < estimate.best_kpa < estimate.high_kpa

@@ -1,4 +1,4 @@
-"""A patch answers exactly as the whole grid does, and its scaling is a symmetric inverse."""
+"""A patch responds exactly as the whole grid does, and its scaling is a symmetric inverse."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_scaling_is_symmetric_positive_and_near_the_inverse(
     single = np.zeros((30, 40))
     single[12, 17] = 1.0
     assert patch.apply(single)[12, 17] == pytest.approx(patch.cell, rel=1e-12)
-    # Away from the patch's edge the two undo one another: a smooth bump comes back.
+    # Away from the patch's edge the two are inverse: a smooth bump is recovered.
     y, x = np.mgrid[-1:1:30j, -1:1:40j]
     bump = np.exp(-12 * (x**2 + y**2))
     back = patch.apply(patch.deflect(bump))

@@ -1,4 +1,4 @@
-"""What a thin sheet shows of ridges: line contact and full contact in closed form, and between."""
+"""Ridges on the coat of a thin sheet: line contact and full contact in closed form, and between."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def shown_um(thickness_mm: float, pressure_kpa: float, ridge_mm: float = 0.07) -
 
 
 def on_crests_um(thickness_mm: float, pressure_kpa: float) -> float:
-    """Sheet that touches the crests in lines: the layer's answer to a comb of forces."""
+    """Sheet that touches the crests in lines: the layer's response to a comb of forces."""
     wave = 2 * np.pi / PITCH_MM * np.arange(1, 200, 2)
     compliance = solve_transfer(wave * thickness_mm, 0.4999, "free").normal_b
     return float(1e3 * 4 * (2 * (1 - 0.4999**2) * compliance / wave).sum() * pressure_kpa / 300.0)

@@ -1,4 +1,4 @@
-"""The oracle of the sheet, itself held against closed forms and stored solids."""
+"""The oracle of the sheet, itself compared with closed forms and stored solids."""
 
 import json
 from dataclasses import replace
@@ -209,7 +209,7 @@ def limits(thickness_mm: float, kind: str, travel_mm: float) -> tuple[float, flo
     if kind == "stick" and thickness_mm == 0.5 and travel_mm > 1:
         return 0.008, 0.01
     if kind == "bar" and travel_mm > 1:
-        # Shear, which such a sheet leaves out, at a clamp that pulls at 14 degrees.
+        # Shear, which such a sheet neglects, at a clamp that pulls at 14 degrees.
         return 0.022 * thickness_mm, 0.01
     for upto, face_mm, force in ((0.3, 0.003, 0.01), (0.5, 0.007, 0.015), (1.0, 0.020, 0.04)):
         if thickness_mm <= upto:

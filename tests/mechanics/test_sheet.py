@@ -68,7 +68,7 @@ def everything_at_once(**frame: float) -> tuple[Sheet, SheetState]:
 
 
 def times_tangent(sheet: Sheet, along: np.ndarray) -> np.ndarray:
-    """Multiply by the tangent of the last evaluation, whose upper half alone is kept."""
+    """Multiply by the tangent of the last evaluation, of which only the upper half is stored."""
     rows, cols = along.shape[:2]
     product = np.zeros((rows + 4, cols + 4, 3))
     wide = np.pad(along, ((2, 2), (2, 2), (0, 0)))
@@ -179,7 +179,7 @@ def test_a_little_pressure_bends_a_square_sheet_as_a_plate(rim: str, coefficient
 
 
 def test_a_light_touch_bends_it_as_the_spectral_plate() -> None:
-    """Travel h / 100. Where the ball sits the two yield differently: faces per force."""
+    """Travel h / 100. At the ball the two yield differently: faces per force."""
     elastomer, light = build_sheet(poisson_ratio=0.4999), {"depth_mm": 0.003}
     sheet = pressed(Ball(), elastomer, "simple", **light)
     load = Press(control="depth", relief_pitch_mm=0.05, solver_pitch_mm=0.02, **light)
@@ -209,7 +209,7 @@ def test_an_inflated_strip_is_an_arc_of_a_neo_hookean_membrane(pressure_kpa: flo
 def test_tack_wraps_a_rod_to_the_least_energy() -> None:
     """G as the peeling edge shows it, within 3 %: least energy of a frictionless membrane.
 
-    Of its half length `rim`, `held` (undeformed) lies on the rod from the crest to the angle a;
+    Of its half length `rim`, `held` (undeformed) is on the rod from the crest to the angle a;
     the rest is straight. Adhesion counts per undeformed area, so that the held part is the less
     stretched one: T1 = T2 cos at the edge. G follows from the stretch of the straight part.
     """
@@ -251,7 +251,7 @@ def test_the_force_is_what_the_path_adds_to_the_energy(options: dict) -> None:
     ends = []
     for step in (-1e-4, 1e-4):
         moved = settle(sheet, replace(middle, travel_mm=0.6 + step), EXACT)
-        moved = replace(moved, grip=middle.grip)  # what has left since has lost its energy
+        moved = replace(moved, grip=middle.grip)  # points released since have lost their energy
         ends.append(sheet.evaluate(moved.control_mm, moved, tangent=False).energy)
     assert 1e3 * force == pytest.approx((ends[1] - ends[0]) / 2e-4, rel=1e-3)
 
@@ -274,7 +274,7 @@ def test_a_mounted_sheet_is_as_stretched_as_its_frame_says() -> None:
 
 @pytest.mark.parametrize(("gravity_deg", "way"), [(0.0, -1), (180.0, 1)])
 def test_weight_hangs_down(gravity_deg: float, way: int) -> None:
-    """0: the camera is above and the coat falls away from it, by that of a clamped plate."""
+    """0: the camera is above and the coat sags away from it, by that of a clamped plate."""
     elastomer = build_sheet(density_kg_m3=1000.0, thickness_mm=1.0, outline="round")
     load = Press(control="depth", depth_mm=0.1, gravity_deg=gravity_deg)
     case = sheet_case(Ball(), elastomer, load, Mechanics(model="sheet"))
@@ -291,7 +291,7 @@ def test_weight_hangs_down(gravity_deg: float, way: int) -> None:
 def off_the_profile_um(sheet: Sheet, state: SheetState, along: Profile, half_mm: float) -> float:
     """Return the upper face's largest distance in z from its twin's."""
     upper = sample(sheet, state, 0.05).upper_mm
-    # The parameter square's corners lie on the round rim, where its map is singular.
+    # The parameter square's corners are on the round rim, where its map is singular.
     across = upper[1:-1, 1:-1] if sheet.grid.frame.outline == "round" else upper[3:4]
     r = np.hypot(across[..., 0], across[..., 1] if sheet.grid.frame.outline == "round" else 0.0)
     twin = CubicSpline(along.radius_mm, along.upper_z_mm)(r) + sheet.laws.thickness_mm / 2
@@ -353,9 +353,9 @@ def test_the_sheet_is_the_solid(name: str) -> None:
 
 
 def clamp_shear_um(case: dict, travel_mm: float, force: float) -> float:
-    """Return how much lower a sheet without shear lies beside its clamp.
+    """Return how much lower a sheet without shear is next to its clamp.
 
-    A strip under tension T whose flank rises at the slope s turns into it over l = sqrt(B / T),
+    A strip under tension T with a flank of slope s turns into it over l = sqrt(B / T),
     B = mu h^3 / 3, and its flank starts by s l beyond the clamp. With shear, stiffness S = 5/6 mu h
     (Timoshenko), by s l sqrt(S / (S + T)).
     """

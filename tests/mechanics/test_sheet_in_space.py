@@ -21,7 +21,7 @@ SOLIDS = json.loads((Path(__file__).parent / "reference/solid_in_space.json").re
 def test_a_short_bar_is_the_solids(case: SpaceCase) -> None:
     """The solids' two meshes differ by 1.1 um and 0.3 %: `coarser_um`, `coarser_force`.
 
-    The sheet has no shear, which counts where it bends sharply: at the bar's corners of 0.5 mm
+    The sheet has no shear, which matters where it bends sharply: at the bar's corners of 0.5 mm
     (h = 0.5 at 0.5 mm of travel), and at a clamp only 2.5 mm away that pulls at 22 degrees.
     """
     for solid, limit_um in zip(SOLIDS[case.name], case.limits_um, strict=True):

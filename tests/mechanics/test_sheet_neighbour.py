@@ -1,4 +1,4 @@
-"""Derivatives of a pressed sheet against presses settled anew on its cells, and scaling laws."""
+"""Derivatives of a pressed sheet compared with new presses on its cells, and scaling laws."""
 
 from copy import copy
 from dataclasses import replace
@@ -54,7 +54,7 @@ def beside() -> Neighbourhood:
 
 
 def derivative(beside: Neighbourhood, name: str, **base: object) -> tuple[np.ndarray, float]:
-    """Return those of face and force by a number."""
+    """Return the derivatives of face and force by a parameter."""
     value = float((NOMINAL | base)[name])
     step = 1e-6 * value
     low, high = (beside.press(*data(**base | {name: value + by})) for by in (-step, step))
@@ -75,7 +75,7 @@ def own_factors(sheet: Sheet) -> Sheet:
 def test_derivatives_are_differences_of_presses_on_the_same_cells(
     beside: Neighbourhood, name: str
 ) -> None:
-    """Presses 0.4 % apart: points that begin to touch between them leave some 1e-3."""
+    """Presses that differ by 0.4 %: points that start to touch between them cause some 1e-3."""
     step = 2e-3 * NOMINAL[name]
     ends = []
     for by in (-step, step):
@@ -114,7 +114,7 @@ def test_under_a_set_force_the_travel_goes_along(beside: Neighbourhood) -> None:
 
 
 def test_what_lays_the_sheet_out_anew_is_refused(beside: Neighbourhood) -> None:
-    with pytest.raises(PressError, match="lay the sheet out anew"):
+    with pytest.raises(PressError, match="needs a new grid"):
         beside.press(*data(pre_stretch=1.05))
 
 

@@ -1,4 +1,4 @@
-"""The way to a press: what its stops may cost, which cells it goes through, where it ends."""
+"""Load stepping of a press: Newton steps per load step, its cells, and its end."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -81,7 +81,7 @@ def test_a_step_that_is_far_too_short_is_made_longer() -> None:
 
 
 class ToAndFro:
-    """A sheet of one point, whose whole step leads to as much force on the other side."""
+    """A sheet of one point, for which the whole step leads to as much force on the other side."""
 
     def __init__(self, force: Callable[[float], float]) -> None:
         self.grid = SimpleNamespace(free=np.ones((1, 1, 3), bool))
@@ -174,7 +174,7 @@ def test_spots_do_not_change_the_equilibrium() -> None:
 
 
 def test_anchors_told_early_move_a_stuck_sheet_by_little() -> None:
-    """Of a path that itself, at half its steps, differs by more."""
+    """Compared with the path itself, which differs by more with half its steps."""
     faces = []
     for anchors_from_mm in (0.0, 0.03):
         sheet = round_sheet(laws(0.2), ball(2.0), SplineLine(np.linspace(-6.0, 6.0, 41)), True)
@@ -189,9 +189,9 @@ def test_anchors_told_early_move_a_stuck_sheet_by_little() -> None:
     ("thickness_mm", "asked_mm", "most_cells", "pitches_mm"),
     [
         (0.2, None, 36_000, [0.4, 0.15]),
-        # More than three times finer than the coarse ones: some between them.
+        # More than three times finer than the coarse cells: some of intermediate width.
         (0.1, None, 36_000, [0.4, (0.4 * 0.075) ** 0.5, 0.075]),
-        # A large contact has wider cells, unless they are asked for.
+        # A large contact has wider cells, unless they are specified.
         (0.2, None, 400, [0.4, None]),
         (0.2, 0.3, 400, [0.4, 0.3]),
         (0.1, 0.2, 36_000, [0.4, 0.28284, 0.2]),
@@ -253,7 +253,7 @@ def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyP
     assert free > 2_000, "the limit bites"
     assert 0.8 * 2_000 < kept <= 2_000
     assert wider > pitch == pytest.approx(0.15)
-    assert given == free, "cells that are asked for are given"
+    assert given == free, "specified cells are used"
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyP
 def test_what_folds_on_cells_between_goes_on_from_the_coarse_ones(
     monkeypatch: pytest.MonkeyPatch, friction: str, pressure_kpa: float, converges: bool
 ) -> None:
-    """Only where it sticks, and no limit pressure is told by the failure."""
+    """Only if it sticks, and the failure reports no limit pressure."""
 
     def folded(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
         raise SolverError("sheet: no direction lowers its energy")

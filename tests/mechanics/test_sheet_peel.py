@@ -1,4 +1,4 @@
-"""Taking a tacky sheet off a plate: the force that it takes is the adhesion energy."""
+"""Peeling a tacky sheet off a plate: the required force is the adhesion energy."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ from twin.specimens.distance import plate
 
 THICKNESS_MM, ADHESION_J_M2, WIDTH_MM = 0.2, 0.2, 3000.0
 CELL_MM = 0.05
-# The arm hangs on a distributed load of nothing: a residual of 1e-3 kPa along it is 2 % of G.
+# The arm has no distributed load: a residual of 1e-3 kPa along it is 2 % of G.
 CLOSE = Accuracy(step_mm=1e-6, residual_kpa=1e-4)
 
 
@@ -59,8 +59,8 @@ def lifting_force(sheet: Sheet, state: SheetState, lift_mm: float) -> tuple[floa
 def upright_force(law: Laws) -> float:
     """Return the force per width F of a steady peel at right angles.
 
-    Lifting by one undeformed length of strip does the work F (s - cos 90 deg) and leaves w(s)
-    stored in the upright arm of stretch s: F s - w = G, with F = dw/ds and in plane strain
+    Lifting by one undeformed length of strip does the work F (s - cos 90 deg) and stores w(s)
+    in the upright arm of stretch s: F s - w = G, with F = dw/ds and in plane strain
     w = mu h / 2 (s^2 + s^-2 - 2).
     """
     stiff = law.shear_modulus_kpa * law.thickness_mm

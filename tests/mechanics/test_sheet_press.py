@@ -1,4 +1,4 @@
-"""The sheet model as the experiment sees it: poses, loads, limits, what comes out."""
+"""The sheet model through the experiment's interface: poses, loads, limits, results."""
 
 import re
 from dataclasses import fields, replace
@@ -49,7 +49,7 @@ def test_a_stretched_sheet_lies_at_zero_and_is_touched_at_once() -> None:
 
 
 def test_where_it_wraps_the_lower_face_is_the_ball(wrapped: PressedElastomer) -> None:
-    """And the coat lies one local thickness above it."""
+    """And the coat is one local thickness above it."""
     x, y = np.meshgrid(wrapped.x_mm, wrapped.y_mm)
     near = np.hypot(x, y) < 1.2
     assert wrapped.contact[near].all()
@@ -62,7 +62,7 @@ def test_where_it_wraps_the_lower_face_is_the_ball(wrapped: PressedElastomer) ->
     sheet = wrapped.sheet
     assert sheet is not None
     np.testing.assert_allclose(over[middle], 4.0 + sheet.thickness_mm[middle], atol=4e-3)
-    # Incompressible: the thickness is what the stretches leave.
+    # Incompressible: the thickness is 1 over the product of the stretches.
     product = sheet.thickness_mm * sheet.stretch.prod(axis=-1)
     np.testing.assert_allclose(product, 0.3, rtol=2e-5)
 
@@ -74,7 +74,7 @@ def force_of_pressure_n(pressed: PressedElastomer) -> float:
 
 
 def test_the_pressure_on_the_touched_face_is_the_force(wrapped: PressedElastomer) -> None:
-    """And on the ball, whose weight the air and the tension press alike, it is even."""
+    """And on the ball it is even, because air and tension press uniformly on it."""
     assert force_of_pressure_n(wrapped) == pytest.approx(wrapped.force_n, rel=1e-3)
     x, y = np.meshgrid(wrapped.x_mm, wrapped.y_mm)
     inner = wrapped.pressure_kpa[np.hypot(x, y) < 1.0]
@@ -103,7 +103,7 @@ def test_a_centred_ball_gives_a_symmetric_sheet(wrapped: PressedElastomer) -> No
 
 
 def test_a_turned_specimen_gives_the_turned_face() -> None:
-    """A bar off the middle; by 90 deg about z the place (x, y) goes to (-y, x)."""
+    """A bar off the middle; a turn by 90 deg about z moves the point (x, y) to (-y, x)."""
     size = {"width_mm": 2.0, "length_mm": 4.0, "edge_radius_mm": 0.3}
     straight, turned = (
         pressed(
@@ -144,12 +144,12 @@ def test_a_clamp_holds_the_slope_at_the_rim() -> None:
 
 def test_past_the_limit_pressure_the_one_that_holds_is_named() -> None:
     elastomer = build_sheet(young_modulus_kpa=30.0, **TINY)
-    with pytest.raises(PressError, match=r"^press\.back_pressure_kpa: the sheet holds ") as caught:
+    with pytest.raises(PressError, match=r"^press\.back_pressure_kpa: the sheet is ") as caught:
         pressed(MARBLE, elastomer, depth_mm=0.4, back_pressure_kpa=25.0)
     assert "\n" not in str(caught.value)
-    holds = float(re.findall(r"holds ([0-9.]+) kPa", str(caught.value))[0])
-    assert 0 < holds < 25
-    found = pressed(MARBLE, elastomer, depth_mm=0.4, back_pressure_kpa=holds)
+    stable_kpa = float(re.findall(r"stable up to ([0-9.]+) kPa", str(caught.value))[0])
+    assert 0 < stable_kpa < 25
+    found = pressed(MARBLE, elastomer, depth_mm=0.4, back_pressure_kpa=stable_kpa)
     assert found.face_z_mm.max() < 0.4
 
 
@@ -157,7 +157,7 @@ def test_past_the_limit_pressure_the_one_that_holds_is_named() -> None:
 def test_low_pressures_are_tried_where_the_way_has_none(
     monkeypatch: pytest.MonkeyPatch, holding_kpa: float, named_kpa: float
 ) -> None:
-    """Setup: a sheet that counts as too thin above a pressure below the way's first, 0.5 kPa."""
+    """Setup: a sheet that is too thin above a pressure below the first load step of 0.5 kPa."""
     load = Press(control="depth", depth_mm=0.4, back_pressure_kpa=2.0)
     path = press._path(MARBLE, build_sheet(), load, Mechanics(model="sheet"))
 
@@ -190,7 +190,7 @@ def test_tack_widens_the_contact() -> None:
         return float(np.mean(np.sqrt(x**2 + y**2 + (one.touched_face_mm - centre) ** 2) < 2.02))
 
     assert covered(tacky) > 1.3 * covered(dry)
-    # Its rim is pulled, and what sticks carries a share along the face.
+    # Its rim is pulled, and the part that sticks carries a share along the face.
     assert tacky.pressure_kpa.min() < 0
     assert force_of_pressure_n(tacky) == pytest.approx(tacky.force_n, rel=0.01)
 
@@ -218,7 +218,7 @@ def test_a_sheet_comes_back_whole(wrapped: PressedElastomer, tmp_path: Path) -> 
 
 
 def test_texture_moves_with_the_sheet(wrapped: PressedElastomer) -> None:
-    """The coat's height at a node is that of the flat coat at the material which lies there."""
+    """The coat's height at a node is that of the flat coat at the material point there."""
     elastomer, load = build_sheet(**SMALL), Press(control="depth", depth_mm=0.8)
     texture = Texture(rms_um=10.0, correlation_mm=0.4)
     assert wrapped.sheet is not None
@@ -275,14 +275,14 @@ def test_what_a_sheet_cannot_be_is_one_line(changes: dict, load: dict, message: 
     ],
 )
 def test_a_force_that_no_travel_gives_is_refused(force_n: float, message: str) -> None:
-    """The first was looked for in 40 steps; the second was to be lowered still more."""
+    """The first was searched for in 40 steps; the second was to be lowered still more."""
     with pytest.raises(PressError, match=rf"^press\.force_n: {message}") as caught:
         pressed(MARBLE, build_sheet(**TINY), force_n=force_n, back_pressure_kpa=1.0)
     assert "\n" not in str(caught.value)
 
 
 def test_progress_goes_on_from_the_first_load_step_to_the_last() -> None:
-    """Also while the travel for a force is looked for."""
+    """Also during the search of the travel for a force."""
     shares: list[float] = []
     press.press_sheet(
         MARBLE,
@@ -353,7 +353,7 @@ def test_a_round_frame_is_as_wide_all_round() -> None:
     x, y = np.meshgrid(found.face_x_mm, found.face_y_mm)
     r = np.hypot(x, y)
     ring = (r > 3.975) & (r < 4.025)
-    # The slope there is about 0.1: heights differ by what the ring is wide.
+    # The slope there is about 0.1: heights differ by the width of the ring.
     expected = np.polynomial.Polynomial.fit(r[ring], found.face_z_mm[ring], 2)(r[ring])
     assert np.abs(found.face_z_mm[ring] - expected).max() < 5e-4
     assert (found.face_z_mm[r > 5.0] == 0).all()

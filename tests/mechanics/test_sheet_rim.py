@@ -1,4 +1,4 @@
-"""A rim that gives: closed forms of a sheet that relaxes and of a strip that is blown up."""
+"""A compliant rim: closed forms of a sheet that relaxes and of a strip that is inflated."""
 
 from dataclasses import replace
 
@@ -86,7 +86,7 @@ def test_an_inflated_strip_pulls_its_rim_in() -> None:
 
 
 def _strip_on_springs(thickness_mm: float, compliance: float) -> Sheet:
-    """Return a strip along y, vastly long, on springs along its west and east edges alone."""
+    """Return a strip along y, vastly long, on springs only along its west and east edges."""
     frame = Frame(20.0, 3000.0, rim="simple", rim_compliance_mm2_per_n=compliance)
     grid = sheet_grid(frame, line(10.0, 8.0, 0.5), SplineLine(np.linspace(-1500.0, 1500.0, 4)))
     free = np.zeros_like(grid.free)

@@ -20,7 +20,7 @@ def test_a_quadratic_spline_in_the_middle_of_a_cell():
 
 
 def test_a_spline_at_its_ends_and_on_wider_cells():
-    """Open ends: the first function alone is 1 at 0. At the knot 1 of widths 1 and 2 the two that
+    """Open ends: only the first function is 1 at 0. At the knot 1 of widths 1 and 2 the two that
     meet have the shares 2/3 and 1/3 (knots 0 0 0 1 3 4: (3 - 1) / (3 - 0)).
     """
     np.testing.assert_allclose(GRADED.matrix(np.array([0.0, 4.0]))[:, [0, -1]], np.eye(2))
@@ -43,7 +43,7 @@ def test_two_gauss_points_a_cell_integrate_cubics():
 
 
 def test_a_spline_through_anothers_values():
-    """A straight line stays one, whatever the cells."""
+    """A straight line remains straight, on any cells."""
     found = LINE.interpolated_from(SplineLine(np.array([0.0, 2.0, 5.0])))
     np.testing.assert_allclose(found @ [0.0, 1.0, 3.5, 5.0], LINE.greville, atol=1e-12)
 
@@ -88,7 +88,7 @@ def test_principal_stretches():
 
 
 def test_slopes_within_a_contact():
-    """0.1 mm up per 0.2 mm: 26.565 degrees; beside the outline, where a height field ends, 90."""
+    """0.1 mm up per 0.2 mm: 26.565 degrees; outside the outline, where a height field ends, 90."""
     height = 0.1 * np.arange(6.0) * np.ones((4, 1))
     contact = np.zeros((4, 6), bool)
     contact[1:3, 2:4] = True

@@ -1,4 +1,4 @@
-"""What is written comes back, and what is not ours is refused in one line."""
+"""A written press is read back unchanged, and foreign files are rejected in one line."""
 
 import resource
 import signal
@@ -135,7 +135,7 @@ def test_truncated_and_other_netcdf_files_are_refused(
 def test_a_full_disk_is_an_ordinary_error_and_leaves_nothing(
     reference_press: PressedElastomer, tmp_path: Path
 ) -> None:
-    """No file may be longer than 4 kB: HDF5 is not told, and the first failure is raised."""
+    """No file may be longer than 4 kB: HDF5 gets no failed write, and the failure is raised."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))

@@ -1,4 +1,4 @@
-"""The coat's texture: covariance exactly, statistics over seeds, and where it lies on the sheet."""
+"""The coat's texture: covariance exactly, statistics over seeds, and its position on the sheet."""
 
 from dataclasses import fields, replace
 from math import exp
@@ -72,7 +72,7 @@ def test_covariance_is_the_same_everywhere(spot):
 def test_statistics_over_seeds(of):
     """Mean over 60 coats within 4 standard errors, which come from the scatter of the coats.
 
-    Expected: RMS, skewness and kurtosis as asked for; the correlation 1/e at the length along both
+    Expected: RMS, skewness and kurtosis as specified; the correlation 1/e at the length along both
     axes; the mean size of a height that of its distribution.
     """
     coats = np.array([sampled(of, seed) for seed in range(60)]) / of.rms_um
@@ -140,7 +140,7 @@ def test_heights_count_along_the_normal(slab):
 
 
 def test_a_grain_moves_with_its_material(slab):
-    """What was at X before the press is at X + u after it: there the height is that of X."""
+    """A material point at X before the press is at X + u after it: its height is that of X."""
     from scipy.interpolate import RegularGridInterpolator
 
     load = LOAD.model_copy(update={"relief_pitch_mm": 0.025, "depth_mm": 0.9})
@@ -203,7 +203,7 @@ def test_a_smooth_coat_keeps_its_bytes_and_digest():
 
 @pytest.mark.parametrize("model", ["spectral", "neo_hookean", "fem"])
 def test_every_model_gets_it_from_the_experiments_seed(model, monkeypatch):
-    """What a model pressed stands in for the slow ones: one place lays the texture on them all."""
+    """A quick press replaces the slow models: one function adds the texture for all of them."""
     experiment = load_experiment(
         "examples/slab_balls", SMALL | {"coating.texture": NORMAL.model_dump()}
     )
@@ -235,7 +235,7 @@ def test_what_cannot_be_is_refused_in_one_line(changes, told):
 
 @pytest.mark.parametrize(("rms_um", "shades"), [(12.0, False), (90.0, True)])
 def test_a_gentle_texture_is_proven_not_to_shade_itself(slab, rms_um, shades):
-    """Slopes of 12 um over 0.2 mm stay below a tenth; of 90 um they reach the light's climb."""
+    """Slopes of 12 um over 0.2 mm are below 0.1; of 90 um they reach the light's elevation."""
     of = NORMAL.model_copy(update={"rms_um": rms_um})
     coated = textured(press(Ball(), slab(), LOAD), slab(), LOAD, of, seed=1)
     source_mm = np.array([200.0, 0.0, 230.0])

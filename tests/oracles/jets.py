@@ -1,6 +1,6 @@
-"""Values with their first and second derivatives, carried forward through plain arithmetic.
+"""Values with their first and second derivatives, propagated through plain arithmetic.
 
-An oracle writes its energy once, as the formula stands in the book, and gets the exact tangent.
+An oracle writes its energy once, as the formula in the book, and gets the exact tangent.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What the one-dimensional sheet consists of: splines, sheet, loads. See `round_sheet`."""
+"""Parts of the one-dimensional sheet: splines, sheet, loads. See `round_sheet`."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -55,7 +55,7 @@ class Line:
 
     @cached_property
     def local(self) -> FloatArray:
-        """(point, derivative, function): the three splines that live at each Gauss point."""
+        """(point, derivative, function): the three splines that are not 0 at each Gauss point."""
         cell = np.repeat(np.arange(self.size - 2), 2)[:, None] + np.arange(3)
         return np.stack(
             [np.take_along_axis(self.table(self.points_mm, d), cell, 1) for d in range(3)], axis=1
@@ -68,7 +68,7 @@ class Line:
 
 @dataclass(frozen=True)
 class RoundSheet:
-    """A sheet, what holds it and what it meets."""
+    """A sheet, its support and its specimen."""
 
     section: Section
     thickness_mm: float
@@ -130,7 +130,7 @@ class Anchors:
 
 @dataclass(frozen=True)
 class Load:
-    """What is prescribed."""
+    """The prescribed travel, pressure and lift."""
 
     travel_mm: float = 0.0
     #: on the upper face, along -z on the flat sheet, following the surface

@@ -4,8 +4,8 @@ An oracle of `twin.mechanics.sheet` that shares no code with it. Incompressible 
 Kirchhoff-Love sheet of finite rotation and stretch; the unknown r(S) is the surface midway between
 the DEFORMED faces, in quadratic B-splines of the undeformed radius (strip: half width) S.
 
-Frame: r (strip: x) and z along the press; z = 0 is the undeformed mid plane. The specimen comes
-from below and first touches the lower face at travel 0. Units mm, N, MPa; a strip is 1 mm long.
+Frame: r (strip: x) and z along the press; z = 0 is the undeformed mid plane. The specimen is below
+and first touches the lower face at travel 0. Units mm, N, MPa; a strip is 1 mm long.
 
 Symbols: l1, l2 principal stretches (meridian, hoop; strip: l2 = 1), l3 = 1 / (l1 l2) that of the
 thickness h, k1, k2 principal curvatures. With t = k1 + k2, q = k1^2 + k2^2 and
@@ -13,8 +13,8 @@ v = l1^2 k1^2 + l2^2 k2^2 the energy per undeformed area is
 
     W / mu = h/2 (l1^2 + l2^2 + l3^2 - 3) + h^3/24 [(2 t^2 + q) l3^2 + v] l3^2
 
-The faces lie at r +- (h/2) l3 n; the gap to a rigid part of signed distance phi is
-g = phi(r) - (h/2) l3. Touching costs eps g^2 / 2 per undeformed area, eps = E* / (0.25 h).
+The faces are at r +- (h/2) l3 n; the gap to a rigid part of signed distance phi is
+g = phi(r) - (h/2) l3. Contact costs eps g^2 / 2 per undeformed area, eps = E* / (0.25 h).
 """
 
 from dataclasses import dataclass, replace
@@ -54,7 +54,7 @@ class Equilibrium:
 
 @dataclass(frozen=True)
 class Profile:
-    """Both faces along the section, axis to rim, and what holds them up."""
+    """Both faces along the section, axis to rim, and the contact force."""
 
     radius_mm: FloatArray
     #: above the undeformed upper face
@@ -103,7 +103,7 @@ def strip_sheet_profile(
     pressure_kpa, tack_j_m2, stick, clamped
         Back pressure (ramped after the travel), adhesion, no slip once touched, kind of rim.
     step_mm, pitch_mm, fine_mm, tack_range_mm
-        How finely to solve.
+        Sizes of steps and cells.
     """
     return _pressed_profile(
         section, thickness_mm, young_modulus_kpa, rim_mm, travel_mm, plane_strain=True, **options
@@ -145,7 +145,7 @@ def rest(sheet: RoundSheet) -> Equilibrium:
 
 
 def follow(sheet: RoundSheet, start: Equilibrium, aim: Load, steps: int) -> Equilibrium:
-    """Go from an equilibrium to a load in so many steps, shorter ones where one fails.
+    """Solve from an equilibrium to a load in a number of steps, shorter ones where one fails.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def _faces(sheet: RoundSheet, found: Equilibrium, at_mm: FloatArray):
 def _solved(
     sheet: RoundSheet, load: Load, guess: FloatArray, start: Equilibrium
 ) -> Equilibrium | None:
-    """Minimise the energy from a guess; None where Newton's method does not get there."""
+    """Minimise the energy from a guess; None if Newton's method does not converge."""
     at = guess.copy()
     if sheet.lifted_end:
         at[0, 1] = load.lift_mm
@@ -226,13 +226,13 @@ def _solved(
 
 
 def _noise(sheet: RoundSheet) -> float:
-    """Return what rounding makes of the energy's differences: the membrane's sum less 3."""
+    """Return the rounding error of the energy's differences: the membrane's sum less 3."""
     stiffness = sheet.shear_modulus_mpa * sheet.thickness_mm
     return float(8 * np.finfo(float).eps * stiffness * sheet.weights_mm2.sum())
 
 
 def _newton_move(sheet: RoundSheet, here: Assembled):
-    """Return the move of the coefficients (n, 2) and how fast the energy falls along it."""
+    """Return the move of the coefficients (n, 2) and the slope of the energy along it."""
     unknowns = sheet.unknowns
     free = unknowns >= 0
     slope = np.bincount(unknowns[free], here.gradient[free], unknowns.max() + 1)
@@ -256,7 +256,7 @@ def _factor(sheet: RoundSheet, bend: FloatArray) -> FloatArray:
 def balanced(
     sheet: RoundSheet, load: Load, coefficients: FloatArray, anchors: Anchors
 ) -> Equilibrium:
-    """Return what acts at coefficients (function, [r, z]) that are in equilibrium."""
+    """Return the forces at coefficients (function, [r, z]) that are in equilibrium."""
     found = assemble(sheet, load, coefficients, anchors)
     return Equilibrium(
         load, coefficients, anchors, found.gap_mm, found.force, found.gradient[1], found.energy
@@ -264,9 +264,9 @@ def balanced(
 
 
 def _grip(sheet: RoundSheet, found: Equilibrium) -> Equilibrium:
-    """Anchor what has newly touched at its nearest point, release what has left.
+    """Anchor points that newly touch at their nearest point, release points that have left.
 
-    A new anchor has neither energy nor force: the sheet stays in balance.
+    A new anchor has neither energy nor force: the sheet remains in equilibrium.
     """
     if not sheet.stick:
         return found

@@ -1,6 +1,6 @@
 """Sections of rigid specimens as signed distances in a half plane (x or r >= 0, z).
 
-z counts from the specimen's highest point, material lies below. A section is a tuple of parts:
+z counts from the specimen's highest point, material is below. A section is a tuple of parts:
 their contact potentials add, so that no distance has a kink where two parts meet.
 """
 
@@ -14,7 +14,7 @@ from reconstruction.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Nearest:
-    """Where points (point,) lie relative to a part."""
+    """Position of points (point,) relative to a part."""
 
     #: positive outside
     distance_mm: FloatArray

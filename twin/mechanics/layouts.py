@@ -1,6 +1,6 @@
 """The configured slab as the layer that is solved, and the nodes of its face, for both layouts.
 
-World frame, mm: the undeformed coated face is z = 0 and the specimen comes from below.
+World frame, mm: the undeformed coated face is z = 0 and the specimen is pressed from below.
 - `opposite_face`: it touches the clear face at z = -thickness; the slab spans its rim.
 - `contact_face`: it touches the coat itself; the gel above it ends at a window, z = +thickness.
 

@@ -183,7 +183,7 @@ class Field:
         ]
         for along, count in zip(cells, self.coefficients.shape, strict=True):
             if along.min() < 1 or along.max() > count - 2:
-                raise ValueError("texture: a material point lies outside the field's extent")
+                raise ValueError("texture: a material point is outside the field's extent")
         normal: FloatArray = ndimage.map_coordinates(
             self.coefficients, cells, order=3, prefilter=False
         )

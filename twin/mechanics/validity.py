@@ -132,7 +132,7 @@ def _with_warnings(figures: Validity, thickness_mm: float, layout: Layout) -> Va
             free and figures.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT,
             f"the coated face rises by {figures.deflection_over_thickness:.2f} of the thickness: "
             f"a sheet stretches as it bends above {DEFLECTION_OVER_THICKNESS_LIMIT}, which a "
-            "linear slab neglects",
+            "linear slab leaves out",
         ),
         (
             figures.max_slope_deg > SLOPE_LIMIT_DEG,
@@ -145,7 +145,7 @@ def _with_warnings(figures: Validity, thickness_mm: float, layout: Layout) -> Va
             "how the rim is held matters there"
             if free
             else f"the contact ends {figures.margin_mm:.2f} mm from the pad's side, less than "
-            "three thicknesses: its free sides yield, which an endless layer neglects",
+            "three thicknesses: its free sides yield, which an endless layer leaves out",
         ),
         (
             figures.cells_across < _FEWEST_CELLS_ACROSS,
@@ -235,7 +235,7 @@ def assess_sheet(
         (
             ridge_pitch_mm is not None and ridge_pitch_mm < SHEET_RIDGES * thickness_mm,
             f"ridges every {ridge_pitch_mm} mm are finer than {SHEET_RIDGES:g} thicknesses: the "
-            "sheet model errs by some micrometres in their height on the coat; take that from "
+            "sheet model errs by some micrometres in what the coat shows of them; take that from "
             "`twin press --transfer`",
         ),
         (

@@ -1,11 +1,11 @@
-"""Compute the stored solids in space that sheets are held against: `python ... [case ...]`.
+"""Compute the stored solids in space for comparison with sheets: `python ... [case ...]`.
 
 Neo-Hookean Q2/Q1 bricks (the project's own) of a clamped sheet of 10 x 10 mm over a short bar:
 neither round nor in plane strain. One quarter, by symmetry; frictionless, along exact signed
-distances. Newton's method starts from the sheet's own face and ends where the solid balances.
+distances. Newton's method starts from the sheet's own face and ends at the solid's equilibrium.
 Elements are finest where it touches and at the rim, where the clamp holds the whole thickness.
-Each case is solved on two meshes; what they differ by is stored beside the finer one. Needs
-pypardiso; about ten minutes a case on idle cores.
+Each case is solved on two meshes; their difference is stored with the result of the finer mesh.
+Needs pypardiso; about ten minutes a case on idle cores.
 """
 
 import json
@@ -36,13 +36,13 @@ from twin.shape import SignedDistance
 
 STORED = Path(__file__).with_name("solid_in_space.json")
 PENALTY_OVER_SHEAR = 60.0
-# Along x and y: the corner of the bar, on which the sheet stands.
+# Along x and y: the corner of the bar, which supports the sheet.
 FOCUS_MM = (0.7, 2.2)
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """How finely: mm, where it touches, between, and how many through the thickness."""
+    """Sizes of elements, mm, in the contact and outside, and their number through the thickness."""
 
     finest_mm: float
     coarsest_mm: float
@@ -83,7 +83,7 @@ class DistanceContact:
         return replace(self, carried=pressure)
 
     def is_spurious(self, moved_mm, depth_mm):
-        return False  # a tight sheet carries nothing on the flat between the edges
+        return False  # a tight sheet has no pressure on the flat between the edges
 
 
 def solve(case: SpaceCase, mesh: Mesh) -> list[dict]:
@@ -146,7 +146,7 @@ def _free(grid):
 
 
 def _seen(case, body, at):
-    """Return travel, force (N at 1 MPa) and the upper face's rise at the stored places."""
+    """Return travel, force (N at 1 MPa) and the upper face's rise at the stored points."""
     nodes = body.grid.nodes_mm
     top = nodes[:, 2] == body.grid.edges_mm[2][-1]
     after = (nodes + body.displacement_mm(at.state))[top]

@@ -1,6 +1,6 @@
 """Large strain, axisymmetric: consistency, its small-strain limit, and the linear slab against it.
 
-Stored figures come from `generate_neo_hookean.py` (full size); the presses here are coarse.
+Stored figures are from `generate_neo_hookean.py` (full size); the presses here are coarse.
 """
 
 import json
@@ -53,7 +53,7 @@ def test_the_tangent_is_the_residuals_derivative(
 ) -> None:
     body = MixedBody(ElementGrid(edges), material, moduli(0.49))
     state, direction = np.random.default_rng(0).normal(size=(2, body.unknowns)) * 0.02
-    if body.grid.axes == 2:  # nothing leaves the axis
+    if body.grid.axes == 2:  # the nodes on the axis remain on it
         for vector in (state, direction):
             body.displacement_mm(vector)[body.grid.nodes_mm[:, 0] == 0, 0] = 0
     step = 1e-4
@@ -150,7 +150,7 @@ def test_sticking_stiffens_the_press_but_hardly_moves_the_face(coarse: Axisymmet
 
 def test_pressure_carries_the_force(coarse: AxisymmetricPress) -> None:
     r, p = coarse.contact_r_mm, coarse.pressure_over_modulus
-    # On the ball the normal leans: its share along the press is the cosine of the slope.
+    # On the ball the normal is inclined: its component along the press is the cosine of the slope.
     force = np.trapezoid(2 * np.pi * np.append(0, r) * np.append(p[0], p), np.append(0, r))
     assert force == pytest.approx(coarse.force_over_modulus_mm2, rel=0.02)
 

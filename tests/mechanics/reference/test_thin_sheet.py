@@ -1,4 +1,4 @@
-"""Large strain in space: its small-strain limit, and what a linear slab leaves out of a sheet."""
+"""Large strain in space: its small-strain limit, and the stretching that a linear slab neglects."""
 
 import numpy as np
 import pytest
@@ -74,7 +74,7 @@ def test_a_sheet_that_deflects_by_its_thickness_stretches() -> None:
     error_mm = found.face_z_mm - spectral.face_z_mm
     assert 5e-3 < np.sqrt(np.mean(error_mm**2)) < 20e-3
     np.testing.assert_allclose(found.face_z_mm, found.face_z_mm[:, ::-1], atol=1e-6)
-    # The rim's coated edge turns outwards: the span's end sees a point a little inside of it.
+    # The rim's coated edge turns outwards: the span's end shows a point slightly inside of it.
     assert np.abs(found.face_z_mm[[0, -1]]).max() < 5e-3
     assert spectral.validity.warnings != found.validity.warnings == ()
 
@@ -95,12 +95,12 @@ def test_preloads_are_refused_in_one_line() -> None:
 
 
 def test_a_sheet_may_travel_farther_than_it_is_thick() -> None:
-    """Solid elements know no such limit; a pad on its window does."""
+    """Solid elements have no such limit; a pad on its window has it."""
     deep = load(control="depth", depth_mm=1.4)
     bricks = Bricks(half=4, contact=1.5, steps=2)
     found = press_neo_hookean(Ball(), SHEET, deep, bricks=bricks)
     linear = press(Ball(), SHEET, deep, any_depth=True)
-    # The tension of the bent sheet, which the linear slab leaves out, makes up for half of it.
+    # The tension of the bent sheet, which the linear slab neglects, is about 50 % of it.
     assert 0.5 < linear.force_n / found.force_n < 0.7
     assert found.face_z_mm.max() == pytest.approx(1.4, abs=0.05)
     pad = SHEET.model_copy(update={"layout": "contact_face"})

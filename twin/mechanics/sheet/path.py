@@ -37,10 +37,10 @@ class LimitPressureError(PressError):
     """No equilibrium at a pressure; most often because the sheet thins without bound."""
 
     def __init__(self, travel_mm: float, held_kpa: float, lost_kpa: float, reason: str) -> None:
-        holds = f"holds {held_kpa:.2f} kPa" if held_kpa > 0 else "holds no pressure found"
+        stable = f"is stable up to {held_kpa:.2f} kPa" if held_kpa > 0 else "is not stable"
         super().__init__(
-            f"press.back_pressure_kpa: the sheet {holds} at {travel_mm:.3g} mm of travel, and no "
-            f"equilibrium was found towards {lost_kpa:.2f} ({reason}); use less pressure, a "
+            f"press.back_pressure_kpa: the sheet {stable} at {travel_mm:.3g} mm of travel, and has "
+            f"no equilibrium towards {lost_kpa:.2f} kPa ({reason}); use less pressure, a "
             "thicker or a harder sheet"
         )
         self.held_kpa = held_kpa
