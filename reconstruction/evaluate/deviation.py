@@ -107,8 +107,8 @@ def deviations(
     for _ in range(_TURNS if freedoms else 0):
         left = distance(moved)
         columns = _columns(moved - centre, normals)[:, :freedoms]
-        kept = inliers(left)
-        step = np.linalg.pinv(columns[kept], rcond=_STIFF) @ -left[kept]
+        used = inliers(left)
+        step = np.linalg.pinv(columns[used], rcond=_STIFF) @ -left[used]
         motion[:freedoms] += step
         moved = _moved(points_mm - centre, motion) + centre
     turned_deg = float(np.rad2deg(np.linalg.norm(motion[[1, 2, 5]])))

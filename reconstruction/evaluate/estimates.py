@@ -95,8 +95,8 @@ class FittedDimension:
         triangle = np.asarray(np.linalg.qr(weighted / size, mode="r"))
         if np.abs(np.diag(triangle)).min() < _SINGULAR:
             return None
-        found = np.linalg.solve(triangle, np.linalg.solve(triangle.T, self.gradient / size))
-        return np.asarray((weighted @ (found / size)) ** 2)
+        solution = np.linalg.solve(triangle, np.linalg.solve(triangle.T, self.gradient / size))
+        return np.asarray((weighted @ (solution / size)) ** 2)
 
 
 def shared_by(filter_sigma_px: float, stride_px: int = 1) -> float:
@@ -165,9 +165,9 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
     design = np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(s_mm)), s_mm])
     parts = [_linear(design, z_mm, (np.ones(len(z_mm), bool),), which) for which in (0, 1)]
     size = float(np.hypot(parts[0].value, parts[1].value))
-    slope = sum(one.value / max(size, 1e-12) * one.slope for one in parts)
+    slope = sum(part.value / max(size, 1e-12) * part.slope for part in parts)
     used = parts[0].used
-    towards = np.array([2 * one.value / max(size, 1e-12) for one in parts] + [0.0, 0.0])
+    towards = np.array([2 * part.value / max(size, 1e-12) for part in parts] + [0.0, 0.0])
     return FittedDimension(
         2 * size,
         np.asarray(2 * slope),
@@ -205,24 +205,31 @@ def v_groove(s_mm: FloatArray, z_mm: FloatArray, depth_mm: float, width_mm: floa
     start = np.array([float(np.quantile(z_mm, 0.9)), 0.0, depth_mm, width_mm, middle])
     scale = np.array([depth_mm, depth_mm / width_mm, depth_mm, width_mm, width_mm])
 
-    def residual(found: FloatArray) -> FloatArray:
-        a, b, depth, width, root = found
+    def residual(parameters: FloatArray) -> FloatArray:
+        a, b, depth, width, root = parameters
         fall = np.maximum(0.0, 1.0 - 2.0 * np.abs(s_mm - root) / width)
         return np.asarray(a + b * s_mm - depth * fall - z_mm)
 
-    found = least_squares(residual, start, x_scale=scale, loss="soft_l1", f_scale=0.05 * depth_mm)
-    found = least_squares(residual, found.x, x_scale=scale)
-    if not found.success or min(found.x[2:4]) <= 0:
-        raise FitError(f"groove: the fit does not converge ({found.message})")
-    back = np.linalg.pinv(found.jac)
+    solution = least_squares(
+        residual, start, x_scale=scale, loss="soft_l1", f_scale=0.05 * depth_mm
+    )
+    solution = least_squares(residual, solution.x, x_scale=scale)
+    if not solution.success or min(solution.x[2:4]) <= 0:
+        raise FitError(f"groove: the fit does not converge ({solution.message})")
+    back = np.linalg.pinv(solution.jac)
     used = np.ones(len(z_mm), bool)
     depth, width = (
         FittedDimension(
-            float(found.x[n]), np.asarray(back[n]), -found.fun, used, found.jac, np.eye(5)[n]
+            float(solution.x[n]),
+            np.asarray(back[n]),
+            -solution.fun,
+            used,
+            solution.jac,
+            np.eye(5)[n],
         )
         for n in (2, 3)
     )
-    return GrooveFit(depth, width, float(found.x[4]))
+    return GrooveFit(depth, width, float(solution.x[4]))
 
 
 def ball_radius(points_mm: FloatArray) -> tuple[FittedDimension, BallFit]:
@@ -233,10 +240,10 @@ def ball_radius(points_mm: FloatArray) -> tuple[FittedDimension, BallFit]:
     FitError : too few or coplanar points
     """
     fit = fit_ball(points_mm)
-    kept = points_mm[fit.kept]
-    normals = kept - fit.centre_mm
+    used_mm = points_mm[fit.kept]
+    normals = used_mm - fit.centre_mm
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    design = np.column_stack([np.ones(len(kept)), normals])
+    design = np.column_stack([np.ones(len(used_mm)), normals])
     return _radius(fit.radius_mm, design, normals[:, 2], fit.kept, fit.residuals_mm), fit
 
 
@@ -251,8 +258,8 @@ def ball_radius_of_all(points_mm: FloatArray) -> FittedDimension:
     normals = points_mm - fit.centre_mm
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     design = np.column_stack([np.ones(len(normals)), normals])
-    kept = np.ones(len(normals), bool)
-    return _radius(fit.radius_mm, design, normals[:, 2], kept, fit.residuals_mm)
+    used = np.ones(len(normals), bool)
+    return _radius(fit.radius_mm, design, normals[:, 2], used, fit.residuals_mm)
 
 
 def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDimension, CylinderFit]:
@@ -263,27 +270,27 @@ def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDime
     FitError : too few points, or the fit does not converge
     """
     fit = fit_cylinder(points_mm, axis)
-    kept = points_mm[fit.kept] - fit.point_mm
-    along = kept @ fit.axis
-    normals = kept - np.outer(along, fit.axis)
+    used_mm = points_mm[fit.kept] - fit.point_mm
+    along = used_mm @ fit.axis
+    normals = used_mm - np.outer(along, fit.axis)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     across = np.linalg.svd(fit.axis[None])[2][1:]
     sides = normals @ across.T
-    design = np.column_stack([np.ones(len(kept)), sides, sides * along[:, None]])
+    design = np.column_stack([np.ones(len(used_mm)), sides, sides * along[:, None]])
     return _radius(fit.radius_mm, design, normals[:, 2], fit.kept, fit.residuals_mm), fit
 
 
 def _radius(
-    radius_mm: float, design: FloatArray, upward: FloatArray, kept: BoolImage, residuals: FloatArray
+    radius_mm: float, design: FloatArray, upward: FloatArray, used: BoolImage, residuals: FloatArray
 ) -> FittedDimension:
     """Return a radius; an error along z counts by its component along the surface normal."""
-    slope, all_residuals = np.zeros(len(kept)), np.zeros(len(kept))
-    slope[kept] = np.linalg.pinv(design)[0] * upward
-    all_residuals[kept] = residuals
-    heights = np.zeros((len(kept), design.shape[1]))
-    heights[kept] = design / upward[:, None]
+    slope, all_residuals = np.zeros(len(used)), np.zeros(len(used))
+    slope[used] = np.linalg.pinv(design)[0] * upward
+    all_residuals[used] = residuals
+    heights = np.zeros((len(used), design.shape[1]))
+    heights[used] = design / upward[:, None]
     first = np.eye(design.shape[1])[0]
-    return FittedDimension(radius_mm, slope, all_residuals, kept, heights, first)
+    return FittedDimension(radius_mm, slope, all_residuals, used, heights, first)
 
 
 def _linear(
@@ -293,20 +300,20 @@ def _linear(
 
     Outliers are determined in each group, so that a large level does not hide or exclude a small.
     """
-    kept = np.any(groups, axis=0)
+    used = np.any(groups, axis=0)
     for _ in range(_MOST_TURNS):
-        found, *_ = np.linalg.lstsq(design[kept], z_mm[kept], rcond=None)
-        residuals = z_mm - design @ found
+        solution, *_ = np.linalg.lstsq(design[used], z_mm[used], rcond=None)
+        residuals = z_mm - design @ solution
         good = np.zeros(len(z_mm), bool)
         for group in groups:
             left = residuals[group]
             good[group] = inliers(left) | (np.abs(left - np.median(left)) <= _NEVER_OUT_MM)
-        if np.array_equal(good, kept):
+        if np.array_equal(good, used):
             break
-        kept = good
+        used = good
     slope = np.zeros(len(z_mm))
-    slope[kept] = np.linalg.pinv(design[kept])[which]
+    slope[used] = np.linalg.pinv(design[used])[which]
     towards = np.eye(design.shape[1])[which]
     return FittedDimension(
-        float(found[which]), slope, residuals, kept, design * kept[:, None], towards
+        float(solution[which]), slope, residuals, used, design * used[:, None], towards
     )

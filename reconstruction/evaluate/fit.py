@@ -102,10 +102,10 @@ def quantile(values: NDArray[np.floating], share: float) -> float:
     at = share * (len(values) - 1)
     low = int(at)
     parted = np.partition(values, low)
-    found = float(parted[low])
+    value = float(parted[low])
     if at > low:
-        found += (at - low) * (float(parted[low + 1 :].min()) - found)
-    return found
+        value += (at - low) * (float(parted[low + 1 :].min()) - value)
+    return value
 
 
 def fit_sphere(points_mm: ArrayLike) -> SphereFit:
@@ -156,13 +156,13 @@ def fit_sphere_both_ways(points_mm: ArrayLike) -> tuple[SphereFit, SphereFit]:
     # Centred and scaled: the algebraic start and the iteration then work with numbers near one.
     local, offset, scale = _centred(points)
     start = _algebraic_sphere(local)
-    found = _gauss_newton(local, start)
-    if found is None:
-        found = least_squares(
+    solution = _gauss_newton(local, start)
+    if solution is None:
+        solution = least_squares(
             radial_mm, start, radial_jacobian, args=(local,), method="lm", xtol=1e-14, ftol=1e-14,
             gtol=1e-14,
         ).x  # fmt: skip
-    return _sphere_of(found, points, offset, scale), _sphere_of(start, points, offset, scale)
+    return _sphere_of(solution, points, offset, scale), _sphere_of(start, points, offset, scale)
 
 
 def _gauss_newton(local: FloatArray, start: FloatArray) -> FloatArray | None:
@@ -170,22 +170,22 @@ def _gauss_newton(local: FloatArray, start: FloatArray) -> FloatArray | None:
 
     None if the steps do not decrease to rounding: for points that hardly determine a sphere.
     """
-    axes, found, before = np.ascontiguousarray(local.T), start, np.inf
+    axes, sphere, before = np.ascontiguousarray(local.T), start, np.inf
     for _ in range(_MOST_STEPS):
-        toward = found[:3, None] - axes
+        toward = sphere[:3, None] - axes
         distance = np.sqrt(np.einsum("ij,ij->j", toward, toward))
         # A point at the centre has no direction.
         if not distance.all():
             return None
         slopes = np.vstack([toward / distance, np.full_like(distance, -1.0)])
-        normal, downhill = slopes @ slopes.T, slopes @ (found[3] - distance)
+        normal, downhill = slopes @ slopes.T, slopes @ (sphere[3] - distance)
         try:
             step = np.linalg.solve(normal, downhill)
         except np.linalg.LinAlgError:
             return None
-        found, size = found + step, float(np.abs(step).max())
-        if size <= _STEP_OF_ROUNDING * max(1.0, float(np.abs(found).max())):
-            return found
+        sphere, size = sphere + step, float(np.abs(step).max())
+        if size <= _STEP_OF_ROUNDING * max(1.0, float(np.abs(sphere).max())):
+            return sphere
         if size > before:
             return None
         before = size
@@ -193,10 +193,10 @@ def _gauss_newton(local: FloatArray, start: FloatArray) -> FloatArray | None:
 
 
 def _sphere_of(
-    found: FloatArray, points: FloatArray, offset: FloatArray, scale: float
+    sphere: FloatArray, points: FloatArray, offset: FloatArray, scale: float
 ) -> SphereFit:
     """Return the sphere of a solution (centre, radius) in centred and scaled coordinates, in mm."""
-    centre, radius = found[:3] * scale + offset, abs(float(found[3])) * scale
+    centre, radius = sphere[:3] * scale + offset, abs(float(sphere[3])) * scale
     return SphereFit(centre, radius, np.linalg.norm(points - centre, axis=1) - radius)
 
 
@@ -274,5 +274,5 @@ def spread(values: NDArray[np.floating]) -> float:
 def inliers(residuals_mm: FloatArray) -> BoolImage:
     """Return which residuals, (n,) mm, are within four robust standard deviations of the median."""
     limit = REJECT_BEYOND_SIGMAS * max(spread(residuals_mm), 1e-12)
-    kept: BoolImage = np.abs(residuals_mm - median(residuals_mm)) <= limit
-    return kept
+    is_inlier: BoolImage = np.abs(residuals_mm - median(residuals_mm)) <= limit
+    return is_inlier

@@ -50,15 +50,15 @@ def flatness(points_mm: ArrayLike) -> Flatness:
     """
     points = np.asarray(points_mm, np.float64)
     plane = fit_plane(points)
-    kept = np.ones(len(points), bool)
+    used = np.ones(len(points), bool)
     for _ in range(_MOST_TURNS):
         now = inliers(distances_mm(points, plane))
-        if np.array_equal(now, kept):
+        if np.array_equal(now, used):
             break
-        kept = now
-        plane = fit_plane(points[kept])
+        used = now
+        plane = fit_plane(points[used])
     residuals = plane.residuals_mm
-    return Flatness(float(np.ptp(residuals)), float(np.sqrt(np.mean(residuals**2))), kept, plane)
+    return Flatness(float(np.ptp(residuals)), float(np.sqrt(np.mean(residuals**2))), used, plane)
 
 
 def distances_mm(points_mm: FloatArray, plane: PlaneFit) -> FloatArray:
@@ -100,7 +100,7 @@ def areal_roughness(
     ------
     FitError : too few heights, or a nesting index below two pitches or above ten fields
     """
-    z, kept = np.asarray(z_mm, np.float64), np.asarray(valid, bool)
+    z, has_height = np.asarray(z_mm, np.float64), np.asarray(valid, bool)
     longest_mm = _LONGEST_NESTING * max(z.shape) * pitch_mm
     if not 2.0 * pitch_mm <= nesting_mm <= longest_mm:
         raise FitError(
@@ -108,7 +108,7 @@ def areal_roughness(
             f"and at most {longest_mm:g} (ten fields): a longer wave has no effect"
         )
     y, x = np.mgrid[: z.shape[0], : z.shape[1]] * pitch_mm
-    plane = flatness(np.column_stack([x[kept], y[kept], z[kept]])).plane
+    plane = flatness(np.column_stack([x[has_height], y[has_height], z[has_height]])).plane
     tilt = (
         plane.centroid_mm[2]
         - (
@@ -117,18 +117,18 @@ def areal_roughness(
         )
         / plane.normal[2]
     )
-    level = np.where(kept, z - tilt, 0.0)
-    rough = _without_waviness(level, kept, _SIGMA_OVER_NESTING * nesting_mm / pitch_mm)
+    level = np.where(has_height, z - tilt, 0.0)
+    rough = _without_waviness(level, has_height, _SIGMA_OVER_NESTING * nesting_mm / pitch_mm)
     return ArealRoughness(
         float(np.mean(np.abs(rough))), float(np.sqrt(np.mean(rough**2))), float(np.ptp(rough))
     )
 
 
-def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> FloatArray:
+def _without_waviness(level: FloatArray, has_height: FloatArray, sigma_px: float) -> FloatArray:
     """Heights less their Gaussian mean, where at least 50 % of the filter's weight has heights."""
-    weight = gaussian_filter(kept.astype(np.float64), sigma_px, mode="constant")
+    weight = gaussian_filter(has_height.astype(np.float64), sigma_px, mode="constant")
     wave = gaussian_filter(level, sigma_px, mode="constant") / np.maximum(weight, 1e-12)
-    rated = kept & (weight >= _LEAST_SUPPORT)
+    rated = has_height & (weight >= _LEAST_SUPPORT)
     rough: FloatArray = (level - wave)[rated]
     if not rough.size:
         raise FitError("roughness: no height has enough neighbours; take a smaller nesting_mm")
@@ -205,8 +205,8 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
             raise FitError(f"step height: {part.sum()} points on the {name} stretch, 5 needed")
     used = inside | before | after
     design = np.column_stack([np.ones_like(s), s, inside.astype(np.float64)])[used]
-    found, residuals = _robust_line(design, z[used])
-    return StepHeight(float(found[2]), float(np.sqrt(np.mean(residuals**2))))
+    solution, residuals = _robust_line(design, z[used])
+    return StepHeight(float(solution[2]), float(np.sqrt(np.mean(residuals**2))))
 
 
 def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWidth:
@@ -337,11 +337,11 @@ def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:
 
 def _robust_line(design: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least squares, repeated without outliers; parameters, and residuals of the inliers."""
-    kept: BoolImage = np.ones(z.size, bool)
+    used: BoolImage = np.ones(z.size, bool)
     for _ in range(_MOST_LINE_TURNS):
-        found, *_ = np.linalg.lstsq(design[kept], z[kept], rcond=None)
-        now = inliers(z - design @ found)
-        if np.array_equal(now, kept):
+        solution, *_ = np.linalg.lstsq(design[used], z[used], rcond=None)
+        now = inliers(z - design @ solution)
+        if np.array_equal(now, used):
             break
-        kept = now
-    return np.asarray(found, np.float64), (z - design @ found)[kept]
+        used = now
+    return np.asarray(solution, np.float64), (z - design @ solution)[used]

@@ -73,17 +73,17 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
     points = np.asarray(points_mm, np.float64)
     first = fit_sphere(points)
     parameters = _softly(points, np.append(first.centre_mm, first.radius_mm))
-    kept = inliers(radial_mm(parameters, points))
+    used = inliers(radial_mm(parameters, points))
     for _ in range(_MOST_TURNS):
-        fine = fit_sphere(points[kept])
+        fine = fit_sphere(points[used])
         now = inliers(radial_mm(np.append(fine.centre_mm, fine.radius_mm), points))
-        if np.array_equal(now, kept):
+        if np.array_equal(now, used):
             break
-        kept = now
+        used = now
     else:
-        fine = fit_sphere(points[kept])
-    sigma_mm = _radius_sigma_mm(points[kept], fine.centre_mm, fine.residuals_mm)
-    return BallFit(fine.centre_mm, fine.radius_mm, sigma_mm, fine.residuals_mm, kept)
+        fine = fit_sphere(points[used])
+    sigma_mm = _radius_sigma_mm(points[used], fine.centre_mm, fine.residuals_mm)
+    return BallFit(fine.centre_mm, fine.radius_mm, sigma_mm, fine.residuals_mm, used)
 
 
 def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
@@ -91,7 +91,7 @@ def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
     parameters = start
     for _ in range(_SOFT_TURNS):
         scale_mm = max(spread(radial_mm(parameters, points)), 1e-9)
-        found = least_squares(
+        solution = least_squares(
             radial_mm,
             parameters,
             radial_jacobian,
@@ -100,7 +100,7 @@ def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
             f_scale=scale_mm,
             x_scale="jac",
         )
-        parameters = np.asarray(found.x)
+        parameters = np.asarray(solution.x)
     return parameters
 
 
@@ -113,8 +113,8 @@ def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: Fl
     normals = away / np.linalg.norm(away, axis=1, keepdims=True)
     # The radius' variance is from the part of the ones orthogonal to the normals' components.
     ones = np.ones(len(points))
-    alone = ones - normals @ np.linalg.lstsq(normals, ones, rcond=None)[0]
-    return float(np.sqrt(residuals_mm @ residuals_mm / freedom / (alone @ alone)))
+    orthogonal = ones - normals @ np.linalg.lstsq(normals, ones, rcond=None)[0]
+    return float(np.sqrt(residuals_mm @ residuals_mm / freedom / (orthogonal @ orthogonal)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,15 +166,15 @@ def fit_cylinder(points_mm: ArrayLike, axis: ArrayLike) -> CylinderFit:
     local = (points - centroid) @ frame.T
     scale = max(spread(local[:, 2] - np.median(local[:, 2])), 1e-6)
     rough = _solve(local, _start(local), "soft_l1", 0.1 * scale)
-    kept = inliers(_from_axis(rough, local))
-    fine = _solve(local[kept], rough, "linear", 1.0)
+    used = inliers(_from_axis(rough, local))
+    fine = _solve(local[used], rough, "linear", 1.0)
     direction, foot = _axis_of(fine)
     return CylinderFit(
         point_mm=centroid + foot @ frame,
         axis=_upright(direction @ frame),
         radius_mm=float(abs(fine[4])),
-        residuals_mm=_from_axis(fine, local[kept]),
-        kept=kept,
+        residuals_mm=_from_axis(fine, local[used]),
+        kept=used,
     )
 
 
@@ -195,10 +195,10 @@ def _start(local: FloatArray) -> FloatArray:
 
 
 def _solve(local: FloatArray, start: FloatArray, loss: str, scale_mm: float) -> FloatArray:
-    found = least_squares(_from_axis, start, args=(local,), loss=loss, f_scale=scale_mm)
-    if not found.success:
-        raise FitError(f"the cylinder fit does not converge ({found.message})")
-    return np.asarray(found.x)
+    solution = least_squares(_from_axis, start, args=(local,), loss=loss, f_scale=scale_mm)
+    if not solution.success:
+        raise FitError(f"the cylinder fit does not converge ({solution.message})")
+    return np.asarray(solution.x)
 
 
 def _axis_of(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:

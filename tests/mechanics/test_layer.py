@@ -28,13 +28,15 @@ def test_a_sine_mode_of_the_free_slab_keeps_its_shape() -> None:
     compliance = 2 * (1 - 0.49**2) / K * (even + odd) / 2
     wave = mode(SLAB.x_mm, SLAB.y_mm)
     np.testing.assert_allclose(SLAB.deflect(wave), compliance * wave, atol=1e-6 * compliance)
-    kept = compliance * opposite_transfer(np.array([q]))[0]
-    np.testing.assert_allclose(SLAB.deflect_opposite(wave), kept * wave, atol=1e-6 * kept)
+    transferred = compliance * opposite_transfer(np.array([q]))[0]
+    np.testing.assert_allclose(
+        SLAB.deflect_opposite(wave), transferred * wave, atol=1e-6 * transferred
+    )
     # Nodes: finer than the cells, and coarser.
     for rows, cols in ((100, 90), (20, 24)):
         x, y = np.linspace(-7.5, 7.5, cols + 1), np.linspace(-6, 6, rows + 1)
         nodes = SLAB.opposite_at_nodes(wave, rows, cols)
-        np.testing.assert_allclose(nodes, kept * mode(x, y), atol=1e-6 * kept)
+        np.testing.assert_allclose(nodes, transferred * mode(x, y), atol=1e-6 * transferred)
 
 
 @pytest.mark.parametrize("layer", [SLAB, LAYER])

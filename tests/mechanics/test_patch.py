@@ -25,8 +25,8 @@ def test_a_patch_deflects_as_the_whole_grid(
     pressure = np.zeros((48, 60))
     pressure[patch.cells] = np.random.default_rng(0).normal(size=(rows.count, cols.count))
     whole = layer.deflect(pressure)[patch.cells]
-    found = patch.deflect(pressure[patch.cells])
-    np.testing.assert_allclose(found, whole, atol=1e-12 * np.abs(layer.deflect(pressure)).max())
+    result = patch.deflect(pressure[patch.cells])
+    np.testing.assert_allclose(result, whole, atol=1e-12 * np.abs(layer.deflect(pressure)).max())
 
 
 @pytest.mark.parametrize("layer", [SLAB, LAYER])

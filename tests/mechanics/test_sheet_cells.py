@@ -20,8 +20,8 @@ SMALL = {"length_x_mm": 12.0, "length_y_mm": 12.0}
 def test_widths_are_rungs_of_a_ladder_and_grow_by_a_fifth_of_the_distance():
     """1, sqrt 2, 2, 2 sqrt 2 and 4 pitches; away from a place of one pitch 0.2 mm more per mm."""
     allowed = Widths(np.array([0.0, 1.0, 5.0, 9.0]), np.array([0.01, 7.0, 0.29, 7.0]))
-    found = allowed.at(np.array([0.0, 0.5, 1.0, 5.0, 9.0]), 0.1)
-    np.testing.assert_allclose(found, [0.1, 0.2, 0.3, 0.2 * 2**0.5, 0.4])
+    result = allowed.at(np.array([0.0, 0.5, 1.0, 5.0, 9.0]), 0.1)
+    np.testing.assert_allclose(result, [0.1, 0.2, 0.3, 0.2 * 2**0.5, 0.4])
 
 
 def test_a_last_digit_moves_no_cell():
@@ -44,9 +44,9 @@ def test_cells_within_the_box_are_wider_where_they_may():
     assert (line.edges[0], line.edges[-1]) == (-4.0, 4.0)
     np.testing.assert_allclose(line.edges, -line.edges[::-1], atol=1e-9)
     alike = Widths(np.linspace(-4.0, 4.0, 9), np.full(9, 0.12))
-    found = graded_line((-5.0, 5.0), (-4.0, 4.0), 0.1, 0.1, 1.0, allowed=alike)
+    result = graded_line((-5.0, 5.0), (-4.0, 4.0), 0.1, 0.1, 1.0, allowed=alike)
     plain = graded_line((-5.0, 5.0), (-4.0, 4.0), 0.1, 0.1, 1.0)
-    np.testing.assert_array_equal(found.edges, plain.edges)
+    np.testing.assert_array_equal(result.edges, plain.edges)
 
 
 def finest(
@@ -56,15 +56,15 @@ def finest(
     made: list[Sheet] = []
     make = SheetCase.sheet
 
-    def seen(case: SheetCase, asked: cells.Cells) -> Sheet:
-        made.append(make(case, asked))
+    def recorded(case: SheetCase, requested: cells.Cells) -> Sheet:
+        made.append(make(case, requested))
         return made[-1]
 
     press.forget_paths()
     with monkeypatch.context() as patch:
-        patch.setattr(SheetCase, "sheet", seen)
-        found = pressed(specimen, elastomer, **load)
-    return found, made[-1]
+        patch.setattr(SheetCase, "sheet", recorded)
+        result = pressed(specimen, elastomer, **load)
+    return result, made[-1]
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 2.0])
@@ -116,9 +116,9 @@ def test_a_sheet_that_sticks_has_even_cells(monkeypatch: pytest.MonkeyPatch):
 
 def test_a_touch_between_two_samples_is_pressed(monkeypatch: pytest.MonkeyPatch):
     """A contact smaller than the cells, and between the sampled cell centres: no failure."""
-    found, sheet = finest(
+    result, sheet = finest(
         monkeypatch, Ball(), build_sheet(**SMALL), depth_mm=0.01, cell_mm=0.2, solver_pitch_mm=0.2
     )
-    assert found.force_n > 0.0
-    assert not found.contact.any()
+    assert result.force_n > 0.0
+    assert not result.contact.any()
     assert np.diff(sheet.grid.x.edges)[np.abs(sheet.grid.x.points).max(axis=1) < 1.0].max() < 0.21

@@ -31,8 +31,8 @@ def test_a_short_bar_is_the_solids(case: SpaceCase) -> None:
         face = CloughTocher2DInterpolator(quarter[:, :2], quarter[:, 2] - case.thickness_mm / 2)
         error_um = 1e3 * np.abs(face(*seen_at()) - solid["upper_z_mm"])
         assert error_um.max() < limit_um
-        found = contact_force_n(sheet, state) / (1e-3 * YOUNG_KPA)
-        assert found == pytest.approx(solid["force"], rel=case.force_limit)
+        result = contact_force_n(sheet, state) / (1e-3 * YOUNG_KPA)
+        assert result == pytest.approx(solid["force"], rel=case.force_limit)
 
 
 def test_half_the_cells_move_the_face_by_less_than_a_micrometre() -> None:
@@ -57,5 +57,5 @@ def test_half_the_cells_move_the_face_by_less_than_a_micrometre() -> None:
     moved_um = 1e3 * np.abs(coarse.face_z_mm - fine.face_z_mm)
     assert moved_um[np.hypot(x, y) < contact_mm].max() < 1.0
     near = np.hypot(x, y) < 1.5
-    radii = [fit_sphere(np.stack((x, y, one.face_z_mm), -1)[near]) for one in (coarse, fine)]
+    radii = [fit_sphere(np.stack((x, y, press.face_z_mm), -1)[near]) for press in (coarse, fine)]
     assert radii[0].radius_mm == pytest.approx(radii[1].radius_mm, rel=0.01)

@@ -49,11 +49,11 @@ def lifting_force(sheet: Sheet, state: SheetState, lift_mm: float) -> tuple[floa
     """Settle with the end at a height; return its force per width, N/m, and the new state."""
     control = state.control_mm.copy()
     control[:, 0, 2] = lift_mm
-    found = settle(sheet, replace(state, control_mm=control), CLOSE)
-    sheet.evaluate(found.control_mm, found, tangent=False)
+    result = settle(sheet, replace(state, control_mm=control), CLOSE)
+    sheet.evaluate(result.control_mm, result, tangent=False)
     held = np.zeros(control.shape[:2])
     held[~sheet.grid.free[..., 2]] = sheet.reactions()
-    return float(held[:, 0].sum()) / WIDTH_MM, found
+    return float(held[:, 0].sum()) / WIDTH_MM, result
 
 
 def upright_force(law: Laws) -> float:

@@ -31,12 +31,12 @@ def test_a_press_comes_back_whole(reference_press: PressedElastomer, tmp_path: P
     write_press(tmp_path / "press.nc", warned)
     back = read_press(tmp_path / "press.nc")
     for field in fields(PressedElastomer):
-        stored, found = getattr(warned, field.name), getattr(back, field.name)
-        assert type(found) is type(stored)
+        stored, result = getattr(warned, field.name), getattr(back, field.name)
+        assert type(result) is type(stored)
         if isinstance(stored, np.ndarray):
-            np.testing.assert_array_equal(found, stored, strict=True)
+            np.testing.assert_array_equal(result, stored, strict=True)
         else:
-            assert found == stored
+            assert result == stored
     assert [path.name for path in tmp_path.iterdir()] == ["press.nc"]
 
 
@@ -64,8 +64,8 @@ def test_a_file_without_coordinates_is_still_read(
     axes = {"x": "x_mm", "y": "y_mm", "face_x": "face_x_mm", "face_y": "face_y_mm"}
     now = press_arrays(reference_press)
     before = {axes[name]: values for name, values in now.coords.items()}
-    told = {**now.attrs, "schema": "fringe-twin press 2"}
-    write_arrays(path, LabelledArrays({**now.variables, **before}, attrs=told))
+    attributes = {**now.attrs, "schema": "fringe-twin press 2"}
+    write_arrays(path, LabelledArrays({**now.variables, **before}, attrs=attributes))
     back = read_press(path)
     np.testing.assert_array_equal(back.face_x_mm, reference_press.face_x_mm)
     np.testing.assert_array_equal(back.face_z_mm, reference_press.face_z_mm)

@@ -229,8 +229,8 @@ def _result(
     return AxisymmetricPress(
         depth_mm=path[-1].depth_mm,
         force_over_modulus_mm2=path[-1].pushed.along,
-        path_depth_mm=np.array([found.depth_mm for found in path]),
-        path_force_over_modulus_mm2=np.array([found.pushed.along for found in path]),
+        path_depth_mm=np.array([result.depth_mm for result in path]),
+        path_force_over_modulus_mm2=np.array([result.pushed.along for result in path]),
         r_mm=lines[0],
         touched_mm=moved[:, 0],
         far_mm=moved[:, -1],

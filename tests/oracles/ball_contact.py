@@ -136,8 +136,8 @@ class BallContact:
         self, moved_mm: FloatArray, depth_mm: float, active: BoolArray | None
     ) -> Pushed:
         raw = self.carried - self.penalty * (self._behind(moved_mm) - depth_mm)
-        beside = self.surface.trace @ self.nodes_mm[:, 0] >= self.radius_mm
-        touching = ((raw > 0) & ~beside) if active is None else active
+        outside = self.surface.trace @ self.nodes_mm[:, 0] >= self.radius_mm
+        touching = ((raw > 0) & ~outside) if active is None else active
         pressure = np.where(touching, raw, 0.0)
         along = np.array([0.0, 1.0])
         stiffness = np.where(touching, self.penalty, 0.0)[:, None, None] * np.outer(along, along)

@@ -138,7 +138,7 @@ class Load:
     #: of the lifted end
     lift_mm: float = 0.0
 
-    def towards(self, other: "Load", share: float) -> "Load":
+    def towards(self, goal: "Load", share: float) -> "Load":
         """Return the load a share of the way to another."""
-        here, there = (np.array(list(vars(load).values())) for load in (self, other))
+        here, there = (np.array(list(vars(load).values())) for load in (self, goal))
         return Load(*(here + share * (there - here)).tolist())

@@ -51,17 +51,17 @@ def press_arrays(pressed: "PressedElastomer") -> LabelledArrays:
     Figures of `Validity` are stored as attributes.
     """
     variables = {
-        name: labelled(np.asarray(getattr(pressed, name)), *told)
-        for name, told in VARIABLES.items()
+        name: labelled(np.asarray(getattr(pressed, name)), *figures)
+        for name, figures in VARIABLES.items()
         if name not in OPTIONAL or getattr(pressed, name) is not None
     }
     for name, data in _sheet_arrays(pressed.sheet).items():
         variables[f"sheet_{name}"] = labelled(data, FACE, *SHEET_VARIABLES[name])
     axes = {name.removesuffix("_mm"): variables.pop(name) for name in AXES}
     validity = asdict(pressed.validity) | {"warnings": "\n".join(pressed.validity.warnings)}
-    told = {VALIDITY + name: value for name, value in validity.items()}
+    figures = {VALIDITY + name: value for name, value in validity.items()}
     attributes = {"Conventions": "CF-1.11", "schema": SCHEMA, "model": pressed.model}
-    return LabelledArrays(variables, axes, attributes | told)
+    return LabelledArrays(variables, axes, attributes | figures)
 
 
 def labelled(

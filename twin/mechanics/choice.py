@@ -147,7 +147,9 @@ def modulus_only_scales(case: PressInput) -> bool:
     ):
         return False
     models = possible_models(case)
-    return any(one.is_linear_slab for one in models) and not any(one.wraps for one in models)
+    return any(model.is_linear_slab for model in models) and not any(
+        model.wraps for model in models
+    )
 
 
 def unit_press(
@@ -161,8 +163,8 @@ def unit_press(
     """
     if not modulus_only_scales(PressInput(mechanics, specimen, elastomer, load)):
         return None
-    kept = {n: getattr(elastomer, n) for n in Elastomer.model_fields if n not in _STIFFNESS}
-    soft = Elastomer(**kept, young_modulus_kpa=1.0)
+    unchanged = {n: getattr(elastomer, n) for n in Elastomer.model_fields if n not in _STIFFNESS}
+    soft = Elastomer(**unchanged, young_modulus_kpa=1.0)
     pressed = press_with(mechanics, specimen, soft, load)
     return pressed if model_of(pressed.model).is_linear_slab else None
 

@@ -94,13 +94,13 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
     )
 
 
-def pitch_at(kept: float, thickness_mm: float) -> float:
+def pitch_at(share: float, thickness_mm: float) -> float:
     """Return the pitch at which a free slab transfers a share of the relief, mm.
 
     >>> round(pitch_at(0.5, 1.0), 2)
     2.4
     """
-    q = brentq(lambda q: float(opposite_transfer(np.array([q]))[0]) - kept, *_Q_RANGE)
+    q = brentq(lambda q: float(opposite_transfer(np.array([q]))[0]) - share, *_Q_RANGE)
     return 2 * np.pi * thickness_mm / float(q)
 
 
@@ -133,8 +133,8 @@ def _computed(elastomer: Elastomer, pitch_mm: float) -> float:
 
 def ridge_height_mm(specimen: Specimen) -> float:
     """Return the height of a specimen's ridges, or that of a fingerprint's if it has no ridges."""
-    known = specimen.ridge_height_mm
-    return RIDGE_MM if known is None else known
+    height_mm = specimen.ridge_height_mm
+    return RIDGE_MM if height_mm is None else height_mm
 
 
 def ridge_transfer(
@@ -194,8 +194,8 @@ class Ridges:
     def pitch_mm(self, share: float) -> float:
         """Return the pitch at which the coat reproduces a share of the relief."""
         low, high = (np.log(self.elastomer.thickness_mm * end) for end in _RANGE)
-        found = brentq(lambda log: self.shown(np.exp(log)) - share, low, high, xtol=1e-4)
-        return float(np.exp(found))
+        log_pitch = brentq(lambda log: self.shown(np.exp(log)) - share, low, high, xtol=1e-4)
+        return float(np.exp(log_pitch))
 
 
 class _Period:
@@ -206,15 +206,15 @@ class _Period:
         self.x_mm = (np.arange(_CELLS) + 0.5) * pitch_mm / 2 / _CELLS
         wave = np.arange(1.0, _CELLS) * (2 * np.pi / pitch_mm)
         nu = elastomer.poisson_ratio
-        found = solve_transfer(wave * elastomer.thickness_mm, nu, "free")
+        transfer = solve_transfer(wave * elastomer.thickness_mm, nu, "free")
         unit = 2 * (1 - nu**2) / wave
-        self._touched, self._coated = unit * found.normal_t, unit * found.normal_b
+        self._touched, self._coated = unit * transfer.normal_t, unit * transfer.normal_b
 
     def compliance(self) -> FloatArray:
         """Return the touched face's deflection (col, col), mm, per cell's pressure over modulus."""
         waves = fft.dct(np.eye(_CELLS), type=2, axis=0) * np.append(0.0, self._touched)[:, None]
-        answer: FloatArray = fft.idct(waves, type=2, axis=0)
-        return (answer + answer.T) / 2
+        response: FloatArray = fft.idct(waves, type=2, axis=0)
+        return (response + response.T) / 2
 
     def coat_mm(self, pressure: FloatArray) -> float:
         """Return the coated face's relief from crest to root under (col,) pressure over modulus."""
@@ -232,5 +232,5 @@ def _pressure(layer: _Period, ridge_mm: FloatArray, mean: float) -> FloatArray:
     spring = _STIFF * float(compliance.max())
     factor = np.linalg.cholesky(compliance + spring)
     pulled = spring * mean * _CELLS - ridge_mm
-    found, _ = nnls(factor.T, solve_triangular(factor, pulled, lower=True))
-    return np.asarray(found * (mean / found.mean()))
+    pressure, _ = nnls(factor.T, solve_triangular(factor, pulled, lower=True))
+    return np.asarray(pressure * (mean / pressure.mean()))

@@ -276,9 +276,9 @@ def sine_amplitudes(spectrum: FloatArray, rows: int, cols: int) -> FloatArray:
     spectrum[-1] /= 2
     spectrum[:, -1] /= 2
     # Coarser nodes than cells cannot resolve the highest modes, which the slab has filtered.
-    kept = spectrum[: rows - 1, : cols - 1] / (counts[0] * counts[1])
+    resolved = spectrum[: rows - 1, : cols - 1] / (counts[0] * counts[1])
     padded = np.zeros((rows - 1, cols - 1))
-    padded[: kept.shape[0], : kept.shape[1]] = kept
+    padded[: resolved.shape[0], : resolved.shape[1]] = resolved
     return padded
 
 

@@ -47,8 +47,8 @@ class Preload:
         if isinstance(layer, BondedLayer) or not self:
             return np.zeros_like(uniform)
         # Maxwell and Betti: t deflects under a load on b as b does under a load on t.
-        own, other = layer.deflect(uniform), layer.deflect_opposite(uniform)
-        return self.touched * own + self.coated * other
+        own, opposite = layer.deflect(uniform), layer.deflect_opposite(uniform)
+        return self.touched * own + self.coated * opposite
 
 
 def preload_of(elastomer: Elastomer, load: Press, modulus_kpa: float) -> Preload:

@@ -265,9 +265,9 @@ def check_outline(shape: Shape, elastomer: Elastomer) -> None:
 def _check_depth(depth_mm: float, elastomer: Elastomer, load: Press) -> None:
     if depth_mm < elastomer.thickness_mm:
         return
-    asked, remedy = f"press.depth_mm: {depth_mm:g} mm", "press less or use a thicker slab"
+    cause, remedy = f"press.depth_mm: {depth_mm:g} mm", "press less or use a thicker slab"
     if load.control == "force":
-        asked = f"press.force_n: {load.force_n:g} N needs a depth of {depth_mm:.3g} mm, which"
+        cause = f"press.force_n: {load.force_n:g} N needs a depth of {depth_mm:.3g} mm, which"
         remedy = "lower press.force_n, or use a thicker or harder slab"
         if elastomer.layout == "opposite_face":
             remedy += (
@@ -275,7 +275,7 @@ def _check_depth(depth_mm: float, elastomer: Elastomer, load: Press) -> None:
                 "window (elastomer.layout = 'contact_face', with layers)"
             )
     raise PressError(
-        f"{asked} is not less than the slab's thickness of {elastomer.thickness_mm:g} mm; {remedy}"
+        f"{cause} is not less than the slab's thickness of {elastomer.thickness_mm:g} mm; {remedy}"
     )
 
 

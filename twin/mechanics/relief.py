@@ -38,8 +38,8 @@ def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimes
     face, along the normal.
     """
     rows, cols = pressed.face_z_mm.shape
-    coated, other = _vertices(pressed, pressed.face_z_mm), _other_vertices(pressed, elastomer)
-    coated_above = coated[:, 2].mean() > other[:, 2].mean()
+    coated, opposite = _vertices(pressed, pressed.face_z_mm), _opposite_vertices(pressed, elastomer)
+    coated_above = coated[:, 2].mean() > opposite[:, 2].mean()
     rim = _rim(rows, cols)
     after = np.roll(rim, -1)
     # Walls of a coated face above the second face; reversed if it is below.
@@ -52,7 +52,7 @@ def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimes
     grid = grid_facets(rows, cols)
     closed = np.concatenate((grid, grid[:, ::-1] + rows * cols, walls))
     body = trimesh.Trimesh(
-        vertices=np.concatenate((coated, other)),
+        vertices=np.concatenate((coated, opposite)),
         faces=closed if coated_above else closed[:, ::-1],
         process=False,
         validate=False,
@@ -61,16 +61,16 @@ def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimes
     return body
 
 
-def _other_vertices(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
+def _opposite_vertices(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
     if pressed.sheet is None:
-        return _vertices(pressed, _other_face(pressed, elastomer))
+        return _vertices(pressed, _opposite_face(pressed, elastomer))
     texture = 0.0 if pressed.texture_mm is None else pressed.texture_mm
     smooth = replace(pressed, face_z_mm=pressed.face_z_mm - texture)
     behind = pressed.sheet.thickness_mm[..., None] * face_normals(smooth)
     return _vertices(smooth, smooth.face_z_mm) - behind.reshape(-1, 3)
 
 
-def _other_face(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
+def _opposite_face(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
     if elastomer.layout == "contact_face":
         return np.full_like(pressed.face_z_mm, elastomer.thickness_mm)
     # The slab's deflection is odd about its rim, where it is 0.

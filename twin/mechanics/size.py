@@ -51,11 +51,11 @@ def _check(
     key: str, pitch_mm: float, lengths_mm: tuple[float, float], most: tuple[int, str, str]
 ) -> None:
     (x_mm, y_mm), (count, of, memory) = lengths_mm, most
-    wanted = (x_mm / pitch_mm) * (y_mm / pitch_mm)
-    if wanted > count:
+    requested = (x_mm / pitch_mm) * (y_mm / pitch_mm)
+    if requested > count:
         least_mm = math.sqrt(x_mm * y_mm / count)
         raise PressError(
-            f"{key}: found {pitch_mm:g} on {x_mm:.4g} x {y_mm:.4g} mm, which takes {wanted:.2g} "
+            f"{key}: found {pitch_mm:g} on {x_mm:.4g} x {y_mm:.4g} mm, which takes {requested:.2g} "
             f"{of}, allowed up to {count:.2g} ({memory}), a pitch of {least_mm:.2g} or more; use a "
             "coarser one, or shorten elastomer.length_x_mm and length_y_mm"
         )

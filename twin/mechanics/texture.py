@@ -79,9 +79,9 @@ class Johnson:
         product = (w ** (1 + of_normals) * np.cosh(2 * self.b) - w ** (1 - of_normals)) / 2
         return float((product - self._mean**2) / self._spread**2)
 
-    def correlation_of_normals(self, wanted: float) -> float:
+    def correlation_of_normals(self, target: float) -> float:
         """Return the correlation that normal numbers need; the inverse of `correlation`."""
-        return float(brentq(lambda r: self.correlation(r) - wanted, 0.0, 1.0, xtol=1e-14))
+        return float(brentq(lambda r: self.correlation(r) - target, 0.0, 1.0, xtol=1e-14))
 
     @property
     def _w(self) -> float:
@@ -321,11 +321,11 @@ def _taps() -> FloatArray:
 def _correlation_lag(heights: FloatArray) -> float:
     """Return the lag along x, in nodes, at which the autocorrelation is 1/e."""
     deviation = heights - heights.mean()
-    variance, wanted, before = float(np.mean(deviation**2)), exp(-1), 1.0
+    variance, target, before = float(np.mean(deviation**2)), exp(-1), 1.0
     for lag in range(1, heights.shape[1]):
         here = float(np.mean(deviation[:, lag:] * deviation[:, :-lag])) / variance
-        if here <= wanted:
-            return lag - (wanted - here) / (before - here)
+        if here <= target:
+            return lag - (target - here) / (before - here)
         before = here
     return float(heights.shape[1])
 

@@ -171,9 +171,9 @@ def _through(q: FloatArray, shear: float, nu: float) -> tuple[FloatArray, FloatA
 
 
 def _bounded_states(q: FloatArray, z: float, nu: float) -> FloatArray:
-    found = amplitudes(q, z, nu)
-    tractions = [found[name] / q[:, None] for name in ("S_xz", "S_zz")]
-    return np.stack((found["U"], found["W"], *tractions), axis=-2)
+    states = amplitudes(q, z, nu)
+    tractions = [states[name] / q[:, None] for name in ("S_xz", "S_zz")]
+    return np.stack((states["U"], states["W"], *tractions), axis=-2)
 
 
 def _carried(q: FloatArray, nu: float) -> FloatArray:
@@ -208,9 +208,9 @@ class TransferTable:
     def __call__(self, q: FloatArray, column: Column) -> FloatArray:
         """Return one column of `Transfer` on a wavenumber grid (...), q >= lowest_q."""
         inside = np.minimum(q, self.highest_q)
-        found: FloatArray = self.splines[column](np.log(inside))
-        found /= _damping(inside)
-        return found
+        phi: FloatArray = self.splines[column](np.log(inside))
+        phi /= _damping(inside)
+        return phi
 
 
 def tabulate(

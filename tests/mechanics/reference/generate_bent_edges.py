@@ -66,7 +66,7 @@ def solve(case):
     still = np.zeros_like(body.grid.nodes_mm)
     at = Equilibrium(np.zeros(body.unknowns), contact, 0.0, contact.evaluate(still, 0.0, None), 0)
     options = NewtonOptions(largest_move_mm=case.finest_mm, tolerance=1e-6)
-    problem, found = Problem(body, sheets._free(bar, body), options), []
+    problem, result = Problem(body, sheets._free(bar, body), options), []
     for aim in (0.02, 0.05, *np.arange(1, round(max(case.travels_mm) / 0.1) + 1) * 0.1):
         try:
             at = press_to(problem, at, float(aim))
@@ -74,9 +74,9 @@ def solve(case):
             print(case.name, end, flush=True)
             break
         if np.abs(np.array(case.travels_mm) - aim).min() < 1e-9:
-            found.append(_hanging(case, body, at))
-            print(case.name, found[-1], flush=True)
-    return found
+            result.append(_hanging(case, body, at))
+            print(case.name, result[-1], flush=True)
+    return result
 
 
 def _hanging(case, body, at):
@@ -112,7 +112,7 @@ def main():
         }
         for case in CASES
     }
-    lines = (f"{json.dumps(name)}: {json.dumps(one)}" for name, one in stored.items())
+    lines = (f"{json.dumps(name)}: {json.dumps(values)}" for name, values in stored.items())
     STORED.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 

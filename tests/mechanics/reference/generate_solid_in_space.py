@@ -64,10 +64,12 @@ class DistanceContact:
 
     def evaluate(self, moved_mm, depth_mm, active):
         at = self.surface.trace @ (self.nodes_mm + moved_mm) - [0.0, 0.0, depth_mm]
-        found = [body.evaluate(at, 1.0) for body in self.bodies]
-        nearest = np.argmin([one[0] for one in found], axis=0)
+        distances = [body.evaluate(at, 1.0) for body in self.bodies]
+        nearest = np.argmin([part[0] for part in distances], axis=0)
         point = np.arange(nearest.size)
-        distance, n, bend = (np.stack(parts)[nearest, point] for parts in zip(*found, strict=True))
+        distance, n, bend = (
+            np.stack(parts)[nearest, point] for parts in zip(*distances, strict=True)
+        )
         raw = self.carried - self.penalty * distance
         touching = raw > 0 if active is None else active
         pressure = np.where(touching, raw, 0.0)
@@ -113,9 +115,9 @@ def solve(case: SpaceCase, mesh: Mesh) -> list[dict]:
 
 def _guess(case, travel_mm, nodes_mm):
     """Return the sheet's displacement: where Newton's method starts, not where it ends."""
-    sheet, found = wrapped(case, travel_mm, 0.1)
+    sheet, result = wrapped(case, travel_mm, 0.1)
     x, y, z = (np.unique(along) for along in nodes_mm.T)
-    place, along_x, along_y = sheet.grid.evaluate(found.control_mm, x, y)
+    place, along_x, along_y = sheet.grid.evaluate(result.control_mm, x, y)
     across = np.cross(along_x, along_y)
     up = across / (across**2).sum(axis=-1)[..., None]
     offset = z - case.thickness_mm / 2
@@ -168,9 +170,9 @@ class _Factors:
         self.solver = PyPardisoSolver(mtype=11)
 
     def __call__(self, matrix, right):
-        found = self.solver.solve(sparse.csr_matrix(matrix), right)
+        result = self.solver.solve(sparse.csr_matrix(matrix), right)
         self.solver.free_memory(everything=True)
-        return found
+        return result
 
 
 def main(names):
@@ -180,11 +182,11 @@ def main(names):
         if names and case.name not in names:
             continue
         coarse, fine = (solve(case, mesh) for mesh in (COARSE, FINE))
-        for one, other in zip(coarse, fine, strict=True):
-            faces = [np.array(part["upper_z_mm"]) for part in (one, other)]
-            other["coarser_um"] = round(1e3 * float(np.abs(faces[0] - faces[1]).max()), 2)
-            other["coarser_force"] = round(one["force"] / other["force"] - 1, 5)
-            print({k: v for k, v in other.items() if k != "upper_z_mm"}, flush=True)
+        for coarser, finer in zip(coarse, fine, strict=True):
+            faces = [np.array(part["upper_z_mm"]) for part in (coarser, finer)]
+            finer["coarser_um"] = round(1e3 * float(np.abs(faces[0] - faces[1]).max()), 2)
+            finer["coarser_force"] = round(coarser["force"] / finer["force"] - 1, 5)
+            print({k: v for k, v in finer.items() if k != "upper_z_mm"}, flush=True)
         stored[case.name] = fine
         lines = (f"{json.dumps(name)}: {json.dumps(stored[name])}" for name in sorted(stored))
         STORED.write_text("{\n" + ",\n".join(lines) + "\n}\n")

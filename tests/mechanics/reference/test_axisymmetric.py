@@ -98,8 +98,8 @@ def test_contact_stiffness_is_the_forces_derivative(friction: float) -> None:
         contact.evaluate(moved + sign * 1e-5 * along, 0.3, active).force for sign in (1, -1)
     )
     expected = -(ahead - behind) / 2e-5
-    found = contact.evaluate(moved, 0.3, active).stiffness @ along.ravel()
-    np.testing.assert_allclose(found, expected, atol=1e-5 * abs(expected).max())
+    result = contact.evaluate(moved, 0.3, active).stiffness @ along.ravel()
+    np.testing.assert_allclose(result, expected, atol=1e-5 * abs(expected).max())
 
 
 def test_small_strain_mode_is_the_fredholm_solution() -> None:

@@ -66,11 +66,11 @@ def test_vertices_snapped_onto_one_another_become_one() -> None:
     far = np.array([(1, -1, 0.5), (-1, 1, 0.5)], float)
     cells = np.array([[0, 1, 2, 4], [1, 0, 3, 4], [1, 5, 2, 4], [0, 2, 6, 4]])
     snapped = tetrahedra._snap(np.vstack((near, far)), box, 0.01)
-    points, kept = tetrahedra._collapse(snapped, cells, 1e-9)
+    points, remaining = tetrahedra._collapse(snapped, cells, 1e-9)
     np.testing.assert_array_equal(snapped[0], snapped[1])
     assert len(points) == 5
-    assert len(kept) == 2
-    assert (np.abs(tetrahedra._volumes(points, kept)) > 0.1).all()
+    assert len(remaining) == 2
+    assert (np.abs(tetrahedra._volumes(points, remaining)) > 0.1).all()
 
 
 def test_patch_of_uniform_strain_is_in_equilibrium(block: Tetrahedra) -> None:

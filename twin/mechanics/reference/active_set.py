@@ -98,13 +98,13 @@ def press_points(
         raised = deflect(force) + gap - depth
         # Late passes neglect small violations: otherwise two neighbours may alternate.
         slack = _SLACK if passes > _PATIENCE else 0.0
-        wanted = np.where(active, force > -slack * force.max(), (raised < -slack * depth) & known)
-        settled = np.array_equal(wanted, active)
+        touching = np.where(active, force > -slack * force.max(), (raised < -slack * depth) & known)
+        settled = np.array_equal(touching, active)
         if settled and tolerance == _FINE:
             return PointContact(np.maximum(force, 0.0), depth, loads)
         if settled or passes >= _PATIENCE:
             tolerance = _FINE
-        active = wanted
+        active = touching
     raise SolverError(
         f"press: the contact set did not settle within {_MAX_PASSES} passes; use a finer mesh"
     )
@@ -119,13 +119,13 @@ class _ActiveSolve:
         self.deflect, self.active, self.tolerance, self.loads = deflect, active, tolerance, 0
         trace = sparse.csr_array(points.trace[active])
         nodes = np.unique(trace.indices)
-        apart = np.linalg.norm(points.nodes_mm[nodes][:, None] - points.nodes_mm[nodes], axis=-1)
+        distance = np.linalg.norm(points.nodes_mm[nodes][:, None] - points.nodes_mm[nodes], axis=-1)
         # A node represents a disc that reaches half way to the next node, with the mean compliance
         # at half the disc's radius.
-        nearest = np.where(apart > 0, apart, np.inf).min(axis=1)
-        np.fill_diagonal(apart, nearest / 4)
+        nearest = np.where(distance > 0, distance, np.inf).min(axis=1)
+        np.fill_diagonal(distance, nearest / 4)
         dense = trace[:, nodes].toarray()
-        guess = dense @ (_HALF_SPACE / apart) @ dense.T + np.diag(points.yielding[active])
+        guess = dense @ (_HALF_SPACE / distance) @ dense.T + np.diag(points.yielding[active])
         # The body as a whole yields as well: one load determines by how much.
         even = np.full(guess.shape[0], 1 / guess.shape[0])
         whole = float(even @ (self._deflected(even) - guess @ even))

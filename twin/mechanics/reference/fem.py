@@ -45,11 +45,11 @@ class Face:
         z = self.nodes_mm[self.facets.nodes, 2]
         if np.ptp(z) < _FLAT_MM:
             return np.full(np.shape(x_mm), float(z.mean()))
-        return _seen(self._rest, x_mm, y_mm)
+        return _within(self._rest, x_mm, y_mm)
 
     def deflection_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Return the displacement along z at points (...), continuously differentiable."""
-        return _seen(self._raised, x_mm, y_mm)
+        return _within(self._raised, x_mm, y_mm)
 
     @cached_property
     def _rest(self) -> CloughTocher2DInterpolator:
@@ -171,7 +171,7 @@ def _surface(
     return CloughTocher2DInterpolator(nodes[chosen, :2], values[chosen])
 
 
-def _seen(surface: CloughTocher2DInterpolator, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+def _within(surface: CloughTocher2DInterpolator, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
     """Evaluate within the surface's outline in plan; points on the rim are moved slightly in."""
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
     inside = [
@@ -222,9 +222,9 @@ def press_fem(
     mesh = mesh_pad(shape, body, depth_guess, count=count, timeout_s=timeout_s)
     preload = preload_of(elastomer, load, modulus_kpa)
     aim = {"depth_mm": load.depth_mm, "force_over_modulus_mm2": force}
-    found = press_pad(shape, body, mesh, preload=preload, **aim)
-    check_depth(found.depth_mm, elastomer)
-    return on_grids(_scattered(found), shape, elastomer, load, modulus_kpa)
+    solved = press_pad(shape, body, mesh, preload=preload, **aim)
+    check_depth(solved.depth_mm, elastomer)
+    return on_grids(_scattered(solved), shape, elastomer, load, modulus_kpa)
 
 
 def check_fem(elastomer: Elastomer, support: SlabSupport | None) -> None:
@@ -235,9 +235,7 @@ def check_fem(elastomer: Elastomer, support: SlabSupport | None) -> None:
     PressError : a film, or a support that does not fit the layout
     """
     if elastomer.film is not None:
-        raise PressError(
-            "elastomer.film: mechanics.model = 'fem' has no film; remove one of them"
-        )
+        raise PressError("elastomer.film: mechanics.model = 'fem' has no film; remove one of them")
     on_window = elastomer.layout == "contact_face"
     chosen = _support(elastomer, support)
     if (chosen in ("bonded", "window")) != on_window:
@@ -258,17 +256,17 @@ def _depth_guess(shape: Shape, elastomer: Elastomer, force_over_modulus_mm2: flo
     return min(hertz, 0.5 * elastomer.thickness_mm)
 
 
-def _scattered(found: PadPress) -> Scattered:
-    facets = found.touched.facets
+def _scattered(pressed: PadPress) -> Scattered:
+    facets = pressed.touched.facets
     return Scattered(
-        touched=lambda x, y: _deformed(found.touched, x, y),
-        coated=lambda x, y: _deformed(found.coated, x, y),
+        touched=lambda x, y: _deformed(pressed.touched, x, y),
+        coated=lambda x, y: _deformed(pressed.coated, x, y),
         at_mm=facets.points_mm[:, :2],
-        force=found.pressure_over_modulus * facets.plan_mm2,
+        force=pressed.pressure_over_modulus * facets.plan_mm2,
         plan_mm2=facets.plan_mm2,
         points_per_facet=facets.plan_mm2.size // facets.nodes.shape[0],
-        depth_mm=found.depth_mm,
-        iterations=found.iterations,
+        depth_mm=pressed.depth_mm,
+        iterations=pressed.iterations,
     )
 
 

@@ -144,13 +144,13 @@ class MixedBody:
         """Return the residual (unknown,) and the tangent (unknown, unknown)."""
         grid, weights = self.grid, self.grid.weights
         pressure = state[self._pressure_unknowns] @ grid.corner_shapes.T
-        answer = self.material(self._deformation(state), pressure, self.moduli)
+        response = self.material(self._deformation(state), pressure, self.moduli)
         i, j = np.transpose(grid.components)
-        stress, coupling = answer.stress[..., i, j], answer.coupling[..., i, j]
-        tangent = answer.tangent[..., i[:, None], j[:, None], i, j]
+        stress, coupling = response.stress[..., i, j], response.coupling[..., i, j]
+        tangent = response.tangent[..., i[:, None], j[:, None], i, j]
         residual = np.zeros(self.unknowns)
         forces = _contract(grid.gradient, stress * weights[..., None])
-        volumes = (answer.volume * weights) @ grid.corner_shapes
+        volumes = (response.volume * weights) @ grid.corner_shapes
         np.add.at(residual, self._element_unknowns, np.concatenate((forces, volumes), axis=1))
         blocks = self._blocks(tangent * weights[..., None, None], coupling * weights[..., None])
         rows, columns = self._pattern

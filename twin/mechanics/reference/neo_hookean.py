@@ -168,13 +168,13 @@ def press_neo_hookean(
     if load.control == "depth":
         deep = max(1.0, guess.depth_mm / elastomer.thickness_mm)
         steps = int(np.ceil(fineness.steps * deep))
-        found = _march(problem, start, guess.depth_mm, steps)[-1]
+        equilibrium = _load_steps(problem, start, guess.depth_mm, steps)[-1]
     else:
         copies = float(2 ** sum(edge[0] == 0 for edge in grid.edges_mm[:2]))
-        found = _to_force(problem, start, guess, fineness.steps, copies)
+        equilibrium = _to_force(problem, start, guess, fineness.steps, copies)
     if elastomer.layout == "contact_face":
-        check_depth(found.depth_mm, elastomer)
-    scattered = _scattered(body, found, elastomer, linear)
+        check_depth(equilibrium.depth_mm, elastomer)
+    scattered = _scattered(body, equilibrium, elastomer, linear)
     return on_grids(scattered, shape, elastomer, load, modulus_kpa)
 
 
@@ -203,7 +203,9 @@ def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:
         )
 
 
-def _march(problem: Problem, start: Equilibrium, depth_mm: float, steps: int) -> list[Equilibrium]:
+def _load_steps(
+    problem: Problem, start: Equilibrium, depth_mm: float, steps: int
+) -> list[Equilibrium]:
     path = [start]
     for aim in np.linspace(start.depth_mm, depth_mm, steps + 1)[1:]:
         path.append(press_to(problem, path[-1], float(aim)))
@@ -219,19 +221,19 @@ def _to_force(
     above = press_to(problem, below, below.depth_mm + step)
     while above.pushed.along < aim:
         below, above = above, press_to(problem, above, above.depth_mm + step)
-    found = above
+    equilibrium = above
     low, high = (
         (below.depth_mm, below.pushed.along - aim),
         (above.depth_mm, above.pushed.along - aim),
     )
     for _ in range(_SECANTS):
-        if abs(found.pushed.along - aim) < _FORCE_TOLERANCE * aim:
+        if abs(equilibrium.pushed.along - aim) < _FORCE_TOLERANCE * aim:
             break
         depth = low[0] - low[1] * (high[0] - low[0]) / (high[1] - low[1])
-        found = press_to(problem, below, depth)
-        miss = found.pushed.along - aim
+        equilibrium = press_to(problem, below, depth)
+        miss = equilibrium.pushed.along - aim
         low, high = ((depth, miss), high) if miss < 0 else (low, (depth, miss))
-    return found
+    return equilibrium
 
 
 def _grid(
@@ -299,29 +301,31 @@ def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
 
 
 def _scattered(
-    body: MixedBody, found: Equilibrium, elastomer: Elastomer, linear: bool
+    body: MixedBody, equilibrium: Equilibrium, elastomer: Elastomer, linear: bool
 ) -> Scattered:
     grid, plane = body.grid, elastomer.touched_plane_mm
-    moved = body.displacement_mm(found.state)
+    moved = body.displacement_mm(equilibrium.state)
     after = grid.nodes_mm + moved
-    seen = np.column_stack((grid.nodes_mm[:, :2] if linear else after[:, :2], after[:, 2] + plane))
+    positions = np.column_stack(
+        (grid.nodes_mm[:, :2] if linear else after[:, :2], after[:, 2] + plane)
+    )
     touched = grid.nodes_mm[:, 2] == 0
     coated = touched if plane == 0 else grid.nodes_mm[:, 2] == grid.edges_mm[2][-1]
-    contact = found.contact
+    contact = equilibrium.contact
     assert isinstance(contact, HeightContact)
-    at = contact.surface.trace @ seen[:, :2]
+    at = contact.surface.trace @ positions[:, :2]
     weight = contact.surface.weight_mm2
-    points = np.column_stack((at, found.pushed.pressure * weight, weight))
+    points = np.column_stack((at, equilibrium.pushed.pressure * weight, weight))
     whole = _mirrored(points, grid)
     return Scattered(
-        touched=_surface(_mirrored(seen[touched], grid)),
-        coated=_surface(_mirrored(seen[coated], grid)),
+        touched=_surface(_mirrored(positions[touched], grid)),
+        coated=_surface(_mirrored(positions[coated], grid)),
         at_mm=whole[:, :2],
         force=whole[:, 2],
         plan_mm2=whole[:, 3],
         points_per_facet=_SURFACE_POINTS**2,
-        depth_mm=found.depth_mm,
-        iterations=found.iterations,
+        depth_mm=equilibrium.depth_mm,
+        iterations=equilibrium.iterations,
         large_strain=not linear,
     )
 

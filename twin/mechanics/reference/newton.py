@@ -161,15 +161,17 @@ def press_to(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibri
 
 
 def _step(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibrium:
-    found = replace(start, depth_mm=depth_mm, state=_predicted(problem, start, depth_mm))
+    equilibrium = replace(start, depth_mm=depth_mm, state=_predicted(problem, start, depth_mm))
     for _ in range(problem.options.augmentations + 1):
-        found = _solve(problem, found)
-        found = replace(found, contact=found.contact.carry(found.pushed.pressure))
-    moved = problem.body.displacement_mm(found.state)
-    if found.contact.is_spurious(moved, depth_mm):
+        equilibrium = _solve(problem, equilibrium)
+        equilibrium = replace(
+            equilibrium, contact=equilibrium.contact.carry(equilibrium.pushed.pressure)
+        )
+    moved = problem.body.displacement_mm(equilibrium.state)
+    if equilibrium.contact.is_spurious(moved, depth_mm):
         raise _StepFailedError("the contact has a hole where there is none")
-    rate = (found.state - start.state) / (depth_mm - start.depth_mm)
-    return replace(found, contact=found.contact.settle(moved, depth_mm), rate=rate)
+    rate = (equilibrium.state - start.state) / (depth_mm - start.depth_mm)
+    return replace(equilibrium, contact=equilibrium.contact.settle(moved, depth_mm), rate=rate)
 
 
 def _predicted(problem: Problem, start: Equilibrium, depth_mm: float) -> FloatArray:
@@ -221,8 +223,8 @@ def _move(problem: Problem, tangent: sparse.csc_array, residual: FloatArray) -> 
 
 def _solve_linear(matrix: sparse.csc_array, right: FloatArray) -> FloatArray:
     """Solve with a symmetric ordering, and check the solution."""
-    found: FloatArray = symmetric_lu(matrix).solve(right)
-    if np.abs(matrix @ found - right).max() > _LINEAR_RESIDUAL * np.abs(right).max():
+    solution: FloatArray = symmetric_lu(matrix).solve(right)
+    if np.abs(matrix @ solution - right).max() > _LINEAR_RESIDUAL * np.abs(right).max():
         # Without pivoting an indefinite tangent can lose its digits.
-        found = splu(matrix).solve(right)
-    return found
+        solution = splu(matrix).solve(right)
+    return solution

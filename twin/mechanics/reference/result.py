@@ -51,7 +51,7 @@ class Scattered:
 
 
 def on_grids(
-    found: Scattered, shape: Shape, elastomer: Elastomer, load: Press, modulus_kpa: float
+    solved: Scattered, shape: Shape, elastomer: Elastomer, load: Press, modulus_kpa: float
 ) -> PressedElastomer:
     """Sample a reference's press on the solver's cells and the relief's nodes.
 
@@ -66,25 +66,25 @@ def on_grids(
         face_nodes(length, load) for length in (elastomer.length_x_mm, elastomer.length_y_mm)
     )
     cell_mm2 = float((x[1] - x[0]) * (y[1] - y[0]))
-    pressure = _pressure(found, x, y, cell_mm2)
-    force = float(found.force.sum())
-    face_z = found.coated(*np.meshgrid(nodes_x, nodes_y))
+    pressure = _pressure(solved, x, y, cell_mm2)
+    force = float(solved.force.sum())
+    face_z = solved.coated(*np.meshgrid(nodes_x, nodes_y))
     contact = pressure > 0
     return PressedElastomer(
         x_mm=x,
         y_mm=y,
         pressure_kpa=pressure * modulus_kpa,
         contact=contact,
-        touched_face_mm=found.touched(*np.meshgrid(x, y)),
+        touched_face_mm=solved.touched(*np.meshgrid(x, y)),
         # kPa mm^2 = 1e-3 N
         force_n=force * modulus_kpa * 1e-3,
-        depth_mm=found.depth_mm,
+        depth_mm=solved.depth_mm,
         young_modulus_kpa=modulus_kpa,
         face_x_mm=nodes_x,
         face_y_mm=nodes_y,
         face_z_mm=face_z,
-        validity=_validity(found, shape, elastomer, (x, y, contact), float(np.abs(face_z).max())),
-        iterations=found.iterations,
+        validity=_validity(solved, shape, elastomer, (x, y, contact), float(np.abs(face_z).max())),
+        iterations=solved.iterations,
         converged=True,
     )
 
@@ -104,40 +104,40 @@ def check_depth(depth_mm: float, elastomer: Elastomer) -> None:
 
 
 def _validity(
-    found: Scattered,
+    solved: Scattered,
     shape: Shape,
     elastomer: Elastomer,
     cells: tuple[FloatArray, FloatArray, BoolArray],
     peak_mm: float,
 ) -> Validity:
     judge = partial(contact_validity, shape, elastomer, cells)
-    judged = judge(found.depth_mm, peak_mm)
-    if not found.large_strain:
+    judged = judge(solved.depth_mm, peak_mm)
+    if not solved.large_strain:
         return judged
     # Depth and deflection need no warning here: only those of a press without them remain.
     remaining = judge(0.0, 0.0).warnings
-    error_mm = _ELEMENT_ERROR * found.depth_mm
+    error_mm = _ELEMENT_ERROR * solved.depth_mm
     return replace(judged, height_error_mm=error_mm, warnings=remaining)
 
 
-def _pressure(found: Scattered, x: FloatArray, y: FloatArray, cell_mm2: float) -> FloatArray:
+def _pressure(solved: Scattered, x: FloatArray, y: FloatArray, cell_mm2: float) -> FloatArray:
     """Return pressure over modulus (row, col), 0 where the faces do not touch."""
     # Pressures of single points ripple: take whole facets.
     at, force, area = (
-        data.reshape(-1, found.points_per_facet, *data.shape[1:])
-        for data in (found.at_mm, found.force, found.plan_mm2)
+        data.reshape(-1, solved.points_per_facet, *data.shape[1:])
+        for data in (solved.at_mm, solved.force, solved.plan_mm2)
     )
     mean, loaded = force.sum(axis=1) / area.sum(axis=1), np.mean(force > 0, axis=1)
     values = np.stack((mean, loaded), axis=1)
-    seen = LinearNDInterpolator(at.mean(axis=1), values, fill_value=0.0)(*np.meshgrid(x, y))
-    near = seen[..., 1] > min(_TOUCHING, 0.5 * float(loaded.max()))
-    pressure: FloatArray = np.where(near, np.maximum(seen[..., 0], 0.0), 0.0)
+    on_cells = LinearNDInterpolator(at.mean(axis=1), values, fill_value=0.0)(*np.meshgrid(x, y))
+    near = on_cells[..., 1] > min(_TOUCHING, 0.5 * float(loaded.max()))
+    pressure: FloatArray = np.where(near, np.maximum(on_cells[..., 0], 0.0), 0.0)
     total = float(pressure.sum()) * cell_mm2
     if total <= 0:
         raise PressError(
             "press: the contact is smaller than a cell; use a finer press.solver_pitch_mm"
         )
-    return np.asarray(pressure * (float(found.force.sum()) / total))
+    return np.asarray(pressure * (float(solved.force.sum()) / total))
 
 
 _LARGEST_GRID = 800

@@ -77,9 +77,9 @@ class ElasticBody:
         displaced = np.zeros(self._size)
         displaced[self._unknowns] = force
         right[:] = displaced[self._free]
-        found = np.zeros(self._size)
-        found[self._free] = self._factor.solve(right)
-        return np.asarray(found[self._unknowns])
+        solution = np.zeros(self._size)
+        solution[self._free] = self._factor.solve(right)
+        return np.asarray(solution[self._unknowns])
 
     def residual(self, moved_mm: FloatArray, pressure: FloatArray) -> FloatArray:
         """Return the nodal forces (node, xyz) over E of a displacement and vertex pressures."""
@@ -169,8 +169,8 @@ class ElasticBody:
         keys = edges[0].astype(np.int64) * count + edges[1]
         order = np.argsort(keys)
         pairs = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
-        wanted = pairs[..., 0] * count + pairs[..., 1]
-        midpoints = order[np.searchsorted(keys, wanted, sorter=order)] + count
+        edge_keys = pairs[..., 0] * count + pairs[..., 1]
+        midpoints = order[np.searchsorted(keys, edge_keys, sorter=order)] + count
         return np.concatenate((corners, midpoints), axis=1)
 
     def _with_points(self, corners: IntArray, normals: FloatArray) -> Facets:

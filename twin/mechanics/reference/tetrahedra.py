@@ -85,8 +85,8 @@ def tetrahedralize(
         # fTetWild writes a file into its working folder: the temporary one.
         command = [sys.executable, "-P", str(_CHILD), str(source), str(target)]
         _run_child(command, timeout_s, folder)
-        with np.load(target) as found:
-            points, cells = found["points"], found["cells"].astype(np.int64)
+        with np.load(target) as mesh:
+            points, cells = mesh["points"], mesh["cells"].astype(np.int64)
     snapped = _snap(points, body, 2 * epsilon * body.scale)
     return _checked(*_collapse(snapped, cells, 1e-9 * body.scale))
 
@@ -127,8 +127,8 @@ def _run_child(command: list[str], timeout_s: float, folder: str) -> None:
             f"pytetwild: its process ended by {name}; repair the surface or change epsilon"
         )
     if ended.returncode:
-        said = (ended.stderr.strip().splitlines() or ["no message"])[-1]
-        raise SolverError(f"pytetwild: failed ({said})")
+        message = (ended.stderr.strip().splitlines() or ["no message"])[-1]
+        raise SolverError(f"pytetwild: failed ({message})")
 
 
 def _background(body: trimesh.Trimesh, sizing: Sizing) -> dict[str, Any]:

@@ -62,7 +62,7 @@ class SheetCase:
     #: width of the finest cells
     cell_mm: float
     #: the experiment specifies the cells
-    asked_cell: bool
+    is_cell_specified: bool
     #: pitch of the specimen's finest grooves, None without grooves
     ridge_pitch_mm: float | None
 
@@ -120,7 +120,7 @@ def sheet_case(
         shape=shape,
         sticks=elastomer.sticks,
         cell_mm=finest_cell_mm(elastomer, load),
-        asked_cell=load.cell_mm is not None,
+        is_cell_specified=load.cell_mm is not None,
         ridge_pitch_mm=specimen.finest_pitch_mm,
     )
 

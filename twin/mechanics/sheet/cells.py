@@ -75,12 +75,12 @@ def finest_cells(case: SheetCase, coarser: Sheet, state: SheetState, pitch_mm: f
     while True:
         cells = Cells(pitch_mm, _RIM * pitch_mm, box, allowed)
         count = _count(case, cells)
-        if case.asked_cell and count > _MOST_NAMED:
+        if case.is_cell_specified and count > _MOST_NAMED:
             raise PressError(
                 f"press.cell_mm: found {pitch_mm:g}, of which this contact takes {count} control "
                 f"points, allowed up to {_MOST_NAMED} (some 8 GB); use wider cells"
             )
-        if case.asked_cell or count <= _MOST_CONTROLS:
+        if case.is_cell_specified or count <= _MOST_CONTROLS:
             return cells
         pitch_mm *= _WIDENED
 
@@ -92,7 +92,7 @@ def finest_pitch_mm(case: SheetCase, coarse: Sheet, state: SheetState) -> float:
 
 def _affordable_mm(case: SheetCase, box: Box) -> float:
     """Return the width of the finest cells: wider than the thickness needs for large contacts."""
-    if case.asked_cell:
+    if case.is_cell_specified:
         return case.cell_mm
     west, east, south, north = box
     return max(case.cell_mm, float(np.sqrt((east - west) * (north - south) / _MOST_CELLS)))
@@ -137,9 +137,9 @@ def _allowed(
     west, east, south, north = (end / stretch for end in box)
     x = _samples(sheet.grid.x, west, east, pitch_mm)
     y = _samples(sheet.grid.y, south, north, pitch_mm)
-    felt = _felt(sheet, state, x, y)
-    along_x, along_y = _bends(felt, x, y)
-    most = pitch_mm * max(bend.max() for bend in _bends(felt[..., :3], x, y))
+    sampled = _sampled(sheet, state, x, y)
+    along_x, along_y = _bends(sampled, x, y)
+    most = pitch_mm * max(bend.max() for bend in _bends(sampled[..., :3], x, y))
     if most < _LIGHTEST_TURN:
         return None
     turn = min(_TURN, most)
@@ -155,9 +155,8 @@ def _samples(line: SplineLine, low_mm: float, high_mm: float, pitch_mm: float) -
     return np.linspace(low, high, max(4, int(np.ceil((high - low) / pitch_mm)) + 1))
 
 
-def _felt(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return (row, col, 3 + bodies): the surface's position, and gaps that saturate at the reach.
-    """
+def _sampled(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return (row, col, 3 + bodies): position of the surface, and gaps limited to the reach."""
     surface = np.stack(sheet.grid.evaluate(state.control_mm, x, y), axis=-2)[:, :, None]
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
     gaps = np.moveaxis(sheet.gap_mm(surface, touch)[..., 0], 0, -1)
@@ -165,8 +164,8 @@ def _felt(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> Floa
     return np.concatenate((surface[:, :, 0, 0], near), axis=-1)
 
 
-def _bends(felt: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _bends(sampled: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the largest second derivatives along x and y at the points but the ends, 1/mm."""
-    along_x = np.abs(np.diff(felt, 2, axis=1)).max(axis=(0, 2)) / (x[1] - x[0]) ** 2
-    along_y = np.abs(np.diff(felt, 2, axis=0)).max(axis=(1, 2)) / (y[1] - y[0]) ** 2
+    along_x = np.abs(np.diff(sampled, 2, axis=1)).max(axis=(0, 2)) / (x[1] - x[0]) ** 2
+    along_y = np.abs(np.diff(sampled, 2, axis=0)).max(axis=(1, 2)) / (y[1] - y[0]) ** 2
     return along_x, along_y

@@ -17,7 +17,7 @@ from twin.mechanics.sheet.grid import SheetGrid, functions_of, normal_of, thinni
 from twin.mechanics.sheet.kernel import SLOTS, Assembled, assemble_rows, scratch, surface_rows
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
-from twin.mechanics.sheet.point import Asked, Felt
+from twin.mechanics.sheet.point import ContactState, EvaluationOptions
 from twin.mechanics.sheet.rim import RimSpring, rim_springs
 from twin.mechanics.sheet.stencil import Stencil, control_areas, stencil
 from twin.shape import Distances, SignedDistance
@@ -33,8 +33,7 @@ _GRIPS, _LETS_GO = 0.25, 0.5
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Bodies that may touch the sheet: those that travel with the specimen, and the frame's walls.
-    """
+    """Bodies that may touch the sheet: bodies moving with the specimen, and the frame's walls."""
 
     moving: Sequence[SignedDistance]
     fixed: Sequence[SignedDistance] = ()
@@ -142,18 +141,18 @@ class Sheet:
         if tangent:
             self._tangent[:] = 0.0
         tangents = self._tangent.reshape(*self._tangent.shape[:2], -1)
-        felt, asked = Felt(laws, touch, lifted), Asked(tangent, convex)
+        data, options = ContactState(laws, touch, lifted), EvaluationOptions(tangent, convex)
         sums = Assembled(energy, self._forces, tangents)
         for parity in (0, 1):  # neighbouring bands write to the same control points
             self._over_bands(
                 rows,
                 parity,
                 lambda a, b: assemble_rows(
-                    (a, b), control_mm, self.grid.rest, felt, asked, scratch(), sums
+                    (a, b), control_mm, self.grid.rest, data, options, scratch(), sums
                 ),
             )
         springs = self._tangent if tangent else None
-        of_rim = sum(one.add(control_mm, self._forces, springs) for one in self.rim)
+        of_rim = sum(spring.add(control_mm, self._forces, springs) for spring in self.rim)
         self.evaluations += 1
         self.latest = Evaluation(float(energy.sum()) + of_rim, control_mm, surface, tangent)
         return self.latest
@@ -183,22 +182,22 @@ class Sheet:
     def touch(self, place_mm: FloatArray, travel_mm: float) -> Touch:
         """Return the moving bodies' distances at the sheet's Gauss points (row, col, 4, xyz)."""
         points = self._lowered(place_mm, travel_mm)
-        found = [body.evaluate(points, self.reach_mm) for body in self.bodies.moving]
-        return _stacked(found, place_mm.shape[:3])
+        distances = [body.evaluate(points, self.reach_mm) for body in self.bodies.moving]
+        return _stacked(distances, place_mm.shape[:3])
 
     def _near(self, place_mm: FloatArray, travel_mm: float) -> Touch:
         """Return the distances to the bodies and walls within reach of any point of the sheet."""
-        found = []
+        distances = []
         sides = (
             (self.bodies.moving, self._lowered(place_mm, travel_mm)),
             (self.bodies.fixed, place_mm.reshape(-1, 3)),
         )
         for bodies, points in sides:
             low, high = box_of(points)
-            asked = [body for body in bodies if not is_clear_of(body, low, high, self.reach_mm)]
-            found += [body.evaluate(points, self.reach_mm) for body in asked]
-        felt = [one for one in found if one[0].min() <= self.reach_mm]
-        return _stacked(felt, place_mm.shape[:3])
+            near = [body for body in bodies if not is_clear_of(body, low, high, self.reach_mm)]
+            distances += [body.evaluate(points, self.reach_mm) for body in near]
+        within_reach = [part for part in distances if part[0].min() <= self.reach_mm]
+        return _stacked(within_reach, place_mm.shape[:3])
 
     def _lowered(self, place_mm: FloatArray, travel_mm: float) -> FloatArray:
         """Return points (n, xyz) in the frame of the specimen."""
@@ -306,11 +305,11 @@ class Sheet:
         return Sheet(grid, self.laws, self.bodies, z_mm, cell_mm=cell_mm, whole=self)
 
 
-def _stacked(found: list[Distances], shape: tuple[int, ...]) -> Touch:
+def _stacked(distances: list[Distances], shape: tuple[int, ...]) -> Touch:
     """Return bodies' distances, gradients and Hessians at (row, col, 4) points."""
-    count = len(found)
+    count = len(distances)
     return Touch(
-        np.array([one[0] for one in found]).reshape(count, *shape),
-        np.array([one[1] for one in found]).reshape(count, *shape, 3),
-        np.array([one[2] for one in found]).reshape(count, *shape, 3, 3),
+        np.array([part[0] for part in distances]).reshape(count, *shape),
+        np.array([part[1] for part in distances]).reshape(count, *shape, 3),
+        np.array([part[2] for part in distances]).reshape(count, *shape, 3, 3),
     )

@@ -182,7 +182,7 @@ def _settled(descent: _Descent) -> SheetState:
     sheet, accuracy = descent.sheet, descent.accuracy
     for count in range(accuracy.most_steps):
         descent.descend()
-        _refuse_film(descent.now.surface, descent.state)
+        _check_film(descent.now.surface, descent.state)
         if sheet.sticks and (count % _REGRIP_EVERY == _REGRIP_EVERY - 1 or _is_near(descent)):
             descent.anchor()
         end = _end(descent)
@@ -380,10 +380,10 @@ def _turn(before: Evaluation, after: Evaluation) -> float:
     """Return the least cosine between the normals of two surfaces."""
     # Component by component: over short rows Numpy takes ten times as long.
     along = zip(np.moveaxis(before.normal, -1, 0), np.moveaxis(after.normal, -1, 0), strict=True)
-    return float(sum(one * other for one, other in along).min())
+    return float(sum(first * second for first, second in along).min())
 
 
-def _refuse_film(surface: FloatArray, state: SheetState) -> None:
+def _check_film(surface: FloatArray, state: SheetState) -> None:
     """Raise an error if a sheet flows away: there is no equilibrium after so thin a film."""
     thinnest = float(thinning_of(surface).min())
     if thinnest < _FILM:

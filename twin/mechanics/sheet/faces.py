@@ -51,7 +51,7 @@ def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
     across = np.cross(along_x, along_y)
     area2 = (across**2).sum(axis=-1)
     offset = h / 2 * across / area2[..., None]
-    found = Sampled(
+    sampled = Sampled(
         material_mm=mounted,
         middle_mm=middle,
         upper_mm=middle + offset,
@@ -59,12 +59,12 @@ def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
         thickness_mm=h / np.sqrt(area2),
         stretch=_principal(along_x, along_y, area2),
     )
-    return _with_margin(found) if grid.frame.rim_compliance_mm2_per_n else found
+    return _with_margin(sampled) if grid.frame.rim_compliance_mm2_per_n else sampled
 
 
-def _with_margin(found: Sampled) -> Sampled:
+def _with_margin(sampled: Sampled) -> Sampled:
     """Return the samples and, up to the frame, the material that its edge drew in."""
-    parts = {name: _padded(one) for name, one in vars(found).items()}
+    parts = {name: _padded(values) for name, values in vars(sampled).items()}
     for name in ("middle_mm", "upper_mm", "lower_mm"):
         place = _UNDER_THE_FRAME * parts["material_mm"]
         place[1:-1, 1:-1] = parts[name][1:-1, 1:-1, :2]
@@ -98,13 +98,15 @@ def height_map(
     """
     shape = y_mm.size, x_mm.size
     height = np.full(shape, -np.inf)
-    seen = np.zeros((*shape, values.shape[2]))
+    interpolated = np.zeros((*shape, values.shape[2]))
     grid = np.array([x_mm[0], y_mm[0], x_mm[1] - x_mm[0], y_mm[1] - y_mm[0]])
-    _raster(np.ascontiguousarray(surface_mm), np.ascontiguousarray(values), grid, height, seen)
+    _raster(
+        np.ascontiguousarray(surface_mm), np.ascontiguousarray(values), grid, height, interpolated
+    )
     absent = np.isinf(height)
     height[absent] = below[0]
-    seen[absent] = below[1:]
-    return height, seen
+    interpolated[absent] = below[1:]
+    return height, interpolated
 
 
 def _places(grid: SheetGrid, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
@@ -129,7 +131,7 @@ def _principal(along_x: FloatArray, along_y: FloatArray, area2: FloatArray) -> F
 
 
 @_compiled
-def _raster(surface: Any, values: Any, grid: Any, height: Any, seen: Any) -> None:
+def _raster(surface: Any, values: Any, grid: Any, height: Any, interpolated: Any) -> None:
     """Draw the two triangles of each quad; `grid` is x0, y0, dx, dy of the nodes."""
     x0, y0, dx, dy = grid
     rows, cols = height.shape
@@ -162,4 +164,4 @@ def _raster(surface: Any, values: Any, grid: Any, height: Any, seen: Any) -> Non
                                     values[j + 1, i + 1, k],
                                     values[ja, ia, k],
                                 )
-                                seen[row, col, k] = va + u * (vb - va) + v * (vc - va)
+                                interpolated[row, col, k] = va + u * (vb - va) + v * (vc - va)

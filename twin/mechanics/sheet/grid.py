@@ -94,10 +94,10 @@ class SheetGrid:
             self.free[control] & inside,
         )
 
-    def moved_from(self, other: "SheetGrid", control_mm: FloatArray) -> FloatArray:
-        """Return this grid's control points for the surface of control points of `other`."""
-        across, along = self.y.interpolated_from(other.y), self.x.interpolated_from(other.x)
-        displaced = control_mm - other.mounted_mm
+    def moved_from(self, source: "SheetGrid", control_mm: FloatArray) -> FloatArray:
+        """Return this grid's control points for the surface of control points of `source`."""
+        across, along = self.y.interpolated_from(source.y), self.x.interpolated_from(source.x)
+        displaced = control_mm - source.mounted_mm
         moved = np.einsum("ai,ijk,bj->abk", across, displaced, along, optimize=True)
         return self.mounted_mm + np.where(self.free, moved, 0.0)
 
@@ -149,8 +149,8 @@ class _Map:
     def sampled(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return (5, row, col): X_u, Y_u, X_v, Y_v and their determinant at places (x, y)."""
         if self.frame.outline == "rectangular":
-            one, none = np.ones((y.size, x.size)), np.zeros((y.size, x.size))
-            return np.stack((one, none, none, one, one))
+            ones, zeros = np.ones((y.size, x.size)), np.zeros((y.size, x.size))
+            return np.stack((ones, zeros, zeros, ones, ones))
         control = self.control_mm()
         (xu, yu), (xv, yv) = (
             np.einsum(
@@ -172,7 +172,7 @@ def functions_of(rest: Rest, rows: slice = slice(None)) -> FloatArray:
 def normal_of(surface: FloatArray) -> FloatArray:
     """Return unit normals of (..., 3, xyz) position and derivatives."""
     across, stretch = _across(surface)
-    return np.stack([one / stretch for one in across], axis=-1)
+    return np.stack([component / stretch for component in across], axis=-1)
 
 
 def thinning_of(surface: FloatArray) -> FloatArray:

@@ -11,7 +11,14 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from twin.mechanics.sheet.laws import Grip, Rest, inlined, kernel
-from twin.mechanics.sheet.point import Asked, At, Felt, Point, point_scratch, potentials
+from twin.mechanics.sheet.point import (
+    At,
+    ContactState,
+    EvaluationOptions,
+    Point,
+    point_scratch,
+    potentials,
+)
 from twin.mechanics.sheet.tangent import fill_tangent
 
 #: Offsets (row, col) of the upper half of the tangent's stencil, in the order of its slots.
@@ -62,8 +69,8 @@ def assemble_rows(
     rows: tuple[int, int],
     c: FloatArray,
     rest: Rest,
-    felt: Felt,
-    asked: Asked,
+    state: ContactState,
+    options: EvaluationOptions,
     work: Scratch,
     sums: Assembled,
 ) -> None:
@@ -77,9 +84,9 @@ def assemble_rows(
     work : Scratch
     sums : Assembled, added to
     """
-    held, anchor, normal = map(np.ascontiguousarray, felt.grip)
-    plain = felt._replace(grip=Grip(held, anchor, normal))
-    _assemble_rows(rows, np.ascontiguousarray(c), _contiguous(rest), plain, asked, work, sums)
+    held, anchor, normal = map(np.ascontiguousarray, state.grip)
+    plain = state._replace(grip=Grip(held, anchor, normal))
+    _assemble_rows(rows, np.ascontiguousarray(c), _contiguous(rest), plain, options, work, sums)
 
 
 def _contiguous(rest: Rest) -> Rest:
@@ -92,8 +99,8 @@ def _assemble_rows(
     rows: tuple[int, int],
     c: FloatArray,
     rest: Rest,
-    felt: Felt,
-    asked: Asked,
+    state: ContactState,
+    options: EvaluationOptions,
     work: Scratch,
     sums: Assembled,
 ) -> None:
@@ -108,17 +115,17 @@ def _assemble_rows(
                 weight = rest.area_mm2[j_row, i_col, q]
                 _functions((j_row, i_col, q), rest, N, plain)
                 _place(N, c, j_row, i_col, point.v)
-                total += weight * potentials((j_row, i_col, q), felt, asked, point)
+                total += weight * potentials((j_row, i_col, q), state, options, point)
                 for j in range(9):
                     for k in range(3):
                         x = 0.0
                         for m in range(6):
                             x += N[j, m] * point.force[m, k]
                         F[j_row + j // 3, i_col + j % 3, k] += weight * x
-                if asked.tangent:
-                    fill_tangent(felt.laws, asked.convex, point)
+                if options.tangent:
+                    fill_tangent(state.laws, options.convex, point)
                     _gather(N, weight, point.tangent.reshape(6, 54), cell)
-            if asked.tangent:
+            if options.tangent:
                 for i in range(9):
                     own = S[j_row + i // 3, i_col + i % 3]
                     for j in range(i, 9):

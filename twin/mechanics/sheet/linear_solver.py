@@ -93,8 +93,8 @@ class Pardiso:
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Return the solution with the last factors."""
-        found: FloatArray = self._run(_SOLVE, right.reshape(-1, 1)).ravel()
-        return found
+        solution: FloatArray = self._run(_SOLVE, right.reshape(-1, 1)).ravel()
+        return solution
 
     def _run(self, phase: int, right: FloatArray) -> FloatArray:
         self._solver.set_phase(phase)
@@ -102,10 +102,10 @@ class Pardiso:
         set_threads = self._solver.libmkl.MKL_Set_Num_Threads_Local
         before = set_threads(ctypes.c_int(min(threads(), _THREADS)))
         try:
-            found: FloatArray = self._solver._call_pardiso(self._matrix, right)
+            solution: FloatArray = self._solver._call_pardiso(self._matrix, right)
         finally:
             set_threads(ctypes.c_int(before))
-        return found
+        return solution
 
 
 class SuperLU:
@@ -133,8 +133,8 @@ class SuperLU:
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Return the solution with the last factors."""
-        found: FloatArray = self._factors.solve(right)
-        return found
+        solution: FloatArray = self._factors.solve(right)
+        return solution
 
 
 def linear_solver(start: IntArray, columns: IntArray) -> LinearSolver:

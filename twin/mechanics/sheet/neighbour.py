@@ -104,8 +104,8 @@ class Neighbourhood:
         """Return the state moved along the travel to a given force."""
         by_mm = _SMALL_SHARE * state.travel_mm
         travels_mm = state.travel_mm - by_mm, state.travel_mm + by_mm
-        low, high = (self._stepped(sheet, one, state.pressure_kpa) for one in travels_mm)
-        found_n, low_n, high_n = (contact_force_n(sheet, one) for one in (state, low, high))
-        along = (force_n - found_n) / (high_n - low_n)
+        low, high = (self._stepped(sheet, value, state.pressure_kpa) for value in travels_mm)
+        reached_n, low_n, high_n = (contact_force_n(sheet, point) for point in (state, low, high))
+        along = (force_n - reached_n) / (high_n - low_n)
         control = state.control_mm + along * (high.control_mm - low.control_mm)
         return replace(state, control_mm=control, travel_mm=state.travel_mm + 2 * along * by_mm)

@@ -25,7 +25,7 @@ _PRESSURE_STEP_BEYOND_KPA = 2.0
 _SMALLEST_STEP = 1 / 16
 # A load step is no result: if many equilibria are close together, as on a slack sheet, the next
 # load step starts before one of them is reached.
-_MOST_STEPS_ON_THE_WAY = 20
+_MOST_STEPS_PER_LOAD = 20
 _ROUGH_STEP_MM, _ROUGH_RESIDUAL_KPA = 5e-3, 1.0
 # The whole step is far too large where a sheet that spans free moves onto the specimen.
 _PREDICTED_SHARES = (1.0, 0.5, 0.25, 0.0)
@@ -62,7 +62,7 @@ def mounted(grid: SheetGrid) -> SheetState:
     return SheetState(grid.mounted_mm, grip)
 
 
-def waypoints(goal: Loads) -> list[Loads]:
+def load_steps(goal: Loads) -> list[Loads]:
     """Return the load steps of a path: travel in equal steps, then pressure.
 
     The travels before the last do not depend on the goal, so that presses to different travels
@@ -86,7 +86,7 @@ def follow(
     accuracy: Accuracy,
     shared: list[SheetState] | None = None,
     *,
-    walked: list[SheetState] | None = None,
+    pressed_states: list[SheetState] | None = None,
     progress: Progress | None = None,
 ) -> SheetState:
     """Press from the mounted sheet to `goal`.
@@ -97,8 +97,8 @@ def follow(
     goal : Loads
     accuracy : Accuracy
     shared : list of SheetState, optional
-        States at the first travels of `waypoints`, from earlier paths of this sheet; added to.
-    walked : list of SheetState, optional
+        States at the first travels of `load_steps`, from earlier paths of this sheet; added to.
+    pressed_states : list of SheetState, optional
         Takes the states of load steps with a pressure.
     progress : called with the finished share of the load steps
 
@@ -109,27 +109,29 @@ def follow(
     SolverError
         No equilibrium; names the last travel that had one.
     """
-    stops, shared = waypoints(goal), [] if shared is None else shared
-    on_the_way = _on_the_way(sheet, accuracy)
+    stops, shared = load_steps(goal), [] if shared is None else shared
+    during_load_steps = _during_load_steps(sheet, accuracy)
     common = [stop for stop in stops if _is_common(stop)]
     known = [mounted(sheet.grid), *shared[: len(common)]]
     state, before = known[-1], known[max(len(known) - 2, 0)]
     for number in range(len(known) - 1, len(stops)):
-        state, before = advance(sheet, state, before, stops[number], on_the_way, walked=walked)
+        state, before = advance(
+            sheet, state, before, stops[number], during_load_steps, pressed_states=pressed_states
+        )
         if number == len(shared) and number < len(common):
             shared.append(state)
         if progress is not None:
             progress((number + 1) / len(stops))
     try:
-        found = settle(sheet, state, accuracy)
-        check_thickness(sheet, found)
+        equilibrium = settle(sheet, state, accuracy)
+        check_thickness(sheet, equilibrium)
     except SolverError as error:
         raise _ended(before, goal, error) from error
-    return found
+    return equilibrium
 
 
-def _on_the_way(sheet: Sheet, accuracy: Accuracy) -> Accuracy:
-    less = replace(accuracy, most_steps=_MOST_STEPS_ON_THE_WAY, strict=False)
+def _during_load_steps(sheet: Sheet, accuracy: Accuracy) -> Accuracy:
+    less = replace(accuracy, most_steps=_MOST_STEPS_PER_LOAD, strict=False)
     if sheet.sticks:  # its anchors depend on its path
         return less
     return replace(
@@ -156,11 +158,11 @@ def advance(
     goal: Loads,
     accuracy: Accuracy,
     *,
-    walked: list[SheetState] | None = None,
+    pressed_states: list[SheetState] | None = None,
 ) -> tuple[SheetState, SheetState]:
     """Move from `state` to `goal`; return the new state and the one before it.
 
-    `walked` takes the states with a pressure.
+    `pressed_states` takes the states with a pressure.
     """
     step = 1.0
     done = 0.0
@@ -177,8 +179,8 @@ def advance(
                 raise _ended(state, goal, error) from error
             continue
         state, before, done = new, state, share
-        if walked is not None and state.pressure_kpa > 0:
-            walked.append(state)
+        if pressed_states is not None and state.pressure_kpa > 0:
+            pressed_states.append(state)
     return state, before
 
 
@@ -217,9 +219,9 @@ def _at_points(coarse: SheetGrid, fine: SheetGrid, values: FloatArray) -> FloatA
         fill_value=None,
     )
     y, x = np.meshgrid(fine.y.points.ravel(), fine.x.points.ravel(), indexing="ij")
-    found = table(np.stack((y, x), axis=-1))
+    interpolated = table(np.stack((y, x), axis=-1))
     shape = (fine.y.cells, 2, fine.x.cells, 2, count)
-    moved: FloatArray = found.reshape(shape).transpose(0, 2, 1, 3, 4)
+    moved: FloatArray = interpolated.reshape(shape).transpose(0, 2, 1, 3, 4)
     return np.ascontiguousarray(moved).reshape(fine.y.cells, fine.x.cells, 4, count)
 
 
@@ -239,13 +241,13 @@ def _predicted(sheet: Sheet, state: SheetState, before: SheetState, loads: Loads
     """
     there = replace(state, travel_mm=loads.travel_mm, pressure_kpa=loads.pressure_kpa)
     made = np.array([state.travel_mm - before.travel_mm, state.pressure_kpa - before.pressure_kpa])
-    asked = np.array([loads.travel_mm - state.travel_mm, loads.pressure_kpa - state.pressure_kpa])
+    change = np.array([loads.travel_mm - state.travel_mm, loads.pressure_kpa - state.pressure_kpa])
     along = made != 0
-    if along.sum() != 1 or (along != (asked != 0)).any():
+    if along.sum() != 1 or (along != (change != 0)).any():
         return there
-    ratio = min(1.5, float(asked[along][0] / made[along][0]))
-    way = ratio * (state.control_mm - before.control_mm)
-    places = [state.control_mm + share * way for share in _PREDICTED_SHARES]
+    ratio = min(1.5, float(change[along][0] / made[along][0]))
+    step_mm = ratio * (state.control_mm - before.control_mm)
+    places = [state.control_mm + share * step_mm for share in _PREDICTED_SHARES]
     energies = [sheet.evaluate(place, there, tangent=False).energy for place in places]
     return replace(there, control_mm=places[int(np.nanargmin(energies))])
 

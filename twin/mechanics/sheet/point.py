@@ -26,7 +26,7 @@ At = tuple[int, int, int]
 Metric = tuple[float, float, float, float]
 
 
-class Felt(NamedTuple):
+class ContactState(NamedTuple):
     """Data of the potentials: their constants, the bodies near the sheet, and its anchors."""
 
     laws: Laws
@@ -34,7 +34,7 @@ class Felt(NamedTuple):
     grip: Grip
 
 
-class Asked(NamedTuple):
+class EvaluationOptions(NamedTuple):
     """Options of an evaluation in addition to energy and forces."""
 
     #: fill the tangent
@@ -75,14 +75,14 @@ def point_scratch() -> Point:
 
 
 @inlined
-def potentials(at: At, felt: Felt, asked: Asked, point: Point) -> float:
+def potentials(at: At, state: ContactState, options: EvaluationOptions, point: Point) -> float:
     """Fill stress, forces and, if requested, moduli; return the energy per area."""
     v, n = point.v, point.normal
-    laws, touch, grip = felt.laws, felt.touch, felt.grip
+    laws, touch, grip = state.laws, state.touch, state.grip
     metric, bending = _geometry(point)
     forms = (metric[0], metric[1], metric[2], *bending)
     total = laws.shear_modulus_kpa * material(
-        forms, laws.thickness_mm, point.material, point.stress, point.modulus, asked.tangent
+        forms, laws.thickness_mm, point.material, point.stress, point.modulus, options.tangent
     )
     for i in range(6):
         point.stress[i] *= laws.shear_modulus_kpa
@@ -92,7 +92,7 @@ def potentials(at: At, felt: Felt, asked: Asked, point: Point) -> float:
     point.at_r[:] = 0.0
     point.cross[:] = 0.0
     for part in range(touch.distance_mm.shape[0]):
-        total += _touch(part, at, metric, laws, touch, asked.convex, point)
+        total += _touch(part, at, metric, laws, touch, options.convex, point)
     if grip.held[at] > 0:
         total += _stick(at, grip, laws.stick_stiffness, point)
     total += laws.weight_kpa * v[0, 2]

@@ -145,7 +145,7 @@ class _Path:
 
     case: SheetCase
     sheet: Sheet
-    #: at the common travels of all paths, see `waypoints`; further ones are appended
+    #: at the common travels of all paths, see `load_steps`; further ones are appended
     states: list[SheetState]
 
 
@@ -164,7 +164,7 @@ def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mech
     The states of a cached path have the same bytes as those of a new one.
     """
     same = (specimen, elastomer, load.model_copy(update=_LOADS), mechanics)
-    key = "\n".join(f"{type(one).__name__} {one.model_dump_json()}" for one in same)
+    key = "\n".join(f"{type(part).__name__} {part.model_dump_json()}" for part in same)
     if key not in _paths:
         case = sheet_case(specimen, elastomer, load, mechanics)
         sheet = _soft(case.sheet(coarse_cells(case)))
@@ -176,30 +176,35 @@ def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mech
 
 
 def _equilibrium(path: _Path, load: Press, progress: Progress | None) -> tuple[Sheet, SheetState]:
-    walked: list[SheetState] = []
+    pressed_states: list[SheetState] = []
     try:
-        return _settled(path, load, walked, progress or _silent)
+        return _settled(path, load, pressed_states, progress or _silent)
     except LimitPressureError as limit:
-        asked_kpa = load.back_pressure_kpa
+        requested_kpa = load.back_pressure_kpa
         travel_mm = load.depth_mm or TRAVEL_STEP_MM
-        held_kpa = _held_kpa(path, walked, Loads(travel_mm, asked_kpa))
-        raise LimitPressureError(travel_mm, held_kpa, asked_kpa, limit.reason) from limit
+        stable_kpa = _held_kpa(path, pressed_states, Loads(travel_mm, requested_kpa))
+        raise LimitPressureError(travel_mm, stable_kpa, requested_kpa, limit.reason) from limit
 
 
 def _settled(
-    path: _Path, load: Press, walked: list[SheetState], report: Progress
+    path: _Path, load: Press, pressed_states: list[SheetState], report: Progress
 ) -> tuple[Sheet, SheetState]:
     case, coarse = path.case, path.sheet
     goal = Loads(load.depth_mm or TRAVEL_STEP_MM, load.back_pressure_kpa)
     state = follow(
-        coarse, goal, _ROUGH, path.states, walked=walked, progress=lambda share: report(0.6 * share)
+        coarse,
+        goal,
+        _ROUGH,
+        path.states,
+        pressed_states=pressed_states,
+        progress=lambda share: report(0.6 * share),
     )
     if load.force_n is not None:
         ahead = partial(_between_shares, report, 0.6, 0.7)
         state = _to_force(coarse, state, load.force_n, _ROUGH, ahead)
     try:
         report(0.7)
-        fine, found = _on_fine_cells(case, coarse, state)
+        fine, equilibrium = _on_fine_cells(case, coarse, state)
     except SolverError as error:
         if state.pressure_kpa == 0:
             raise
@@ -209,9 +214,9 @@ def _settled(
         ) from error
     if load.force_n is not None:
         ahead = partial(_between_shares, report, 0.9, 1.0)
-        found = _to_force(fine, found, load.force_n, _FINE, ahead)
+        equilibrium = _to_force(fine, equilibrium, load.force_n, _FINE, ahead)
     report(1.0)
-    return fine, found
+    return fine, equilibrium
 
 
 def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
@@ -247,9 +252,9 @@ def _begun(
 
 
 def _finest(fine: Sheet, start: SheetState) -> tuple[Sheet, SheetState]:
-    found = settle(fine, start, _FINE)
-    check_thickness(fine, found)
-    return fine, found
+    equilibrium = settle(fine, start, _FINE)
+    check_thickness(fine, equilibrium)
+    return fine, equilibrium
 
 
 def _soft(sheet: Sheet) -> Sheet:
@@ -267,30 +272,32 @@ def _soft(sheet: Sheet) -> Sheet:
     return sheet
 
 
-def _held_kpa(path: _Path, walked: list[SheetState], load: Loads) -> float:
+def _held_kpa(path: _Path, pressed_states: list[SheetState], load: Loads) -> float:
     """Return a lower pressure than requested that is stable with a margin; 0 if there is none.
 
     The largest of the load steps with an equilibrium on coarse and on intermediate cells, or, if
     that is not reached within few steps, the next lower one with an equilibrium on coarse cells.
     """
     tried = False
-    for state in _at_lower_pressures(path, walked, load):
+    for state in _at_lower_pressures(path, pressed_states, load):
         with suppress(SolverError):
-            found = settle(path.sheet, state, _ROUGH)
-            check_thickness(path.sheet, found, _HOLDS)
+            equilibrium = settle(path.sheet, state, _ROUGH)
+            check_thickness(path.sheet, equilibrium, _HOLDS)
             if not tried:
                 tried = True
-                between = _soft(path.case.sheet(cells_between(path.case, path.sheet, found)))
-                start = refined(path.sheet, between, found)
-                found = settle(between, start, replace(_BETWEEN, strict=True))
-                check_thickness(between, found, _HOLDS)
+                between = _soft(path.case.sheet(cells_between(path.case, path.sheet, equilibrium)))
+                start = refined(path.sheet, between, equilibrium)
+                equilibrium = settle(between, start, replace(_BETWEEN, strict=True))
+                check_thickness(between, equilibrium, _HOLDS)
             return float(np.floor(100 * state.pressure_kpa)) / 100
     return 0.0
 
 
-def _at_lower_pressures(path: _Path, walked: list[SheetState], load: Loads) -> Iterator[SheetState]:
+def _at_lower_pressures(
+    path: _Path, pressed_states: list[SheetState], load: Loads
+) -> Iterator[SheetState]:
     """Yield states below the requested pressure: load steps, largest first, then lower ones."""
-    for state in sorted(walked, key=lambda one: -one.pressure_kpa):
+    for state in sorted(pressed_states, key=lambda step: -step.pressure_kpa):
         if state.pressure_kpa < load.pressure_kpa:
             yield state
     for pressure_kpa in _LOW_PRESSURES_KPA:
@@ -320,24 +327,25 @@ def _to_force(
     """
     step = TRAVEL_STEP_MM
     before = state
-    found = contact_force_n(sheet, state)
+    reached_n = contact_force_n(sheet, state)
     for number in range(_FORCE_STEPS):
         progress(number / _FORCE_STEPS)
-        if abs(found - force_n) <= _FORCE_TOLERANCE * force_n:
+        if abs(reached_n - force_n) <= _FORCE_TOLERANCE * force_n:
             return state
-        if found > force_n and state.travel_mm < _FIRST_TOUCH_MM:
+        if reached_n > force_n and state.travel_mm < _FIRST_TOUCH_MM:
             raise PressError(
-                f"press.force_n: {force_n:g} N is less than the {found:.3g} N with which air of "
-                f"{state.pressure_kpa:g} kPa presses the sheet on the specimen at first touch; "
+                f"press.force_n: {force_n:g} N is less than the {reached_n:.3g} N with which air "
+                f"of {state.pressure_kpa:g} kPa presses the sheet on the specimen at first touch; "
                 "raise it, or lower press.back_pressure_kpa"
             )
         goal = Loads(max(state.travel_mm + step, state.travel_mm / 2), state.pressure_kpa)
         state, before = advance(sheet, state, state, goal, accuracy)
-        last, found = found, contact_force_n(sheet, state)
-        secant = (force_n - found) * (state.travel_mm - before.travel_mm) / (found - last)
+        last, reached_n = reached_n, contact_force_n(sheet, state)
+        moved_mm = state.travel_mm - before.travel_mm
+        secant = (force_n - reached_n) * moved_mm / (reached_n - last)
         step = float(np.clip(secant, -TRAVEL_STEP_MM, TRAVEL_STEP_MM))
     raise PressError(
-        f"press.force_n: {force_n:g} N is not reached, found {found:.4g} N at "
+        f"press.force_n: {force_n:g} N is not reached, found {reached_n:.4g} N at "
         f"{state.travel_mm:.3g} mm of travel; lower it, control the depth, or use a thicker or "
         "harder sheet on a narrower rim (elastomer.length_x_mm, length_y_mm)"
     )

@@ -91,9 +91,9 @@ class _Cut:
         self.places_mm = line.edges[self.cell] + width * (number + 0.5) / (2 * self.parts)
 
 
-def _cut(line: SplineLine, wanted: BoolArray, step_mm: float) -> _Cut:
+def _cut(line: SplineLine, loaded: BoolArray, step_mm: float) -> _Cut:
     """Cut the loaded cells into parts that are short compared with a step."""
-    cells = np.flatnonzero(wanted)
+    cells = np.flatnonzero(loaded)
     widths = np.diff(line.edges)[cells]
     halves = np.ceil(widths / 2 * _STRETCHED * _PARTS_PER_CELL / step_mm).astype(np.intp)
     return _Cut(line, cells, halves)

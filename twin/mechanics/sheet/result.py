@@ -42,13 +42,15 @@ def pressed_of(
     nodes_x, nodes_y = (
         face_nodes(length, load) for length in (elastomer.length_x_mm, elastomer.length_y_mm)
     )
-    seen = sample(sheet, state, load.relief_pitch_mm)
-    carried = np.concatenate((seen.thickness_mm[..., None], seen.stretch, seen.material_mm), axis=2)
+    sampled = sample(sheet, state, load.relief_pitch_mm)
+    carried = np.concatenate(
+        (sampled.thickness_mm[..., None], sampled.stretch, sampled.material_mm), axis=2
+    )
     flat = np.array([half_mm, mounted_mm, stretch, stretch, 0.0, 0.0])
-    face_z, fields = height_map(seen.upper_mm, carried, nodes_x, nodes_y, flat)
+    face_z, fields = height_map(sampled.upper_mm, carried, nodes_x, nodes_y, flat)
     x, y = _centres(elastomer.length_x_mm, load), _centres(elastomer.length_y_mm, load)
-    touch = _touching(sheet, state, seen.middle_mm, seen.thickness_mm)
-    touched_z, on_cells = height_map(seen.lower_mm, touch, x, y, np.array([-half_mm, 0.0]))
+    touch = _touching(sheet, state, sampled.middle_mm, sampled.thickness_mm)
+    touched_z, on_cells = height_map(sampled.lower_mm, touch, x, y, np.array([-half_mm, 0.0]))
     contact = on_cells[..., 0] > _HALF
     frame_mm = elastomer.length_x_mm / 2, elastomer.length_y_mm / 2
     pitch = float(np.sqrt((x[1] - x[0]) * (y[1] - y[0])))

@@ -102,9 +102,9 @@ class SplineLine:
         np.put_along_axis(full, cell[:, None] + np.arange(3), local[:, derivative], axis=1)
         return full
 
-    def interpolated_from(self, other: "SplineLine") -> FloatArray:
-        """Return (function, function of `other`): this line's spline through values of `other`."""
-        passed = np.linalg.solve(self.matrix(self.greville), other.matrix(self.greville))
+    def interpolated_from(self, source: "SplineLine") -> FloatArray:
+        """Return (function, source function): this line's spline through the values of `source`."""
+        passed = np.linalg.solve(self.matrix(self.greville), source.matrix(self.greville))
         return np.asarray(passed, dtype=np.float64)
 
     @property

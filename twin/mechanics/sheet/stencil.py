@@ -37,10 +37,12 @@ def stencil(free: npt.NDArray[np.bool_]) -> Stencil:
     number = np.full((rows + 4, cols + 4, 3), -1, np.int64)
     number[2:-2, 2:-2][free] = np.arange(free.sum())
     own = number[2:-2, 2:-2]
-    other = np.stack([number[2 + b : 2 + b + rows, 2 + a : 2 + a + cols] for b, a in SLOTS], axis=2)
+    coupled = np.stack(
+        [number[2 + b : 2 + b + rows, 2 + a : 2 + a + cols] for b, a in SLOTS], axis=2
+    )
     shape = (rows, cols, len(SLOTS), 3, 3)
     first = np.broadcast_to(own[:, :, None, :, None], shape).ravel()
-    second = np.broadcast_to(other[:, :, :, None, :], shape).ravel()
+    second = np.broadcast_to(coupled[:, :, :, None, :], shape).ravel()
     taken = np.flatnonzero((first >= 0) & (second >= first))
     taken = taken[np.lexsort((second[taken], first[taken]))]
     count = np.bincount(first[taken], minlength=int(free.sum()))
