@@ -19,7 +19,7 @@ def test_it_has_the_moments_asked_for(skewness: float, excess_kurtosis: float) -
     np.testing.assert_allclose(moments, expected, rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("found", [Johnson(), Johnson(0.6), Johnson(0.7, -0.4)])
+@pytest.mark.parametrize("distribution", [Johnson(), Johnson(0.6), Johnson(0.7, -0.4)])
 @pytest.mark.parametrize("of_normals", [-0.5, 0.0, 0.3, 0.9, 1.0])
 def test_correlation_of_pairs(distribution: Johnson, of_normals: float) -> None:
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
