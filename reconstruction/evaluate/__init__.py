@@ -40,7 +40,7 @@ __all__ = [
     "step_height",
 ]
 
-_PLACES = {
+_MODULES = {
     "fit_sphere_algebraic": "fit",
     "ArealRoughness": "plane",
     "BarWidth": "plane",
@@ -60,6 +60,6 @@ _PLACES = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -80,13 +80,13 @@ def check_press(
         several models and none can press, the error of the first
     """
     case = PressInput(mechanics, specimen, elastomer, load)
-    refusals = []
+    errors = []
     for model in possible_models(case):
         try:
             return model.check(case)
         except PressError as error:
-            refusals.append(error)
-    raise refusals[0]
+            errors.append(error)
+    raise errors[0]
 
 
 def possible_models(case: PressInput) -> list[ElastomerModel]:
@@ -110,15 +110,15 @@ def select_model(case: PressInput) -> ElastomerModel:
     if len(models) == 1:
         return models[0]
     errors_mm: dict[ElastomerModel, float] = {}
-    refusals = []
+    errors = []
     for model in models:
         try:
             error_mm = model.error_estimate_mm(case)
             errors_mm[model] = inf if error_mm is None else error_mm
         except PressError as error:
-            refusals.append(error)
+            errors.append(error)
     if not errors_mm:
-        raise refusals[0]
+        raise errors[0]
     return min(errors_mm, key=lambda model: (errors_mm[model], not model.wraps))
 
 
@@ -137,7 +137,7 @@ def modulus_only_scales(case: PressInput) -> bool:
     """Whether the modulus only scales the pressure and force of a press, not its shape.
 
     False under force control; with a coat, weight or back pressure, which have a stiffness or
-    pressure of their own; and for the reference models, whose solvers work in kPa.
+    pressure of their own; and for the reference models, which are solved in kPa.
     """
     if (
         case.load.control != "depth"

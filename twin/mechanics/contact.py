@@ -30,7 +30,7 @@ Deflect = Callable[[FloatArray], FloatArray]
 
 # Largest gap of a touching cell over the largest deflection: faint pressures have no effect on sums
 _CLOSED = 3e-5
-# Number of earlier passes whose energies limit the energy of the next.
+# Number of earlier passes with energies that limit the energy of the next.
 _REMEMBERED = 10
 COARSENING = 4
 _COARSE_TOLERANCE = 1e-3

@@ -107,7 +107,7 @@ class Patch:
 
 
 def periodic_patch(kernel: FloatArray, rows: Span, cols: Span, stiffness: FloatArray) -> Patch:
-    """Cut a patch out of a periodic layer whose response to one cell is `kernel` (row, col)."""
+    """Cut a patch out of a periodic layer with the response `kernel` (row, col) to one cell."""
     across, along = rows.offsets() % kernel.shape[0], cols.offsets() % kernel.shape[1]
     return Patch(rows, cols, (_spectrum(kernel, across, along),), stiffness)
 

@@ -18,7 +18,7 @@ Biometrika 36, 149 (1949); on rough surfaces Hu and Tonder, Int. J. Machine Tool
 
     mean = w^(1/2) sinh b,  spread^2 = (w - 1) (w cosh 2b + 1) / 2,
 
-and so is the correlation of two X whose Z have the correlation r:
+and so is the correlation of two X if their Z have the correlation r:
 
     ((w^(1 + r) cosh 2b - w^(1 - r)) / 2 - mean^2) / spread^2
 """

@@ -138,7 +138,7 @@ def solve_coated(q: FloatArray, poisson_ratio: float, base: LoadedBase, film: Co
     q : (n,) float; wavenumber times the whole thickness, > 0
     poisson_ratio : of the slab, 0 < nu <= 0.5
     base : {"bonded", "free", "free_turned"}; "bonded": film on the touched face t; "free": film on
-        the far face b; "free_turned": film on t of a layer whose far face is free, the same slab
+        the far face b; "free_turned": film on t of a layer with a free far face, the same slab
         loaded from its other side
 
     Returns

@@ -163,7 +163,7 @@ def contact_validity(
     depth_mm: float,
     deflection_mm: float,
 ) -> Validity:
-    """Collect the figures of a slab whose contact is known on cells.
+    """Collect the figures of a slab from its contact on cells.
 
     Parameters
     ----------

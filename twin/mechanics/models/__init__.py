@@ -101,7 +101,7 @@ class ElastomerModel(elastomer_models.ModelFields):
     """Whether tack, friction, pre-stretch, a round frame or a soft rim are errors."""
 
     wraps: ClassVar[bool] = False
-    """Whether the coat is a thin sheet that wraps the object, whose shape is computed from it."""
+    """Whether the coat is a thin sheet that wraps the object and determines its shape."""
 
     is_linear_slab: ClassVar[bool] = False
     """Whether it is the exact linear slab: the modulus only scales pressure and force of a press to

@@ -75,7 +75,7 @@ def press_points(
     """
     known = np.isfinite(points.gap_mm)
     gap = np.where(known, points.gap_mm, 0.0)
-    # Half the depth is about what a ball touches; a force starts with a handful of points.
+    # A ball touches where its gap is below about half the depth; a force starts with a few points.
     foremost = float(np.sort(gap[known])[:_FIRST_POINTS][-1])
     active = known & (gap <= max(0.5 * (depth_mm or 0.0), foremost))
     force = closing = lifting = np.zeros_like(gap)

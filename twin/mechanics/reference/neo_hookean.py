@@ -259,7 +259,7 @@ def _grid(
 def _edges(
     touched: FloatArray, ends: tuple[float, float], size_mm: float, count: int
 ) -> FloatArray:
-    """Return count + 1 edges, `size_mm` apart at the contacts and farther apart away from them."""
+    """Return count + 1 edges, at a distance of `size_mm` at the contacts and wider elsewhere."""
     fine = np.linspace(*ends, 4001)
     distance = np.abs(fine[:, None] - touched).min(axis=1)
     # The contact of a stiffening sheet is wider than that of the linear slab.

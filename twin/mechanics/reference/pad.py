@@ -53,7 +53,7 @@ _COARSEST_OVER_THICKNESS, _COARSEST_MM = 1.5, 3.0
 
 @dataclass(frozen=True)
 class Hold:
-    """Facets whose displacement is held to zero in some directions."""
+    """Facets with zero displacement in some directions."""
 
     where: Selector
     #: of "xyz"

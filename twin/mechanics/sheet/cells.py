@@ -150,7 +150,7 @@ def _allowed(
 
 
 def _samples(line: SplineLine, low_mm: float, high_mm: float, pitch_mm: float) -> FloatArray:
-    """Return points at most a pitch apart on a part of a line."""
+    """Return points on a part of a line, at distances of a pitch or less."""
     low, high = max(low_mm, line.edges[0]), min(high_mm, line.edges[-1])
     return np.linspace(low, high, max(4, int(np.ceil((high - low) / pitch_mm)) + 1))
 

@@ -98,7 +98,7 @@ class Sheet:
     pool: ThreadPoolExecutor = field(init=False)
     #: springs of a compliant rim; a window ends before it
     rim: tuple[RimSpring, ...] = field(init=False, default=())
-    #: evaluation whose forces and tangent are stored
+    #: evaluation that the stored forces and tangent belong to
     latest: Evaluation = field(init=False)
     factorisations: int = field(init=False, default=0)
     evaluations: int = field(init=False, default=0)

@@ -74,7 +74,7 @@ class _Damping:
     #: number of further steps with a convex tangent
     convex_steps: int = 0
     #: number of convex steps after the last indefinite tangent
-    refused: int = 0
+    last_convex_steps: int = 0
 
     @property
     def convex(self) -> bool:
@@ -85,10 +85,10 @@ class _Damping:
         """Return the damping with more viscosity."""
         return replace(self, viscosity=factor * self.viscosity)
 
-    def refusing(self) -> "_Damping":
+    def convexified(self) -> "_Damping":
         """Return convex damping, for twice as many steps as after the last indefinite tangent."""
-        steps = min(max(2 * self.refused, 1), _MOST_CONVEX_STEPS)
-        return replace(self, convex_steps=steps, refused=steps)
+        steps = min(max(2 * self.last_convex_steps, 1), _MOST_CONVEX_STEPS)
+        return replace(self, convex_steps=steps, last_convex_steps=steps)
 
 
 @dataclass(eq=False)
@@ -101,7 +101,7 @@ class _Descent:
     #: spots may be solved separately during the descent
     spots: bool = False
     control_mm: FloatArray = field(init=False)
-    #: evaluation whose forces and tangent the sheet stores
+    #: evaluation that the sheet's forces and tangent belong to
     now: Evaluation = field(init=False)
     damping: _Damping = field(init=False, default=_Damping())
     #: the last factors are used for the next step
@@ -260,7 +260,7 @@ def _definite(descent: _Descent, damping: _Damping) -> _Damping:
         if viscosity is not None:
             return _Damping(viscosity)
         descent.sheet.evaluate(descent.control_mm, descent.state, tangent=True, convex=True)
-        damping = damping.refusing() if slips else _Damping(convex_steps=1)
+        damping = damping.convexified() if slips else _Damping(convex_steps=1)
     viscosity = max(damping.viscosity, _LEAST_VISCOSITY)
     while not descent.sheet.factorise(viscosity):
         viscosity *= _GROWTH
@@ -275,8 +275,8 @@ def _exact(sheet: Sheet, damping: _Damping, *, once: bool) -> float | None:
     For a sheet that slips and after an indefinite tangent it is tried `once`: the viscosity that
     the worst point of such a sheet may need would slow the whole sheet.
     """
-    viscosity = max(damping.viscosity, _GROWTH) if damping.refused else damping.viscosity
-    if once or damping.refused:
+    viscosity = max(damping.viscosity, _GROWTH) if damping.last_convex_steps else damping.viscosity
+    if once or damping.last_convex_steps:
         return viscosity if sheet.factorise(viscosity) else None
     # A reduced viscosity that is too low is nearly sufficient; more makes short steps for long.
     growth = float(np.sqrt(_GROWTH)) if viscosity else _GROWTH**2
@@ -336,7 +336,7 @@ def _held(descent: _Descent, place: Evaluation, share: float) -> Evaluation:
 
 
 def _by_forces(descent: _Descent, step: FloatArray) -> tuple[float, Evaluation]:
-    """Return 1, 0.5 or 0.25 of a short step, the first that leaves a smaller force.
+    """Return 1, 0.5 or 0.25 of a short step, the first with a smaller residual force.
 
     Energies differ by less than their rounding here, and a point at the edge of the contact may
     make whole steps alternate for ever.

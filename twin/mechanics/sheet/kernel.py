@@ -80,7 +80,7 @@ def assemble_rows(
     ----------
     rows : first row, and the one after the last
     c : (row + 2, col + 2, 3) control points
-    rest, felt, asked : Rest, Felt, Asked
+    rest, state, options : Rest, ContactState, EvaluationOptions
     work : Scratch
     sums : Assembled, added to
     """
