@@ -26,11 +26,11 @@ def cases(rod, ball, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def quick():
-    """One ray per pixel of a relief."""
-    from twin.paper import relief_views
+    """One painted pixel per pixel of a relief."""
+    from twin.report import relief
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(relief_views, "_FINER", 1)
+        patch.setattr(relief, "FINER", 1)
         yield
 
 

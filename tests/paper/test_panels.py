@@ -57,32 +57,32 @@ def test_fig_7_has_a_section_of_round_and_of_rectangular_rods(name):
 def test_a_missing_point_is_a_hole(rod, mi):
     """Setup: points of a block of pixels are taken away. Expected: white there, and only there."""
     from twin.paper.panels import read_panel_data
-    from twin.paper.relief_views import relief_picture, stage_for
+    from twin.paper.relief_views import draw_relief, stage_for
 
     data = read_panel_data(rod / "panels")
     stage = stage_for(data)
     valid = data.valid.copy()
     valid[52:68, 70:90] = False
-    whole = relief_picture(data, stage, 120, 90)
-    holed = relief_picture(replace(data, valid=valid), stage, 120, 90)
+    whole = draw_relief(data, stage, 120, 90)
+    holed = draw_relief(replace(data, valid=valid), stage, 120, 90)
     white = (holed == 255).all(axis=-1) & (whole < 250).any(axis=-1)
     assert 40 < white.sum() < 0.1 * white.size
     changed = (holed.astype(int) != whole).any(axis=-1)
-    # Light falls through the hole: a shadow may change beside it, no more than as much again.
+    # The hole takes the nearest height, so that the shading of its border changes.
     assert changed.sum() < 3 * white.sum()
 
 
 def test_colours_are_the_height_not_the_light(rod, mi):
     """Setup: a level surface at either end of the scale. Expected: purple and yellow of viridis."""
     from twin.paper.panels import read_panel_data
-    from twin.paper.relief_views import relief_picture, stage_for
+    from twin.paper.relief_views import draw_relief, stage_for
 
     data = read_panel_data(rod / "panels")
     stage = stage_for(data)
     low, high = stage.scale_mm
     flat = replace(data, points_mm=np.where([False, False, True], low, data.points_mm).astype("f4"))
     top = replace(data, points_mm=np.where([False, False, True], high, data.points_mm).astype("f4"))
-    middle = [relief_picture(one, stage, 120, 90)[45, 60].astype(int) for one in (flat, top)]
+    middle = [draw_relief(one, stage, 120, 90)[45, 60].astype(int) for one in (flat, top)]
     assert middle[1][1] > middle[0][1] + 80  # yellow over purple
 
 

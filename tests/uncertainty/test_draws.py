@@ -181,5 +181,5 @@ def test_lists_drawn_together_are_as_long():
         "travel": listed | {"key": "press.depth_mm", "values": [0.5, 0.6]},
         "pressure": listed | {"key": "press.back_pressure_kpa", "values": [1.0, 2.0, 3.0]},
     }
-    with pytest.raises(ValueError, match="as many in each"):
+    with pytest.raises(ValueError, match="unequal numbers of values"):
         Inputs.model_validate({"inputs": two})

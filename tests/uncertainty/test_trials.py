@@ -182,7 +182,7 @@ def test_bad_inputs_are_one_line(balls):
         record_of(balls, {"t": wide}, 3).cases()
     with pytest.raises(ConfigError, match="trials: found 1, allowed 2"):
         record_of(balls, {"x": X}, 1)
-    with pytest.raises(ConfigError, match="degrees_of_freedom: student_t needs them"):
+    with pytest.raises(ConfigError, match="degrees_of_freedom: required by student_t"):
         record_of(balls, {"x": {**X, "distribution": "student_t"}}, 3)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from twin.config import Experiment
 from twin.optics.direct import STAGE, solids
-from twin.optics.view import Picture, SceneObject, ViewCamera, picture
+from twin.optics.picture import Picture, picture
+from twin.optics.view import SceneSurface, SceneView, point
 
 _WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 20
 _FROM = (0.5, -0.52, 0.69)
@@ -39,18 +40,13 @@ class _Sitter:
 @lru_cache(maxsize=32)
 def _render(sitter: _Sitter) -> Picture:
     things = [
-        SceneObject(solid.name, solid.mesh, solid.bsdf, smooth=True)
+        SceneSurface.of_mesh(solid.name, solid.mesh, bsdf=solid.bsdf, smooth=True)
         for solid in solids(sitter.experiment)
     ]
-    shown = [thing.mesh.bounds for thing in things if thing.name != STAGE]
-    low, high = np.min([b[0] for b in shown], axis=0), np.max([b[1] for b in shown], axis=0)
+    shown = np.concatenate([thing.vertices_mm for thing in things if thing.name != STAGE])
+    low, high = shown.min(axis=0), shown.max(axis=0)
     middle = (low + high) / 2
     width_mm = _ROOM * float(np.hypot(*(high - low)[:2]))
     eye = middle + _DISTANCE * width_mm * np.array(_FROM)
-    observer = ViewCamera(_point(eye), _point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
-    return picture(things, observer, _SAMPLES, gray=True)
-
-
-def _point(xyz: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in xyz)
-    return x, y, z
+    view = SceneView(point(eye), point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
+    return picture(things, view, _SAMPLES, gray=True)

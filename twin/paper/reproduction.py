@@ -52,8 +52,8 @@ from twin.pipeline.comparison import case_for
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.propagation.budget import Part, part_of
 from twin.study.cases import Case, Cases, case_of
-from twin.study.engine import SweepOutcome
 from twin.study.measuring import PLAINLY, Measuring, RigCovariance, calibrated
+from twin.study.outcome import SweepOutcome
 from twin.study.store import Store
 from twin.study.sweep import CaseGroup, run_groups
 from twin.study.trials import INPUT, PART, STEP, TRIAL, TRIALS, alone_cases

@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
+from twin.optics.picture import picture
 from twin.optics.rig import true_calibration
-from twin.optics.view import ViewCamera, picture
+from twin.optics.view import SceneView
 from twin.paper.rig_scene import (
     device_things,
     frame_things,
@@ -32,6 +31,7 @@ from twin.report.canvas import (
     no_ticks,
     printing,
 )
+from twin.report.scene import field_corners
 from twin.report.section import (
     face_profile,
     slab_span,
@@ -42,9 +42,9 @@ from twin.report.section import (
 from twin.specimens import shape_of
 
 _SAMPLES, _BOUNCES = 12, 3
-_RIG = ViewCamera((-420.0, -1150.0, 520.0), (35.0, 0.0, 108.0), 412.0, 520, 640)
-_SHEET = ViewCamera((-26.0, -80.0, 62.0), (0.0, 0.0, -2.0), 56.0, 560, 420)
-_CUT = ViewCamera((-14.0, -95.0, 30.0), (0.0, 0.0, -5.5), 42.0, 640, 400)
+_RIG = SceneView((-420.0, -1150.0, 520.0), (35.0, 0.0, 108.0), 412.0, 520, 640)
+_SHEET = SceneView((-26.0, -80.0, 62.0), (0.0, 0.0, -2.0), 56.0, 560, 420)
+_CUT = SceneView((-14.0, -95.0, 30.0), (0.0, 0.0, -5.5), 42.0, 640, 400)
 
 
 def draw_setup(stem: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
@@ -106,7 +106,7 @@ def _cover(axes: Axes, experiment: Experiment) -> None:
         (rig.camera, rig.T_world_from_cam, MEASURED),
         (rig.projector, rig.T_world_from_proj, FIT),
     ):
-        corners = _RIG.project(_on_face(device, pose))
+        corners = _RIG.project(field_corners(device, pose))
         tip = _RIG.project(pose[:3, 3])
         outline = np.vstack([tip, corners])
         hull: Any = ConvexHull(outline)
@@ -114,12 +114,6 @@ def _cover(axes: Axes, experiment: Experiment) -> None:
         for corner in corners:
             axes.plot(*np.stack([tip, corner]).T, color=colour, lw=0.5, alpha=0.8)
         axes.add_patch(Polygon(corners, fill=False, edgecolor=colour, lw=0.8))
-
-
-def _on_face(device: Pinhole, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World points where the corners of a device's image meet z = 0, (4, xyz)."""
-    rays = np.column_stack([device.seen_corners(), np.ones(4)]) @ pose[:3, :3].T
-    return np.asarray(pose[:3, 3] - (pose[2, 3] / rays[:, 2])[:, None] * rays)
 
 
 def _name_parts(axes: Axes, experiment: Experiment) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reconstruction.netcdf import Labelled, LabelledArrays
-from twin.study.table import is_number
+from twin.results.rows import is_number
 from twin.study.trials import PART, TRIAL, TRIALS
 
 if TYPE_CHECKING:

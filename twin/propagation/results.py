@@ -18,10 +18,11 @@ from twin.propagation.budget import Part, calibration_part, noise_part, part_of,
 from twin.propagation.distribution import COVERAGE, Distribution, distribution_of
 from twin.propagation.presentation import measurand_in_short, trial_arrays, trial_drawing
 from twin.propagation.sensitivity import Correlation, correlation_of
+from twin.results.rows import is_number
 from twin.study.measuring import TRUE_RIG
 from twin.study.record import STUDY_FILE, StudyRecord, read_record
 from twin.study.sensitivity import Effect
-from twin.study.table import StudyTable, is_number, read_table
+from twin.study.table import StudyTable, read_table
 from twin.study.trials import (
     ALONE,
     CALIBRATION,

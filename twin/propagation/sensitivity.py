@@ -16,9 +16,9 @@ from twin.pipeline.memory import Memory
 from twin.pipeline.press import press
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.results.parts import face_figures
+from twin.results.rows import is_number
 from twin.study.cases import saltelli_shares
 from twin.study.sensitivity import Effect, saltelli_effects
-from twin.study.table import is_number
 from twin.study.trials import InputDistribution, counting_for, deviation_of, standard_uncertainty
 
 

@@ -28,10 +28,11 @@ from twin.propagation.results import SOBOL_FILE, Uncertainty, effects_as_json, r
 from twin.propagation.sensitivity import presses_of_sobol
 from twin.results.names import compensates_at_once
 from twin.results.parts import write_result
+from twin.study.estimate import duration, estimate, estimate_line, press_seconds
 from twin.study.record import StudyRecord, write_record
 from twin.study.sensitivity import Effect
 from twin.study.store import Store
-from twin.study.sweep import drawn_board, duration, estimate, press_seconds, sweep, told
+from twin.study.sweep import sweep
 from twin.study.trials import (
     ALONE,
     CALIBRATION,
@@ -39,6 +40,7 @@ from twin.study.trials import (
     PART,
     TRIALS,
     counting_for,
+    drawn_board,
     nominal,
     standard_uncertainty,
 )
@@ -175,10 +177,10 @@ def plan_in_words(
     lines.append(
         ", ".join(f"{counts[part]} {told}" for part, told in _PARTS.items() if counts[part])
     )
-    board = drawn_board(record)
+    board = drawn_board(record.study, record.base)
     if board:
         lines.append(f"before them a calibration of the rig on rendered poses of {board}")
-    lines.append(told(estimate(record, cases, Store(folder), workers)))
+    lines.append(estimate_line(estimate(record, cases, Store(folder), workers)))
     if sobol is not None:
         presses = presses_of_sobol(record.study.inputs, experiment, sobol)
         seconds = duration(presses * press_seconds(experiment))

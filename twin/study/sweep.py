@@ -1,129 +1,29 @@
-"""Run a study into its store; before that say what it takes, and which cases cannot be measured."""
+"""Run a study into its store."""
 
-import math
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from reconstruction.errors import InputError, counted
+from reconstruction.errors import InputError
 from reconstruction.reading import read_json
-from twin.config import ConfigError, Experiment
-from twin.config.board import load_board
-from twin.config.study import Study
-from twin.mechanics.choice import possible_models
-from twin.mechanics.models import PressInput
-from twin.optics.light import pattern_set
-from twin.pipeline.memory import Path as FieldPath
-from twin.pipeline.memory import Reads, values_at, watched
 from twin.pipeline.methods import check_measurable
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.study.cases import Case, Cases, Point, cases_of
-from twin.study.engine import Run, SweepOutcome, run_together
+from twin.study.cases import Case, Cases
+from twin.study.engine import Run, run_together
 from twin.study.gradient import descend
 from twin.study.index import DAMAGED, Index, entry_of
-from twin.study.measuring import CALIBRATION_FILE, PLAINLY, Measuring, calibrated
+from twin.study.measuring import PLAINLY, Measuring, calibrated
 from twin.study.nominal import check_nominal, nominal_case
 from twin.study.optimise import optimise
+from twin.study.outcome import SweepOutcome
 from twin.study.record import StudyRecord, write_record
 from twin.study.remarks import remarks_of
 from twin.study.store import FAILURE_FILE, Store
-from twin.study.trials import nominal
+from twin.study.trials import drawn_board, nominal
 from twin.study.worker import DIED, UNEXPECTED, MakeMeasurer
 from twin.study.workers import Workers, lasting
-
-# Measured on two cores of 2.5 GHz: camera noise dominates, then loading a pressed face.
-_SECONDS_PER_FRAME_PIXEL = 9e-8
-_SECONDS_PER_CASE = 0.3
-_SECONDS_PER_PRESS, _SECONDS_PER_SHEET = 3.0, 20.0
-_BYTES_PER_CASE = 24_000
-_BYTES_PER_PIXEL = {"points": 160, "capture": 0, "press": 0}
-_BYTES_PER_FRAME_PIXEL = 2
-_PRESS_BYTES = 80_000_000
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """What a run will take; good to a factor of two for slabs and sheets, less for solids.
-
-    Attributes
-    ----------
-    step : 1 where all cases were looked at; n where it was one of n, and the rest is scaled
-    """
-
-    cases: int
-    known: int
-    excluded: int
-    seconds: float
-    disk_bytes: float
-    free_bytes: int
-    step: int = 1
-
-
-def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> Estimate:
-    """Estimate time and disk of the cases that a store lacks."""
-    known = store.finished() if store.exists() else set()
-    unique = cases.unique()
-    missing = [case for case in unique if case.digest not in known]
-    presses = {_pressing(case.experiment): press_seconds(case.experiment) for case in missing}
-    work = sum(_case_seconds(case.experiment) for case in missing) + sum(presses.values())
-    folder = next(p for p in (store.folder, *store.folder.parents) if p.exists())
-    return Estimate(
-        cases=len(unique) * cases.step,
-        known=(len(unique) - len(missing)) * cases.step,
-        excluded=cases.excluded * cases.step,
-        seconds=work * cases.step / workers + _calibration_seconds(record, store),
-        disk_bytes=cases.step * sum(_case_bytes(record.study, one.experiment) for one in missing),
-        free_bytes=shutil.disk_usage(folder).free,
-        step=cases.step,
-    )
-
-
-def _calibration_seconds(record: StudyRecord, store: Store) -> float:
-    """Seconds, in one process, of the calibration that drawn rigs rest on; 0 where it is kept."""
-    board = drawn_board(record)
-    if not board or (store.folder / CALIBRATION_FILE).is_file():
-        return 0.0
-    return len(load_board(board).poses) * _case_seconds(record.base)
-
-
-def _pressing(experiment: Experiment) -> str:
-    parts = {"mechanics", "specimen", "elastomer", "press"}
-    return experiment.model_dump_json(include=parts)
-
-
-def press_seconds(experiment: Experiment) -> float:
-    """Return about how long one press takes."""
-    scene = experiment
-    case = PressInput(scene.mechanics, scene.specimen, scene.elastomer, scene.press)
-    wraps = any(model.wraps for model in possible_models(case))
-    return _SECONDS_PER_SHEET if wraps else _SECONDS_PER_PRESS
-
-
-def _pixels(experiment: Experiment) -> int:
-    camera = experiment.camera
-    return (camera.width_px // camera.binning) * (camera.height_px // camera.binning)
-
-
-def _frame_pixels(experiment: Experiment) -> int:
-    frames = len(pattern_set(experiment.projector, experiment.patterns).frames)
-    return frames * _pixels(experiment)
-
-
-def _case_seconds(experiment: Experiment) -> float:
-    return _SECONDS_PER_CASE + _frame_pixels(experiment) * _SECONDS_PER_FRAME_PIXEL
-
-
-def _case_bytes(study: Study, experiment: Experiment) -> float:
-    kept = _BYTES_PER_CASE
-    if "points" in study.keep:
-        kept += _BYTES_PER_PIXEL["points"] * _pixels(experiment)
-    if "capture" in study.keep:
-        kept += _BYTES_PER_FRAME_PIXEL * _frame_pixels(experiment)
-    return kept + (_PRESS_BYTES if "press" in study.keep else 0)
 
 
 def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) -> int:
@@ -186,7 +86,7 @@ class _Session:
     def whole(self, outcome: SweepOutcome) -> SweepOutcome:
         """Return the outcome with how all the cases stand that were asked for."""
         standing = _standing(Index(self.store), self.asked)
-        return replace(outcome, damaged=self.damaged, **standing)
+        return replace(outcome, damaged=self.damaged, folder=self.store.folder, **standing)
 
 
 def sweep(
@@ -211,7 +111,8 @@ def sweep(
     make_measurer : makes what measures a case; importable by the workers. Default: `Measuring`,
         after a calibration of the rig where trials draw theirs
     inputs : files that the folder must not hold
-    tell : told in a sentence of another run on the store, and why the first cases fail, as they do
+    tell : is called with a sentence if another run uses the store, and with the reasons of the
+        first failures
 
     Raises
     ------
@@ -355,18 +256,10 @@ def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Me
     The rig is calibrated in this process: its last digits depend on how many threads the linear
     algebra has, and these must not depend on the workers.
     """
-    board = drawn_board(record)
+    board = drawn_board(record.study, record.base)
     if not board:
         return PLAINLY
     return Measuring(calibrated(folder, nominal(record.study, record.base), board, watch))
-
-
-def drawn_board(record: StudyRecord) -> str:
-    """Return the board whose calibration trials draw their rigs from; empty: the true rig."""
-    plan = record.study.sampling
-    if plan.method != "trials" or plan.calibration == "true":
-        return ""
-    return plan.board if nominal(record.study, record.base).method.fringes else ""
 
 
 def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
@@ -379,87 +272,3 @@ def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
             failures.setdefault(entry.reason, []).append(entry.digest)
     done = {entry.digest: entry.figures for entry in found if entry.state == "done"}
     return {"finished": len(done), "failures": failures, "remarks": remarks_of(done)}
-
-
-def told(found: Estimate) -> str:
-    """Say an estimate in one line."""
-    looked = f"about {counted(found.cases, 'case')}, one point of {found.step} looked at"
-    parts = [counted(found.cases, "case") if found.step == 1 else looked]
-    if found.excluded:
-        parts.append(f"{found.excluded} more excluded by constraints")
-    if found.known:
-        parts.append(f"{found.known} of them known")
-    parts.append(f"about {duration(found.seconds)}")
-    parts.append(f"{_size(found.disk_bytes)} of {_size(found.free_bytes)} free disk")
-    return ", ".join(parts)
-
-
-def duration(seconds: float) -> str:
-    """Write a time in seconds, minutes or hours."""
-    if seconds < 90:
-        return f"{math.ceil(seconds)} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-def _size(count: float) -> str:
-    for unit, size in (("GB", 1e9), ("MB", 1e6)):
-        if count >= size:
-            return f"{count / size:.1f} {unit}"
-    return f"{count / 1e3:.0f} kB"
-
-
-def unmeasurable(cases: Sequence[Case]) -> dict[str, list[Case]]:
-    """Return the cases that no run can measure, by reason.
-
-    The checks are watched for the fields that they read, so that cases with the same values there
-    are checked once: seeds, codes and exposures cost nothing.
-    """
-    known: dict[tuple[FieldPath, ...], dict[tuple[bytes, ...], str]] = {}
-    found: dict[str, list[Case]] = {}
-    for case in cases:
-        seen = ((told, values_at(case.experiment, paths)) for paths, told in known.items())
-        reason = next((told[values] for told, values in seen if values in told), None)
-        if reason is None:
-            reads = Reads()
-            reason = _problem(case, reads)
-            paths = reads.paths
-            known.setdefault(paths, {})[values_at(case.experiment, paths)] = reason
-        if reason:
-            found.setdefault(reason, []).append(case)
-    return found
-
-
-def _problem(case: Case, reads: Reads) -> str:
-    try:
-        check_measurable(watched(case.experiment, reads))
-    except InputError as error:
-        return " ".join(str(error).split())
-    return ""
-
-
-def probes_of(record: StudyRecord) -> list[Case]:
-    """Return cases along the axes of a search: ends and middle, the other axes in their middle.
-
-    Raises
-    ------
-    ConfigError : none of them is a valid experiment that the constraints admit
-    """
-    cases, told = list[Case](), ""
-    for point in dict(_along_axes(record)).values():
-        try:
-            cases += cases_of(record.study, record.base, [point]).run
-        except ConfigError as error:
-            told = str(error)
-    if not cases:
-        raise ConfigError(told)
-    return cases
-
-
-def _along_axes(record: StudyRecord) -> Iterator[tuple[str, Point]]:
-    axes = record.study.axis
-    middle = tuple(axis.level_at(0.5) for axis in axes)
-    for number, axis in enumerate(axes):
-        ends = (axis.level_at(share) for share in (0.0, 0.5, 1.0))
-        for level in chain(axis.levels(), ends if axis.is_continuous else ()):
-            point = (*middle[:number], level, *middle[number + 1 :])
-            yield repr([one.label for one in point]), point

@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from twin.extras import missing
 from twin.files import creating
 from twin.results import parts
 from twin.results.figures import why_absent
+from twin.results.rows import is_number
 from twin.study.cases import Case
 from twin.study.derived import DERIVED, with_derived
 from twin.study.feasibility import (
@@ -286,11 +287,6 @@ def on_front(costs: FloatArray) -> BoolImage:
         better = np.all(costs <= cost, axis=1) & np.any(costs < cost, axis=1)
         kept[i] = not better.any()
     return kept
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Tell whether a cell is a figure: neither text nor yes or no nor empty."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def cost_of(row: Row, objective: Objective) -> float:

@@ -253,3 +253,11 @@ def drawn_values(
             rng = np.random.default_rng(key)
             found[one.key] = nominal + float(deviation_of(one, nominal).rvs(random_state=rng))
     return found
+
+
+def drawn_board(study: Study, base: Experiment) -> str:
+    """Return the board whose calibration trials draw their rigs from; empty: the true rig."""
+    plan = study.sampling
+    if plan.method != "trials" or plan.calibration == "true":
+        return ""
+    return plan.board if nominal(study, base).method.fringes else ""

@@ -100,7 +100,6 @@ class Sheet:
     rim: tuple[RimSpring, ...] = field(init=False, default=())
     #: evaluation that the stored forces and tangent belong to
     latest: Evaluation = field(init=False)
-    factorisations: int = field(init=False, default=0)
     evaluations: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
@@ -231,7 +230,6 @@ class Sheet:
         if viscosity:
             weights = np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
             values[self.system.stencil.start[:-1]] += viscosity * weights
-        self.factorisations += 1
         return self.system.solver.factorise(values)
 
     def newton_step_mm(self) -> FloatArray:

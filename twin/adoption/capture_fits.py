@@ -1,0 +1,197 @@
+"""Dark frames, projector response and camera noise from captures of a rig."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from reconstruction.arrays import FloatArray, FloatImage
+from reconstruction.capture.folder import Capture
+from reconstruction.characterise import (
+    Dark,
+    FitLimits,
+    NoiseSamples,
+    PhotonTransfer,
+    ProjectorFit,
+    dark_of,
+    fit_projector,
+    photon_transfer,
+    samples_of_pairs,
+)
+from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
+from reconstruction.errors import InputError
+from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.sensor import SensorNoise
+from reconstruction.triangulation import triangulate
+from twin.adoption.defocus import SeenBlur
+from twin.adoption.fields import read_images
+
+# Of the square of a normal number.
+_MEDIAN_OF_SQUARE = 0.455
+# Two captures of one scene differ by no more than so many times the variance of their noise.
+_MOST_OVER_FITTED, _MOST_OVER_STATED = 1.5, 20.0
+# Of dark frames over the darkest frame of a capture: rounding and drift of the black level.
+_BRIGHTER_DN, _BRIGHTER_SIGMAS = 1.0, 5.0
+UNFILTERED = DecodeOptions(filter_taps=0)
+
+
+def dark_frames(folder: Path, capture: Capture) -> Dark:
+    """Return what the dark frames show; they must not be brighter than all of the capture.
+
+    The capture's darkest frame has the black level and what there was of other light.
+    """
+    found = dark_of(read_images(folder, capture))
+    black = found.black_level_dn
+    darkest_dn = float(capture.stack.mean(axis=(1, 2), dtype=np.float64).min())
+    if black.value > darkest_dn + _BRIGHTER_DN + _BRIGHTER_SIGMAS * black.uncertainty:
+        raise InputError(
+            f"{folder}: dark frames have a mean of {black.value:.4g} DN, allowed up to "
+            f"{darkest_dn:.4g} DN, that of the capture's darkest frame; cover the lens, and keep "
+            "the camera's settings"
+        )
+    return found
+
+
+def with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
+    """Return the camera noise with the black level of the dark frames, if there are any."""
+    if dark is None:
+        return sensor
+    return replace(sensor, black_level_dn=max(dark.black_level_dn.value, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCapture:
+    """Projector response and blur of one capture, and the distance of its points."""
+
+    fit: ProjectorFit
+    seen: SeenBlur
+
+
+def fit_captures(
+    folders: Sequence[Path],
+    captures: Sequence[Capture],
+    sensor: SensorNoise,
+    notes: list[str],
+) -> list[FittedCapture]:
+    """Fit each capture; add a note for each that cannot be fitted."""
+    found = []
+    for folder, one in zip(folders, captures, strict=True):
+        try:
+            decoded = decode(one.stack, one.patterns, sensor, UNFILTERED, one.scale)
+            if one.scale is not None:
+                raise InputError("merged exposures have no single noise")
+            inverse = _inverse_distances(decoded, one.calibration)
+            fit = _fit_twice(one, sensor, decoded)
+            found.append(
+                FittedCapture(
+                    fit, SeenBlur(float(inverse.mean()), float(inverse.std()), fit.blur_px)
+                )
+            )
+        except InputError as error:
+            notes.append(f"{folder.name}: the projector's response is not found: {error}")
+    return found
+
+
+def _fit_twice(capture: Capture, sensor: SensorNoise, decoded: Decoded) -> ProjectorFit:
+    """Fit, decode with the response found, and fit again from there."""
+    stack, patterns = capture.stack, capture.patterns
+    first = fit_projector(stack, patterns, sensor, decoded)
+    if not patterns.kind.takes_response:
+        return first
+    known = first.response()
+    again = decode(stack, patterns, sensor, UNFILTERED, response=known)
+    return fit_projector(
+        stack, patterns, sensor, again, FitLimits(gamma=known.gamma, blur_px=known.blur_px)
+    )
+
+
+def _inverse_distances(decoded: Decoded, calibration: Calibration) -> FloatArray:
+    """Return the inverse distance of all points along the projector's axis, 1/mm."""
+    points = triangulate(decoded, calibration)
+    if not points.valid.any():
+        raise InputError("no pixel has a point; does the calibration belong to the capture?")
+    T_world_from_proj = calibration.T_world_from_proj
+    found_mm = points.points_world_mm[points.valid].astype(np.float64)
+    return np.asarray(1.0 / ((found_mm - T_world_from_proj[:3, 3]) @ T_world_from_proj[:3, 2]))
+
+
+def noise_of(
+    captures: Sequence[Capture],
+    fits: Sequence[ProjectorFit],
+    sensor: SensorNoise,
+    notes: list[str],
+) -> tuple[PhotonTransfer | None, str]:
+    """Return the noise and, in words, where from: repeated captures, or what a fit leaves."""
+    own = next((fit.noise for fit in fits if fit.noise is not None), None)
+    pairs = _pairs(captures, sensor, own)
+    if pairs is not None:
+        try:
+            return photon_transfer(pairs, sensor), "photon transfer of repeated captures"
+        except InputError as error:
+            notes.append(f"repeated captures: {error}")
+    if own is not None:
+        return own, "photon transfer of what the fit of one capture leaves"
+    notes.append("the captures do not tell the camera's noise: its gain is the model's")
+    return None, ""
+
+
+def _pairs(
+    captures: Sequence[Capture], sensor: SensorNoise, own: PhotonTransfer | None
+) -> NoiseSamples | None:
+    """Return samples of all neighbouring captures that show the same; None: there are none.
+
+    They differ by noise: by that which a fit found, or about that which capture.toml states.
+    """
+    found: NoiseSamples | None = None
+    for one, other in pairwise(captures):
+        if one.patterns != other.patterns or one.scale is not None or other.scale is not None:
+            continue
+        samples = samples_of_pairs(one.stack, other.stack, sensor)
+        expected = own.variance_at(samples.mean_dn) if own else sensor.variance_dn2(samples.mean_dn)
+        ratio = float(np.median(samples.square_dn2 / expected)) / _MEDIAN_OF_SQUARE
+        if ratio < (_MOST_OVER_FITTED if own else _MOST_OVER_STATED):
+            found = samples if found is None else found.joined(samples)
+    return found
+
+
+def two_period_chi2(captures: Sequence[Capture], known: Capture) -> float | None:
+    """Return chi-square per pixel of two captures of one scene with other periods; None: no such.
+
+    Coordinates of the unfiltered pixels, with sensor and response as found.
+    """
+    first = captures[0]
+    for other in captures[1:]:
+        if other.patterns.period_px == first.patterns.period_px:
+            continue
+        found = [
+            decode(
+                one.stack,
+                one.patterns,
+                known.sensor,
+                UNFILTERED,
+                one.scale,
+                response=known.response,
+            )
+            for one in (first, other)
+        ]
+        return chi2_of(found[0], found[1])
+    return None
+
+
+def chi2_of(one: Decoded, other: Decoded) -> float | None:
+    """Return the mean square of the differences of columns over their sigma, of one scene.
+
+    Pixels that differ by many sigmas are another scene, or a wrong order: beyond ten they do not
+    count, and where that are more than one in a hundred there is no number.
+    """
+    both = one.valid & other.valid
+    if int(both.sum()) < 100:
+        return None
+    step: FloatArray = one.column.coordinate_px[both].astype(np.float64)
+    step = step - other.column.coordinate_px[both]
+    sigmas: FloatImage = np.hypot(one.column.sigma_px[both], other.column.sigma_px[both])
+    square = (step / sigmas) ** 2
+    near = square < 100.0
+    return float(square[near].mean()) if near.mean() > 0.99 else None
