@@ -78,7 +78,7 @@ class DistanceContact:
         return push(self.surface, pressure[:, None] * n, stiffness, pressure)
 
     def settle(self, moved_mm, depth_mm):
-        return self  # a tight sheet carries nothing on the flat between the edges: holes are true
+        return self  # a tight sheet has no pressure on the flat between the edges: holes are real
 
     def carry(self, pressure):
         return replace(self, carried=pressure)
