@@ -35,7 +35,7 @@ def press_derivatives(
     Raises
     ------
     InputError : a path is no such number; no thin sheet presses; it sticks; a number lays the sheet
-        out again; or other equilibria are close to this one
+        out anew; or other equilibria lie beside the one found
     """
     for path in paths:
         if path.partition(".")[0] not in _TABLES:
