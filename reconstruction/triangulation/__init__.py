@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason, ReasonImage
-from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
+from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, stored_value
 from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import AxisDecode, Decoded
 from reconstruction.decoding._rows import BIAS
@@ -82,7 +82,7 @@ class PointMap:
     @property
     def sigma_z_mm(self) -> FloatImage:
         """Predicted standard deviation of world z, (row, col)."""
-        sigma = kept(self, "sigma_xyz_mm")
+        sigma = stored_value(self, "sigma_xyz_mm")
         return sigma.component(2) if isinstance(sigma, RaySpread) else self.sigma_xyz_mm[..., 2]
 
     @cached_property
@@ -198,7 +198,7 @@ def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
 
 
 def _packed_sigma(axis: AxisDecode) -> Bits:
-    sigma = kept(axis, "sigma_px")
+    sigma = stored_value(axis, "sigma_px")
     if isinstance(sigma, Half) and sigma.unit == SIGMA_UNIT_PX:
         return sigma.bits
     return Half.of(axis.sigma_px, SIGMA_UNIT_PX).bits

@@ -1,4 +1,4 @@
-"""The specimen alone on the stage in soft light, as one would photograph it."""
+"""Rendered photographs of the specimen on the stage, without sheet, in soft light."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -12,7 +12,7 @@ from twin.optics.view import SceneSurface, SceneView, point
 
 _WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 20
 _FROM = (0.5, -0.52, 0.69)
-# Eyes so far away see nearly in parallel, as a macro lens does.
+# The large distance makes the perspective nearly parallel, as with a macro lens.
 _DISTANCE, _ROOM = 7.0, 1.3
 
 
@@ -26,22 +26,22 @@ def photograph_of(experiment: Experiment) -> Picture:
     MissingBackend
         No usable Dr.Jit backend.
     """
-    return _render(_Sitter(experiment.model_dump_json(include={"specimen", "stage"}), experiment))
+    return _render(_Subject(experiment.model_dump_json(include={"specimen", "stage"}), experiment))
 
 
 @dataclass(frozen=True)
-class _Sitter:
-    """What is photographed, told apart by specimen and stage alone."""
+class _Subject:
+    """Subject of a photograph; equal if specimen and stage are equal."""
 
     key: str
     experiment: Experiment = field(compare=False)
 
 
 @lru_cache(maxsize=32)
-def _render(sitter: _Sitter) -> Picture:
+def _render(subject: _Subject) -> Picture:
     things = [
         SceneSurface.of_mesh(solid.name, solid.mesh, bsdf=solid.bsdf, smooth=True)
-        for solid in solids(sitter.experiment)
+        for solid in solids(subject.experiment)
     ]
     shown = np.concatenate([thing.vertices_mm for thing in things if thing.name != STAGE])
     low, high = shown.min(axis=0), shown.max(axis=0)

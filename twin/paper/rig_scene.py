@@ -1,4 +1,4 @@
-"""The set-up as things to look at: sheet, specimen, stage and frame, camera and projector.
+"""Scene objects of the set-up: sheet, specimen, stage and frame, camera and projector.
 
 Poses, sheet, relief and specimen are those of the experiment. Housings, frame and stage are
 schematic: the paper shows them in a photograph without dimensions. World frame, mm.
@@ -140,7 +140,7 @@ def device_things(experiment: Experiment) -> list[SceneSurface]:
 
 
 def _level_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the pose turned so that it looks at the world's origin: what one sees of an offset."""
+    """Return the pose rotated so that it looks at the world's origin, without the lens offset."""
     forward = -pose[:3, 3] / np.linalg.norm(pose[:3, 3])
     down = pose[:3, 1] - (pose[:3, 1] @ forward) * forward
     down /= np.linalg.norm(down)
