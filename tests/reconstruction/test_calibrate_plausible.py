@@ -164,7 +164,7 @@ def another_board(views: Observation) -> Observation:
 
 def test_one_pose_with_another_board_is_named(observed):
     changed = [another_board(views) if k == 2 else views for k, views in enumerate(observed)]
-    with pytest.raises(InputError, match=r"pose_2.*leave (it|this pose) out"):
+    with pytest.raises(InputError, match=r"pose_2.*remove (it|this pose)"):
         calibrate(changed)
 
 

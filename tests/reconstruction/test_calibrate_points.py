@@ -48,7 +48,7 @@ def test_dark_dots_are_bridged_exactly():
     where, white = coordinates(), dots()
     where[~white] = 7.0
     result = projector_points(decoded_as(where, white), white, FEATURES, REACH)
-    assert result.found.all()
+    assert result.located.all()
     np.testing.assert_allclose(result.pixels_px, projector_map(FEATURES), atol=1e-5)
     steps = [0.5 * np.eye(2)[k] for k in range(2)]
     slopes = [projector_map(FEATURES + s) - projector_map(FEATURES - s) for s in steps]
@@ -70,7 +70,7 @@ def test_a_feature_without_surroundings_is_not_extrapolated():
     white[90:111, 120:141] = False
     edge = np.array([[60.3, 50.7], [3.0, 100.0], [200.9, 150.4]])
     result = projector_points(decoded_as(where, white), white, edge, REACH)
-    assert result.found.tolist() == [False, False, True]
+    assert result.located.tolist() == [False, False, True]
 
 
 def test_undecoded_board_is_explained():

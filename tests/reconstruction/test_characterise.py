@@ -215,7 +215,7 @@ def test_frames_that_determine_no_response_are_rejected():
     column, row = np.meshgrid(np.linspace(9.0, 54.0, 60), np.arange(20.0))
     stack = (100.0 + 2000.0 * shown(patterns, column, row, 1.0, 0.7)).astype(np.uint16)
     decoded = decode(stack, patterns, TRUE, DecodeOptions(filter_taps=0))
-    with pytest.raises(InputError, match="do not tell"):
+    with pytest.raises(InputError, match="do not determine"):
         fit_projector(stack, patterns, TRUE, decoded)
 
 
@@ -226,7 +226,9 @@ def test_a_gamma_at_the_end_of_its_range_is_none():
     column, line = 40.0 + 0.61 * col + 0.13 * row, 30.0 + 0.7 * row + 0.1 * col
     stack = recorded(100.0 + 2600.0 * shown(patterns, column, line, 2.2, 0.7) ** 2, 2)
     decoded = decode(stack, patterns, TRUE, DecodeOptions(filter_taps=0))
-    with pytest.raises(InputError, match=r"does not end: gamma 3\.\d+, allowed 0\.31 to 3\.99"):
+    with pytest.raises(
+        InputError, match=r"does not converge: gamma 3\.\d+, allowed 0\.31 to 3\.99"
+    ):
         fit_projector(stack, patterns, TRUE, decoded)
 
 

@@ -66,7 +66,7 @@ def test_files_written_by_hand_are_read(loader, monkeypatch):
         ("a: 1\na: 2", "line 4: the key a is there twice"),
         ("a: 1\n   b: 2", "line 4: is no YAML: "),
         ("   a: 1\nb: 2", "line 4: is no YAML: "),
-        ("a: 1\n---\nb: 2", "line 4: a second document begins"),
+        ("a: 1\n---\nb: 2", "line 4: found a second document"),
         ("a: &b 1\nc: *b", "line 4: has an alias"),
         ("? [ 1 ]\n: 2", "line 3: is no entry KEY: VALUE"),
         ("abc", "found no key"),

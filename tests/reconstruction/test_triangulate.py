@@ -57,7 +57,7 @@ def test_a_single_axis_needs_no_epipolar_test(calibration, surface, project, lay
     np.testing.assert_array_equal(result.points_world_mm, unchecked.points_world_mm)
     assert result.valid.mean() > 0.9
     for use in ("row", "both"):
-        with pytest.raises(InputError, match="decoded was 'column' alone"):
+        with pytest.raises(InputError, match="only 'column' was decoded"):
             triangulate(alone, rig, use)
 
 
