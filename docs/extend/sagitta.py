@@ -30,7 +30,7 @@ class Sagitta(MeasurandKind):
         """Return the number of balls."""
         return len(feature.balls)
 
-    def fit(self, request, feature, seen, points):
+    def fit(self, request, feature, observed, points):
         """Fit z = c + a x + b y - sagitta (distance / ring)^2 to the points inside the ring."""
         ball = feature.balls[request.number - 1]
         place = (points.points_mm[:, :2] - [ball.x_mm, ball.y_mm]) / RING_MM

@@ -55,16 +55,16 @@ AXES = (
 
 def measured(folder):
     """Measure everything; digests and figures by the name of the measurement."""
-    two_balls, found = load_experiment("examples/slab_balls", FREE), {}
+    two_balls, figures = load_experiment("examples/slab_balls", FREE), {}
     plan = PhotometricPlan(settings=FEW_PRESSES)
     compare([two_balls], METHODS, folder / "compare", plan=plan)
     for method in METHODS:
-        found[f"compared_{method}"] = contents(folder / "compare" / two_balls.name / method)
+        figures[f"compared_{method}"] = contents(folder / "compare" / two_balls.name / method)
     for name, (experiment, settings) in ALONE.items():
         (folder / name).mkdir()
         measure_into(folder / name, "measure", load_experiment(experiment, settings))
-        found[name] = contents(folder / name)
-    return found | studied(folder / "study", two_balls)
+        figures[name] = contents(folder / name)
+    return figures | studied(folder / "study", two_balls)
 
 
 def studied(folder, base):
@@ -116,9 +116,9 @@ def described(values):
     """Digest of an array, and of numbers count, least, greatest, mean and RMS."""
     content = repr(values.tolist()).encode() if values.dtype.kind == "O" else values.tobytes()
     digest = hashlib.sha256(f"{values.dtype.str}{values.shape}".encode() + content)
-    found = {"sha256": digest.hexdigest(), "count": values.size}
+    description = {"sha256": digest.hexdigest(), "count": values.size}
     if values.dtype.kind not in "biuf" or not values.size:
-        return found
+        return description
     numbers = values.astype(np.float64)
     figures = {
         "min": numbers.min(),
@@ -126,14 +126,14 @@ def described(values):
         "mean": numbers.mean(),
         "rms": np.sqrt(np.mean(numbers**2)),
     }
-    return found | {name: float(f"{value:.9g}") for name, value in figures.items()}
+    return description | {name: float(f"{value:.9g}") for name, value in figures.items()}
 
 
 def machine():
     """Name the influences on the last digit: processor, threads of the linear algebra, versions."""
-    others = {name: found for name, found in versions().items() if name != "fringe-twin"}
-    told = os.environ.get("OPENBLAS_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS")
-    count = told or str(len(os.sched_getaffinity(0)))
+    others = {name: version for name, version in versions().items() if name != "fringe-twin"}
+    threads = os.environ.get("OPENBLAS_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS")
+    count = threads or str(len(os.sched_getaffinity(0)))
     return {"cpu": llvmlite.binding.get_host_cpu_name(), "threads": count} | others
 
 

@@ -32,9 +32,9 @@ def ideal(mi, pressed):
 def test_noise_free_height_is_right_to_a_tenth_of_a_micrometre(ideal):
     """Setup: no noise, no filter. Expected: 0.11 um RMS over the whole lit field."""
     experiment, recording, result = ideal
-    found = score_truth(experiment, result, recording.truth)
-    assert found.z_rmse_um <= 0.15
-    assert found.completeness > 0.9999
+    scored = score_truth(experiment, result, recording.truth)
+    assert scored.z_rmse_um <= 0.15
+    assert scored.completeness > 0.9999
 
 
 def test_noise_free_fringe_orders_are_all_right(ideal):
@@ -65,8 +65,8 @@ def test_default_camera_makes_no_wrong_orders(default):
     experiment, recording = default
     result = decoded(experiment, recording)
     assert wrong_orders(experiment, result, recording.truth) == 0
-    found = score(experiment, result, recording.truth).against_truth
-    assert found.completeness == 1.0
+    scored = score(experiment, result, recording.truth).against_truth
+    assert scored.completeness == 1.0
 
 
 def test_filter_leaves_sigma_right_on_a_steep_relief(default, pressed):
@@ -82,8 +82,8 @@ def test_filter_leaves_sigma_right_on_a_steep_relief(default, pressed):
     face = replace(pressed, face_x_mm=x_mm, face_y_mm=y_mm, face_z_mm=bumps_mm)
     recording = record(experiment, face)
     filtered, single = (
-        score_truth(one, decoded(one, recording), recording.truth)
-        for one in (experiment, vary(experiment, {"decode.filter_taps": 0}))
+        score_truth(case, decoded(case, recording), recording.truth)
+        for case in (experiment, vary(experiment, {"decode.filter_taps": 0}))
     )
     assert 0.9 <= filtered.error_over_sigma <= 1.1
     assert filtered.completeness >= 0.97 * single.completeness

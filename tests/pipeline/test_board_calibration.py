@@ -23,8 +23,8 @@ def done():
     """Eight poses of a dot board with 0.02 px of noise in the camera, 0.05 px in the projector."""
     above = looking_at([0.0, 0.0, 214.0], [0.0, 0.0, 0.0])
     rig = Calibration(CAMERA, PROJECTOR, above, aim_projector(looking_at))
-    seen = observations(rig, board_poses(), (0.02, 0.05))
-    return BoardCalibration(calibrate(seen), tuple(seen), "0")
+    poses = observations(rig, board_poses(), (0.02, 0.05))
+    return BoardCalibration(calibrate(poses), tuple(poses), "0")
 
 
 def test_one_line(done):
@@ -39,8 +39,8 @@ def test_features_as_labelled_arrays(done):
     data = done.to_xarray()
     assert data["residual_camera_x_px"].dims == ("feature",)
     assert data["residual_camera_x_px"].attrs["units"] == "px"
-    assert data.sizes["feature"] == sum(len(seen.ids) for seen in done.observations)
-    assert set(data["pose"].values) == {seen.name for seen in done.observations}
+    assert data.sizes["feature"] == sum(len(pose.ids) for pose in done.observations)
+    assert set(data["pose"].values) == {pose.name for pose in done.observations}
     assert np.std(data["residual_camera_x_px"]) == pytest.approx(0.02, rel=0.15)
 
 

@@ -40,17 +40,17 @@ def defocus_misses(pose):
         load_experiment("examples/slab_balls", SMALL | lens),
         load_board("boards/paper_dots"),
     )
-    seen = observe(record_board(experiment, board, pose), board.board())
+    observed = observe(record_board(experiment, board, pose), board.board())
     rig = true_calibration(experiment)
     T = np.linalg.inv(rig.T_world_from_cam) @ board_pose(pose)
-    points = into(T, seen.points_mm)
-    misses = seen.camera_px - rig.camera.project(points)
+    points = into(T, observed.points_mm)
+    misses = observed.camera_px - rig.camera.project(points)
     shown = rig.projector.project(into(rig.T_proj_from_cam, points))
-    off = seen.projector_px - shown - np.einsum("nij,nj->ni", seen.slopes, misses)
+    off = observed.projector_px - shown - np.einsum("nij,nj->ni", observed.slopes, misses)
     focus_mm, pupil_mm2 = experiment.camera.pose.standoff_mm, (50.0 / 8.0 / 4.0) ** 2
     # Z_m is the depth in focus: then the second coefficient is 0.
     slopes = defocus_slopes_px(rig.camera, points, T[:3, 2], focus_mm)
-    predicted = np.einsum("nij,nj->ni", seen.slopes, slopes[..., 0] * pupil_mm2)
+    predicted = np.einsum("nij,nj->ni", observed.slopes, slopes[..., 0] * pupil_mm2)
     return np.stack([off.mean(axis=0), predicted.mean(axis=0)])
 
 
@@ -63,19 +63,19 @@ def test_corner_boards_are_observed(mi, name):
     """
     board, experiment = load_board(name), load_experiment("examples/slab_balls", SMALL)
     pose = BoardPose(tilt_deg=12.0, azimuth_deg=40.0)
-    seen = observe(record_board(experiment, board, pose), board.board())
-    assert len(seen.ids) >= 50
+    observed = observe(record_board(experiment, board, pose), board.board())
+    assert len(observed.ids) >= 50
     rig, T = true_calibration(experiment), board_pose(pose)
-    points = seen.points_mm @ T[:3, :3].T + T[:3, 3]
+    points = observed.points_mm @ T[:3, :3].T + T[:3, 3]
     misses = [
-        found - device.project(into(np.linalg.inv(frame), points))
-        for found, device, frame in (
-            (seen.camera_px, rig.camera, rig.T_world_from_cam),
-            (seen.projector_px, rig.projector, rig.T_world_from_proj),
+        located - device.project(into(np.linalg.inv(frame), points))
+        for located, device, frame in (
+            (observed.camera_px, rig.camera, rig.T_world_from_cam),
+            (observed.projector_px, rig.projector, rig.T_world_from_proj),
         )
     ]
     assert np.sqrt(np.mean(misses[0] ** 2)) < 0.05
-    beyond = misses[1] - np.einsum("nij,nj->ni", seen.slopes, misses[0])
+    beyond = misses[1] - np.einsum("nij,nj->ni", observed.slopes, misses[0])
     assert np.sqrt(np.mean(beyond**2)) < 5e-3
 
 

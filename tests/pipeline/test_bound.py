@@ -61,7 +61,7 @@ def test_predicted_sigma_is_the_spread_of_measurements(balls, changes):
     bounds, over, under = bounds_alone(experiment, memory)[1], [], []
     assert figures[0]["object_radius_1_mm"] is None  # a thick slab's coat is not the ball
     for name in ("sphere_1_radius", "sphere_2_radius"):
-        spread_um = 1e3 * np.std([one[f"{name}_mm"] for one in figures], ddof=1)
+        spread_um = 1e3 * np.std([row[f"{name}_mm"] for row in figures], ddof=1)
         over.append(np.log(bounds[f"{name}_spread_um"] / spread_um))
         under.append(np.log(bounds[f"{name}_crb_um"] / spread_um))
     assert np.mean(over) == pytest.approx(0.0, abs=0.18)
@@ -70,14 +70,14 @@ def test_predicted_sigma_is_the_spread_of_measurements(balls, changes):
 
 def test_bounds_beside_and_alone_are_the_same(balls):
     """The figures do not depend on whether anything was measured; all are named beforehand."""
-    beside = measure(balls, bound=True).metrics
+    measured = measure(balls, bound=True).metrics
     alone = bounds_alone(balls, Memory())[1]
-    found = {name: value for name, value in beside.items() if is_bound_name(name)}
-    assert found == {name: value for name, value in alone.items() if is_bound_name(name)}
+    bounds = {name: value for name, value in measured.items() if is_bound_name(name)}
+    assert bounds == {name: value for name, value in alone.items() if is_bound_name(name)}
     # Why a bound is absent is a figure where one is absent only.
     reasons = {name for name in bound_names(balls) if name.endswith("_bound_why")}
-    assert set(found) | reasons == bound_names(balls)
-    assert beside["exposure_ms"] == pytest.approx(alone["exposure_ms"], rel=1e-3)
+    assert set(bounds) | reasons == bound_names(balls)
+    assert measured["exposure_ms"] == pytest.approx(alone["exposure_ms"], rel=1e-3)
     assert not any(is_bound_name(name) for name in measure(balls).metrics)
 
 
@@ -141,15 +141,15 @@ def test_derivatives_of_a_bound_are_central_differences(balls):
     assert shares.min() >= 0.0
 
     def log_bound(path, value):
-        seen = vary(experiment, {path: value})
-        sigma = predicted(seen, press(seen, memory), memory)[0].single_mm
+        varied = vary(experiment, {path: value})
+        sigma = predicted(varied, press(varied, memory), memory)[0].single_mm
         return np.sum(shares * np.log(np.where(shares > 0.0, sigma, 1.0)))
 
     for number, (path, step) in enumerate(FIELDS.items()):
         value = value_at(experiment, path)
         change = (log_bound(path, value + step) - log_bound(path, value - step)) / (2.0 * step)
-        found = slopes["crb_radius_um"][number] / figures["crb_radius_um"]
-        assert found == pytest.approx(change, rel=1e-3), path
+        slope = slopes["crb_radius_um"][number] / figures["crb_radius_um"]
+        assert slope == pytest.approx(change, rel=1e-3), path
 
 
 def test_derivatives_of_frames_are_central_differences(balls):
@@ -162,10 +162,10 @@ def test_derivatives_of_frames_are_central_differences(balls):
     face = press(experiment, Memory())
     geometry = trace.load_face(experiment, face_mesh(face.pressed))
 
-    def rendered(seen):
-        view = trace.view_of(seen, geometry)
-        tables, rays = trace.tables_of(seen, view), trace.patches_of(seen, geometry, view)
-        lit = trace.light(seen, geometry, view, trace.Traced(rays, None, tables), lambda _: None)
+    def rendered(varied):
+        view = trace.view_of(varied, geometry)
+        tables, rays = trace.tables_of(varied, view), trace.patches_of(varied, geometry, view)
+        lit = trace.light(varied, geometry, view, trace.Traced(rays, None, tables), lambda _: None)
         return [lit.frames[n].astype(np.float64) for n in (2, -2)], view, tables
 
     still, view, tables = rendered(experiment)
@@ -181,10 +181,12 @@ def test_derivatives_of_frames_are_central_differences(balls):
 
         trace.dress(experiment, geometry)
         scene = geometry.scene
-        found = trace_tangent(scene, view.rig, experiment, moved, step=step, tables=tables).frames
+        tangents = trace_tangent(
+            scene, view.rig, experiment, moved, step=step, tables=tables
+        ).frames
         high, low = rendered(moved(step))[0], rendered(moved(-step))[0]
         for n, (up, down, here) in enumerate(zip(high, low, still, strict=True)):
-            tangent = found[(2, -2)[n]]
+            tangent = tangents[(2, -2)[n]]
             of_sum, of_square = np.sum(up - down) / (2 * step), np.sum(up**2 - down**2) / (2 * step)
             assert np.sum(tangent) == pytest.approx(of_sum, rel=1e-3), path
             assert np.sum(2 * here * tangent) == pytest.approx(of_square, rel=1e-3), path

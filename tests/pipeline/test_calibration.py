@@ -98,24 +98,24 @@ def figures(folder):
 
 def test_rendered_calibration_finds_the_true_rig(folder):
     """Setup: 5 poses, 484 x 366 px, default noise. Expected: 0.1 %, and inside U."""
-    found = figures(folder)
+    calibrated = figures(folder)
     for name in ("camera_fx_px", "projector_fx_px", "baseline_mm"):
-        error, expanded = found[f"{name}_error"], found[f"{name}_expanded"]
-        assert abs(error) < 1e-3 * found[name]
+        error, expanded = calibrated[f"{name}_error"], calibrated[f"{name}_expanded"]
+        assert abs(error) < 1e-3 * calibrated[name]
         assert abs(error) < expanded
-    assert found["camera_reprojection_rms_px"] < 0.02
-    assert found["epipolar_rms_px"] < 0.002
+    assert calibrated["camera_reprojection_rms_px"] < 0.02
+    assert calibrated["epipolar_rms_px"] < 0.002
 
 
 def test_world_frame_is_the_first_board(folder):
     """The first pose is in the rig's own reference frame: transforms agree with the true ones."""
-    found = read_calibration(folder / "calibration.yaml")
+    calibration = read_calibration(folder / "calibration.yaml")
     true = true_calibration(load_experiment("examples/slab_balls", SMALL))
     np.testing.assert_allclose(
-        found.T_world_from_cam[:3, 3], true.T_world_from_cam[:3, 3], atol=0.2
+        calibration.T_world_from_cam[:3, 3], true.T_world_from_cam[:3, 3], atol=0.2
     )
     np.testing.assert_allclose(
-        found.T_world_from_proj[:3, :3], true.T_world_from_proj[:3, :3], atol=1e-3
+        calibration.T_world_from_proj[:3, :3], true.T_world_from_proj[:3, :3], atol=1e-3
     )
 
 
@@ -181,16 +181,18 @@ def test_calibration_of_folders_holds_the_true_rig(calibrated):
 
 def test_calibration_file_opens_in_opencv(calibrated):
     """Expected: nodes as OpenCV's functions take them; tables and pictures in the same folder."""
-    found = read_calibration(calibrated / "calibration.yaml")
+    calibration = read_calibration(calibrated / "calibration.yaml")
     storage = cv2.FileStorage(str(calibrated / "calibration.yaml"), cv2.FILE_STORAGE_READ)
     matrix = storage.getNode("camera").getNode("camera_matrix").mat()
     distortion = storage.getNode("projector").getNode("distortion_coefficients").mat()
     pose = storage.getNode("T_world_from_proj").mat()
     storage.release()
     projected = cv2.projectPoints(np.array([[0.0, 0.0, 1.0]]), *np.zeros((2, 3)), matrix, None)[0]
-    np.testing.assert_allclose(projected.ravel(), [found.camera.cx_px, found.camera.cy_px])
+    np.testing.assert_allclose(
+        projected.ravel(), [calibration.camera.cx_px, calibration.camera.cy_px]
+    )
     assert distortion.shape == (1, 5)
-    np.testing.assert_array_equal(pose, found.T_world_from_proj)
+    np.testing.assert_array_equal(pose, calibration.T_world_from_proj)
     for name, size in PICTURES.items():
         assert is_drawn(calibrated / name, *size), name
     assert not (calibrated / "parameters.png").exists()  # errors are not known
@@ -209,11 +211,11 @@ def test_capture_is_reconstructed_with_that_calibration(folder, calibrated, tmp_
     assert run(["reconstruct", str(capture), "-o", str(tmp_path / "out")]) == 0
     points_mm = np.asarray(trimesh.load(tmp_path / "out" / "points.ply").vertices)
     assert len(points_mm) > 0.8 * 484 * 366
-    found = flatness(points_mm)
-    assert found.kept.mean() > 0.7
-    assert found.rms_mm < 2e-3
-    assert abs(np.median(points_mm[found.kept, 2])) < 1e-3
-    assert np.abs(found.plane.normal[:2]).max() < 1e-4
+    plane = flatness(points_mm)
+    assert plane.kept.mean() > 0.7
+    assert plane.rms_mm < 2e-3
+    assert abs(np.median(points_mm[plane.kept, 2])) < 1e-3
+    assert np.abs(plane.plane.normal[:2]).max() < 1e-4
 
 
 def test_lengths_on_a_new_pose(folder, board_file, mi):
@@ -221,9 +223,9 @@ def test_lengths_on_a_new_pose(folder, board_file, mi):
     board = load_board(board_file)
     new = BoardPose(tilt_deg=10.0, azimuth_deg=60.0, spin_deg=15.0, z_mm=0.5)
     experiment = load_experiment("examples/slab_balls", EIGHT_BIT)
-    seen = observe(record_board(experiment, board, new, 50), board.board())
-    points = locate_features(read_calibration(folder / "calibration.yaml"), seen)
-    assert np.abs(length_errors_mm(points, seen, 11.0)).max() < 5e-3
+    observed = observe(record_board(experiment, board, new, 50), board.board())
+    points = locate_features(read_calibration(folder / "calibration.yaml"), observed)
+    assert np.abs(length_errors_mm(points, observed, 11.0)).max() < 5e-3
 
 
 def test_errors_name_the_pose_and_leave_nothing_behind(folder, tmp_path, capsys):
@@ -296,14 +298,14 @@ def test_one_bad_pose_does_not_stop_the_others(folder, board_file, tmp_path, cap
     no_board(captures)
     (captures / "pose_03" / "004_phase_column_04.png").unlink()
     assert run(["calibrate", str(captures), "-o", str(out), "--board", str(board_file)]) == 0
-    found = figures(out)
-    assert (found["poses"], found["poses_skipped"]) == (3, 2)
-    assert [told.partition("pose_0")[2][0] for told in found["warnings"]] == ["0", "3"]
-    assert "1 of 29 frames are missing" in found["warnings"][1]
+    result = figures(out)
+    assert (result["poses"], result["poses_skipped"]) == (3, 2)
+    assert [warning.partition("pose_0")[2][0] for warning in result["warnings"]] == ["0", "3"]
+    assert "1 of 29 frames are missing" in result["warnings"][1]
     assert {path.name for path in out.glob("skipped_*")} == {"skipped_pose_00.png"}
     # It shows the pose's mean image: patterns of all kinds, in the mean brighter than dark.
     assert imageio.imread(out / "skipped_pose_00.png").mean() > 64
-    assert "grid is not recognised" in found["warnings"][0]
+    assert "grid is not recognised" in result["warnings"][0]
     assert "left out: " in capsys.readouterr().out
 
 

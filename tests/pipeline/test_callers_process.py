@@ -109,6 +109,6 @@ def test_a_call_leaves_the_process_as_it_was():
 
 def test_first_measurements_in_two_threads_are_those_of_one():
     """No module is imported before, and both threads share the stages' cache."""
-    found = answer_of(BALLS + THREADS)
-    assert isinstance(found["after"], dict)
-    assert found == dict.fromkeys(found, found["after"])
+    digests = answer_of(BALLS + THREADS)
+    assert isinstance(digests["after"], dict)
+    assert digests == dict.fromkeys(digests, digests["after"])

@@ -1,4 +1,4 @@
-"""Small measurements and a study give their recorded digests.
+"""Small measurements and a study give what they gave when they were recorded.
 
 On the recorded processor with the recorded versions to the last byte. Elsewhere floating-point
 numbers round differently and a few grey levels flip: compiled without fused multiply-add, figures

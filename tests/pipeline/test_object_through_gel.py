@@ -57,22 +57,22 @@ def test_the_object_is_measured_as_well_as_the_gel_shows_it(mi, name, text):
     true coat does, and its dimension by at most 3 um more than the true coat's.
     """
     done = measured(name, text, **{"camera.noise": False})
-    truth, found = done.truth, done.points
+    truth, points = done.truth, done.points
     flat = truth.normals_world[..., 2] >= np.cos(np.deg2rad(SMOOTH_DEG))
     if name == "ball":
         flat = truth.lit  # it bends, but never breaks
-    smooth = binary_erosion(flat & truth.lit, iterations=2) & found.valid
-    error_um = 1e3 * (found.world_mm - truth.points_world_mm)[smooth][:, 2]
+    smooth = binary_erosion(flat & truth.lit, iterations=2) & points.valid
+    error_um = 1e3 * (points.world_mm - truth.points_world_mm)[smooth][:, 2]
     assert smooth.sum() > 10_000
     assert np.sqrt(np.mean(error_um**2)) < 1.0
-    figures, asked = done.figures, CASES[name][2]
+    figures, limits = done.figures, CASES[name][2]
     own_um, coat_um = figures.known("object_rms_um"), figures.known("true_face_object_rms_um")
     assert own_um <= coat_um + 3.0
-    assert figures.known(f"object_{asked}_mm") == pytest.approx(
-        figures.known(f"object_{asked}_true_face_mm"), abs=3e-3
+    assert figures.known(f"object_{limits}_mm") == pytest.approx(
+        figures.known(f"object_{limits}_true_face_mm"), abs=3e-3
     )
     # And the gel itself shows these objects: the requested dimension is within 3 um of the drawing.
-    assert abs(figures.known(f"object_{asked}_error_um")) < 3.0
+    assert abs(figures.known(f"object_{limits}_error_um")) < 3.0
 
 
 def test_raised_text_gets_its_verdict(mi, text):

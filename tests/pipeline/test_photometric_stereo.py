@@ -64,7 +64,7 @@ def calibrated(mi, experiment, memory):
 @pytest.fixture(scope="module")
 def presses(calibrated, experiment):
     """Images of one ball at three places, and its true circle (row, col, contact radius)."""
-    sensor, found = calibrated[0], []
+    sensor, images = calibrated[0], []
     for number, (x_mm, y_mm) in enumerate(PLACES_MM):
         ball = Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm)
         case = with_ball(experiment, ball, DEPTH_MM)
@@ -74,8 +74,8 @@ def presses(calibrated, experiment):
         circle = ContactCircle(
             119.5 - y_mm / pitch_mm, 159.5 + x_mm / pitch_mm, np.sqrt(area_mm2 / np.pi) / pitch_mm
         )
-        found.append((sensor.image(seen_face(case, pressed), 5000 + number), circle))
-    return found
+        images.append((sensor.image(seen_face(case, pressed), 5000 + number), circle))
+    return images
 
 
 @pytest.fixture(scope="module")
@@ -106,15 +106,15 @@ def test_presses_look_as_on_the_real_unit(calibrated):
     images = twins(sensor, tuple(real.presses[number] for number in chosen))
     before = mean_background(sensor.backgrounds())
     circles = [circle_of(real.presses[number]) for number in chosen]
-    found = np.concatenate([
+    changes = np.concatenate([
         spots_of(image.image, circle)[1] - spots_of(before, circle)[1]
         for image, circle in zip(images, circles, strict=True)
     ])  # fmt: skip
     spots = np.concatenate([np.flatnonzero(real.of_press == number) for number in chosen])
-    off = found - real.change[spots]
+    off = changes - real.change[spots]
     assert np.sqrt(np.mean(off**2)) < 7.2 < 0.3 * np.sqrt(np.mean(real.change[spots] ** 2))
     azimuths = []
-    for change in (found, real.change[spots]):
+    for change in (changes, real.change[spots]):
         x, y, _ = np.linalg.lstsq(real.normals[spots], change, rcond=None)[0]
         azimuths.append(np.degrees(np.arctan2(y, x)))
     assert np.abs(azimuths[0] - azimuths[1]).max() < 6.0
@@ -184,18 +184,18 @@ def test_a_measurement_scores_in_the_stated_field(done):
 
 
 def test_another_decoder_uses_the_same_calibration(experiment, done, memory):
-    other = measure(vary(experiment, {"photometric.integration": "sdk_2025"}), memory=memory)
-    assert other.colours.calibration is done.colours.calibration
-    np.testing.assert_array_equal(other.picture, done.picture)
-    assert other.points.world_mm[..., 2].max() < 0.8 * done.points.world_mm[..., 2].max()
+    second = measure(vary(experiment, {"photometric.integration": "sdk_2025"}), memory=memory)
+    assert second.colours.calibration is done.colours.calibration
+    np.testing.assert_array_equal(second.picture, done.picture)
+    assert second.points.world_mm[..., 2].max() < 0.8 * done.points.world_mm[..., 2].max()
 
 
 def test_another_specimen_uses_the_same_sensor(experiment, done, memory):
     """Neither specimen and load nor decoding or score is part of the sensor."""
     changes = {"specimen.diameter_mm": 7.0, "press.depth_mm": 0.5, "score.roi_radius_mm": 0.5}
-    other = measure(vary(experiment, changes), memory=memory)
-    assert other.colours.calibration is done.colours.calibration
-    assert not np.array_equal(other.picture, done.picture)
+    second = measure(vary(experiment, changes), memory=memory)
+    assert second.colours.calibration is done.colours.calibration
+    assert not np.array_equal(second.picture, done.picture)
 
 
 def test_a_kept_calibration_serves_other_processes(
@@ -221,17 +221,17 @@ def test_a_kept_calibration_serves_other_processes(
         new.calibrations = tmp_path
         return calibrated_sensor(vary(experiment, changes), new)[1]
 
-    other = {
+    later = {
         "specimen.diameter_mm": 5.0,
         "press.depth_mm": 0.3,
         "photometric.integration": "sdk_2025",
     }
-    for changes in ({}, other):
-        kept, own = found(changes), calibrated[1]
-        assert kept.pitch_mm == own.pitch_mm
-        np.testing.assert_array_equal(kept.background, own.background)
+    for changes in ({}, later):
+        stored, own = found(changes), calibrated[1]
+        assert stored.pitch_mm == own.pitch_mm
+        np.testing.assert_array_equal(stored.background, own.background)
         for name, values in own.colour_map.arrays().items():
-            np.testing.assert_array_equal(kept.colour_map.arrays()[name], values)
+            np.testing.assert_array_equal(stored.colour_map.arrays()[name], values)
     with pytest.raises(InputError, match="pressed again"):
         found({"seed": experiment.seed + 1})
     for file in tmp_path.glob("*/*.npz"):
@@ -264,15 +264,15 @@ def test_white_balance_lifts_noise_with_the_signal(experiment):
     sqrt(e + read^2), and doubled with the signal.
     """
     gains = {"photometric.white_balance.red": 2.0, "photometric.gamma": 1.0}
-    one = vary(experiment, EVEN | gains)
-    camera, lamps = one.camera, one.lamps
+    balanced = vary(experiment, EVEN | gains)
+    camera, lamps = balanced.camera, balanced.lamps
     half = [
         0.5 / gain * full_well_e(camera)
         / (electrons_per_ms(camera, lamps[f"{name}_1"].wavelength_nm) * camera.exposure_ms)
         for name, gain in (("red", 2.0), ("green", 1.0), ("blue", 1.0))
     ]  # fmt: skip
     radiance = np.broadcast_to(np.array(half, np.float32), (442, 586, 3))
-    image = develop(one, radiance).astype(float)
+    image = develop(balanced, radiance).astype(float)
     assert image[..., 0].mean() == pytest.approx(image[..., 1].mean(), abs=0.2)
     signal_e, read_e = 0.5 * full_well_e(camera), read_noise_e(camera)
     ratio = 2.0 * np.sqrt((signal_e / 2 + read_e**2) / (signal_e + read_e**2))
@@ -334,10 +334,10 @@ def test_automatic_exposure_is_set_once_on_the_untouched_coat(experiment):
     background = np.full((442, 586, 3), 1e-5, np.float32)
     exposure = {"exposure_ms": fixed_exposure_ms(automatic, background)}
     camera = automatic.camera.model_copy(update=exposure)
-    found = develop(automatic.model_copy(update={"camera": camera}), background)
-    assert found[..., 0].min() == found[..., 0].max() == 227
+    developed = develop(automatic.model_copy(update={"camera": camera}), background)
+    assert developed[..., 0].min() == developed[..., 0].max() == 227
     blue_over_red = 463.0 / 635.0
-    assert found[0, 0, 2] == round(255 * (0.85 * blue_over_red) ** (1 / 1.4))
+    assert developed[0, 0, 2] == round(255 * (0.85 * blue_over_red) ** (1 / 1.4))
 
 
 def test_the_final_image_sees_what_the_crop_sees(experiment):

@@ -56,7 +56,7 @@ def test_the_contact_goes_with_the_travel(experiment):
 
 
 @pytest.mark.parametrize(
-    ("settings", "path", "told"),
+    ("settings", "path", "message"),
     [
         ({}, "camera.gain", r"camera\.gain: found no derivative by it; allowed: elastomer"),
         ({}, "press.control", r"press\.control: found 'depth', allowed a number"),
@@ -64,22 +64,22 @@ def test_the_contact_goes_with_the_travel(experiment):
         ({"mechanics.model": "spectral"}, "press.depth_mm", "found 'spectral', which has no deriv"),
     ],
 )
-def test_what_has_no_derivative_is_told(experiment, settings, path, told):
+def test_what_has_no_derivative_is_told(experiment, settings, path, message):
     case = load_experiment("examples/slab_balls", settings) if settings else experiment
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         press_derivatives(case, [path])
 
 
 def test_press_writes_them(tmp_path):
     path, out = "elastomer.thickness_mm", tmp_path / "out"
     small = ("press.cell_mm=0.5", "press.depth_mm=0.5", "elastomer.length_y_mm=15")
-    settings = [word for one in small for word in ("-s", one)]
+    settings = [word for setting in small for word in ("-s", setting)]
     command = ["press", "examples/wrapped_balls", "-o", str(out), *settings, "--by", path]
     assert run(command) == 0
     figures = json.loads((out / "result.json").read_text())["metrics"]
     assert figures[f"force_n_by_{path}"] < 0.0 < figures[f"thinnest_mm_by_{path}"]
     with h5netcdf.File(out / "derivatives.nc") as file:
-        found = file[f"face_z_by_{path}"]
-        assert found.dimensions == ("face_y", "face_x")
-        assert np.abs(found[...]).max() > 1.0
+        derivative = file[f"face_z_by_{path}"]
+        assert derivative.dimensions == ("face_y", "face_x")
+        assert np.abs(derivative[...]).max() > 1.0
     assert is_drawn(out / "derivatives.png", 5.2, 3.8)

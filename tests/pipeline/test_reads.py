@@ -18,7 +18,7 @@ def reads_of(experiment, look):
 
 
 def test_only_what_is_read_counts(base):
-    reads = reads_of(base, lambda seen: seen.camera.pose.polar_deg + seen.seed)
+    reads = reads_of(base, lambda proxy: proxy.camera.pose.polar_deg + proxy.seed)
     assert reads.paths == (
         ("camera",),
         ("camera", "pose"),
@@ -33,13 +33,13 @@ def test_only_what_is_read_counts(base):
 @pytest.mark.parametrize(
     "look",
     [
-        lambda seen: seen.model_dump(),
-        lambda seen: seen.elastomer.model_copy(update={"layout": "contact_face"}).model_dump(),
-        lambda seen: seen.elastomer == 3,
-        lambda seen: hash(seen.elastomer),
-        lambda seen: repr(seen.elastomer),
-        lambda seen: copy.copy(seen.elastomer),
-        lambda seen: vars(seen.elastomer) if hasattr(seen.elastomer, "__dict__") else 0,
+        lambda proxy: proxy.model_dump(),
+        lambda proxy: proxy.elastomer.model_copy(update={"layout": "contact_face"}).model_dump(),
+        lambda proxy: proxy.elastomer == 3,
+        lambda proxy: hash(proxy.elastomer),
+        lambda proxy: repr(proxy.elastomer),
+        lambda proxy: copy.copy(proxy.elastomer),
+        lambda proxy: vars(proxy.elastomer) if hasattr(proxy.elastomer, "__dict__") else 0,
         digest,
     ],
 )
@@ -51,9 +51,9 @@ def test_anything_but_a_field_reads_all(base, look):
 def test_reads_of_several_stages_on_paper(base):
     """Expected: together, and read again from JSON, they hold where each of them does."""
     parts = [
-        reads_of(base, lambda seen: seen.camera.pose.polar_deg),
-        reads_of(base, lambda seen: (seen.seed, seen.camera.model_dump())),
-        reads_of(base, lambda seen: seen.camera.binning),
+        reads_of(base, lambda proxy: proxy.camera.pose.polar_deg),
+        reads_of(base, lambda proxy: (proxy.seed, proxy.camera.model_dump())),
+        reads_of(base, lambda proxy: proxy.camera.binning),
     ]
     for some in (parts, parts[::-1]):
         again = Reads.from_json(json.loads(json.dumps(Reads.union(some).as_json())))
@@ -66,20 +66,20 @@ def test_reads_of_several_stages_on_paper(base):
 def test_what_a_copy_replaces_is_not_read(base):
     """A copy of a table in a copy of the whole: the rest is read where it is looked at."""
 
-    def look(seen):
-        camera = seen.camera.model_copy(update={"exposure_ms": 2.0 * seen.camera.pose.polar_deg})
-        changed = seen.model_copy(update={"seed": 5, "camera": camera})
+    def look(proxy):
+        camera = proxy.camera.model_copy(update={"exposure_ms": 2.0 * proxy.camera.pose.polar_deg})
+        changed = proxy.model_copy(update={"seed": 5, "camera": camera})
         return changed.seed, changed.camera.exposure_ms, changed.press.depth_mm
 
     reads = reads_of(base, look)
     for same in ({"seed": 9}, {"camera.exposure_ms": 3.0}, {"press.solver_pitch_mm": 0.2}):
         assert reads.hold_for(vary(base, same))
-    for other in ({"press.depth_mm": 0.6}, {"camera.pose.polar_deg": 1.0}):
-        assert not reads.hold_for(vary(base, other))
+    for changes in ({"press.depth_mm": 0.6}, {"camera.pose.polar_deg": 1.0}):
+        assert not reads.hold_for(vary(base, changes))
 
 
 def test_properties_and_types_are_looked_through(base):
-    reads = reads_of(base, lambda seen: (seen.elastomer.touched_plane_mm, seen.bounces))
+    reads = reads_of(base, lambda proxy: (proxy.elastomer.touched_plane_mm, proxy.bounces))
     assert ("elastomer", "thickness_mm") in reads.paths
     assert ("render", "bounces") in reads.paths
     assert ("elastomer", "shore_a") not in reads.paths
@@ -88,14 +88,14 @@ def test_properties_and_types_are_looked_through(base):
 
 def test_tables_that_may_be_absent(base):
     """The presence of a table counts even if no field in it was read."""
-    reads = reads_of(base, lambda seen: seen.elastomer.film is None)
+    reads = reads_of(base, lambda proxy: proxy.elastomer.film is None)
     film = Film(thickness_mm=0.1, young_modulus_kpa=100.0)
     assert reads.hold_for(base)
     assert not reads.hold_for(vary(base, {"elastomer.film": film.model_dump()}))
 
 
 def test_tables_of_several_kinds_are_read_whole(base):
-    reads = reads_of(base, lambda seen: seen.specimen.kind)
+    reads = reads_of(base, lambda proxy: proxy.specimen.kind)
     assert reads.paths == (("specimen",),)
     assert not reads.hold_for(vary(base, {"specimen.separation_mm": 8.5}))
 
@@ -104,14 +104,14 @@ def test_files_count_by_their_content(base, tmp_path):
     mesh = tmp_path / "part.stl"
     mesh.write_bytes(b"first")
     experiment = vary(base, {"specimen": {"kind": "mesh", "file": str(mesh)}})
-    reads = reads_of(experiment, lambda seen: seen.specimen)
+    reads = reads_of(experiment, lambda proxy: proxy.specimen)
     assert reads.hold_for(experiment)
     mesh.write_bytes(b"second")
     assert not reads.hold_for(experiment)
 
 
 def test_values_of_another_experiment(base):
-    paths = reads_of(base, lambda seen: seen.camera.pose.polar_deg).paths
+    paths = reads_of(base, lambda proxy: proxy.camera.pose.polar_deg).paths
     noisy = vary(base, {"camera.read_noise_e": 9.0})
     assert values_at(noisy, paths) == values_at(base, paths)
     assert values_at(vary(base, {"camera.pose.polar_deg": 1.0}), paths) != values_at(base, paths)
@@ -120,8 +120,8 @@ def test_values_of_another_experiment(base):
 def test_memo_forgets_the_oldest_and_keeps_refusals(base):
     calls = []
 
-    def albedo(seen):
-        calls.append(seen.coating.base_albedo)
+    def albedo(proxy):
+        calls.append(proxy.coating.base_albedo)
         if calls[-1] == 0.9:
             raise InputError("too bright")
         return calls[-1]

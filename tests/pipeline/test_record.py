@@ -32,8 +32,8 @@ def test_a_record_comes_back(done, folder):
         done.metrics, done.digest, dict(done.versions),
     )  # fmt: skip
     for name in ("world_mm", "sigma_z_mm", "reason"):
-        found, expected = getattr(again.points, name), getattr(done.points, name)
-        np.testing.assert_array_equal(found, expected)
+        stored, expected = getattr(again.points, name), getattr(done.points, name)
+        np.testing.assert_array_equal(stored, expected)
     np.testing.assert_array_equal(again.truth.points_world_mm, done.truth.points_world_mm)
     np.testing.assert_array_equal(again.picture, done.picture)
     assert again.score.against_truth == done.score.against_truth

@@ -56,11 +56,11 @@ def wrapped(pitch_mm, first_mm):
 def test_where_the_slope_breaks_does_not_depend_on_the_pixels(pitch_mm):
     """Columns of any pitch and phase against fine ones."""
     fine = section_of(wrapped(0.002, 0.0), 2.0, (0.0, 0.0)).break_width().width_mm
-    found = [
+    widths = [
         section_of(wrapped(pitch_mm, share * pitch_mm), 2.0, (0.0, 0.0)).break_width().width_mm
         for share in np.arange(0.0, 1.0, 0.1)
     ]
-    np.testing.assert_allclose(found, fine, atol=0.01)
+    np.testing.assert_allclose(widths, fine, atol=0.01)
 
 
 def test_a_single_bar_is_read_like_a_rod():

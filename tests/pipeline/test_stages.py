@@ -96,8 +96,8 @@ def test_a_bare_specimen_shares_its_stages(mi, base):
         case = vary(bare, {path: value})
         shared, alone = measure(case, memory=memory), measure(case)
         assert shared.fringes.capture.stack.tobytes() == alone.fringes.capture.stack.tobytes()
-        anew = [name for name, computed, _, _ in memory.stages() if computed > before[name]]
-        assert anew == expected.split(), path
+        repeated = [name for name, computed, _, _ in memory.stages() if computed > before[name]]
+        assert repeated == expected.split(), path
         measure(bare, memory=memory)
 
 
@@ -118,8 +118,8 @@ def counted(mi, base):
         ]
         measure(cases[0], memory=memory)
         reads = tuple(paths for _, _, _, paths in memory.stages())
-        found = [Case({}, case, str(i)) for i, case in enumerate(cases)]
-        for _, case in in_sharing_order(found, reads):
+        counts = [Case({}, case, str(i)) for i, case in enumerate(cases)]
+        for _, case in in_sharing_order(counts, reads):
             measure(case.experiment, memory=memory)
         return {name: computed for name, computed, _, _ in memory.stages()}
 
@@ -128,40 +128,40 @@ def counted(mi, base):
 
 def test_each_stage_runs_once_per_difference(counted):
     """2 coats x 2 periods x 2 exposures: 1 press, 1 scene, 2 traces, 4 lit stacks, 8 captures."""
-    found = counted(
+    counts = counted(
         {
             "camera.exposure_ms": [5.0, 6.0],
             "patterns.period_px": [18.0, 24.0],
             "coating.base_albedo": [0.3, 0.5],
         }
     )
-    assert (found["shape"], found["press"], found["geometry"], found["view"]) == (1, 0, 1, 1)
+    assert (counts["shape"], counts["press"], counts["geometry"], counts["view"]) == (1, 0, 1, 1)
     # The first case is computed twice: it scouts, and is in the grid again here.
-    assert (found["trace"], found["frames"], found["capture"]) == (2, 4, 8)
+    assert (counts["trace"], counts["frames"], counts["capture"]) == (2, 4, 8)
 
 
 def test_hardness_is_free_under_depth_control(counted):
     """At a given depth the shape does not depend on the modulus: one press, one capture."""
-    found = counted({"elastomer.shore_a": [6.0, 10.0, 14.0]})
-    assert found["shape"] == found["capture"] == found["reconstruction"] == 1
-    assert found["press"] == 0
+    counts = counted({"elastomer.shore_a": [6.0, 10.0, 14.0]})
+    assert counts["shape"] == counts["capture"] == counts["reconstruction"] == 1
+    assert counts["press"] == 0
 
 
 def test_a_texture_is_laid_on_one_press(counted, base):
     """Two coats, three seeds: the slow press runs once, each coat's texture once per seed."""
     textures = [{"rms_um": rms, "correlation_mm": 0.2} for rms in (6.0, 12.0)]
-    found = counted({"coating.texture": textures, "seed": [1, 2, 3]})
-    assert (found["shape"], found["press"]) == (1, 0)
+    counts = counted({"coating.texture": textures, "seed": [1, 2, 3]})
+    assert (counts["shape"], counts["press"]) == (1, 0)
     # The scout's texture is in the grid again.
-    assert found["texture"] == found["geometry"] == 6
+    assert counts["texture"] == counts["geometry"] == 6
 
 
 def test_hardness_stays_free_under_a_texture(counted):
     """The modulus moves the last digit of the coat's displacement, not the rendered image."""
     texture = {"rms_um": 10.0, "correlation_mm": 0.2}
-    found = counted({"coating.texture": [texture], "elastomer.shore_a": [6.0, 10.0, 14.0]})
-    assert found["texture"] == 3
-    assert found["geometry"] == found["capture"] == 1
+    counts = counted({"coating.texture": [texture], "elastomer.shore_a": [6.0, 10.0, 14.0]})
+    assert counts["texture"] == 3
+    assert counts["geometry"] == counts["capture"] == 1
 
 
 def test_hardness_needs_presses_under_force_control(mi, base):

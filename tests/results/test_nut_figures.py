@@ -36,9 +36,9 @@ def tent(share, hole_mm=0.3):
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0])
 def test_the_share_is_that_of_the_contour(share):
-    found = nut_figures(lying(), tent(share))
-    assert found["nut_hexagon_share"] == pytest.approx(share, abs=0.02)
-    assert found["nut_hole_depth_mm"] == pytest.approx(0.3)
+    figures = nut_figures(lying(), tent(share))
+    assert figures["nut_hexagon_share"] == pytest.approx(share, abs=0.02)
+    assert figures["nut_hole_depth_mm"] == pytest.approx(0.3)
 
 
 def test_the_nut_itself_is_a_hexagon_but_for_its_walls():
@@ -49,25 +49,25 @@ def test_the_nut_itself_is_a_hexagon_but_for_its_walls():
     experiment = lying(yaw_deg=20.0, x_mm=0.7, y_mm=-0.4)
     along = np.arange(-8.0, 8.0, 0.04)
     gap = shape_of(experiment.specimen).height_above_lowest(along, along)
-    x, y = (one.ravel() for one in np.meshgrid(along, along))
+    x, y = (grid.ravel() for grid in np.meshgrid(along, along))
     z = np.where(np.isfinite(gap), -gap, -3.0).ravel()
-    found = nut_figures(experiment, np.column_stack([x, y, z]))
-    assert found["nut_hexagon_share"] == pytest.approx(0.87, abs=0.03)
+    figures = nut_figures(experiment, np.column_stack([x, y, z]))
+    assert figures["nut_hexagon_share"] == pytest.approx(0.87, abs=0.03)
 
 
 def test_a_nut_without_a_chamfer_is_read_below_its_face():
-    found = nut_figures(lying(chamfer_mm=0.0), tent(0.5))
-    assert found["nut_hexagon_share"] == pytest.approx(0.5, abs=0.02)
+    figures = nut_figures(lying(chamfer_mm=0.0), tent(0.5))
+    assert figures["nut_hexagon_share"] == pytest.approx(0.5, abs=0.02)
 
 
 def test_noise_does_not_move_its_mean():
     rng = np.random.default_rng(2)
     points = tent(0.0)
-    found = []
+    shares = []
     for _ in range(12):
         noisy = points + np.array([0.0, 0.0, 1.0]) * rng.normal(0, 0.014, (len(points), 1))
-        found.append(nut_figures(lying(), noisy)["nut_hexagon_share"])
-    assert abs(np.mean(found)) < 4 * np.std(found) / np.sqrt(len(found)) + 0.01
+        shares.append(nut_figures(lying(), noisy)["nut_hexagon_share"])
+    assert abs(np.mean(shares)) < 4 * np.std(shares) / np.sqrt(len(shares)) + 0.01
 
 
 def test_a_relief_too_flat_for_the_contour_shows_no_hexagon():
@@ -78,8 +78,8 @@ def test_a_relief_too_flat_for_the_contour_shows_no_hexagon():
 
 def test_points_that_miss_the_hole_say_nothing_of_it():
     points = tent(0.5)
-    found = nut_figures(lying(), points[np.hypot(points[:, 0], points[:, 1]) > 1.0])
-    assert set(found) == {"nut_hexagon_share"}
+    figures = nut_figures(lying(), points[np.hypot(points[:, 0], points[:, 1]) > 1.0])
+    assert set(figures) == {"nut_hexagon_share"}
 
 
 def test_only_nuts_have_these_figures():

@@ -5,7 +5,7 @@ import pytest
 
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension
-from tests.results.test_object_score import experiment, seen
+from tests.results.test_object_score import experiment, score_of
 from twin.results.measurands.step_height import levels
 from twin.results.object_fits import require_determined
 from twin.results.object_points import Heights, ObjectPoints
@@ -22,10 +22,10 @@ def points_of(count, sigma_mm=None, together=1.0):
 @pytest.mark.parametrize(("count", "left", "together"), [(2500, 2500, 9.0), (5001, 1667, 3.0)])
 def test_every_nth_point_is_enough(count, left, together):
     """5001 points are more than twice 2500: every third is left, and shares a third as much."""
-    found = points_of(count, together=9.0).thinned()
-    assert len(found.points_mm) == left
-    assert found.together == together
-    assert found.points_mm[1, 2] == count // left
+    thinned = points_of(count, together=9.0).thinned()
+    assert len(thinned.points_mm) == left
+    assert thinned.together == together
+    assert thinned.points_mm[1, 2] == count // left
 
 
 def test_noise_of_a_mean_of_four():
@@ -35,8 +35,8 @@ def test_noise_of_a_mean_of_four():
     """
     residuals = np.array([3.0, -3.0, 3.0, -3.0]) * 1e-3
     mean = FittedDimension(0.0, np.full(4, 0.25), residuals, np.ones(4, bool))
-    found = [points_of(4, 2e-3, n).noise_mm(mean) for n in (1.0, 2.0, 99.0)]
-    assert found == pytest.approx([1e-3, np.sqrt(2.0) * 1e-3, 2e-3])
+    noise_mm = [points_of(4, 2e-3, n).noise_mm(mean) for n in (1.0, 2.0, 99.0)]
+    assert noise_mm == pytest.approx([1e-3, np.sqrt(2.0) * 1e-3, 2e-3])
     assert points_of(4).noise_mm(mean) == pytest.approx(3e-3)
 
 
@@ -85,14 +85,16 @@ def test_noise_of_a_width_is_that_of_its_cells_where_it_is_crossed():
 
     Each crossing is known to 75 um / sqrt(12); both together to 30.6 um.
     """
-    found = seen(experiment({"kind": "bars", "widths_mm": [2.0, 3.0], "gap_mm": 2.0}), 0.0, 1e-9)
-    assert found.figures["object_width_1_noise_um"] == pytest.approx(75.0 / np.sqrt(6.0), rel=1e-3)
+    score = score_of(
+        experiment({"kind": "bars", "widths_mm": [2.0, 3.0], "gap_mm": 2.0}), 0.0, 1e-9
+    )
+    assert score.figures["object_width_1_noise_um"] == pytest.approx(75.0 / np.sqrt(6.0), rel=1e-3)
 
 
 FLAT = {"kind": "flat", "diameter_mm": 6.0}
 
 
-def asked_of(quantity, **more):
+def requests_of(quantity, **more):
     middle = {"x_mm": [-2.0, 2.0], "y_mm": [-2.0, 2.0]}
     return [{"name": "one", "quantity": quantity} | middle | more]
 
@@ -102,30 +104,34 @@ def test_deviation_and_form_of_a_flat_face():
 
     Its form, after the best fit, is 0; half of it raised by 20 um more makes a band of 20 um.
     """
-    plain = asked_of("deviation", alignment="none")
-    raised = seen(experiment(FLAT, measurand=plain), 0.02, 3e-3)
-    (one,) = (q for q in raised.quantities if q.asked.name == "one")
-    assert one.value == pytest.approx(20.0, abs=1e-3)
-    assert one.uncertainty.noise == pytest.approx(3.0 / np.sqrt(len(one.points_mm)), rel=1e-4)
-    form = seen(experiment(FLAT, measurand=asked_of("form")), 0.02, 3e-3)
+    plain = requests_of("deviation", alignment="none")
+    raised = score_of(experiment(FLAT, measurand=plain), 0.02, 3e-3)
+    (deviation,) = (q for q in raised.quantities if q.asked.name == "one")
+    assert deviation.value == pytest.approx(20.0, abs=1e-3)
+    assert deviation.uncertainty.noise == pytest.approx(
+        3.0 / np.sqrt(len(deviation.points_mm)), rel=1e-4
+    )
+    form = score_of(experiment(FLAT, measurand=requests_of("form")), 0.02, 3e-3)
     assert form.figures["object_one_um"] == pytest.approx(0.0, abs=1e-3)
-    ripple = seen(experiment(FLAT, measurand=asked_of("form")), 0.02 * (np.arange(241) % 2), 3e-3)
+    ripple = score_of(
+        experiment(FLAT, measurand=requests_of("form")), 0.02 * (np.arange(241) % 2), 3e-3
+    )
     assert ripple.figures["object_one_um"] == pytest.approx(20.0, abs=0.1)
 
 
 def test_coverage_counts_pixels():
-    found = seen(experiment(FLAT, measurand=asked_of("coverage", at_least=0.9)), 0.0, 3e-3)
-    (one,) = (q for q in found.quantities if q.asked.name == "one")
-    assert (one.value, one.decision) == (1.0, "within tolerance")
-    assert one.margin == pytest.approx(0.1)
+    score = score_of(experiment(FLAT, measurand=requests_of("coverage", at_least=0.9)), 0.0, 3e-3)
+    (coverage,) = (q for q in score.quantities if q.asked.name == "one")
+    assert (coverage.value, coverage.decision) == (1.0, "within tolerance")
+    assert coverage.margin == pytest.approx(0.1)
 
 
 def test_limits_of_a_measurand():
     """Stated one way or the other: about the nominal, from below, from above, as a least share."""
 
     def limits(**stated):
-        found = tolerance_of(experiment(FLAT, measurand=asked_of(**stated)).measurand[0])
-        return found and (found.lower, found.upper)
+        tolerance = tolerance_of(experiment(FLAT, measurand=requests_of(**stated)).measurand[0])
+        return tolerance and (tolerance.lower, tolerance.upper)
 
     assert limits(quantity="step_height", plus_minus_um=3.0) == (-3.0, 3.0)
     assert limits(quantity="step_height", lower_um=-2.0) == (-2.0, np.inf)

@@ -29,7 +29,7 @@ def experiment(specimen, **more):
     return load_experiment(BASE, settings)
 
 
-def seen(case, error_mm=0.0, sigma_mm=None, skin_mm=0.0, touched=np.isfinite):
+def score_of(case, error_mm=0.0, sigma_mm=None, skin_mm=0.0, touched=np.isfinite):
     """Score the specimen's own upper side, as a coat in contact with all of it would show it.
 
     `touched`: of world x, where the coat touches it.
@@ -84,15 +84,15 @@ def test_known_dimensions_are_found(specimen, name, true_mm):
 
     Expected: the drawing's dimension within its facets and a cell of the section.
     """
-    found = seen(experiment(specimen), sigma_mm=1e-6).figures
+    figures = score_of(experiment(specimen), sigma_mm=1e-6).figures
     loose = {"width_2": 0.06, "bar_width_1": 0.075, "width": 2e-3, "depth": 1e-3}.get(name, 1e-3)
-    assert found[f"object_{name}_mm"] == pytest.approx(true_mm, abs=loose)
-    assert found[f"object_{name}_error_um"] == pytest.approx(
-        1e3 * (found[f"object_{name}_mm"] - true_mm), abs=0.2
+    assert figures[f"object_{name}_mm"] == pytest.approx(true_mm, abs=loose)
+    assert figures[f"object_{name}_error_um"] == pytest.approx(
+        1e3 * (figures[f"object_{name}_mm"] - true_mm), abs=0.2
     )
     # Height fields and solid agree: the deviation from the solid is that of its facets.
-    assert found["object_rms_um"] < 1.0
-    assert found["object_coverage_share"] == 1.0
+    assert figures["object_rms_um"] < 1.0
+    assert figures["object_coverage_share"] == 1.0
 
 
 @pytest.mark.parametrize("specimen", [KNOWN[at][0] for at in (0, 2, 4, 5, 7)])
@@ -103,46 +103,48 @@ def test_the_stated_interval_covers_the_truth(specimen):
     0.3 %), and not by an interval that is far too wide. A section's width is known to its cells.
     """
     case, rng = experiment(specimen), np.random.default_rng(2)
-    found = seen(case, 0.0, 3e-3)
-    for one in (one for one in found.quantities if one.asked.quantity != "resolution"):
-        feature = feature_of(features_of(case.specimen), one.asked)
-        clean, ratios = found.seen.measured, []
+    score = score_of(case, 0.0, 3e-3)
+    for quantity in (
+        quantity for quantity in score.quantities if quantity.asked.quantity != "resolution"
+    ):
+        feature = feature_of(features_of(case.specimen), quantity.asked)
+        clean, ratios = score.seen.measured, []
         for _ in range(20):
             noise = np.outer(rng.normal(0, 3e-3, len(clean.points_mm)), [0, 0, 1])
             noisy = replace(clean, points_mm=clean.points_mm + noise)
-            value = fit(one.asked, feature, found.seen, noisy)
-            ratios.append((value.value - one.value) / (2 * value.noise_mm))
+            value = fit(quantity.asked, feature, score.seen, noisy)
+            ratios.append((value.value - quantity.value) / (2 * value.noise_mm))
         assert (np.abs(ratios) <= 1).sum() >= 16
-        assert np.std(ratios) > 0.3 or one.asked.quantity == "width"
+        assert np.std(ratios) > 0.3 or quantity.asked.quantity == "width"
 
 
 def test_a_value_gets_its_verdict_from_limits_and_uncertainty():
     """A step read 8 um too high, known to 3 um: within 15, undecided at 10, not within 5."""
     x_mm = np.linspace(-HALF_MM[0], HALF_MM[0], COLS)
-    asked = [
+    requests = [
         {"name": f"within_{limit}", "quantity": "step_height", "plus_minus_um": limit,
          "calibration_um": 1.5}
         for limit in (15, 10, 5)
     ]  # fmt: skip
-    found = seen(experiment(STEP, measurand=asked), np.where(x_mm > 0, 8e-3, 0), 1e-6)
-    decided = [one.decision for one in found.quantities if one.tolerance is not None]
+    score = score_of(experiment(STEP, measurand=requests), np.where(x_mm > 0, 8e-3, 0), 1e-6)
+    decided = [quantity.decision for quantity in score.quantities if quantity.tolerance is not None]
     assert decided == ["within tolerance", "cannot tell", "not within tolerance"]
-    assert found.figures["object_within_15_margin_um"] == pytest.approx(15 - 8 - 3, abs=0.05)
-    assert found.figures["measurands_judged"] == 3
-    assert found.figures["measurands_within"] == 1
-    assert found.figures["least_margin_um"] == pytest.approx(5 - 8 - 3, abs=0.05)
+    assert score.figures["object_within_15_margin_um"] == pytest.approx(15 - 8 - 3, abs=0.05)
+    assert score.figures["measurands_judged"] == 3
+    assert score.figures["measurands_within"] == 1
+    assert score.figures["least_margin_um"] == pytest.approx(5 - 8 - 3, abs=0.05)
 
 
 def test_a_constant_error_is_taken_off_by_the_stated_alignment():
     case = experiment(STEP)
     x_mm = np.linspace(-HALF_MM[0], HALF_MM[0], COLS)
-    found = seen(case, 0.02 + 0.001 * x_mm, 1e-6).figures
-    assert found["object_bias_um"] == pytest.approx(20.0, rel=0.01)
+    figures = score_of(case, 0.02 + 0.001 * x_mm, 1e-6).figures
+    assert figures["object_bias_um"] == pytest.approx(20.0, rel=0.01)
     tilt_um = np.std(x_mm)
-    assert found["object_rms_um"] == pytest.approx(np.hypot(20.0, tilt_um), rel=0.02)
-    assert found["object_offset_rms_um"] == pytest.approx(tilt_um, rel=0.02)
-    assert found["object_offset_tilt_rms_um"] < 0.2
-    assert found["true_face_object_rms_um"] < 0.1
+    assert figures["object_rms_um"] == pytest.approx(np.hypot(20.0, tilt_um), rel=0.02)
+    assert figures["object_offset_rms_um"] == pytest.approx(tilt_um, rel=0.02)
+    assert figures["object_offset_tilt_rms_um"] < 0.2
+    assert figures["true_face_object_rms_um"] < 0.1
 
 
 def test_a_skin_of_nominal_thickness_is_taken_off_deviations():
@@ -150,10 +152,10 @@ def test_a_skin_of_nominal_thickness_is_taken_off_deviations():
     slab = {"elastomer.layout": "opposite_face", "layers": {}}
     slab["elastomer.thickness_mm"] = {"value": 1.3, "source": "test"}
     case = experiment(STEP, **slab)
-    found = seen(case, 0.0, 1e-6, skin_mm=1.3).figures
+    figures = score_of(case, 0.0, 1e-6, skin_mm=1.3).figures
     # Next to the riser the parallel surface is round, the raised one is not.
-    assert abs(found["object_bias_um"]) < 5.0
-    assert found["object_form_um"] < 1e3 * 0.1
+    assert abs(figures["object_bias_um"]) < 5.0
+    assert figures["object_form_um"] < 1e3 * 0.1
 
 
 def test_resolution_is_the_finest_pitch_that_keeps_half_its_depth():
@@ -166,19 +168,19 @@ def test_resolution_is_the_finest_pitch_that_keeps_half_its_depth():
                "length_y_mm": 8.0, "x_mm": x}
         for name, pitch, x in (("coarse", 1.8, -4.0), ("middle", 0.9, 0.0), ("fine", 0.45, 4.0))
     }  # fmt: skip
-    asked = [{"name": "resolution", "quantity": "resolution", "nominal_mm": 0.5}]
-    case = experiment({"kind": "group", "parts": parts}, measurand=asked)
+    requests = [{"name": "resolution", "quantity": "resolution", "nominal_mm": 0.5}]
+    case = experiment({"kind": "group", "parts": parts}, measurand=requests)
     x_mm = np.linspace(-HALF_MM[0], HALF_MM[0], COLS)
-    kept = np.select([x_mm < -2, x_mm < 2], [1.0, 0.7], 0.4)
+    share = np.select([x_mm < -2, x_mm < 2], [1.0, 0.7], 0.4)
     surface = TrueSurface(shape_of(case.specimen), DEPTH_MM)
     z = surface.heights_mm(x_mm, np.zeros(1))[0]
     middle = DEPTH_MM - 0.05
-    flattened = (kept - 1) * (np.where(np.isfinite(z), z, middle) - middle)
-    found = seen(case, flattened, 1e-4).figures
-    assert found["object_resolution_mm"] == 0.9
-    assert found["object_resolution_verdict"] == "not within tolerance"
-    assert found["object_fine_depth_mm"] == pytest.approx(0.04, rel=0.05)
-    assert seen(case, 0.0, 1e-4).figures["object_resolution_mm"] == 0.45
+    flattened = (share - 1) * (np.where(np.isfinite(z), z, middle) - middle)
+    figures = score_of(case, flattened, 1e-4).figures
+    assert figures["object_resolution_mm"] == 0.9
+    assert figures["object_resolution_verdict"] == "not within tolerance"
+    assert figures["object_fine_depth_mm"] == pytest.approx(0.04, rel=0.05)
+    assert score_of(case, 0.0, 1e-4).figures["object_resolution_mm"] == 0.45
 
 
 def test_levels_leave_out_the_edges():
@@ -193,31 +195,31 @@ def test_levels_leave_out_the_edges():
 
 
 def test_limits_that_make_no_sense_are_refused():
-    for wrong, told in (
+    for wrong, message in (
         ({"quantity": "form", "plus_minus_um": 3.0}, "give upper_um"),
         ({"quantity": "radius", "plus_minus_um": 3.0, "upper_um": 1.0}, "remove one"),
         ({"quantity": "coverage", "upper_um": 1.0}, "give at_least"),
         ({"quantity": "width", "lower_um": 2.0, "upper_um": 1.0}, "allowed up to upper_um"),
     ):
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=message):
             experiment(STEP, measurand=[{"name": "one"} | wrong])
     twice = [{"name": "one", "quantity": "form"}] * 2
     with pytest.raises(ConfigError, match="each needs its own"):
         experiment(STEP, measurand=twice)
     with pytest.raises(InputError, match="part: found 'nut', allowed: none"):
-        seen(experiment(STEP, measurand=[{"name": "a", "quantity": "form", "part": "nut"}]))
+        score_of(experiment(STEP, measurand=[{"name": "a", "quantity": "form", "part": "nut"}]))
 
 
 def test_an_experiment_without_measurands_keeps_its_digest():
     from twin.config import digest
 
     plain = experiment(STEP)
-    asked = experiment(STEP, measurand=[{"name": "flat", "quantity": "form"}])
+    requested = experiment(STEP, measurand=[{"name": "flat", "quantity": "form"}])
     assert "measurand" not in plain.model_dump()
-    assert digest(plain) != digest(asked)
-    assert [one.name for one in measurands_of(asked)] == ["step_height", "flat"]
+    assert digest(plain) != digest(requested)
+    assert [measurand.name for measurand in measurands_of(requested)] == ["step_height", "flat"]
     own = experiment(STEP, measurand=[{"name": "riser", "quantity": "step_height"}])
-    assert [one.name for one in measurands_of(own)] == ["riser"]
+    assert [measurand.name for measurand in measurands_of(own)] == ["riser"]
 
 
 def test_a_single_bar_has_a_width():
@@ -232,7 +234,7 @@ def test_a_bar_without_ground_has_no_width(error_mm):
     """A bare bar shows only its top: the section has no walls that a width could be between."""
     noise = error_mm * np.random.default_rng(1).standard_normal((181, 241))
     bar = experiment({"kind": "bar", "width_mm": 3.0})
-    figures = seen(bar, noise if error_mm else 0.0, max(error_mm, 1e-6)).figures
+    figures = score_of(bar, noise if error_mm else 0.0, max(error_mm, 1e-6)).figures
     assert figures["object_width_1_mm"] is None
     assert "no ground beside" in figures["object_width_1_why"]
 

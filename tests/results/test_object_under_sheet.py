@@ -9,7 +9,7 @@ import pytest
 from reconstruction.evaluate.conformity import CombinedUncertainty
 from reconstruction.triangulation import PointMap
 from tests.compensation.test_command import LAYER, coat_map
-from tests.results.test_object_score import STEP, experiment, seen
+from tests.results.test_object_score import STEP, experiment, score_of
 from twin.config import load_experiment
 from twin.config.sensor_layer import load_sensor_layer
 from twin.optics.stack import Truth
@@ -76,11 +76,11 @@ def test_what_is_touched_too_little_is_absent_and_says_what_to_do():
     coat = coat_map()
     flat = coat.points_world_mm * np.float32([1.0, 1.0, 0.0])
     without_air = {"press.back_pressure_kpa": 0.0}
-    found = scored(replace(coat, points_world_mm=flat), **without_air)
-    ball = found.quantity("radius_1")
-    assert (ball.value, ball.error, found.figures["object_radius_1_mm"]) == (None, None, None)
+    score = scored(replace(coat, points_world_mm=flat), **without_air)
+    ball = score.quantity("radius_1")
+    assert (ball.value, ball.error, score.figures["object_radius_1_mm"]) == (None, None, None)
     assert "0 cells" in ball.why
-    ways = more_contact(found.seen.measured.under)
+    ways = more_contact(score.seen.measured.under)
     assert "press.back_pressure_kpa = " in ways
     assert "press deeper" in ways
     assert "elastomer.tack_j_m2" in ways
@@ -90,8 +90,8 @@ def test_a_slab_shows_no_length_of_the_object():
     """Nominal thickness is no thickness: under a slab the coat is no parallel surface."""
     sheet = {"elastomer.layout": "opposite_face", "layers": {}}
     sheet["elastomer.thickness_mm"] = {"value": 3.0, "source": "test"}
-    found = seen(experiment({"kind": "ball"}, **sheet), 0.0, 1e-6, skin_mm=3.0)
-    ball = found.quantity("radius_1")
+    score = score_of(experiment({"kind": "ball"}, **sheet), 0.0, 1e-6, skin_mm=3.0)
+    ball = score.quantity("radius_1")
     assert ball.value is None
     assert "twin compensate" in ball.why
     assert ball.coat == pytest.approx(4.0, abs=1e-3)
@@ -113,11 +113,11 @@ def test_a_slab_shows_no_length_of_the_object():
 )  # fmt: skip
 def test_a_dimension_that_is_not_touched_is_absent(specimen, name, touched):
     """Where a gel spans from crest to crest its own relief is no depth of the object."""
-    found = seen(experiment(specimen), 0.0, 1e-6, touched=touched)
-    one = found.quantity(name)
-    assert one.value is None
-    assert "touched" in one.why or "level" in one.why
-    assert found.figures[f"object_{name}_mm"] is None
+    score = score_of(experiment(specimen), 0.0, 1e-6, touched=touched)
+    quantity = score.quantity(name)
+    assert quantity.value is None
+    assert "touched" in quantity.why or "level" in quantity.why
+    assert score.figures[f"object_{name}_mm"] is None
 
 
 def test_what_its_points_do_not_determine_is_absent():
@@ -126,9 +126,9 @@ def test_what_its_points_do_not_determine_is_absent():
     x, y = np.linspace(-6.0, 6.0, 241), np.linspace(4.5, -4.5, 181)
     ball_mm = np.sqrt(np.maximum(16.0 - x**2 - y[:, None] ** 2, 0.0)) - 4.0
     noise_mm = np.random.default_rng(3).normal(0.0, 3e-3, ball_mm.shape)
-    one = seen(case, noise_mm - ball_mm, 3e-3).quantity("radius_1")
-    assert one.value is None
-    assert "not determined" in one.why
+    quantity = score_of(case, noise_mm - ball_mm, 3e-3).quantity("radius_1")
+    assert quantity.value is None
+    assert "not determined" in quantity.why
 
 
 def test_what_is_open_of_the_elastomer_is_part_of_the_uncertainty():

@@ -30,11 +30,11 @@ def maps_of_light(experiment, share, column=400.0):
     """All pixels under so much light that white fills a share of the well."""
     numbers = FringeNumbers.of(experiment, experiment.camera.exposure_ms)
     weight = share * full_well_e(experiment.camera) / numbers.electrons_per_radiance
-    one = np.ones(SHAPE)
-    places = column + np.arange(SHAPE[1]) * 0.4 * one
+    ones = np.ones(SHAPE)
+    places = column + np.arange(SHAPE[1]) * 0.4 * ones
     return TraceMaps(
-        weight=weight * one, column_px=places, row_px=300.0 * one, axial_mm=200.0 * one,
-        column_range_px=0.0 * one, row_range_px=0.0 * one, lit=one > 0, samples=4,
+        weight=weight * ones, column_px=places, row_px=300.0 * ones, axial_mm=200.0 * ones,
+        column_range_px=0.0 * ones, row_range_px=0.0 * ones, lit=ones > 0, samples=4,
     )  # fmt: skip
 
 
@@ -49,11 +49,11 @@ def test_contrast_is_that_of_the_projectors_tables(plain, gamma, period_px):
     nodes = slice(16 * 300, 16 * 340)
     frames = table.profiles[nodes, : patterns.steps].astype(np.float64)
     shift = 2j * np.pi * np.arange(patterns.steps) / patterns.steps
-    found = 2.0 * np.abs(frames @ np.exp(-shift)) / patterns.steps
+    contrast = 2.0 * np.abs(frames @ np.exp(-shift)) / patterns.steps
     light = FringeLight.of(experiment.projector, experiment.patterns)
-    kept = transfer(period_px, experiment.projector.blur_px**2)
+    expected = transfer(period_px, experiment.projector.blur_px**2)
     assert light.mean == pytest.approx(frames.mean(), abs=1e-3)
-    assert light.amplitude * kept == pytest.approx(found.mean(), rel=4e-3)
+    assert light.amplitude * expected == pytest.approx(contrast.mean(), rel=4e-3)
 
 
 def test_blurs_add_as_variances():
@@ -78,17 +78,17 @@ def test_sigma_is_surrels(plain):
     """Half a full well of light: sigma = period / 2 pi sqrt(2 / N) sigma_I / B, by hand."""
     maps = maps_of_light(plain, 0.5)
     numbers = FringeNumbers.of(plain, 20.0)
-    found = axis_levels(maps, numbers, steps_of(plain, "column"), "column", maps.weight)
+    levels = axis_levels(maps, numbers, steps_of(plain, "column"), "column", maps.weight)
     camera, light = plain.camera, FringeLight.of(plain.projector, plain.patterns)
     gain, well = gain_dn_per_e(camera), full_well_e(camera)
     dark = numbers.dark_e * gain
-    np.testing.assert_allclose(found.light_dn, 0.5 * well * gain * light.mean + dark)
+    np.testing.assert_allclose(levels.light_dn, 0.5 * well * gain * light.mean + dark)
     modulation = 0.5 * well * gain * light.amplitude * transfer(18.0, numbers.blur_px**2)
-    np.testing.assert_allclose(found.modulation_dn, modulation)
-    noise = np.sqrt(noise_model(camera).variance_dn2(found.light_dn + camera.black_level_dn))
+    np.testing.assert_allclose(levels.modulation_dn, modulation)
+    noise = np.sqrt(noise_model(camera).variance_dn2(levels.light_dn + camera.black_level_dn))
     steps = plain.patterns.steps
     expected = plain.patterns.period_px / (2 * np.pi) * np.sqrt(2 / steps) * noise / modulation
-    np.testing.assert_allclose(found.sigma_px, expected, rtol=1e-12)
+    np.testing.assert_allclose(levels.sigma_px, expected, rtol=1e-12)
 
 
 def test_a_complex_step_is_the_derivative(plain):
@@ -101,8 +101,8 @@ def test_a_complex_step_is_the_derivative(plain):
 
         def sigma(step, numbers=numbers, along=along):
             moved = numbers.moved(along, step)
-            found = axis_levels(maps, moved, steps_of(plain, "column"), "column", maps.weight)
-            return found.sigma_px
+            levels = axis_levels(maps, moved, steps_of(plain, "column"), "column", maps.weight)
+            return levels.sigma_px
 
         step = 1e-5 * getattr(numbers, name)
         differences = (sigma(step) - sigma(-step)) / (2 * step)
@@ -152,11 +152,11 @@ def test_bounds_are_the_spread_of_weighted_fits():
     fit = ball_radius_of_all(ball)
     upper = x > 0.3
     step = step_between(np.column_stack([x, y]), 0.5 * upper, upper, ~upper)
-    for one in (fit, step):
-        weighted = one.design / sigma[:, None]
+    for estimate in (fit, step):
+        weighted = estimate.design / sigma[:, None]
         back = np.linalg.pinv(weighted) / sigma
-        draws = (sigma * rng.standard_normal((2000, 400))) @ back.T @ one.gradient
-        assert one.bound_mm(sigma) == pytest.approx(draws.std(), rel=0.06)
+        draws = (sigma * rng.standard_normal((2000, 400))) @ back.T @ estimate.gradient
+        assert estimate.bound_mm(sigma) == pytest.approx(draws.std(), rel=0.06)
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1, 1.6, 60.0])
@@ -169,10 +169,10 @@ def test_clipped_frames_cost_what_the_decoder_says(plain, share):
     patterns = pattern_set(experiment.projector, experiment.patterns)
     columns, rows = 400 + np.arange(40), 300 + np.arange(8)
     maps = maps_of_light(experiment, share)
-    one = np.ones((8, 40))
-    maps = replace(maps, weight=maps.weight[0, 0] * one, column_px=columns * one)
-    maps = replace(maps, row_px=rows[:, None] * one, axial_mm=one)
-    maps = replace(maps, column_range_px=0 * one, row_range_px=0 * one)
+    ones = np.ones((8, 40))
+    maps = replace(maps, weight=maps.weight[0, 0] * ones, column_px=columns * ones)
+    maps = replace(maps, row_px=rows[:, None] * ones, axial_mm=ones)
+    maps = replace(maps, column_range_px=0 * ones, row_range_px=0 * ones)
     numbers, camera = FringeNumbers.of(experiment, 20.0), experiment.camera
     electrons = maps.weight * numbers.electrons_per_radiance
     tables, stack = light_tables(experiment.projector, patterns), []
@@ -219,9 +219,9 @@ def test_a_bound_wider_than_its_points_is_absent_with_the_reason(sigma_mm, is_kn
         filtered_mm=sigma,
         noise_mm=lambda slope: float(np.sqrt(((slope * sigma) ** 2).sum())),
     )
-    found = dict(_of_spheres(experiment, prediction))
+    figures = dict(_of_spheres(experiment, prediction))
     names = "sphere_1_radius_crb_um", "sphere_1_radius_spread_um"
-    assert [found[name] is not None for name in names] == [is_known] * 2
-    why = found.get("sphere_1_radius_bound_why", "")
+    assert [figures[name] is not None for name in names] == [is_known] * 2
+    why = figures.get("sphere_1_radius_bound_why", "")
     assert why.startswith("" if is_known else "radius: not determined, its noise is ")
     assert bool(why) != is_known

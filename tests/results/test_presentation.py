@@ -73,11 +73,11 @@ def test_plots_have_mm_axes_and_are_pictures(measured, part):
 def test_a_section_is_the_measured_face(measured):
     """The curve of the third panel is z along y = 0: of the truth within a few sigmas."""
     curves = {line.get_label(): line.get_xydata() for line in measured.plot().axes[2].lines}
-    found, true = curves["measured"], curves["true"]
-    inner = np.abs(found[:, 0]) < 8.0
-    z_true = np.interp(found[inner, 0], true[:, 0], true[:, 1])
+    profile, true = curves["measured"], curves["true"]
+    inner = np.abs(profile[:, 0]) < 8.0
+    z_true = np.interp(profile[inner, 0], true[:, 0], true[:, 1])
     # Cells of some 0.1 mm on slopes of up to 0.3: their means differ by the points' positions.
-    assert np.abs(found[inner, 1] - z_true).max() < 0.02
+    assert np.abs(profile[inner, 1] - z_true).max() < 0.02
 
 
 def test_a_measurement_as_labelled_arrays(measured):
@@ -92,8 +92,8 @@ def test_a_measurement_as_labelled_arrays(measured):
     assert np.sqrt(np.mean(error_um**2)) == pytest.approx(measured.figures["z_rmse_um"], rel=0.2)
     row, col = 90, 120
     point = data.sel(row=row, col=col)
-    found = [float(point[name]) for name in "xyz"]
-    np.testing.assert_allclose(found, measured.points.world_mm[row, col])
+    xyz = [float(point[name]) for name in "xyz"]
+    np.testing.assert_allclose(xyz, measured.points.world_mm[row, col])
 
 
 def test_a_press_as_labelled_arrays(measured):

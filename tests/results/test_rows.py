@@ -53,7 +53,7 @@ def test_a_sweep_in_a_notebook(swept):
     np.testing.assert_allclose(data["value"], values)
     drawing = swept.plot()
     assert isinstance(drawing, Drawing)
-    (axes,) = (one for one in drawing.axes if one.get_ylabel() == "value")
+    (axes,) = (panel for panel in drawing.axes if panel.get_ylabel() == "value")
     assert axes.get_xlabel() == "coating.base_albedo"
     np.testing.assert_allclose(axes.lines[0].get_xydata()[:, 1], values)
     assert "data:image/png;base64," in swept._repr_html_()
@@ -65,23 +65,23 @@ def test_an_outcome_without_a_store_has_no_table(swept):
 
 
 def test_a_comparison_in_a_notebook():
-    found = Comparison(
+    comparison = Comparison(
         (
             Outcome("nut", "", "contact_fpp", "1", {"z_rmse_um": 2.0, "completeness": 0.97}),
             Outcome("nut", "", "direct_fpp", failure="no <material>"),
         )
     )
-    assert len(found) == 2
-    assert [one.method for one in found] == ["contact_fpp", "direct_fpp"]
-    assert repr(found) == (
+    assert len(comparison) == 2
+    assert [outcome.method for outcome in comparison] == ["contact_fpp", "direct_fpp"]
+    assert repr(comparison) == (
         "<Comparison: nut, contact_fpp: error of z 2 um RMS, points on 97.0 %; "
         "nut, direct_fpp: no <material>>"
     )
-    data = found.to_xarray()
+    data = comparison.to_xarray()
     np.testing.assert_array_equal(data["z_rmse_um"], [2.0, np.nan])
     assert data["failure"].values.tolist() == ["", "no <material>"]
-    panels = found.plot().axes
+    panels = comparison.plot().axes
     assert [axes.get_ylabel() for axes in panels] == ["z_rmse_um", "completeness", ""]
-    shown = found._repr_html_()
+    shown = comparison._repr_html_()
     assert "no &lt;material&gt;" in shown
     assert "data:image/png;base64," in shown

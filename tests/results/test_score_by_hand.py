@@ -82,16 +82,16 @@ def test_ten_pixels(fringes, reconstruction, truth):
     -1/2, 2, -1/2, 2, 2, -1, 2: median 1.5, their median distance from it is 1/2. Bias: variances
     100, 400 and 2500 um^2 by shares 1, 0.5 and 0.64 make 1900 um^2 of eight pixels.
     """
-    found = score_truth(fringes, reconstruction, truth)
-    assert (found.points, found.lit_pixels) == (8, 10)
-    assert (found.completeness, found.good_share) == (0.8, 0.7)
-    assert found.z_bias_um == pytest.approx(20.0)
-    assert found.z_rmse_um == pytest.approx(2000.0**0.5)
-    assert found.z_p95_um == pytest.approx(82.5)
-    assert found.sigma_z_median_um == pytest.approx(22.5)
-    assert found.error_over_sigma == pytest.approx(1.4826 * 0.5)
-    assert found.filter_bias_um == pytest.approx((1900.0 / 8) ** 0.5)
-    assert found.filter_bias_share == 2 / 8
+    scored = score_truth(fringes, reconstruction, truth)
+    assert (scored.points, scored.lit_pixels) == (8, 10)
+    assert (scored.completeness, scored.good_share) == (0.8, 0.7)
+    assert scored.z_bias_um == pytest.approx(20.0)
+    assert scored.z_rmse_um == pytest.approx(2000.0**0.5)
+    assert scored.z_p95_um == pytest.approx(82.5)
+    assert scored.sigma_z_median_um == pytest.approx(22.5)
+    assert scored.error_over_sigma == pytest.approx(1.4826 * 0.5)
+    assert scored.filter_bias_um == pytest.approx((1900.0 / 8) ** 0.5)
+    assert scored.filter_bias_share == 2 / 8
 
 
 def test_wrong_orders_are_half_a_period_off(fringes, reconstruction, truth):
@@ -138,10 +138,10 @@ def height_map(heights_mm, pitch_mm):
 
 def test_a_height_map_lies_about_the_origin():
     """3 x 4 pixels of 0.5 mm: x from -0.75 to 0.75, y from 0.5 at the top to -0.5."""
-    found = in_world(height_map(np.arange(12.0).reshape(3, 4), 0.5))
-    np.testing.assert_allclose(found[1, :, 0], [-0.75, -0.25, 0.25, 0.75])
-    np.testing.assert_allclose(found[:, 2, 1], [0.5, 0.0, -0.5])
-    assert found[2, 3].tolist() == [0.75, -0.5, 11.0]
+    points = in_world(height_map(np.arange(12.0).reshape(3, 4), 0.5))
+    np.testing.assert_allclose(points[1, :, 0], [-0.75, -0.25, 0.25, 0.75])
+    np.testing.assert_allclose(points[:, 2, 1], [0.5, 0.0, -0.5])
+    assert points[2, 3].tolist() == [0.75, -0.5, 11.0]
 
 
 def test_heights_of_four_pixels_in_the_field():
@@ -156,8 +156,8 @@ def test_heights_of_four_pixels_in_the_field():
     true = np.stack([x, y, np.array([[0.0, 1.0, 2.0, 3.0, 9.0, 9.0]])], axis=-1)
     every, none = np.ones((1, 6), bool), np.zeros((1, 6))
     truth = Truth(true, true, none, none, none, every, every)
-    found = score_heights(lamps, height_map([[0.0, 0.5, 1.5, 1.0, 0.0, 0.0]], 1.0), truth)
-    against = found.against_truth
+    scored = score_heights(lamps, height_map([[0.0, 0.5, 1.5, 1.0, 0.0, 0.0]], 1.0), truth)
+    against = scored.against_truth
     assert (against.points, against.wanted_pixels, against.completeness) == (4, 4, 1.0)
     assert against.height_scale == pytest.approx(0.4)
     assert against.z_bias_um == pytest.approx(-750.0)
@@ -173,11 +173,11 @@ def test_heights_of_four_pixels_in_the_field():
 def test_the_region_of_a_ball_is_a_disc():
     """Ball at (1, 2), 0.5 mm: points at 0.3, 0.4 count, at 0.4, 0.4 or unusable do not."""
     ball = SimpleNamespace(x_mm=1.0, y_mm=2.0)
-    beside = [(0.5, 0.0), (0.0, -0.5), (0.3, 0.4), (0.4, 0.4), (-0.501, 0.0), (0.0, 0.501), (0, 0)]
-    points = np.array([[[1.0 + x, 2.0 + y, 0.0] for x, y in beside]])
+    offsets = [(0.5, 0.0), (0.0, -0.5), (0.3, 0.4), (0.4, 0.4), (-0.501, 0.0), (0.0, 0.501), (0, 0)]
+    points = np.array([[[1.0 + x, 2.0 + y, 0.0] for x, y in offsets]])
     usable = np.array([[True] * 6 + [False]])
-    found = region_of(ball, points, usable, 0.5 + 1e-9)
-    assert found.tolist() == [[True, True, True, False, False, False, False]]
+    region = region_of(ball, points, usable, 0.5 + 1e-9)
+    assert region.tolist() == [[True, True, True, False, False, False, False]]
 
 
 def test_figures_of_a_ball():
@@ -187,15 +187,15 @@ def test_figures_of_a_ball():
     away /= np.linalg.norm(away, axis=2, keepdims=True)
     ball = Sphere(0.0, 0.0, 4.0, 4.0)
     roi = np.ones((1, 40), bool)
-    one = score_sphere(2, ball, roi, 4.1 * away, 4.05 * away)
-    found = metrics(Scores(_against_nothing(), (one,), ("ball 1: nothing",)))
-    assert found["sphere_2_points"] == 40
-    assert found["sphere_2_abs_radius_error_mm"] == pytest.approx(0.1)
-    assert found["sphere_2_radius_mm"] == pytest.approx(4.1)
-    assert found["sphere_2_true_face_radius_mm"] == pytest.approx(4.05)
-    assert found["sphere_2_algebraic_radius_mm"] == pytest.approx(4.1)
-    assert found["sphere_1_radius_mm"] is None
-    assert isinstance(one, SphereScore)
+    sphere = score_sphere(2, ball, roi, 4.1 * away, 4.05 * away)
+    figures = metrics(Scores(_against_nothing(), (sphere,), ("ball 1: nothing",)))
+    assert figures["sphere_2_points"] == 40
+    assert figures["sphere_2_abs_radius_error_mm"] == pytest.approx(0.1)
+    assert figures["sphere_2_radius_mm"] == pytest.approx(4.1)
+    assert figures["sphere_2_true_face_radius_mm"] == pytest.approx(4.05)
+    assert figures["sphere_2_algebraic_radius_mm"] == pytest.approx(4.1)
+    assert figures["sphere_1_radius_mm"] is None
+    assert isinstance(sphere, SphereScore)
     few = np.arange(40)[None] < 4
     with pytest.raises(FitError, match="4 points leave no residual"):
         score_sphere(1, ball, few, 4.1 * away, 4.05 * away)
@@ -224,16 +224,16 @@ def test_a_section_averages_its_length_in_bins():
     along = [0.0, 1.0, -1.0, 1.001, 0.0, 0.0, 0.5, -0.5, 0.0]
     heights = [1.0, 2.0, 6.0, 99.0, 5.0, 5.0, 7.0, 8.0, 9.0]
     points = np.column_stack([np.add(1.0, across), np.add(2.0, along), heights])
-    found = section_of(points, 2.0, (1.0, 2.0))
-    np.testing.assert_allclose(found.s_mm, [-0.01 / 3, 0.31 / 3], atol=1e-12)
-    np.testing.assert_allclose(found.z_mm, [3.0, 8.0])
+    section = section_of(points, 2.0, (1.0, 2.0))
+    np.testing.assert_allclose(section.s_mm, [-0.01 / 3, 0.31 / 3], atol=1e-12)
+    np.testing.assert_allclose(section.z_mm, [3.0, 8.0])
 
 
 def test_valleys_are_the_lowest_points_on_both_sides_of_the_crest():
     """The crest is sought in the middle half: a higher rim at the end is none."""
     z = np.zeros(41)
     z[20], z[15], z[30], z[0], z[40] = 1.0, -0.2, -0.1, 3.0, 2.0
-    found = RodSection(np.arange(-20.0, 21.0) * 0.1, z)
-    assert found.valleys() == (15, 30)
+    section = RodSection(np.arange(-20.0, 21.0) * 0.1, z)
+    assert section.valleys() == (15, 30)
     with pytest.raises(FitError, match="19 positions with points, 20 needed"):
         RodSection(np.arange(19.0), np.zeros(19)).valleys()

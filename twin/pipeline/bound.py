@@ -53,8 +53,8 @@ def _prediction(
     truth = view.value.truth
     made = maps_of_patches(rays.value, view.value) if ahead else None
 
-    def predict_from(seen: Experiment) -> PredictedMaps:
-        return predict(seen, made or maps_of_patches(rays.value, view.value), truth)
+    def predict_from(watched: Experiment) -> PredictedMaps:
+        return predict(watched, made or maps_of_patches(rays.value, view.value), truth)
 
     inputs = view.token, rays.token
     return lambda: (memory.recall("prediction", experiment, inputs, predict_from).value, truth)
@@ -95,8 +95,8 @@ def bounds_alone(
     pressed = press(experiment, memory)
     prediction, truth = predicted(experiment, pressed, memory)
     figures = press_metrics(pressed.pressed) | {"exposure_ms": prediction.exposure_ms}
-    found = bound_figures(experiment, prediction, truth, pressed.pressed)
-    return pressed.pressed, figures | found
+    bounds = bound_figures(experiment, prediction, truth, pressed.pressed)
+    return pressed.pressed, figures | bounds
 
 
 def object_bounds(experiment: Experiment, layer: SensorLayer, memory: Memory) -> dict[str, Metric]:
@@ -117,15 +117,15 @@ def object_bounds(experiment: Experiment, layer: SensorLayer, memory: Memory) ->
     fitted = is_slab(experiment.elastomer) and may_compensate(experiment)
     if not (fitted and has_bound(experiment)):
         return {}
-    asked = slab_object(layer, experiment.specimen)
+    slab = slab_object(layer, experiment.specimen)
     prediction, _ = predicted(experiment, press(experiment, memory), memory)
     points = at_pixels(prediction.points.points_world_mm, prediction.valid).astype(np.float64)
     single = at_pixels(prediction.single_mm, prediction.valid).astype(np.float64)
     try:
-        sigma = bound_slab(points, single, asked)
+        sigma = bound_slab(points, single, slab)
     except FitError:
-        return {slab_bound_name(path): None for path in asked.wanted}
+        return {slab_bound_name(path): None for path in slab.fitted_paths}
     return {
-        slab_bound_name(path): one if path.endswith("_deg") else 1e3 * one
-        for path, one in sigma.items()
+        slab_bound_name(path): value if path.endswith("_deg") else 1e3 * value
+        for path, value in sigma.items()
     }

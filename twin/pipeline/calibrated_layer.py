@@ -41,15 +41,15 @@ def calibrated_layer(
             f"--ball-diameter-mm: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; a "
             "ball calibrates a sheet or slab with layout = 'opposite_face'"
         )
-    found = calibrate_sheet(
+    calibrated = calibrate_sheet(
         *measured, sheet_layer(layer), ball_diameter_mm / 2, travel=_known_travel(layer)
     )
-    return _with_sheet(layer, found.layer), _calibration_figures(found)
+    return _with_sheet(layer, calibrated.layer), _calibration_figures(calibrated)
 
 
 def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
     """Return the layer with the fitted values of its sheet and their uncertainties."""
-    found = {
+    values = {
         "shore_a": None,
         "shore_00": None,
         "young_modulus_kpa": sheet.young_modulus_kpa,
@@ -65,19 +65,19 @@ def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
     elastomer, known = layer.elastomer, layer.sigma
     return layer.model_copy(
         update={
-            "elastomer": type(elastomer).model_validate(elastomer.model_dump() | found),
+            "elastomer": type(elastomer).model_validate(elastomer.model_dump() | values),
             "sigma": type(known).model_validate(known.model_dump() | sigma),
         }
     )
 
 
-def _calibration_figures(found: CalibratedSheet) -> dict[str, Any]:
+def _calibration_figures(calibrated: CalibratedSheet) -> dict[str, Any]:
     """Return the estimates from a known ball, for result.json; None where it determines none."""
-    sheet = found.layer
+    sheet = calibrated.layer
     modulus = sheet.young_modulus_kpa, sheet.sigma_young_modulus_kpa
     rim = sheet.rim_compliance_mm2_per_n, sheet.sigma_rim_compliance_mm2_per_n
-    modulus_kpa, modulus_sigma_kpa = modulus if found.modulus_found else (None, None)
-    compliance, sigma_compliance = rim if found.rim_found else (None, None)
+    modulus_kpa, modulus_sigma_kpa = modulus if calibrated.modulus_found else (None, None)
+    compliance, sigma_compliance = rim if calibrated.rim_found else (None, None)
     return {
         "calibrated_thickness_mm": sheet.thickness_mm,
         "calibrated_thickness_sigma_um": _UM * sheet.sigma_thickness_mm,
@@ -85,9 +85,9 @@ def _calibration_figures(found: CalibratedSheet) -> dict[str, Any]:
         "calibrated_modulus_sigma_kpa": modulus_sigma_kpa,
         "calibrated_rim_compliance_mm2_per_n": compliance,
         "calibrated_rim_compliance_sigma_mm2_per_n": sigma_compliance,
-        "radius_before_calibration_mm": found.radius_before_mm,
-        "thickness_per_pre_stretch_mm": found.thickness_per_pre_stretch_mm,
-        "calibration_balls": found.balls,
+        "radius_before_calibration_mm": calibrated.radius_before_mm,
+        "thickness_per_pre_stretch_mm": calibrated.thickness_per_pre_stretch_mm,
+        "calibration_balls": calibrated.balls,
     }
 
 

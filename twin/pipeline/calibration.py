@@ -113,12 +113,12 @@ class BoardCalibration:
 
         drawing = Drawing(3)
         camera, projector, by_pose = drawing.subplots(1, 3)
-        found = self.to_xarray()
+        arrays = self.to_xarray()
         for axes, device, names in (
             (camera, "camera", ("camera_x_px", "camera_y_px")),
             (projector, "projector", ("projector_column_px", "projector_row_px")),
         ):
-            x_px, y_px = (found[f"residual_{name}"][found["used"] == 1] for name in names)
+            x_px, y_px = (arrays[f"residual_{name}"][arrays["used"] == 1] for name in names)
             axes.plot(x_px, y_px, ".", markersize=2)
             axes.set(title=f"{device} residuals", xlabel=f"{names[0]}", ylabel=f"{names[1]}")
         for device in ("camera_px", "projector_px"):
@@ -186,17 +186,17 @@ def calibrate_rendered(
     """
     if not board.poses:
         raise InputError("the board file has no [[poses]]: add at least 3 (better 12) to render")
-    seen = []
+    observed = []
     for number, pose in enumerate(board.poses):
         name = f"pose_{number:02d}"
         watch("poses", number / len(board.poses))
         capture = record_board(experiment, board, pose, number)
         if keep is not None:
             _keep(keep / name, capture, experiment, as_images)
-        seen.append(observe(capture, board.board(), name))
+        observed.append(observe(capture, board.board(), name))
     watch("poses", 1.0)
     named = _digest([digest(experiment), _canonical(board), repr(options)])
-    return BoardCalibration(calibrate(seen, options), tuple(seen), named, experiment)
+    return BoardCalibration(calibrate(observed, options), tuple(observed), named, experiment)
 
 
 def calibrate_captures(
@@ -215,7 +215,7 @@ def calibrate_captures(
     InputError : fewer poses than are needed are left, or they do not determine the rig
     """
     folders = pose_folders(folder)
-    seen: list[Observation] = []
+    observed: list[Observation] = []
     skipped: list[SkippedPose] = []
     named, size = [_canonical(board), repr(options)], ""
     for number, path in enumerate(folders):
@@ -223,21 +223,22 @@ def calibrate_captures(
         capture: BoardCapture | None = None
         try:
             capture = read_board_capture(path)
-            _require_size(path.name, capture, size, seen[0].name if seen else "")
-            seen.append(observe(capture, board.board(), path.name))
+            _require_size(path.name, capture, size, observed[0].name if observed else "")
+            observed.append(observe(capture, board.board(), path.name))
         except InputError as error:
             skipped.append(SkippedPose(path.name, str(error), _picture(capture)))
             continue
         size = _size(capture)
         named.append(hashlib.blake2b(capture.stack.tobytes(), digest_size=8).hexdigest())
     watch("poses", 1.0)
-    if skipped and len(seen) < LEAST_POSES:
-        told = "; ".join(one.reason for one in skipped)
+    if skipped and len(observed) < LEAST_POSES:
+        reasons = "; ".join(pose.reason for pose in skipped)
         raise InputError(
-            f"{len(seen)} of {len(folders)} poses can be used, {LEAST_POSES} are needed: {told}"
+            f"{len(observed)} of {len(folders)} poses can be used, {LEAST_POSES} are needed: "
+            f"{reasons}"
         )
-    found = calibrate(seen, options)
-    return BoardCalibration(found, tuple(seen), _digest(named), skipped=tuple(skipped))
+    result = calibrate(observed, options)
+    return BoardCalibration(result, tuple(observed), _digest(named), skipped=tuple(skipped))
 
 
 def calibrate_rig(
@@ -321,27 +322,27 @@ PLAUSIBILITY_FILE = "plausibility.csv"
 
 def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
     """Return the figures of a calibration; `_expanded` is k = 2, `_error` found minus true."""
-    found = done.result
+    result = done.result
     figures: dict[str, Any] = {
-        "poses": len(found.poses),
+        "poses": len(result.poses),
         "poses_skipped": len(done.skipped),
-        "features": sum(pose.features for pose in found.poses),
-        "features_left_out": sum(pose.left_out for pose in found.poses),
-        "camera_reprojection_rms_px": _rms([pose.camera_px for pose in found.poses]),
-        "projector_reprojection_rms_px": _rms([pose.projector_px for pose in found.poses]),
-        "epipolar_rms_px": _rms([pose.epipolar_px for pose in found.poses]),
-        "camera_pupil_diameter_mm": pupil_diameter_mm(found.adjustment) or None,  # 0: not seen
-        "camera_pixel_ratio": _pixel_ratio(found.calibration.camera),
-        "projector_pixel_ratio": _pixel_ratio(found.calibration.projector),
+        "features": sum(pose.features for pose in result.poses),
+        "features_left_out": sum(pose.left_out for pose in result.poses),
+        "camera_reprojection_rms_px": _rms([pose.camera_px for pose in result.poses]),
+        "projector_reprojection_rms_px": _rms([pose.projector_px for pose in result.poses]),
+        "epipolar_rms_px": _rms([pose.epipolar_px for pose in result.poses]),
+        "camera_pupil_diameter_mm": pupil_diameter_mm(result.adjustment) or None,  # 0: not seen
+        "camera_pixel_ratio": _pixel_ratio(result.calibration.camera),
+        "projector_pixel_ratio": _pixel_ratio(result.calibration.projector),
     }
     truth = done.truth
-    for parameter in found.parameters:
+    for parameter in result.parameters:
         figures[parameter.name] = parameter.value
         figures[f"{parameter.name}_expanded"] = parameter.expanded
         if truth is not None:
             figures[f"{parameter.name}_error"] = parameter.value - truth[parameter.name]
-    left_out = [f"left out: {one.reason}" for one in done.skipped]
-    figures["warnings"] = [*left_out, *found.doubts]
+    left_out = [f"left out: {skipped.reason}" for skipped in done.skipped]
+    figures["warnings"] = [*left_out, *result.doubts]
     return figures
 
 
@@ -363,9 +364,9 @@ def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, A
     write_rows(folder / FEATURES_FILE, list(_feature_rows(done)), 10)
     rows = [asdict(check) for check in done.result.checks]
     write_rows(folder / PLAUSIBILITY_FILE, [_finite(row) for row in rows], 10)
-    for one in done.skipped:
-        if one.picture is not None:
-            write_png(folder / f"{SKIPPED_PREFIX}{one.name}.png", one.picture)
+    for skipped in done.skipped:
+        if skipped.picture is not None:
+            write_png(folder / f"{SKIPPED_PREFIX}{skipped.name}.png", skipped.picture)
     if done.experiment is not None:
         text = to_toml(done.experiment)
         write_text(folder / EXPERIMENT_FILE, text)
@@ -377,16 +378,16 @@ def _finite(row: dict[str, Any]) -> dict[str, Any]:
     return {name: "" if value in (math.inf, -math.inf) else value for name, value in row.items()}
 
 
-def write_imported(folder: Path, found: Imported) -> dict[str, Any]:
+def write_imported(folder: Path, imported: Imported) -> dict[str, Any]:
     """Write calibration.yaml and result.json of another program's calibration; return figures."""
-    calibration = found.calibration
+    calibration = imported.calibration
     T_proj_from_cam = calibration.T_proj_from_cam
     figures: dict[str, Any] = {
         "baseline_mm": float(np.linalg.norm(T_proj_from_cam[:3, 3])),
         "triangulation_angle_deg": calibration.triangulation_angle_deg,
         "standoff_mm": float(calibration.T_world_from_cam[2, 3]),
     }
-    for name, refit_px in zip(("camera", "projector"), found.refit_px, strict=True):
+    for name, refit_px in zip(("camera", "projector"), imported.refit_px, strict=True):
         device = getattr(calibration, name)
         figures |= {f"{name}_width_px": device.width_px, f"{name}_height_px": device.height_px}
         figures |= {f"{name}_fx_px": device.fx_px, f"{name}_refit_px": refit_px}
@@ -420,12 +421,16 @@ def _units_of(name: str) -> dict[str, str]:
 
 
 def _feature_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
-    found = done.result.adjustment
-    for k, seen in enumerate(done.observations):
-        for n, identity in enumerate(seen.ids):
-            numbers = [*found.measured_px[k][n], *found.residuals_px[k][n]]
+    adjustment = done.result.adjustment
+    for k, observation in enumerate(done.observations):
+        for n, identity in enumerate(observation.ids):
+            numbers = [*adjustment.measured_px[k][n], *adjustment.residuals_px[k][n]]
             names = ("camera_x_px", "camera_y_px", "projector_column_px", "projector_row_px")
             residuals = tuple(f"residual_{name}" for name in names)
-            yield {"pose": seen.name, "id": int(identity), "used": int(found.used[k][n])} | {
+            yield {
+                "pose": observation.name,
+                "id": int(identity),
+                "used": int(adjustment.used[k][n]),
+            } | {
                 name: float(number) for name, number in zip(names + residuals, numbers, strict=True)
             }

@@ -96,7 +96,7 @@ def require_points(capture: Path, reasons: ReasonImage) -> None:
     main = Reason(int(codes[np.argmax(counts)]))
     shares = ", ".join(
         f"{Reason(int(code)).name.lower().replace('_', ' ')} {count / reasons.size:.0%}"
-        for code, count in sorted(zip(codes, counts, strict=True), key=lambda one: -one[1])
+        for code, count in sorted(zip(codes, counts, strict=True), key=lambda item: -item[1])
     )
     raise CaptureError(f"{capture}: no pixel gives a point ({shares}); {LIKELY_CAUSES[main]}")
 
@@ -209,7 +209,7 @@ def order_doubts(figures: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def masked_by_reason(found: ReasonImage, codes: type[IntEnum]) -> dict[str, int]:
+def masked_by_reason(reasons_image: ReasonImage, codes: type[IntEnum]) -> dict[str, int]:
     """Count the masked pixels (row, col) by reason."""
-    reasons = (one for one in codes if one.name != "VALID")
-    return {f"masked_{one.name.lower()}": int((found == one).sum()) for one in reasons}
+    reasons = (code for code in codes if code.name != "VALID")
+    return {f"masked_{code.name.lower()}": int((reasons_image == code).sum()) for code in reasons}

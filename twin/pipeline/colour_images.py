@@ -32,17 +32,17 @@ def cropped_pinhole(experiment: Experiment) -> Pinhole:
 
 def image_pinhole(experiment: Experiment) -> Pinhole:
     """Pinhole of the final image; its pixels need not be square."""
-    kept, size = cropped_pinhole(experiment), experiment.photometric
-    x, y = size.width_px / kept.width_px, size.height_px / kept.height_px
+    pinhole, size = cropped_pinhole(experiment), experiment.photometric
+    x, y = size.width_px / pinhole.width_px, size.height_px / pinhole.height_px
     # Pixel centres are half a pixel in, for any size of the pixels.
     return replace(
-        kept,
+        pinhole,
         width_px=size.width_px,
         height_px=size.height_px,
-        fx_px=kept.fx_px * x,
-        fy_px=kept.fy_px * y,
-        cx_px=(kept.cx_px + 0.5) * x - 0.5,
-        cy_px=(kept.cy_px + 0.5) * y - 0.5,
+        fx_px=pinhole.fx_px * x,
+        fy_px=pinhole.fy_px * y,
+        cx_px=(pinhole.cx_px + 0.5) * x - 0.5,
+        cy_px=(pinhole.cy_px + 0.5) * y - 0.5,
     )
 
 

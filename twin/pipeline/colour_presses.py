@@ -138,8 +138,8 @@ def _write(folder: Path, height_map: HeightMap) -> None:
 
 
 def _medians(rows: list[dict[str, Any]]) -> dict[str, float]:
-    found = {name: [row[name] for row in rows if name in row] for name in _MEDIANS}
-    return {f"{name}_median": float(np.median(them)) for name, them in found.items() if them}
+    columns = {name: [row[name] for row in rows if name in row] for name in _MEDIANS}
+    return {f"{name}_median": float(np.median(them)) for name, them in columns.items() if them}
 
 
 def press_figures(result: PhotometricResult) -> dict[str, Any]:

@@ -37,7 +37,7 @@ from twin.pipeline.colour_images import (
 )
 from twin.pipeline.fringes import RunContext
 from twin.pipeline.kept_calibrations import KeptCalibrations
-from twin.pipeline.memory import Kept, Memory
+from twin.pipeline.memory import CachedResult, Memory
 from twin.pipeline.press import press, press_smooth, with_texture
 from twin.results.decoders import MAP_ORDER, chosen, decode_all
 from twin.results.parts import press_metrics
@@ -151,13 +151,13 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
     with clock.stage("calibrate"):
         coat, calibrations = _calibrated(experiment, memory)
     with clock.stage("render"):
-        seen = memory.recall(
+        images = memory.recall(
             "image",
             experiment,
             (coat.token, pressed.face_digest, run.trial),
-            lambda seen: _photograph(seen, coat.value, pressed.pressed, run.trial),
+            lambda images: _photograph(images, coat.value, pressed.pressed, run.trial),
         )
-    image, truth = seen.value
+    image, truth = images.value
     with clock.stage("reconstruct"):
         decoded = decode_all(experiment, image, calibrations, truth)
     own = chosen(experiment, decoded)
@@ -216,7 +216,7 @@ def ball_presses(experiment: Experiment) -> list[Experiment]:
     """Draw the reference presses: balls at random places of the field, from the root seed."""
     plan, size = experiment.photometric.presses, experiment.photometric
     rng = np.random.default_rng(seed_sequence(experiment, "reference_balls"))
-    found = []
+    presses = []
     for _ in range(plan.count):
         diameter_mm = rng.uniform(plan.smallest_diameter_mm, plan.largest_diameter_mm)
         depth_mm = 0.5 * diameter_mm * rng.uniform(plan.shallowest, plan.deepest)
@@ -224,8 +224,8 @@ def ball_presses(experiment: Experiment) -> list[Experiment]:
         half = np.array([size.field_x_mm, size.field_y_mm]) / 2 - np.sqrt(diameter_mm * depth_mm)
         x_mm, y_mm = rng.uniform(-1.0, 1.0, 2) * np.maximum(half, 0.0)
         ball = Ball(diameter_mm=diameter_mm, x_mm=x_mm, y_mm=y_mm)
-        found.append(with_ball(experiment, ball, depth_mm))
-    return found
+        presses.append(with_ball(experiment, ball, depth_mm))
+    return presses
 
 
 def with_ball(experiment: Experiment, ball: Ball, depth_mm: float) -> Experiment:
@@ -241,27 +241,27 @@ def with_ball(experiment: Experiment, ball: Ball, depth_mm: float) -> Experiment
 
 def _calibrated(
     experiment: Experiment, memory: Memory
-) -> tuple[Kept[LitCoat], dict[MapKind, SensorCalibration]]:
+) -> tuple[CachedResult[LitCoat], dict[MapKind, SensorCalibration]]:
     """Return the lit coat and one calibration per colour map, all on the same reference images."""
     coat = memory.recall("sensor", experiment, (), _lit_coat)
-    kept = None if memory.calibrations is None else KeptCalibrations(memory.calibrations)
-    found = None if kept is None else kept.find(experiment)
-    if found is not None:
-        return coat, found
+    store = None if memory.calibrations is None else KeptCalibrations(memory.calibrations)
+    stored = None if store is None else store.find(experiment)
+    if stored is not None:
+        return coat, stored
     references = memory.recall(
         "references",
         experiment,
         coat.token,
-        lambda seen: _references(ColourSensor.of(seen, coat.value)),
+        lambda watched: _references(ColourSensor.of(watched, coat.value)),
     )
     calibrations = memory.recall(
         "calibrations",
         experiment,
         references.token,
-        lambda seen: _calibrations(ColourSensor.of(seen, coat.value), references.value),
+        lambda watched: _calibrations(ColourSensor.of(watched, coat.value), references.value),
     )
-    if kept is not None:
-        kept.put([coat.reads, references.reads, calibrations.reads], calibrations.value)
+    if store is not None:
+        store.put([coat.reads, references.reads, calibrations.reads], calibrations.value)
     return coat, calibrations.value
 
 
@@ -287,13 +287,13 @@ def _untouched_face(experiment: Experiment) -> "trimesh.Trimesh":
 
 def _references(sensor: ColourSensor) -> References:
     """Press, render and develop the reference balls."""
-    found = []
+    references = []
     for number, case in enumerate(ball_presses(sensor.experiment)):
         assert isinstance(case.specimen, Ball)
         pressed = with_texture(case, press_smooth(case))
         image = sensor.image(seen_face(case, pressed), _FIRST_PRESS + number)
-        found.append(BallPress(image, case.specimen.diameter_mm))
-    return References(sensor.backgrounds(), tuple(found))
+        references.append(BallPress(image, case.specimen.diameter_mm))
+    return References(sensor.backgrounds(), tuple(references))
 
 
 def _calibrations(sensor: ColourSensor, references: References) -> dict[MapKind, SensorCalibration]:

@@ -103,17 +103,17 @@ def _carried_over(experiment: Experiment, rig: Experiment, match: Match) -> Expe
     tree |= experiment.model_dump(mode="python", include=set(_CARRIED))
     tree["press"] = press.model_dump(mode="python")
     theirs = {
-        path: one
-        for path, one in rig.provenance.items()
+        path: source
+        for path, source in rig.provenance.items()
         if path.partition(".")[0] not in _CARRIED and path.removeprefix("press.") not in _LOAD
     }
     ours = {
-        path: one
-        for path, one in experiment.provenance.items()
+        path: source
+        for path, source in experiment.provenance.items()
         if path.partition(".")[0] in _CARRIED
     }
-    kept = {path: one.model_dump() for path, one in (theirs | ours | origin).items()}
-    return validate_experiment(tree | {"provenance": kept}, where=experiment.name)
+    provenance = {path: source.model_dump() for path, source in (theirs | ours | origin).items()}
+    return validate_experiment(tree | {"provenance": provenance}, where=experiment.name)
 
 
 def _load(
@@ -125,8 +125,8 @@ def _load(
     if match == own.control:
         press = Press(control=match, depth_mm=own.depth_mm, force_n=own.force_n, **pitches)
         name = "press.force_n" if match == "force" else "press.depth_mm"
-        found = experiment.provenance.get(name)
-        return press, {name: found} if found else {}
+        source = experiment.provenance.get(name)
+        return press, {name: source} if source else {}
     pressed = press_specimen(experiment)
     why = f"computed: the press of the same specimen into {_gel(experiment)}"
     if match == "force":
@@ -197,7 +197,7 @@ class Comparison(Sequence[Outcome]):
 
     def _in_short(self) -> dict[str, str]:
         """Return error and share of points, or the failure, of each measurement as texts."""
-        return {f"{one.name}, {one.method}": _in_short(one) for one in self.outcomes}
+        return {f"{each.name}, {each.method}": _in_short(each) for each in self.outcomes}
 
     def plot(self) -> "Drawing":
         """Draw errors and share of points by specimen and method: a Matplotlib figure."""
@@ -211,9 +211,9 @@ class Comparison(Sequence[Outcome]):
 
     def _rows(self) -> list[Mapping[str, Any]]:
         return [
-            {"specimen": one.name, "method": one.method, "failure": one.failure}
-            | dict(one.figures or {})
-            for one in self.outcomes
+            {"specimen": outcome.name, "method": outcome.method, "failure": outcome.failure}
+            | dict(outcome.figures or {})
+            for outcome in self.outcomes
         ]
 
 
@@ -288,9 +288,11 @@ def compare(
     claim(out, COMMAND, _NAMES, inputs)
     run = _Run(out, fill, watch, plan or PhotometricPlan(), Memory())
     with alone_in(out):
-        found = [_outcome(one, method, run) for one in experiments for method in methods]
-        _write(out, found)
-    return Comparison(tuple(found))
+        outcomes = [
+            _outcome(experiment, method, run) for experiment in experiments for method in methods
+        ]
+        _write(out, outcomes)
+    return Comparison(tuple(outcomes))
 
 
 def read_outcomes(folder: Path) -> Comparison:
@@ -329,7 +331,7 @@ class _Run:
 
 
 def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
-    name, told = experiment.name, experiment.description
+    name, description = experiment.name, experiment.description
     folder = run.out / name / method
 
     def watch(stage: str, fraction: float, /) -> None:
@@ -337,15 +339,15 @@ def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
 
     try:
         case = case_for(experiment, method, run.plan)
-        kept = _finished(folder, case)
-        if kept is None:
+        finished = _finished(folder, case)
+        if finished is None:
             with output_folder(folder) as working:
                 run.fill(working, case, watch, run.memory)
     except InputError as error:
         line = " ".join(str(error).split())
-        return Outcome(name, told, method, failure=line)
-    figures = kept or read_json(folder / RESULT_FILE)["metrics"]
-    return Outcome(name, told, method, digest(case), figures, reused=kept is not None)
+        return Outcome(name, description, method, failure=line)
+    figures = finished or read_json(folder / RESULT_FILE)["metrics"]
+    return Outcome(name, description, method, digest(case), figures, reused=finished is not None)
 
 
 def _finished(folder: Path, case: Experiment) -> Metrics | None:
@@ -369,7 +371,7 @@ def _refuse_namesakes(experiments: Sequence[Experiment]) -> None:
 
 
 def _write(out: Path, outcomes: list[Outcome]) -> None:
-    cases = [{k: v for k, v in asdict(one).items() if k != "reused"} for one in outcomes]
+    cases = [{k: v for k, v in asdict(outcome).items() if k != "reused"} for outcome in outcomes]
     content = {"command": COMMAND, "cases": cases, "versions": versions()}
     with adding(out, RESULT_FILE) as folder:
         write_json(folder / RESULT_FILE, {"schema_version": 1, **content})

@@ -212,10 +212,12 @@ def _compensation(
 ) -> CompensationResult:
     """Compensate points, and return the figures of the object, named after nominal places."""
     specimen = experiment.specimen if experiment else None
-    found = compensate_points(points, layer, specimen)
+    compensated = compensate_points(points, layer, specimen)
     balls = shape_of(specimen).spheres() if specimen else ()
-    figures = object_figures(found, balls, _bars(layer, experiment)) | load_figures(found, layer)
-    return CompensationResult(found, layer, figures)
+    figures = object_figures(compensated, balls, _bars(layer, experiment)) | load_figures(
+        compensated, layer
+    )
+    return CompensationResult(compensated, layer, figures)
 
 
 def compensate_points(
@@ -244,11 +246,11 @@ def compensate_points(
     valid = points.valid
     if not valid.any():
         raise InputError("compensate: found no valid point; look at the mask's reasons")
-    found = at_pixels(points.points_world_mm, valid).astype(np.float64)
+    points_mm = at_pixels(points.points_world_mm, valid).astype(np.float64)
     sigma_mm = at_pixels(points.sigma_z_mm, valid).astype(np.float64)
     if on_window:
-        return _on_gel(found, sigma_mm, layer)
-    return fit_slab(found, sigma_mm, slab_object(layer, specimen))
+        return _on_gel(points_mm, sigma_mm, layer)
+    return fit_slab(points_mm, sigma_mm, slab_object(layer, specimen))
 
 
 def _on_gel(points_mm: FloatArray, sigma_mm: FloatArray, layer: SensorLayer) -> CompensatedGel:
@@ -312,10 +314,10 @@ def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Me
         known = sheet_compensation(done.experiment, points, layer)
         done = replace(done, compensation=known).with_object()
     if known is None:
-        found = compensated_figures(done.experiment, points, layer)
+        figures = compensated_figures(done.experiment, points, layer)
     else:
-        found = _sheet_figures(known)
-    return replace(done, metrics={**done.metrics, **found})
+        figures = _sheet_figures(known)
+    return replace(done, metrics={**done.metrics, **figures})
 
 
 def _sheet_figures(compensation: SheetCompensation) -> dict[str, Any]:
@@ -326,7 +328,7 @@ def _sheet_figures(compensation: SheetCompensation) -> dict[str, Any]:
     layer = compensation.layer or sensor_layer_of(experiment)
     balls = shape_of(experiment.specimen).spheres()
     figures = object_figures(under.sheet, balls, _bars(layer, experiment), under.parts)
-    return {key: one for key, one in figures.items() if key.startswith(COMPENSATED)}
+    return {key: value for key, value in figures.items() if key.startswith(COMPENSATED)}
 
 
 def compensated_figures(
@@ -340,18 +342,18 @@ def compensated_figures(
         return {}
     try:
         believed = layer or sensor_layer_of(experiment)
-        found = compensate_points(points, believed, experiment.specimen)
+        compensated = compensate_points(points, believed, experiment.specimen)
     except InputError as error:
         return {"compensation_failure": str(error)}
     balls = shape_of(experiment.specimen).spheres()
-    figures = object_figures(found, balls, _bars(believed, experiment))
-    return {key: one for key, one in figures.items() if key.startswith(COMPENSATED)}
+    figures = object_figures(compensated, balls, _bars(believed, experiment))
+    return {key: value for key, value in figures.items() if key.startswith(COMPENSATED)}
 
 
 def _bars(layer: SensorLayer, experiment: Experiment | None) -> list[BarPlace]:
     specimen = layer.specimen or (experiment.specimen if experiment else None)
     if layer.bar or specimen is None:
-        return [BarPlace(**one.model_dump()) for one in layer.bar]
+        return [BarPlace(**bar.model_dump()) for bar in layer.bar]
     return bars_of(specimen)
 
 
@@ -367,8 +369,8 @@ def _read_points(folder: Path) -> Reconstruction:
 def _layer_of(folder: Path, layer_file: Path | None) -> tuple[SensorLayer, Experiment | None]:
     """Return the layer, given or the experiment's, and the experiment if there is one."""
     own = folder / EXPERIMENT_FILE
-    told = read_toml(own) if is_regular(own) else {}
-    experiment = load_experiment(own) if "elastomer" in told else None
+    tables = read_toml(own) if is_regular(own) else {}
+    experiment = load_experiment(own) if "elastomer" in tables else None
     if layer_file is not None:
         return load_sensor_layer(layer_file), experiment
     if experiment is None:
@@ -379,9 +381,11 @@ def _layer_of(folder: Path, layer_file: Path | None) -> tuple[SensorLayer, Exper
     return sensor_layer_of(experiment), experiment
 
 
-def _write(target: Path, measured: Reconstruction, found: Compensated, layer: SensorLayer) -> None:
-    points = object_points(measured.point_map, found, layer.sigma.texture_mm)
+def _write(
+    target: Path, measured: Reconstruction, compensated: Compensated, layer: SensorLayer
+) -> None:
+    points = object_points(measured.point_map, compensated, layer.sigma.texture_mm)
     write_reconstruction(target / RECONSTRUCTION_FILE, measured.decoded, points)
     if points.valid.any():
         write_surface(target, points)
-    write_arrays(target / CONTACT_FILE, contact_arrays(found))
+    write_arrays(target / CONTACT_FILE, contact_arrays(compensated))

@@ -83,10 +83,10 @@ class _Heights:
         """Return place across and mean height of the cells along an axis, the place growing."""
         axis = 0 if along == "y" else 1
         count = self.valid.sum(axis=axis)
-        place_mm, found = (self.x_mm if along == "y" else self.y_mm), count > 0
-        z_mm = np.sum(self.z_mm * self.valid, axis=axis)[found] / count[found]
-        order = np.argsort(place_mm[found])
-        return place_mm[found][order], z_mm[order]
+        place_mm, filled = (self.x_mm if along == "y" else self.y_mm), count > 0
+        z_mm = np.sum(self.z_mm * self.valid, axis=axis)[filled] / count[filled]
+        order = np.argsort(place_mm[filled])
+        return place_mm[filled][order], z_mm[order]
 
 
 def _within(values_mm: FloatArray, bounds_mm: Range | None) -> BoolImage:
@@ -97,12 +97,12 @@ def _within(values_mm: FloatArray, bounds_mm: Range | None) -> BoolImage:
 
 def _points_in(points: PointMap, region: Region) -> FloatArray:
     """Return the valid points (n, xyz) in a box."""
-    found = at_pixels(points.points_world_mm, points.valid).astype(np.float64)
+    points_mm = at_pixels(points.points_world_mm, points.valid).astype(np.float64)
     for axis, bounds_mm in enumerate((region.x_mm, region.y_mm, region.z_mm)):
-        found = found[_within(found[:, axis], bounds_mm)]
-    if not len(found):
+        points_mm = points_mm[_within(points_mm[:, axis], bounds_mm)]
+    if not len(points_mm):
         raise InputError("no valid point in the given ranges of x, y and z; widen them")
-    return found
+    return points_mm
 
 
 def _heights_in(points: PointMap, region: Region) -> _Heights:
@@ -117,53 +117,53 @@ def _heights_in(points: PointMap, region: Region) -> _Heights:
     return _Heights(grid.x_mm[cols], grid.y_mm[rows], z_mm, valid, grid.pitch_mm)
 
 
-def _kept(kept: BoolImage) -> dict[str, float]:
-    return {"points": int(kept.sum()), "outliers": int((~kept).sum())}
+def _kept(used: BoolImage) -> dict[str, float]:
+    return {"points": int(used.sum()), "outliers": int((~used).sum())}
 
 
 def _plane(points_mm: FloatArray, _: Region) -> dict[str, float]:
-    found = flatness(points_mm)
-    flat = {"flatness_um": 1e3 * found.peak_to_valley_mm, "flatness_rms_um": 1e3 * found.rms_mm}
-    return _kept(found.kept) | flat
+    fitted = flatness(points_mm)
+    flat = {"flatness_um": 1e3 * fitted.peak_to_valley_mm, "flatness_rms_um": 1e3 * fitted.rms_mm}
+    return _kept(fitted.kept) | flat
 
 
 def _ball(points_mm: FloatArray, _: Region) -> dict[str, float]:
-    found = fit_ball(points_mm)
-    return _kept(found.kept) | {
-        "radius_mm": found.radius_mm,
-        "radius_sigma_um": 1e3 * found.radius_sigma_mm,
-        "form_um": 1e3 * found.form_mm,
-        "rmse_um": 1e3 * found.stats.rmse_mm,
+    fitted = fit_ball(points_mm)
+    return _kept(fitted.kept) | {
+        "radius_mm": fitted.radius_mm,
+        "radius_sigma_um": 1e3 * fitted.radius_sigma_mm,
+        "form_um": 1e3 * fitted.form_mm,
+        "rmse_um": 1e3 * fitted.stats.rmse_mm,
     }
 
 
 def _cylinder(points_mm: FloatArray, region: Region) -> dict[str, float]:
-    found = fit_cylinder(points_mm, axis=(1, 0, 0) if region.along == "x" else (0, 1, 0))
-    return _kept(found.kept) | {
-        "radius_mm": found.radius_mm,
-        "cylindricity_um": 1e3 * float(np.ptp(found.residuals_mm)),
-        "rmse_um": 1e3 * rms(found.residuals_mm),
+    fitted = fit_cylinder(points_mm, axis=(1, 0, 0) if region.along == "x" else (0, 1, 0))
+    return _kept(fitted.kept) | {
+        "radius_mm": fitted.radius_mm,
+        "cylindricity_um": 1e3 * float(np.ptp(fitted.residuals_mm)),
+        "rmse_um": 1e3 * rms(fitted.residuals_mm),
     }
 
 
 def _bar(heights: _Heights, region: Region) -> dict[str, float]:
-    found = bar_width(*heights.profile(region.along), region.fraction)
-    return {"width_mm": found.width_mm, "height_mm": found.height_mm}
+    fitted = bar_width(*heights.profile(region.along), region.fraction)
+    return {"width_mm": fitted.width_mm, "height_mm": fitted.height_mm}
 
 
 def _step(heights: _Heights, region: Region) -> dict[str, float]:
     place_mm, z_mm = heights.profile(region.along)
     edges = bar_width(place_mm, z_mm, region.fraction)
-    found = step_height(place_mm, z_mm, edges.left_mm, edges.right_mm)
-    return {"step_height_mm": found.height_mm, "step_rms_um": 1e3 * found.rms_mm}
+    fitted = step_height(place_mm, z_mm, edges.left_mm, edges.right_mm)
+    return {"step_height_mm": fitted.height_mm, "step_rms_um": 1e3 * fitted.rms_mm}
 
 
 def _roughness(heights: _Heights, region: Region) -> dict[str, float]:
-    found = areal_roughness(heights.z_mm, heights.valid, heights.pitch_mm, region.nesting_mm)
+    roughness = areal_roughness(heights.z_mm, heights.valid, heights.pitch_mm, region.nesting_mm)
     return {
-        "sa_um": 1e3 * found.sa_mm,
-        "sq_um": 1e3 * found.sq_mm,
-        "sz_um": 1e3 * found.sz_mm,
+        "sa_um": 1e3 * roughness.sa_mm,
+        "sq_um": 1e3 * roughness.sq_mm,
+        "sz_um": 1e3 * roughness.sz_mm,
     }
 
 

@@ -28,7 +28,7 @@ from twin.optics.session import renderer_session
 from twin.optics.stack import RadianceStack
 from twin.output import versions
 from twin.pipeline.captures import options_of
-from twin.pipeline.memory import Kept, Memory
+from twin.pipeline.memory import CachedResult, Memory
 from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
 from twin.results.figures import Metrics
@@ -84,16 +84,16 @@ def measure_fringes(
     InputError, MissingBackend : as `twin.pipeline.measure`
     """
     pressed, capture = _taken(experiment, run)
-    with ThreadPoolExecutor(1) as beside:
+    with ThreadPoolExecutor(1) as executor:
         further = None
         if bounds_of is not None and pressed is not None:
-            further = beside.submit(bounds_of(experiment, pressed, run.memory))
+            further = executor.submit(bounds_of(experiment, pressed, run.memory))
         with run.clock.stage("reconstruct"):
             points = run.memory.recall(
                 "reconstruction",
                 experiment,
                 capture.token,
-                lambda seen: reconstruct(capture.value.capture, options_of(seen.decode)),
+                lambda watched: reconstruct(capture.value.capture, options_of(watched.decode)),
             ).value
         with run.clock.stage("score"):
             face = None if pressed is None else pressed.pressed
@@ -200,7 +200,9 @@ def render(
         from twin.pipeline import trace
 
     memory = Memory()
-    geometry = memory.recall("geometry", experiment, (), lambda seen: trace.load_face(seen, face))
+    geometry = memory.recall(
+        "geometry", experiment, (), lambda watched: trace.load_face(watched, face)
+    )
     return _lit(experiment, geometry, memory, progress).value
 
 
@@ -279,7 +281,9 @@ def check_layers(experiment: Experiment) -> None:
         )
 
 
-def _taken(experiment: Experiment, run: RunContext) -> tuple[PressedFace | None, Kept[Recording]]:
+def _taken(
+    experiment: Experiment, run: RunContext
+) -> tuple[PressedFace | None, CachedResult[Recording]]:
     if not experiment.method.fringes:
         raise InputError(
             f"modality = '{experiment.modality}' takes one colour image and no fringe stack; use"
@@ -295,24 +299,26 @@ def _taken(experiment: Experiment, run: RunContext) -> tuple[PressedFace | None,
 
 def _recorded(
     experiment: Experiment, pressed: PressedFace | None, run: RunContext
-) -> Kept[Recording]:
+) -> CachedResult[Recording]:
     with run.clock.stage("render") as progress:
         radiance = _rendered(experiment, pressed, run.memory, progress)
     return run.memory.recall(
         "capture",
         experiment,
         (radiance.token, run.trial, run.noise),
-        lambda seen: expose_capture(seen, radiance.value, run.clock, run.trial, run.noise),
+        lambda watched: expose_capture(watched, radiance.value, run.clock, run.trial, run.noise),
     )
 
 
 def _rendered(
     experiment: Experiment, pressed: PressedFace | None, memory: Memory, progress: Progress
-) -> Kept[RadianceStack]:
+) -> CachedResult[RadianceStack]:
     return _lit(experiment, loaded(experiment, pressed, memory), memory, progress)
 
 
-def loaded(experiment: Experiment, pressed: PressedFace | None, memory: Memory) -> "Kept[Geometry]":
+def loaded(
+    experiment: Experiment, pressed: PressedFace | None, memory: Memory
+) -> "CachedResult[Geometry]":
     """Return the surfaces that are seen: a pressed face, or the bare specimen.
 
     Raises
@@ -331,22 +337,27 @@ def loaded(experiment: Experiment, pressed: PressedFace | None, memory: Memory) 
         "geometry",
         experiment,
         pressed.face_digest,
-        lambda seen: trace.load_face(seen, face_mesh(pressed.pressed)),
+        lambda watched: trace.load_face(watched, face_mesh(pressed.pressed)),
     )
 
 
-def viewed(experiment: Experiment, geometry: "Kept[Geometry]", memory: Memory) -> "Kept[View]":
+def viewed(
+    experiment: Experiment, geometry: "CachedResult[Geometry]", memory: Memory
+) -> "CachedResult[View]":
     """Return the devices about a scene, and the truth behind every pixel."""
     from twin.pipeline import trace
 
     return memory.recall(
-        "view", experiment, geometry.token, lambda seen: trace.view_of(seen, geometry.value)
+        "view", experiment, geometry.token, lambda watched: trace.view_of(watched, geometry.value)
     )
 
 
 def traced(
-    experiment: Experiment, geometry: "Kept[Geometry]", view: "Kept[View]", memory: Memory
-) -> "Kept[Patches]":
+    experiment: Experiment,
+    geometry: "CachedResult[Geometry]",
+    view: "CachedResult[View]",
+    memory: Memory,
+) -> "CachedResult[Patches]":
     """Return the camera's rays, for all patterns."""
     from twin.pipeline import trace
 
@@ -354,36 +365,41 @@ def traced(
         "trace",
         experiment,
         view.token,
-        lambda seen: trace.patches_of(seen, geometry.value, view.value),
+        lambda watched: trace.patches_of(watched, geometry.value, view.value),
     )
 
 
 def _lit(
-    experiment: Experiment, geometry: "Kept[Geometry]", memory: Memory, progress: Progress
-) -> Kept[RadianceStack]:
+    experiment: Experiment, geometry: "CachedResult[Geometry]", memory: Memory, progress: Progress
+) -> CachedResult[RadianceStack]:
     from twin.pipeline import trace
 
     scene, view = geometry.value, viewed(experiment, geometry, memory)
     # Without an aperture blur is the same at every distance, and no view changes the tables.
     depth = view.token if experiment.projector.aperture_mm else ()
     tables = memory.recall(
-        "tables", experiment, depth, lambda seen: trace.tables_of(seen, view.value)
+        "tables", experiment, depth, lambda watched: trace.tables_of(watched, view.value)
     )
     if experiment.render.engine == "stock":
         return memory.recall(
             "frames",
             experiment,
             (view.token, tables.token),
-            lambda seen: trace.light_with_stock(seen, scene, view.value, tables.value, progress),
+            lambda watched: trace.light_with_stock(
+                watched, scene, view.value, tables.value, progress
+            ),
         )
     rays = traced(experiment, geometry, view, memory)
     photons = memory.recall(
-        "photons", experiment, view.token, lambda seen: trace.photons_of(seen, scene, view.value)
+        "photons",
+        experiment,
+        view.token,
+        lambda watched: trace.photons_of(watched, scene, view.value),
     )
     lit = trace.Traced(rays.value, photons.value, tables.value)
     return memory.recall(
         "frames",
         experiment,
         (rays.token, photons.token, tables.token),
-        lambda seen: trace.light(seen, scene, view.value, lit, progress),
+        lambda watched: trace.light(watched, scene, view.value, lit, progress),
     )

@@ -66,12 +66,12 @@ def bound_gradient(
     prediction, truth = predicted(experiment, face, memory)
     shares = information_shares(experiment, prediction, truth, pressed)
     tangents = [_log_sigma(experiment, path, memory) for path in paths]
-    found: dict[str, FloatArray] = {}
+    gradients: dict[str, FloatArray] = {}
     for name, share in shares.items():
         bound = figures[name]
         assert isinstance(bound, float)
-        found[name] = np.array([bound * float(np.sum(share * one)) for one in tangents])
-    return figures, found
+        gradients[name] = np.array([bound * float(np.sum(share * tangent)) for tangent in tangents])
+    return figures, gradients
 
 
 @renderer_session()

@@ -69,12 +69,12 @@ class KeptCalibrations:
             place.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise unwritable(place, error) from None
-        for kind, one in calibrations.items():
+        for kind, calibration in calibrations.items():
             file = _file(place / _READS_FILE, kind)
             with naming_unwritable(file):
-                write_sensor_calibration(file, one)
+                write_sensor_calibration(file, calibration)
         replace_json(place / _READS_FILE, content)
 
 
-def _file(beside: Path, kind: MapKind) -> Path:
-    return beside.with_name(f"{kind}.npz")
+def _file(folder: Path, kind: MapKind) -> Path:
+    return folder.with_name(f"{kind}.npz")

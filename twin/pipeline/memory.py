@@ -36,45 +36,45 @@ class Reads:
     """The fields that were read, each with the value that was found."""
 
     def __init__(self) -> None:
-        self._found: dict[Path, bytes] = {}
+        self._values: dict[Path, bytes] = {}
 
     @property
     def paths(self) -> tuple[Path, ...]:
         """Paths that were read, sorted; a table that is one of several kinds counts as a whole."""
-        return tuple(sorted(self._found))
+        return tuple(sorted(self._values))
 
     def note(self, path: Path, value: Any) -> None:
         """Enter a field; of a table that is looked into only that it is there."""
         if not isinstance(value, type):
-            self._found[path] = _content(path, value)
-        elif path not in self._found:  # read as a whole before: more specific
-            self._found[path] = _presence(value)
+            self._values[path] = _content(path, value)
+        elif path not in self._values:  # read as a whole before: more specific
+            self._values[path] = _presence(value)
 
     @classmethod
     def union(cls, parts: Iterable["Reads"]) -> "Reads":
         """Return the fields that were read by any of several stages of one experiment."""
         together = cls()
         for part in parts:
-            for path, value in part._found.items():
+            for path, value in part._values.items():
                 # A table's content is more specific than its presence.
-                if not value.startswith(_PRESENT) or path not in together._found:
-                    together._found[path] = value
+                if not value.startswith(_PRESENT) or path not in together._values:
+                    together._values[path] = value
         return together
 
     def as_json(self) -> list[Any]:
         """Return path and value of every field, for `from_json`."""
-        return [[list(path), value.decode()] for path, value in sorted(self._found.items())]
+        return [[list(path), value.decode()] for path, value in sorted(self._values.items())]
 
     @classmethod
     def from_json(cls, content: Iterable[Any]) -> "Reads":
         """Return the reads from the output of `as_json`."""
         reads = cls()
-        reads._found = {tuple(path): value.encode() for path, value in content}
+        reads._values = {tuple(path): value.encode() for path, value in content}
         return reads
 
     def hold_for(self, experiment: Experiment) -> bool:
         """Return True if another experiment has the same values in all these fields."""
-        return all(_at(experiment, path, kept) == kept for path, kept in self._found.items())
+        return all(_at(experiment, path, value) == value for path, value in self._values.items())
 
 
 def watched(experiment: Experiment, reads: Reads) -> Experiment:
@@ -87,10 +87,10 @@ def values_at(experiment: Experiment, paths: Iterable[Path]) -> tuple[bytes, ...
 
     Of a table that was looked into only its presence counts: its fields are among the paths.
     """
-    found = list(paths)
-    tables = {path[:-1] for path in found}
-    like = {path: _PRESENT if path in tables else b"" for path in found}
-    return tuple(_at(experiment, path, like[path]) for path in found)
+    known_paths = list(paths)
+    tables = {path[:-1] for path in known_paths}
+    like = {path: _PRESENT if path in tables else b"" for path in known_paths}
+    return tuple(_at(experiment, path, like[path]) for path in known_paths)
 
 
 class _Watched:
@@ -118,11 +118,11 @@ class _Watched:
         if name in kind.__class_vars__:
             return getattr(kind, name)  # the kind of a table is noted with the table
         if not hasattr(BaseModel, name):
-            found = inspect.getattr_static(kind, name, None)
-            if isinstance(found, property) and found.fget is not None:
-                return found.fget(self)
-            if isinstance(found, types.FunctionType):
-                return types.MethodType(found, self)
+            attribute = inspect.getattr_static(kind, name, None)
+            if isinstance(attribute, property) and attribute.fget is not None:
+                return attribute.fget(self)
+            if isinstance(attribute, types.FunctionType):
+                return types.MethodType(attribute, self)
         return getattr(self._whole(), name)
 
     def _field(self, name: str) -> Any:
@@ -189,7 +189,7 @@ _serial = itertools.count()
 
 
 @dataclass(frozen=True, eq=False)
-class Kept(Generic[Result]):
+class CachedResult(Generic[Result]):
     """A result with the fields and inputs it was computed from.
 
     Attributes
@@ -230,25 +230,25 @@ class Memo(Generic[Result]):
 
     def __init__(self, name: str, capacity: int = 1) -> None:
         self.name, self.computed, self.recalled = name, 0, 0
-        self._kept: deque[Kept[Result]] = deque(maxlen=capacity)
+        self._results: deque[CachedResult[Result]] = deque(maxlen=capacity)
         self._lock = threading.Lock()
 
     @property
-    def asked(self) -> int:
+    def requests(self) -> int:
         """Number of requests for a result."""
         return self.computed + self.recalled
 
     @property
     def latest_reads(self) -> Reads | None:
         """Fields that the latest computation looked at."""
-        return self._kept[-1].reads if self._kept else None
+        return self._results[-1].reads if self._results else None
 
     def recall(
         self,
         experiment: Experiment,
         inputs: Hashable,
         compute: Callable[[Experiment], Result],
-    ) -> Kept[Result]:
+    ) -> CachedResult[Result]:
         """Return the result for an experiment, computed only if no kept one is the same.
 
         Parameters
@@ -259,37 +259,37 @@ class Memo(Generic[Result]):
             only
         """
         with self._lock:
-            found = self._taken(experiment, inputs)
-        if found is None:
-            found = _kept(experiment, inputs, compute)
+            result = self._taken(experiment, inputs)
+        if result is None:
+            result = _kept(experiment, inputs, compute)
             with self._lock:
-                self._kept.append(found)
-        found.value  # noqa: B018  # raises the stage's error
-        return found
+                self._results.append(result)
+        result.value  # noqa: B018  # raises the stage's error
+        return result
 
-    def _taken(self, experiment: Experiment, inputs: Hashable) -> Kept[Result] | None:
+    def _taken(self, experiment: Experiment, inputs: Hashable) -> CachedResult[Result] | None:
         """Return a kept result, now the latest used, or make room for the one to be computed."""
-        for kept in self._kept:
-            if kept.inputs == inputs and kept.reads.hold_for(experiment):
+        for cached in self._results:
+            if cached.inputs == inputs and cached.reads.hold_for(experiment):
                 self.recalled += 1
-                self._kept.remove(kept)
-                self._kept.append(kept)
-                return kept
+                self._results.remove(cached)
+                self._results.append(cached)
+                return cached
         self.computed += 1
-        if len(self._kept) == self._kept.maxlen:
-            self._kept.popleft()  # before the next is made: two may not fit into memory
+        if len(self._results) == self._results.maxlen:
+            self._results.popleft()  # before the next is made: two may not fit into memory
         return None
 
 
 def _kept(
     experiment: Experiment, inputs: Hashable, compute: Callable[[Experiment], Result]
-) -> Kept[Result]:
+) -> CachedResult[Result]:
     reads = Reads()
     try:
         outcome: Result | InputError = compute(watched(experiment, reads))
     except InputError as error:
         outcome = error.with_traceback(None)
-    return Kept(outcome, next(_serial), inputs, reads)
+    return CachedResult(outcome, next(_serial), inputs, reads)
 
 
 # Stages in their order, and how many results of each are kept: a pressed face has a few MB, a stack
@@ -334,13 +334,13 @@ class Memory:
         experiment: Experiment,
         inputs: Hashable,
         compute: Callable[[Experiment], Result],
-    ) -> Kept[Result]:
+    ) -> CachedResult[Result]:
         """Return a stage's result, computed only if no kept one is the same; see `Memo.recall`."""
         return self._memos[stage].recall(experiment, inputs, compute)
 
-    def asked(self) -> dict[str, int]:
+    def requests(self) -> dict[str, int]:
         """Return the number of requests for each stage's result."""
-        return {name: memo.asked for name, memo in self._memos.items()}
+        return {name: memo.requests for name, memo in self._memos.items()}
 
     def stages(self) -> Iterator[tuple[str, int, int, tuple[Path, ...]]]:
         """Yield name, times computed, times recalled and fields read of every stage in order."""

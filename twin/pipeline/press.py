@@ -52,7 +52,7 @@ def press(experiment: Experiment, memory: Memory, progress: Progress | None = No
     smooth, token = _smooth(experiment, memory, progress)
     made_from = token, smooth.pressed.young_modulus_kpa
     return memory.recall(
-        "texture", experiment, made_from, lambda seen: _with_texture(seen, smooth)
+        "texture", experiment, made_from, lambda watched: _with_texture(watched, smooth)
     ).value
 
 
@@ -89,7 +89,7 @@ def _smooth(
     shape = memory.recall("shape", experiment, (), _unit_press)
     if shape.value is None:
         own = memory.recall(
-            "press", experiment, (), lambda seen: PressedFace.of(press_smooth(seen, progress))
+            "press", experiment, (), lambda watched: PressedFace.of(press_smooth(watched, progress))
         )
         return own.value, own.token
     scaled = with_modulus(shape.value.pressed, experiment.elastomer)

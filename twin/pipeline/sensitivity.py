@@ -50,8 +50,8 @@ def _derivative(experiment: Experiment, path: str, rest: SettledPress) -> PressD
     value = value_at(experiment, path)
     step = _STEP * max(abs(value), 1.0)
     low, high = (
-        rest.nearby(_data(with_number(experiment, path, one)))
-        for one in (value - step, value + step)
+        rest.nearby(_data(with_number(experiment, path, stepped)))
+        for stepped in (value - step, value + step)
     )
     before, after = _figures(low), _figures(high)
     return PressDerivative(
@@ -68,5 +68,5 @@ def _data(experiment: Experiment) -> PressInput:
 
 
 def _figures(pressed: PressedElastomer) -> dict[str, float]:
-    found = press_metrics(pressed)
-    return {name: value for name, value in found.items() if isinstance(value, float)}
+    figures = press_metrics(pressed)
+    return {name: value for name, value in figures.items() if isinstance(value, float)}

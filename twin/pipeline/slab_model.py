@@ -46,12 +46,12 @@ class SlabObject:
     Attributes
     ----------
     specimen : of the form that is known, about where it is and as large as it is
-    wanted : fitted numbers of the specimen, such as `diameter_mm`
+    fitted_paths : fitted numbers of the specimen, such as `diameter_mm`
     theory : whether effects that the linear slab neglects count as uncertainty
     """
 
     specimen: Specimen
-    wanted: tuple[str, ...]
+    fitted_paths: tuple[str, ...]
     layer: SensorLayer
     theory: bool = True
 
@@ -63,12 +63,12 @@ class SlabObject:
     @property
     def load(self) -> Press:
         """The press with its stated travel, or a start value."""
-        told = self.layer.press
-        start = told.depth_mm or min(0.5, 0.5 * self.layer.elastomer.thickness_mm)
+        press = self.layer.press
+        start = press.depth_mm or min(0.5, 0.5 * self.layer.elastomer.thickness_mm)
         return Press(
             control="depth",
             depth_mm=start,
-            back_pressure_kpa=told.back_pressure_kpa,
+            back_pressure_kpa=press.back_pressure_kpa,
         )
 
 
@@ -76,7 +76,7 @@ class SlabObject:
 class PressedCoat:
     """The coat by the layer's own solution, for values of the named numbers."""
 
-    asked: SlabObject
+    slab: SlabObject
     relief: Relief
     names: tuple[str, ...]
     solver_pitch_mm: float
@@ -95,7 +95,7 @@ class PressedCoat:
             coat_mm=lifted,
             force_n=_kpa(solved) * solved.force_mm2,
             slopes=cache(lambda: self._slopes(solved, values)),
-            theory_mm=(_left_out_mm(solved),) if self.asked.theory else (),
+            theory_mm=(_left_out_mm(solved),) if self.slab.theory else (),
         )
 
     def _slopes(self, solved: SolvedSlab, values: FloatArray) -> CoatSlopes:
@@ -119,8 +119,8 @@ class PressedCoat:
         place = self.names.index(name)
         if not name.startswith(_OF_THE_SPECIMEN):
             step = _SMALL_SHARE * max(float(values[place]), 1e-3)
-            beside = [self._data(self._stepped(values, place, by)) for by in (-step, step)]
-            return solved.moved_by_layer(beside[0], beside[1], step)
+            shifted = [self._data(self._stepped(values, place, by)) for by in (-step, step)]
+            return solved.moved_by_layer(shifted[0], shifted[1], step)
         rows, cols = solved.touched_cells
         behind = [
             shape_of(self.specimen(self._stepped(values, place, by))).height_above_lowest(
@@ -140,21 +140,21 @@ class PressedCoat:
 
     def specimen(self, values: FloatArray) -> Specimen:
         """Return the specimen with these values."""
-        specimen = self.asked.specimen
+        specimen = self.slab.specimen
         for name, value in zip(self.names, values.tolist(), strict=True):
             if name.startswith(_OF_THE_SPECIMEN):
                 specimen = with_value(specimen, name.removeprefix(_OF_THE_SPECIMEN), value)
         return specimen
 
     def _data(self, values: FloatArray) -> SlabData:
-        told = dict(zip(self.names, values.tolist(), strict=True))
-        elastomer, load = self.asked.elastomer, self.asked.load
-        if MODULUS in told:
-            elastomer = with_modulus(elastomer, told[MODULUS])
-        if THICKNESS in told:
-            elastomer = elastomer.model_copy(update={"thickness_mm": told[THICKNESS]})
+        numbers = dict(zip(self.names, values.tolist(), strict=True))
+        elastomer, load = self.slab.elastomer, self.slab.load
+        if MODULUS in numbers:
+            elastomer = with_modulus(elastomer, numbers[MODULUS])
+        if THICKNESS in numbers:
+            elastomer = elastomer.model_copy(update={"thickness_mm": numbers[THICKNESS]})
         pressed = {"depth_mm": TRAVEL, "back_pressure_kpa": AIR}
-        changed = {key: told[name] for key, name in pressed.items() if name in told}
+        changed = {key: numbers[name] for key, name in pressed.items() if name in numbers}
         changed["solver_pitch_mm"] = self.solver_pitch_mm
         return elastomer, load.model_copy(update=changed)
 
@@ -236,5 +236,5 @@ def _strain(solved: SolvedSlab) -> float:
 
 def with_modulus(elastomer: Elastomer, modulus_kpa: float) -> Elastomer:
     """Return an elastomer with a measured modulus in place of its hardness."""
-    told = {"shore_a": None, "shore_00": None, "young_modulus_kpa": modulus_kpa}
-    return elastomer.model_copy(update=told)
+    changes = {"shore_a": None, "shore_00": None, "young_modulus_kpa": modulus_kpa}
+    return elastomer.model_copy(update=changes)

@@ -71,21 +71,21 @@ def slab_object(layer: SensorLayer, specimen: Specimen | None) -> SlabObject:
             "shows no free form; add [specimen] to the layer file: the form that was pressed, its "
             "numbers about right, see docs/compensation.md"
         )
-    wanted = layer.fitted or pressed.slab_fit_paths
-    if not wanted:
+    fitted_paths = layer.fitted or pressed.slab_fit_paths
+    if not fitted_paths:
         raise InputError(
             f"specimen.kind = '{pressed.kind}': not known which of its numbers to fit; give "
             'fitted = ["..."] in the layer file, such as ["x_mm", "y_mm"]'
         )
-    for path in wanted:
+    for path in fitted_paths:
         value_of(pressed, path)
-    return SlabObject(pressed, tuple(wanted), layer)
+    return SlabObject(pressed, tuple(fitted_paths), layer)
 
 
 def fit_slab(
     points_mm: FloatArray,
     sigma_mm: FloatArray,
-    asked: SlabObject,
+    slab: SlabObject,
     extra: Sequence[FittedNumber] = (),
 ) -> CompensatedSlab:
     """Fit the object under a slab to measured points.
@@ -99,37 +99,37 @@ def fit_slab(
     ------
     FitError : no press explains the points, or the numbers cannot be distinguished
     """
-    relief = _relief(points_mm, sigma_mm, asked.elastomer)
-    unknowns = _unknowns(asked, extra)
-    names, force = tuple(one.name for one in unknowns), _force(asked)
-    models = [PressedCoat(asked, relief, names, pitch) for pitch in _SOLVER_PITCHES_MM]
+    relief = _relief(points_mm, sigma_mm, slab.elastomer)
+    unknowns = _unknowns(slab, extra)
+    names, force = tuple(unknown.name for unknown in unknowns), _force(slab)
+    models = [PressedCoat(slab, relief, names, pitch) for pitch in _SOLVER_PITCHES_MM]
     fitted = fit_under_slab(relief, models, unknowns, force)
     return _compensated(relief, fitted, models[-1])
 
 
-def bound_slab(points_mm: FloatArray, sigma_mm: FloatArray, asked: SlabObject) -> dict[str, float]:
+def bound_slab(points_mm: FloatArray, sigma_mm: FloatArray, slab: SlabObject) -> dict[str, float]:
     """Return the least standard deviation of each fitted number, by noise (Cramer-Rao).
 
     Parameters
     ----------
     points_mm, sigma_mm : as `fit_slab`, of points with independent noise
-    asked : the object as it is
+    slab : the object as it is
 
     Raises
     ------
     FitError : no such press, or numbers that the coat does not distinguish
     """
-    relief = _relief(points_mm, sigma_mm, asked.elastomer)
-    unknowns = _unknowns(asked, ())
-    names = tuple(one.name for one in unknowns)
-    model = PressedCoat(asked, relief, names, _SOLVER_PITCHES_MM[0])
-    sigma = np.sqrt(np.diag(bound_under_slab(relief, model, unknowns, _force(asked))))
-    found = dict(zip(names, sigma.tolist(), strict=True))
-    return {path: found[f"specimen.{path}"] for path in asked.wanted}
+    relief = _relief(points_mm, sigma_mm, slab.elastomer)
+    unknowns = _unknowns(slab, ())
+    names = tuple(unknown.name for unknown in unknowns)
+    model = PressedCoat(slab, relief, names, _SOLVER_PITCHES_MM[0])
+    sigma = np.sqrt(np.diag(bound_under_slab(relief, model, unknowns, _force(slab))))
+    bounds = dict(zip(names, sigma.tolist(), strict=True))
+    return {path: bounds[f"specimen.{path}"] for path in slab.fitted_paths}
 
 
 def calibrate_slab(
-    points_mm: FloatArray, sigma_mm: FloatArray, asked: SlabObject, ball_diameter_mm: float
+    points_mm: FloatArray, sigma_mm: FloatArray, slab: SlabObject, ball_diameter_mm: float
 ) -> tuple[SensorLayer, dict[str, Any]]:
     """Fit the slab's thickness, and its modulus where air or a gauge weighs it, to a known ball.
 
@@ -144,41 +144,41 @@ def calibrate_slab(
     InputError : the object is no ball
     FitError : as `fit_slab`, or the press does not determine thickness or modulus
     """
-    if "diameter_mm" not in asked.wanted:
-        kind = asked.specimen.kind
+    if "diameter_mm" not in slab.fitted_paths:
+        kind = slab.specimen.kind
         raise InputError(f"--ball-diameter-mm: found specimen.kind = '{kind}', allowed a ball")
-    layer, elastomer = asked.layer, asked.elastomer
-    asked = replace(asked, theory=False)
-    before = fit_slab(points_mm, sigma_mm, asked).fitted.value("specimen.diameter_mm") / 2
+    layer, elastomer = slab.layer, slab.elastomer
+    slab = replace(slab, theory=False)
+    before = fit_slab(points_mm, sigma_mm, slab).fitted.value("specimen.diameter_mm") / 2
     known = replace(
-        asked,
-        specimen=with_value(asked.specimen, "diameter_mm", ball_diameter_mm),
-        wanted=tuple(one for one in asked.wanted if one != "diameter_mm"),
+        slab,
+        specimen=with_value(slab.specimen, "diameter_mm", ball_diameter_mm),
+        fitted_paths=tuple(path for path in slab.fitted_paths if path != "diameter_mm"),
     )
-    told = {THICKNESS: elastomer.thickness_mm}
+    thickness = {THICKNESS: elastomer.thickness_mm}
     if layer.press.back_pressure_kpa or layer.press.force_n is not None:
-        told[MODULUS] = young_modulus(elastomer).best_kpa
+        thickness[MODULUS] = young_modulus(elastomer).best_kpa
     free = [
         FittedNumber(name, value, value / _LAYER_FACTOR, value * _LAYER_FACTOR)
-        for name, value in told.items()
+        for name, value in thickness.items()
     ]
-    found = fit_slab(points_mm, sigma_mm, known, free).fitted
-    for name in told:
-        require_determined(name, found.value(name), found.sigma(name))
-    sigma = {"thickness_mm": found.sigma(THICKNESS)}
-    changed = elastomer.model_copy(update={"thickness_mm": found.value(THICKNESS)})
+    fitted = fit_slab(points_mm, sigma_mm, known, free).fitted
+    for name in thickness:
+        require_determined(name, fitted.value(name), fitted.sigma(name))
+    sigma = {"thickness_mm": fitted.sigma(THICKNESS)}
+    changed = elastomer.model_copy(update={"thickness_mm": fitted.value(THICKNESS)})
     figures: dict[str, Any] = {
-        "calibrated_thickness_mm": found.value(THICKNESS),
-        "calibrated_thickness_sigma_um": 1e3 * found.sigma(THICKNESS),
+        "calibrated_thickness_mm": fitted.value(THICKNESS),
+        "calibrated_thickness_sigma_um": 1e3 * fitted.sigma(THICKNESS),
         "calibrated_modulus_kpa": None,
         "calibrated_modulus_sigma_kpa": None,
         "radius_before_calibration_mm": before,
     }
-    if MODULUS in told:
-        changed = with_modulus(changed, found.value(MODULUS))
-        sigma["young_modulus_kpa"] = found.sigma(MODULUS)
-        figures["calibrated_modulus_kpa"] = found.value(MODULUS)
-        figures["calibrated_modulus_sigma_kpa"] = found.sigma(MODULUS)
+    if MODULUS in thickness:
+        changed = with_modulus(changed, fitted.value(MODULUS))
+        sigma["young_modulus_kpa"] = fitted.sigma(MODULUS)
+        figures["calibrated_modulus_kpa"] = fitted.value(MODULUS)
+        figures["calibrated_modulus_sigma_kpa"] = fitted.sigma(MODULUS)
     known_now = {"elastomer": changed, "sigma": layer.sigma.model_copy(update=sigma)}
     return layer.model_copy(update=known_now), figures
 
@@ -190,26 +190,26 @@ def _relief(points_mm: FloatArray, sigma_mm: FloatArray, elastomer: Elastomer) -
     return relief_on_frame(points_mm, sigma_mm, SheetOpening(*lengths), cells, _LEAST_SHARE)
 
 
-def _unknowns(asked: SlabObject, extra: Sequence[FittedNumber]) -> list[FittedNumber]:
+def _unknowns(slab: SlabObject, extra: Sequence[FittedNumber]) -> list[FittedNumber]:
     """Return the unknowns: the object, the travel, and the uncertain numbers of layer and plane."""
-    found = [_of_the_specimen(asked.specimen, path) for path in asked.wanted]
-    found += [one for one in [_travel(asked)] if one is not None]
-    layer, told = asked.layer, {one.name for one in extra}
+    unknowns = [_of_the_specimen(slab.specimen, path) for path in slab.fitted_paths]
+    unknowns += [number for number in [_travel(slab)] if number is not None]
+    layer, extra_names = slab.layer, {number.name for number in extra}
     modulus = young_modulus(layer.elastomer).best_kpa
     for name, value, sigma in (
         (THICKNESS, layer.elastomer.thickness_mm, layer.sigma.thickness_mm),
         (MODULUS, modulus, sigma_of_modulus(layer)),
         (AIR, layer.press.back_pressure_kpa, layer.sigma.back_pressure_kpa),
     ):
-        if sigma > 0 and name not in told:
+        if sigma > 0 and name not in extra_names:
             low, high = value / _LAYER_FACTOR, max(value * _LAYER_FACTOR, value + 10 * sigma)
-            found.append(FittedNumber(name, value, low, high, value, sigma))
-    if asked.theory:
-        found.append(FittedNumber(STRAIN, 0.0, -_MOST_SIGMAS, _MOST_SIGMAS, 0.0, 1.0))
+            unknowns.append(FittedNumber(name, value, low, high, value, sigma))
+    if slab.theory:
+        unknowns.append(FittedNumber(STRAIN, 0.0, -_MOST_SIGMAS, _MOST_SIGMAS, 0.0, 1.0))
     plane = layer.sigma.plane_mm
     if plane > 0:
-        found += [FittedNumber(name, 0.0, -_PLANE_MM, _PLANE_MM, 0.0, plane) for name in PLANE]
-    return [*found, *extra]
+        unknowns += [FittedNumber(name, 0.0, -_PLANE_MM, _PLANE_MM, 0.0, plane) for name in PLANE]
+    return [*unknowns, *extra]
 
 
 def _of_the_specimen(specimen: Specimen, path: str) -> FittedNumber:
@@ -221,20 +221,24 @@ def _of_the_specimen(specimen: Specimen, path: str) -> FittedNumber:
     return FittedNumber(f"specimen.{path}", start, start / _LENGTH_FACTOR, start * _LENGTH_FACTOR)
 
 
-def _travel(asked: SlabObject) -> FittedNumber | None:
+def _travel(slab: SlabObject) -> FittedNumber | None:
     """Return the travel as it is known; None where it is exact."""
-    told, sigma = asked.layer.press.depth_mm, asked.layer.sigma.depth_mm
-    most = _MOST_TRAVEL * asked.elastomer.thickness_mm
-    start = asked.load.depth_mm
+    depth_mm, sigma = slab.layer.press.depth_mm, slab.layer.sigma.depth_mm
+    most = _MOST_TRAVEL * slab.elastomer.thickness_mm
+    start = slab.load.depth_mm
     assert start is not None  # `load` presses to a depth
-    if told is None or sigma is None:
+    if depth_mm is None or sigma is None:
         return FittedNumber(TRAVEL, start, _LEAST_TRAVEL_MM, most)
-    return None if sigma == 0 else FittedNumber(TRAVEL, told, _LEAST_TRAVEL_MM, most, told, sigma)
+    return (
+        None
+        if sigma == 0
+        else FittedNumber(TRAVEL, depth_mm, _LEAST_TRAVEL_MM, most, depth_mm, sigma)
+    )
 
 
-def _force(asked: SlabObject) -> KnownForce | None:
+def _force(slab: SlabObject) -> KnownForce | None:
     """Return a gauge's force with the uncertainty of gauge and linear theory."""
-    force, sigma = asked.layer.press.force_n, asked.layer.sigma.force_n
+    force, sigma = slab.layer.press.force_n, slab.layer.sigma.force_n
     return (
         None if force is None else KnownForce(force, float(np.hypot(sigma, _FORCE_THEORY * force)))
     )

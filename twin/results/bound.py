@@ -72,23 +72,25 @@ def bound_names(experiment: Experiment) -> set[str]:
     if not has_bound(experiment):
         return set()
     names = set(_ALWAYS)
-    for asked in _asked(experiment):
+    for request in _bounded_requests(experiment):
         names |= {
-            *_names(asked),
-            MEASURANDS[asked.quantity].bound_name,
-            f"object_{asked.name}_bound_why",
+            *_names(request),
+            MEASURANDS[request.quantity].bound_name,
+            f"object_{request.name}_bound_why",
         }
     for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
         names |= {*_sphere_names(number), f"sphere_{number}_radius_bound_why"}
     return names
 
 
-def _asked(experiment: Experiment) -> list[ObjectMeasurand]:
-    return [one for one in measurands_of(experiment) if MEASURANDS[one.quantity].bound_name]
+def _bounded_requests(experiment: Experiment) -> list[ObjectMeasurand]:
+    return [
+        request for request in measurands_of(experiment) if MEASURANDS[request.quantity].bound_name
+    ]
 
 
-def _names(asked: ObjectMeasurand) -> tuple[str, str]:
-    return f"object_{asked.name}_crb_um", f"object_{asked.name}_spread_um"
+def _names(request: ObjectMeasurand) -> tuple[str, str]:
+    return f"object_{request.name}_crb_um", f"object_{request.name}_spread_um"
 
 
 def _sphere_names(number: int) -> tuple[str, str]:
@@ -101,18 +103,18 @@ def bound_figures(
     """Return the figures; None where the expected points do not fix a shape."""
     lit = int(truth.lit.sum())
     sigma_um = 1e3 * prediction.filtered_mm[prediction.valid]
-    found: dict[str, Metric] = {
+    figures: dict[str, Metric] = {
         "predicted_sigma_z_um": float(np.median(sigma_um)) if len(sigma_um) else None,
         "predicted_share": len(sigma_um) / lit if lit else None,
     }
-    found |= dict(_of_spheres(experiment, prediction))
+    figures |= dict(_of_spheres(experiment, prediction))
     first: dict[str, Metric] = {}
-    for asked, one in _expected_fits(experiment, prediction, truth, pressed):
-        values, why = _figures_of(asked.quantity, one, prediction)
-        found |= dict(zip(_names(asked), values, strict=True))
-        found |= {f"object_{asked.name}_bound_why": why} if why else {}
-        first.setdefault(MEASURANDS[asked.quantity].bound_name, values[0])
-    return found | first
+    for request, expected in _expected_fits(experiment, prediction, truth, pressed):
+        values, why = _figures_of(request.quantity, expected, prediction)
+        figures |= dict(zip(_names(request), values, strict=True))
+        figures |= {f"object_{request.name}_bound_why": why} if why else {}
+        first.setdefault(MEASURANDS[request.quantity].bound_name, values[0])
+    return figures | first
 
 
 _Values = tuple[float | None, float | None]
@@ -137,13 +139,15 @@ class _ExpectedFit:
     why: str = ""
 
 
-def _figures_of(quantity: str, one: _ExpectedFit, prediction: PredictedMaps) -> tuple[_Values, str]:
+def _figures_of(
+    quantity: str, expected: _ExpectedFit, prediction: PredictedMaps
+) -> tuple[_Values, str]:
     """Return bound and spread in um, and why there is none of them."""
-    if one.estimate is None:
-        return (None, None), one.why
-    values = _bound_and_spread_um(one.estimate, one.pixels, prediction, one.each)
+    if expected.estimate is None:
+        return (None, None), expected.why
+    values = _bound_and_spread_um(expected.estimate, expected.pixels, prediction, expected.each)
     try:
-        require_determined(quantity, 1e-3 * max(v or 0.0 for v in values), one.points_mm)
+        require_determined(quantity, 1e-3 * max(v or 0.0 for v in values), expected.points_mm)
     except FitError as error:
         return (None, None), str(error)
     return values, ""
@@ -154,24 +158,24 @@ def _expected_fits(
 ) -> Iterator[tuple[ObjectMeasurand, _ExpectedFit]]:
     """Yield each measurand with its fit to the expected points."""
     points = prediction.points.points_world_mm, prediction.valid, prediction.filtered_mm
-    seen = seen_object(experiment, points, truth, pressed)
+    observed = seen_object(experiment, points, truth, pressed)
     features = features_of(experiment.specimen)
-    for asked in _asked(experiment):
-        yield asked, _expected_fit(asked, feature_of(features, asked), seen)
+    for request in _bounded_requests(experiment):
+        yield request, _expected_fit(request, feature_of(features, request), observed)
 
 
 def _expected_fit(
-    asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None
+    request: ObjectMeasurand, feature: Feature, observed: SeenObject | None
 ) -> _ExpectedFit:
-    if seen is None:
+    if observed is None:
         return _ExpectedFit(why="no points of the object are expected")
     try:
-        fitted = fit(asked, feature, seen, seen.measured)
+        fitted = fit(request, feature, observed, observed.measured)
     except FitError as error:
         return _ExpectedFit(why=str(error))
     of, pixels = fitted.of, None if fitted.of is None else fitted.of.pixels
     if fitted.estimate is None or of is None or pixels is None:
-        return _ExpectedFit(why=f"{asked.quantity}: no fit of a shape, whose bound is known")
+        return _ExpectedFit(why=f"{request.quantity}: no fitted shape with a known bound")
     return _ExpectedFit(fitted.estimate, pixels, of.points_each, fitted.points_mm)
 
 
@@ -221,13 +225,17 @@ def information_shares(
 
     That is the derivative of the bound's logarithm by that of each pixel's sigma.
     """
-    found: dict[str, FloatArray] = {}
+    images: dict[str, FloatArray] = {}
     single_mm = prediction.single_mm.ravel()
-    for asked, one in _expected_fits(experiment, prediction, truth, pressed):
-        shares = None if one.estimate is None else one.estimate.bound_shares(single_mm[one.pixels])
+    for request, expected in _expected_fits(experiment, prediction, truth, pressed):
+        shares = (
+            None
+            if expected.estimate is None
+            else expected.estimate.bound_shares(single_mm[expected.pixels])
+        )
         if shares is not None:
             image = np.zeros(prediction.reason.shape)
-            image.ravel()[one.pixels] = shares
-            found[_names(asked)[0]] = image
-            found.setdefault(MEASURANDS[asked.quantity].bound_name, image)
-    return found
+            image.ravel()[expected.pixels] = shares
+            images[_names(request)[0]] = image
+            images.setdefault(MEASURANDS[request.quantity].bound_name, image)
+    return images

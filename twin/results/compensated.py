@@ -31,7 +31,7 @@ _TEXTURE_SIGMA_MM = 0.2
 
 
 def object_figures(
-    found: Compensated,
+    compensated: Compensated,
     balls: Sequence[Sphere] = (),
     bars: Sequence[BarPlace] = (),
     parts: Sequence[ObjectPart] | None = None,
@@ -44,40 +44,40 @@ def object_figures(
     parts : of the contact, where they are known; None: they are fitted
     """
     if parts is None:
-        parts = [] if isinstance(found, CompensatedSlab) else parts_of(found)
+        parts = [] if isinstance(compensated, CompensatedSlab) else parts_of(compensated)
     figures: dict[str, Any] = {
-        "compensated_force_n": found.force_n,
-        "compensated_force_sigma_n": found.force_sigma_n,
-        "compensated_contact_area_mm2": found.area_mm2,
+        "compensated_force_n": compensated.force_n,
+        "compensated_force_sigma_n": compensated.force_sigma_n,
+        "compensated_contact_area_mm2": compensated.area_mm2,
     }
-    if isinstance(found, CompensatedSheet):
-        figures |= _sheet_figures(found)
-    if isinstance(found, CompensatedGel):
-        figures["misfit_um"] = _UM * found.misfit_mm
-    if isinstance(found, CompensatedSlab):
-        return figures | _slab_figures(found.fitted, balls)
+    if isinstance(compensated, CompensatedSheet):
+        figures |= _sheet_figures(compensated)
+    if isinstance(compensated, CompensatedGel):
+        figures["misfit_um"] = _UM * compensated.misfit_mm
+    if isinstance(compensated, CompensatedSlab):
+        return figures | _slab_figures(compensated.fitted, balls)
     figures["parts"] = len(parts)
     for number, part in enumerate(parts, 1):
-        figures |= {f"part_{number}_{name}": one for name, one in _part_figures(part).items()}
+        figures |= {f"part_{number}_{name}": value for name, value in _part_figures(part).items()}
     for number, ball in enumerate(balls, 1):
-        figures |= _ball_figures(f"compensated_sphere_{number}", _under(parts, ball, found))
+        figures |= _ball_figures(f"compensated_sphere_{number}", _under(parts, ball, compensated))
     for number, bar in enumerate(bars, 1):
-        if isinstance(found, CompensatedSheet):
-            figures |= _bar_figures(f"compensated_bar_{number}", found, bar)
+        if isinstance(compensated, CompensatedSheet):
+            figures |= _bar_figures(f"compensated_bar_{number}", compensated, bar)
     return figures
 
 
 def _slab_figures(fitted: FittedSlab, balls: Sequence[Sphere]) -> dict[str, Any]:
     """Return the numbers of an object under a slab, each with its uncertainty."""
     figures: dict[str, Any] = {"misfit_um": _UM * fitted.misfit_mm, "chi_square": fitted.chi_square}
-    for one in fitted.unknowns:
-        table, _, path = one.name.partition(".")
-        if one.name == "press.depth_mm":
+    for unknown in fitted.unknowns:
+        table, _, path = unknown.name.partition(".")
+        if unknown.name == "press.depth_mm":
             path = "travel_mm"
         elif table != "specimen":
             continue
-        figures |= _number_figures(f"compensated_{slab_name(path)}", path, fitted, one.name)
-    if "specimen.diameter_mm" in [one.name for one in fitted.unknowns]:
+        figures |= _number_figures(f"compensated_{slab_name(path)}", path, fitted, unknown.name)
+    if "specimen.diameter_mm" in [unknown.name for unknown in fitted.unknowns]:
         radius, sigma = (of("specimen.diameter_mm") / 2 for of in (fitted.value, fitted.sigma))
         for number in range(1, len(balls) + 1):
             name = f"compensated_sphere_{number}_radius"
@@ -108,34 +108,34 @@ def slab_name(path: str) -> str:
     'widths_0'
     """
     parts = path.split(".")
-    return "_".join(one.removesuffix("_mm").removesuffix("_deg") for one in parts)
+    return "_".join(part.removesuffix("_mm").removesuffix("_deg") for part in parts)
 
 
-def load_figures(found: Compensated, layer: SensorLayer) -> dict[str, Any]:
+def load_figures(compensated: Compensated, layer: SensorLayer) -> dict[str, Any]:
     """Return the sheet's modulus from a gauge's force; empty without a gauge."""
     force_n, sigma_n = layer.press.force_n, layer.sigma.force_n
-    if force_n is None or not isinstance(found, CompensatedSheet):
+    if force_n is None or not isinstance(compensated, CompensatedSheet):
         return {}
     try:
-        modulus, sigma = found.modulus_of_force_kpa(force_n, sigma_n)
+        modulus, sigma = compensated.modulus_of_force_kpa(force_n, sigma_n)
     except FitError as error:
         return {"force_modulus_kpa": None, "force_modulus_why": str(error)}
     return {"force_modulus_kpa": modulus, "force_modulus_sigma_kpa": sigma}
 
 
-def _sheet_figures(found: CompensatedSheet) -> dict[str, Any]:
-    contact, free = found.contact, found.modulus_of_free_span_kpa()
-    thickness = found.layer.thickness_mm * found.thinning
+def _sheet_figures(compensated: CompensatedSheet) -> dict[str, Any]:
+    contact, free = compensated.contact, compensated.modulus_of_free_span_kpa()
+    thickness = compensated.layer.thickness_mm * compensated.thinning
     return {
         "compensated_thickness_mm": float(thickness[contact].mean()) if contact.any() else None,
-        "pressure_sigma_kpa": found.balance.sigma_kpa,
+        "pressure_sigma_kpa": compensated.balance.sigma_kpa,
         "free_span_modulus_kpa": None if free is None else free[0],
         "free_span_modulus_scatter_kpa": None if free is None else free[1],
     }
 
 
 def _part_figures(part: ObjectPart) -> dict[str, Any]:
-    told: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "form": part.form,
         "x_mm": part.middle_mm[0],
         "y_mm": part.middle_mm[1],
@@ -144,40 +144,44 @@ def _part_figures(part: ObjectPart) -> dict[str, Any]:
         "pressure_kpa": part.pressure_kpa,
     }
     if part.form == "flat":
-        return told
-    return told | {"radius_mm": part.radius_mm, "radius_sigma_um": _UM * part.sigma_mm}
+        return figures
+    return figures | {"radius_mm": part.radius_mm, "radius_sigma_um": _UM * part.sigma_mm}
 
 
 def _ball_figures(name: str, part: ObjectPart | None) -> dict[str, Any]:
-    found = part if part is not None and part.form == "ball" else None
+    ball = part if part is not None and part.form == "ball" else None
     return {
-        f"{name}_radius_mm": None if found is None else found.radius_mm,
-        f"{name}_radius_sigma_um": None if found is None else _UM * found.sigma_mm,
+        f"{name}_radius_mm": None if ball is None else ball.radius_mm,
+        f"{name}_radius_sigma_um": None if ball is None else _UM * ball.sigma_mm,
     }
 
 
-def _bar_figures(name: str, found: CompensatedSheet, bar: BarPlace) -> dict[str, Any]:
+def _bar_figures(name: str, compensated: CompensatedSheet, bar: BarPlace) -> dict[str, Any]:
     width, sigma = f"{name}_width_mm", f"{name}_width_sigma_um"
     try:
-        told = bar_under_sheet(found, bar)
+        measured_bar = bar_under_sheet(compensated, bar)
     except FitError as error:
         return {width: None, sigma: None, f"{name}_width_why": str(error)}
     return {
-        width: told.width_mm,
-        sigma: _UM * told.sigma_mm,
-        f"{name}_turn_deg": min(told.turn_deg),
-        f"{name}_sheet_on_edge": told.on_edge,
+        width: measured_bar.width_mm,
+        sigma: _UM * measured_bar.sigma_mm,
+        f"{name}_turn_deg": min(measured_bar.turn_deg),
+        f"{name}_sheet_on_edge": measured_bar.on_edge,
     }
 
 
-def _under(parts: Sequence[ObjectPart], ball: Sphere, found: Compensated) -> ObjectPart | None:
+def _under(
+    parts: Sequence[ObjectPart], ball: Sphere, compensated: Compensated
+) -> ObjectPart | None:
     """Return the part that covers a ball's nominal centre."""
-    col = int(np.argmin(np.abs(found.relief.x_mm - ball.x_mm)))
-    row = int(np.argmin(np.abs(found.relief.y_mm - ball.y_mm)))
+    col = int(np.argmin(np.abs(compensated.relief.x_mm - ball.x_mm)))
+    row = int(np.argmin(np.abs(compensated.relief.y_mm - ball.y_mm)))
     return next((part for part in parts if part.cells[row, col]), None)
 
 
-def object_points(coat: PointMap, found: Compensated, texture_mm: float | None = None) -> PointMap:
+def object_points(
+    coat: PointMap, compensated: Compensated, texture_mm: float | None = None
+) -> PointMap:
     """Return the object's surface pixel by pixel: where there is contact, and no point elsewhere.
 
     Each measured point moves down its normal by the local thickness, if there is a sheet; its sigma
@@ -188,7 +192,7 @@ def object_points(coat: PointMap, found: Compensated, texture_mm: float | None =
     ----------
     texture_mm : RMS of the coat's texture; None: unknown, the scatter of the points is used
     """
-    relief = found.relief
+    relief = compensated.relief
     world = coat.points_world_mm.astype(np.float64)
     at = [
         (world[..., axis] - first[0]) / step
@@ -197,11 +201,13 @@ def object_points(coat: PointMap, found: Compensated, texture_mm: float | None =
             (0, relief.x_mm, relief.pitch_mm[0]),
         )
     ]
-    touching = coat.valid & (_at(found.sure.astype(np.float64), at) > 0.5)
-    behind = _at(np.sum((relief.points_mm - found.object_mm) * found.normal, axis=-1), at)
-    normal = np.stack([_at(found.normal[..., axis], at) for axis in range(3)], axis=-1)
-    moves = found.layer_moves_mm or [np.zeros(found.contact.shape)]
-    open_mm = _at(np.linalg.norm([*moves, found.edge_sigma_mm], axis=0), at)
+    touching = coat.valid & (_at(compensated.sure.astype(np.float64), at) > 0.5)
+    behind = _at(
+        np.sum((relief.points_mm - compensated.object_mm) * compensated.normal, axis=-1), at
+    )
+    normal = np.stack([_at(compensated.normal[..., axis], at) for axis in range(3)], axis=-1)
+    moves = compensated.layer_moves_mm or [np.zeros(compensated.contact.shape)]
+    open_mm = _at(np.linalg.norm([*moves, compensated.edge_sigma_mm], axis=0), at)
     if texture_mm is None:
         texture_mm = _scatter_mm(coat, relief, touching, at)
     along = np.abs(normal) * np.hypot(open_mm, texture_mm)[..., None]

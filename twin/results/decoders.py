@@ -40,8 +40,8 @@ class DecodedImage:
     @property
     def sphere_rmse_mm(self) -> float | None:
         """Mean RMSE of the sphere fits, as the paper compares it; None without a fit."""
-        found = [ball.measured.stats.rmse_mm for ball in self.score.spheres]
-        return sum(found) / len(found) if found else None
+        errors_mm = [ball.measured.stats.rmse_mm for ball in self.score.spheres]
+        return sum(errors_mm) / len(errors_mm) if errors_mm else None
 
 
 def decode_all(
@@ -85,10 +85,10 @@ def decode_one(
 
 def chosen(experiment: Experiment, decoded: list[DecodedImage]) -> DecodedImage:
     """Return the result of the experiment's own decoder."""
-    wanted = experiment.photometric.colour_map, experiment.photometric.integration
-    return next(one for one in decoded if (one.colour_map, one.integration) == wanted)
+    scheme = experiment.photometric.colour_map, experiment.photometric.integration
+    return next(image for image in decoded if (image.colour_map, image.integration) == scheme)
 
 
-def decoder_name(one: DecodedImage) -> str:
+def decoder_name(image: DecodedImage) -> str:
     """Name a decoder as figures and tables do."""
-    return f"{MAP_NAMES[one.colour_map]}, {SCHEMES[one.integration].title}"
+    return f"{MAP_NAMES[image.colour_map]}, {SCHEMES[image.integration].title}"

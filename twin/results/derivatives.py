@@ -77,13 +77,13 @@ def log_sigma_tangent(
     stepped = _stepped(maps, moved.maps)
     numbers, along = _numbers(experiment, white, stepped, moved)
     total, information = np.zeros(maps.lit.shape), np.zeros(maps.lit.shape)
-    for axis, one in zip(used, prediction.axes, strict=True):
+    for axis, axis_maps in zip(used, prediction.axes, strict=True):
         light = stepped.weight * outlines(stepped, numbers.moved(along, _STEP), experiment)
-        found = axis_levels(
+        levels = axis_levels(
             stepped, numbers.moved(along, _STEP), steps_of(experiment, axis), axis, light
         )
-        tangent = _log(found.sigma_px) - _log_slope_tangent(experiment, truth, axis, moved)
-        share = (one.height_by_px * one.sigma_px) ** 2
+        tangent = _log(levels.sigma_px) - _log_slope_tangent(experiment, truth, axis, moved)
+        share = (axis_maps.height_by_px * axis_maps.sigma_px) ** 2
         total, information = total + share * tangent, information + share
     usable = prediction.valid & (information > 0.0)
     return np.divide(total, information, out=np.zeros(total.shape), where=usable)
@@ -108,11 +108,11 @@ def _numbers(
     """Return the numbers between irradiance and sigma, and their derivatives."""
 
     def at(step: float) -> FringeNumbers:
-        seen = moved.vary(step) if step else experiment
-        return FringeNumbers.of(seen, choose_exposure_ms(seen, white))
+        varied = moved.vary(step) if step else experiment
+        return FringeNumbers.of(varied, choose_exposure_ms(varied, white))
 
     low, middle, high = at(-moved.step), at(0.0), at(moved.step)
-    names = [one.name for one in fields(middle)]
+    names = [field.name for field in fields(middle)]
     slopes = {n: (getattr(high, n) - getattr(low, n)) / (2.0 * moved.step) for n in names}
     if experiment.camera.exposure_ms == "auto" and moved.maps is not None:
         brighter = _percentile_tangent(experiment, middle, stepped)
@@ -138,10 +138,10 @@ def _log_slope_tangent(
 ) -> FloatArray:
     """Return d ln |du / dd|: of the coordinate by the depth along each camera ray, (row, col)."""
 
-    def numbers(seen: Experiment) -> FloatArray:
-        found = true_calibration(seen)
-        lens = found.projector
-        pose = np.linalg.inv(found.T_world_from_proj)[:3].ravel()
+    def numbers(varied: Experiment) -> FloatArray:
+        calibration = true_calibration(varied)
+        lens = calibration.projector
+        pose = np.linalg.inv(calibration.T_world_from_proj)[:3].ravel()
         return np.concatenate([[lens.fx_px, lens.fy_px], pose])
 
     still = numbers(experiment)

@@ -24,8 +24,8 @@ def measurement_drawing(measured: "Measurement") -> Drawing:
     valid = points.valid
     if not valid.any():
         raise InputError(f"plot: found no valid point in {measured.experiment.name}")
-    found_mm = points.world_mm[valid]
-    relief = gridded(found_mm, found_mm[:, 2])
+    measured_mm = points.world_mm[valid]
+    relief = gridded(measured_mm, measured_mm[:, 2])
     drawing = Drawing(3)
     panels = drawing.subplots(1, 3)
     draw_cells(panels[0], relief, "measured heights", "z (mm)")
@@ -69,13 +69,13 @@ def measurement_arrays(measured: "Measurement") -> LabelledArrays:
         "flag_values": np.array([int(reason) for reason in Reason], np.uint8),
         "flag_meanings": " ".join(reason.name for reason in Reason),
     }
-    told = {"units": "1", "long_name": "why a pixel has no point; 0: it has one"} | flags
+    attributes = {"units": "1", "long_name": "why a pixel has no point; 0: it has one"} | flags
     variables: dict[str, Labelled] = {
         name: (PIXELS, values, {"units": unit, "long_name": text})
         for name, (values, unit, text) in maps.items()
     }
     return LabelledArrays(
-        variables | {"mask_reason": (PIXELS, points.reason, told)},
+        variables | {"mask_reason": (PIXELS, points.reason, attributes)},
         coords=coords,
         attrs={
             "title": measured.experiment.name,

@@ -58,7 +58,7 @@ def features_of(specimen: Specimen) -> list[Feature]:
 
 def bars_of(specimen: Specimen) -> list[BarPlace]:
     """Return the places of bars on the stage, in the file's order, their edges taken as exact."""
-    return [place for one in features_of(specimen) for place in bar_places(one)]
+    return [place for feature in features_of(specimen) for place in bar_places(feature)]
 
 
 def bar_places(feature: Feature) -> list[BarPlace]:
@@ -81,20 +81,25 @@ def _bar_place(bar: NominalBar, pose: Placement) -> BarPlace:
 
 def gratings_of(specimen: Specimen) -> tuple[Feature, ...]:
     """Return the parts of a specimen that are gratings."""
-    return tuple(one for one in features_of(specimen) if one.specimen.nominal(NominalGrating))
+    return tuple(
+        feature for feature in features_of(specimen) if feature.specimen.nominal(NominalGrating)
+    )
 
 
-def feature_of(features: list[Feature], asked: ObjectMeasurand) -> Feature:
+def feature_of(features: list[Feature], request: ObjectMeasurand) -> Feature:
     """Return the part that a measurand means.
 
     Raises
     ------
     InputError : there is no such part
     """
-    if not asked.part:
+    if not request.part:
         return features[0]
-    for one in features:
-        if one.name == asked.part:
-            return one
-    names = ", ".join(one.name for one in features if one.name) or "none, the specimen is no group"
-    raise InputError(f"measurand {asked.name}: part: found '{asked.part}', allowed: {names}")
+    for feature in features:
+        if feature.name == request.part:
+            return feature
+    names = (
+        ", ".join(feature.name for feature in features if feature.name)
+        or "none, the specimen is no group"
+    )
+    raise InputError(f"measurand {request.name}: part: found '{request.part}', allowed: {names}")

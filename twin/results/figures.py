@@ -103,8 +103,8 @@ def _short(value: float | None) -> str:
 
 def warnings_of(metrics: Metrics) -> tuple[str, ...]:
     """Return the warnings of press and measurement."""
-    found = metrics.get("warnings")
-    return tuple(found) if isinstance(found, (list, tuple)) else ()
+    warnings = metrics.get("warnings")
+    return tuple(warnings) if isinstance(warnings, (list, tuple)) else ()
 
 
 def why_absent(figures: Mapping[str, Any]) -> str:

@@ -156,9 +156,9 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
 
 def deviation_of(done: Measurement) -> Deviation:
     """Return measured less true z, um, at the measured pixels."""
-    found, true = done.points, done.truth
-    error_um = 1e3 * (found.world_mm[..., 2] - true.points_world_mm[..., 2])
-    return Deviation(error_um, found.valid & true.measured)
+    points, true = done.points, done.truth
+    error_um = 1e3 * (points.world_mm[..., 2] - true.points_world_mm[..., 2])
+    return Deviation(error_um, points.valid & true.measured)
 
 
 def read_measurement(folder: Path) -> Measurement:
@@ -228,23 +228,24 @@ def _write_decoding(folder: Path, images: Colours) -> None:
 
 def write_decoders(path: Path, decoded: Sequence[DecodedImage]) -> None:
     """Write the figures of every decoder as CSV, one line each; empty where there is none."""
-    write_rows(path, [_decoder_row(one) for one in decoded], 6)
+    write_rows(path, [_decoder_row(image) for image in decoded], 6)
 
 
-def _decoder_row(one: DecodedImage) -> Metrics:
-    figures = metrics(one.score)
+def _decoder_row(image: DecodedImage) -> Metrics:
+    figures = metrics(image.score)
     figures.pop("unfitted_balls")
-    return {"colour_map": one.colour_map, "integration": one.integration, **figures}
+    return {"colour_map": image.colour_map, "integration": image.integration, **figures}
 
 
 def _read_fringes(
     folder: Path, experiment: Experiment, truth: Truth
 ) -> tuple[Fringes, Scores[TruthScore]]:
     reconstruction = read_reconstruction(folder / MAPS_FILE)
-    found, true = reconstruction.point_map.mask_reason.shape, truth.lit.shape
-    if found != true:
+    measured_shape, true_shape = reconstruction.point_map.mask_reason.shape, truth.lit.shape
+    if measured_shape != true_shape:
         raise InputError(
-            f"{folder}: {MAPS_FILE} is {found}, {TRUTH_FILE} {true} (row, col); measure again"
+            f"{folder}: {MAPS_FILE} is {measured_shape}, {TRUTH_FILE} {true_shape} (row, col); "
+            "measure again"
         )
     images = Fringes(folder / CAPTURE_FOLDER, reconstruction)
     return images, score(experiment, reconstruction, truth)
@@ -255,8 +256,10 @@ def _read_colours(
 ) -> tuple[Colours, Scores[TruthScore]]:
     image, files = _read_image(folder / IMAGE_FILE), (CALIBRATION_FILE, OTHER_CALIBRATION_FILE)
     calibrations: dict[MapKind, SensorCalibration] = {}
-    for one in (read_sensor_calibration(folder / file) for file in files):
-        calibrations["table" if isinstance(one.colour_map, ColourTable) else "polynomial"] = one
+    for calibration in (read_sensor_calibration(folder / file) for file in files):
+        calibrations[
+            "table" if isinstance(calibration.colour_map, ColourTable) else "polynomial"
+        ] = calibration
     decoded = decode_all(experiment, image, calibrations, truth)
     own = chosen(experiment, decoded)
     return Colours(image, calibrations, decoded, own), own.score

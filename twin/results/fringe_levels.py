@@ -62,7 +62,7 @@ class FringeNumbers:
 
     def moved(self, along: "FringeNumbers", step: complex) -> "FringeNumbers":
         """Return the numbers a step further along their derivatives."""
-        names = [one.name for one in fields(self)]
+        names = [field.name for field in fields(self)]
         return FringeNumbers(**{n: getattr(self, n) + step * getattr(along, n) for n in names})
 
     def blur_px2(self, axial_mm: Any) -> Any:
@@ -127,8 +127,8 @@ def axis_levels(
     modulations, information, worst = [], 0.0, 0.0
     for ratio in steps.ratios:
         period = ratio * numbers.period_px
-        kept = transfer(period, blur)
-        modulation = numbers.gain_dn_per_e * electrons * numbers.amplitude * kept
+        contrast = transfer(period, blur)
+        modulation = numbers.gain_dn_per_e * electrons * numbers.amplitude * contrast
         phase = np.sqrt(2.0 / steps.count) * noise / _not_zero(modulation)
         information = information + (2.0 * np.pi / (period * phase)) ** 2
         modulations.append(modulation)

@@ -71,9 +71,11 @@ def compensated_names(experiment: Experiment) -> set[str]:
         return set()
     names, bounds = [*_OF_A_CONTACT, "thickness_mm"], set[str]()
     if is_slab(experiment.elastomer):
-        wanted = experiment.specimen.slab_fit_paths
-        names = [*_OF_A_CONTACT, *_of_a_slab(wanted)]
-        bounds = {slab_bound_name(path) for path in wanted} if has_bound(experiment) else set()
+        fitted_paths = experiment.specimen.slab_fit_paths
+        names = [*_OF_A_CONTACT, *_of_a_slab(fitted_paths)]
+        bounds = (
+            {slab_bound_name(path) for path in fitted_paths} if has_bound(experiment) else set()
+        )
     for number in range(1, len(shape_of(experiment.specimen).spheres()) + 1):
         names += [f"sphere_{number}_radius_mm", f"sphere_{number}_radius_sigma_um"]
     bars = bars_of(experiment.specimen) if may_wrap(experiment.elastomer) else []
@@ -82,8 +84,8 @@ def compensated_names(experiment: Experiment) -> set[str]:
     return {f"{COMPENSATED}{name}" for name in names} | bounds
 
 
-def _of_a_slab(wanted: tuple[str, ...]) -> Iterator[str]:
-    for path in (*wanted, "travel_mm"):
+def _of_a_slab(fitted_paths: tuple[str, ...]) -> Iterator[str]:
+    for path in (*fitted_paths, "travel_mm"):
         of, name = ("deg", "deg") if path.endswith("_deg") else ("mm", "um"), slab_name(path)
         yield from (f"{name}_{of[0]}", f"{name}_sigma_{of[1]}")
 
@@ -92,7 +94,7 @@ def figure_names(experiment: Experiment) -> set[str]:
     """Return the names of all figures that the experiment's result may have."""
     method = experiment.method
     score = FringeScore if method.fringes else HeightScore
-    names = {one.name for one in fields(score)} | set(_ALWAYS)
+    names = {field.name for field in fields(score)} | set(_ALWAYS)
     names |= set(_OF_A_RECORDING) if method.fringes else set()
     names |= set(OF_A_PRESS) if method.presses else set()
     balls = len(shape_of(experiment.specimen).spheres())
@@ -110,17 +112,17 @@ def _of_the_object(experiment: Experiment) -> set[str]:
     features = features_of(experiment.specimen)
     unknown = [
         MeasuredQuantity(
-            asked=one,
-            nominal=nominal_mm(feature_of(features, one), one),
+            asked=request,
+            nominal=nominal_mm(feature_of(features, request), request),
             value=None,
             true_face=None,
             uncertainty=CombinedUncertainty(0.0),
-            tolerance=tolerance_of(one),
+            tolerance=tolerance_of(request),
             points_mm=None,
             why="not measured yet",
-            covered=is_covered(experiment) and one.hidden,
+            covered=is_covered(experiment) and request.hidden,
         )
-        for one in measurands_of(experiment)
+        for request in measurands_of(experiment)
     ]
     names = {name for name, _ in deviation_figures(None, {}, {})} | set(summary_of(tuple(unknown)))
-    return names | {name for one in unknown for name, _ in quantity_figures(one)}
+    return names | {name for request in unknown for name, _ in quantity_figures(request)}

@@ -45,14 +45,14 @@ def nut_figures(
     if not on_ring.any():
         return {}
     ring_mm = float(np.median(z[on_ring]))
-    found, middle = {}, z[radius < _CENTRE_MM]
+    figures, middle = {}, z[radius < _CENTRE_MM]
     if middle.size:
-        found[f"{prefix}nut_hole_depth_mm"] = ring_mm - float(np.median(middle))
+        figures[f"{prefix}nut_hole_depth_mm"] = ring_mm - float(np.median(middle))
     level = ring_mm - max(nut.chamfer_fall_mm, _LEAST_DOWN_MM)
     between_mm = nut.ring_radius_mm, _FARTHEST * nut.across_flats_mm / sqrt(3)
     contour = contour_radii_mm(radius, azimuth, z, level, between_mm)
-    found[f"{prefix}nut_hexagon_share"] = hexagon_share(contour, nut.across_flats_mm)
-    return found
+    figures[f"{prefix}nut_hexagon_share"] = hexagon_share(contour, nut.across_flats_mm)
+    return figures
 
 
 def contour_radii_mm(
@@ -96,10 +96,10 @@ def hexagon_share(contour_mm: FloatArray, across_flats_mm: float) -> float:
     0 where more than 10 % of the contour is missing.
     """
     azimuth = (np.arange(contour_mm.size) + 0.5) / contour_mm.size * 2 * pi
-    seen = np.isfinite(contour_mm)
-    if seen.mean() < _LEAST_SEEN:
+    known = np.isfinite(contour_mm)
+    if known.mean() < _LEAST_SEEN:
         return 0.0
-    filled = np.interp(azimuth, azimuth[seen], contour_mm[seen], period=2 * pi)
+    filled = np.interp(azimuth, azimuth[known], contour_mm[known], period=2 * pi)
     from_flat = (azimuth % (pi / 3)) - pi / 6
     hexagon = across_flats_mm / 2 / np.cos(from_flat)
     wave = np.cos(6 * azimuth)

@@ -14,7 +14,7 @@ from twin.results.object_points import ObjectPoints, SeenObject
 
 
 def fit(
-    request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+    request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
 ) -> FittedValue:
     """Fit one quantity to measured points, or to the true face's.
 
@@ -22,7 +22,7 @@ def fit(
     ------
     FitError : the points do not determine it
     """
-    fitted = measurand_of(request).fit(request, feature, seen, in_ranges(request, points))
+    fitted = measurand_of(request).fit(request, feature, observed, in_ranges(request, points))
     require_determined(request.quantity, fitted.noise_mm, fitted.points_mm)
     return fitted
 

@@ -103,10 +103,10 @@ class ObjectPoints:
     points_each: float = 1.0
     under: ObjectUnderSheet | None = None
 
-    def part(self, kept: BoolImage) -> "ObjectPoints":
+    def part(self, selected: BoolImage) -> "ObjectPoints":
         """Return some of the points."""
         # Faster than an index of bools.
-        which, sigma, pixels = np.flatnonzero(kept), self.sigma_mm, self.pixels
+        which, sigma, pixels = np.flatnonzero(selected), self.sigma_mm, self.pixels
         return replace(
             self,
             points_mm=self.points_mm[which],
@@ -119,9 +119,9 @@ class ObjectPoints:
     def thinned(self) -> "ObjectPoints":
         """Return every n-th point, so many as distances to a mesh take a second for."""
         nth = max(1, -(-len(self.points_mm) // _MOST_ALIGNED))
-        kept = np.zeros(len(self.points_mm), bool)
-        kept[::nth] = True
-        return replace(self.part(kept), together=max(1.0, self.together / nth))
+        selected = np.zeros(len(self.points_mm), bool)
+        selected[::nth] = True
+        return replace(self.part(selected), together=max(1.0, self.together / nth))
 
     def noise_mm(self, estimate: FittedDimension) -> float:
         """Return the standard uncertainty of a fitted value from that of the points.
@@ -205,23 +205,29 @@ def seen_object(
     under : the object under a thin sheet, found from these points
     """
     world_mm, valid, sigma_mm = points
-    seen = truth.lit if experiment.method.fringes and pressed is not None else truth.measured
+    visible = truth.lit if experiment.method.fringes and pressed is not None else truth.measured
     surface = surface_of(experiment, pressed, grown=under is None)
-    nth = _nth(int(seen.sum()))
+    nth = _nth(int(visible.sum()))
     every = (slice(None, None, nth), slice(None, None, nth))
-    wanted, true_mm = seen[every], truth.points_world_mm[every].astype(np.float64)
-    found = wanted & valid[every]
-    if found.sum() < 2 or not np.ptp(true_mm[wanted][:, :2], axis=0).all():
+    target, true_mm = visible[every], truth.points_world_mm[every].astype(np.float64)
+    measured_target = target & valid[every]
+    if measured_target.sum() < 2 or not np.ptp(true_mm[target][:, :2], axis=0).all():
         return None
-    heights = Heights.over(surface, true_mm[wanted][:, :2])
-    touching, over = _places(true_mm, wanted, heights, pressed)
-    whole = int((wanted & over).sum())
+    heights = Heights.over(surface, true_mm[target][:, :2])
+    touching, over = _places(true_mm, target, heights, pressed)
+    whole = int((target & over).sum())
     blur_px = experiment.decode.filter_sigma_px if experiment.decode.filter_taps else 0.0
-    pixels = np.arange(seen.size).reshape(seen.shape)[every][found]
-    on = (touching[found], over[found], shared_by(blur_px, nth), pixels, float(nth**2))
-    sigma = None if sigma_mm is None else sigma_mm[every][found].astype(np.float64)
-    coat = ObjectPoints(world_mm[every][found].astype(np.float64), sigma, *on)
-    measured, known = coat, touching[found]
+    pixels = np.arange(visible.size).reshape(visible.shape)[every][measured_target]
+    on = (
+        touching[measured_target],
+        over[measured_target],
+        shared_by(blur_px, nth),
+        pixels,
+        float(nth**2),
+    )
+    sigma = None if sigma_mm is None else sigma_mm[every][measured_target].astype(np.float64)
+    coat = ObjectPoints(world_mm[every][measured_target].astype(np.float64), sigma, *on)
+    measured, known = coat, touching[measured_target]
     if under is not None:
         measured, known = _cells_of(under, heights), under.touches(coat.points_mm[:, :2])
     return SeenObject(
@@ -229,10 +235,10 @@ def seen_object(
         surface=surface,
         measured=measured,
         coat=coat,
-        true_face=ObjectPoints(true_mm[found], np.zeros(int(found.sum())), *on),
-        coverage=float((known & over[found]).sum()) / whole if whole else None,
+        true_face=ObjectPoints(true_mm[measured_target], np.zeros(int(measured_target.sum())), *on),
+        coverage=float((known & over[measured_target]).sum()) / whole if whole else None,
         heights=heights,
-        pixel_mm=_pitch(true_mm, wanted),
+        pixel_mm=_pitch(true_mm, target),
         gratings=gratings_of(experiment.specimen),
         covered=is_covered(experiment),
     )
@@ -261,27 +267,27 @@ def _nth(count: int) -> int:
 
 
 def _places(
-    true_mm: FloatArray, wanted: BoolImage, heights: Heights, pressed: PressedElastomer | None
+    true_mm: FloatArray, target: BoolImage, heights: Heights, pressed: PressedElastomer | None
 ) -> tuple[BoolImage, BoolImage]:
     """Return masks (row, col) of the pixels in contact with the specimen, and of those above it."""
-    touching, over = np.zeros(wanted.shape, bool), np.zeros(wanted.shape, bool)
+    touching, over = np.zeros(target.shape, bool), np.zeros(target.shape, bool)
     if pressed is None:
-        return wanted, wanted
-    xy = true_mm[wanted][:, :2]
-    over[wanted] = np.isfinite(heights.z_mm[heights.cells_of(xy)])
+        return target, target
+    xy = true_mm[target][:, :2]
+    over[target] = np.isfinite(heights.z_mm[heights.cells_of(xy)])
     row = _nearest(pressed.y_mm, xy[:, 1])
-    touching[wanted] = pressed.contact[row, _nearest(pressed.x_mm, xy[:, 0])]
+    touching[target] = pressed.contact[row, _nearest(pressed.x_mm, xy[:, 0])]
     return touching, over
 
 
-def _nearest(places: FloatArray, wanted: FloatArray) -> NDArray[np.intp]:
+def _nearest(places: FloatArray, target: FloatArray) -> NDArray[np.intp]:
     """Return the index of the nearest of evenly spaced places."""
     step = (places[-1] - places[0]) / max(len(places) - 1, 1)
-    nearest = np.clip(np.rint((wanted - places[0]) / step), 0, len(places) - 1)
+    nearest = np.clip(np.rint((target - places[0]) / step), 0, len(places) - 1)
     return np.asarray(nearest, np.intp)
 
 
-def _pitch(true_mm: FloatArray, wanted: BoolImage) -> float:
-    both = wanted[:, 1:] & wanted[:, :-1]
-    apart = (true_mm[:, 1:] - true_mm[:, :-1])[both]
-    return float(np.median(np.hypot(apart[:, 0], apart[:, 1]))) if len(apart) else 0.0
+def _pitch(true_mm: FloatArray, target: BoolImage) -> float:
+    both = target[:, 1:] & target[:, :-1]
+    steps = (true_mm[:, 1:] - true_mm[:, :-1])[both]
+    return float(np.median(np.hypot(steps[:, 0], steps[:, 1]))) if len(steps) else 0.0

@@ -127,10 +127,10 @@ class ObjectScore:
         ------
         InputError : there is none of that name
         """
-        for one in self.quantities:
-            if one.asked.name == name:
-                return one
-        names = ", ".join(one.asked.name for one in self.quantities) or "none"
+        for measured in self.quantities:
+            if measured.asked.name == name:
+                return measured
+        names = ", ".join(measured.asked.name for measured in self.quantities) or "none"
         raise InputError(f"quantity: found {name!r}, allowed: {names}")
 
 
@@ -152,40 +152,43 @@ def score_object(
     ------
     InputError : a measurand names a part that the specimen does not have
     """
-    asked, features = measurands_of(experiment), features_of(experiment.specimen)
+    requests, features = measurands_of(experiment), features_of(experiment.specimen)
     under = None if compensation is None else compensation.found
-    seen = seen_object(experiment, points, truth, pressed, under)
+    observed = seen_object(experiment, points, truth, pressed, under)
     without = why_not_compensated(experiment, compensation)
-    found = tuple(_quantity(one, feature_of(features, one), seen, without) for one in asked)
-    measured = _aligned(seen, seen.measured) if seen else {}
-    true_face = _aligned(seen, seen.true_face) if seen else {}
-    figures = dict(deviation_figures(seen, measured, true_face))
-    for one in found:
-        figures |= dict(quantity_figures(one))
-    return ObjectScore(seen, found, measured, figures | summary_of(found))
+    quantities = tuple(
+        _quantity(quantity, feature_of(features, quantity), observed, without)
+        for quantity in requests
+    )
+    measured = _aligned(observed, observed.measured) if observed else {}
+    true_face = _aligned(observed, observed.true_face) if observed else {}
+    figures = dict(deviation_figures(observed, measured, true_face))
+    for quantity in quantities:
+        figures |= dict(quantity_figures(quantity))
+    return ObjectScore(observed, quantities, measured, figures | summary_of(quantities))
 
 
-def _aligned(seen: SeenObject, points: ObjectPoints) -> dict[Alignment, Deviations]:
+def _aligned(observed: SeenObject, points: ObjectPoints) -> dict[Alignment, Deviations]:
     """Return the deviations of the touching points by alignment; none where there are too few."""
-    kept = points.part(points.touching).thinned().points_mm
-    distance = seen.surface.distance_mm
-    if not len(kept):
+    points_used = points.part(points.touching).thinned().points_mm
+    distance = observed.surface.distance_mm
+    if not len(points_used):
         return {}
-    normals = normals_of(kept, distance)
+    normals = normals_of(points_used, distance)
     try:
-        return {how: deviations(kept, distance, how, normals) for how in ALIGNMENTS}
+        return {how: deviations(points_used, distance, how, normals) for how in ALIGNMENTS}
     except FitError:
         return {}
 
 
 def deviation_figures(
-    seen: SeenObject | None,
+    observed: SeenObject | None,
     measured: dict[Alignment, Deviations],
     true_face: dict[Alignment, Deviations],
 ) -> Iterator[tuple[str, Metric]]:
     """Yield the figures of the deviation from the true object."""
-    yield "object_points", 0 if seen is None else int(seen.measured.touching.sum())
-    yield "object_coverage_share", None if seen is None else seen.coverage
+    yield "object_points", 0 if observed is None else int(observed.measured.touching.sum())
+    yield "object_coverage_share", None if observed is None else observed.coverage
     for name, of in (("object_", measured), ("true_face_object_", true_face)):
         for how in ALIGNMENTS:
             left, word = of.get(how), _ALIGNED_NAMES[how]
@@ -223,133 +226,137 @@ def why_not_compensated(
 
 
 def _quantity(
-    asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None, without: str
+    request: ObjectMeasurand, feature: Feature, observed: SeenObject | None, without: str
 ) -> MeasuredQuantity:
     """Measure one quantity; `without`: why a covered object has no lengths, empty if it has."""
     value, coat, true_value, why = None, None, None, NOTHING_FOUND
-    covered = seen is not None and seen.covered
-    if seen is not None:
-        value, why = _attempt(asked, feature, seen, seen.measured)
-        if asked.hidden and covered:
-            coat, _ = _attempt(asked, feature, seen, _whole(asked, seen.coat))
-            true_value, _ = _attempt(asked, feature, seen, _whole(asked, seen.true_face))
+    covered = observed is not None and observed.covered
+    if observed is not None:
+        value, why = _attempt(request, feature, observed, observed.measured)
+        if request.hidden and covered:
+            coat, _ = _attempt(request, feature, observed, _whole(request, observed.coat))
+            true_value, _ = _attempt(
+                request, feature, observed, _whole(request, observed.true_face)
+            )
             value, why = (None, without) if without else (value, why)
         else:
-            true_value, _ = _attempt(asked, feature, seen, seen.true_face)
+            true_value, _ = _attempt(request, feature, observed, observed.true_face)
     return MeasuredQuantity(
-        asked=asked,
-        nominal=nominal_mm(feature, asked),
-        value=None if value is None else _in_unit(asked, value.value),
-        true_face=None if true_value is None else _in_unit(asked, true_value.value),
+        asked=request,
+        nominal=nominal_mm(feature, request),
+        value=None if value is None else _in_unit(request, value.value),
+        true_face=None if true_value is None else _in_unit(request, true_value.value),
         uncertainty=CombinedUncertainty(
             noise=0.0 if value is None else 1e3 * value.noise_mm,
-            repeatability=asked.repeatability_um,
-            calibration=asked.calibration_um,
-            coverage_factor=asked.coverage_factor,
-            elastomer=0.0 if value is None else 1e3 * _elastomer_mm(asked, feature, seen, value),
+            repeatability=request.repeatability_um,
+            calibration=request.calibration_um,
+            coverage_factor=request.coverage_factor,
+            elastomer=0.0
+            if value is None
+            else 1e3 * _elastomer_mm(request, feature, observed, value),
         ),
-        tolerance=tolerance_of(asked),
+        tolerance=tolerance_of(request),
         points_mm=None if value is None else value.points_mm,
         why=why,
-        coat=None if coat is None else _in_unit(asked, coat.value),
-        covered=covered and asked.hidden,
+        coat=None if coat is None else _in_unit(request, coat.value),
+        covered=covered and request.hidden,
     )
 
 
-def _whole(asked: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
+def _whole(request: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
     """Return the points of a coat that its own figure rests on: those in contact, or all of them.
 
     Which of both is a property of the quantity, see `MeasurandKind.coat_in_contact`.
     """
-    if measurand_of(asked).coat_in_contact:
+    if measurand_of(request).coat_in_contact:
         return points
     return replace(points, touching=np.ones(len(points.points_mm), bool))
 
 
 def _elastomer_mm(
-    asked: ObjectMeasurand, feature: Feature, seen: SeenObject | None, value: FittedValue
+    request: ObjectMeasurand, feature: Feature, observed: SeenObject | None, value: FittedValue
 ) -> float:
     """Return a value's standard uncertainty by the uncertain parameters of the subtracted sheet.
 
     All points move together by each uncertainty of the layer; of a radius the theory of thin sheets
     neglects a little more. A width by the free spans has that within its own uncertainty.
     """
-    points = None if seen is None else seen.measured
-    if seen is None or points is None or points.under is None or value.estimate is None:
+    points = None if observed is None else observed.measured
+    if observed is None or points is None or points.under is None or value.estimate is None:
         return 0.0
     under, cells = points.under, points.pixels
     assert cells is not None
     changes = [
-        fit(asked, feature, seen, replace(points, points_mm=moved)).value - value.value
+        fit(request, feature, observed, replace(points, points_mm=moved)).value - value.value
         for moved in under.moved(points.points_mm, cells)
     ]
-    changes += measurand_of(asked).theory_mm(value.value, under.sheet)
+    changes += measurand_of(request).theory_mm(value.value, under.sheet)
     return float(np.linalg.norm(changes))
 
 
 def _attempt(
-    asked: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+    request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
 ) -> tuple[FittedValue | None, str]:
     try:
-        value = fit(asked, feature, seen, points)
+        value = fit(request, feature, observed, points)
     except FitError as error:
         return None, str(error)
-    if asked.unit == "mm" and not value.value > 2 * value.noise_mm:
+    if request.unit == "mm" and not value.value > 2 * value.noise_mm:
         return None, (
-            f"{asked.quantity}: not determined by these points: {value.value:.3g} mm, u = "
+            f"{request.quantity}: not determined by these points: {value.value:.3g} mm, u = "
             f"{value.noise_mm:.2g} mm"
         )
     return value, ""
 
 
-def _in_unit(asked: ObjectMeasurand, value: float) -> float:
-    return 1e3 * value if asked.unit == "um" else value
+def _in_unit(request: ObjectMeasurand, value: float) -> float:
+    return 1e3 * value if request.unit == "um" else value
 
 
-def tolerance_of(asked: ObjectMeasurand) -> Tolerance | None:
+def tolerance_of(request: ObjectMeasurand) -> Tolerance | None:
     """Return the tolerance of a measurand's deviation; None if not stated."""
-    if asked.plus_minus_um is not None:
-        return Tolerance(-asked.plus_minus_um, asked.plus_minus_um)
-    if asked.at_least is not None:
-        return Tolerance(lower=asked.at_least)
-    if asked.nominal_mm is not None and measurand_of(asked).nominal_is_limit:
-        return Tolerance(upper=asked.upper_um or 0.0)
-    if asked.lower_um is None and asked.upper_um is None:
+    if request.plus_minus_um is not None:
+        return Tolerance(-request.plus_minus_um, request.plus_minus_um)
+    if request.at_least is not None:
+        return Tolerance(lower=request.at_least)
+    if request.nominal_mm is not None and measurand_of(request).nominal_is_limit:
+        return Tolerance(upper=request.upper_um or 0.0)
+    if request.lower_um is None and request.upper_um is None:
         return None
     return Tolerance(
-        -np.inf if asked.lower_um is None else asked.lower_um,
-        np.inf if asked.upper_um is None else asked.upper_um,
+        -np.inf if request.lower_um is None else request.lower_um,
+        np.inf if request.upper_um is None else request.upper_um,
     )
 
 
-def quantity_figures(one: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
+def quantity_figures(measured: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
     """Yield the figures of one measurand."""
-    name, unit = f"object_{one.asked.name}", one.asked.unit
-    yield f"{name}_{unit}", one.value
-    if one.covered:
-        yield f"{name}_coat_{unit}", one.coat
-    yield f"{name}_true_face_{unit}", one.true_face
+    name, unit = f"object_{measured.asked.name}", measured.asked.unit
+    yield f"{name}_{unit}", measured.value
+    if measured.covered:
+        yield f"{name}_coat_{unit}", measured.coat
+    yield f"{name}_true_face_{unit}", measured.true_face
     if unit != "share":
-        known = one.value is not None
-        yield f"{name}_expanded_um", one.uncertainty.expanded if known else None
-        yield f"{name}_noise_um", one.uncertainty.noise if known else None
-    if unit == "mm" and one.nominal is not None:
-        yield f"{name}_error_um", one.error
-        yield f"{name}_abs_error_um", None if one.error is None else abs(one.error)
-    if one.tolerance is not None:
-        yield f"{name}_margin_{'share' if unit == 'share' else 'um'}", one.margin
-        yield f"{name}_verdict", str(one.decision)
-    if one.why:
-        yield f"{name}_why", one.why
+        known = measured.value is not None
+        yield f"{name}_expanded_um", measured.uncertainty.expanded if known else None
+        yield f"{name}_noise_um", measured.uncertainty.noise if known else None
+    if unit == "mm" and measured.nominal is not None:
+        yield f"{name}_error_um", measured.error
+        yield f"{name}_abs_error_um", None if measured.error is None else abs(measured.error)
+    if measured.tolerance is not None:
+        yield f"{name}_margin_{'share' if unit == 'share' else 'um'}", measured.margin
+        yield f"{name}_verdict", str(measured.decision)
+    if measured.why:
+        yield f"{name}_why", measured.why
 
 
-def summary_of(found: tuple[MeasuredQuantity, ...]) -> dict[str, Metric]:
+def summary_of(quantities: tuple[MeasuredQuantity, ...]) -> dict[str, Metric]:
     """Count the verdicts; designs are ranked by the least margin in um."""
-    judged = [one for one in found if one.tolerance is not None]
+    judged = [measured for measured in quantities if measured.tolerance is not None]
     if not judged:
         return {}
-    within = sum(one.decision == "within tolerance" for one in judged)
-    margins = [one.margin for one in judged if one.asked.unit != "share"]
+    within = sum(measured.decision == "within tolerance" for measured in judged)
+    margins = [measured.margin for measured in judged if measured.asked.unit != "share"]
     least = None if not margins or None in margins else min(m for m in margins if m is not None)
     return {
         "measurands_judged": len(judged),

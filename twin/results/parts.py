@@ -154,8 +154,8 @@ def truth_arrays(truth: Truth) -> LabelledArrays:
         truth.measured.astype(np.uint8),
     )
     variables: dict[str, Labelled] = {
-        name: (PIXELS, values, {"units": units, "long_name": told})
-        for (name, (units, told)), values in zip(_TRUTH.items(), maps, strict=True)
+        name: (PIXELS, values, {"units": units, "long_name": long_name})
+        for (name, (units, long_name)), values in zip(_TRUTH.items(), maps, strict=True)
     }
     return LabelledArrays(variables, pixel_coordinates(*truth.lit.shape), {"frame": _FRAME})
 
@@ -168,8 +168,8 @@ def read_truth(path: Path) -> Truth:
     InputError : the file is missing, damaged or something else
     """
     try:
-        found = read_arrays(path)
-        maps = [found[name] for name in _TRUTH]
+        arrays = read_arrays(path)
+        maps = [arrays[name] for name in _TRUTH]
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; render or measure first") from None
     except (OSError, KeyError) as error:
@@ -296,13 +296,13 @@ def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str,
     FitError : a ball's region holds too few nodes
     """
     points = face_points_mm(pressed)
-    found = press_metrics(pressed) | rod_figures(experiment, points)
-    found |= nut_figures(experiment, points)
+    figures = press_metrics(pressed) | rod_figures(experiment, points)
+    figures |= nut_figures(experiment, points)
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
         fit = cap_fit(points, ball, experiment.score.roi_radius_mm)
-        found[f"sphere_{number}_radius_mm"] = fit.radius_mm
-        found[f"sphere_{number}_rmse_mm"] = fit.stats.rmse_mm
-    return found
+        figures[f"sphere_{number}_radius_mm"] = fit.radius_mm
+        figures[f"sphere_{number}_rmse_mm"] = fit.stats.rmse_mm
+    return figures
 
 
 def face_points_mm(pressed: PressedElastomer) -> FloatArray:

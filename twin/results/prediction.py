@@ -94,13 +94,13 @@ class PredictedMaps:
     @property
     def single_mm(self) -> FloatArray:
         """Standard deviation of each height before the filter, (row, col) mm; 0 without one."""
-        parts = [(one.height_by_px * one.sigma_px) ** 2 for one in self.axes]
+        parts = [(axis.height_by_px * axis.sigma_px) ** 2 for axis in self.axes]
         return np.asarray(np.sqrt(sum(parts)))
 
     @property
     def filtered_mm(self) -> FloatArray:
         """Standard deviation of each height by noise, as measured, (row, col) mm."""
-        shares = [one.height_by_px**2 * one.filtered.variance_px2 for one in self.axes]
+        shares = [axis.height_by_px**2 * axis.filtered.variance_px2 for axis in self.axes]
         return np.asarray(np.sqrt(sum(shares)))
 
     def noise_mm(self, slope: FloatArray) -> float:
@@ -109,7 +109,7 @@ class PredictedMaps:
         Neighbours share their errors through the filter; both axes' noises are independent.
         """
         return float(
-            np.sqrt(sum(one.filtered.noise(slope * one.height_by_px) ** 2 for one in self.axes))
+            np.sqrt(sum(axis.filtered.noise(slope * axis.height_by_px) ** 2 for axis in self.axes))
         )
 
 
@@ -140,7 +140,7 @@ def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> PredictedM
 
 
 def _by_bands(
-    shape: tuple[int, ...], found: Callable[[slice], tuple[NDArray[Any], ...]]
+    shape: tuple[int, ...], results_of: Callable[[slice], tuple[NDArray[Any], ...]]
 ) -> tuple[NDArray[Any], ...]:
     """Join the results of consecutive bands of rows.
 
@@ -148,8 +148,8 @@ def _by_bands(
     the system must clear first: a third of the speed.
     """
     rows = max(1, _BAND_PIXELS // shape[1])
-    parts = [found(slice(first, first + rows)) for first in range(0, shape[0], rows)]
-    return tuple(np.concatenate(one) for one in zip(*parts, strict=True))
+    parts = [results_of(slice(first, first + rows)) for first in range(0, shape[0], rows)]
+    return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 def _single_pixels(
@@ -177,19 +177,19 @@ class _Single:
 
     def as_decoded(self) -> Decoded:
         """Return the output of a decoder without noise and filter."""
-        nothing = np.zeros(self.reason.shape, np.float32)
+        zeros = np.zeros(self.reason.shape, np.float32)
 
         def axis(name: Axis) -> AxisDecode:
             return AxisDecode(
                 coordinate_px=self.places[name].astype(np.float32),
-                phase_rad=nothing,
-                order=nothing.astype(np.int16),
-                mean_dn=nothing,
-                modulation_dn=nothing,
+                phase_rad=zeros,
+                order=zeros.astype(np.int16),
+                mean_dn=zeros,
+                modulation_dn=zeros,
                 sigma_px=np.where(self.reason == 0, self.sigma[name], 0.0).astype(np.float32),
-                residual_dn=nothing,
-                order_error=nothing,
-                bias_share=nothing,
+                residual_dn=zeros,
+                order_error=zeros,
+                bias_share=zeros,
             )
 
         return Decoded(axis("column"), axis("row"), self.reason)
@@ -218,12 +218,14 @@ def _placed(
     rig = true_calibration(experiment)
     decoded = single.as_decoded()
     alone = {axis: triangulate(decoded, rig, axis) for axis in used}
-    usable = np.logical_and.reduce([found.valid for found in alone.values()]) & truth.lit
+    usable = (
+        np.logical_and.reduce([coordinates.valid for coordinates in alone.values()]) & truth.lit
+    )
     by_px = {
         axis: _height_by_px(rig, truth, axis, usable)
         if rig.layers is None
-        else _height_mm(found, truth, usable) / sigma[axis]
-        for axis, found in alone.items()
+        else _height_mm(coordinates, truth, usable) / sigma[axis]
+        for axis, coordinates in alone.items()
     }
     information = sum(np.where(usable, (by_px[a] * sigma[a]) ** -2.0, 0.0) for a in used)
     axes = []
@@ -277,27 +279,27 @@ def _height_by_px(rig: Calibration, truth: Truth, axis: Axis, usable: BoolImage)
     pose = np.linalg.inv(rig.T_world_from_proj)[:3]
 
     def of_band(band: slice) -> tuple[FloatArray]:
-        seen = rows_of(truth, band)
-        slope = np.abs(coordinate_slope(pose, (lens.fx_px, lens.fy_px), rig, seen, axis))
-        ray = seen.points_world_mm.astype(np.float64) - rig.T_world_from_cam[:3, 3]
-        normals = seen.normals_world.astype(np.float64)
+        band_truth = rows_of(truth, band)
+        slope = np.abs(coordinate_slope(pose, (lens.fx_px, lens.fy_px), rig, band_truth, axis))
+        ray = band_truth.points_world_mm.astype(np.float64) - rig.T_world_from_cam[:3, 3]
+        normals = band_truth.normals_world.astype(np.float64)
         across = np.abs(np.einsum("rcx,rcx->rc", ray, normals))
-        found: FloatArray = np.ones(slope.shape)
-        told = usable[band] & (slope > 0.0)
-        np.divide(across, np.abs(normals[..., 2]) * slope, out=found, where=told)
-        return (found,)
+        height: FloatArray = np.ones(slope.shape)
+        resolved = usable[band] & (slope > 0.0)
+        np.divide(across, np.abs(normals[..., 2]) * slope, out=height, where=resolved)
+        return (height,)
 
     return _by_bands(usable.shape, of_band)[0]
 
 
-def _height_mm(found: PointMap, truth: Truth, usable: BoolImage) -> FloatArray:
+def _height_mm(points: PointMap, truth: Truth, usable: BoolImage) -> FloatArray:
     """Return the sigma of the surface's height, (row, col) mm; 1 where there is no point.
 
     A point that errs along its ray by e on a surface with the normal n looks like a height that
     errs by e . n / n_z.
     """
-    along = found.points_world_mm - found.T_world_from_cam[:3, 3].astype(np.float32)
-    error = np.copysign(found.sigma_xyz_mm, along).astype(np.float64)
+    along = points.points_world_mm - points.T_world_from_cam[:3, 3].astype(np.float32)
+    error = np.copysign(points.sigma_xyz_mm, along).astype(np.float64)
     across = np.abs(np.einsum("rcx,rcx->rc", error, truth.normals_world))
     upward = np.abs(truth.normals_world[..., 2].astype(np.float64))
     height: FloatArray = np.ones(usable.shape)

@@ -30,7 +30,9 @@ class PressDerivative:
 def derivative_metrics(derivatives: Sequence[PressDerivative]) -> dict[str, float]:
     """Return the derivatives of a press's figures as NAME_by_PATH, per unit of each number."""
     return {
-        f"{name}_by_{one.path}": value for one in derivatives for name, value in one.figures.items()
+        f"{name}_by_{derivative.path}": value
+        for derivative in derivatives
+        for name, value in derivative.figures.items()
     }
 
 
@@ -39,15 +41,15 @@ def write_derivatives(
 ) -> None:
     """Write how the smooth coated face moves with each number, over its nodes, as netCDF-4."""
     maps: dict[str, Labelled] = {
-        f"face_z_by_{one.path}": (
+        f"face_z_by_{derivative.path}": (
             ("face_y", "face_x"),
-            one.face_z.astype(np.float32),
+            derivative.face_z.astype(np.float32),
             {
-                "units": f"mm per unit of {one.path}",
-                "long_name": f"derivative of the coated face's height by {one.path}",
+                "units": f"mm per unit of {derivative.path}",
+                "long_name": f"derivative of the coated face's height by {derivative.path}",
             },
         )
-        for one in derivatives
+        for derivative in derivatives
     }
     nodes: dict[str, Labelled] = {
         f"face_{axis}": (

@@ -92,9 +92,9 @@ class Fringes:
     @cached_property
     def points(self) -> SurfacePoints:
         """The point map."""
-        found = self.reconstruction.point_map
+        points = self.reconstruction.point_map
         return SurfacePoints(
-            found.points_world_mm, np.asarray(found.mask_reason, np.uint8), found.sigma_z_mm
+            points.points_world_mm, np.asarray(points.mask_reason, np.uint8), points.sigma_z_mm
         )
 
     @property
@@ -138,9 +138,9 @@ class Colours:
         return SurfacePoints(in_world(self.heights), reason.astype(np.uint8))
 
 
-def _length(one: MeasuredQuantity) -> str:
-    k = one.uncertainty.coverage_factor
-    return f"{one.value:.4f} mm +- {one.uncertainty.expanded:.2g} um (k = {k:g})"
+def _length(measured: MeasuredQuantity) -> str:
+    k = measured.uncertainty.coverage_factor
+    return f"{measured.value:.4f} mm +- {measured.uncertainty.expanded:.2g} um (k = {k:g})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,9 +170,9 @@ class Measurement:
 
     def __repr__(self) -> str:
         rows, cols = self.points.reason.shape
-        told = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
+        figures = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
         name, modality = self.experiment.name, self.experiment.modality
-        return f"<Measurement {name}: {modality}, {rows} x {cols} pixels, {told}>"
+        return f"<Measurement {name}: {modality}, {rows} x {cols} pixels, {figures}>"
 
     def _repr_html_(self) -> str:
         from reconstruction.drawing import as_html
@@ -185,9 +185,9 @@ class Measurement:
         """Return the main figures as texts."""
         score = self.score.against_truth
         shown = {
-            one.asked.name.replace("_", " "): _length(one)
-            for one in self.object.quantities
-            if one.value is not None and one.asked.unit == "mm"
+            measured.asked.name.replace("_", " "): _length(measured)
+            for measured in self.object.quantities
+            if measured.value is not None and measured.asked.unit == "mm"
         }
         shown |= {"points": f"{100 * self.points.valid.mean():.1f} % of all pixels"}
         if score.z_rmse_um is not None:
@@ -240,8 +240,8 @@ class Measurement:
         ------
         InputError : a measurand names a part that the specimen does not have
         """
-        found = self.points
-        points, known = (found.world_mm, found.valid, found.sigma_z_mm), self.compensation
+        measured = self.points
+        points, known = (measured.world_mm, measured.valid, measured.sigma_z_mm), self.compensation
         return score_object(self.experiment, points, self.truth, self.pressed, known)
 
     def with_object(self) -> "Measurement":

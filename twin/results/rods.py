@@ -86,7 +86,7 @@ def section_of(
     where = np.unique(bins, return_inverse=True)[1]
     counts = np.bincount(where)
     # A bin of a pixel's width contains columns on only one side of its middle.
-    across, means = (np.bincount(where, one[inside]) / counts for one in (x, z))
+    across, means = (np.bincount(where, coordinate[inside]) / counts for coordinate in (x, z))
     full = counts >= _LEAST_IN_BIN
     return RodSection(across[full], means[full])
 
@@ -100,9 +100,10 @@ def middle_of(shape: Shape) -> tuple[float, float]:
 def single_section(specimen: Specimen) -> NominalRod | NominalBar | None:
     """Return the rod or bar if it is the only one: sections of several run into each other."""
     across = [
-        one
-        for one in specimen.nominal_features()
-        if isinstance(one, NominalBar) or (isinstance(one, NominalRod) and one.along == "y")
+        feature
+        for feature in specimen.nominal_features()
+        if isinstance(feature, NominalBar)
+        or (isinstance(feature, NominalRod) and feature.along == "y")
     ]
     return across[0] if len(across) == 1 else None
 
@@ -124,14 +125,14 @@ def rod_figures(
         crest = section.width()
     except FitError as error:
         return {f"{prefix}rod_failure": str(error)}
-    found: dict[str, float | str | None] = {f"{prefix}rod_width_mm": crest.width_mm}
+    figures: dict[str, float | str | None] = {f"{prefix}rod_width_mm": crest.width_mm}
     for name, width in (
         ("break", section.break_width),
         ("slope_change", section.slope_change_width),
     ):
-        found[f"{prefix}rod_{name}_width_mm"] = None
+        figures[f"{prefix}rod_{name}_width_mm"] = None
         try:
-            found[f"{prefix}rod_{name}_width_mm"] = width().width_mm
+            figures[f"{prefix}rod_{name}_width_mm"] = width().width_mm
         except FitError as error:
-            found[f"{prefix}rod_failure"] = str(error)
-    return found | {f"{prefix}rod_height_mm": crest.height_mm}
+            figures[f"{prefix}rod_failure"] = str(error)
+    return figures | {f"{prefix}rod_height_mm": crest.height_mm}

@@ -32,10 +32,10 @@ def rows_as_arrays(rows: Sequence[Row], names: Sequence[str]) -> LabelledArrays:
     for name in names:
         values = [row.get(name) for row in rows]
         if any(map(is_number, values)):
-            figures = [one if is_number(one) else np.nan for one in values]
+            figures = [value if is_number(value) else np.nan for value in values]
             variables[name] = ("case", np.array(figures, np.float64), {})
-        elif any(isinstance(one, str) for one in values):
-            texts = [one if isinstance(one, str) else "" for one in values]
+        elif any(isinstance(value, str) for value in values):
+            texts = [value if isinstance(value, str) else "" for value in values]
             variables[name] = ("case", np.array(texts, dtype=object), {})
     numbers: Labelled = ("case", np.arange(len(rows)), {})
     return LabelledArrays(variables, {"case": variables.pop("case", numbers)})

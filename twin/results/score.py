@@ -151,38 +151,41 @@ def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> S
     ------
     FitError : no pixel of the field carries a height
     """
-    found_mm, wanted = in_world(heights), wanted_pixels(experiment, truth)
-    both = wanted & heights.valid
+    measured_mm, target = in_world(heights), wanted_pixels(experiment, truth)
+    both = target & heights.valid
     if not both.any():
         raise FitError("no pixel within photometric.field carries a height")
-    found, true = at_pixels(found_mm, both)[:, 2], at_pixels(truth.points_world_mm, both)[:, 2]
-    against_truth = HeightScore(
-        **_errors(experiment, 1e3 * (found - true), int(wanted.sum())),
-        wanted_pixels=int(wanted.sum()),
-        height_scale=_scale(found, true),
+    measured, true = (
+        at_pixels(measured_mm, both)[:, 2],
+        at_pixels(truth.points_world_mm, both)[:, 2],
     )
-    shown = _shown(experiment, found_mm, truth, both)
-    return Scores(against_truth, *_balls(experiment, found_mm, truth, both), shown=shown)
+    against_truth = HeightScore(
+        **_errors(experiment, 1e3 * (measured - true), int(target.sum())),
+        wanted_pixels=int(target.sum()),
+        height_scale=_scale(measured, true),
+    )
+    shown = _shown(experiment, measured_mm, truth, both)
+    return Scores(against_truth, *_balls(experiment, measured_mm, truth, both), shown=shown)
 
 
 def score_truth(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> FringeScore:
     """Compare world z, pixel by pixel, with the truth at the pixel centre."""
-    wanted = wanted_pixels(experiment, truth)
-    both = reconstruction.point_map.valid & wanted
-    found_mm = at_pixels(reconstruction.point_map.points_world_mm, both)[:, 2]
+    target = wanted_pixels(experiment, truth)
+    both = reconstruction.point_map.valid & target
+    measured_mm = at_pixels(reconstruction.point_map.points_world_mm, both)[:, 2]
     true_mm = at_pixels(truth.points_world_mm, both)[:, 2]
     # As precise as the points themselves: medians of twice the bytes take half as long again.
-    error_um = np.float32(1e3) * (found_mm - true_mm)
+    error_um = np.float32(1e3) * (measured_mm - true_mm)
     sigma_mm = at_pixels(reconstruction.point_map.sigma_z_mm, both)
     sigma_um = np.float32(1e3) * sigma_mm
     bias_um, bias_share = None, None
     if both.any():
         bias_um, bias_share = filter_bias(reconstruction, experiment.decode.use, both, sigma_mm)
     return FringeScore(
-        **_errors(experiment, error_um, int(wanted.sum())),
-        lit_pixels=int(wanted.sum()),
+        **_errors(experiment, error_um, int(target.sum())),
+        lit_pixels=int(target.sum()),
         wrong_order_pixels=wrong_orders(experiment, reconstruction, truth),
         sigma_z_median_um=figure_of(sigma_um, median),
         filter_bias_um=bias_um,
@@ -193,13 +196,13 @@ def score_truth(
     )
 
 
-def _errors(experiment: Experiment, error_um: NDArray[np.floating], wanted: int) -> dict[str, Any]:
+def _errors(experiment: Experiment, error_um: NDArray[np.floating], target: int) -> dict[str, Any]:
     """Figures of `TruthScore` from the errors (n,) of the target pixels that have a point."""
     good = np.abs(error_um) <= experiment.score.good_within_um
     return {
         "points": len(error_um),
-        "completeness": share_of(len(error_um), wanted),
-        "good_share": share_of(int(good.sum()), wanted),
+        "completeness": share_of(len(error_um), target),
+        "good_share": share_of(int(good.sum()), target),
         "z_rmse_um": figure_of(error_um, rms),
         "z_bias_um": figure_of(error_um, mean),
         "z_p95_um": figure_of(error_um, p95_of_size),
@@ -282,10 +285,11 @@ def order_warnings(
     points = reconstruction.point_map
     both = points.valid & wanted_pixels(experiment, truth)
     wrong = at_pixels(_of_another_period(experiment, reconstruction, truth), both)
-    found_mm, true_mm = (
-        at_pixels(one, both)[:, 2] for one in (points.points_world_mm, truth.points_world_mm)
+    measured_mm, true_mm = (
+        at_pixels(surface, both)[:, 2]
+        for surface in (points.points_world_mm, truth.points_world_mm)
     )
-    error_um = 1e3 * (found_mm - true_mm).astype(np.float64)
+    error_um = 1e3 * (measured_mm - true_mm).astype(np.float64)
     if not wrong.any() or wrong.all():
         return []
     all_um, others_um = rms(error_um), rms(error_um[~wrong])
@@ -325,12 +329,12 @@ def _balls(
     further: dict[str, Any] = {}
     # x and y each in one piece of memory: every ball and region looks through all of them.
     planes = np.ascontiguousarray(np.moveaxis(measured_mm[..., :2], -1, 0))
-    seen = usable, np.moveaxis(planes, 0, -1)
+    pixels = usable, np.moveaxis(planes, 0, -1)
     for radius_mm in experiment.score.regions_mm:
-        found = _spheres(experiment, measured_mm, truth, seen, radius_mm)
-        further |= _sphere_metrics(*found, region_name(radius_mm))
+        spheres = _spheres(experiment, measured_mm, truth, pixels, radius_mm)
+        further |= _sphere_metrics(*spheres, region_name(radius_mm))
     scored_mm = experiment.score.roi_radius_mm
-    return *_spheres(experiment, measured_mm, truth, seen, scored_mm), further
+    return *_spheres(experiment, measured_mm, truth, pixels, scored_mm), further
 
 
 def region_name(radius_mm: float) -> str:
@@ -342,16 +346,16 @@ def _spheres(
     experiment: Experiment,
     measured_mm: NDArray[np.floating],
     truth: Truth,
-    seen: tuple[BoolImage, NDArray[np.floating]],
+    pixels: tuple[BoolImage, NDArray[np.floating]],
     roi_radius_mm: float,
 ) -> tuple[tuple[SphereScore, ...], tuple[str, ...]]:
     """Return the balls that could be fitted over a region, and why the others could not.
 
     Parameters
     ----------
-    seen : usable pixels, and x and y of all (row, col, xy)
+    pixels : usable pixels, and x and y of all (row, col, xy)
     """
-    (usable, lateral_mm), fitted, unfitted = seen, [], []
+    (usable, lateral_mm), fitted, unfitted = pixels, [], []
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
         roi = region_of(ball, lateral_mm, usable, roi_radius_mm)
         try:
@@ -366,19 +370,19 @@ def _shown(
 ) -> dict[str, Any]:
     if not (single_section(experiment.specimen) or experiment.specimen.nominal(NominalHexNut)):
         return {}
-    found: dict[str, Any] = {}
+    figures: dict[str, Any] = {}
     for prefix, every_mm in {"": measured_mm, "true_face_": truth.points_world_mm}.items():
         points_mm = every_mm[usable]
-        found |= rod_figures(experiment, points_mm, prefix)
-        found |= nut_figures(experiment, points_mm, prefix)
-    return found
+        figures |= rod_figures(experiment, points_mm, prefix)
+        figures |= nut_figures(experiment, points_mm, prefix)
+    return figures
 
 
-def _scale(found_mm: FloatArray, true_mm: FloatImage) -> float | None:
+def _scale(measured_mm: FloatArray, true_mm: FloatImage) -> float | None:
     true = true_mm.astype(np.float64) - true_mm.mean(dtype=np.float64)
     if not np.ptp(true_mm):
         return None
-    return float(true @ (found_mm - found_mm.mean()) / float(true @ true))
+    return float(true @ (measured_mm - measured_mm.mean()) / float(true @ true))
 
 
 def score_sphere(
@@ -397,35 +401,35 @@ def score_sphere(
     count = int(roi.sum())
     if count < _LEAST_SPHERE_POINTS:
         raise FitError(f"{count} points leave no residual of a sphere; it takes at least 5")
-    found, found_algebraic = fit_sphere_both_ways(at_pixels(measured_mm, roi))
+    geometric, algebraic = fit_sphere_both_ways(at_pixels(measured_mm, roi))
     true, true_algebraic = fit_sphere_both_ways(at_pixels(true_mm, roi))
     return SphereScore(
         number=number,
         nominal=ball,
         roi=roi,
-        measured=found,
+        measured=geometric,
         true_face=true,
-        measured_algebraic=found_algebraic,
+        measured_algebraic=algebraic,
         true_face_algebraic=true_algebraic,
     )
 
 
 def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
-    found = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
+    figures = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
     spheres = _sphere_metrics(scored.spheres, scored.unfitted)
-    return found | spheres | dict(scored.regions) | dict(scored.shown)
+    return figures | spheres | dict(scored.regions) | dict(scored.shown)
 
 
 def _sphere_metrics(
     fitted: Sequence[SphereScore], unfitted: Sequence[str], region: str = ""
 ) -> dict[str, Any]:
     """Return all balls' figures by name; those of a ball without a fit are None."""
-    found: dict[str, Any] = dict.fromkeys(sphere_names(len(fitted) + len(unfitted), region))
+    figures: dict[str, Any] = dict.fromkeys(sphere_names(len(fitted) + len(unfitted), region))
     for ball in fitted:
         ours = _ball_figures(ball).items()
-        found |= {f"sphere_{ball.number}_{region}{name}": value for name, value in ours}
-    return found
+        figures |= {f"sphere_{ball.number}_{region}{name}": value for name, value in ours}
+    return figures
 
 
 def sphere_names(balls: int, region: str = "") -> list[str]:

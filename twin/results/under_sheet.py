@@ -67,9 +67,9 @@ class ObjectUnderSheet:
             for axis, cells in ((0, relief.x_mm), (1, relief.y_mm))
         )
         inside = (row >= 0) & (row < contact.shape[0]) & (col >= 0) & (col < contact.shape[1])
-        found = np.zeros(len(xy_mm), bool)
-        found[inside] = contact[row[inside], col[inside]]
-        return found
+        touching = np.zeros(len(xy_mm), bool)
+        touching[inside] = contact[row[inside], col[inside]]
+        return touching
 
     def noise_mm(self, estimate: FittedDimension, cells: IntArray) -> float:
         """Return the standard uncertainty of a fit by noise and texture of the coat, mm.

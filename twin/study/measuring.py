@@ -218,7 +218,7 @@ class CaseMeasurer:
         ------
         InputError, MissingBackend : as `twin.pipeline.measure`
         """
-        self._asked_before = self.memory.asked()
+        self._asked_before = self.memory.requests()
         self.memory.calibrations = self.calibrations
         if conditions.face_only:
             return Answer(face_figures(experiment, press(experiment, self.memory).pressed))

@@ -9,7 +9,7 @@ its row on the page follow from the result of `fit`. Minimal example:
         summary = "height of a ball's apex over a ring round it"
 
         def nominal_mm(self, nominal): ...
-        def fit(self, request, feature, seen, points): ...
+        def fit(self, request, feature, observed, points): ...
 
     MEASURANDS.register(Sagitta())
 
@@ -114,7 +114,7 @@ class MeasurandKind(QuantityKind):
     nominal_is_limit: bool = False
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
     ) -> FittedValue:
         """Fit the quantity to points, of the object, of the coat, or of the true face.
 
@@ -175,7 +175,7 @@ class MeasurandKind(QuantityKind):
         """
         return ()
 
-    def curves(self, points_mm: FloatArray, line: SectionLine, seen: SeenObject) -> list[Curve]:
+    def curves(self, points_mm: FloatArray, line: SectionLine, observed: SeenObject) -> list[Curve]:
         """Return the fitted shape along a section, to be drawn; [] where none is.
 
         Parameters
@@ -219,13 +219,13 @@ def enough(points: ObjectPoints, of: str) -> ObjectPoints:
 
 def in_ranges(request: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
     """Return the points between `x_mm` and `y_mm` of a table."""
-    kept = np.ones(len(points.points_mm), bool)
+    inside = np.ones(len(points.points_mm), bool)
     for axis, bounds in enumerate((request.x_mm, request.y_mm)):
         if bounds is not None:
-            kept &= (points.points_mm[:, axis] >= bounds[0]) & (
+            inside &= (points.points_mm[:, axis] >= bounds[0]) & (
                 points.points_mm[:, axis] <= bounds[1]
             )
-    return points.part(kept)
+    return points.part(inside)
 
 
 def inside(feature: Feature, points: ObjectPoints, x_mm: float, y_mm: float) -> BoolImage:

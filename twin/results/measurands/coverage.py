@@ -15,12 +15,12 @@ class Coverage(MeasurandKind):
     unit = "share"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
     ) -> FittedValue:
         """Return the share of the whole specimen."""
-        if seen.coverage is None:
+        if observed.coverage is None:
             raise FitError("coverage: no pixel of the camera shows the specimen")
-        return FittedValue(seen.coverage, 0.0, points.points_mm[points.touching])
+        return FittedValue(observed.coverage, 0.0, points.points_mm[points.touching])
 
 
 MEASURANDS.register(Coverage())

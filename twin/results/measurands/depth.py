@@ -33,7 +33,7 @@ class Depth(MeasurandKind):
     bound_name = "crb_depth_um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
     ) -> FittedValue:
         """Fit the wave, the groove or the step that the specimen has."""
         points = points.part(points.touching)
@@ -42,7 +42,7 @@ class Depth(MeasurandKind):
         for nominal in feature.specimen.nominal(NominalGroove):
             near, groove = groove_of(nominal, feature, points)
             return fitted(near, groove.depth)
-        return step_of(points, feature, seen, self.requested_mm(request, feature))
+        return step_of(points, feature, observed, self.requested_mm(request, feature))
 
 
 def _wave(grating: NominalGrating, feature: Feature, points: ObjectPoints) -> FittedValue:

@@ -17,15 +17,15 @@ class RmsDeviation(MeasurandKind):
     unit = "um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
     ) -> FittedValue:
         """Return the RMS along the normal of the object's surface."""
-        kept, aligned, upward = aligned_points(request, seen, points, request.alignment)
-        return fitted(kept, aligned.rms(upward))
+        used, aligned, upward = aligned_points(request, observed, points, request.alignment)
+        return fitted(used, aligned.rms(upward))
 
 
 def aligned_points(
-    request: ObjectMeasurand, seen: SeenObject, points: ObjectPoints, alignment: Alignment
+    request: ObjectMeasurand, observed: SeenObject, points: ObjectPoints, alignment: Alignment
 ) -> tuple[ObjectPoints, Deviations, FloatArray]:
     """Return points of the object, their deviations, and z of the surface's unit normals (n,).
 
@@ -33,12 +33,12 @@ def aligned_points(
     ------
     FitError : there is no point
     """
-    kept = points.part(points.touching if request.over == "contact" else points.over).thinned()
-    if not len(kept.points_mm):
+    used = points.part(points.touching if request.over == "contact" else points.over).thinned()
+    if not len(used.points_mm):
         raise FitError("deviation: no point on the object in the given ranges")
-    distance = seen.surface.distance_mm
-    normals = normals_of(kept.points_mm, distance)
-    return kept, deviations(kept.points_mm, distance, alignment, normals), normals[:, 2]
+    distance = observed.surface.distance_mm
+    normals = normals_of(used.points_mm, distance)
+    return used, deviations(used.points_mm, distance, alignment, normals), normals[:, 2]
 
 
 MEASURANDS.register(RmsDeviation())

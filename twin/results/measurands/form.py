@@ -15,11 +15,11 @@ class Form(MeasurandKind):
     unit = "um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
     ) -> FittedValue:
         """Return the band along the normal of the object's surface."""
-        kept, aligned, upward = aligned_points(request, seen, points, "rigid")
-        return fitted(kept, aligned.form(upward))
+        used, aligned, upward = aligned_points(request, observed, points, "rigid")
+        return fitted(used, aligned.form(upward))
 
 
 MEASURANDS.register(Form())

@@ -35,7 +35,7 @@ class Radius(MeasurandKind):
     coat_in_contact = True
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
     ) -> FittedValue:
         """Fit a ball, or a cylinder along the rod."""
         if feature.balls:
@@ -52,9 +52,9 @@ class Radius(MeasurandKind):
         """Return the error of a radius by the theory of thin sheets."""
         return (sheet.theory_mm(value_mm),)
 
-    def curves(self, points_mm: FloatArray, line: SectionLine, seen: SeenObject) -> list[Curve]:
+    def curves(self, points_mm: FloatArray, line: SectionLine, observed: SeenObject) -> list[Curve]:
         """Return the arc of a ball."""
-        return _arc(points_mm, line) if seen.shape.spheres() else []
+        return _arc(points_mm, line) if observed.shape.spheres() else []
 
 
 def _cap_of_ball(request: ObjectMeasurand, feature: Feature, points: ObjectPoints) -> ObjectPoints:

@@ -33,18 +33,18 @@ class GratingResolution(MeasurandKind):
     nominal_is_limit = True
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
     ) -> FittedValue:
         """Find the finest pitch that, with all coarser ones, keeps half its depth above noise."""
         finest = None
         # Parts that a gel or sheet does not touch are not resolved: the coat's own relief counts.
-        shown = points if points.under is None else in_ranges(request, seen.coat)
+        shown = points if points.under is None else in_ranges(request, observed.coat)
         points = replace(shown, touching=np.ones(len(shown.points_mm), bool))
-        gratings = [(part.specimen.nominal(NominalGrating)[0], part) for part in seen.gratings]
+        gratings = [(part.specimen.nominal(NominalGrating)[0], part) for part in observed.gratings]
         for grating, part in sorted(gratings, key=lambda pair: pair[0].pitch_mm, reverse=True):
-            depth = Depth().fit(request, part, seen, points)
-            kept = depth.value / grating.depth_mm
-            if kept < KEPT_SHARE or depth.value < SIGMAS_ABOVE_NOISE * depth.noise_mm:
+            depth = Depth().fit(request, part, observed, points)
+            remaining_share = depth.value / grating.depth_mm
+            if remaining_share < KEPT_SHARE or depth.value < SIGMAS_ABOVE_NOISE * depth.noise_mm:
                 break
             finest = FittedValue(grating.pitch_mm, 0.0, depth.points_mm)
         if finest is None:

@@ -33,13 +33,13 @@ class IsoStepHeight(MeasurandKind):
     bound_name = "crb_step_um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
     ) -> FittedValue:
         """Fit two parallel planes to the levels without their edges, see `levels`."""
         step_mm = self.requested_mm(request, feature)
-        return step_of(points.part(points.touching), feature, seen, step_mm)
+        return step_of(points.part(points.touching), feature, observed, step_mm)
 
-    def curves(self, points_mm: FloatArray, line: SectionLine, seen: SeenObject) -> list[Curve]:
+    def curves(self, points_mm: FloatArray, line: SectionLine, observed: SeenObject) -> list[Curve]:
         """Return both levels."""
         place, z = line.position(points_mm[:, 0], points_mm[:, 1]), points_mm[:, 2]
         middle = (float(z.min()) + float(z.max())) / 2
@@ -52,7 +52,7 @@ class IsoStepHeight(MeasurandKind):
 
 
 def step_of(
-    points: ObjectPoints, feature: Feature, seen: SeenObject, step_mm: float | None
+    points: ObjectPoints, feature: Feature, observed: SeenObject, step_mm: float | None
 ) -> FittedValue:
     """Fit two levels to points, their edges left out as in ISO 5436-1 type A1.
 
@@ -69,7 +69,7 @@ def step_of(
     if not len(points.points_mm):
         raise FitError("step: no point of the object in the given ranges")
     xy, upright = points.points_mm[:, :2], feature.world_from_own.rotation[:, 2]
-    heights = Heights.over(seen.surface, xy).across(upright)
+    heights = Heights.over(observed.surface, xy).across(upright)
     upper, lower = levels(heights, step_mm)
     at = heights.cells_of(xy)
     return fitted(points, step_between(xy, points.points_mm @ upright, upper[at], lower[at]))
@@ -107,8 +107,8 @@ def levels(heights: Heights, step_mm: float | None = None) -> tuple[BoolImage, B
     width = 2 * float(inside.max())
     margin = min(width, 2 * float(clear.max())) / 3
     away = np.asarray(distance_transform_edt(~upper)) * heights.pitch_mm
-    kept = lower & (clear >= margin) & (away >= margin) & (away <= width)
-    return upper & (inside >= width / 3), kept
+    lower_inside = lower & (clear >= margin) & (away >= margin) & (away <= width)
+    return upper & (inside >= width / 3), lower_inside
 
 
 def _inward_mm(level: BoolImage, pitch_mm: float) -> FloatArray:

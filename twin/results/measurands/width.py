@@ -34,7 +34,7 @@ class SectionWidth(MeasurandKind):
     bound_name = "crb_width_um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, seen: SeenObject, points: ObjectPoints
+        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
     ) -> FittedValue:
         """Width at half height of a section across; of a V groove its opening, by the flanks."""
         for nominal in feature.specimen.nominal(NominalGroove):
@@ -49,7 +49,7 @@ class SectionWidth(MeasurandKind):
                 raise FitError(f"width {request.number}: the specimen has {len(bars)} bars")
             bar = bars[request.number - 1]
             band &= np.abs(place[:, 0] - bar.middle_mm) <= (bar.width_mm + bar.gap_mm) / 2
-        return _section_width(points.part(band), place[band], seen.pixel_mm)
+        return _section_width(points.part(band), place[band], observed.pixel_mm)
 
     def count(self, feature: Feature) -> int | None:
         """Return the number of bars and grooves; None where the specimen has no nominal width."""
@@ -81,28 +81,28 @@ def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> 
     if not full.any():
         raise FitError("width: no points across the section")
     s, z = numbers[full] * pitch, means[full]
-    found = bar_width(s, z)
+    bar = bar_width(s, z)
     scatter = 0.0 if points.sigma_mm is None else float(np.sqrt(np.mean(points.sigma_mm**2)))
-    if found.height_mm <= SIGMAS_ABOVE_NOISE * scatter:
+    if bar.height_mm <= SIGMAS_ABOVE_NOISE * scatter:
         raise FitError("width: no ground next to the walls is visible")
     touched = np.bincount(where, points.touching)[full] > 0
-    for edge in (found.left_mm, found.right_mm):
+    for edge in (bar.left_mm, bar.right_mm):
         at = int(np.searchsorted(s, edge))
         if not touched[max(at - 1, 0) : at + 1].any():
             raise FitError("width: the walls are not touched at half of their height")
     slope = np.gradient(z, s)
     noise = 0.0
-    for edge in (found.left_mm, found.right_mm):
+    for edge in (bar.left_mm, bar.right_mm):
         at = int(np.argmin(np.abs(s - edge)))
         sigma = _mean_sigma(points, where == np.flatnonzero(full)[at])
         # The height's error, and the position within its cell where the profile crosses.
         noise += (sigma / max(abs(float(slope[at])), 1e-9)) ** 2 + pitch**2 / 12
-    edges = _between_edges(found, place[:, 0], (s, z, counts[full].astype(np.float64)))
-    return FittedValue(found.width_mm, float(np.sqrt(noise)), points.points_mm, edges, points)
+    edges = _between_edges(bar, place[:, 0], (s, z, counts[full].astype(np.float64)))
+    return FittedValue(bar.width_mm, float(np.sqrt(noise)), points.points_mm, edges, points)
 
 
 def _between_edges(
-    found: BarWidth, place_mm: FloatArray, profile: tuple[FloatArray, FloatArray, FloatArray]
+    bar: BarWidth, place_mm: FloatArray, profile: tuple[FloatArray, FloatArray, FloatArray]
 ) -> FittedDimension:
     """Return how a width at half height follows from the heights of a section's points.
 
@@ -117,20 +117,20 @@ def _between_edges(
     s, z, counts = profile
     cell = np.abs(place_mm[:, None] - s).argmin(axis=1)
     per_cell, flank = np.zeros(len(s)), np.gradient(z, s)
-    for edge, sign in ((found.left_mm, -1.0), (found.right_mm, 1.0)):
+    for edge, sign in ((bar.left_mm, -1.0), (bar.right_mm, 1.0)):
         at = int(np.searchsorted(s, edge)) - 1
         rise, share = z[at + 1] - z[at], (edge - s[at]) / (s[at + 1] - s[at])
         step = s[at + 1] - s[at]
         per_cell[at] -= sign * (1.0 - share) * step / rise
         per_cell[at + 1] -= sign * share * step / rise
-    middle = (found.left_mm + found.right_mm) / 2
+    middle = (bar.left_mm + bar.right_mm) / 2
     left = np.where(s < middle, -flank, 0.0)[cell]
     right = np.where(s >= middle, -flank, 0.0)[cell]
     design = np.column_stack([left, right, np.ones(len(cell))])
     slope = (per_cell / counts)[cell]
     used = np.ones(len(cell), bool)
     gradient = np.array([-1.0, 1.0, 0.0])
-    return FittedDimension(found.width_mm, slope, np.zeros(len(cell)), used, design, gradient)
+    return FittedDimension(bar.width_mm, slope, np.zeros(len(cell)), used, design, gradient)
 
 
 def _mean_sigma(points: ObjectPoints, members: BoolImage) -> float:
