@@ -228,7 +228,7 @@ def test_a_slab_without_a_known_form_is_an_error(
     layer.write_text(SLAB[: SLAB.index("[specimen]")])
     arguments = ["compensate", str(under_slab), "--layer", str(layer), "-o", str(tmp_path / "out")]
     assert run(arguments) == 2
-    assert "tell [specimen] in the layer file" in capsys.readouterr().err
+    assert "add [specimen] to the layer file" in capsys.readouterr().err
 
 
 def test_incomplete_input_has_no_figures() -> None:

@@ -248,7 +248,7 @@ def test_contact_and_force_are_those_of_the_press() -> None:
 @pytest.mark.parametrize(
     ("specimen", "fitted", "message"),
     [
-        (None, (), "tell [specimen] in the layer file"),
+        (None, (), "add [specimen] to the layer file"),
         (Brick(), (), "not known which of its numbers"),
         (BALL, ("radius_mm",), "found 'radius_mm', allowed numbers"),
         (BALL, ("kind",), "found 'kind', allowed numbers"),

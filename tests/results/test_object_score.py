@@ -236,7 +236,7 @@ def test_a_bar_without_ground_has_no_width(error_mm):
     bar = experiment({"kind": "bar", "width_mm": 3.0})
     figures = score_of(bar, noise if error_mm else 0.0, max(error_mm, 1e-6)).figures
     assert figures["object_width_1_mm"] is None
-    assert "no ground beside" in figures["object_width_1_why"]
+    assert "no ground next to" in figures["object_width_1_why"]
 
 
 def test_a_single_bar_has_a_place_on_the_stage():
