@@ -223,5 +223,5 @@ def test_a_bound_wider_than_its_points_is_absent_with_the_reason(sigma_mm, is_kn
     names = "sphere_1_radius_crb_um", "sphere_1_radius_spread_um"
     assert [figures[name] is not None for name in names] == [is_known] * 2
     why = figures.get("sphere_1_radius_bound_why", "")
-    assert why.startswith("" if is_known else "radius: not determined, its noise is ")
+    assert why.startswith("" if is_known else "radius: not determined, noise leaves it open by ")
     assert bool(why) != is_known

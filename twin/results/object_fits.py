@@ -44,6 +44,6 @@ def require_determined(quantity: str, noise_mm: float, points_mm: FloatArray) ->
     extent_mm = float(np.ptp(points_mm[:, :2], axis=0).max()) if len(points_mm) else 0.0
     if noise_mm > extent_mm:
         raise FitError(
-            f"{quantity}: not determined, its noise is {noise_mm:.3g} mm (1 sigma), "
+            f"{quantity}: not determined, noise leaves it open by {noise_mm:.3g} mm (1 sigma), "
             f"more than the {extent_mm:.3g} mm that its points extend over"
         )
