@@ -53,7 +53,7 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.propagation.budget import Part, part_of
 from twin.study.cases import Case, Cases, case_of
 from twin.study.engine import SweepOutcome
-from twin.study.measuring import PLAINLY, Measuring, RigCovariance, calibrated
+from twin.study.measuring import DEFAULT_MEASURING, Measuring, RigCovariance, calibrated
 from twin.study.store import Store
 from twin.study.sweep import CaseGroup, run_groups
 from twin.study.trials import INPUT, PART, STEP, TRIAL, TRIALS, alone_cases
@@ -265,7 +265,7 @@ class Reproduction:
                 return _group(folder, cases, make)
             case "budgets":
                 parts = [part for of in BUDGET_OF for part in self._budget_cases(of)]
-                return _group(folder, [case for part in parts for case in part], PLAINLY)
+                return _group(folder, [case for part in parts for case in part], DEFAULT_MEASURING)
             case "measured":
                 return _group(
                     folder,

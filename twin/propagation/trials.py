@@ -31,7 +31,7 @@ from twin.results.parts import write_result
 from twin.study.record import StudyRecord, write_record
 from twin.study.sensitivity import Effect
 from twin.study.store import Store
-from twin.study.sweep import drawn_board, duration, estimate, press_seconds, sweep, told
+from twin.study.sweep import drawn_board, duration, estimate, estimate_text, press_seconds, sweep
 from twin.study.trials import (
     ALONE,
     CALIBRATION,
@@ -173,12 +173,16 @@ def plan_in_words(
         lines.append(f"not in the experiment, left out: {', '.join(idle)}")
     counts = Counter(case.settings[PART] for case in cases.run)
     lines.append(
-        ", ".join(f"{counts[part]} {told}" for part, told in _PARTS.items() if counts[part])
+        ", ".join(
+            f"{counts[part]} {estimate_text}"
+            for part, estimate_text in _PARTS.items()
+            if counts[part]
+        )
     )
     board = drawn_board(record)
     if board:
         lines.append(f"before them a calibration of the rig on rendered poses of {board}")
-    lines.append(told(estimate(record, cases, Store(folder), workers)))
+    lines.append(estimate_text(estimate(record, cases, Store(folder), workers)))
     if sobol is not None:
         presses = presses_of_sobol(record.study.inputs, experiment, sobol)
         seconds = duration(presses * press_seconds(experiment))

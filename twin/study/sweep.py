@@ -1,4 +1,4 @@
-"""Run a study into its store; before that say what it takes, and which cases cannot be measured."""
+"""Run a study into its store; estimate its run time and disk space, find unmeasurable cases."""
 
 import math
 import shutil
@@ -25,7 +25,7 @@ from twin.study.cases import Case, Cases, Point, cases_of
 from twin.study.engine import Run, SweepOutcome, run_together
 from twin.study.gradient import descend
 from twin.study.index import DAMAGED, Index, entry_of
-from twin.study.measuring import CALIBRATION_FILE, PLAINLY, Measuring, calibrated
+from twin.study.measuring import CALIBRATION_FILE, DEFAULT_MEASURING, Measuring, calibrated
 from twin.study.nominal import check_nominal, nominal_case
 from twin.study.optimise import optimise
 from twin.study.record import StudyRecord, write_record
@@ -47,11 +47,11 @@ _PRESS_BYTES = 80_000_000
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run will take; good to a factor of two for slabs and sheets, less for solids.
+    """Run time and disk space of a run, within a factor of two for slabs and sheets.
 
     Attributes
     ----------
-    step : 1 where all cases were looked at; n where it was one of n, and the rest is scaled
+    step : 1 if all cases were examined; n if every n-th was examined, and the sums were scaled
     """
 
     cases: int
@@ -64,7 +64,7 @@ class Estimate:
 
 
 def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> Estimate:
-    """Estimate time and disk of the cases that a store lacks."""
+    """Estimate run time and disk space of the cases that are not in the store."""
     known = store.finished() if store.exists() else set()
     unique = cases.unique()
     missing = [case for case in unique if case.digest not in known]
@@ -76,14 +76,14 @@ def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> E
         known=(len(unique) - len(missing)) * cases.step,
         excluded=cases.excluded * cases.step,
         seconds=work * cases.step / workers + _calibration_seconds(record, store),
-        disk_bytes=cases.step * sum(_case_bytes(record.study, one.experiment) for one in missing),
+        disk_bytes=cases.step * sum(_case_bytes(record.study, case.experiment) for case in missing),
         free_bytes=shutil.disk_usage(folder).free,
         step=cases.step,
     )
 
 
 def _calibration_seconds(record: StudyRecord, store: Store) -> float:
-    """Seconds, in one process, of the calibration that drawn rigs rest on; 0 where it is kept."""
+    """Return the time (s, one process) of the calibration for drawn rigs; 0 if it is cached."""
     board = drawn_board(record)
     if not board or (store.folder / CALIBRATION_FILE).is_file():
         return 0.0
@@ -96,7 +96,7 @@ def _pressing(experiment: Experiment) -> str:
 
 
 def press_seconds(experiment: Experiment) -> float:
-    """Return about how long one press takes."""
+    """Return the approximate time of a press, s."""
     scene = experiment
     case = PressInput(scene.mechanics, scene.specimen, scene.elastomer, scene.press)
     wraps = any(model.wraps for model in possible_models(case))
@@ -118,19 +118,19 @@ def _case_seconds(experiment: Experiment) -> float:
 
 
 def _case_bytes(study: Study, experiment: Experiment) -> float:
-    kept = _BYTES_PER_CASE
+    bytes_per_case = _BYTES_PER_CASE
     if "points" in study.keep:
-        kept += _BYTES_PER_PIXEL["points"] * _pixels(experiment)
+        bytes_per_case += _BYTES_PER_PIXEL["points"] * _pixels(experiment)
     if "capture" in study.keep:
-        kept += _BYTES_PER_FRAME_PIXEL * _frame_pixels(experiment)
-    return kept + (_PRESS_BYTES if "press" in study.keep else 0)
+        bytes_per_case += _BYTES_PER_FRAME_PIXEL * _frame_pixels(experiment)
+    return bytes_per_case + (_PRESS_BYTES if "press" in study.keep else 0)
 
 
 def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) -> int:
-    """Remove failures from a store so that they run again; returns how many.
+    """Remove failures from a store so that they run again; returns their number.
 
-    What an experiment asked for in vain it asks for in vain again, so by default only crashes and
-    unexpected errors are forgotten.
+    A failure that is due to the experiment itself would occur again, so by default only crashes and
+    unexpected errors are removed.
     """
     forgotten = 0
     for case in cases:
@@ -142,14 +142,14 @@ def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) ->
 
 
 def forget_damaged(store: Store, cases: Sequence[Case]) -> dict[str, str]:
-    """Remove cases whose files cannot be read, so that they run again; returns why, by digest."""
+    """Remove cases with unreadable files, so that they run again; returns reasons by digest."""
     forgotten = {}
     for case in cases:
         entry = entry_of(store, case.digest)
         if entry is None or entry.state != DAMAGED:
             continue
         with store.claimed(case.digest) as mine:
-            if mine:  # or another run is at it
+            if mine:  # else another run computes it
                 store.forget(case.digest)
                 forgotten[case.digest] = entry.reason
     return forgotten
@@ -158,34 +158,34 @@ def forget_damaged(store: Store, cases: Sequence[Case]) -> dict[str, str]:
 def _kind_of(failure: Path) -> str:
     try:
         return str(read_json(failure).get("kind"))
-    except InputError:  # another run forgot it first
+    except InputError:  # another run has removed it
         return ""
 
 
 @dataclass(frozen=True)
 class _Session:
-    """A store at work; notes what was asked of it."""
+    """A store during a run, with the digests of the requested cases."""
 
     store: Store
     compute: Run
     retry: bool
-    asked: list[str] = field(default_factory=list)
+    requested: list[str] = field(default_factory=list)
     damaged: dict[str, str] = field(default_factory=dict)
 
     def run(self, cases: Cases) -> SweepOutcome:
         return self.compute(self.wanted(cases))
 
     def wanted(self, cases: Cases) -> list[Case]:
-        """Return the cases, once each, with those forgotten that are to run again."""
+        """Return the cases without duplicates; failures that are to run again are removed."""
         wanted = cases.unique()
-        self.asked.extend(case.digest for case in wanted)
+        self.requested.extend(case.digest for case in wanted)
         self.damaged.update(forget_damaged(self.store, wanted))
         forget_failures(self.store, wanted, every=self.retry)
         return wanted
 
     def whole(self, outcome: SweepOutcome) -> SweepOutcome:
-        """Return the outcome with how all the cases stand that were asked for."""
-        standing = _standing(Index(self.store), self.asked)
+        """Return the outcome with the states of all requested cases."""
+        standing = _standing(Index(self.store), self.requested)
         return replace(outcome, damaged=self.damaged, **standing)
 
 
@@ -201,17 +201,17 @@ def sweep(
     inputs: Sequence[Path] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> SweepOutcome:
-    """Compute all cases of a study that its store lacks.
+    """Compute all cases of a study that are not in its store.
 
     Parameters
     ----------
-    folder : the store; made when it is not there
-    cases : the record's, where they are made already
-    retry : also run again what failed for a reason that lies in the experiment
-    make_measurer : makes what measures a case; importable by the workers. Default: `Measuring`,
-        after a calibration of the rig where trials draw theirs
-    inputs : files that the folder must not hold
-    tell : told in a sentence of another run on the store, and why the first cases fail, as they do
+    folder : the store; created if it does not exist
+    cases : of the record, if they are known already
+    retry : also run cases again that failed because of their experiment
+    make_measurer : factory of the measurer of a case; importable by the workers. Default:
+        `Measuring`, after a calibration of the rig if trials draw their rigs
+    inputs : files that the folder must not contain
+    tell : called with a message if another run uses the store, and for the first failures
 
     Raises
     ------
@@ -233,7 +233,7 @@ def sweep(
         before: list[SweepOutcome] = []
         if of_trials:
             cases = cases or record.cases()
-            first, make = nominal_case(cases), make_measurer or PLAINLY
+            first, make = nominal_case(cases), make_measurer or DEFAULT_MEASURING
             before.append(
                 _measure_nominal(record, store, workers, first, make=make, watch=watch, retry=retry)
             )
@@ -260,7 +260,7 @@ def _measure_nominal(
     watch: ProgressCallback,
     retry: bool,
 ) -> SweepOutcome:
-    """Measure the nominal case of trials, which has the true rig, before any calibration.
+    """Measure the nominal case of trials, with the true rig, before any calibration.
 
     Raises
     ------
@@ -280,27 +280,27 @@ def _measure_nominal(
 
 @dataclass(frozen=True, eq=False)
 class CaseGroup:
-    """Cases that lie in one store, and what measures them.
+    """Cases of one store, and the factory of their measurer.
 
     Attributes
     ----------
-    record : the study that they are, which the store remembers; None: they are none
+    record : study of the cases, which is written into the store; None: the cases are no study
     """
 
     folder: Path
     cases: Cases
-    make_measurer: MakeMeasurer = PLAINLY
+    make_measurer: MakeMeasurer = DEFAULT_MEASURING
     record: StudyRecord | None = None
 
 
 def run_groups(
     groups: Sequence[CaseGroup], workers: Workers, watch: ProgressCallback = no_progress
 ) -> list[SweepOutcome]:
-    """Compute what the stores of several groups lack, on the same workers: `run_together`.
+    """Compute the missing cases of several stores on the same workers: `run_together`.
 
     Parameters
     ----------
-    groups : each with a folder of its own; in the order in which they are handed out
+    groups : each with its own folder; in order of priority
 
     Raises
     ------
@@ -314,11 +314,11 @@ def run_groups(
     with ExitStack() as stack:
         sessions = [stack.enter_context(_session_of(group, workers, watch)) for group in groups]
         parts = [
-            (one.compute, one.wanted(group.cases))
-            for one, group in zip(sessions, groups, strict=True)
+            (session.compute, session.wanted(group.cases))
+            for session, group in zip(sessions, groups, strict=True)
         ]
         outcomes = run_together(parts, workers, watch)
-    return [one.whole(outcome) for one, outcome in zip(sessions, outcomes, strict=True)]
+    return [session.whole(outcome) for session, outcome in zip(sessions, outcomes, strict=True)]
 
 
 def _session_of(
@@ -340,57 +340,57 @@ def _session(
     tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[_Session]:
     try:
-        with store.alone() as alone, lasting(workers) as kept:
-            if not alone:
-                tell(f"{store.folder}: another run is at work there; both share the cases left")
-            run = Run(store, kept, keep, make, watch, Index(store).enter, tell)
+        with store.exclusive() as exclusive, lasting(workers) as lasting_workers:
+            if not exclusive:
+                tell(f"{store.folder}: another run is active; both share the remaining cases")
+            run = Run(store, lasting_workers, keep, make, watch, Index(store).enter, tell)
             yield _Session(store, run, retry)
     finally:
-        store.abandoned()  # what workers left that were ended at once
+        store.abandoned()  # incomplete cases of terminated workers
 
 
 def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Measuring:
-    """Return what measures the cases of a study; calibrates the rig where its trials draw rigs.
+    """Return the measurer factory of a study; calibrates the rig if its trials draw rigs.
 
-    The rig is calibrated in this process: its last digits depend on how many threads the linear
-    algebra has, and these must not depend on the workers.
+    The rig is calibrated in this process: its last digits depend on the number of threads of the
+    linear algebra, which must not depend on the workers.
     """
     board = drawn_board(record)
     if not board:
-        return PLAINLY
+        return DEFAULT_MEASURING
     return Measuring(calibrated(folder, nominal(record.study, record.base), board, watch))
 
 
 def drawn_board(record: StudyRecord) -> str:
-    """Return the board whose calibration trials draw their rigs from; empty: the true rig."""
+    """Return the board of the calibration from which trials draw rigs; empty: the true rig."""
     plan = record.study.sampling
     if plan.method != "trials" or plan.calibration == "true":
         return ""
     return plan.board if nominal(record.study, record.base).method.fringes else ""
 
 
-def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
-    """How many of the cases asked for are done, their warnings, and why the others failed."""
+def _standing(index: Index, requested: Sequence[str]) -> dict[str, Any]:
+    """Return the number of finished requested cases, their warnings, and reasons of failure."""
     entries = index.entries()
-    found = [entries[digest] for digest in dict.fromkeys(asked) if digest in entries]
+    stored = [entries[digest] for digest in dict.fromkeys(requested) if digest in entries]
     failures: dict[str, list[str]] = {}
-    for entry in found:
+    for entry in stored:
         if entry.state == "failed":
             failures.setdefault(entry.reason, []).append(entry.digest)
-    done = {entry.digest: entry.figures for entry in found if entry.state == "done"}
+    done = {entry.digest: entry.figures for entry in stored if entry.state == "done"}
     return {"finished": len(done), "failures": failures, "remarks": remarks_of(done)}
 
 
-def told(found: Estimate) -> str:
-    """Say an estimate in one line."""
-    looked = f"about {counted(found.cases, 'case')}, one point of {found.step} looked at"
-    parts = [counted(found.cases, "case") if found.step == 1 else looked]
-    if found.excluded:
-        parts.append(f"{found.excluded} more excluded by constraints")
-    if found.known:
-        parts.append(f"{found.known} of them known")
-    parts.append(f"about {duration(found.seconds)}")
-    parts.append(f"{_size(found.disk_bytes)} of {_size(found.free_bytes)} free disk")
+def estimate_text(estimated: Estimate) -> str:
+    """Return an estimate as text in one line."""
+    preview = f"about {counted(estimated.cases, 'case')}, from one point in {estimated.step}"
+    parts = [counted(estimated.cases, "case") if estimated.step == 1 else preview]
+    if estimated.excluded:
+        parts.append(f"{estimated.excluded} more excluded by constraints")
+    if estimated.known:
+        parts.append(f"{estimated.known} of them in the store")
+    parts.append(f"about {duration(estimated.seconds)}")
+    parts.append(f"{_size(estimated.disk_bytes)} of {_size(estimated.free_bytes)} free disk")
     return ", ".join(parts)
 
 
@@ -409,24 +409,24 @@ def _size(count: float) -> str:
 
 
 def unmeasurable(cases: Sequence[Case]) -> dict[str, list[Case]]:
-    """Return the cases that no run can measure, by reason.
+    """Return the cases that cannot be measured, by reason.
 
-    The checks are watched for the fields that they read, so that cases with the same values there
-    are checked once: seeds, codes and exposures cost nothing.
+    The fields that the checks read are recorded, so that cases with the same values of these fields
+    are checked once: cases that differ in seed, code or exposure only need no further check.
     """
     known: dict[tuple[FieldPath, ...], dict[tuple[bytes, ...], str]] = {}
-    found: dict[str, list[Case]] = {}
+    cases_by_reason: dict[str, list[Case]] = {}
     for case in cases:
-        seen = ((told, values_at(case.experiment, paths)) for paths, told in known.items())
-        reason = next((told[values] for told, values in seen if values in told), None)
+        checked = ((reasons, values_at(case.experiment, paths)) for paths, reasons in known.items())
+        reason = next((reasons[values] for reasons, values in checked if values in reasons), None)
         if reason is None:
             reads = Reads()
             reason = _problem(case, reads)
             paths = reads.paths
             known.setdefault(paths, {})[values_at(case.experiment, paths)] = reason
         if reason:
-            found.setdefault(reason, []).append(case)
-    return found
+            cases_by_reason.setdefault(reason, []).append(case)
+    return cases_by_reason
 
 
 def _problem(case: Case, reads: Reads) -> str:
@@ -438,20 +438,20 @@ def _problem(case: Case, reads: Reads) -> str:
 
 
 def probes_of(record: StudyRecord) -> list[Case]:
-    """Return cases along the axes of a search: ends and middle, the other axes in their middle.
+    """Return cases along each axis of a search: ends and middle, all other axes at their middle.
 
     Raises
     ------
     ConfigError : none of them is a valid experiment that the constraints admit
     """
-    cases, told = list[Case](), ""
+    cases, reason = list[Case](), ""
     for point in dict(_along_axes(record)).values():
         try:
             cases += cases_of(record.study, record.base, [point]).run
         except ConfigError as error:
-            told = str(error)
+            reason = str(error)
     if not cases:
-        raise ConfigError(told)
+        raise ConfigError(reason)
     return cases
 
 
@@ -462,4 +462,4 @@ def _along_axes(record: StudyRecord) -> Iterator[tuple[str, Point]]:
         ends = (axis.level_at(share) for share in (0.0, 0.5, 1.0))
         for level in chain(axis.levels(), ends if axis.is_continuous else ()):
             point = (*middle[:number], level, *middle[number + 1 :])
-            yield repr([one.label for one in point]), point
+            yield repr([coordinate.label for coordinate in point]), point
