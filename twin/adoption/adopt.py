@@ -1,7 +1,7 @@
 """Make the twin of a real rig: from captures and their calibration to the fields of a rig file.
 
-What the captures do not tell stays as in the model rig, and says so. `fields` tells what comes from
-where.
+Fields that the captures do not determine have the value of the model rig, and `assumed` as their
+source. The table in `fields` lists the source of each field.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.triangulation import triangulate
-from twin.adoption.defocus import SeenBlur, defocus_fields, defocus_of
+from twin.adoption.defocus import CaptureBlur, defocus_fields, defocus_of
 from twin.adoption.elastomer import KnownBallPress, elastomer_fields, press_capture
 from twin.adoption.fields import (
     camera_fields,
@@ -47,7 +47,7 @@ from twin.adoption.fields import (
     read_images,
     response_of,
 )
-from twin.adoption.findings import ModelRig, RigField, rig_tables, tried
+from twin.adoption.findings import ModelRig, RigField, rig_tables, validated
 from twin.adoption.poses import Placed, place
 from twin.adoption.rendered import Scene, albedo_of
 from twin.config.models import Experiment
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 # Of the square of a normal number.
 _MEDIAN_OF_SQUARE = 0.455
-# Two captures of one scene differ by no more than so many times the variance of their noise.
+# Largest ratio of squared differences of two captures of one scene to the variance of their noise.
 _MOST_OVER_FITTED, _MOST_OVER_STATED = 1.5, 20.0
 # Of dark frames over the darkest frame of a capture: rounding and drift of the black level.
 _BRIGHTER_DN, _BRIGHTER_SIGMAS = 1.0, 5.0
@@ -69,15 +69,15 @@ UNFILTERED = DecodeOptions(filter_taps=0)
 
 @dataclass(frozen=True)
 class Given:
-    """What the rig is made from.
+    """Inputs of an adoption.
 
     Attributes
     ----------
     captures : folders
-    model : rig of which all comes that the captures do not tell
+    model : rig that gives every value that the captures do not determine
     dark, flat : folders of images without light, and of an evenly lit surface
     reference : capture of a flat matte surface in the coat's place, at the same exposure
-    reference_albedo : of that surface, and its standard uncertainty
+    reference_albedo : of that surface, with its standard uncertainty
     press : of a known ball into the sheet
     """
 
@@ -98,17 +98,17 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Adopted:
-    """The rig and what it was found from.
+    """An adopted rig and the intermediate results of its adoption.
 
     Attributes
     ----------
-    capture, points : the first capture with the noise and the response that were found, and what it
-        then measures
-    experiment : something on the adopted rig
-    noise_from : how gain and read noise were found, in words
-    stated : noise as capture.toml told it
-    sparkle : how unevenly the coat shines in the white frame
-    notes : what a reader should know, one line each
+    capture, points : the first capture with the estimated noise and response, and its
+        reconstruction
+    experiment : an experiment with the adopted rig
+    noise_from : method by which gain and read noise were estimated, as text
+    stated : noise according to capture.toml
+    sparkle : local contrast of the coat in the white frame
+    notes : remarks for the user, one line each
     """
 
     fields: dict[str, RigField]
@@ -126,14 +126,14 @@ class Adopted:
     notes: tuple[str, ...] = field(default=())
 
     def __repr__(self) -> str:
-        measured = sum(one.source.startswith("measured") for one in self.fields.values())
+        measured = sum(entry.source.startswith("measured") for entry in self.fields.values())
         notes = counted(len(self.notes), "note")
         return f"<Adopted: {len(self.fields)} fields, {measured} measured, {notes}>"
 
     def _repr_html_(self) -> str:
         from reconstruction.drawing import as_html
 
-        rows = {path: f"{one.value} ({one.source})" for path, one in self.fields.items()}
+        rows = {path: f"{entry.value} ({entry.source})" for path, entry in self.fields.items()}
         return as_html("twin of a real rig; units in the names", rows, self.plot())
 
     def plot(self) -> "Drawing":
@@ -155,7 +155,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
 
     Raises
     ------
-    InputError : a capture cannot be read, or is another rig's than the first one
+    InputError : a capture cannot be read, or is of another rig than the first capture
     """
     model, notes = ModelRig.read(given.model), list[str]()
     watch("read", 0.0)
@@ -166,7 +166,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     sensor = _with_black(captures[0].sensor, dark)
     watch("fit", 0.0)
     fitted = _fits(given.captures, captures, sensor, notes)
-    fits = [one.fit for one in fitted]
+    fits = [fit_of_capture.fit for fit_of_capture in fitted]
     noise, noise_from = _noise(captures, fits, sensor, notes)
     placed = place(captures[0].calibration)
     watch("fit", 1.0)
@@ -175,7 +175,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     if given.flat is not None:
         fields |= flat_fields(given.flat, captures[0], sensor, dark)
     fields |= light_fields(fits, dark) | pattern_fields(captures[0])
-    defocus = defocus_of([one.seen for one in fitted])
+    defocus = defocus_of([fit_of_capture.blur for fit_of_capture in fitted])
     if defocus is not None:
         focal_px = captures[0].calibration.projector.fx_px
         fields |= defocus_fields(defocus, focal_px, len(fitted))
@@ -183,13 +183,13 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     points = reconstruct(known, ReconstructOptions())
     fields |= level_field(known)
     scene = Scene(known, points, placed.origin_mm)
-    fields |= _albedo_field(given, scene, tried(rig_tables(model, fields)), watch)
+    fields |= _albedo_field(given, scene, validated(rig_tables(model, fields)), watch)
     fields |= _press_fields(given, known, watch)
     tables = rig_tables(model, fields)
     return Adopted(
         fields=fields,
         tables=tables,
-        experiment=tried(tables),
+        experiment=validated(tables),
         capture=known,
         points=points,
         fit=fits[0] if fits else None,
@@ -226,7 +226,7 @@ def adopt_rig(
 
     Raises
     ------
-    InputError : a capture cannot be read, or is another rig's than the first one
+    InputError : a capture cannot be read, or is of another rig than the first capture
     """
     given = Given(
         captures=tuple(map(Path, captures)),
@@ -243,43 +243,43 @@ def adopt_rig(
 def _albedo_field(
     given: Given, scene: Scene, experiment: Experiment, watch: ProgressCallback
 ) -> dict[str, RigField]:
-    """Return the coat's albedo, where a reference is given."""
+    """Return the coat's albedo, if a reference is given."""
     if given.reference is None or given.reference_albedo is None:
         return {}
     watch("render", 0.0)
     reference, known = read_capture(given.reference), scene.capture
     _require_alike((given.captures[0], given.reference), (known, reference))
-    seen = replace(reference, sensor=known.sensor, response=known.response)
-    found = albedo_of(experiment, scene, seen, given.reference_albedo)
-    told = given.reference_albedo.value
-    how = f"white frames beside those of {given.reference.name}, albedo {told:g}"
+    calibrated = replace(reference, sensor=known.sensor, response=known.response)
+    albedo = albedo_of(experiment, scene, calibrated, given.reference_albedo)
+    known_albedo = given.reference_albedo.value
+    how = f"white frames beside those of {given.reference.name}, albedo {known_albedo:g}"
     watch("render", 1.0)
-    one = RigField.measured(f"coating.{experiment.coating.albedo_field}", found, how)
-    return {one.path: one}
+    entry = RigField.measured(f"coating.{experiment.coating.albedo_field}", albedo, how)
+    return {entry.path: entry}
 
 
 def _press_fields(given: Given, known: Capture, watch: ProgressCallback) -> dict[str, RigField]:
-    """Return the elastomer, where a press of a known ball is given."""
+    """Return the elastomer, if a press of a known ball is given."""
     if given.press is None:
         return {}
     watch("press", 0.0)
     pressed = press_capture(given.press, known)
     _require_alike((given.captures[0], given.press.capture), (known, pressed))
-    found = elastomer_fields(given.press, pressed)
+    fields = elastomer_fields(given.press, pressed)
     watch("press", 1.0)
-    return found
+    return fields
 
 
 def _require_alike(folders: Sequence[Path], captures: Sequence[Capture]) -> None:
     first = captures[0]
-    for folder, one in zip(folders, captures, strict=True):
-        if one.stack.shape[1:] != first.stack.shape[1:] or one.bit_depth != first.bit_depth:
+    for folder, capture in zip(folders, captures, strict=True):
+        if capture.stack.shape[1:] != first.stack.shape[1:] or capture.bit_depth != first.bit_depth:
             raise InputError(
-                f"{folder}: has {one.stack.shape[2]} x {one.stack.shape[1]} pixels of "
-                f"{one.bit_depth} bits, {folders[0]} has {first.stack.shape[2]} x "
+                f"{folder}: has {capture.stack.shape[2]} x {capture.stack.shape[1]} pixels of "
+                f"{capture.bit_depth} bits, {folders[0]} has {first.stack.shape[2]} x "
                 f"{first.stack.shape[1]} of {first.bit_depth}; adopt captures of one rig"
             )
-        motion = one.calibration.T_world_from_cam
+        motion = capture.calibration.T_world_from_cam
         if not np.allclose(motion, first.calibration.T_world_from_cam, atol=1e-6):
             raise InputError(
                 f"{folder}: has another calibration than {folders[0]}; adopt captures of one rig"
@@ -287,12 +287,12 @@ def _require_alike(folders: Sequence[Path], captures: Sequence[Capture]) -> None
 
 
 def _dark(folder: Path, capture: Capture) -> Dark:
-    """Return what the dark frames show; they must not be brighter than all of the capture.
+    """Return black level and noise of the dark frames; they must not be brighter than the capture.
 
-    The capture's darkest frame has the black level and what there was of other light.
+    The mean of the capture's darkest frame is the black level plus ambient light.
     """
-    found = dark_of(read_images(folder, capture))
-    black = found.black_level_dn
+    dark = dark_of(read_images(folder, capture))
+    black = dark.black_level_dn
     darkest_dn = float(capture.stack.mean(axis=(1, 2), dtype=np.float64).min())
     if black.value > darkest_dn + _BRIGHTER_DN + _BRIGHTER_SIGMAS * black.uncertainty:
         raise InputError(
@@ -300,7 +300,7 @@ def _dark(folder: Path, capture: Capture) -> Dark:
             f"{darkest_dn:.4g} DN, that of the capture's darkest frame; cover the lens, and keep "
             "the camera's settings"
         )
-    return found
+    return dark
 
 
 def _with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
@@ -311,10 +311,10 @@ def _with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """What a capture says of the projector, and at what distance."""
+    """Projector response of a capture, and its blur by distance."""
 
     fit: ProjectorFit
-    seen: SeenBlur
+    blur: CaptureBlur
 
 
 def _fits(
@@ -323,25 +323,25 @@ def _fits(
     sensor: SensorNoise,
     notes: list[str],
 ) -> list[_Fitted]:
-    """Fit each capture; those that cannot be fitted are left out, and told."""
-    found = []
-    for folder, one in zip(folders, captures, strict=True):
+    """Fit each capture; captures that cannot be fitted are left out, with a note."""
+    results = []
+    for folder, capture in zip(folders, captures, strict=True):
         try:
-            decoded = decode(one.stack, one.patterns, sensor, UNFILTERED, one.scale)
-            if one.scale is not None:
+            decoded = decode(capture.stack, capture.patterns, sensor, UNFILTERED, capture.scale)
+            if capture.scale is not None:
                 raise InputError("merged exposures have no single noise")
-            inverse = _inverse_distances(decoded, one.calibration)
-            fit = _fit_twice(one, sensor, decoded)
-            found.append(
-                _Fitted(fit, SeenBlur(float(inverse.mean()), float(inverse.std()), fit.blur_px))
+            inverse = _inverse_distances(decoded, capture.calibration)
+            fit = _fit_twice(capture, sensor, decoded)
+            results.append(
+                _Fitted(fit, CaptureBlur(float(inverse.mean()), float(inverse.std()), fit.blur_px))
             )
         except InputError as error:
-            notes.append(f"{folder.name}: the projector's response is not found: {error}")
-    return found
+            notes.append(f"{folder.name}: the projector's response cannot be estimated: {error}")
+    return results
 
 
 def _fit_twice(capture: Capture, sensor: SensorNoise, decoded: Decoded) -> ProjectorFit:
-    """Fit, decode with the response found, and fit again from there."""
+    """Fit, decode with the fitted response, and fit again from there."""
     stack, patterns = capture.stack, capture.patterns
     first = fit_projector(stack, patterns, sensor, decoded)
     if not patterns.kind.takes_response:
@@ -359,8 +359,8 @@ def _inverse_distances(decoded: Decoded, calibration: Calibration) -> FloatArray
     if not points.valid.any():
         raise InputError("no pixel has a point; does the calibration belong to the capture?")
     T_world_from_proj = calibration.T_world_from_proj
-    found_mm = points.points_world_mm[points.valid].astype(np.float64)
-    return np.asarray(1.0 / ((found_mm - T_world_from_proj[:3, 3]) @ T_world_from_proj[:3, 2]))
+    points_mm = points.points_world_mm[points.valid].astype(np.float64)
+    return np.asarray(1.0 / ((points_mm - T_world_from_proj[:3, 3]) @ T_world_from_proj[:3, 2]))
 
 
 def _noise(
@@ -369,7 +369,7 @@ def _noise(
     sensor: SensorNoise,
     notes: list[str],
 ) -> tuple[PhotonTransfer | None, str]:
-    """Return the noise and, in words, where from: repeated captures, or what a fit leaves."""
+    """Return the noise, and its source as text: repeated captures, or residuals of a fit."""
     own = next((fit.noise for fit in fits if fit.noise is not None), None)
     pairs = _pairs(captures, sensor, own)
     if pairs is not None:
@@ -379,27 +379,31 @@ def _noise(
             notes.append(f"repeated captures: {error}")
     if own is not None:
         return own, "photon transfer of what the fit of one capture leaves"
-    notes.append("the captures do not tell the camera's noise: its gain is the model's")
+    notes.append("the captures do not determine the camera's noise: its gain is the model's")
     return None, ""
 
 
 def _pairs(
     captures: Sequence[Capture], sensor: SensorNoise, own: PhotonTransfer | None
 ) -> NoiseSamples | None:
-    """Return samples of all neighbouring captures that show the same; None: there are none.
+    """Return samples of all successive captures of the same scene; None: there are none.
 
-    They differ by noise: by that which a fit found, or about that which capture.toml states.
+    Such captures differ by noise only: the fitted noise, or about the noise of capture.toml.
     """
-    found: NoiseSamples | None = None
-    for one, other in pairwise(captures):
-        if one.patterns != other.patterns or one.scale is not None or other.scale is not None:
+    all_samples: NoiseSamples | None = None
+    for earlier, later in pairwise(captures):
+        if (
+            earlier.patterns != later.patterns
+            or earlier.scale is not None
+            or later.scale is not None
+        ):
             continue
-        samples = samples_of_pairs(one.stack, other.stack, sensor)
+        samples = samples_of_pairs(earlier.stack, later.stack, sensor)
         expected = own.variance_at(samples.mean_dn) if own else sensor.variance_dn2(samples.mean_dn)
         ratio = float(np.median(samples.square_dn2 / expected)) / _MEDIAN_OF_SQUARE
         if ratio < (_MOST_OVER_FITTED if own else _MOST_OVER_STATED):
-            found = samples if found is None else found.joined(samples)
-    return found
+            all_samples = samples if all_samples is None else all_samples.joined(samples)
+    return all_samples
 
 
 def _known(
@@ -408,7 +412,7 @@ def _known(
     noise: PhotonTransfer | None,
     response: ProjectorResponse | None,
 ) -> Capture:
-    """Return the capture with the noise and the response that were found."""
+    """Return the capture with the estimated noise and response."""
     if noise is not None:
         read_e = noise.read_noise_e.value if noise.read_noise_e else 0.0
         sensor = replace(sensor, gain_dn_per_e=noise.gain_dn_per_e.value, read_noise_e=read_e)
@@ -416,7 +420,7 @@ def _known(
 
 
 def coat_sparkle(capture: Capture, points: Reconstruction) -> Sparkle | None:
-    """Return how unevenly the coat shines; None without a white frame, or with too little of it."""
+    """Return the coat's local contrast; None without a white frame, or with too few pixels."""
     if not capture.patterns.uniform:
         return None
     white = capture.stack[capture.patterns.index("white").start]
@@ -427,41 +431,41 @@ def coat_sparkle(capture: Capture, points: Reconstruction) -> Sparkle | None:
 
 
 def _two_period_chi2(captures: Sequence[Capture], known: Capture) -> float | None:
-    """Return chi-square per pixel of two captures of one scene with other periods; None: no such.
+    """Return chi-square per pixel of two captures of one scene with different periods, or None.
 
-    Coordinates of the unfiltered pixels, with sensor and response as found.
+    It compares coordinates of unfiltered pixels, with the estimated sensor and response.
     """
     first = captures[0]
-    for other in captures[1:]:
-        if other.patterns.period_px == first.patterns.period_px:
+    for second in captures[1:]:
+        if second.patterns.period_px == first.patterns.period_px:
             continue
-        found = [
+        decoded = [
             decode(
-                one.stack,
-                one.patterns,
+                capture.stack,
+                capture.patterns,
                 known.sensor,
                 UNFILTERED,
-                one.scale,
+                capture.scale,
                 response=known.response,
             )
-            for one in (first, other)
+            for capture in (first, second)
         ]
-        return chi2_of(found[0], found[1])
+        return chi2_of(decoded[0], decoded[1])
     return None
 
 
-def chi2_of(one: Decoded, other: Decoded) -> float | None:
-    """Return the mean square of the differences of columns over their sigma, of one scene.
+def chi2_of(first: Decoded, second: Decoded) -> float | None:
+    """Return the mean square of the differences of columns over their sigma, for the same scene.
 
-    Pixels that differ by many sigmas are another scene, or a wrong order: beyond ten they do not
-    count, and where that are more than one in a hundred there is no number.
+    Pixels that differ by more than 10 sigma show another scene or have a wrong fringe order: they
+    are left out. The result is None if they are more than 1 % of the pixels.
     """
-    both = one.valid & other.valid
+    both = first.valid & second.valid
     if int(both.sum()) < 100:
         return None
-    step: FloatArray = one.column.coordinate_px[both].astype(np.float64)
-    step = step - other.column.coordinate_px[both]
-    sigmas: FloatImage = np.hypot(one.column.sigma_px[both], other.column.sigma_px[both])
+    step: FloatArray = first.column.coordinate_px[both].astype(np.float64)
+    step = step - second.column.coordinate_px[both]
+    sigmas: FloatImage = np.hypot(first.column.sigma_px[both], second.column.sigma_px[both])
     square = (step / sigmas) ** 2
     near = square < 100.0
     return float(square[near].mean()) if near.mean() > 0.99 else None
