@@ -6,7 +6,7 @@ from twin.cli import run
 
 
 def test_patterns_for_a_real_projector(tmp_path, capsys):
-    """Expected: the manifest is the sequence asked for, and an image is what it says."""
+    """Expected: the manifest is the requested sequence, and each image agrees with it."""
     out = tmp_path / "patterns"
     settings = ["patterns.steps=4", 'patterns.code="shifted_gray"', "projector.width_px=640"]
     arguments = [word for setting in settings for word in ("-s", setting)]
