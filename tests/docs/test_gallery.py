@@ -1,4 +1,4 @@
-"""The gallery shows what is shipped, all of it and nothing else."""
+"""The gallery shows exactly the shipped examples."""
 
 import re
 import tomllib

@@ -1,4 +1,4 @@
-"""The backend is proved in a child process; what does not work there never reaches this one."""
+"""The backend is tested in a child process: a crash there does not affect this process."""
 
 import _ctypes
 import os
@@ -187,8 +187,8 @@ def test_newest_library_comes_first(monkeypatch, tmp_path):
     (tmp_path / "libLLVM.so").symlink_to("libLLVM.so.19.1")
     monkeypatch.setattr(backend, "_LIBRARY_FOLDERS", (str(tmp_path),))
     monkeypatch.setattr(backend, "_linker_cache", lambda: iter(()))
-    found = [path.name for path in backend.llvm_candidates() if path.parent == tmp_path]
-    assert found == ["libLLVM.so.19.1", "libLLVM-18.so.1", "libLLVM-15.so.1", "libLLVM.so.9"]
+    result = [path.name for path in backend.llvm_candidates() if path.parent == tmp_path]
+    assert result == ["libLLVM.so.19.1", "libLLVM-18.so.1", "libLLVM-15.so.1", "libLLVM.so.9"]
 
 
 def test_activate_is_idempotent(mi):

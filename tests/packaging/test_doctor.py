@@ -1,4 +1,4 @@
-"""The diagnosis survives whatever is broken."""
+"""The diagnosis runs to its end, independent of the broken part."""
 
 import importlib.metadata
 import sys

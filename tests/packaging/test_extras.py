@@ -1,4 +1,4 @@
-"""What a user is advised to install: it must be there to be installed."""
+"""Install advice to a user: the named extras and packages must exist."""
 
 import re
 import shlex

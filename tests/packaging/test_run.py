@@ -1,4 +1,4 @@
-"""The front door `./run`, with a stand-in for Python so that nothing is downloaded."""
+"""The front door `./run`, with a replacement of Python, so that there is no download."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-# Notes each call; `-m venv` makes an environment whose Python is this same script.
+# Notes each call; `-m venv` makes an environment with this script as Python.
 STAND_IN = """#!/bin/sh
 printf '%s\\n' "$*" >>"$CALLS"
 case $* in
@@ -111,7 +111,7 @@ def test_failed_set_up_is_one_line_and_not_taken_for_finished(checkout):
 
 def test_interrupted_set_up_is_not_taken_for_finished(checkout):
     process = checkout.start("setup", SLOW="3")
-    # The stand-in's own note, not what `run` says: it says so just before it starts pip.
+    # The note of the replacement, not the message of `run`, which is printed before pip starts.
     wait_until(lambda: checkout.count("requirements.lock") == 1)
     process.terminate()
     process.communicate(timeout=60)

@@ -1,4 +1,4 @@
-"""The command line starts fast: what a command alone needs is imported inside it."""
+"""The command line starts fast: modules that only one command needs are imported inside it."""
 
 import subprocess
 import sys
@@ -34,7 +34,7 @@ def test_help_imports_nothing_heavy():
 
 
 def test_a_dry_run_imports_nothing_that_it_does_not_need(tmp_path):
-    """A third of its time was statistics that a grid of two cases never asks for."""
+    """33 % of its time was the import of statistics, which a grid of two cases does not use."""
     (tmp_path / "study.toml").write_text(
         'name = "two"\nbase = "examples/slab_ball"\n'
         '[[axis]]\npath = "coating.base_albedo"\nvalues = [0.3, 0.5]\n'
@@ -51,7 +51,7 @@ def test_a_dry_run_imports_nothing_that_it_does_not_need(tmp_path):
 
 
 def test_a_reconstruction_imports_nothing_that_it_does_not_need():
-    """Half of its start was what presses, fits and draws."""
+    """50 % of its start time was the import of modules that press, fit and draw."""
     ended = run_python("import sys\nimport twin.pipeline.captures\nprint(*sys.modules)")
     assert ended.returncode == 0, ended.stderr
     modules = set(ended.stdout.split())
