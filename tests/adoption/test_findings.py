@@ -5,7 +5,7 @@ import pytest
 from reconstruction.characterise import UncertainValue
 from twin.adoption.adopt import Given
 from twin.adoption.fields import joint
-from twin.adoption.findings import ModelRig, RigField, rig_tables, rows_of, tried, write_rig
+from twin.adoption.findings import ModelRig, RigField, rig_tables, rows_of, validated, write_rig
 from twin.config import load_experiment
 from twin.config.base import ConfigError
 
@@ -53,7 +53,7 @@ def test_every_field_of_the_rooms_has_a_source():
 def test_a_rig_that_none_can_use_is_refused():
     tables = rig_tables(ModelRig.read("rigs/slab"), found("projector.gamma", 9.0))
     with pytest.raises(ConfigError, match=r"projector\.gamma"):
-        tried(tables)
+        validated(tables)
 
 
 def test_joint_estimates_grow_where_they_disagree():

@@ -228,7 +228,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("arguments", "message"), REFUSED)
-def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, capsys, arguments, message):
+def test_bad_input_gives_one_line_and_no_files(tmp_path, capsys, arguments, message):
     out = tmp_path / "out"
     assert run([*arguments, "-o", str(out)]) == 2
     assert message in error_of(capsys)

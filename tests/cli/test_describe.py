@@ -97,7 +97,7 @@ def test_described_sets_are_decoded(tmp_path, capsys, name):
 
 @pytest.mark.parametrize("code", ["gray", "complementary_gray"])
 @pytest.mark.parametrize("is_mirrored", [False, True])
-def test_bits_tell_the_first_shift_and_the_sign(tmp_path, code, is_mirrored):
+def test_bits_determine_the_first_shift_and_the_sign(tmp_path, code, is_mirrored):
     """Setup: steps from -120 degrees on, seen by a camera that may look through a mirror.
 
     Expected: the pixels come back, through a mirror from the other side.
@@ -120,7 +120,7 @@ def test_bits_tell_the_first_shift_and_the_sign(tmp_path, code, is_mirrored):
     assert np.mean(error > 1.5) < 0.002
 
 
-def test_steps_in_another_order_are_told_by_their_phase(tmp_path):
+def test_steps_in_another_order_are_detected_by_their_phase(tmp_path):
     """Recorded backwards from the third: shifts are listed with the files, correct by the bits."""
     patterns = PatternSet(**SIZE, period_px=32, steps=4, code="gray", **COLUMN, **BARE)
     order = [2, 1, 0, 3, *range(4, len(patterns.frames))]
@@ -129,7 +129,7 @@ def test_steps_in_another_order_are_told_by_their_phase(tmp_path):
     assert "shift_deg = [180.0, 90.0, 0.0, 270.0]" in (folder / "capture.toml").read_text()
 
 
-def test_names_that_say_otherwise_and_other_sizes_are_told(tmp_path, capsys):
+def test_contradicting_names_and_other_sizes_are_reported(tmp_path, capsys):
     folder = write_set(tmp_path / "set", SETS["4 steps + half-period Gray"])
     (folder / "img_1.bmp").rename(folder / "row_1.bmp")
     imageio.imwrite(folder / "scene.png", np.zeros((20, 30), np.uint8))

@@ -69,7 +69,7 @@ def test_a_fringe_over_the_whole_projector_is_no_gray_code(tmp_path):
     assert frames[0]["shift_deg"] == frames[1]["shift_deg"] == [0.0, 240.0, 120.0]
 
 
-def test_fringes_of_little_contrast_beside_bright_bits(tmp_path):
+def test_fringes_of_little_contrast_next_to_bright_bits(tmp_path):
     frames, _ = described(tmp_path, "04_slmaster_monocular", 1920, 1080)
     assert [item["files"] for item in frames] == [
         numbered("{}.png", range(12)), numbered("{}.png", range(12, 18))

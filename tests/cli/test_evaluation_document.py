@@ -80,7 +80,7 @@ PARTS = {
 
 
 @pytest.mark.parametrize("shape", PARTS)
-def test_the_command_tells_the_gauges_sizes(executed, capsys, shape):
+def test_the_command_prints_the_gauges_sizes(executed, capsys, shape):
     """Expected: sizes as above; the perfectly smooth disc and stage show the noise of 1.5 um."""
     part, figure, (low, high) = PARTS[shape]
     assert low < dimensions(executed[2], shape, part)[figure] < high

@@ -72,7 +72,7 @@ def refusal(capsys, *arguments):
     return message[0]
 
 
-def test_a_folder_with_foreign_files_stays(tmp_path, capsys):
+def test_a_folder_with_foreign_files_is_kept(tmp_path, capsys):
     """The issue's own command: result.json without a manifest makes no folder ours."""
     out = tmp_path / "B"
     (out / "src" / ".git").mkdir(parents=True)
@@ -107,7 +107,7 @@ def test_an_own_folder_is_replaced_only_while_it_is_all_ours(tmp_path, harm):
     assert contents(out) == before
 
 
-def test_what_appears_meanwhile_is_not_overwritten(tmp_path):
+def test_files_that_appear_meanwhile_are_not_overwritten(tmp_path):
     out = tmp_path / "out"
     write(out, report="first")
     (out.parent / "mine").write_text("mine")
@@ -137,7 +137,7 @@ def test_an_input_is_no_place_for_output(tmp_path, capsys, place):
     assert contents(tmp_path) == before
 
 
-def test_a_result_is_not_replaced_by_what_is_made_from_it(tmp_path):
+def test_a_result_is_not_replaced_by_a_result_made_from_it(tmp_path):
     out = tmp_path / "out"
     write(out, **{"experiment.toml": "name = 'e'"})
     with pytest.raises(InputError, match="holds the input"):
@@ -203,7 +203,7 @@ def test_a_mount_point_is_a_target_until_it_is_full(small_disk):
     assert contents(small_disk) == before
 
 
-def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
+def test_a_full_disk_gives_one_line_and_no_files(tmp_path):
     """No file may be longer than 400 kB: netCDF ended in a segmentation fault then."""
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000)); "
     child = start(limit + TWIN, tmp_path / "new" / "deep" / "out")
@@ -315,7 +315,7 @@ def test_a_signal_cleans_up(tmp_path, name):
 
 
 @pytest.mark.parametrize("there", [False, True])
-def test_the_next_run_removes_what_a_killed_one_left(tmp_path, there):
+def test_the_next_run_removes_leftovers_of_a_killed_run(tmp_path, there):
     """And no file of a running process, by its lock; the lock also has the time of its start."""
     out = tmp_path / "out"
     if there:
@@ -415,7 +415,7 @@ def test_paper_leaves_a_folder_with_a_work_of_others(tmp_path, capsys):
     }  # fmt: skip
 
 
-def test_folders_that_grow_keep_what_others_put_there(tmp_path):
+def test_folders_of_several_runs_keep_foreign_files(tmp_path):
     from twin.output import adding, claim
 
     out = tmp_path / "out"
@@ -439,7 +439,7 @@ def test_folders_that_grow_keep_what_others_put_there(tmp_path):
     assert (out / "notes").read_text() == "mine"
 
 
-def test_a_report_drawn_anew_belongs_to_the_result(tmp_path):
+def test_a_report_drawn_again_belongs_to_the_result(tmp_path):
     """Files that are added later are in the manifest too, so the folder can still be replaced."""
     from twin.output import adding
 
@@ -454,7 +454,7 @@ def test_a_report_drawn_anew_belongs_to_the_result(tmp_path):
     assert set(contents(out)) == {"data", "result.json", "twin-manifest.txt"}
 
 
-def test_the_manifest_is_what_sha256sum_checks(tmp_path):
+def test_the_manifest_has_the_format_of_sha256sum(tmp_path):
     if shutil.which("sha256sum") is None:
         pytest.skip("no sha256sum")
     write(tmp_path / "out", report="text")
@@ -515,7 +515,7 @@ def test_killed_at_each_operation_on_files(tmp_path, how):
 
 
 @pytest.mark.parametrize("away", ["../other.txt", "{root}/other.txt"])
-def test_a_manifest_that_names_files_beside_its_folder_removes_none(tmp_path, away):
+def test_a_manifest_with_files_outside_its_folder_removes_none(tmp_path, away):
     further, target = tmp_path / "other.txt", tmp_path / "out"
     further.write_text("of somebody else")
     write(target, first="ours")

@@ -51,7 +51,7 @@ def test_the_answer_comes_within_two_seconds():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_an_interrupted_command_says_one_line_and_leaves_nothing_by_half(tmp_path, command):
+def test_an_interrupted_command_prints_one_line_and_leaves_no_files(tmp_path, command):
     study = tmp_path / "study.toml"
     study.write_text(
         f'name = "two"\nbase = "{BALL}"\n[[axis]]\npath = "camera.binning"\nvalues = [2, 4]\n'

@@ -77,7 +77,7 @@ def test_no_key_is_one_line_with_the_nearest(capsys):
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_knows_commands_and_options(capsys, shell):
+def test_completion_has_commands_and_options(capsys, shell):
     assert run(["completion", shell]) == 0
     script = capsys.readouterr().out
     for word in ("measure", "sweep", "uncertainty", "set"):
@@ -103,7 +103,7 @@ def test_options_on_talk_may_stand_anywhere():
     ("option", "expected"),
     [("-q", ""), ("", "press ...\n"), ("-v", "press ...\npress took N s\n")],
 )
-def test_progress_is_told_as_asked(capsys, option, expected):
+def test_progress_has_the_requested_verbosity(capsys, option, expected):
     choose_level([option])
     try:
         with progress_bars() as watch:
@@ -114,7 +114,7 @@ def test_progress_is_told_as_asked(capsys, option, expected):
     assert re.sub(r"\d+\.\d+", "N", capsys.readouterr().err) == expected
 
 
-def test_a_terminal_shows_percent_and_what_is_left(capsys, monkeypatch):
+def test_a_terminal_shows_percent_and_remaining_time(capsys, monkeypatch):
     """Rich takes this for a terminal."""
     for name, value in (("FORCE_COLOR", "1"), ("TERM", "xterm"), ("COLUMNS", "120")):
         monkeypatch.setenv(name, value)
@@ -125,7 +125,7 @@ def test_a_terminal_shows_percent_and_what_is_left(capsys, monkeypatch):
     assert re.search(r"render .*100% +\d:\d\d:\d\d left +\d:\d\d:\d\d", message)
 
 
-def test_verbose_says_where_a_failure_came_from(capsys):
+def test_verbose_prints_the_traceback_of_a_failure(capsys):
     assert run(["measure", "no/such/experiment", "-o", "out"]) == 2
     assert "Traceback" not in capsys.readouterr().err
     assert run(["measure", "no/such/experiment", "-o", "out", "-v"]) == 2

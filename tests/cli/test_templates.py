@@ -30,7 +30,7 @@ MEASURED = {
 }
 
 
-def test_every_template_is_listed_with_what_it_is(capsys):
+def test_every_template_is_listed_with_its_description(capsys):
     assert run(["init", "--list"]) == 0
     shown = capsys.readouterr().out
     assert {item.name for item in templates()} == {*MEASURED, "study"}

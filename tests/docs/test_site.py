@@ -87,7 +87,7 @@ def arrives(page: Path, address: str, pages: dict[Path, Links]) -> bool:
     return not name or target not in pages or name in pages[target].names
 
 
-def test_pages_name_nothing_that_is_elsewhere(site, pages):
+def test_pages_load_no_file_of_other_hosts(site, pages):
     """No script, style, font or picture is loaded from another host."""
     loads = [item for links in pages.values() for item in links.loads]
     assert loads

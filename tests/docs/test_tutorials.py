@@ -49,7 +49,7 @@ def said(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", ["getting_started.md", "tutorial_design.md"])
-def test_a_tutorial_does_what_it_says(mi, tmp_path, monkeypatch, page):
+def test_a_tutorial_runs_with_the_printed_output(mi, tmp_path, monkeypatch, page):
     monkeypatch.chdir(tmp_path)
     follow(page)
     assert (tmp_path / "out" / "report.html").is_file()

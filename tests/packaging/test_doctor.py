@@ -55,7 +55,7 @@ def test_broken_check_is_a_finding(monkeypatch):
     assert [finding.ok for finding in doctor._safely(broken)] == [False]
 
 
-def test_unwritable_numba_cache_is_told(monkeypatch):
+def test_unwritable_numba_cache_is_reported(monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/numba")
     finding = by_name()["numba cache"]
     assert not finding.ok

@@ -82,7 +82,7 @@ def outer_imports(tree: ast.AST) -> Iterator[str]:
             yield from outer_imports(node)
 
 
-def test_no_module_imports_what_only_posix_has():
+def test_no_module_imports_posix_modules():
     result = {
         path.relative_to(ROOT).as_posix(): name
         for package in ("twin", "reconstruction")
@@ -129,7 +129,7 @@ def test_a_byte_is_locked_for_other_processes(tmp_path, monkeypatch, system):
         os.close(handle)
 
 
-def test_a_platform_without_locks_says_so(tmp_path, monkeypatch):
+def test_a_platform_without_locks_raises(tmp_path, monkeypatch):
     """OSError, as of a file system without locks, which every caller is ready for."""
     monkeypatch.setattr(locks, "_FCNTL", None)
     monkeypatch.setattr(locks, "_MSVCRT", None)

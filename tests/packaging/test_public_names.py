@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 HEAVY = ("mitsuba", "drjit", "numba", "scipy", "numpy", "trimesh", "pydantic", "matplotlib")
 
 
-def test_import_alone_loads_nothing() -> None:
+def test_import_loads_no_module() -> None:
     code = f"""
 import sys, twin
 assert set(twin.__all__) <= set(dir(twin))
@@ -60,7 +60,7 @@ def test_type_checkers_read_the_same_names() -> None:
 
 
 @pytest.mark.parametrize("name", ["uncertainty", "adopt", "compensate", "calibrate"])
-def test_verbs_are_functions_whatever_was_imported(name: str) -> None:
+def test_verbs_are_functions_after_any_import(name: str) -> None:
     import twin.adoption.adopt
     import twin.propagation.trials
 

@@ -171,7 +171,7 @@ def test_checks_come_before_pytest_which_gets_the_arguments(checkout):
     ]
 
 
-def test_quick_is_told(checkout):
+def test_quick_is_passed_on(checkout):
     assert "--quick" in checkout.run("help").stdout.split("  test ")[1].split("  bench ")[0]
 
 
@@ -200,7 +200,7 @@ def test_help_needs_no_set_up(checkout):
     assert not checkout.calls_file.exists()
 
 
-def test_python_that_does_not_work_is_told(checkout):
+def test_python_that_does_not_work_is_reported(checkout):
     ended = checkout.run("demo", TWIN_PYTHON="/absent/python")
     assert ended.returncode == 3
     assert "no Python 3.11 or newer found at TWIN_PYTHON=/absent/python" in ended.stderr

@@ -28,12 +28,12 @@ def test_help_imports_few_modules():
     assert sum(name.partition(".")[0] in ("twin", "reconstruction") for name in modules) < 20
 
 
-def test_help_imports_nothing_heavy():
+def test_help_imports_no_heavy_module():
     code = f"{SHOW_HELP}\nprint('heavy:', [name for name in {HEAVY} if name in sys.modules])"
     assert run_python(code).stdout.splitlines()[-1] == "heavy: []"
 
 
-def test_a_dry_run_imports_nothing_that_it_does_not_need(tmp_path):
+def test_a_dry_run_imports_only_needed_modules(tmp_path):
     """33 % of its time was the import of statistics, which a grid of two cases does not use."""
     (tmp_path / "study.toml").write_text(
         'name = "two"\nbase = "examples/slab_ball"\n'
@@ -50,7 +50,7 @@ def test_a_dry_run_imports_nothing_that_it_does_not_need(tmp_path):
     assert modules.isdisjoint(heavy), modules & set(heavy)
 
 
-def test_a_reconstruction_imports_nothing_that_it_does_not_need():
+def test_a_reconstruction_imports_only_needed_modules():
     """50 % of its start time was the import of modules that press, fit and draw."""
     ended = run_python("import sys\nimport twin.pipeline.captures\nprint(*sys.modules)")
     assert ended.returncode == 0, ended.stderr

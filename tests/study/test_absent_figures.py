@@ -39,7 +39,7 @@ def test_the_blind_are_on_no_front(table):
     assert max(row["albedo"] for row in ranked_rows(table.rows, [ERROR])) == 0.3
 
 
-def test_table_has_empty_cells_and_says_why(table, tmp_path):
+def test_table_has_empty_cells_and_reasons(table, tmp_path):
     rows = list(csv.DictReader(io.StringIO(csv_text(table))))
     blind = [row for row in rows if float(row["albedo"]) >= 0.5]
     assert len(blind) == 4
@@ -52,7 +52,7 @@ def test_table_has_empty_cells_and_says_why(table, tmp_path):
     assert parquet.read_table(tmp_path / "t.parquet")["z_rmse_um"].null_count == 4
 
 
-def test_effects_do_without_the_blind_and_tell_how_many(table, tmp_path, monkeypatch):
+def test_effects_leave_out_and_count_cases_without_points(table, tmp_path, monkeypatch):
     effects = {item.axis: item.value for item in effects_of(table, "z_rmse_um")}
     assert effects == {"albedo": pytest.approx(1.0), "period": pytest.approx(0.0)}
     assert without(table, "z_rmse_um") == 4
@@ -68,7 +68,7 @@ def test_effects_do_without_the_blind_and_tell_how_many(table, tmp_path, monkeyp
     assert (tmp_path / "figures" / "front.png").is_file()
 
 
-def test_report_of_a_study_that_measured_nothing(base, tmp_path):
+def test_report_of_a_study_without_points(base, tmp_path):
     study = Study(
         name="test", base="x", axis=(ALBEDO | {"values": [0.6, 0.8]},), objectives=(ERROR,)
     )
@@ -78,7 +78,7 @@ def test_report_of_a_study_that_measured_nothing(base, tmp_path):
         best_rows(read_table(tmp_path).rows, [ERROR])
 
 
-def test_search_is_told_of_a_failure_not_of_zero(base, tmp_path, monkeypatch):
+def test_search_receives_a_failure_instead_of_zero(base, tmp_path, monkeypatch):
     pytest.importorskip("optuna")
     search_values = []
     tell = optimise._tell
@@ -131,7 +131,7 @@ def test_figures_that_are_no_numbers_cost_their_case(base, study_of, stored):
     assert list(outcome.failures) == ["spread: not finite"]
 
 
-def test_nothing_follows_from_an_absent_figure(base):
+def test_no_figure_is_derived_from_an_absent_figure(base):
     grating = {"specimen": {"kind": "grating", "pitch_mm": 7.19, "groove_mm": 0.2}}
     figures = {"z_rmse_um": None, "depth_mm": None, "force_n": 0.1}
     result = with_derived(vary(base, grating), figures)

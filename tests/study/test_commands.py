@@ -85,7 +85,7 @@ def test_a_case_is_a_measurement(swept, capsys, tmp_path):
     assert json.loads((case / "result.json").read_text())["digest"] == digest
 
 
-def test_goes_on_where_it_was(swept, capsys):
+def test_a_second_run_continues(swept, capsys):
     first = table_of(capsys, swept)
     out = str(swept / "out")
     assert run(["sweep", str(swept / "small.toml"), "-o", out, "-j", "1"]) == 0
@@ -95,7 +95,7 @@ def test_goes_on_where_it_was(swept, capsys):
     assert table_of(capsys, swept) == first
 
 
-def test_dry_run_only_tells(swept, capsys, tmp_path):
+def test_dry_run_only_reports(swept, capsys, tmp_path):
     out = tmp_path / "none"
     assert run(["sweep", str(swept / "small.toml"), "-o", str(out), "--dry-run"]) == 0
     assert "4 cases, about " in capsys.readouterr().err
@@ -113,7 +113,7 @@ def test_csv_and_parquet(swept, capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (("base_albedo", "base_albdo"), "unknown key 'base_albdo' in [coating]; did you mean"),
         (("[0.3, 0.5]", "[0.3, 1.5]"), "coating.base_albedo: found 1.5, should be less than 1"),
@@ -125,7 +125,7 @@ def test_csv_and_parquet(swept, capsys, tmp_path):
          "constraints exclude all 4"),
     ],
 )  # fmt: skip
-def test_bad_studies_are_told_in_one_line(change, message, tmp_path, capsys):
+def test_bad_studies_give_an_error_of_one_line(change, message, tmp_path, capsys):
     file = tmp_path / "bad.toml"
     file.write_text(STUDY.replace(*change))
     assert run(["sweep", str(file), "-o", str(tmp_path / "out")]) == 2
@@ -176,7 +176,7 @@ ALBEDOS = ("[[axis]]", 'path = "coating.base_albedo"', "values = [0.2, 0.3]")
 DEEP = 'source = "assumed: deeper than the slab"'
 
 
-def test_a_sweep_says_why_its_cases_failed(tmp_path, capsys, faked):
+def test_a_sweep_reports_reasons_of_failures(tmp_path, capsys, faked):
     """Both cases fail: each reason with a file, exit code 1, also if a second run has no cases."""
     faked(synthetic.Failing)
     out = tmp_path / "out"
@@ -190,7 +190,7 @@ def test_a_sweep_says_why_its_cases_failed(tmp_path, capsys, faked):
         assert "failure" in json.loads(Path(file).read_text())
 
 
-def test_a_sweep_that_succeeds_in_part_tells_the_rest(tmp_path, capsys, faked):
+def test_a_sweep_with_some_failures_reports_them(tmp_path, capsys, faked):
     faked(synthetic.Failing)
     lines = [line.replace("0.3", "0.6, 0.7") for line in ALBEDOS]
     command = ["sweep", study_file(tmp_path, *lines), "-o", str(tmp_path / "out"), "-j", "1"]
@@ -201,7 +201,7 @@ def test_a_sweep_that_succeeds_in_part_tells_the_rest(tmp_path, capsys, faked):
 
 
 @pytest.mark.parametrize(
-    ("lines", "told"),
+    ("lines", "message"),
     [
         (["set.elastomer.layout = \"contact_face\"", "set.press.back_pressure_kpa = 0.0"],
          "layers: found none, elastomer.layout = 'contact_face' is seen through its gel"),
@@ -218,7 +218,7 @@ def test_a_sweep_that_succeeds_in_part_tells_the_rest(tmp_path, capsys, faked):
          "knows neither film"),
     ],
 )  # fmt: skip
-def test_dry_run_finds_what_cannot_be_measured(tmp_path, capsys, lines, message):
+def test_dry_run_finds_unmeasurable_cases(tmp_path, capsys, lines, message):
     """The same words as the run's own, before anything is pressed; no case is left: exit code 2."""
     file = study_file(tmp_path, *lines, *ALBEDOS)
     assert run(["sweep", file, "-o", str(tmp_path / "out"), "--dry-run"]) == 2

@@ -39,7 +39,7 @@ def test_of_grooves(paper):
     assert "depth_over_thickness" not in result
 
 
-def test_a_gel_on_a_window_loses_nothing(paper):
+def test_a_gel_on_a_window_has_full_contrast(paper):
     gel = vary(load_experiment("examples/gelsight_ball"), GRATING)
     result = with_derived(gel, {})
     assert result["groove_contrast_kept"] == 1.0

@@ -112,7 +112,7 @@ def test_the_limit_counts_repeats_and_methods(study_of, base):
         points_of(study_of(albedo, hardness, repeats=10, modalities=both))
 
 
-def test_a_first_look_at_a_large_study_is_short_and_sees_every_level(study_of, base, tmp_path):
+def test_a_preview_of_a_large_study_is_short_and_has_every_level(study_of, base, tmp_path):
     albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.9, "count": 50}
     hardness = {"path": "elastomer.shore_a", "low": 8, "high": 12, "count": 40}
     study = study_of(albedo, hardness, repeats=10)
@@ -135,7 +135,7 @@ def test_constraints_on_fields_exclude_before_anything_runs(study_of, base):
 
 
 @pytest.mark.parametrize(
-    ("axis", "told"),
+    ("axis", "message"),
     [
         ({"path": "a.b"}, "takes one of values"),
         ({"path": "a.b", "values": [1], "low": 1.0, "high": 2.0}, "takes one of values"),
@@ -154,7 +154,7 @@ def test_bad_axes(axis, message):
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "message"),
     [
         ({"axis": ()}, "found 0, allowed 1 to 16"),
         ({"axis": (LOW_HIGH,)}, "a grid needs count or values"),

@@ -128,7 +128,7 @@ def test_two_runs_share_a_store(two_axes, stored, tmp_path, monkeypatch):
     assert len(started) == sum(started.values()) == len(cases) == len(store.finished())
 
 
-def test_a_second_run_is_told_of_the_first(few, stored):
+def test_a_second_run_reports_the_first(few, stored):
     store, _ = stored(few)
     record, messages = read_record(store.folder), list[str]()
 
@@ -202,7 +202,7 @@ def _instant(keep):
     return synthetic.Fake(keep, seconds=0.0)
 
 
-def test_two_workers_are_never_alone(study_of, stored, tmp_path, monkeypatch):
+def test_two_workers_are_never_idle(study_of, stored, tmp_path, monkeypatch):
     """Each of 24 cases ends only while a second case runs: an idle worker would give errors.
 
     `benchmarks/sweep.py` has the gain in time.

@@ -102,7 +102,7 @@ def test_a_lucky_repeat_is_no_feasible_design(swept, tmp_path):
     assert any("every repeat of the design" in row["reason"] for row in rows)
 
 
-def test_a_search_is_told_by_how_much_tolerances_are_missed(swept, study_of, judged, tmp_path):
+def test_a_search_receives_the_excess_over_tolerances(swept, study_of, judged, tmp_path):
     swept()
     table = read_table(tmp_path / "out")
     plan = type("Plan", (), {"objectives": (ERROR,)})

@@ -62,7 +62,7 @@ def test_a_misspelt_figure_stops_a_study_before_its_first_case(tmp_path, capsys)
         assert not (tmp_path / "out").exists()
 
 
-def test_nothing_runs_where_no_case_can_be_measured(tmp_path, capsys):
+def test_no_case_runs_if_none_can_be_measured(tmp_path, capsys):
     """A gel without mechanics: reported from the description only, with the missing field."""
     file = study(tmp_path)
     text = (tmp_path / "study.toml").read_text(encoding="utf-8")
@@ -86,7 +86,7 @@ def test_a_measurand_that_the_specimen_cannot_have_is_refused_at_once(tmp_path, 
     assert "radius number 2: the specimen (ball) has 1" in capsys.readouterr().err
 
 
-def test_the_first_reasons_are_told_and_name_the_remedy(mi, tmp_path, capsys):
+def test_the_first_reasons_are_reported_with_a_remedy(mi, tmp_path, capsys):
     """A gel too thin for a force is detected by the press only: reported as the case fails."""
     file = study(tmp_path, path="press.force_n", values=[4000.0])
     assert run(["sweep", file, "-o", str(tmp_path / "out"), "-j", "1"]) == 1
@@ -96,7 +96,7 @@ def test_the_first_reasons_are_told_and_name_the_remedy(mi, tmp_path, capsys):
     assert "rim" not in message  # a gel on a window has none
 
 
-def test_a_free_slab_is_told_of_its_rim_and_of_the_other_layout():
+def test_a_free_slab_is_warned_of_its_rim_and_of_the_other_layout():
     slab = {"press.control": "force", "press.force_n": 5000.0, "press.back_pressure_kpa": 0.0}
     slab |= {"press.depth_mm": "absent", "press.solver_pitch_mm": 0.4}
     slab |= {"mechanics.model": "spectral"}

@@ -69,7 +69,7 @@ def test_search_keeps_constraints_on_fields(study_of, base, tmp_path):
     assert [row["feasible"] for row in beyond] == [False] * len(beyond)
 
 
-def test_search_goes_on_from_the_store(study_of, base, tmp_path):
+def test_search_continues_from_the_store(study_of, base, tmp_path):
     """A search with 3 cases continues to 40: stored cases are reused, the result is the same."""
     few = study(study_of, ALBEDO, PERIOD, gradient={"evaluations": 3})
     assert searched(few, base, tmp_path / "two")[0].states["done"] == 3
@@ -87,7 +87,7 @@ def test_an_objective_without_derivatives_is_refused(study_of, base, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("axis", "told"),
+    ("axis", "message"),
     [
         (ALBEDO | {"count": 3}, "low and high without count"),
         (ALBEDO | {"integer": True}, "no whole numbers"),
@@ -112,12 +112,12 @@ def test_axes_must_be_continuous(axis, message):
         (("crb_radius_um",), {"constraint": ({"value": "force_n", "at_most": 1},)}, "alone"),
     ],
 )
-def test_a_study_needs_what_it_names(study_of, metrics, keys, needed):
+def test_a_study_needs_the_stages_of_its_figures(study_of, metrics, keys, needed):
     axis = {"path": "coating.base_albedo", "values": [0.2, 0.4]}
     assert bound_needed(study_of(axis, metrics=metrics, **keys)) == needed
 
 
-def test_a_study_of_bounds_renders_nothing(study_of, base, tmp_path, monkeypatch):
+def test_a_study_of_bounds_renders_no_frame(study_of, base, tmp_path, monkeypatch):
     """Two coats, two periods: one press, one scene, two traces; no frame, no noise, no decoding."""
     from twin.pipeline import fringes, trace
 

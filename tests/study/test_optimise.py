@@ -28,7 +28,7 @@ def search(study_of, base, folder, trials, workers=1, **keys):
     return sweep(record, folder, local_workers(workers), make_measurer=Bowl)
 
 
-def test_front_is_what_nobody_beats():
+def test_front_has_the_undominated_rows():
     costs = np.array([[1.0, 3.0], [2.0, 2.0], [3.0, 1.0], [3.0, 3.0], [2.0, 2.0], [2.5, 2.0]])
     assert on_front(costs).tolist() == [True, True, True, False, True, False]
 
@@ -64,7 +64,7 @@ def test_search_finds_a_known_minimum(study_of, base, tmp_path):
     assert best["albedo"] >= 0.5
 
 
-def test_search_goes_on_and_needs_no_same_workers(study_of, base, tmp_path):
+def test_search_continues_with_other_workers(study_of, base, tmp_path):
     """12 trials, then 24 of the same study: the same as 24 at once, on other workers too."""
     pytest.importorskip("optuna")
     goals = {"objectives": [{"metric": "bowl"}, {"metric": "slope", "goal": "maximise"}]}
@@ -89,7 +89,7 @@ def test_excluded_points_are_no_trials(study_of, base, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("path", "told"),
+    ("path", "message"),
     [("coating.base_albdo", "did you mean"), ("coating.base_albedo", "constraints exclude all")],
 )
 def test_search_without_a_valid_point(study_of, base, tmp_path, path, message):

@@ -62,7 +62,7 @@ def test_give_up_on_a_full_disk(study_of, stored, monkeypatch):
     assert "No space left" in reason
 
 
-def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
+def test_full_disk_is_reported_and_repaired(study_of, stored, monkeypatch):
     """The disk is full for two cases: reported, other cases are saved, a second run adds them."""
     import errno
 
@@ -91,7 +91,7 @@ def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
     assert {e.state for e in index.entries().values()} == {"done"}
 
 
-def test_an_index_that_fails_stops_nothing(few, stored, monkeypatch):
+def test_a_failing_index_does_not_stop_a_run(few, stored, monkeypatch):
     """Damaged while cases are entered; then one that cannot be opened at all."""
     store, cases = stored(few)
     (store.folder / "index.sqlite").write_bytes(b"no database at all" * 100)
@@ -108,7 +108,7 @@ def test_an_index_that_fails_stops_nothing(few, stored, monkeypatch):
     assert (store.folder / "index.sqlite").is_file()
 
 
-def test_index_is_made_anew(few, stored, tmp_path):
+def test_a_missing_index_is_built_again(few, stored, tmp_path):
     store, cases = stored(few)
     index = Index(store)
     Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
@@ -199,7 +199,7 @@ def test_a_damaged_case_costs_itself(few, stored, tmp_path, damage):
     assert csv_of(store, tmp_path, "after.csv") == before
 
 
-def test_what_is_not_ours_is_put_aside(few, stored):
+def test_foreign_files_are_moved_aside(few, stored):
     store, cases = stored(few)
     record = read_record(store.folder)
     for _ in range(2):
@@ -221,7 +221,7 @@ def test_figures_of_the_index_are_those_of_the_case(few, stored, tmp_path):
     assert csv_of(store, tmp_path, "after.csv") == before
 
 
-def test_an_index_that_holds_is_not_read_anew(few, stored, tmp_path, monkeypatch):
+def test_a_valid_index_is_not_read_again(few, stored, tmp_path, monkeypatch):
     store, cases = stored(few)
     Run(store, local_workers(1), make_measurer=synthetic.Fake, done=Index(store).enter)(cases)
     before = csv_of(store, tmp_path, "before.csv")
