@@ -100,7 +100,7 @@ def list_assets(collection: Collection) -> list[str]:
 
 
 def asset_folders(collection: Collection) -> list[Path]:
-    """List the folders that may hold a collection, in the order of their precedence.
+    """List the folders that may contain a collection, in the order of their precedence.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _is_path(name: str) -> bool:
 
 
 def _existing(path: Path) -> Path | None:
-    """Return the file itself, or the same with ``.toml``: a name may have a point of its own."""
+    """Return the file, or the file with suffix ``.toml``, as a name may contain a point."""
     with_suffix = path.with_name(path.name + ".toml")
     spellings = (path, with_suffix) if path.suffix else (with_suffix,)
     return next((spelling for spelling in spellings if is_regular(spelling)), None)

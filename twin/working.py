@@ -328,7 +328,7 @@ def _is_held(folder: Path) -> bool:
 
 @contextmanager
 def _seized(folder: Path) -> Iterator[bool]:
-    """Lock the working folder of a dead process; yields False if it is no such folder."""
+    """Lock the working folder of a dead process; yield False if it is no such folder."""
     with ExitStack() as stack:
         is_abandoned = False
         with suppress(OSError):

@@ -24,7 +24,7 @@ from twin.config.models import Experiment
 from twin.config.quantities import is_quantity
 
 COVERAGE = 2.0
-"""Standard uncertainties on either side that hold 95 % of a normal distribution."""
+"""Half width of the 95 % interval of a normal distribution, in standard uncertainties."""
 
 _DIGITS = 7
 _TABLES = ("camera", "projector", "coating", "elastomer")

@@ -1,4 +1,4 @@
-"""Checks of a study before its first case runs: its figures must be figures of its cases."""
+"""Checks of a study before its first case runs: its cases must have the figures it names."""
 
 import difflib
 from collections.abc import Iterable

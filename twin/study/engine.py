@@ -5,8 +5,8 @@ follow in batches that share stages. When a worker dies, its batch is queued aga
 was computing runs in isolation: no other case runs at the same time. A case is recorded as failed
 when its worker died three times during an isolated run.
 
-Several studies can run together (`run_together`): while the first study has no batch to submit,
-because its first or last cases are being computed, batches of the next study are submitted.
+Several studies can run together (`run_together`): while a study has no batch to submit, because its
+first or last cases are being computed, batches of the next study are submitted.
 """
 
 import time

@@ -1,6 +1,6 @@
-"""Which finished designs are feasible: every constraint holds, and every tolerance is met.
+"""Feasibility of finished designs: all constraints hold, and all tolerances are met.
 
-A constraint judges a field or a figure as it was measured. A tolerance of a `[[measurand]]` judges
+A constraint limits a field or a measured figure. A tolerance of a `[[measurand]]` limits
 the measured value with its expanded uncertainty U (ISO 14253-1): every verdict except "within"
 counts as not met. Of repeats, which differ by their seed only, each must be feasible: else the best
 design would be selected by its noise.

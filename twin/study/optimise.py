@@ -1,8 +1,8 @@
 """Search the design space with Optuna: repeatedly sample a batch, measure it, return the results.
 
-The state of the search is not stored. Sampler and seed are fixed, and results are returned to the
-sampler in the order in which it proposed the points, so the same study has the same points: a
-second run reads the measured points from the store and continues, on any number of workers.
+The state of the search is not stored. Sampler and seed are fixed, and the sampler receives results
+in the order of its proposals, so a study always has the same points. A second run reads the
+measured points from the store and continues, on any number of workers.
 """
 
 from collections.abc import Callable, Mapping, Sequence

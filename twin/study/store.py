@@ -171,7 +171,7 @@ class Store:
 
     @contextmanager
     def claimed(self, digest: str) -> Iterator[bool]:
-        """Lock a case; yields False if another process or thread has locked it.
+        """Lock a case; yield False if another process or thread has locked it.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class Store:
                 _release(file, digest)
 
     def exclusive(self) -> AbstractContextManager[bool]:
-        """Lock the store for a run; yields False if another run has locked it."""
+        """Lock the store for a run; yield False if another run has locked it."""
         return self.claimed(_RUN)
 
     def abandoned(self) -> list[str]:

@@ -2,8 +2,8 @@
 
 Trial 0 is the nominal measurement. In every other trial all inputs are drawn (JCGM 101, 7.3), the
 camera has a new noise, and the rig is drawn from the covariance of a calibration. For the budget
-each input is set to one standard uncertainty below and above its nominal value, without noise, and
-the nominal measurement is repeated with new noise only.
+each input is set to one standard uncertainty below and above its nominal value, without noise. In
+addition, the nominal measurement is repeated with new noise only.
 
 A draw depends only on the root seed, the input's name and the trial: the order of inputs, other
 inputs and the instrument do not change it. Inputs that are drawn together share a name, and so use
