@@ -129,7 +129,7 @@ def test_warnings_of_cases_reach_terminal_and_page(swept, tmp_path, capsys, monk
     texts = [item.in_words(outcome.finished) for item in outcome.remarks]
     assert texts == [
         "3 of 4 cases: the contact is 4 cells wide",
-        "1 of 4 cases: no point of the object (no contact in the camera's view): "
+        "1 of 4 cases: no point of the object (no contact in view of the camera): "
         "raise press.back_pressure_kpa, or the travel, press.depth_mm",
     ]
     page = write_study(tmp_path / "out").read_text(encoding="utf-8")

@@ -88,4 +88,4 @@ def _nothing_measured(figures: Mapping[str, Any]) -> str:
     if model is None:
         return "no point of the object: move specimen or camera until the specimen is in view"
     remedy = _TOUCHES[model_of(str(model)).wraps]
-    return f"no point of the object (no contact in the camera's view): {remedy}"
+    return f"no point of the object (no contact in view of the camera): {remedy}"
