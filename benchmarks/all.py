@@ -1,13 +1,13 @@
 """Named accuracy cases and speed ratios against stated targets and committed baselines.
 
-    ./run bench all             run everything, print the table
-    ./run bench all --check     compare with targets and benchmarks/baselines.toml; writes nothing
-    ./run bench all --update    accept what is found: write the baselines and both tables
-    --quick                     leave out what takes long
+    ./run bench all             run every case, print the table
+    ./run bench all --check     compare with targets and benchmarks/baselines.toml; writes no file
+    ./run bench all --update    accept the results: write the baselines and both tables
+    --quick                     leave out the slow cases
     --only CASE                 only this case, repeatable
 
-Exit status 1 when a figure misses its target or its baseline's limit, has no baseline, or a case
-breaks; 2 for a wrong argument. Last line: {"figures": n, "failed": [...], "seconds": s}.
+Exit status 1 if a figure misses its target or its baseline's limit, has no baseline, or a case
+raises an error; 2 for a wrong argument. Last line: {"figures": n, "failed": [...], "seconds": s}.
 See docs/benchmarks.md.
 """
 
@@ -20,17 +20,11 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from benchmarks.regression import readme
-from benchmarks.regression.baselines import (
-    Baselines,
-    read_baselines,
-    replace_text,
-    write_baselines,
-)
-from benchmarks.regression.cases import BenchmarkCase
-from benchmarks.regression.figures import MeanOfRuns
+from benchmarks.regression import tables
+from benchmarks.regression.baselines import Baselines, read_baselines, replace_text, write_baselines
+from benchmarks.regression.figures import BenchmarkCase, MeanOfRuns
 from benchmarks.regression.registry import ACCURACY_FIGURES, CASES, FIGURES
-from benchmarks.regression.runs import Found, again, failures, run_cases
+from benchmarks.regression.runs import CaseResults, again, failures, run_cases
 from reconstruction.errors import InputError
 
 README = Path(__file__).parents[1] / "README.md"
@@ -55,8 +49,8 @@ def main(arguments: list[str] | None = None) -> int:
         update(baselines, found.estimates)
     else:
         print(table_of(found, baselines))
-    for name, why in failed.items():
-        print(f"FAILED {name}: {why}")
+    for name, reason in failed.items():
+        print(f"FAILED {name}: {reason}")
     summary = {
         "figures": len(found.estimates),
         "failed": list(failed),
@@ -67,25 +61,25 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Parse the command line; argparse leaves with status 2 where it is wrong."""
+    """Parse the command line; argparse exits with status 2 if it is wrong."""
     parser = argparse.ArgumentParser(
         prog="bench all", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     act = parser.add_mutually_exclusive_group()
     act.add_argument("--check", action="store_true", help="compare with the baselines")
     act.add_argument("--update", action="store_true", help="write baselines and tables")
-    parser.add_argument("--quick", action="store_true", help="leave out what takes long")
+    parser.add_argument("--quick", action="store_true", help="leave out the slow cases")
     parser.add_argument("--only", action="append", default=[], metavar="CASE", help="repeatable")
     return parser.parse_args(arguments)
 
 
 def chosen_cases(only: list[str], quick: bool) -> tuple[BenchmarkCase, ...]:
-    """Return the cases asked for; `--only` goes before `--quick`.
+    """Return the requested cases; `--only` overrides `--quick`.
 
     Raises
     ------
     InputError
-        There is no such case.
+        A case of this name does not exist.
     """
     names = [case.name for case in CASES]
     for name in only:
@@ -96,20 +90,22 @@ def chosen_cases(only: list[str], quick: bool) -> tuple[BenchmarkCase, ...]:
     return tuple(case for case in CASES if case.quick or not quick)
 
 
-def check(cases: tuple[BenchmarkCase, ...], found: Found, baselines: Baselines) -> dict[str, str]:
-    """Return what failed; a speed that did is measured once more before."""
+def check(
+    cases: tuple[BenchmarkCase, ...], found: CaseResults, baselines: Baselines
+) -> dict[str, str]:
+    """Return the failed figures; a speed that fails is measured a second time before."""
     known = baselines.figures
     failed = failures(cases, found.estimates, known, ACCURACY_FIGURES)
     for case in cases:
         slow = (figure.name for figure in case.figures if figure.kind != "accuracy")
         if any(name in failed and name in known for name in slow):
-            print("slower than it should be: once more")
+            print("slower than its limit: measured again")
             found.estimates.update(again(case, found.estimates))
     return failures(cases, found.estimates, known, ACCURACY_FIGURES)
 
 
 def update(baselines: Baselines, estimates: dict[str, MeanOfRuns]) -> None:
-    """Accept what was found: write the baselines, then the two tables from them."""
+    """Accept the results: write the baselines, then the two tables from them."""
     accepted = baselines.updated(estimates, datetime.now(UTC).date().isoformat(), machine())
     made = pages(accepted)
     write_baselines(accepted, FIGURES, BASELINES)
@@ -121,26 +117,26 @@ def update(baselines: Baselines, estimates: dict[str, MeanOfRuns]) -> None:
 def pages(baselines: Baselines) -> dict[Path, str]:
     """Return README and docs/benchmarks.md with the tables of these baselines."""
     return {
-        path: readme.with_table(
-            path.read_text(encoding="utf-8"), readme.table(CASES, baselines, headlines)
+        path: tables.with_table(
+            path.read_text(encoding="utf-8"), tables.table(CASES, baselines, headlines)
         )
         for path, headlines in ((README, True), (ALL_FIGURES, False))
     }
 
 
-def table_of(found: Found, baselines: Baselines) -> str:
-    """Return a line per figure: found, baseline, target."""
+def table_of(found: CaseResults, baselines: Baselines) -> str:
+    """Return a line per figure: result, baseline, target."""
     lines = []
     for name, estimate in found.estimates.items():
         known, target = baselines.figures.get(name), FIGURES[name].target
-        told = readme.shown(known.estimate) if known else "none"
-        line = f"{name:42s} {readme.shown(estimate):>24s}   baseline {told}"
+        baseline = tables.shown(known.estimate) if known else "none"
+        line = f"{name:42s} {tables.shown(estimate):>24s}   baseline {baseline}"
         lines.append(line if target is None else f"{line}, target {target}")
     return "\n".join(lines)
 
 
 def machine() -> str:
-    """Return processor and cores, as far as the system tells."""
+    """Return processor and cores, as far as the system reports them."""
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
     models = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))

@@ -1,34 +1,31 @@
 """Bounds of dimensions: against the spread of full measurements, their pace, their derivatives.
 
-`bound_over_spread`: two balls are measured again and again with new noise, at 484 x 366; Cramer-Rao
+`bound_over_spread`: two balls are measured repeatedly with other noise, at 484 x 366; Cramer-Rao
 bound over the spread of the fitted radii (of coat and object, both balls), geometric mean of the
-four. `spread_over_spread`: the same of the predicted spread of these fits, and
-`pixel_spread_over_sigma` of single pixels' heights, spread over predicted sigma, mean.
-`uncertainty` is the standard uncertainty of one of the four ratios by the number of measurements.
+four. `spread_over_spread`: the same of the predicted spread of these fits;
+`pixel_spread_over_sigma`: spread over predicted sigma of single pixels' heights, mean.
+`uncertainty`: standard uncertainty of one of the four ratios from the number of measurements.
 
 `bound_points_per_hour`: the study of `./run bench sweep` (coat albedo x hardness x fringe period,
-484 x 366) with a bound as its only metric, on two workers, start included. An idle machine of two
-cores tells the truth; `cpu_s_per_point` is what stays comparable.
+484 x 366) with a bound as its only metric, on two workers, start included, valid on an idle machine
+of two cores; `cpu_s_per_point` remains comparable on a busy one.
 
 `gradient_rel`: largest relative difference between derivatives of the bound and central
-differences at the same pixels, over eight fields. `gradient_evaluations`: cases that the search
-`studies/least_bound` takes, of five fields, until it is as good as the best of a Sobol' study of
-512 points (--quick: 64); 0 where it never is. Derivatives, search and study at 160 x 120.
+differences at the same pixels, over eight fields. `gradient_evaluations`: cases of five fields that
+the search `studies/least_bound` takes until it is as good as the best of a Sobol' study of 512
+points (--quick: 64); 0 if it never is. Derivatives, search and study at 160 x 120.
 
 Last line: {"bound_over_spread": r, "bound_points_per_hour": n, "gradient_rel": r,
 "gradient_evaluations": n, ...}.
 """
 
-import argparse
-import json
-import resource
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
-from sweep import BASE, study_of
 
+from benchmarks._harness import print_figures, processor_s, quick_parser, seconds
+from benchmarks.sweep import BASE, study_of
 from twin.config import Experiment, load_experiment, vary
 from twin.config.study import Study, load_study
 from twin.pipeline import Memory, measure
@@ -41,10 +38,17 @@ from twin.study.sweep import sweep
 from twin.study.table import read_table
 from twin.study.workers import local_workers
 
-RADII = ("object_radius_1", "object_radius_2", "sphere_1_radius", "sphere_2_radius")
+# Radii with a bound, and the figures with the same spread: behind a thick slab no object radius is
+# reported, only the radius of the coat that its fit uses.
+RADII = {
+    "object_radius_1": "object_radius_1_coat_mm",
+    "object_radius_2": "object_radius_2_coat_mm",
+    "sphere_1_radius": "sphere_1_radius_mm",
+    "sphere_2_radius": "sphere_2_radius_mm",
+}
 SMALL = {"camera.width_px": 640, "camera.height_px": 480, "press.relief_pitch_mm": 0.05}
 BLURRED = {"projector.aperture_mm": 10.0, "projector.focus_mm": 205.0}
-# Fields, and steps of the central differences: small beside what bends, large beside rounding.
+# Fields, and steps of the central differences: above rounding, below the curvature.
 STEPS = {
     "coating.base_albedo": 0.001,
     "coating.flake_fraction": 0.001,
@@ -59,18 +63,17 @@ METRIC = "crb_radius_um"
 
 
 def main() -> None:
-    """Print one JSON line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer measurements and points")
-    quick = parser.parse_args().quick
-    found = against_spread(60 if quick else 250)
-    print(json.dumps(found), flush=True)
-    found |= pace((4, 3, 4) if quick else (8, 4, 10))
-    print(json.dumps(found), flush=True)
-    found |= {"gradient_rel": round(gradient_error(), 6)}
-    print(json.dumps(found), flush=True)
-    found |= evaluations(64 if quick else 512)
-    print(json.dumps(found))
+    """Print one JSON line; each part prints the figures so far."""
+    quick = quick_parser(__doc__, "fewer measurements and points").parse_args().quick
+    found: dict[str, float] = {}
+    for part in (
+        lambda: against_spread(60 if quick else 250),
+        lambda: pace((4, 3, 4) if quick else (8, 4, 10)),
+        lambda: {"gradient_rel": gradient_error()},
+        lambda: evaluations(64 if quick else 512),
+    ):
+        found |= part()
+        print_figures(found)
 
 
 def against_spread(count: int) -> dict[str, float]:
@@ -83,22 +86,22 @@ def against_spread(count: int) -> dict[str, float]:
         heights.append(done.fringes.reconstruction.point_map.points_world_mm[..., 2].copy())
     bounds = bounds_alone(experiment, memory)[1]
     prediction, _ = predicted(experiment, press(experiment, memory), memory)
-    everywhere = prediction.valid & np.all([one != 0.0 for one in heights], axis=0)
-    spread_mm = np.std([one[everywhere] for one in heights], axis=0, ddof=1, dtype=np.float64)
+    everywhere = prediction.valid & np.all([height != 0.0 for height in heights], axis=0)
+    spread_mm = np.std([height[everywhere] for height in heights], axis=0, ddof=1, dtype=np.float64)
     spreads = {
-        name: 1e3 * float(np.std([one[f"{name}_mm"] for one in figures], ddof=1)) for name in RADII
+        name: 1e3 * float(np.std([row[figure] for row in figures], ddof=1))
+        for name, figure in RADII.items()
     }
     ratios = {
         kind: np.exp(np.mean([np.log(bounds[f"{n}_{kind}_um"] / spreads[n]) for n in RADII]))
         for kind in ("crb", "spread")
     }
+    pixels = np.mean(spread_mm / prediction.filtered_mm[everywhere])
     return {
-        "bound_over_spread": round(float(ratios["crb"]), 4),
-        "spread_over_spread": round(float(ratios["spread"]), 4),
-        "pixel_spread_over_sigma": round(
-            float(np.mean(spread_mm / prediction.filtered_mm[everywhere])), 4
-        ),
-        "uncertainty": round(float(1.0 / np.sqrt(2.0 * (count - 1))), 4),
+        "bound_over_spread": float(ratios["crb"]),
+        "spread_over_spread": float(ratios["spread"]),
+        "pixel_spread_over_sigma": float(pixels),
+        "uncertainty": float(1.0 / np.sqrt(2.0 * (count - 1))),
         "measurements": count,
     }
 
@@ -108,18 +111,15 @@ def pace(levels: tuple[int, int, int]) -> dict[str, float]:
     study = study_of(*levels).model_copy(update={"metrics": (METRIC,)})
     record = StudyRecord(study, load_experiment("examples/slab_balls", BASE))
     count = len(record.cases().unique())
+    states = []
     with tempfile.TemporaryDirectory() as scratch:
-        start = time.perf_counter()
-        outcome = sweep(record, Path(scratch) / "store", local_workers(2))
-        seconds = time.perf_counter() - start
-    if outcome.states != {"done": count}:
-        raise SystemExit(f"of {count} cases ended: {dict(outcome.states)}")
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return {
-        "bound_points_per_hour": round(3600.0 * count / seconds),
-        "cpu_s_per_point": round((used.ru_utime + used.ru_stime) / count, 3),
-        "points": count,
-    }
+        store, workers = Path(scratch) / "store", local_workers(2)
+        run_s = seconds(lambda: states.append(sweep(record, store, workers).states))
+    if states != [{"done": count}]:
+        raise SystemExit(f"of {count} cases ended: {states}")
+    pace = round(3600.0 * count / run_s)
+    per_point_s = processor_s() / count
+    return {"bound_points_per_hour": pace, "cpu_s_per_point": per_point_s, "points": count}
 
 
 def gradient_error() -> float:
@@ -147,7 +147,7 @@ def gradient_error() -> float:
 
 
 def evaluations(points: int) -> dict[str, float]:
-    """Return how many cases the search takes to be as good as so many Sobol' points."""
+    """Return the number of cases until the search is as good as so many Sobol' points."""
     searching, base = load_study("studies/least_bound")
     base = vary(base, SMALL | {"press.solver_pitch_mm": 0.16})
     settings = searching.model_dump() | {"gradient": None}
@@ -163,8 +163,8 @@ def evaluations(points: int) -> dict[str, float]:
     reached = [n for n, value in enumerate(tables[1], start=1) if value <= best]
     return {
         "gradient_evaluations": reached[0] if reached else 0,
-        "search_best_um": round(min(tables[1]), 5),
-        "sobol_best_um": round(best, 5),
+        "search_best_um": min(tables[1]),
+        "sobol_best_um": best,
         "sobol_points": points,
     }
 

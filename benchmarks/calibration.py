@@ -1,17 +1,16 @@
-"""Calibrate the paper's rig on rendered board poses: `python benchmarks/calibration.py [--quick]`.
+"""Calibrate the paper's rig on rendered board poses.
 
-Twelve poses of the dot board with the default camera noise; then, with the calibration found, a
-blank reference plane and dot boards in other poses, whose 10 mm lengths are known. The last line of
-the output is one JSON object; every error is against the true rig.
+Twelve poses of the dot board with the default camera noise; then, with this calibration, a blank
+reference plane and dot boards in other poses, with known lengths of 10 mm. The last line of the
+output is one JSON object; every error is against the true rig.
 """
 
-import argparse
-import json
 import time
 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from benchmarks._harness import print_figures, quick_parser
 from reconstruction.calibration import length_errors_mm, locate_features, observe
 from reconstruction.capture.folder import Capture
 from reconstruction.evaluate.fit import fit_plane
@@ -49,7 +48,7 @@ def plane_pv_um(
     fit = fit_plane(points.points_world_mm[points.valid].astype(np.float64))
     distance_mm = np.zeros(points.valid.shape)
     distance_mm[points.valid] = fit.residuals_mm
-    # Whole windows only: at a ragged rim the mean would be taken over less than 1 mm.
+    # Complete windows only: at a ragged rim the mean would be taken over less than 1 mm.
     side = round(SMOOTH_MM / pixel_mm(points.points_world_mm))
     whole = uniform_filter(points.valid.astype(float), side, mode="constant") > 1.0 - 1e-9
     form_mm = uniform_filter(distance_mm, side, mode="constant")[whole]
@@ -76,48 +75,43 @@ def parameter_errors(done: BoardCalibration) -> dict[str, float]:
     """Return relative errors of focal lengths and baseline, and errors over stated uncertainty."""
     truth = done.truth or {}
     found = {p.name: p for p in done.result.parameters}
-    focal = [found[name] for name in ("camera_fx_px", "projector_fx_px")]
-    length = found["baseline_mm"]
-    over = {p.name: abs(p.value - truth[p.name]) / p.expanded for p in (*focal, length)}
-    return {
-        "focal_rel": max(abs(p.value / truth[p.name] - 1.0) for p in focal),
-        "baseline_rel": abs(length.value / truth["baseline_mm"] - 1.0),
-        "focal_over_expanded": max(over["camera_fx_px"], over["projector_fx_px"]),
-        "baseline_over_expanded": over["baseline_mm"],
-        "focal_expanded_rel": max(p.expanded / p.value for p in focal),
-        "baseline_expanded_rel": length.expanded / length.value,
-    }
+    groups = {"focal": ("camera_fx_px", "projector_fx_px"), "baseline": ("baseline_mm",)}
+    figures = {}
+    for group, names in groups.items():
+        rows = [(found[name], found[name].value - truth[name]) for name in names]
+        figures[f"{group}_rel"] = max(abs(e) / truth[p.name] for p, e in rows)
+        figures[f"{group}_over_expanded"] = max(abs(e) / p.expanded for p, e in rows)
+        figures[f"{group}_expanded_rel"] = max(p.expanded / p.value for p, _ in rows)
+    return figures
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="968 x 732 px instead of 1936 x 1464")
+    parser = quick_parser(__doc__, "968 x 732 px instead of 1936 x 1464")
     binning = 2 if parser.parse_args().quick else 1
     experiment = load_experiment("examples/slab_balls", {"camera.binning": binning})
-    board = load_board("boards/paper_dots")
-    start = time.perf_counter()
+    board, start = load_board("boards/paper_dots"), time.perf_counter()
     done = calibrate_rendered(
         experiment, board, watch=lambda stage, part: print(f"{stage} {part:.0%}", flush=True)
     )
-    calibration = done.result.calibration
-    print("reference planes", flush=True)
-    planes = [plane_pv_um(experiment, board, calibration, k) for k in range(len(PLANES))]
-    print("reference lengths", flush=True)
-    lengths = np.concatenate(
-        [length_errors_um(experiment, board, calibration, k) for k in range(len(LENGTHS))]
+    case = experiment, board, done.result.calibration
+    print("reference planes and lengths", flush=True)
+    planes = [plane_pv_um(*case, k) for k in range(len(PLANES))]
+    lengths = np.concatenate([length_errors_um(*case, k) for k in range(len(LENGTHS))])
+    camera_px, projector_px = done.result.adjustment.spread_px[:2]
+    print_figures(
+        parameter_errors(done)
+        | {
+            "plane_pv_um": max(planes),
+            "length_error_um": float(np.abs(lengths).max()),
+            "length_bias_um": float(lengths.mean()),
+            "lengths": len(lengths),
+            "camera_rms_px": float(camera_px),
+            "projector_rms_px": float(projector_px),
+            "poses": len(done.observations),
+            "camera_width_px": done.observations[0].camera_size_px[0],
+            "seconds": time.perf_counter() - start,
+        }
     )
-    result = parameter_errors(done) | {
-        "plane_pv_um": max(planes),
-        "length_error_um": float(np.abs(lengths).max()),
-        "length_bias_um": float(lengths.mean()),
-        "lengths": len(lengths),
-        "camera_rms_px": done.result.adjustment.spread_px[0],
-        "projector_rms_px": done.result.adjustment.spread_px[1],
-        "poses": len(done.observations),
-        "camera_width_px": done.observations[0].camera_size_px[0],
-        "seconds": time.perf_counter() - start,
-    }
-    print(json.dumps({k: float(f"{v:.4g}") for k, v in result.items()}))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from reconstruction.photometric.calibration_ball import ContactCircle
 
-# Of the contact radius: where caps are measured.
+# Radius at which caps are measured, in contact radii.
 CAP_SHARE = 0.8
 
 
@@ -19,7 +19,7 @@ def cap_height_ratio(
 ) -> float:
     """Return the height of a ball's cap, centre to 0.8 contact radii, over the true one.
 
-    Independent of the zero level, and clear of the rim of the contact.
+    Independent of the zero level, and inside the rim of the contact.
     """
     rows, cols = height_mm.shape
     row, col = np.ogrid[:rows, :cols]

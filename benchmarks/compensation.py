@@ -1,34 +1,34 @@
-"""The object behind the coat: accuracy against truth of other models, uncertainty, speed.
+"""The object behind the coat: accuracy against the truth of other models, uncertainty, speed.
 
-- two joined balls of 4 mm under a sheet of 0.2 mm, rendered, decoded and compensated
+- `rendered`: two joined balls of 4 mm under a sheet of 0.2 mm, rendered, decoded and compensated
   (`examples/wrapped_balls`, 968 x 732 pixels; `--quick`: 484 x 366): largest error of both radii
-  and of the force; processor seconds of the compensation alone;
-- a ball in a gel on a window: stored large-strain solid elements, 10 um of noise per 80 um, three
-  seeds: largest relative errors of radius and force;
-- bars A, B and C of the paper on its rig and press, rendered (`--quick`: A alone): largest error of
-  the width, with the coat's texture as identified, edges known;
-- coverage: a ball under a round sheet of 12 mm by the one-dimensional solver of the tests, 5 um of
-  noise, thickness uncertain by 2 %: how often k = 1.96 times the standard uncertainty holds the
-  true radius, over 400 trials (`--quick`: 40).
-- a ball of 8 mm under a slab of 3 mm, the model exact (coat pressed on another grid, 5 um of noise
-  per 0.1 mm), without air and with 10 kPa: root mean square error of the diameter over its
-  Cramer-Rao bound, the larger of both, over 40 seeds (`--quick`: 6); and the radius of another ball
-  with the thickness 1 % wrong, before and after a calibration on the first;
-- eight balls under slabs whose coats large-strain solids change: error over its uncertainty, RMS.
+  and of the force; processor seconds of the compensation only;
+- `gel`: a ball in a gel on a window: stored large-strain solid elements, 10 um of noise per 80 um,
+  three seeds: largest relative errors of radius and force;
+- `bars`: bars A, B and C of the paper on its rig and press, rendered (`--quick`: A only): largest
+  error of the width, with the coat's texture as identified, edges known;
+- `coverage`: a ball under a round sheet of 12 mm by the one-dimensional solver of the tests, 5 um
+  of noise, thickness uncertain by 2 %: share of 400 trials (`--quick`: 40) with the true radius
+  within k = 1.96 times the standard uncertainty;
+- `slab`: a ball of 8 mm under a slab of 3 mm, the model exact (coat pressed on another grid, 5 um
+  of noise per 0.1 mm), without air and with 10 kPa: root mean square error of the diameter over its
+  Cramer-Rao bound, the larger of both, over 40 seeds (`--quick`: 6); and the radius of a second
+  ball when the assumed thickness is 1 % too small, before and after a calibration on the first;
+- `strain`: eight balls under slabs, coats from large-strain solids: RMS of error over uncertainty.
 
 Last line: {"ball_radius_error_mm", "force_rel", "rod_width_error_mm", ...}.
 """
 
-import argparse
 import json
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from benchmarks._harness import print_figures, quick_parser
 from reconstruction.compensation import (
     GelLayer,
     SheetOpening,
@@ -61,7 +61,7 @@ BALL, OTHER_BALL = Ball(diameter_mm=8.0, x_mm=0.13, y_mm=-0.07), Ball(diameter_m
 DIAMETER = "specimen.diameter_mm"
 SLAB_AIR_KPA, SLAB_TRAVEL_MM = 10.0, 0.7
 SLAB_SEEDS, QUICK_SEEDS = 40, 6
-# Radius, thickness, depth; the first three were looked at when the field of theory was chosen.
+# Radius, thickness, depth; the first three were used to choose the range of the theory.
 STRAIN_CASES = (
     (4.0, 3.0, 0.75), (4.0, 4.0, 1.0), (4.0, 2.0, 0.5), (2.4, 3.0, 0.6), (6.0, 3.0, 0.6),
     (4.0, 5.0, 1.0), (3.0, 4.0, 0.8), (5.0, 2.5, 0.7),
@@ -80,9 +80,9 @@ def rendered_balls(quick: bool) -> Figures:
     layer = sensor_layer.sensor_layer_of(experiment)
     started = time.process_time()
     found = compensate_points(points, layer)
-    told = object_figures(found, shape_of(experiment.specimen).spheres())
+    figures = object_figures(found, shape_of(experiment.specimen).spheres())
     seconds = time.process_time() - started
-    radii = [told[f"compensated_sphere_{n}_radius_mm"] for n in (1, 2)]
+    radii = [figures[f"compensated_sphere_{n}_radius_mm"] for n in (1, 2)]
     print(f"balls: {radii} mm, coat {[s.measured.radius_mm for s in done.score.spheres]}")
     return {
         "ball_radius_error_mm": max(abs(radius - RADIUS_MM) for radius in radii),
@@ -92,13 +92,13 @@ def rendered_balls(quick: bool) -> Figures:
 
 
 def rendered_bars(quick: bool) -> Figures:
-    """Measure bars by the whole chain, each on its own, and compensate."""
+    """Measure single bars by the whole chain, and compensate."""
     errors = []
     for letter in "a" if quick else "abc":
         done = measure(load_experiment(f"paper/bars_{letter}", {"camera.binning": 2}))
-        told = with_compensation(done).figures
+        figures = with_compensation(done).figures
         (true,) = done.experiment.specimen.widths_mm
-        width, sigma = (told[f"compensated_bar_1_width_{name}"] for name in ("mm", "sigma_um"))
+        width, sigma = (figures[f"compensated_bar_1_width_{name}"] for name in ("mm", "sigma_um"))
         print(f"bar {letter}: {width:.4f} mm, u {sigma:.1f} um, of {true:g} mm")
         errors.append(abs(width - true))
     return {"rod_width_error_mm": max(errors)}
@@ -133,21 +133,21 @@ def gel_ball() -> Figures:
 
 
 def coverage(trials: int) -> Figures:
-    """Draw noise and thickness, compensate, and count the intervals that hold the truth."""
+    """Draw noise and thickness, compensate, and count the intervals that contain the truth."""
     profile = pressed_ball(THICKNESS_MM, 2.0)
     sigma = THICKNESS_SHARE * THICKNESS_MM
     known = layer_of(THICKNESS_MM, 2.0, sigma_thickness_mm=sigma)
-    held, errors = 0, []
+    inside, errors = 0, []
     for seed in range(trials):
-        believed = THICKNESS_MM + sigma * np.random.default_rng([7, seed]).normal()
+        assumed = THICKNESS_MM + sigma * np.random.default_rng([7, seed]).normal()
         points = coat_points(profile, TRIAL_NOISE_MM, seed, pitch_mm=0.1)
-        (ball, *_) = parts_of(compensate_sheet(*points, replace(known, thickness_mm=believed)))
+        (ball, *_) = parts_of(compensate_sheet(*points, replace(known, thickness_mm=assumed)))
         error = ball.radius_mm - RADIUS_MM
-        held += abs(error) <= K_95 * ball.sigma_mm
+        inside += abs(error) <= K_95 * ball.sigma_mm
         errors.append(error / ball.sigma_mm)
-    print(f"coverage: {held} of {trials}, normalised error {np.std(errors):.3f}, "
+    print(f"coverage: {inside} of {trials}, normalised error {np.std(errors):.3f}, "
           f"mean {np.mean(errors):+.3f}")  # fmt: skip
-    return {"coverage_95": held / trials}
+    return {"coverage_95": inside / trials}
 
 
 def thick_slab(seeds: int) -> Figures:
@@ -156,11 +156,11 @@ def thick_slab(seeds: int) -> Figures:
     for air_kpa in (0.0, SLAB_AIR_KPA):
         coat = pressed(BALL, slab(), SLAB_TRAVEL_MM, air_kpa).coat_mm
         layer = slab_layer(slab(), air_kpa)
-        asked = replace(slab_object(layer, Ball(diameter_mm=7.5)), theory=False)
+        model = replace(slab_object(layer, Ball(diameter_mm=7.5)), theory=False)
         over = []
         for seed in range(seeds):
             drawn = slab_points(coat, TRIAL_NOISE_MM, 100 * round(air_kpa) + seed)
-            fitted = fit_slab(*drawn, asked).fitted
+            fitted = fit_slab(*drawn, model).fitted
             error = fitted.value(DIAMETER) - BALL.diameter_mm
             over.append(error / fitted.bound_sigma(DIAMETER))
         ratios.append(float(np.sqrt(np.mean(np.square(over)))))
@@ -175,12 +175,12 @@ def thick_slab(seeds: int) -> Figures:
     )
     found, _ = calibrate_slab(*first, slab_object(layer, BALL), BALL.diameter_mm)
     errors = []
-    for one in (layer, found):
-        asked = replace(slab_object(one, Ball(diameter_mm=6.3)), theory=False)
-        diameter = fit_slab(*second, asked).fitted.value(DIAMETER)
+    for known_layer in (layer, found):
+        model = replace(slab_object(known_layer, Ball(diameter_mm=6.3)), theory=False)
+        diameter = fit_slab(*second, model).fitted.value(DIAMETER)
         errors.append((diameter - OTHER_BALL.diameter_mm) / 2)
     before_um, after_um = 1e3 * np.array(errors)
-    print(f"slab 1 % too thin: radius {before_um:+.1f} um off, calibrated {after_um:+.1f} um")
+    print(f"thickness 1 % too small: radius {before_um:+.1f} um off, calibrated {after_um:+.1f} um")
     return {
         "over_cramer_rao": max(ratios),
         "slab_radius_error_before_mm": abs(errors[0]),
@@ -189,7 +189,7 @@ def thick_slab(seeds: int) -> Figures:
 
 
 def large_strain() -> Figures:
-    """Fit balls to coats that large-strain solids change, the travel known to 2 um."""
+    """Fit balls to coats from large-strain solids, with the travel known to 2 um."""
     radii = np.round(np.arange(0, STRAIN_RIM_MM + 0.01, 0.05), 6)
     over = []
     for radius, thickness, depth in STRAIN_CASES:
@@ -208,9 +208,9 @@ def large_strain() -> Figures:
         z = coat + np.interp(np.hypot(x, y), radii, strained - linear, right=0.0)
         z += np.random.default_rng(0).normal(scale=STRAIN_NOISE_MM, size=z.shape)
         points = np.stack((x, y, z), axis=-1).reshape(-1, 3)
-        told = with_load(slab_layer(elastomer), {"depth_mm": 0.002}, depth_mm=depth)
-        asked = slab_object(told, Ball(diameter_mm=1.9 * radius))
-        fitted = fit_slab(points, np.full(z.size, STRAIN_NOISE_MM), asked).fitted
+        layer = with_load(slab_layer(elastomer), {"depth_mm": 0.002}, depth_mm=depth)
+        model = slab_object(layer, Ball(diameter_mm=1.9 * radius))
+        fitted = fit_slab(points, np.full(z.size, STRAIN_NOISE_MM), model).fitted
         error, u = fitted.value(DIAMETER) - 2 * radius, fitted.sigma(DIAMETER)
         print(f"solid, radius {radius:g}, slab {thickness:g}, depth {depth:g} mm: diameter "
               f"{error:+.3f} mm off, u {u:.3f}", flush=True)  # fmt: skip
@@ -218,29 +218,24 @@ def large_strain() -> Figures:
     return {"large_strain_over_u": float(np.sqrt(np.mean(np.square(over))))}
 
 
+PARTS: dict[str, Callable[[bool], Figures]] = {
+    "gel": lambda quick: gel_ball(),
+    "coverage": lambda quick: coverage(QUICK_TRIALS if quick else TRIALS),
+    "slab": lambda quick: thick_slab(QUICK_SEEDS if quick else SLAB_SEEDS),
+    "strain": lambda quick: large_strain(),
+    "rendered": rendered_balls,
+    "bars": rendered_bars,
+}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="484 x 366 pixels, 40 trials")
-    parser.add_argument(
-        "--only",
-        choices=("rendered", "bars", "gel", "coverage", "slab", "strain"),
-        help="one part alone",
-    )
+    parser = quick_parser(__doc__, "484 x 366 pixels, 40 trials")
+    parser.add_argument("--only", choices=PARTS, help="one part only")
     chosen = parser.parse_args()
-    result: dict[str, Any] = {"rod_width_error_mm": None, "over_cramer_rao": None}
-    if chosen.only in (None, "gel"):
-        result |= gel_ball()
-    if chosen.only in (None, "coverage"):
-        result |= coverage(QUICK_TRIALS if chosen.quick else TRIALS)
-    if chosen.only in (None, "slab"):
-        result |= thick_slab(QUICK_SEEDS if chosen.quick else SLAB_SEEDS)
-    if chosen.only in (None, "strain"):
-        result |= large_strain()
-    if chosen.only in (None, "rendered"):
-        result |= rendered_balls(chosen.quick)
-    if chosen.only in (None, "bars"):
-        result |= rendered_bars(chosen.quick)
-    print(json.dumps({k: v if v is None else float(f"{v:.4g}") for k, v in result.items()}))
+    result: Figures = {"rod_width_error_mm": None, "over_cramer_rao": None}
+    for name in (chosen.only,) if chosen.only else PARTS:
+        result |= PARTS[name](chosen.quick)
+    print_figures(result)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Damage to files: bits, cuts, hostile tokens, lines; or something that is no file in the place."""
+"""Damage to files: bits, cuts, hostile tokens, lines; or a pipe, device or folder instead of it."""
 
 import os
 import random
+from collections.abc import Callable
 from pathlib import Path
 
 _TOKENS = (
@@ -15,12 +16,12 @@ _TOKENS = (
 
 def damaged_bytes(content: bytes, rng: random.Random) -> tuple[bytes, str]:
     """Return a file's content with one to four faults, and their names."""
-    told = []
+    names = []
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
         fault = rng.choice((_flip, _cut, _truncate, _double, _token, _zero, _number, _line))
         content = fault(content, rng)
-        told.append(fault.__name__.strip("_"))
-    return content, "+".join(told)
+        names.append(fault.__name__.strip("_"))
+    return content, "+".join(names)
 
 
 def _at(content: bytes, rng: random.Random) -> int:
@@ -61,7 +62,7 @@ def _zero(content: bytes, rng: random.Random) -> bytes:
 
 
 def _number(content: bytes, rng: random.Random) -> bytes:
-    """Put another token in the place of a number or a word after `=`, `:` or `,`."""
+    """Replace a number or a word after `=`, `:` or `,` by a hostile token."""
     places = [i for i, sign in enumerate(content[:100_000]) if sign in b"=:,"]
     if not places:
         return _flip(content, rng)
@@ -75,48 +76,34 @@ def _number(content: bytes, rng: random.Random) -> bytes:
 def _line(content: bytes, rng: random.Random) -> bytes:
     """Drop, double or exchange a line."""
     lines = content.split(b"\n")
-    one, other = rng.randrange(len(lines)), rng.randrange(len(lines))
+    first, second = rng.randrange(len(lines)), rng.randrange(len(lines))
     way = rng.randrange(3)
     if way == 0:
-        del lines[one]
+        del lines[first]
     elif way == 1:
-        lines.insert(other, lines[one])
+        lines.insert(second, lines[first])
     else:
-        lines[one], lines[other] = lines[other], lines[one]
+        lines[first], lines[second] = lines[second], lines[first]
     return b"\n".join(lines)
 
 
+_REPLACEMENTS: dict[str, Callable[[Path], object]] = {
+    "fifo": os.mkfifo,
+    "folder": Path.mkdir,
+    "nothing": lambda path: None,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+    "circle": lambda path: path.symlink_to(path.name),
+    "empty": Path.touch,
+}
+
+
 def damage_file(path: Path, rng: random.Random) -> str:
-    """Damage a file, or put something else in its place; return what was done."""
+    """Damage a file, or replace it by a pipe, folder or device; return a description."""
     if rng.random() < 0.85:
-        content, told = damaged_bytes(path.read_bytes(), rng)
+        content, description = damaged_bytes(path.read_bytes(), rng)
         path.write_bytes(content)
-        return f"{path.name}: {told}"
-    other = rng.choice((_to_fifo, _to_folder, _to_nothing, _to_device, _to_circle, _to_empty))
+        return f"{path.name}: {description}"
+    kind = rng.choice(tuple(_REPLACEMENTS))
     path.unlink()
-    other(path)
-    return f"{path.name}: {other.__name__.removeprefix('_to_')}"
-
-
-def _to_fifo(path: Path) -> None:
-    os.mkfifo(path)
-
-
-def _to_folder(path: Path) -> None:
-    path.mkdir()
-
-
-def _to_nothing(_path: Path) -> None:
-    pass
-
-
-def _to_device(path: Path) -> None:
-    path.symlink_to("/dev/zero")
-
-
-def _to_circle(path: Path) -> None:
-    path.symlink_to(path.name)
-
-
-def _to_empty(path: Path) -> None:
-    path.touch()
+    _REPLACEMENTS[kind](path)
+    return f"{path.name}: {kind}"

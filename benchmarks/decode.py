@@ -1,18 +1,17 @@
-"""Time a full capture from camera frames to points: `python benchmarks/decode.py [--quick]`.
+"""Time a full capture from camera frames to points.
 
 A curved coat is projected exactly through a camera and an off-axis projector with distortion; the
 53 noisy frames are 16-bit. Timed: decoding with filter, masks, order, sigma, residual and order
-error, plus triangulation. Beside it, in turns so that all see the same machine: a copy of the
-stack, a plain OpenCV phase of the phase frames (accumulate, cartToPolar), and the `fringes` package
-where it is installed (phase frames only). The last line of the output is one JSON object.
+error, plus triangulation. In turns with it, so that all use the same machine: a copy of the stack,
+a plain OpenCV phase of the phase frames (accumulate, cartToPolar), and the `fringes` package if it
+is installed (phase frames only). The last line of the output is one JSON object.
 
 peak_over_stack: most resident memory while decoding and triangulating, less that before the stack
-was loaded, over the bytes of the stack; the stack itself is 1 of it. Linux tells it, else null.
+was loaded, over the bytes of the stack, which itself counts as 1. Linux only, otherwise null.
 """
 
 import argparse
 import importlib.util
-import json
 import subprocess
 import sys
 import tempfile
@@ -23,15 +22,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks._harness import in_turns, print_figures, quick_parser, resident_bytes, seconds
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.patterns import AXES, PatternSet
 from reconstruction.rig.calibration import Calibration, Pinhole
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.triangulation import PointMap, triangulate
 
-FULL = (1464, 1936)
-QUICK = (366, 484)
-REPEATS = 7
+FULL, QUICK, REPEATS = (1464, 1936), (366, 484), 7
 MEAN_DN, AMPLITUDE_DN = 1900.0, 1500.0
 SENSOR = SensorNoise(gain_dn_per_e=0.17, read_noise_e=6.2, black_level_dn=64, saturation_dn=4095)
 
@@ -43,13 +41,10 @@ def rig(rows: int, cols: int) -> Calibration:
     camera = Pinhole(cols, rows, f_px, f_px, (cols - 1) / 2, (rows - 1) / 2, lens)
     projector = Pinhole(1280, 720, 1536.0, 1536.0, 639.5, 719.5, (-0.02, 0.01, 1e-4, 2e-4, 0.0))
     tilt = np.radians(30.0)
-    return Calibration(
-        camera,
-        projector,
-        looking_at(np.array([0.0, 0.0, 214.0]), 0.0),
-        # The optical axis leaves through the lower image edge: half an image aside.
-        looking_at(250.0 * np.array([np.sin(tilt), -0.234, np.cos(tilt)]), tilt),
-    )
+    # The optical axis passes the lower image edge, half an image from the centre.
+    place = 250.0 * np.array([np.sin(tilt), -0.234, np.cos(tilt)])
+    above = looking_at(np.array([0.0, 0.0, 214.0]), 0.0)
+    return Calibration(camera, projector, above, looking_at(place, tilt))
 
 
 def looking_at(position_mm: np.ndarray, tilt_rad: float) -> np.ndarray:
@@ -97,18 +92,17 @@ def synthesise(patterns: PatternSet, projector_px: np.ndarray) -> np.ndarray:
     noise_dn = noise_dn.astype(np.float32)
     stack = frames_at(patterns, projector_px, MEAN_DN, AMPLITUDE_DN)
     for i, frame in enumerate(stack):
-        # Four noise fields, shifted: drawing 53 would take longer than all the rest.
+        # Four noise fields, shifted: drawing 53 would need most of the run time.
         frame += np.roll(noise_dn[i % 4], 37 * i, axis=1)
     return np.rint(stack).astype(np.uint16)
 
 
 def opencv_phase(stack: np.ndarray, patterns: PatternSet) -> list[np.ndarray]:
-    """Return wrapped phase and modulation of both axes as a few lines of OpenCV give them."""
+    """Return wrapped phase and modulation of both axes by a few lines of OpenCV."""
     found = []
     for axis in AXES:
-        frames = stack[patterns.index("phase", axis)]
         real, imag = (np.zeros(stack.shape[1:], np.float32) for _ in range(2))
-        for n, frame in enumerate(frames):
+        for n, frame in enumerate(stack[patterns.index("phase", axis)]):
             angle = 2.0 * np.pi * n / patterns.steps
             level = frame.astype(np.float32)
             cv2.scaleAdd(level, np.cos(angle), real, real)
@@ -130,42 +124,26 @@ def fringes_decoder(stack: np.ndarray, patterns: PatternSet) -> Callable[[], obj
     return lambda: peer.decode(frames)
 
 
-def best_s(actions: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Return the best time of each action, seconds; they take turns.
-
-    The best, not the median: other programs on the machine only ever add time.
-    """
-    best = dict.fromkeys(actions, np.inf)
-    for _ in range(rounds):
-        for name, action in actions.items():
-            start = time.perf_counter()
-            action()
-            best[name] = min(best[name], time.perf_counter() - start)
-    return best
-
-
 def ideal_rms_px(seed: int = 3) -> dict[str, float]:
     """Return the error of noise-free frames at random coordinates, float and 8-bit, unfiltered."""
     patterns, rng = PatternSet(1280, 720), np.random.default_rng(seed)
     projector_px = np.stack([rng.uniform(0, 1279, (200, 500)), rng.uniform(0, 719, (200, 500))], -1)
     clean = frames_at(patterns, projector_px, 120.0, 100.0)
     sensor = SensorNoise(0.0, 0.0, 0.0, 255.0)
+    stacks = {"float": clean.astype(np.float32), "eight_bit": np.rint(clean).astype(np.uint8)}
     errors = {}
-    for name, stack in (
-        ("float_rms_px", clean.astype(np.float32)),
-        ("eight_bit_rms_px", np.rint(clean).astype(np.uint8)),
-    ):
+    for name, stack in stacks.items():
         decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0))
         error_px = np.stack([decoded.column.coordinate_px, decoded.row.coordinate_px], -1)
         error_px = (error_px - projector_px)[decoded.valid]
-        errors[name] = float(np.sqrt(np.mean(error_px**2)))
+        errors[f"{name}_rms_px"] = float(np.sqrt(np.mean(error_px**2)))
     return errors
 
 
 def peak_over_stack(stack: np.ndarray) -> float | None:
-    """Return the most memory that stack and results hold at once, in stacks.
+    """Return the peak memory of stack and results, in stacks.
 
-    In a process of its own: here, memory of earlier results would be used anew and not be counted.
+    A process of its own measures it: here, memory of earlier results would be reused, not counted.
     """
     if not Path("/proc/self/status").exists():
         return None
@@ -183,19 +161,11 @@ def print_peak(path: Path) -> None:
     small = np.zeros((len(patterns.frames), 24, 32), np.uint16)
     triangulate(decode(small, patterns, SENSOR), rig(24, 32))  # loads the kernels
     before_bytes = resident_bytes("VmRSS")
-    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak begins anew
+    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # resets the peak
     stack = np.load(path)
-    decoded = decode(stack, patterns, SENSOR)
-    points = triangulate(decoded, rig(*stack.shape[1:]))
-    growth_bytes = resident_bytes("VmHWM") - before_bytes
+    points = triangulate(decode(stack, patterns, SENSOR), rig(*stack.shape[1:]))
     assert points.valid.any()
-    print(round(growth_bytes / stack.nbytes, 3))
-
-
-def resident_bytes(field: str) -> int:
-    """Return a memory figure of this process, see proc(5)."""
-    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(field))
+    print(round((resident_bytes("VmHWM") - before_bytes) / stack.nbytes, 3))
 
 
 def measure(rows: int, cols: int) -> dict[str, object]:
@@ -208,55 +178,47 @@ def measure(rows: int, cols: int) -> dict[str, object]:
     def reconstruct() -> PointMap:
         return triangulate(decode(stack, patterns, SENSOR), calibration)
 
-    print("compiling or loading the kernels", flush=True)
-    start = time.perf_counter()
-    points = reconstruct()
-    first_s = time.perf_counter() - start
-    error_um = 1e3 * (points.points_world_mm - truth_mm)[points.valid][:, 2]
-
-    print(f"timing {REPEATS} rounds", flush=True)
+    print(f"compiling or loading the kernels, then {REPEATS} rounds", flush=True)
+    first_s = seconds(reconstruct)
     target = np.zeros_like(stack)
-    peer = fringes_decoder(stack, patterns)
     actions: dict[str, Callable[[], object]] = {
         "decode_s": reconstruct,
         "decode_only_s": lambda: decode(stack, patterns, SENSOR),
         "memcpy_s": lambda: np.copyto(target, stack),
         "opencv_phase_s": lambda: opencv_phase(stack, patterns),
     }
-    best = best_s(actions | ({"fringes_s": peer} if peer else {}), REPEATS)
-    # On a busy machine the processor time tells what an idle one would need.
+    peer = fringes_decoder(stack, patterns)
+    actions |= {"fringes_s": peer} if peer else {}
+    # The least times, since other programs only add time.
+    turns = in_turns(actions, REPEATS)
+    best = {name: min(turn[name] for turn in turns) for name in actions}
+    # On a busy machine the processor time remains comparable.
     start = time.process_time()
-    reconstruct()
+    points = reconstruct()
     cpu_s = time.process_time() - start
+    error_um = 1e3 * (points.points_world_mm - truth_mm)[points.valid][:, 2]
     return {
-        "decode_s": round(best["decode_s"], 4),
-        "over_memcpy": round(best["decode_s"] / best["memcpy_s"], 2),
-        **{name: float(f"{error_px:.3g}") for name, error_px in ideal_rms_px().items()},
+        **best,
+        "over_memcpy": best["decode_s"] / best["memcpy_s"],
+        **ideal_rms_px(),
         "peak_over_stack": peak_over_stack(stack),
-        "frames": len(patterns.frames),
-        "rows": rows,
-        "cols": cols,
-        "cpu_s": round(cpu_s, 4),
-        "decode_only_s": round(best["decode_only_s"], 4),
-        "memcpy_s": round(best["memcpy_s"], 4),
-        "opencv_phase_s": round(best["opencv_phase_s"], 4),
-        "fringes_s": round(best["fringes_s"], 4) if peer else None,
-        "first_call_s": round(first_s, 2),
-        "valid": round(float(points.valid.mean()), 4),
-        "z_rms_um": round(float(np.sqrt(np.mean(error_um**2))), 3),
-        "sigma_z_um": round(1e3 * float(np.median(points.sigma_z_mm[points.valid])), 3),
+        **{"frames": len(patterns.frames), "rows": rows, "cols": cols, "cpu_s": cpu_s},
+        "fringes_s": best.get("fringes_s"),
+        "first_call_s": first_s,
+        "valid": float(points.valid.mean()),
+        "z_rms_um": float(np.sqrt(np.mean(error_um**2))),
+        "sigma_z_um": 1e3 * float(np.median(points.sigma_z_mm[points.valid])),
     }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="484 x 366 px instead of 1936 x 1464")
+    parser = quick_parser(__doc__, "484 x 366 px instead of 1936 x 1464")
     parser.add_argument("--peak-of", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.peak_of:
         print_peak(arguments.peak_of)
     else:
-        print(json.dumps(measure(*(QUICK if arguments.quick else FULL))))
+        print_figures(measure(*(QUICK if arguments.quick else FULL)))
 
 
 if __name__ == "__main__":

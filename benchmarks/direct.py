@@ -3,22 +3,20 @@
 For nut, brick and two balls, at the default samples: the stack rendered with two seeds.
 
 - `firefly_rel`: largest relative difference of the white frame's 99.99th percentile between seeds;
-- `energy_rel`: largest relative gap between the flux sent into the specimen and the sum of what was
-  absorbed, deposited, lost or escaped, what was cut short counted as missing;
+- `energy_rel`: largest relative gap between the flux sent into the specimen and the sum absorbed,
+  deposited, lost or escaped; paths that were cut short count as missing;
 - `phase_noise_px`: largest robust spread of the difference between the two decoded projector
-  columns over pixels valid in both: what the random paths add to the sensor's noise;
-- `stack_s`: seconds of the slowest stack, photons included, kernels compiled beforehand.
+  columns over pixels valid in both: the noise that the random paths add to the sensor's noise;
+- `stack_s`: seconds of the slowest stack, photons included, kernels compiled before.
 
 Last line: {"firefly_rel": ..., "energy_rel": ..., "phase_noise_px": ..., "stack_s": ...}.
 """
 
-import argparse
-import json
-import time
 from typing import Any
 
 import numpy as np
 
+from benchmarks._harness import print_figures, quick_parser, seconds
 from reconstruction.decoding.decode import decode
 from twin.camera import expose
 from twin.config import Experiment, load_experiment
@@ -33,13 +31,12 @@ SEEDS = (1, 2)
 
 def main() -> None:
     """Measure every specimen and print one JSON line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="484 x 366 instead of 968 x 732")
+    parser = quick_parser(__doc__, "484 x 366 instead of 968 x 732")
     binning = 4 if parser.parse_args().quick else 2
     print(activate().variant)
     found = [measure(name, binning) for name in SPECIMENS]
-    worst = {key: round(max(one[key] for one in found), 5) for key in found[0]}
-    print(json.dumps(worst | {"specimens": len(found), "binning": binning}))
+    worst = {key: max(figures[key] for figures in found) for key in found[0]}
+    print_figures(worst | {"specimens": len(found), "binning": binning})
 
 
 def measure(name: str, binning: int) -> dict[str, float]:
@@ -47,9 +44,8 @@ def measure(name: str, binning: int) -> dict[str, float]:
     settings = {"camera.binning": binning, "modality": "direct_fpp", "camera.noise": False}
     runs = [load_experiment(f"paper/{name}", settings | {"seed": seed}) for seed in SEEDS]
     render_bare(runs[0].model_copy(update={"seed": 99}))  # compiles the kernels
-    start = time.perf_counter()
-    stacks = [render_bare(run).frames for run in runs]
-    seconds = (time.perf_counter() - start) / len(stacks)
+    stacks: list[Any] = []
+    stacks_s = seconds(lambda: stacks.extend(render_bare(run).frames for run in runs))
     patterns = pattern_set(runs[0].projector, runs[0].patterns)
     white = patterns.index("white").start
     bright = [float(np.percentile(stack[white], 99.99)) for stack in stacks]
@@ -57,14 +53,14 @@ def measure(name: str, binning: int) -> dict[str, float]:
         "firefly_rel": abs(bright[0] - bright[1]) / max(bright),
         "energy_rel": energy_gap(runs[0]),
         "phase_noise_px": phase_noise_px(runs, stacks),
-        "stack_s": seconds,
+        "stack_s": stacks_s / len(stacks),
     }
-    print(name, {key: round(value, 5) for key, value in figures.items()})
+    print(name, {key: round(value, 5) for key, value in figures.items()}, flush=True)
     return figures
 
 
 def energy_gap(experiment: Experiment, seed: int = 3) -> float:
-    """Relative gap of the photons' balance; 0 where nothing is clear or polished."""
+    """Relative gap of the photons' balance; 0 if no surface is clear or polished."""
     from twin.optics.photons import trace_photons
     from twin.optics.scene import rig_of
 
@@ -78,7 +74,7 @@ def energy_gap(experiment: Experiment, seed: int = 3) -> float:
 
 
 def phase_noise_px(runs: list[Experiment], stacks: list[Any]) -> float:
-    """Spread of the decoded column between two seeds, over root two."""
+    """Spread of the decoded column between two seeds, over the square root of two."""
     patterns = pattern_set(runs[0].projector, runs[0].patterns)
     found = []
     for run, stack in zip(runs, stacks, strict=True):

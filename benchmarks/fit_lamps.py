@@ -1,25 +1,24 @@
-"""Fit the lamps of a GelSight Mini to what real units show, and write them as a data file.
+"""Fit the lamps of a GelSight Mini to images of real units, and write them as a data file.
 
 Targets: the spots of 67 presses of balls on one unit, before and during the press
-(`real_presses`), and means over 3 x 3 tiles of the untouched gel of that unit and another one.
+(`real_presses`), and means over 3 x 3 tiles of the gel without contact of that unit and another.
 
-Three rows of LEDs to a channel, and their fill, are fitted by weighted least squares to the
-closed-form shading of the flat coat and of ball caps, whose ink lets through what the coating says;
-the fit knows no shadows, the renderer does (`benchmarks/gelsight.py` states the rendered residual).
-One row to a channel leaves a tenth more of what presses change that were held out.
+Three rows of LEDs per channel, and their fill, are fitted by weighted least squares to the
+closed-form shading of the flat coat and of ball caps; the coating defines how much light its ink
+transmits. The fit has no shadows, the renderer has (`benchmarks/gelsight.py` states the rendered
+residual). One row per channel gives a 10 % larger residual of the held-out changes by presses.
 
-The problem has more unknowns than it can tell apart (a longer row and a wider lobe look alike), so
-every unknown is bounded by the housing and held weakly near a plain design.
+Several unknowns are correlated (a longer row and a wider lobe have the same effect), so every
+unknown is bounded by the housing and has a weak prior at a plain design.
 
 Last line: {"background_rms_grey": rms over both units, "before_rms_grey", "change_rms_grey": rms
 over all spots}.
 """
 
 import argparse
-import json
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 from scipy.optimize import least_squares
 
+from benchmarks._harness import print_figures
 from benchmarks.real_presses import (
     HEIGHT_PX,
     PITCH_MM,
@@ -60,16 +60,16 @@ UNITS = np.array(
     ],
     dtype=np.float64,
 )
-# A level of a tile counts as one, of the spots of a press together as much, before it half of that.
+# Weight of a level of a tile and of all spots of a press together: 1; of spots before it: 0.5.
 BEFORE_WEIGHT = 0.5
 TILE_WEIGHTS = 2.0 * np.ones((3, 3))
 UP = np.array([0.0, 0.0, 1.0])
-# Where a channel's lamp stands, world x and y
+# Direction of a channel's lamp, world x and y
 OUTWARD = {"red": (0.0, 1.0), "green": (1.0, 0.0), "blue": (0.0, -1.0)}
-# Heights from which the rows of a channel start.
+# Initial heights of the rows of a channel.
 ROWS_MM = (5.0, 6.0, 7.0)
-# Above it all LEDs of a tall row clear the relief; with lower rows the misfit is the same to 2 %,
-# and their grazing light makes an image take up to three times as long.
+# Above it all LEDs of a tall row are above the relief; lower rows give the same misfit to 2 %, and
+# their grazing light increases the run time of an image by up to a factor of three.
 LEAST_HEIGHT_MM = 4.0
 FILE = Path(__file__).parents[1] / "scenes" / "lamps" / "gelsight_mini.toml"
 
@@ -79,7 +79,7 @@ Rows = dict[str, Lamp]
 
 @dataclass(frozen=True)
 class Unknown:
-    """One fitted number of a row: plain design, weak pull towards it, bounds."""
+    """One fitted parameter of a row: plain design, SD of its weak prior, bounds."""
 
     name: str
     start: float
@@ -89,9 +89,9 @@ class Unknown:
 
 
 def unknowns(channel: str, height_mm: float) -> list[Unknown]:
-    """Return what is fitted of one row; it stands on the pad's edge or outside."""
+    """Return the unknowns of one row, which is at the pad's edge or outside."""
     outward = OUTWARD[channel]
-    azimuth = {"red": -85.0, "green": 173.0, "blue": 97.0}[channel]  # the light's way
+    azimuth = {"red": -85.0, "green": 173.0, "blue": 97.0}[channel]  # direction of the light
     reach_mm = 13.6 if channel == "green" else 11.4
     across, along = (0, 1) if channel == "green" else (1, 0)
     place = ["x_mm", "y_mm"]
@@ -111,12 +111,11 @@ def unknowns(channel: str, height_mm: float) -> list[Unknown]:
 
 
 FILL = Unknown("log_fill", -11.0, 5.0, -16.0, 2.0)
-"""One of a channel; its first row states it."""
+"""One per channel, stored in its first row."""
 
 
-# Drift: rendered images show what real presses do beside the contact. SD over presses of the mean
-# level: real 0.56, 0.12, 0.25; of its slow change over the field (Gaussian of 12 px): 0.37, 0.25,
-# 0.36.
+# Drift outside the contact in real presses, SD over presses of the mean level: 0.56, 0.12, 0.25; of
+# its slow change over the field (Gaussian of 12 px): 0.37, 0.25, 0.36.
 FIXED: dict[str, dict[str, Any]] = {
     "red": {
         "along_deg": 0.0, "wavelength_nm": 635.0, "drift_percent": 1.4, "led_drift_percent": 0.9,
@@ -132,12 +131,13 @@ ALIKE = {"tall_mm": 2.0, "emitters": 5}
 
 
 def unknowns_of(channel: str) -> list[Unknown]:
-    """Return what is fitted of a channel: its rows, then its fill."""
-    return [one for height_mm in ROWS_MM for one in unknowns(channel, height_mm)] + [FILL]
+    """Return the unknowns of a channel: its rows, then its fill."""
+    rows = (unknowns(channel, height_mm) for height_mm in ROWS_MM)
+    return [*chain.from_iterable(rows), FILL]
 
 
 def rows_of(channel: str, values: FloatArray) -> Rows:
-    """Build the rows of a channel from the fitted numbers."""
+    """Build the rows of a channel from the fitted values."""
     parts = np.split(values[:-1], len(ROWS_MM))
     fills = [float(np.exp(values[-1]))] + [0.0] * (len(parts) - 1)
     return {
@@ -156,12 +156,12 @@ def _row(channel: str, values: FloatArray, fill: float) -> Lamp:
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """Closed-form levels of the untouched coat and of the spots of real presses.
+    """Closed-form levels of the undeformed coat and of the spots of real presses.
 
     Attributes
     ----------
-    presses : the spots that are fitted
-    flat_mm : (point, xyz), the untouched coat all over the image; tiles : which of 9 each is in
+    presses : the fitted spots
+    flat_mm : (point, xyz), the undeformed coat all over the image; tiles : index of 9 tiles
     contact_ratio : brightness of the ink in contact over elsewhere
     """
 
@@ -184,7 +184,7 @@ class Shading:
 
     @cached_property
     def points_mm(self) -> FloatArray:
-        """All places, (point, xyz): the untouched coat, spots before and during their press."""
+        """All places, (point, xyz): the undeformed coat, spots before and during their press."""
         presses = self.presses
         return np.concatenate([self.flat_mm, presses.untouched_mm, presses.points_mm])
 
@@ -192,17 +192,17 @@ class Shading:
     def normals(self) -> FloatArray:
         """Normals of the coat there, (point, xyz)."""
         pressed = self.presses.normals
-        untouched = np.broadcast_to(UP, (len(self.flat_mm) + len(pressed), 3))
-        return np.concatenate([untouched, pressed])
+        flat = np.broadcast_to(UP, (len(self.flat_mm) + len(pressed), 3))
+        return np.concatenate([flat, pressed])
 
     @cached_property
     def _sensitivity(self) -> FloatArray:
-        """Light on the sensor over irradiance, (point,): contact, vignetting, the way out."""
+        """Light on the sensor over irradiance, (point,): contact, vignetting, refraction."""
         contact = len(self.points_mm) - len(self.presses.of_press)
         brighter = np.where(np.arange(len(self.points_mm)) < contact, 1.0, self.contact_ratio)
         radiance = self.experiment.coating.base_albedo / np.pi * brighter
-        way_out = _way_out(media_of(self.experiment.layers))
-        return radiance * way_out * _vignetting(self.experiment, self.points_mm)
+        passed = _transmittance(media_of(self.experiment.layers))
+        return radiance * passed * _vignetting(self.experiment, self.points_mm)
 
     def _levels(self, rows: Rows) -> FloatArray:
         experiment, lamp = self.experiment, next(iter(rows.values()))
@@ -224,7 +224,7 @@ def _irradiance(shading: Shading, row: Lamp) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class ShadedImage:
-    """What a channel shows: (9,) mean levels of tiles; (spot,) levels before and during a press."""
+    """Levels of a channel: (9,) means of tiles; (spot,) before and during a press."""
 
     tiles: FloatArray
     before: FloatArray
@@ -232,7 +232,7 @@ class ShadedImage:
 
 
 def _vignetting(experiment: Experiment, points_mm: FloatArray) -> FloatArray:
-    """Light on the sensor over that on the axis, where points appear on the untouched coat."""
+    """Light on the sensor over that on the axis, at apparent places on the undeformed coat."""
     device, (x_mm, y_mm, z_mm) = image_pinhole(experiment), points_mm.T
     seen_px = np.hypot(x_mm / device.fx_px, y_mm / device.fy_px) / PITCH_MM
     off_axis = seen_px / (1.0 - z_mm / VIEW_MM)
@@ -240,7 +240,7 @@ def _vignetting(experiment: Experiment, points_mm: FloatArray) -> FloatArray:
     return np.asarray((1.0 + off_axis**2) ** power)
 
 
-def _way_out(media: Any) -> float:
+def _transmittance(media: Any) -> float:
     """Radiance in air over radiance in the gel, straight up: Fresnel and 1 / n^2."""
     indices = [1.0, *(medium.ior for medium in media)]
     passed = [4 * a * b / (a + b) ** 2 for a, b in pairwise(indices)]
@@ -263,14 +263,14 @@ def shading_of(experiment: Experiment, presses: RealPresses | None = None) -> Sh
 
 
 def _brighter_on_steel(experiment: Experiment) -> float:
-    """Return the coat's albedo where it touches the reference ball, over that elsewhere."""
+    """Return the coat's albedo in contact with the reference ball, over that elsewhere."""
     coating, steel = experiment.coating, experiment.photometric.presses.material
     touching, free = (coating.albedo_over(r) for r in (steel.normal_reflectance, 0.0))
     return 1.0 if touching is None or free is None else touching / free
 
 
 def fit(shading: Shading, channel: str) -> Rows:
-    """Fit the rows of one channel: the channels do not mix."""
+    """Fit the rows of one channel; channels are independent."""
     return rows_of(channel, _solved(shading, channel).x)
 
 
@@ -294,7 +294,7 @@ def _solved(shading: Shading, channel: str) -> Any:
 
 
 def figures(shading: Shading, lamps: dict[str, Rows]) -> dict[str, float]:
-    """State the residual of the closed form."""
+    """Return the residual of the closed form."""
     images, presses = {c: shading.image(lamps[c]) for c in CHANNELS}, shading.presses
     found = np.stack([images[c].tiles.reshape(3, 3) for c in CHANNELS])
     before = np.stack([images[c].before for c in CHANNELS], axis=-1)
@@ -317,12 +317,18 @@ def _rms(values: FloatArray) -> float:
 
 def write(path: Path, lamps: Rows, residual: dict[str, float]) -> None:
     """Write the lamps with the origin of every number."""
-    source = (
+    fitted = (
         "fitted by benchmarks/fit_lamps.py to images of two real units and of 67 presses,"
         f" residual {residual['background_rms_grey']:.1f} grey levels"
     )
-    spectrum = "assumed: LEDs of laboratory sensors (630-645, 525-530, 460-465 nm)"
     drift = "light of 67 real presses of one unit, SD of offset and of slow change"
+    sources = {
+        "wavelength_nm": "assumed: LEDs of laboratory sensors (630-645, 525-530, 460-465 nm)",
+        "along_deg": "assumed: along the pad's edge",
+        "tall_mm": "assumed: shadows beside real contacts have no edge",
+        "drift_percent": drift,
+        "led_drift_percent": drift,
+    }
     lines = [
         "# Written by benchmarks/fit_lamps.py. Lamps of a GelSight Mini. The maker publishes none:",
         "# effective rows of LEDs that show the images of real units, no measured geometry.",
@@ -331,30 +337,23 @@ def write(path: Path, lamps: Rows, residual: dict[str, float]) -> None:
     for name, lamp in lamps.items():
         lines += ["", f"[{name}]", f'channel = "{lamp.channel}"']
         for key, value in lamp.model_dump(exclude={"channel", "emitters"}).items():
-            why = {
-                "wavelength_nm": spectrum,
-                "along_deg": "assumed: along the pad's edge",
-                "tall_mm": "assumed: shadows beside real contacts have no edge",
-                "drift_percent": drift,
-                "led_drift_percent": drift,
-            }
             text = f"{value:.5g}" if value % 1 else f"{value:.1f}"
-            lines.append(f'{key} = {{ value = {text}, source = "{why.get(key, source)}" }}')
+            lines.append(f'{key} = {{ value = {text}, source = "{sources.get(key, fitted)}" }}')
         lines.append(f'emitters = {{ value = {lamp.emitters}, source = "assumed" }}')
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
 def main() -> None:
-    """Fit, print the residual, and write the data file when asked to."""
+    """Fit, print the residual, and write the data file if requested."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true", help=f"write {FILE.name}")
-    wanted = parser.parse_args().write
+    to_write = parser.parse_args().write
     shading = shading_of(load_experiment("examples/gelsight_ball", {"modality": "contact_fpp"}))
     found = {channel: fit(shading, channel) for channel in track(CHANNELS, "fitting")}
     residual = figures(shading, found)
-    if wanted:
+    if to_write:
         write(FILE, {name: row for rows in found.values() for name, row in rows.items()}, residual)
-    print(json.dumps({name: round(value, 3) for name, value in residual.items()}))
+    print_figures(residual)
 
 
 if __name__ == "__main__":

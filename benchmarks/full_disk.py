@@ -1,16 +1,16 @@
 """Fill the disk to random levels while results are written, on a busy machine.
 
 `twin measure` (with report) replaces an earlier result, or makes a first one, on a file system of
-which a random part is free, or under a random limit on the length of a file, while two other
-processes compute. One run in `--whole-every` is the whole command; in the others, whose process is
-a fork of this one, the measurement itself is that of an earlier run. Wanted of each run:
+which a random part is free, or under a random limit of the length of a file, while two other
+processes compute. One run in `--whole-every` is the whole command; in the other runs, forks of this
+process, the measurement itself is that of an earlier run. Required of each run:
 
 - it succeeds, or ends with exit code 1 (`crashed`: no other code and no signal);
-- then it says so in one line after the stages (`not_one_line`: 0);
-- an earlier result is as it was, byte by byte (`earlier_lost`: 0);
-- nothing else is left, hidden or not (`left_behind`: 0).
+- then it prints one line after the stages (`not_one_line`: 0);
+- an earlier result is unchanged, byte by byte (`earlier_lost`: 0);
+- no other file remains, hidden or not (`left_behind`: 0).
 
-Needs the right to mount a tmpfs; without it all runs are under a limit of the length of a file.
+Needs the right to mount a tmpfs; otherwise all runs have a limit of the length of a file.
 Last line: {"runs": 200, "whole": 30, "full": 154, "fitted": 46, "crashed": 0, ...}.
 """
 
@@ -31,22 +31,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.fuzz import command, preload
+from benchmarks._forked import command, forked, preload
 from benchmarks.fuzz_stock import SMALL
 
-EXPERIMENT = (
-    "examples/slab_ball",
-    *(part for path, value in SMALL.items() for part in ("-s", f"{path}={value}")),
-)
+EXPERIMENT = ("examples/slab_ball", *(f"--set={path}={value}" for path, value in SMALL.items()))
 BUSY = "while True: sum(range(1_000_000))"
 NEIGHBOURS = 2
-_ROOM = 1.15  # free at most, in sizes of a result: some runs find enough
-_FULL = "no room left"
+_ROOM = 1.15  # free at most, in sizes of a result: some runs have enough room
 
 
 @dataclass(frozen=True)
 class FillLevel:
-    """How much may be written: bytes free on the disk, or bytes of the longest file."""
+    """Bytes that are free on the disk, or that the longest file may have."""
 
     free_bytes: int | None = None
     file_bytes: int | None = None
@@ -54,7 +50,7 @@ class FillLevel:
 
 @dataclass(frozen=True)
 class FilledRun:
-    """What a run on a full disk left; `code` is negative after a signal."""
+    """Exit code (negative after a signal), lines, and files of a run on a full disk."""
 
     code: int
     lines: tuple[str, ...]
@@ -62,24 +58,23 @@ class FilledRun:
     later: dict[str, bytes]
 
     @property
-    def failings(self) -> list[str]:
-        """Names of what is not as wanted."""
-        said = [line for line in self.lines if not line.endswith("...")]
-        full = len(said) == 1 and _FULL in said[0]
+    def faults(self) -> list[str]:
+        """Names of the requirements that the run does not meet."""
+        lines = [line for line in self.lines if not line.endswith("...")]
+        lost = any(self.later.get(name) != content for name, content in self.earlier.items())
         checks = {
             "crashed": self.code not in (0, 1),
-            "not_one_line": self.code == 1 and not full,
-            "earlier_lost": self.code != 0
-            and any(self.later.get(name) != content for name, content in self.earlier.items()),
+            "not_one_line": self.code == 1 and not (len(lines) == 1 and "no room left" in lines[0]),
+            "earlier_lost": self.code != 0 and lost,
             "left_behind": self.code != 0 and bool(self.later.keys() - self.earlier.keys()),
         }
         return [name for name, is_true in checks.items() if is_true]
 
 
 def main() -> None:
-    """Fill, judge and print one JSON line; the exit code tells whether all is as wanted."""
+    """Fill, judge and print one JSON line; the exit code is 0 if all is as required."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="12 runs, none of them whole")
+    parser.add_argument("--quick", action="store_true", help="12 runs, none of the whole command")
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--whole-every", type=int, default=6, help="0: none")
     parser.add_argument("--seed", type=int, default=0)
@@ -91,16 +86,12 @@ def main() -> None:
         for number in range(runs):
             is_whole = every > 0 and number % every == 0
             done = filler.run(is_whole)
-            counts.update([*done.failings, "whole" if is_whole else "", *outcome(done)])
-            print(number, done.code, *done.failings, *done.lines[-1:], flush=True)
+            outcome = {0: "fitted", 1: "full"}.get(done.code, "")
+            counts.update([*done.faults, "whole" if is_whole else "", outcome])
+            print(number, done.code, *done.faults, *done.lines[-1:], flush=True)
     names = ("whole", "full", "fitted", "crashed", "not_one_line", "earlier_lost", "left_behind")
     print(json.dumps({"runs": runs, **{name: counts[name] for name in names}}))
     sys.exit(any(counts[name] for name in names[3:]))
-
-
-def outcome(done: FilledRun) -> list[str]:
-    """Return whether the result fitted."""
-    return {0: ["fitted"], 1: ["full"]}.get(done.code, [])
 
 
 @contextmanager
@@ -117,7 +108,7 @@ def busy_neighbours() -> Iterator[None]:
 
 @contextmanager
 def small_disk(scratch: Path) -> Iterator[Path | None]:
-    """Yield a file system that may be filled; None where mounting is not permitted."""
+    """Yield a file system that may be filled; None if mounting is not permitted."""
     place = scratch / "disk"
     place.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=1g", "tmpfs", str(place)]
@@ -138,8 +129,8 @@ class Filler:
         self._place = disk or stock.with_name("limited")
         self._place.mkdir(exist_ok=True)
         program = "import sys; from twin.cli import main; main()"
-        self._command = [sys.executable, "-c", program]
-        subprocess.run([*self._command, "measure", *EXPERIMENT, "-o", str(stock)], check=True)
+        self._command = [sys.executable, "-c", program, "measure", *EXPERIMENT, "-o"]
+        subprocess.run([*self._command, str(stock)], check=True)
         sizes = [path.stat().st_size for path in stock.rglob("*") if path.is_file()]
         self._size, self._longest = sum(sizes), max(sizes)
         preload()
@@ -154,10 +145,10 @@ class Filler:
             shutil.copytree(self._stock, out)
         earlier, level = contents(out), self._level()
         with self._filled(level):
-            code, said = self._whole(out, level) if is_whole else self._forked(out, level)
-        later = {name: one for name, one in contents(self._place).items() if name != "filler"}
-        prefixed = {f"out/{name}": one for name, one in earlier.items()}
-        return FilledRun(code, tuple(said.splitlines()), prefixed, later)
+            code, text = self._whole(out, level) if is_whole else self._forked(out, level)
+        later = {name: file for name, file in contents(self._place).items() if name != "filler"}
+        prefixed = {f"out/{name}": file for name, file in earlier.items()}
+        return FilledRun(code, tuple(text.splitlines()), prefixed, later)
 
     def _level(self) -> FillLevel:
         share = _ROOM * self._rng.random()
@@ -176,53 +167,39 @@ class Filler:
         filler.unlink(missing_ok=True)
 
     def _whole(self, out: Path, level: FillLevel) -> tuple[int, str]:
-        done = subprocess.run(
-            [*self._command, "measure", *EXPERIMENT, "-o", str(out)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-            preexec_fn=lambda: limit(level),
-        )
+        streams: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+        command = [*self._command, str(out)]
+        done = subprocess.run(command, check=False, preexec_fn=lambda: limit(level), **streams)
         return done.returncode, done.stderr
 
     def _forked(self, out: Path, level: FillLevel) -> tuple[int, str]:
-        said = self._stock.with_name("said")
-        child = os.fork()
-        if not child:
-            self._be_child(out, level, said)
-        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said.read_text()
+        def action() -> int:
+            import twin.pipeline.methods
 
-    def _be_child(self, out: Path, level: FillLevel, said: Path) -> None:
-        import twin.pipeline.methods
-
-        code = 99
-        try:
-            os.setsid()
-            os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), 2)
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             twin.pipeline.methods.measure_whole = lambda *_: self._measured
             limit(level)
-            code = command(["measure", *EXPERIMENT, "-o", str(out)])
-        finally:
-            os._exit(code)
+            return command(["measure", *EXPERIMENT, "-o", str(out)])
+
+        child = forked(action, self._stock.parent)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        return code, self._stock.with_name("stderr").read_text()
 
 
 def limit(level: FillLevel) -> None:
-    """Limit the files of this process; also for programs that do not ignore the signal of it."""
+    """Limit the files of this process and ignore the signal of the limit."""
     if level.file_bytes is not None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (level.file_bytes, level.file_bytes))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return every file below a folder with its bytes, hidden ones among them."""
+    """Return every file below a folder with its bytes, including hidden files."""
     files = (path for path in folder.rglob("*") if path.is_file())
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def stored(folder: Path) -> Any:
-    """Read a measurement; any image of the camera's size is as good as the white frame."""
+    """Read a measurement; the white frame is replaced by any image of the camera's size."""
     from reconstruction.capture.folder import read_capture
     from twin.results.folder import CAPTURE_FOLDER, read_measurement
 

@@ -1,20 +1,22 @@
 """Fuzz the command line: damaged files, hostile arguments, damaged stores and results.
 
-Each case is a seed (`benchmarks.fuzzing`). `--seed N` repeats one and shows what was done; bad
-cases are printed as they are found. Last line: {"cases": n, "tracebacks": 0, "hangs": 0,
-"crashes": 0, "partial_outputs": 0, "foreign_changes": 0, "not_told": 0, ...}.
+Each case is a seed (`benchmarks.fuzzing`). `--seed N` repeats a case and prints it; bad cases are
+printed at once. Last line: {"cases": n, "tracebacks": 0, "hangs": 0, "crashes": 0,
+"partial_outputs": 0, "foreign_changes": 0, "not_told": 0, ...}.
 """
 
 import argparse
 import json
-import shutil
+import math
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
+from benchmarks._forked import command, preload
 from benchmarks.fuzz_stock import make_stock
 from benchmarks.fuzzing import LIMIT_S, TARGETS, FuzzOutcome, run_case
 
@@ -29,38 +31,17 @@ ENDS = {
 }
 
 
-def command(arguments: list[str]) -> int:
-    """Run a command line of the twin as its program does."""
-    from twin.cli import run
-    from twin.working import unwind_on_signals
-
-    unwind_on_signals()
-    return run(arguments)
-
-
-def preload() -> None:
-    """Import what the commands need, so that a forked case begins at once; starts no thread."""
-    import h5netcdf  # noqa: F401
-    import trimesh  # noqa: F401
-
-    import twin.cli
-    import twin.pipeline.captures
-    import twin.pipeline.press
-    import twin.report
-    import twin.study.sweep  # noqa: F401
-
-
 def main() -> int:
     """Run cases until the time or their number is used up."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="200 cases")
-    parser.add_argument("--minutes", type=float, help="end after so long")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="time limit")
     parser.add_argument("--cases", type=int, default=5000)
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--seed", type=int, help="only this case, shown")
-    parser.add_argument("--sound", help="only this target on its sound input: all, or its name")
+    parser.add_argument("--seed", type=int, help="this case only, printed")
+    parser.add_argument("--sound", help="a target on its sound input: its name, or all")
     parser.add_argument("--limit", type=float, default=LIMIT_S, help="seconds until a case hangs")
-    parser.add_argument("--stock", type=Path, help="sound inputs of an earlier run, or where to")
+    parser.add_argument("--stock", type=Path, help="folder of the sound inputs; made if absent")
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         stock = (chosen.stock or Path(scratch) / "stock").absolute()
@@ -68,61 +49,49 @@ def main() -> int:
             stock.mkdir(parents=True)
             make_stock(stock, Path(sys.executable).with_name("twin"))
         preload()
+        run = partial(one_case, stock=stock, limit_s=chosen.limit)
         if chosen.seed is not None:
-            print(one(chosen.seed, stock, Path(scratch), chosen.limit))
+            print(run(chosen.seed))
             return 0
         if chosen.sound:
-            return int(any(list(sound_cases(chosen.sound, stock, Path(scratch), chosen.limit))))
-        count = 200 if chosen.quick else chosen.cases
-        seeds = range(chosen.first, chosen.first + count)
-        found = list(cases(seeds, stock, chosen.minutes, chosen.limit))
-    print(json.dumps(summary(found)))
-    return int(any(case.is_bad for case in found))
+            names = TARGETS if chosen.sound == "all" else (chosen.sound,)
+            accepted = [is_accepted(run(0, sound=name)) for name in names]
+            return int(not all(accepted))
+        count, end = 200 if chosen.quick else chosen.cases, time.monotonic() + 60 * chosen.minutes
+        outcomes = list(until(end, map(run, range(chosen.first, chosen.first + count))))
+    print(json.dumps(summary(outcomes)))
+    return int(any(outcome.is_bad for outcome in outcomes))
 
 
-def one(seed: int, stock: Path, scratch: Path, limit_s: float) -> FuzzOutcome:
-    """Run one case in a folder of its own."""
-    folder = scratch / str(seed)
-    folder.mkdir()
-    found = run_case(seed, stock, folder, command, limit_s)
-    shutil.rmtree(folder)
-    return found
+def one_case(seed: int, stock: Path, limit_s: float, sound: str = "") -> FuzzOutcome:
+    """Run a case in a folder of its own; print it if it is bad or sound."""
+    with tempfile.TemporaryDirectory() as folder:
+        outcome = run_case(seed, stock, Path(folder), command, limit_s, sound=sound)
+    if outcome.is_bad or sound:
+        print(outcome, flush=True)
+    return outcome
 
 
-def sound_cases(named: str, stock: Path, scratch: Path, limit_s: float) -> Iterator[bool]:
-    """Run targets on sound input; print each, and yield whether it was not taken."""
-    for name in TARGETS if named == "all" else (named,):
-        folder = scratch / name
-        folder.mkdir()
-        found = run_case(0, stock, folder, command, limit_s, sound=name)
-        print(found, flush=True)
-        refuses = "{refusing}" in TARGETS[name].arguments and "no earlier" in found.said
-        yield found.end != "done" and not refuses
+def is_accepted(outcome: FuzzOutcome) -> bool:
+    """Return True if a sound input was accepted, or rejected for its output folder only."""
+    refusing = "{refusing}" in TARGETS[outcome.target].command
+    return outcome.end == "done" or (refusing and "no earlier" in outcome.message)
 
 
-def cases(
-    seeds: range, stock: Path, minutes: float | None, limit_s: float
-) -> Iterator[FuzzOutcome]:
-    """Run cases one after the other; tell the bad ones."""
-    end = time.monotonic() + 60.0 * (minutes if minutes is not None else 1e6)
-    with tempfile.TemporaryDirectory() as scratch:
-        for seed in seeds:
-            if time.monotonic() > end:
-                return
-            case = one(seed, stock, Path(scratch), limit_s)
-            if case.is_bad:
-                print(case, flush=True)
-            yield case
+def until(end: float, outcomes: Iterator[FuzzOutcome]) -> Iterator[FuzzOutcome]:
+    """Yield outcomes until a time of the monotonic clock."""
+    while time.monotonic() < end and (outcome := next(outcomes, None)):
+        yield outcome
 
 
-def summary(found: list[FuzzOutcome]) -> dict[str, object]:
+def summary(outcomes: list[FuzzOutcome]) -> dict[str, object]:
     """Count how the cases ended."""
-    ends = Counter(case.end for case in found)
+    ends = Counter(outcome.end for outcome in outcomes)
+    slowest_s = max((outcome.seconds for outcome in outcomes), default=0.0)
     return (
-        {"cases": len(found)}
+        {"cases": len(outcomes)}
         | {name: ends[end] for name, end in ENDS.items()}
-        | {"told": ends["told"], "done": ends["done"]}
-        | {"slowest_s": round(max((case.seconds for case in found), default=0.0), 1)}
+        | {"told": ends["told"], "done": ends["done"], "slowest_s": round(slowest_s, 1)}
     )
 
 

@@ -1,13 +1,12 @@
 """Every number of an experiment at its extremes: a sensible result, or one clear line.
 
-For each numeric key that a base experiment has, the smallest and the largest values that its bounds
-allow and the extremes of floating point. Values that the configuration rejects take milliseconds;
-the others run in a child process under limits of processor time and memory. Bad cases are printed
-as they are found. Last line: {"cases": n, "tracebacks": 0, "hangs": 0, "crashes": 0, "long": 0,
-"absurd": 0, ...}.
+For each numeric key of a base experiment: the ends of the range that its bounds allow and the
+extremes of floating point. Values that the configuration rejects take milliseconds; the other cases
+run in a child process under limits of processor time and memory. Bad cases are printed at once.
+Last line: {"cases": n, "tracebacks": 0, "hangs": 0, "crashes": 0, "long": 0, "absurd": 0, ...}.
 
 - `absurd`: exit code 0, and a figure that is not finite or larger than `LARGEST`;
-- `long`: bad input that takes more than one line per problem.
+- `long`: an error message of more than one line per problem.
 """
 
 import argparse
@@ -19,69 +18,47 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from benchmarks.fuzz import command, preload
-from benchmarks.fuzzing import run_forked
+from benchmarks._forked import command, preload
+from benchmarks.fuzzing import FuzzOutcome, run_forked
 
 EXTREMES = (0, -1, 5e-324, 1e-300, 1e-9, 1e9, 1e300)
 LARGEST = 1e7
 """Of a figure in its own unit (mm, um, ms, kPa, N): no sensor has a larger one."""
 MOST_BYTES = 6 * 2**30
-# Settings and times of a result file.
-_NO_FIGURES = ("experiment", "seconds", "frames_per_s", "seed")
+_SETTINGS_AND_TIMES = ("experiment", "seconds", "frames_per_s", "seed")
 _SMALL_CAMERA = {"camera.binning": 4, "camera.width_px": 484, "camera.height_px": 368}
 _SLAB = _SMALL_CAMERA | {"press.solver_pitch_mm": 0.4}
 _SHEET = _SMALL_CAMERA | {"press.cell_mm": 0.4}
+_FORCE = {"press.control": "force", "press.depth_mm": "absent"}
+_PRESSED = ("press", "elastomer", "specimen")
+_SEEN = ("projector", "camera", "patterns", "decode", "score", "render", "coating", "specimen")
 
 
-@dataclass(frozen=True)
-class NumberBase:
-    """An experiment whose numbers are varied, and the command that takes it."""
+class NumberBase(NamedTuple):
+    """An experiment, settings, the command that runs it, and the tables whose numbers vary."""
 
     experiment: str
     settings: dict[str, Any]
     command: str
-    #: tables whose numbers are varied
     sections: tuple[str, ...]
 
 
-_FORCE = {"press.control": "force", "press.depth_mm": "absent"}
-_PRESSED = ("press", "elastomer", "specimen")
-_SEEN = ("projector", "camera", "patterns", "decode", "score", "render", "coating", "specimen")
+_SLAB_FORCE, _SHEET_FORCE = (
+    table | _FORCE | {"press.force_n": force_n} for table, force_n in ((_SLAB, 2.0), (_SHEET, 0.6))
+)
 BASES = {
     "slab": NumberBase("examples/slab_ball", _SLAB, "press", _PRESSED),
-    "slab_force": NumberBase(
-        "examples/slab_ball", _SLAB | _FORCE | {"press.force_n": 2.0}, "press", _PRESSED[:2]
-    ),
+    "slab_force": NumberBase("examples/slab_ball", _SLAB_FORCE, "press", _PRESSED[:2]),
     "gel": NumberBase("examples/gel_on_window", _SLAB, "press", _PRESSED),
     "sheet": NumberBase("examples/wrapped_balls", _SHEET, "press", _PRESSED),
-    "sheet_force": NumberBase(
-        "examples/wrapped_balls", _SHEET | _FORCE | {"press.force_n": 0.6}, "press", _PRESSED[:2]
-    ),
+    "sheet_force": NumberBase("examples/wrapped_balls", _SHEET_FORCE, "press", _PRESSED[:2]),
     "measured": NumberBase("examples/slab_ball", _SLAB, "measure", _SEEN),
     "window": NumberBase("examples/gel_on_window", _SLAB, "measure", ("layers",)),
     "direct": NumberBase("examples/gauges", _SMALL_CAMERA, "measure", (*_SEEN, "stage")),
 }
-
-
-@dataclass(frozen=True)
-class NumberOutcome:
-    """How a case ended: `told`, `done`, or what was bad; and wall-clock seconds."""
-
-    base: str
-    key: str
-    value: float
-    end: str
-    message: str
-    seconds: float
-
-    @property
-    def is_bad(self) -> bool:
-        """Return True if the program misbehaved."""
-        return self.end not in ("told", "done")
 
 
 def cases_of(base: NumberBase) -> Iterator[tuple[str, float]]:
@@ -96,7 +73,7 @@ def cases_of(base: NumberBase) -> Iterator[tuple[str, float]]:
 
 
 def _numbers_in(tree: dict[str, Any], before: str = "") -> Iterator[str]:
-    """Yield the dotted paths of the numbers in nested tables; in lists no path leads to one."""
+    """Yield the dotted paths of the numbers in nested tables; lists have no paths."""
     for key, value in tree.items():
         if isinstance(value, dict):
             yield from _numbers_in(value, f"{before}{key}.")
@@ -104,22 +81,22 @@ def _numbers_in(tree: dict[str, Any], before: str = "") -> Iterator[str]:
             yield f"{before}{key}"
 
 
-def run_number(name: str, key: str, value: float, folder: Path, limit_s: float) -> NumberOutcome:
+def run_number(name: str, key: str, value: float, folder: Path, limit_s: float) -> FuzzOutcome:
     """Run one case in a child process, and judge it."""
     base, out = BASES[name], folder / "out"
-    settings = base.settings | {key: value}
-    words = [f"{path}={_as_toml(path, setting, key)}" for path, setting in settings.items()]
-    given = [part for word in words for part in ("-s", word)]
-    arguments = [base.command, base.experiment, *given, "--no-report", "-o", "out"]
+    arguments = [base.command, base.experiment, "--no-report", "-o", "out"]
+    for path, setting in (base.settings | {key: value}).items():
+        arguments += ["-s", f"{path}={_as_toml(path, setting, key)}"]
     end, message, seconds = run_forked(arguments, folder, _limited, limit_s)
-    if end == "told" and len((folder / "stderr").read_text().split("twin: ")[-1].splitlines()) > 3:
+    text = (folder / "stderr").read_text()
+    if end == "told" and len(text.split("twin: ")[-1].splitlines()) > 3:
         end = "long"
-    if end == "told" and not (message and key.split(".")[-1] in (folder / "stderr").read_text()):
+    if end == "told" and not (message and key.split(".")[-1] in text):
         message = f"(another key) {message}"
     if end == "done" and (figure := _absurd(out / "result.json")):
         end, message = "absurd", figure
     shutil.rmtree(out, ignore_errors=True)
-    return NumberOutcome(name, key, value, end, message, seconds)
+    return FuzzOutcome(0, name, f"{key} = {value!r}", end, message, seconds)
 
 
 def _as_toml(path: str, setting: Any, key: str) -> str:
@@ -133,9 +110,8 @@ def _limited(arguments: list[str]) -> int:
 
 
 def _absurd(result: Path) -> str:
-    """Return a figure that no sensor has; empty where there is none."""
-    text = result.read_text(encoding="utf-8")
-    for name, value in _figures_in(json.loads(text)):
+    """Return the first figure that no sensor has; empty if there is none."""
+    for name, value in _figures_in(json.loads(result.read_text(encoding="utf-8"))):
         if not math.isfinite(value) or abs(value) > LARGEST:
             return f"{name} = {value:g}"
     return ""
@@ -144,7 +120,7 @@ def _absurd(result: Path) -> str:
 def _figures_in(node: Any, name: str = "") -> Iterator[tuple[str, float]]:
     if isinstance(node, dict):
         for key, value in node.items():
-            if key not in _NO_FIGURES:
+            if key not in _SETTINGS_AND_TIMES:
                 yield from _figures_in(value, key)
     elif isinstance(node, float):
         yield name, node

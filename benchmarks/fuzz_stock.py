@@ -13,6 +13,7 @@ from reconstruction.photometric.colour_maps import COLOUR_TERMS, PLACE_TERMS, Co
 from reconstruction.photometric.sensor import SensorCalibration, write_sensor_calibration
 from reconstruction.writing import write_exr_channels
 
+CAPTURE = Path(__file__).parents[1] / "docs" / "example_capture"
 SMALL = {
     "camera.binning": 4,
     "camera.width_px": 484,
@@ -34,66 +35,82 @@ back_pressure_kpa = 3.0
 [sigma]
 thickness_mm = 0.004
 """
+_PRESS = """format = "photometric-press"
+version = 1
+image = "press.png"
+background = ["still.png"]
+calibration = "sensor.npz"
+"""
+_COMMANDS = (
+    "measure slab.toml -o measured",
+    "render slab.toml -o rendered",
+    "sweep study.toml -o swept -j 1",
+    "sweep report swept",
+    "describe listed --projector 1280 720",
+    "decode listed -o decoded",
+    # Compiles the reader of 8-bit images, for which no case has the time.
+    "reconstruct capture -o reconstructed",
+)
 
 
 def make_stock(folder: Path, run: Path) -> None:
-    """Make the sound inputs once: small experiments, a capture, a measurement, a store.
+    """Make the sound inputs once.
 
     Parameters
     ----------
     folder : new folder
     run : program of the command line
     """
+    (folder / "kept" / "deep").mkdir(parents=True)
+    for name in ("canary.txt", "deep/canary.json", "result.csv"):
+        (folder / "kept" / name).write_text("no command may change this\n")
+    _make_documents(folder)
+    for name in ("capture", "capture_pressed"):
+        shutil.copytree(CAPTURE, folder / name)
+    (folder / "capture_pressed" / "layer.toml").write_text(_LAYER)
+    for kind in ("exr", "tiff"):
+        _with_other_images(folder / f"capture_{kind}", kind)
+    # Images without a description, every second of their pixels.
+    for name in ("bare", "listed"):
+        (folder / name).mkdir()
+        for path in sorted(CAPTURE.glob("*.png")):
+            imageio.imwrite(folder / name / path.name, imageio.imread(path)[::2, ::2])
+    make_colours(folder / "colours")
+    _make_stereo(folder)
+    for command in _COMMANDS:
+        subprocess.run([str(run), *command.split()], cwd=folder, check=True, capture_output=True)
+
+
+def _make_documents(folder: Path) -> None:
+    """Write experiments, meshes, a study, a board, a problem and inputs."""
     import trimesh
 
     from twin.assets import asset_path
     from twin.config import load_experiment
     from twin.config.loading import to_toml
 
-    (folder / "kept" / "deep").mkdir(parents=True)
-    for name in ("canary.txt", "deep/canary.json", "result.csv"):
-        (folder / "kept" / name).write_text("nobody may change this\n")
-    slab = load_experiment("examples/slab_ball", SMALL)
-    (folder / "slab.toml").write_text(to_toml(slab))
-    sheet = SMALL | {"press.cell_mm": 0.4}
-    (folder / "sheet.toml").write_text(to_toml(load_experiment("examples/wrapped_balls", sheet)))
     part = trimesh.creation.box((4.0, 3.0, 2.0))
     for name in ("part.stl", "part.ply", "part.obj"):
         part.export(folder / name)
-    mesh = {"specimen": {"kind": "mesh", "file": str(folder / "part.stl")}}
-    (folder / "slab_mesh.toml").write_text(
-        to_toml(load_experiment("examples/slab_ball", SMALL | mesh))
-    )
-    (folder / "study.toml").write_text(_STUDY)
-    shutil.copy(asset_path("scenes", "boards/paper_dots"), folder / "board.toml")
-    shutil.copy(asset_path("scenes", "problems/slab"), folder / "problem.toml")
-    shutil.copy(asset_path("scenes", "inputs/handling"), folder / "inputs.toml")
-    capture = Path(__file__).parents[1] / "docs" / "example_capture"
-    shutil.copytree(capture, folder / "capture")
-    shutil.copytree(capture, folder / "capture_pressed")
-    (folder / "capture_pressed" / "layer.toml").write_text(_LAYER)
-    for kind in ("exr", "tiff"):
-        _with_other_images(capture, folder / f"capture_{kind}", kind)
-    _without_description(capture, folder / "bare")
-    shutil.copytree(folder / "bare", folder / "listed")
-    make_colours(folder / "colours")
-    _make_stereo(folder)
-    for command in (
-        ("measure", "slab.toml", "-o", "measured"),
-        ("render", "slab.toml", "-o", "rendered"),
-        ("sweep", "study.toml", "-o", "swept", "-j", "1"),
-        ("sweep", "report", "swept"),
-        ("describe", "listed", "--projector", "1280", "720"),
-        ("decode", "listed", "-o", "decoded"),
-        # Compiles what reads 8-bit images, for which no case has the time.
-        ("reconstruct", "capture", "-o", "reconstructed"),
+    mesh = SMALL | {"specimen": {"kind": "mesh", "file": str(folder / "part.stl")}}
+    for name, base, settings in (
+        ("slab", "slab_ball", SMALL),
+        ("sheet", "wrapped_balls", SMALL | {"press.cell_mm": 0.4}),
+        ("slab_mesh", "slab_ball", mesh),
     ):
-        subprocess.run([str(run), *command], cwd=folder, check=True, capture_output=True)
+        (folder / f"{name}.toml").write_text(to_toml(load_experiment(f"examples/{base}", settings)))
+    (folder / "study.toml").write_text(_STUDY)
+    for name, asset in (
+        ("board", "boards/paper_dots"),
+        ("problem", "problems/slab"),
+        ("inputs", "inputs/handling"),
+    ):
+        shutil.copy(asset_path("scenes", asset), folder / f"{name}.toml")
 
 
-def _with_other_images(capture: Path, folder: Path, kind: str) -> None:
-    """Copy a capture, its images as TIFF or EXR."""
-    shutil.copytree(capture, folder)
+def _with_other_images(folder: Path, kind: str) -> None:
+    """Copy the capture, its images as TIFF or EXR."""
+    shutil.copytree(CAPTURE, folder)
     for path in sorted(folder.glob("*.png")):
         image, other = imageio.imread(path), path.with_suffix(f".{kind}")
         if kind == "exr":
@@ -105,29 +122,18 @@ def _with_other_images(capture: Path, folder: Path, kind: str) -> None:
     (folder / "capture.toml").write_text(text.replace("{name}.png", f"{{name}}.{kind}"))
 
 
-def _without_description(capture: Path, folder: Path) -> None:
-    """Copy a capture's images alone, every second of their pixels."""
-    folder.mkdir()
-    for path in sorted(capture.glob("*.png")):
-        imageio.imwrite(folder / path.name, imageio.imread(path)[::2, ::2])
-
-
 def _make_stereo(folder: Path) -> None:
-    """Make calibrations as other programs write them: YAML, XML, MATLAB."""
+    """Make calibrations in the formats of other programs: YAML, XML, MATLAB."""
     matrix = np.array([[1800.0, 0.0, 320.0], [0.0, 1800.0, 240.0], [0.0, 0.0, 1.0]])
-    motion = {"om": np.array([[0.05], [-0.42], [0.02]]), "T": np.array([[98.0], [6.0], [21.0]])}
-    found = {f"{one}{name}": value for one in ("M", "D") for name, value in _of(one, matrix)}
+    lens = np.array([[-0.11, 0.07, 4e-4, -3e-4, 0.02]])
+    values = {"M1": matrix, "M2": matrix, "D1": lens, "D2": lens}
+    values |= {"om": np.array([[0.05], [-0.42], [0.02]]), "T": np.array([[98.0], [6.0], [21.0]])}
     for kind in ("yml", "xml"):
         storage = cv2.FileStorage(str(folder / f"stereo.{kind}"), cv2.FileStorage_WRITE)
-        for name, value in (found | motion).items():
+        for name, value in values.items():
             storage.write(name, value)
         storage.release()
-    savemat(folder / "stereo.mat", found | motion)
-
-
-def _of(name: str, matrix: np.ndarray) -> tuple[tuple[int, np.ndarray], ...]:
-    value = matrix if name == "M" else np.array([[-0.11, 0.07, 4e-4, -3e-4, 0.02]])
-    return (1, value), (2, value)
+    savemat(folder / "stereo.mat", values)
 
 
 def make_colours(folder: Path) -> None:
@@ -141,6 +147,4 @@ def make_colours(folder: Path) -> None:
     )
     background = np.full((48, 64, 3), 100.0, np.float32)
     write_sensor_calibration(folder / "sensor.npz", SensorCalibration(colour_map, background, 0.1))
-    lines = ('format = "photometric-press"', "version = 1", 'image = "press.png"')
-    ends = ('background = ["still.png"]', 'calibration = "sensor.npz"', "")
-    (folder / "press.toml").write_text("\n".join((*lines, *ends)))
+    (folder / "press.toml").write_text(_PRESS)

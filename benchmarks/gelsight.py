@@ -1,12 +1,12 @@
-"""The opponent: a rendered GelSight Mini, decoded as its vendor does and as a textbook would.
+"""The comparison method: a rendered GelSight Mini, decoded by its vendor's and a textbook method.
 
 - 6.31 mm balls at random places: cap height over true by the vendor's integration (2025 and 2024
   forms) and the corrected one; 29 real presses gave 0.66, 1.32 and 1.007.
-- Twins of 67 presses on one real unit (`real_presses`): the untouched gel beside two units'
-  published tables; on the spots of every contact how levels change; the change across the contact's
-  edge; noise of a single frame (high-pass), and what of it two presses have in common.
-- The same twins calibrated and measured as the real ones are, by halves: slope error within the
-  contact, and drift of untouched gel with and without relighting.
+- Twins of 67 presses on one real unit (`real_presses`): the gel before contact compared with two
+  units' published tables; on the spots of every contact the change of levels; the change across
+  the contact's edge; noise of a single frame (high-pass), and its correlation between two presses.
+- The same twins calibrated and measured as the real ones, by halves: slope error within the
+  contact, and drift of gel without contact with and without relighting.
 - Two joined 8 mm balls pressed to the same depth into both sensors, then with the same force:
   GelSight's sphere-fit RMSE over that of contact-FPP, mean over both balls; the paper states 10.7.
 
@@ -15,10 +15,7 @@ Last line: {"faithful_2025", "faithful_2024", "corrected", "background_rms_grey"
 suffix are those of the polynomial map at the same depth.
 """
 
-import argparse
-import json
 import statistics
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -27,17 +24,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks._harness import print_figures, quick_parser, seconds
 from benchmarks.cap_height import cap_height_ratio
 from benchmarks.fit_lamps import UNITS
 from benchmarks.photometric_balls import distance_px, held_out, held_out_drift, whole
-from benchmarks.real_presses import (
-    WIDE_PAD,
-    RealPresses,
-    circle_of,
-    read_presses,
-    spots_of,
-    twins,
-)
+from benchmarks.real_presses import WIDE_PAD, RealPresses, circle_of, read_presses, spots_of, twins
 from reconstruction.photometric import BallPress, PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.calibration_ball import ContactCircle, find_contact_circle
 from reconstruction.photometric.images import mean_background, smoothed
@@ -55,8 +46,8 @@ SENSORS = Memory()
 
 SCHEMES = {"corrected": "corrected", "faithful_2025": "sdk_2025", "faithful_2024": "sdk_2024"}
 PAPER_RATIO = 10.7
-# Of the real presses: levels by channel; by distance over contact radius, all channels together
-# (6.31 mm balls); the others as (6.31, 9.5 mm balls), drift in um.
+# Real presses: noise in levels by channel; change at the edge by distance in contact radii, of all
+# channels (6.31 mm balls); the others for (6.31, 9.5 mm) balls, drift in um.
 REAL_NOISE = {"red": 2.12, "green": 1.46, "blue": 2.45}
 REAL_EDGE = {0.2: 24.1, 0.6: 39.7, 1.0: 52.9, 1.2: 42.6, 1.5: 21.6, 2.0: 7.9, 2.5: 4.1}
 REAL = {"drift_um": (41, 54), "relit_drift_um": (14, 12), "slope_error": (0.047, 0.046)}
@@ -69,7 +60,7 @@ REPEATS = 20
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """An image of the pressed ball, and the contact found in it."""
+    """An image of the pressed ball, and the detected contact."""
 
     image: Any
     circle: ContactCircle
@@ -77,49 +68,47 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Twins:
-    """The real presses, and the images of their rendered twins, with the found contacts.
+    """The real presses, and the images of their rendered twins, with the detected contacts.
 
     Attributes
     ----------
-    untouched : (row, col, 3) uint8
+    still : (row, col, 3) uint8, image without contact
     """
 
     real: RealPresses
     presses: list[BallPress]
     circles: list[ContactCircle]
-    untouched: Any
+    still: Any
 
     @classmethod
     def of(cls, experiment: Any) -> "Twins":
         """Photograph them."""
         sensor, real = calibrated_sensor(experiment, SENSORS)[0], read_presses()
-        untouched = mean_background(sensor.backgrounds())
+        still = mean_background(sensor.backgrounds())
         pressed = twins(sensor, real.presses)
-        flat = smoothed(untouched, 3)
-        circles = [find_contact_circle(smoothed(one.image, 3), flat) for one in pressed]
-        return cls(real, pressed, circles, untouched.astype(np.uint8))
+        flat = smoothed(still, 3)
+        circles = [find_contact_circle(smoothed(press.image, 3), flat) for press in pressed]
+        return cls(real, pressed, circles, still.astype(np.uint8))
 
-    def apart(self, number: int, radii: float) -> Any:
+    def beyond(self, number: int, radii: float) -> Any:
         """Return the pixels farther from a contact than so many of its radii."""
         circle = self.circles[number]
-        return distance_px(self.untouched.shape, circle) > radii * circle.radius_px
+        return distance_px(self.still.shape, circle) > radii * circle.radius_px
 
 
 def main() -> None:
     """Measure and print one JSON line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer presses, coarser contact-FPP")
-    quick = parser.parse_args().quick
+    quick = quick_parser(__doc__, "fewer presses, coarser contact-FPP").parse_args().quick
     count = {"photometric.presses.count": 16 if quick else 50}
     experiment = load_experiment("examples/gelsight_ball", count | WIDE_PAD)
     figures = balls(experiment, shots_of(experiment, 4 if quick else 29))
     unit = Twins.of(experiment)
     figures |= lamps(unit) | noise(unit) | halves(unit) | two_balls(quick)
-    print(json.dumps({name: round(value, 3) for name, value in figures.items()}))
+    print_figures(figures)
 
 
 def shots_of(experiment: Any, count: int) -> list[Shot]:
-    """Photograph one ball at random places; find its contact as in practice."""
+    """Photograph a ball at random places; detect its contact as in practice."""
     rng = np.random.default_rng(seed_sequence(experiment, "benchmark"))
     shots = []
     for number in range(count):
@@ -136,40 +125,38 @@ def photographed(experiment: Any, case: Any, number: int) -> Shot:
     return Shot(image, find_contact_circle(smoothed(image, 3), calibration.background))
 
 
+def cap_ratios(experiment: Any, shots: list[Shot]) -> dict[str, list[float]]:
+    """Return measured over true cap heights of every shot, by integration scheme."""
+    sensor, calibration = calibrated_sensor(experiment, SENSORS)
+    found = {}
+    for name, scheme in SCHEMES.items():
+        decoder = PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
+        heights = ((decoder.decode(shot.image).height_mm, shot.circle) for shot in shots)
+        ball = BALL_MM / 2, sensor.pitch_mm
+        found[name] = [cap_height_ratio(*height, *ball) for height in heights]
+    return found
+
+
 def balls(experiment: Any, shots: list[Shot]) -> dict[str, float]:
     """Cap heights over true, and the time of a reconstruction."""
-    sensor, calibration = calibrated_sensor(experiment, SENSORS)
-    decoders = {
-        name: PhotometricDecoder(calibration, PhotometricOptions(integration=scheme))
-        for name, scheme in SCHEMES.items()
-    }
     figures = {}
-    for name, decoder in decoders.items():
-        values = [
-            cap_height_ratio(
-                decoder.decode(shot.image).height_mm, shot.circle, BALL_MM / 2, sensor.pitch_mm
-            )
-            for shot in shots
-        ]
+    for name, values in cap_ratios(experiment, shots).items():
         print(f"{name}: {np.mean(values):.3f} +- {np.std(values):.3f} on {len(shots)} presses")
         figures[name] = float(np.mean(values))
-    return figures | {"reconstruct_ms": decode_ms(decoders["corrected"], shots[0].image)}
+    decoder = PhotometricDecoder(calibrated_sensor(experiment, SENSORS)[1])
+    return figures | {"reconstruct_ms": decode_ms(decoder, shots[0].image)}
 
 
 def decode_ms(decoder: PhotometricDecoder, image: Any) -> float:
     """Median wall-clock time of one image, after a first one."""
-    times = []
-    for _ in range(REPEATS + 1):
-        start = time.perf_counter()
-        decoder.decode(image)
-        times.append(1e3 * (time.perf_counter() - start))
-    return statistics.median(times[1:])
+    times = [seconds(lambda: decoder.decode(image)) for _ in range(REPEATS + 1)]
+    return 1e3 * statistics.median(times[1:])
 
 
 def lamps(unit: Twins) -> dict[str, float]:
     """Compare the rendered images with those of real units, pressed at the same places."""
-    rows, cols = (np.array_split(np.arange(n), 3) for n in unit.untouched.shape[:2])
-    tiles = [[unit.untouched[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows]
+    rows, cols = (np.array_split(np.arange(n), 3) for n in unit.still.shape[:2])
+    tiles = [[unit.still[np.ix_(r, c)].mean((0, 1)) for c in cols] for r in rows]
     print("rendered background\n", np.round(np.moveaxis(tiles, -1, 0), 1))
     change = np.concatenate([_spots(unit, number) for number in range(len(unit.presses))])
     off, real = change - unit.real.change, unit.real.change
@@ -184,9 +171,9 @@ def lamps(unit: Twins) -> dict[str, float]:
 
 
 def _spots(unit: Twins, number: int) -> Any:
-    """Return what a rendered press changes on the spots of the real one, (spot, channel)."""
+    """Return the change of levels on the spots of a real press, rendered, (spot, channel)."""
     image, circle = unit.presses[number].image, circle_of(unit.real.presses[number])
-    return spots_of(image, circle)[1] - spots_of(unit.untouched, circle)[1]
+    return spots_of(image, circle)[1] - spots_of(unit.still, circle)[1]
 
 
 def _azimuth_error_deg(real: RealPresses, change: Any) -> float:
@@ -200,30 +187,30 @@ def _azimuth_error_deg(real: RealPresses, change: Any) -> float:
 
 
 def _edge(unit: Twins) -> dict[str, float]:
-    """Colour difference by distance over contact radius, beside that of real presses."""
+    """Colour difference by distance in contact radii, over that of real presses."""
     found = []
     for press, circle in zip(unit.presses, unit.circles, strict=True):
         if press.ball_diameter_mm == BALL_MM and whole(circle, press.image.shape):
-            change = np.linalg.norm(press.image - unit.untouched.astype(float), axis=-1)
+            change = np.linalg.norm(press.image - unit.still.astype(float), axis=-1)
             at = distance_px(press.image.shape, circle) / circle.radius_px
             found.append([change[abs(at - ratio) < 0.05].mean() for ratio in REAL_EDGE])
     ratios = np.mean(found, axis=0) / list(REAL_EDGE.values())
-    print(
-        "colour difference over real", dict(zip(REAL_EDGE, ratios.round(2).tolist(), strict=True))
-    )
-    names = {1.0: "edge_peak_ratio", 1.2: "edge_ratio", 1.5: "skirt_ratio"}
-    by_place = dict(zip(REAL_EDGE, ratios, strict=True))
-    return {name: float(by_place[ratio]) for ratio, name in names.items()}
+    print("colour difference over real, by contact radii", list(REAL_EDGE), ratios.round(2))
+    by_place = dict(zip(REAL_EDGE, map(float, ratios), strict=True))
+    names = {"edge_peak_ratio": 1.0, "edge_ratio": 1.2, "skirt_ratio": 1.5}
+    return {name: by_place[place] for name, place in names.items()}
 
 
 def noise(unit: Twins) -> dict[str, float]:
-    """Noise of a single frame beside the contacts, and how alike it is in two presses."""
+    """Noise of a single frame outside the contacts, and its correlation between two presses."""
     fine = [high_pass(press.image) for press in unit.presses]
-    apart = [unit.apart(number, 2.5) for number in range(len(fine))]
-    spread = np.mean([one[seen].std(axis=0) for one, seen in zip(fine, apart, strict=True)], axis=0)
+    beyond = [unit.beyond(number, 2.5) for number in range(len(fine))]
+    spread = np.mean(
+        [noise[far].std(axis=0) for noise, far in zip(fine, beyond, strict=True)], axis=0
+    )
     common = [
         np.corrcoef(a[near & far].ravel(), b[near & far].ravel())[0, 1]
-        for (a, b), (near, far) in zip(pairwise(fine), pairwise(apart), strict=True)
+        for (a, b), (near, far) in zip(pairwise(fine), pairwise(beyond), strict=True)
     ]
     print("noise, real", REAL_NOISE)
     figures = {
@@ -233,21 +220,21 @@ def noise(unit: Twins) -> dict[str, float]:
 
 
 def halves(unit: Twins) -> dict[str, float]:
-    """Calibrate on every second twin, measure the others, and the other way round."""
-    presses, untouched = unit.presses, unit.untouched
-    rows = held_out(presses, untouched, "polynomial")["corrected"]
+    """Calibrate on every second twin, measure the others, and vice versa."""
+    presses, still = unit.presses, unit.still
+    rows = held_out(presses, still, "polynomial")["corrected"]
     figures = {
         "slope_error": _by_ball("slope_error", [(row.ball_mm, row.slope_error) for row in rows])
     }
     for name, relighting in (("drift_um", False), ("relit_drift_um", True)):
         options = PhotometricOptions(relighting=relighting)
-        drifts = held_out_drift(presses, untouched, options)
+        drifts = held_out_drift(presses, still, options)
         figures[name] = _by_ball(name, drifts)
     return figures
 
 
 def _by_ball(name: str, values: Sequence[tuple[float, float]]) -> float:
-    """Print means of both balls beside those of real presses; return the mean of all presses."""
+    """Print the means of both balls and of real presses; return the mean of all presses."""
     found = np.array(values)
     for ball_mm, real in zip(np.unique(found[:, 0]), REAL[name], strict=True):
         part = found[found[:, 0] == ball_mm, 1]
@@ -260,7 +247,7 @@ def _rms(values: Any) -> float:
 
 
 def high_pass(image: Any) -> Any:
-    """Return what a Gaussian of 2 px removes, (row, col, channel)."""
+    """Return the image less its Gaussian filter of 2 px, (row, col, channel)."""
     levels = image.astype(np.float32)
     return levels - cv2.GaussianBlur(levels, (0, 0), 2.0)
 
@@ -284,25 +271,24 @@ def two_balls(quick: bool) -> dict[str, float]:
         done = measure(case, memory=SENSORS)
         pressed = done.press
         print(f"GelSight pressed {pressed.depth_mm:.3f} mm deep with {pressed.force_n:.3f} N")
-        for one in done.colours.decoded:
-            figures[f"rmse_ratio_{_name(one)}{suffix}"] = _told(one, base_mm)
+        for decoded in done.colours.decoded:
+            figures[f"rmse_ratio_{_name(decoded)}{suffix}"] = _rmse_ratio(decoded, base_mm)
     return figures | {"rmse_ratio_faithful": figures["rmse_ratio_faithful_2025"]}
 
 
-def _name(one: DecodedImage) -> str:
-    scheme = next(name for name, integration in SCHEMES.items() if integration == one.integration)
-    return scheme if one.colour_map == "polynomial" else f"{scheme}_table"
+def _name(decoded: DecodedImage) -> str:
+    scheme = next(name for name, scheme in SCHEMES.items() if scheme == decoded.integration)
+    return scheme if decoded.colour_map == "polynomial" else f"{scheme}_table"
 
 
-def _told(one: DecodedImage, base_mm: float) -> float:
-    rmse_mm, scored = _rmse_mm(one.score), one.score
+def _rmse_ratio(decoded: DecodedImage, base_mm: float) -> float:
+    """Print the fits of a decoded image; return its sphere-fit RMSE over that of contact-FPP."""
+    rmse_mm, scored = _rmse_mm(decoded.score), decoded.score
     radii = ", ".join(f"{ball.measured.radius_mm:.3f}" for ball in scored.spheres)
     true_um = ", ".join(f"{1e3 * ball.true_face.stats.rmse_mm:.2f}" for ball in scored.spheres)
-    print(
-        f"{_name(one)}: sphere fit RMSE {1e3 * rmse_mm:.2f} um (true coat {true_um}), radii {radii}"
-        f" mm, {rmse_mm / base_mm:.2f} times contact-FPP (paper: {PAPER_RATIO}); z RMSE"
-        f" {one.errors.z_rmse_um:.1f} um"
-    )
+    ratio = f"{rmse_mm / base_mm:.2f} times contact-FPP (paper: {PAPER_RATIO})"
+    fits = f"sphere fit RMSE {1e3 * rmse_mm:.2f} um (true coat {true_um}), radii {radii} mm"
+    print(f"{_name(decoded)}: {fits}, {ratio}; z RMSE {decoded.errors.z_rmse_um:.1f} um")
     return rmse_mm / base_mm
 
 

@@ -1,16 +1,16 @@
-"""Coverage of identified values, and whether inseparable ones are told.
+"""Coverage of identified values, and reports of correlated parameters.
 
 120 sensors (--quick: twelve) with a slab of hidden thickness, hardness and travel, drawn from the
 priors, are measured by the whole chain: pressed, rendered, exposed, decoded, fitted. Their radius,
-relief and force, moved by the rows' own noise, are given to `twin identify`, which learned the same
-chain from other simulations. 68 and 95 % intervals must cover the hidden values so often: the three
-of a sensor lie in or out together, so 120 sensors tell the shares to 4 and 2 %. Then the relief
-alone is given, of hardness and travel: their trade-off must be told as a ridge.
+relief and force, with the noise of the rows added, are the input of `twin identify`, trained on
+other simulations of the same chain. 68 and 95 % of the hidden values must be inside the 68 and 95 %
+intervals: the three of a sensor are correlated, so 120 sensors determine the shares to 4 and 2 %.
+Then the relief only is given, of hardness and travel: their correlation must be reported.
 
-Last, the paper: its problem is identified (--quick: a quarter of the simulations, none refined;
---kept FOLDER goes on from what an earlier run simulated), and its rows counted that the twin meets:
-fitted ones within one standard deviation of the paper's single measurements, held-out ones within
-two. The rows that it does not meet are printed with their numbers.
+Last, the paper: its problem is identified (--quick: 25 % of the simulations, none refined; --kept
+FOLDER reuses the simulations of an earlier run), and its rows that the twin meets are counted:
+fitted rows within one standard deviation of the paper's single measurements, held-out rows within
+two. The other rows are printed with their numbers.
 
 Last line: {"coverage_68", "coverage_95", "intervals", "ridge_told_share", "learned_over_row_sd",
 "paper_fitted_within_sd", "paper_held_out_within_2sd", "held_out_rows", "seconds"}.
@@ -18,8 +18,6 @@ Last line: {"coverage_68", "coverage_95", "intervals", "ridge_told_share", "lear
 standard deviation; the paper's two are shares.
 """
 
-import argparse
-import json
 import tempfile
 import time
 from collections.abc import Mapping
@@ -28,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks._harness import print_figures, quick_parser
 from reconstruction.arrays import FloatArray
 from twin.config import load_experiment
 from twin.config.problem import SensorProblem, load_problem
@@ -56,7 +55,7 @@ BASE = {"camera.binning": 4, "mechanics.model": "spectral"}
 
 
 def problem_of(count: int, free: list[str], rows: list[str]) -> SensorProblem:
-    """Return the problem; the rows' values are given later."""
+    """Return the problem; the values of its rows are set later."""
     return SensorProblem.model_validate(
         {
             "name": "bench",
@@ -84,7 +83,7 @@ def identified(
     sensor: Mapping[str, float],
     noise: FloatArray,
 ) -> Identified:
-    """Read a sensor with the rows' noise (row,), in their standard deviations, and identify it."""
+    """Add noise (row,), in standard deviations of the rows, to a sensor's figures; identify it."""
     read = {
         name: row.model_copy(update={"value": sensor[row.metric] + row.sd * shift})
         for (name, row), shift in zip(problem.rows.items(), noise.tolist(), strict=True)
@@ -98,7 +97,7 @@ def every_identified(
     sensors: list[Mapping[str, float]],
     rng: np.random.Generator,
 ) -> list[Identified]:
-    """Identify sensors side by side."""
+    """Identify sensors on two workers."""
     noise = rng.standard_normal((len(sensors), len(problem.rows)))
     workers = local_workers(2)
     executor = workers.open()
@@ -107,32 +106,33 @@ def every_identified(
     return found
 
 
-def covered(one: Marginal, value: float) -> tuple[bool, bool]:
-    """Tell whether the 68 and the 95 % interval hold a value."""
-    return one.low_68 <= value <= one.high_68, one.low_95 <= value <= one.high_95
+def covered(marginal: Marginal, value: float) -> tuple[bool, bool]:
+    """Return whether a value is inside the 68 and the 95 % interval."""
+    inside_68 = marginal.low_68 <= value <= marginal.high_68
+    return inside_68, marginal.low_95 <= value <= marginal.high_95
 
 
 def paper_figures(folder: Path, quick: bool) -> dict[str, float | int]:
-    """Identify the paper's sensor; return how many of its rows the twin meets."""
+    """Identify the paper's sensor; return the shares of its rows that the twin meets."""
     problem, experiments = load_problem("paper/identify")
-    asked = problem.quick() if quick else problem
-    rows = identify(asked, experiments, folder, local_workers(2)).best.predictions
+    chosen = problem.quick() if quick else problem
+    rows = identify(chosen, experiments, folder, local_workers(2)).best.predictions
     for row in rows:
         if abs(row.steps) > (FITTED_WITHIN if row.fitted else HELD_OUT_WITHIN):
-            told = f"{row.twin.mean:.4g}, SD {row.twin.sd:.2g}"
+            twin = f"{row.twin.mean:.4g}, SD {row.twin.sd:.2g}"
             use = "fitted" if row.fitted else "held out"
-            print(f"unexplained: {row.row} ({use}): paper {row.measured:.4g}, twin {told}")
+            print(f"unexplained: {row.row} ({use}): paper {row.measured:.4g}, twin {twin}")
     fitted = [abs(row.steps) <= FITTED_WITHIN for row in rows if row.fitted]
     held = [abs(row.steps) <= HELD_OUT_WITHIN for row in rows if not row.fitted]
     return {
-        "paper_fitted_within_sd": round(float(np.mean(fitted)), 3),
-        "paper_held_out_within_2sd": round(float(np.mean(held)), 3),
+        "paper_fitted_within_sd": float(np.mean(fitted)),
+        "paper_held_out_within_2sd": float(np.mean(held)),
         "held_out_rows": len(held),
     }
 
 
 def synthetic_figures(quick: bool) -> dict[str, float | int]:
-    """Identify sensors of hidden values; return how often they are covered, and ridges told."""
+    """Identify sensors of hidden values; return shares covered and correlations reported."""
     count, sensors, ridge_sensors = (64, 12, 3) if quick else (160, 120, 10)
     rng = np.random.default_rng(3)
     experiments = {"balls": load_experiment("examples/slab_balls", BASE)}
@@ -142,38 +142,31 @@ def synthetic_figures(quick: bool) -> dict[str, float | int]:
         simulated = simulate(whole, experiments, Path(folder) / "whole", local_workers(2))
         hidden = hidden_sensors(whole, sensors, Path(folder) / "hidden")
         found = every_identified(whole, simulated, hidden, rng)
-        alone = simulate(relief, experiments, Path(folder) / "relief", local_workers(2))
-        told = hidden_sensors(relief, ridge_sensors, Path(folder) / "hidden_relief")
-        ridges = [one.ridges() for one in every_identified(relief, alone, told, rng)]
-    hits = np.array(
-        [
-            covered(one.intervals()[name], sensor[name])
-            for one, sensor in zip(found, hidden, strict=True)
-            for name in FREE
-        ]
-    )
+        reliefs = simulate(relief, experiments, Path(folder) / "relief", local_workers(2))
+        few = hidden_sensors(relief, ridge_sensors, Path(folder) / "hidden_relief")
+        ridges = [result.ridges() for result in every_identified(relief, reliefs, few, rng)]
+    pairs = [(result.intervals(), sensor) for result, sensor in zip(found, hidden, strict=True)]
+    hits = np.array([covered(i[name], sensor[name]) for i, sensor in pairs for name in FREE])
     emulators = found[0].best.emulators
     errors = [emulators[n].cross_validated_rmse / row.sd for n, row in whole.rows.items()]
     return {
-        "coverage_68": round(float(hits[:, 0].mean()), 3),
-        "coverage_95": round(float(hits[:, 1].mean()), 3),
+        "coverage_68": float(hits[:, 0].mean()),
+        "coverage_95": float(hits[:, 1].mean()),
         "intervals": len(hits),
-        "ridge_told_share": float(np.mean([len(one) == 1 for one in ridges])),
-        "learned_over_row_sd": round(float(max(errors)), 3),
+        "ridge_told_share": float(np.mean([len(pairs) == 1 for pairs in ridges])),
+        "learned_over_row_sd": float(max(errors)),
     }
 
 
 def main() -> None:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
+    """Identify hidden sensors and the paper's; print one JSON line."""
+    parser = quick_parser(__doc__, "twelve sensors, fewer simulations")
     parser.add_argument("--kept", type=Path, help="folder of the paper's simulations")
-    asked = parser.parse_args()
-    start, figures = time.perf_counter(), synthetic_figures(asked.quick)
+    chosen = parser.parse_args()
+    start, figures = time.perf_counter(), synthetic_figures(chosen.quick)
     with tempfile.TemporaryDirectory() as folder:
-        figures |= paper_figures(asked.kept or Path(folder), asked.quick)
-    figures["seconds"] = round(time.perf_counter() - start, 1)
-    print(json.dumps(figures))
+        figures |= paper_figures(chosen.kept or Path(folder), chosen.quick)
+    print_figures(figures | {"seconds": time.perf_counter() - start})
 
 
 if __name__ == "__main__":

@@ -1,15 +1,15 @@
-"""Kill commands, and a sweep of real cases, again and again; compare with what was left alone.
+"""Kill commands, and a sweep of real cases, again and again; compare with undisturbed runs.
 
 100 kills of `measure`, `reconstruct`, `paper` and `sweep report`: see `benchmarks.killing`.
 
 A study of 200 cases (coat albedo x exposure x noise draws, 242 x 183 pixels) runs on two workers.
 At random moments, some of them during the start, `kill -9` ends the whole run with its workers, the
-run alone, or one worker; after the first two the same command is given again. Wanted:
+run only, or one worker; after the first two the same command is given again. Required:
 
 - the final table is that of the undisturbed run, byte by byte;
-- no case is begun again once it lies in the store (`computed_twice`); those in flight when
-  something died are (`begun_again`);
-- whenever something was killed the store holds nothing but whole cases (`partial_folders`).
+- no case is computed again once it is in the store (`computed_twice`); cases that were being
+  computed at a kill are (`begun_again`);
+- after every kill the store has complete cases only (`partial_folders`).
 
 Last line: {"commands": {"measure": 25, ...}, "mixed": 0, "unreadable": 0, ...,
 "kills": 20, "cases": 200, "table_identical": true, "computed_twice": 0, ...}.
@@ -43,7 +43,7 @@ WAYS = ("everything", "everything", "run", "worker")
 
 
 class Logged(CaseMeasurer):
-    """Measures as ever, and notes when it begins."""
+    """Measures, and logs when each case starts."""
 
     def __call__(self, experiment, conditions=NOMINAL_CONDITIONS) -> CaseResult:
         """Measure one case."""
@@ -60,8 +60,8 @@ def record_of(quick: bool) -> StudyRecord:
     return StudyRecord(study, load_experiment("examples/slab_balls", BASE))
 
 
-def main() -> None:
-    """Kill, compare and print one JSON line; the exit code tells whether all is as wanted."""
+def main() -> int:
+    """Kill, compare and print one JSON line; return the exit code, 0 if all is as required."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="8 kills; 40 cases and 5 kills")
     parser.add_argument("--seed", type=int, default=0)
@@ -71,7 +71,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.sweep:
         sweep(record_of(options.quick), options.sweep, local_workers(2), make_measurer=Logged)
-        return
+        return 0
     found: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as name:
         scratch, kills = Path(name), options.kills or (8 if options.quick else 100)
@@ -81,12 +81,12 @@ def main() -> None:
         if "study" in only:
             found |= killed_and_compared(scratch, options.quick, random.Random(options.seed))
     print(json.dumps(found))
-    unwanted = ("mixed", "unreadable", "computed_twice", "partial_folders")
-    sys.exit(any(map(found.get, unwanted)) or not found.get("table_identical", True))
+    faults = ("mixed", "unreadable", "computed_twice", "partial_folders")
+    return int(any(map(found.get, faults)) or not found.get("table_identical", True))
 
 
 def killed_and_compared(scratch: Path, quick: bool, rng: random.Random) -> dict:
-    """Run the study undisturbed and killed; returns the figures of both."""
+    """Run the study undisturbed and killed; return the figures of both."""
     kills, total = (5, 40) if quick else (20, 200)
     log = scratch / "log"
     begin(scratch / "whole", scratch / "log_whole", quick).wait()
@@ -119,9 +119,9 @@ def killed_and_compared(scratch: Path, quick: bool, rng: random.Random) -> dict:
 
 
 def begin(folder: Path, log: Path, quick: bool) -> subprocess.Popen:
-    """Start the sweep, or go on with it, in a process group of its own."""
+    """Start the sweep, or continue it, in a process group of its own."""
     command = [sys.executable, __file__, "--sweep", str(folder), *(["--quick"] if quick else [])]
-    # Quiet: what the killed left in shared memory is told by Python's tracker of it.
+    # Python warns of shared memory that killed processes did not release.
     environment = os.environ | {LOG: str(log), "PYTHONWARNINGS": "ignore::UserWarning"}
     return subprocess.Popen(command, env=environment, start_new_session=True)
 
@@ -129,7 +129,7 @@ def begin(folder: Path, log: Path, quick: bool) -> subprocess.Popen:
 def wait_a_while(
     run: subprocess.Popen, folder: Path, total: int, kills_left: int, rng: random.Random
 ) -> None:
-    """Wait for a random number of further cases and a bit; now and then only for some seconds."""
+    """Wait for a random number of further cases, or in 20 % of the calls for a random time."""
     done = finished(folder)
     more = rng.randint(0, 2 * (total - done) // (kills_left + 1))
     until = time.monotonic() + (rng.uniform(0.0, 6.0) if rng.random() < 0.2 else 600.0)
@@ -139,7 +139,7 @@ def wait_a_while(
 
 
 def kill(run: subprocess.Popen, way: str) -> str:
-    """Kill in one way; returns the way that was possible."""
+    """Kill in a given way; return the way that was possible."""
     workers = workers_of(run.pid)
     if way == "worker" and workers:
         os.kill(workers[0], signal.SIGKILL)
@@ -159,15 +159,15 @@ def workers_of(pid: int) -> list[int]:
 
 
 def finished(folder: Path) -> int:
-    """Count the cases that a reader sees."""
+    """Count the cases that a reader can list."""
     return len(Store(folder).finished())
 
 
 def partial_folders(folder: Path) -> int:
-    """Count the folders that a reader sees and that are no whole case."""
+    """Count the listed folders that are no complete case."""
     names = Store(folder).finished()
     return sum("metrics" not in (Store(folder).read(name) or {}) for name in names)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

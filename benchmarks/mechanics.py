@@ -1,14 +1,13 @@
-"""Accuracy and speed of the press: `python benchmarks/mechanics.py [--quick]`.
+"""Accuracy and speed of the press.
 
 Accuracy against Hertz, the Fredholm ball on a layer, finite elements and large strain; speed of
 the layer's set-up and of whole solutions on 512 x 512 cells, of every listed specimen, of a study
-of 25 cases, and against ContactMechanics (`pip install ContactMechanics`, null where it is not
-installed). Seconds are processor seconds: a busy machine does not change them. The last line of
-the output is one JSON object. `--quick` leaves out the finite elements and takes the large-strain
-surface from the tests' stored one.
+of 25 cases, and against ContactMechanics (`pip install ContactMechanics`, null if it is not
+installed). Seconds are processor seconds, which a busy machine does not change. The last line of
+the output is one JSON object. `--quick` omits the finite elements and takes the large-strain
+surface from the file of the tests.
 """
 
-import argparse
 import json
 import statistics
 import time
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy import fft
 
+from benchmarks._harness import print_figures, quick_parser
 from twin.config.models import Elastomer, Press
 from twin.mechanics import press
 from twin.mechanics.contact import solve_contact, solve_on_layer
@@ -35,14 +35,9 @@ STORED = Path(__file__).parents[1] / "tests/mechanics/reference/neo_hookean.json
 
 def elastomer(layout: str = "opposite_face", **changes: float) -> Elastomer:
     """Return a 20 x 20 x 4 mm slab of 1 MPa."""
-    values = {
-        "thickness_mm": THICKNESS_MM,
-        "length_x_mm": FREE_MM,
-        "length_y_mm": FREE_MM,
-        "young_modulus_kpa": 1000.0,
-        "poisson_ratio": NU,
-    }
-    return Elastomer.model_validate(values | {"layout": layout} | changes)
+    sides = {"length_x_mm": FREE_MM, "length_y_mm": FREE_MM, "thickness_mm": THICKNESS_MM}
+    values = sides | {"young_modulus_kpa": 1000.0, "poisson_ratio": NU, "layout": layout}
+    return Elastomer.model_validate(values | changes)
 
 
 def to_depth(depth_mm: float, pitch_mm: float = 0.08) -> Press:
@@ -57,6 +52,9 @@ def cpu_s(action: Callable[[], object], repeats: int = 3) -> float:
         action()
         times.append(time.process_time() - start)
     return statistics.median(times)
+
+
+# ---- accuracy ------------------------------------------------------------------------------------
 
 
 def hertz_force_rel(cells: int = 128) -> float:
@@ -124,7 +122,7 @@ def nh_face_rms_um(quick: bool) -> float | None:
     found = press(Ball(), pad, to_depth(1.0))
     middle = found.face_z_mm[found.face_y_mm.size // 2]
     error = np.interp(r, found.face_x_mm, middle) - surface
-    # Over the disc: each ring counts with its circumference.
+    # Over the disc, so each ring has the weight of its circumference.
     return 1e3 * float(np.sqrt(np.average(error**2, weights=r)))
 
 
@@ -140,6 +138,9 @@ def _stored_surface(r_mm: np.ndarray) -> np.ndarray | None:
         return None
     case = json.loads(STORED.read_text())["bonded_r4_h4_d1"]
     return np.interp(r_mm, case["r_mm"], case["touched_face_mm"])
+
+
+# ---- speed ---------------------------------------------------------------------------------------
 
 
 def listed_specimens(x_mm: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
@@ -163,15 +164,26 @@ def listed_specimens(x_mm: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     yield "bear", np.where(r < 5.0, bear - bear.min(), np.inf)
 
 
-def solve_free(height_mm: np.ndarray) -> None:
-    """Set up and solve, both faces."""
-    slab = FreeSlab(CELLS, CELLS, FREE_MM, FREE_MM, THICKNESS_MM, NU)
-    found = solve_on_layer(slab, height_mm, DepthControl(DEPTH_MM))
-    slab.deflect_opposite(found.pressure)
+def free() -> FreeSlab:
+    return FreeSlab(CELLS, CELLS, FREE_MM, FREE_MM, THICKNESS_MM, NU)
 
 
 def bonded() -> BondedLayer:
     return BondedLayer(CELLS, CELLS, BONDED_MM, BONDED_MM, THICKNESS_MM, NU)
+
+
+def solve_free(height_mm: np.ndarray) -> None:
+    """Set up and solve, both faces."""
+    slab = free()
+    found = solve_on_layer(slab, height_mm, DepthControl(DEPTH_MM))
+    slab.deflect_opposite(found.pressure)
+
+
+def bonded_force(height_mm: np.ndarray) -> float:
+    """Set up and solve; return the force over the modulus, mm2."""
+    layer = bonded()
+    found = solve_on_layer(layer, height_mm, DepthControl(DEPTH_MM))
+    return float(found.pressure.sum()) * layer.cell_area_mm2
 
 
 def study() -> None:
@@ -182,31 +194,29 @@ def study() -> None:
             press(TwoBalls(), slab, to_depth(depth))
 
 
-def contact_mechanics_s(height_mm: np.ndarray) -> tuple[float, float] | None:
-    """Return processor time and force over modulus of the same case by ContactMechanics."""
+def contact_mechanics_s(height_mm: np.ndarray) -> float | None:
+    """Return the processor time of the same bonded case by ContactMechanics; print both forces."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            from ContactMechanics import PeriodicFFTElasticHalfSpace
-            from ContactMechanics.Systems import NonSmoothContactSystem
-            from SurfaceTopography import Topography
+        from ContactMechanics import PeriodicFFTElasticHalfSpace
+        from ContactMechanics.Systems import NonSmoothContactSystem
+        from SurfaceTopography import Topography
     except ImportError:
+        print("ContactMechanics is not installed: over_contactmechanics is null", flush=True)
         return None
     size = (BONDED_MM, BONDED_MM)
-    far = np.where(np.isfinite(height_mm), height_mm, 50.0)  # it knows no absent cells
+    far = np.where(np.isfinite(height_mm), height_mm, 50.0)  # it has no absent cells
     system = NonSmoothContactSystem(
         PeriodicFFTElasticHalfSpace((CELLS, CELLS), 1.0, size, thickness=THICKNESS_MM, poisson=NU),
         Topography(-far, size, periodic=True),
     )
-    start = time.process_time()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        system.minimize_proxy(offset=DEPTH_MM, pentol=1e-5 * DEPTH_MM)
-    return time.process_time() - start, float(system.compute_normal_force())
+    found_s = cpu_s(lambda: system.minimize_proxy(offset=DEPTH_MM, pentol=1e-5 * DEPTH_MM), 1)
+    force, own = float(system.compute_normal_force()), bonded_force(height_mm)
+    print(f"ContactMechanics: {found_s:.2f} s, F / E {force:.5f}, here {own:.5f}", flush=True)
+    return found_s
 
 
 def fft_pair_s() -> float:
-    """Return the time of a transform of 1024 x 1024 cells and back: the machine's own measure."""
+    """Return the time of a transform of 1024 x 1024 cells and back, the unit of the ratios."""
     cells = np.random.default_rng(1).normal(size=(2 * CELLS, 2 * CELLS))
 
     def pairs() -> None:
@@ -219,44 +229,28 @@ def fft_pair_s() -> float:
 
 def speed() -> dict[str, float | None]:
     """Return the seconds of set-up, solutions and study."""
-    free_x = FreeSlab(CELLS, CELLS, FREE_MM, FREE_MM, THICKNESS_MM, NU).x_mm
     ball = height_above_lowest(Ball(), bonded().x_mm, bonded().x_mm)
-    forces = []
-
-    def bonded_ball() -> None:
-        layer = bonded()
-        found = solve_on_layer(layer, ball, DepthControl(DEPTH_MM))
-        forces.append(float(found.pressure.sum()) * layer.cell_area_mm2)
-
-    bonded_s = cpu_s(bonded_ball)
-    each = {}
-    for name, height in listed_specimens(free_x):
+    bonded_s, each = cpu_s(lambda: bonded_force(ball)), {}
+    for name, height in listed_specimens(free().x_mm):
         each[name] = cpu_s(lambda height=height: solve_free(height), 1 if name == "brick" else 3)
         print(f"free back, {name}: {each[name]:.2f} s", flush=True)
-    print("timing the peer and the study", flush=True)
-    peer = contact_mechanics_s(ball)
-    if peer is None:
-        print("ContactMechanics is not installed: over_contactmechanics is null", flush=True)
-    else:
-        print(f"ContactMechanics: {peer[0]:.2f} s, F / E {peer[1]:.5f}, here {forces[-1]:.5f}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        peer_s = contact_mechanics_s(ball)
     empty = np.zeros((CELLS, CELLS))
     return {
         "fft_pair_s": fft_pair_s(),
-        "setup_s": cpu_s(
-            lambda: FreeSlab(CELLS, CELLS, FREE_MM, FREE_MM, THICKNESS_MM, NU).deflect(empty)
-        ),
+        "setup_s": cpu_s(lambda: free().deflect(empty)),
         "bonded_512_s": bonded_s,
         "free_ball_512_s": each["ball"],
         "slowest_specimen_s": max(each.values()),
         "study_25_s": cpu_s(study, 1),
-        "over_contactmechanics": bonded_s / peer[0] if peer else None,
+        "over_contactmechanics": bonded_s / peer_s if peer_s else None,
     }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="no finite elements")
-    quick = parser.parse_args().quick
+    quick = quick_parser(__doc__, "no finite elements").parse_args().quick
     print("accuracy", flush=True)
     result: dict[str, float | None] = {
         "hertz_force_rel": hertz_force_rel(),
@@ -265,8 +259,7 @@ def main() -> None:
         "nh_face_rms_um": nh_face_rms_um(quick),
     }
     print("speed, processor seconds", flush=True)
-    result |= speed()
-    print(json.dumps({k: v if v is None else float(f"{v:.4g}") for k, v in result.items()}))
+    print_figures(result | speed())
 
 
 if __name__ == "__main__":

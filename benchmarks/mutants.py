@@ -1,404 +1,391 @@
-"""Mutants of the physics: whether a test sees a sign, a term or a constant that is wrong.
+"""Mutation testing of the physics: which wrong signs, terms and constants the tests detect.
 
-    ./run bench mutants                      # 40 of each room
-    ./run bench mutants --room camera        # one room, repeatable; --count 100: more of it
-    ./run bench mutants --quick              # 5 of each room, without the tests of tests/slow.txt
-    ./run bench mutants --mutant NAME        # one again, as printed; shows what the tests said
-    ./run bench mutants --kept FILE          # and on from where it stopped
+    ./run bench mutants                      # 40 mutants of each group of sources
+    ./run bench mutants --room camera        # one group, repeatable; --count 100: more mutants
+    ./run bench mutants --quick              # 5 of each group, without the tests of tests/slow.txt
+    ./run bench mutants --mutant NAME        # one mutant by its printed name, with pytest's output
 
-Mutants are drawn in turns over the functions of a room (`benchmarks/mutants.toml`), applied to a
-copy of the tree, and judged by those of the room's tests that call the function. A kept verdict
-holds while the changed file and the tests that gave it stay the same. Survivors are printed. Last
-line: {"judged": n, "killed": n, "equivalent": n, "timed_out": n, ..., "shares": {room: share}};
-those killed by time are among the killed. Exit status 1 below a share of 0.85.
+A mutant changes one expression of one source file in a copy of the tree: a sign, a term or factor
+left out, + for -, * for /, a constant by 2 % or by one, < for <=, two arguments exchanged, sine for
+cosine, another axis. The tests of the group (`benchmarks/mutants.toml`) that call the changed
+function then run in a child process; of a kernel or a constant, which no profiler can trace, the
+tests that import its folder run. Kernels are compiled without optimisation. Mutants are named by
+file, function, operator and line of text, so names survive when lines move. Survivors are printed.
+
+Last line: {"judged", "killed", "equivalent", "timed_out", "unseen", "by_room", "shares"}; mutants
+that exceed the time limit count as killed. Exit status 1 if less than 85 % are killed.
 """
 
 import argparse
-import functools
-import hashlib
+import ast
 import json
+import os
+import random
 import re
+import shutil
+import subprocess
 import sys
 import tempfile
+import threading
 import tomllib
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.mutation import runs
-from benchmarks.mutation.operators import Mutant, drawn, mutants_of
-
 ROOT = Path(__file__).resolve().parents[1]
-KNOWN = ROOT / "benchmarks" / "mutants.toml"
-WANTED_SHARE = 0.85
-# Tests of one mutant: the quickest first, up to so many seconds of them on the copy as it is; fewer
-# where kernels are compiled anew, which are not optimised then and run ten times as long.
-_MOST_S, _MOST_ANEW_S = 20.0, 6.0
-_LEAST_LIMIT_S, _LIMIT_OVER_BASELINE = 30.0, 5.0
-_COMPILING_S = 120.0
+KNOWN, RECORD = ROOT / "benchmarks" / "mutants.toml", "MUTANTS_RECORD"
+LEAST_SHARE, MOST_S, LEAST_LIMIT_S, LIMIT_OVER_BASELINE = 0.85, 20.0, 150.0, 5.0
+MODULE = "<module>"
+IGNORED = (".git", ".venv", ".ready", "out", ".*_cache", ".hypothesis", "*.pyc", "__pycache__")
+# Messages, checks, readers, writers and drawing are not physics.
+_SKIPPED_FUNCTIONS = re.compile(
+    r"^_?(plot|draw|show|write|read|load|save|told|explain|refuse|warn|in_words|to_xarray|shapes?_of_array"
+    r"|require|check)(_|$)|^__(repr|post_init|str)__$|^_repr_"
+)
+_SKIPPED_CALLS = "Column|Table|require_number|watch|progress|cast|compile_and_keep"
+_SKIPPED_CALLS += r"|(is|get|has)(instance|attr)|\w*Error"
+_SYMMETRIC_CALLS = "max|min|maximum|minimum|hypot|larger|smaller|gcd|zip|corrcoef|spearmanr|isclose"
+_SYMMETRIC_CALLS += "|allclose|array_equal|fmax|fmin|logical_and|logical_or"
+_NOT_RUN = {"annotation", "returns", "decorator_list", "bases", "type_comment"}
+_SWAPPED: dict[type, tuple[str, type]] = {
+    ast.Add: ("add_subtract", ast.Sub), ast.Sub: ("add_subtract", ast.Add),
+    ast.Mult: ("multiply_divide", ast.Div), ast.Div: ("multiply_divide", ast.Mult),
+    ast.Lt: ("comparison", ast.LtE), ast.LtE: ("comparison", ast.Lt),
+    ast.Gt: ("comparison", ast.GtE), ast.GtE: ("comparison", ast.Gt),
+}  # fmt: skip
+_TRIGONOMETRIC = {"sin": "cos", "cos": "sin"}
+_GUARD, _HUGE = 1e-6, 1e12
+# Most of these raise an error at once, so they are drawn less often.
+_CRUDE, _CRUDE_SHARE = ("off_by_one", "arguments"), 0.3
+
+
+Place = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True)
-class Room:
-    """A part of the physics: its sources and tests, paths from the root.
+class Mutant:
+    """One change of one file.
 
     Attributes
     ----------
-    slow : whether the tests of tests/slow.txt judge too
+    file, function : path from the root of the tree, and qualified name or `MODULE`
+    before, after : line of the source where the change starts
+    place : first and last line, and columns in bytes, of the source that `text` replaces
     """
 
-    name: str
-    sources: tuple[str, ...]
-    tests: tuple[str, ...]
-    slow: bool = True
-
-
-@dataclass(frozen=True)
-class MutantVerdict:
-    """What became of a mutant.
-
-    Attributes
-    ----------
-    end : "killed", "timed_out", "survived", or "unseen": no test of the room calls the function
-    by : the test that failed
-    source, tests : digests of the changed file, and of the test file that killed it or of all
-    """
-
-    name: str
-    room: str
-    end: str
-    by: str
-    line: int
-    seconds: float
-    source: str
-    tests: str
+    file: str
+    function: str
+    operator: str
+    before: str
+    after: str
+    occurrence: int
+    place: Place
+    text: str
 
     @property
-    def is_killed(self) -> bool:
-        """Tell whether the tests saw it."""
-        return self.end in ("killed", "timed_out")
+    def name(self) -> str:
+        """Name that survives when lines move."""
+        nth = f" #{self.occurrence}" if self.occurrence > 1 else ""
+        return f"{self.file}::{self.function}::{self.operator}::{self.before} -> {self.after}{nth}"
+
+    def applied(self, source: str) -> str:
+        """Return the source with the change."""
+        return _applied(source, self.place, self.text)
 
 
-@dataclass(frozen=True)
-class Known:
-    """Mutants of which something is known: why, by name."""
-
-    equivalent: dict[str, str]
-    accepted: dict[str, str]
-
-    def gone(self, rooms: Iterable[Room], tree: Path) -> list[str]:
-        """Return the names of what the sources no longer give."""
-        told = {*self.equivalent, *self.accepted}
-        files = {name.split("::")[0] for name in told}
-        there = {file for room in rooms for file in room.sources if file in files}
-        return sorted(told - {one.name for file in there for one in mutants_of(tree, file)})
+# ---- operators -----------------------------------------------------------------------------------
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Judge mutants of the rooms asked for; return the exit status."""
-    chosen = parse(arguments)
-    rooms, known = read_known(KNOWN)
-    unknown = [name for name in chosen.room if name not in rooms]
-    if unknown:
-        print(f"--room: found '{unknown[0]}', allowed {', '.join(rooms)}", file=sys.stderr)
-        return 2
-    kept = KeptVerdicts(chosen.kept)
-    runs.preload()
-    verdicts: list[MutantVerdict] = []
-    equivalent = []
-    with tempfile.TemporaryDirectory() as scratch, runs.copied(ROOT, Path(scratch)) as tree:
-        if chosen.mutant:
-            return show(chosen.mutant, rooms, tree)
-        for name in known.gone(rooms.values(), tree):
-            print(f"{KNOWN.name}: no such mutant any more, take it out: {name}")
-        for name in chosen.room or rooms:
-            count = chosen.count or (5 if chosen.quick else 40)
-            mutants = drawn(room_mutants(rooms[name], tree), count, chosen.seed)
-            equivalent += [one for one in mutants if one.name in known.equivalent]
-            left = [one for one in mutants if one.name not in known.equivalent]
-            verdicts += Judge(rooms[name], tree, kept, chosen.quick).judged(left, known.accepted)
-    found = summary(verdicts, len(equivalent))
-    print(json.dumps(found))
-    return int(found["killed"] < WANTED_SHARE * found["judged"])
-
-
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Parse the command line; argparse leaves with status 2 where it is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="bench mutants",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--room", action="append", default=[], help="repeatable; default all")
-    parser.add_argument("--quick", action="store_true", help="5 of each room, no slow tests")
-    parser.add_argument("--count", type=int, help="mutants of each room")
-    parser.add_argument("--seed", type=int, default=1, help="of the draw")
-    parser.add_argument("--mutant", metavar="NAME", help="only this one, shown")
-    parser.add_argument("--kept", type=Path, help="verdicts of earlier runs, and where to add")
-    return parser.parse_args(arguments)
-
-
-def read_known(path: Path) -> tuple[dict[str, Room], Known]:
-    """Read rooms, and the mutants of which something is known."""
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
-    rooms = {
-        name: Room(name, _paths(one["sources"]), _paths(one["tests"]), one.get("slow", True))
-        for name, one in content["rooms"].items()
-    }
-    names = {
-        kind: {one["mutant"]: one["reason"] for one in content.get(kind, [])}
-        for kind in ("equivalent", "accepted")
-    }
-    return rooms, Known(**names)
-
-
-def _paths(patterns: Iterable[str]) -> tuple[str, ...]:
-    found = []
-    for pattern in patterns:
-        files = pattern if pattern.endswith(".py") else f"{pattern}/test_*.py"
-        some = (str(path.relative_to(ROOT)) for path in sorted(ROOT.glob(files)))
-        found += [path for path in some if not path.endswith("__init__.py")]
-    return tuple(dict.fromkeys(found))
-
-
-def room_mutants(room: Room, tree: Path) -> list[Mutant]:
-    """Return every mutant of a room's sources."""
-    return [one for file in room.sources for one in mutants_of(tree, file)]
-
-
-def digest_of(tree: Path, *files: str) -> str:
-    """Return the digest of some files of a tree."""
-    found = hashlib.sha256(b"".join((tree / file).read_bytes() for file in files))
-    return found.hexdigest()[:16]
-
-
-class KeptVerdicts:
-    """Verdicts and baselines of earlier runs, a line of JSON each."""
-
-    def __init__(self, path: Path | None) -> None:
-        self._path = path
-        self._lines: dict[str, dict[str, Any]] = {}
-        if path is not None and path.exists():
-            for text in path.read_text(encoding="utf-8").splitlines():
-                line = json.loads(text)
-                self._lines[line["key"]] = line
-
-    def get(self, key: str) -> Any:
-        """Return what was last kept under a key, or None."""
-        return self._lines.get(key, {}).get("value")
-
-    def add(self, key: str, value: Any) -> None:
-        """Keep a value, which JSON can hold."""
-        line = {"key": key, "value": value}
-        self._lines[key] = line
-        if self._path is not None:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
-
-
-class Judge:
-    """Judges mutants of one room by its tests, which must pass on the copy as it is."""
-
-    def __init__(self, room: Room, tree: Path, kept: KeptVerdicts, quick: bool) -> None:
-        self._room, self._tree, self._kept = room, tree, kept
-        self._arguments = ("--quick",) if quick or not room.slow else ()
-        self._baseline = [one for file in room.tests for one in self._of_file(file, False)]
-
-    def _of_file(self, file: str, anew: bool) -> list[runs.TestRun]:
-        """Run a test file on the copy as it is, with the room's kernels compiled anew or not."""
-        helpers = sorted((self._tree / file).parent.glob("conftest.py"))
-        own = [file, *(str(one.relative_to(self._tree)) for one in helpers)]
-        digest = digest_of(self._tree, *own, *self._room.sources)
-        key = f"baseline {file} {digest} {self._arguments} {anew}"
-        found = self._kept.get(key)
-        if found is None:
-            compiled = [
-                runs.kernels_reached_by(self._tree, one) for one in self._room.sources if anew
-            ]
-            traced = frozenset() if anew else frozenset(self._room.sources)
-            modules = frozenset[str]().union(*compiled)
-            asked = runs.TestsAsked((file,), 600.0, None, traced, modules, self._arguments)
-            run = runs.run_tests(self._tree, ROOT, asked)
-            # 1: a test that fails by another rounding is no judge of kernels; 5: all are slow.
-            if run.status not in ((0, 1, 5) if anew else (0, 5)):
-                raise SystemExit(f"{file}: fails without any mutant\n{run.said}")
-            found = [asdict(one) | {"functions": sorted(one.functions)} for one in run.tests]
-            self._kept.add(key, found)
-            failed = f", of which fail {[one.test for one in run.tests if not one.passed]}"
-            told = f"{file}: {len(found)} tests, {run.seconds:.1f} s{', kernels anew' * anew}"
-            print(f"{told}{failed * any(not one.passed for one in run.tests)}", flush=True)
-        return [runs.TestRun(**one | {"functions": frozenset(one["functions"])}) for one in found]
-
-    def judged(
-        self, mutants: Sequence[Mutant], accepted: dict[str, str]
-    ) -> Iterator[MutantVerdict]:
-        """Judge mutants, and print those that survive."""
-        for number, one in enumerate(mutants, 1):
-            verdict = self._from_before(one) or self._judge(one)
-            told = f"{self._room.name} {number}/{len(mutants)}: {verdict.end}"
-            if verdict.is_killed:
-                print(f"{told} by {verdict.by} ({verdict.seconds:.1f} s)", flush=True)
-            else:
-                why = accepted.get(one.name, "")
-                print(f"{told} ({verdict.seconds:.1f} s): {one.file}:{one.place[0]}", flush=True)
-                print(f"    - {one.before}\n    + {one.after}\n    {one.name}", flush=True)
-                if why:
-                    print(f"    accepted: {why}", flush=True)
-            yield verdict
-
-    def _from_before(self, one: Mutant) -> MutantVerdict | None:
-        found = self._kept.get(one.name)
-        if found is None:
-            return None
-        before = MutantVerdict(**found)
-        same = before.source == digest_of(
-            self._tree, one.file
-        ) and before.tests == self._tests_digest(before.by)
-        return before if same else None
-
-    def _tests_digest(self, by: str) -> str:
-        file = re.split(r"::| \(", by)[0]
-        tests = [file] if file in self._room.tests else self._room.tests
-        return digest_of(self._tree, *tests)
-
-    def _judge(self, one: Mutant) -> MutantVerdict:
-        chosen = self.chosen(one)
-        if not chosen:
-            return self._verdict(one, "unseen", "", 0.0)
-        seconds = sum(test.seconds for test in chosen)
-        limit_s = max(_LEAST_LIMIT_S, _LIMIT_OVER_BASELINE * seconds)
-        limit_s += _COMPILING_S * bool(anew_for(one, self._tree))
-        run = run_mutant(one, self._tree, chosen, limit_s)
-        if run.status is None:
-            return self._verdict(one, "timed_out", "", run.seconds)
-        end = "survived" if run.status == 0 else "killed"
-        return self._verdict(one, end, run.failed, run.seconds)
-
-    def _verdict(self, one: Mutant, end: str, by: str, seconds: float) -> MutantVerdict:
-        found = MutantVerdict(
-            one.name, self._room.name, end, by, one.place[0], round(seconds, 1),
-            digest_of(self._tree, one.file), self._tests_digest(by),
-        )  # fmt: skip
-        self._kept.add(one.name, asdict(found))
-        return found
-
-    def chosen(self, one: Mutant) -> list[runs.TestRun]:
-        """Return the tests that can see a mutant, in the order in which they are run."""
-        function = f"{one.file}::{one.function}"
-        can = [test for test in self._baseline if function in test.functions]
-        if one.is_kernel or one.is_constant:
-            can = [test for test in self._baseline if self._is_near(one, test)] or self._baseline
-        most_s = _MOST_S
-        if anew_for(one, self._tree):
-            files = dict.fromkeys(test.test.split("::")[0] for test in can)
-            sound = {t.test for file in files for t in self._of_file(file, True) if t.passed}
-            can, most_s = [test for test in can if test.test in sound], _MOST_ANEW_S
-        return affordable(can, lambda test: imports(self._tree, test, one.file), most_s)
-
-    def _is_near(self, one: Mutant, test: runs.TestRun) -> bool:
-        """Tell whether a test calls something beside a kernel or constant, or imports its file.
-
-        No profiler sees a kernel being called, nor a constant being read.
-        """
-        beside = one.is_kernel or bool(anew_for(one, self._tree))
-        near = str(Path(one.file).parent) if beside else one.file
-        names = (name.split("::")[0] for name in test.functions)
-        return any(near in (n, str(Path(n).parent)) for n in names) or imports(
-            self._tree, test, one.file
-        )
-
-
-def imports(tree: Path, test: runs.TestRun, file: str) -> bool:
-    """Tell whether the file of a test imports a source file by name."""
-    module = file.removesuffix(".py").replace("/", ".")
-    return f"{module} import" in (tree / test.test.split("::")[0]).read_text(encoding="utf-8")
-
-
-def affordable(
-    tests: Sequence[runs.TestRun], is_close: Callable[[runs.TestRun], bool], most_s: float
-) -> list[runs.TestRun]:
-    """Return the tests, file by file, that together fit into so many seconds; at least one.
-
-    Files that are close to the mutant come first, then those that take least time.
-    """
-    files: dict[str, list[runs.TestRun]] = defaultdict(list)
-    for test in tests:
-        files[test.test.split("::")[0]].append(test)
-    ordered = sorted(
-        files.values(), key=lambda some: (not is_close(some[0]), sum(t.seconds for t in some))
-    )
-    found: list[runs.TestRun] = []
-    total = 0.0
-    for test in (one for some in ordered for one in sorted(some, key=lambda one: one.seconds)):
-        if not found or total + test.seconds <= most_s:
-            found.append(test)
-            total += test.seconds
+def mutants_of(root: Path, file: str) -> list[Mutant]:
+    """Return every mutant of a source file, in the order of its text."""
+    source = (root / file).read_text("utf-8")
+    counts, found = Counter[tuple[str, ...]](), []
+    for node, parents, function in _sites(ast.parse(source), (), MODULE):
+        place = (node.lineno, node.col_offset, node.end_lineno, node.end_col_offset)
+        for operator, new in _changes(node, parents):
+            text = ast.unparse(new) if isinstance(new, ast.stmt) else f"({ast.unparse(new)})"
+            lines = (changed.splitlines() for changed in (source, _applied(source, place, text)))
+            key = (function, operator, *(line[node.lineno - 1].strip() for line in lines))
+            counts[key] += 1
+            found.append(Mutant(file, *key, counts[key], place, text))
     return found
 
 
-@functools.cache
-def anew_for(one: Mutant, tree: Path) -> frozenset[str]:
-    """Return the modules whose kernels a mutant can change; none by a function that is plain."""
-    if not (one.is_kernel or one.is_constant):
-        wrapped = re.compile(rf"\b_?(compiled|inlined|merged)\({one.function.split('.')[-1]}\)")
-        files = (
-            f for package in ("twin", "reconstruction") for f in (tree / package).rglob("*.py")
-        )
-        if not any(wrapped.search(file.read_text(encoding="utf-8")) for file in files):
-            return frozenset()
-    return runs.kernels_reached_by(tree, one.file)
+def _applied(source: str, place: Place, text: str) -> str:
+    """Return the source with a text in a place."""
+    first, left, last, right = place
+    lines = source.encode().splitlines(keepends=True)
+    head, tail = lines[first - 1][:left], lines[last - 1][right:]
+    lines[first - 1 : last] = [head + text.encode() + tail]
+    return b"".join(lines).decode()
 
 
-def run_mutant(
-    one: Mutant, tree: Path, chosen: Sequence[runs.TestRun], limit_s: float
-) -> runs.SuiteRun:
-    """Run tests on the copy with one mutant, up to the first that fails."""
-    names = tuple(test.test for test in chosen)
-    files = tuple(dict.fromkeys(name.split("::")[0] for name in names))
-    asked = runs.TestsAsked(
-        files, limit_s, names, anew=anew_for(one, tree), arguments=("-x", "--tb=short")
-    )
-    path = tree / one.file
-    with runs.changed(path, one.applied(path.read_text(encoding="utf-8"))):
-        return runs.run_tests(tree, ROOT, asked)
+def _sites(node: ast.AST, parents: tuple[ast.AST, ...], function: str) -> Iterator[Any]:
+    """Yield (expression, its parents from the module down, function) of the physics."""
+    if _is_skipped(node):
+        return
+    inside = any(isinstance(parent, ast.FunctionDef) for parent in parents)
+    if isinstance(node, ast.FunctionDef | ast.ClassDef) and not inside:
+        function = node.name if function == MODULE else f"{function}.{node.name}"
+    elif isinstance(node, ast.expr | ast.AugAssign):
+        yield node, parents, function
+    for name, value in ast.iter_fields(node):
+        for child in value if isinstance(value, list) else [value]:
+            if isinstance(child, ast.AST) and name not in _NOT_RUN:
+                yield from _sites(child, (*parents, node), function)
 
 
-def show(name: str, rooms: dict[str, Room], tree: Path) -> int:
-    """Judge one mutant and show what the tests say."""
-    for room in rooms.values():
-        for one in room_mutants(room, tree):
-            if one.name == name:
-                judge = Judge(room, tree, KeptVerdicts(None), quick=False)
-                chosen = judge.chosen(one)
-                run = run_mutant(one, tree, chosen, 600.0)
-                print(f"{run.said}\n{one.file}:{one.place[0]}: {one.before} -> {one.after}")
-                print(f"{len(chosen)} tests, {run.seconds:.1f} s: {run.failed or 'survived'}")
-                return 0
-    print(f"--mutant: found no '{name}', give a name as printed", file=sys.stderr)
-    return 2
+def _is_skipped(node: ast.AST) -> bool:
+    """Return True for messages, checks, imports, drawing and docstrings."""
+    skipped = isinstance(node, ast.Raise | ast.Assert | ast.Import | ast.ImportFrom | ast.JoinedStr)
+    match node:
+        case ast.Expr(value=ast.Constant()):
+            skipped = True
+        case ast.ClassDef(name=name):
+            skipped = name.endswith("Error")
+        case ast.FunctionDef(name=name):
+            skipped = _SKIPPED_FUNCTIONS.search(name) is not None
+        case ast.If(test=test, body=body, orelse=orelse):
+            raises = any(isinstance(line, ast.Raise) for line in body) and not orelse
+            skipped = raises or "__name__" in ast.unparse(test)
+        case ast.Call():
+            skipped = re.fullmatch(_SKIPPED_CALLS, _called(node)) is not None
+    return skipped
 
 
-def summary(verdicts: Sequence[MutantVerdict], equivalent: int) -> dict[str, Any]:
-    """Count how mutants ended, together and by room."""
-    rooms: dict[str, list[MutantVerdict]] = defaultdict(list)
-    for one in verdicts:
-        rooms[one.room].append(one)
-    return {
-        "judged": len(verdicts),
-        "killed": sum(one.is_killed for one in verdicts),
-        "equivalent": equivalent,
-        "timed_out": sum(one.end == "timed_out" for one in verdicts),
-        "unseen": sum(one.end == "unseen" for one in verdicts),
-        "by_room": {
-            name: [sum(o.is_killed for o in some), len(some)] for name, some in rooms.items()
-        },
-        "shares": {
-            name: round(sum(o.is_killed for o in some) / len(some), 3)
-            for name, some in rooms.items()
-        },
+def _changes(node: ast.AST, parents: tuple[ast.AST, ...]) -> Iterator[tuple[str, Any]]:
+    """Yield the operators that apply to an expression, and the changed expression."""
+    match node:
+        case ast.AugAssign(target=target, op=op, value=value) if type(op) in _SWAPPED:
+            operator, other = _SWAPPED[type(op)]
+            yield operator, ast.AugAssign(target, other(), value)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _SWAPPED:
+            if not _is_text(left) and not _is_text(right):
+                operator, other = _SWAPPED[type(op)]
+                yield operator, ast.BinOp(left, other(), right)
+                yield "drop_term" if operator == "add_subtract" else "drop_factor", left
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            yield ("axis", ast.Constant(0)) if _is_axis(parents[-1]) else ("sign", operand)
+        case ast.Compare(left=left, ops=[op, *rest], comparators=right) if type(op) in _SWAPPED:
+            yield "comparison", ast.Compare(left, [_SWAPPED[type(op)][1](), *rest], right)
+        case ast.Constant(value=value) if not any(map(_is_axis, parents[-2:-1])):
+            yield from _of_constant(value, parents[-1])
+        case ast.Call():
+            yield from _of_call(node)
+
+
+def _of_constant(value: Any, parent: ast.AST) -> Iterator[tuple[str, ast.expr]]:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return
+    if _is_axis(parent):
+        yield "axis", ast.Constant(1 if value == 0 else 0)
+    elif isinstance(value, float) and _GUARD < abs(value) < _HUGE:
+        yield "constant", ast.Constant(float(f"{value * 1.02:.12g}"))
+    elif isinstance(value, int) and abs(value) < _HUGE:
+        yield "off_by_one", ast.Constant(value + 1 if value < 2 else value - 1)
+
+
+def _of_call(node: ast.Call) -> Iterator[tuple[str, ast.expr]]:
+    name, arguments = _called(node), node.args
+    if other := _TRIGONOMETRIC.get(name):
+        is_method = isinstance(node.func, ast.Attribute)
+        function = ast.Attribute(node.func.value, other) if is_method else ast.Name(other)
+        yield "sine_cosine", ast.Call(function, arguments, node.keywords)
+    if len(arguments) > 1 and not re.fullmatch(_SYMMETRIC_CALLS, name):
+        first, second, *rest = arguments
+        text = isinstance(first, ast.Constant) and isinstance(first.value, str)
+        # A number in the place of an array fails at once, so both must be of one type.
+        alike = type(first) is type(second) and not isinstance(first, ast.Starred)
+        if alike and not text and ast.unparse(first) != ast.unparse(second):
+            yield "arguments", ast.Call(node.func, [second, first, *rest], node.keywords)
+
+
+def _is_text(node: ast.AST) -> bool:
+    is_string = isinstance(node, ast.Constant) and isinstance(node.value, str)
+    return is_string or isinstance(node, ast.JoinedStr | ast.List | ast.Tuple)
+
+
+def _is_axis(node: ast.AST) -> bool:
+    return isinstance(node, ast.keyword) and node.arg == "axis"
+
+
+def _called(node: ast.Call) -> str:
+    return getattr(node.func, "attr", "") or getattr(node.func, "id", "")
+
+
+def drawn(mutants: Iterable[Mutant], count: int, seed: int) -> list[Mutant]:
+    """Draw mutants; the draw of each depends on its name and the seed only."""
+
+    def lot(mutant: Mutant) -> float:
+        share = _CRUDE_SHARE if mutant.operator in _CRUDE else 1.0
+        return random.Random(f"{seed} {mutant.name}").random() ** (1.0 / share)
+
+    return sorted(mutants, key=lot, reverse=True)[:count]
+
+
+# ---- pytest plugin of the child process ----------------------------------------------------------
+
+_CALLED, _SHARED, _HERE = set[str](), defaultdict[str, set[str]](set), f"{Path.cwd()}{os.sep}"
+
+
+def pytest_runtest_setup(item: Any) -> None:
+    """Start to record which functions of the tree a test calls."""
+    if os.environ.get(RECORD):
+        _CALLED.clear()
+        threading.settrace(_trace)
+        sys.settrace(_trace)
+
+
+def _trace(frame: Any, _event: str, _argument: Any) -> None:
+    code = frame.f_code
+    if code.co_filename.startswith(_HERE):
+        file = code.co_filename.removeprefix(_HERE)
+        _CALLED.add(f"{file}::{code.co_qualname.split('.<')[0]}")
+
+
+def pytest_runtest_logreport(report: Any) -> None:
+    """Write a line of JSON for each test that passed; later tests of a file share its fixtures."""
+    if not os.environ.get(RECORD):
+        return
+    functions = _SHARED[report.nodeid.split("::")[0]]
+    if report.when == "setup":
+        functions |= _CALLED
+    elif report.when == "call" and report.passed:
+        line = {"test": report.nodeid, "seconds": report.duration}
+        with Path(os.environ[RECORD]).open("a", encoding="utf-8") as record:
+            record.write(json.dumps(line | {"functions": sorted(functions | _CALLED)}) + "\n")
+
+
+# ---- running tests on a copy of the tree ---------------------------------------------------------
+
+
+class MutantJudge:
+    """Runs the tests of one group of sources on a copy of the tree."""
+
+    def __init__(self, tree: Path, group: dict[str, Any], quick: bool) -> None:
+        self._tree = tree
+        self._options = ["--quick"] * (quick or not group.get("slow", True))
+        record = tree.with_name("record.jsonl")
+        record.unlink(missing_ok=True)
+        status, output = self._pytest(group["tests"], None, str(record))
+        if status not in (0, 1, 5):
+            raise SystemExit(f"pytest fails without any mutant\n{output}")
+        lines = record.read_text("utf-8").splitlines() if record.exists() else []
+        self._tests = sorted(map(json.loads, lines), key=lambda test: test["seconds"])
+
+    def judged(self, mutant: Mutant) -> tuple[str, str]:
+        """Return "killed", "timed_out", "survived" or "unseen", and the output of pytest."""
+        tests, seconds = self._affordable(mutant)
+        if not tests:
+            return "unseen", ""
+        path = self._tree / mutant.file
+        source = path.read_text("utf-8")
+        path.write_text(mutant.applied(source), "utf-8")
+        try:
+            limit_s = LEAST_LIMIT_S + LIMIT_OVER_BASELINE * seconds
+            status, output = self._pytest(["-x", *tests], limit_s, "")
+        finally:
+            path.write_text(source, "utf-8")
+        ends = {None: "timed_out", 0: "survived", 1: "killed", 2: "killed", 5: "unseen"}
+        if status not in ends:
+            raise SystemExit(f"pytest ended with status {status}\n{output}")
+        return ends[status], output
+
+    def _affordable(self, mutant: Mutant) -> tuple[list[str], float]:
+        """Return the fastest tests that call the function or import its folder, and their time."""
+        function, folder = f"{mutant.file}::{mutant.function}", str(Path(mutant.file).parent)
+        calling = [test for test in self._tests if function in test["functions"]]
+        near = [t for t in self._tests if any(f.startswith(folder) for f in t["functions"])]
+        tests, seconds = [], 0.0
+        for test in calling or near:
+            if not tests or seconds + test["seconds"] < MOST_S:
+                tests.append(test["test"])
+                seconds += test["seconds"]
+        return tests, seconds
+
+    def _pytest(
+        self, arguments: Sequence[str], limit_s: float | None, record: str
+    ) -> tuple[int | None, str]:
+        """Return pytest's exit status, None beyond the time limit, and the end of its output."""
+        options = ["-q", "-n0", "--tb=short", "-p", "no:cacheprovider", "-p", "benchmarks.mutants"]
+        command = [sys.executable, "-m", "pytest", *options, *self._options, *arguments]
+        kernels, output = self._tree.with_name("kernels"), self._tree.with_name("output.txt")
+        environment = os.environ | {"PYTHONPATH": str(self._tree), "NUMBA_CACHE_DIR": str(kernels)}
+        environment |= {"NUMBA_OPT": "0", "PYTHONDONTWRITEBYTECODE": "1", RECORD: record}
+        with output.open("wb") as file:
+            streams = {"stdout": file, "stderr": file, "timeout": limit_s, "check": False}
+            try:
+                run = subprocess.run(command, cwd=self._tree, env=environment, **streams)
+                status = run.returncode
+            except subprocess.TimeoutExpired:
+                status = None
+        return status, output.read_text("utf-8", "replace")[-4000:]
+
+
+def files_of(patterns: Iterable[str]) -> list[str]:
+    """Return the source or test files that patterns name, relative to the root."""
+    globs = (name if name.endswith(".py") else f"{name}/test_*.py" for name in patterns)
+    return [path.relative_to(ROOT).as_posix() for glob in globs for path in sorted(ROOT.glob(glob))]
+
+
+# ---- all -----------------------------------------------------------------------------------------
+
+
+def read_known() -> tuple[dict[str, Any], dict[str, str], dict[str, str]]:
+    """Return the groups of sources, and the reasons of equivalent and of accepted mutants."""
+    content = tomllib.loads(KNOWN.read_text("utf-8"))
+    groups = {
+        name: group | {key: files_of(group[key]) for key in ("sources", "tests")}
+        for name, group in content["rooms"].items()
     }
+    return groups, content["equivalent"], content["accepted"]
+
+
+def summary(ends: dict[str, Counter[str]]) -> dict[str, Any]:
+    """Count how mutants ended, in total and by group."""
+    total = sum(ends.values(), Counter[str]())
+    killed = {name: end["killed"] + end["timed_out"] for name, end in ends.items()}
+    judged = {name: end.total() - end["equivalent"] for name, end in ends.items()}
+    return {
+        "judged": sum(judged.values()),
+        "killed": sum(killed.values()),
+        **{name: total[name] for name in ("equivalent", "timed_out", "unseen")},
+        "by_room": {name: [killed[name], judged[name]] for name in ends},
+        "shares": {name: round(killed[name] / (judged[name] or 1), 3) for name in ends},
+    }
+
+
+def main() -> int:
+    """Judge mutants of the chosen groups; return the exit status."""
+    groups, equivalent, accepted = read_known()
+    parser = argparse.ArgumentParser(prog="bench mutants", description=__doc__.splitlines()[0])
+    parser.add_argument("--room", choices=groups, action="append", help="repeatable")
+    parser.add_argument("--count", type=int, default=40, help="mutants of each group")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help="5 of each group, no slow tests")
+    parser.add_argument("--mutant", help="this mutant only, with the output of pytest")
+    chosen = parser.parse_args()
+    count, ends = 5 if chosen.quick else chosen.count, defaultdict[str, Counter[str]](Counter)
+    with tempfile.TemporaryDirectory() as scratch:
+        tree = Path(scratch) / "tree"
+        shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*IGNORED))
+        for name in chosen.room or groups:
+            mutants = [m for file in groups[name]["sources"] for m in mutants_of(tree, file)]
+            if chosen.mutant:
+                mutants = [mutant for mutant in mutants if mutant.name == chosen.mutant]
+            left = [m for m in drawn(mutants, count, chosen.seed) if m.name not in equivalent]
+            ends[name]["equivalent"] = min(count, len(mutants)) - len(left)
+            judge = MutantJudge(tree, groups[name], chosen.quick) if left else None
+            for mutant in left:
+                end, output = judge.judged(mutant)
+                ends[name][end] += 1
+                print(f"{end}: {mutant.name} {accepted.get(mutant.name, '')}", flush=True)
+                print(output * bool(chosen.mutant), end="")
+    found = summary(ends)
+    print(json.dumps(found))
+    return int(found["killed"] < LEAST_SHARE * found["judged"])
 
 
 if __name__ == "__main__":

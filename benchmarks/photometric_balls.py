@@ -1,20 +1,19 @@
 """Photometric decoder on real presses of balls: `python benchmarks/photometric_balls.py FOLDER`.
 
-FOLDER holds background.png and catalog.csv (first row a heading; then the folder of a press, which
-holds gelsight.png, and the ball's diameter in mm): the layout of the calibration set published
-with GelSLAM (rpl-cmu/gelslam, example_calibration: 67 presses of 6.31 and 9.5 mm balls). Images are
-8-bit RGB of equal size, 0.0634 mm/px. They have no clear licence and are not in this repository.
+FOLDER has background.png and catalog.csv (a heading; then per press its folder, with gelsight.png,
+and the ball's diameter in mm): the layout of the calibration set published with GelSLAM
+(rpl-cmu/gelslam, example_calibration: 67 presses of 6.31 and 9.5 mm balls). Images are 8-bit RGB of
+equal size, 0.0634 mm/px. They have no clear licence and are not in this repository.
 
-Every second press calibrates, the others are measured, then the other way round. A press counts
-when its contact lies wholly inside the image. `scale` is the height of the cap between its centre
-and 0.8 contact radii over that of the ball; the slope error is the RMS length of the error within
-the contact; drift is the standard deviation of the height beyond three contact radii. The last line
-of the output is one JSON object.
+Every second press calibrates and the others are measured, then vice versa. A press counts if its
+contact is completely inside the image. `scale`: height of the cap between its centre and 0.8
+contact radii over that of the ball; slope error: RMS length of the error within the contact; drift:
+standard deviation of the height beyond three contact radii. The last line of the output is one JSON
+object.
 """
 
 import argparse
 import csv
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._harness import print_figures
 from benchmarks.cap_height import cap_height_ratio
 from reconstruction.arrays import Levels
 from reconstruction.integration_schemes import SCHEMES
@@ -90,15 +90,13 @@ def distance_px(shape: tuple[int, ...], circle: ContactCircle) -> Any:
 
 
 def whole(circle: ContactCircle, shape: tuple[int, ...]) -> bool:
-    """Whether the contact lies inside the image."""
-    return (
-        EDGE_PX < circle.row_px < shape[0] - 1 - EDGE_PX
-        and EDGE_PX < circle.col_px < shape[1] - 1 - EDGE_PX
-    )
+    """Return True if the contact is inside the image."""
+    places = (circle.row_px, shape[0]), (circle.col_px, shape[1])
+    return all(EDGE_PX < at < size - 1 - EDGE_PX for at, size in places)
 
 
 def held_out(presses: Sequence[BallPress], still: Levels, kind: MapKind) -> dict[str, list[Scored]]:
-    """Return what is measured of each press by integration."""
+    """Return the score of each press by integration scheme."""
     results: dict[str, list[Scored]] = {name: [] for name in SCHEMES.names()}
     for calibration, press, circle in _halves(presses, still, kind):
         for name in SCHEMES.names():
@@ -120,7 +118,7 @@ def held_out_drift(
 def _halves(
     presses: Sequence[BallPress], still: Levels, kind: MapKind
 ) -> Iterator[tuple[SensorCalibration, BallPress, ContactCircle]]:
-    """Yield measured presses with the calibration on the half that they are not part of."""
+    """Yield each press with the calibration on the other half of the presses."""
     flat = smoothed(mean_background([still]), 3)
     circles = [find_contact_circle(smoothed(press.image, 3), flat) for press in presses]
     for half in (0, 1):
@@ -143,19 +141,15 @@ def main() -> None:
                 part = [row for row in rows if row.ball_mm == ball_mm]
                 scales = np.array([row.scale for row in part])
                 error = np.mean([row.slope_error for row in part])
-                print(
-                    f"{kind:10s} {name:9s} {ball_mm:5.2f} mm, n = {len(part):2d}: scale"
-                    f" {scales.mean():.3f} +- {scales.std(ddof=1):.3f}, slope error {error:.3f}"
-                )
-                figures[f"{kind}_{name}_{ball_mm:g}"] = round(float(scales.mean()), 4)
-    for relighting in (False, True):
+                spread = f"{scales.mean():.3f} +- {scales.std(ddof=1):.3f}, slope error {error:.3f}"
+                print(f"{kind} {name} {ball_mm:5.2f} mm, n = {len(part):2d}: scale {spread}")
+                figures[f"{kind}_{name}_{ball_mm:g}"] = float(scales.mean())
+    for prefix, relighting in (("", False), ("relit_", True)):
         found = np.array(held_out_drift(presses, still, PhotometricOptions(relighting=relighting)))
         for ball_mm in np.unique(found[:, 0]):
             drift = found[found[:, 0] == ball_mm, 1].mean()
-            name = f"{'relit_' if relighting else ''}drift_um_{ball_mm:g}"
-            print(f"{name}: {drift:.1f}")
-            figures[name] = round(float(drift), 1)
-    print(json.dumps(figures))
+            figures[f"{prefix}drift_um_{ball_mm:g}"] = float(drift)
+    print_figures(figures)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Random presses of the thin sheet: how many find their equilibrium, and what they take.
+"""Random presses of the thin sheet: how many converge, and their run time and memory.
 
 Specimen, thickness (0.05 to 1 mm), travel (0.1 to 2 mm), tack, pressure (0 to 5 kPa) and pose are
 drawn from a seed, in a frame of 26 x 26 mm. Each press runs in a process of its own, as a user's
-does, with a limit on its processor time. It has converged, or was refused with the pressure that
-still holds, which counts neither way, or has failed.
+does, with a limit of its processor time. A press converges; or is refused, with the largest
+pressure that has an equilibrium, which counts neither way; or fails.
 """
 
 import hashlib
@@ -38,27 +38,30 @@ from twin.specimens.kinds.t_bolt import TBolt
 from twin.specimens.kinds.two_balls import TwoBalls
 
 PRESSES, QUICK_PRESSES, LIMIT_S = 300, 12, 900.0
-KINDS = ("ball", "two_balls", "rod", "flat", "bar", "step", "nut", "t_bolt", "brick", "grating")
 SPAN_MM, YOUNG_KPA = 26.0, 300.0
 
 
 @dataclass(frozen=True)
 class PressOutcome:
-    """How a press ended, and what it took."""
+    """How a press ended, its processor time and its memory.
+
+    Attributes
+    ----------
+    end : converged, refused or failed
+    message : the drawn press, and the error if it did not converge
+    code : digest of the solver's sources
+    """
 
     seed: int
-    #: converged, refused or failed
     end: str
-    #: what was pressed, and why it did not converge
-    told: str
+    message: str
     cpu_s: float
     memory_gib: float
-    #: digest of the solver's sources
     code: str
 
 
 def random_press(seed: int) -> tuple[Specimen, Elastomer, float, dict[str, float]]:
-    """Draw a specimen in its pose, a sheet, a travel and a load; always one that fits its frame."""
+    """Draw a specimen in its pose, a sheet, a travel and a load; the specimen fits the frame."""
     rng = np.random.default_rng([20261122, seed])
     pose = {
         "x_mm": rng.uniform(-1.5, 1.5),
@@ -66,19 +69,19 @@ def random_press(seed: int) -> tuple[Specimen, Elastomer, float, dict[str, float
         "yaw_deg": rng.uniform(-180, 180),
         "tilt_deg": rng.uniform(-5, 5),
     }
-    kind = KINDS[rng.integers(len(KINDS))]
-    sizes: dict[str, Callable[[], Specimen]] = {
-        "ball": lambda: Ball(diameter_mm=rng.uniform(4, 10), **pose),
-        "two_balls": lambda: TwoBalls(**pose),
-        "rod": lambda: Rod(diameter_mm=rng.uniform(1.5, 8), **pose),
-        "flat": lambda: Flat(diameter_mm=rng.uniform(3, 10), **pose),
-        "bar": lambda: Bar(width_mm=rng.uniform(1.5, 8), length_mm=12.0, **pose),
-        "step": lambda: Step(**pose),
-        "nut": lambda: Nut(**pose),
-        "t_bolt": lambda: TBolt(**pose),
-        "brick": lambda: Brick(**pose),
-        "grating": lambda: Grating(**pose),
-    }
+    kinds: tuple[Callable[[], Specimen], ...] = (
+        lambda: Ball(diameter_mm=rng.uniform(4, 10), **pose),
+        lambda: TwoBalls(**pose),
+        lambda: Rod(diameter_mm=rng.uniform(1.5, 8), **pose),
+        lambda: Flat(diameter_mm=rng.uniform(3, 10), **pose),
+        lambda: Bar(width_mm=rng.uniform(1.5, 8), length_mm=12.0, **pose),
+        lambda: Step(**pose),
+        lambda: Nut(**pose),
+        lambda: TBolt(**pose),
+        lambda: Brick(**pose),
+        lambda: Grating(**pose),
+    )
+    kind = kinds[rng.integers(len(kinds))]
     tack = float(rng.uniform(0.02, 0.5)) if rng.random() < 0.5 else 0.0
     sheet = Elastomer(
         young_modulus_kpa=YOUNG_KPA,
@@ -90,7 +93,7 @@ def random_press(seed: int) -> tuple[Specimen, Elastomer, float, dict[str, float
         friction="none" if rng.random() < 0.2 else "auto",
     )
     load = {"back_pressure_kpa": float(rng.uniform(0, 5)) if rng.random() < 0.5 else 0.0}
-    return sizes[kind](), sheet, float(rng.uniform(0.1, 2.0)), load
+    return kind(), sheet, float(rng.uniform(0.1, 2.0)), load
 
 
 class TooLongError(Exception):
@@ -98,12 +101,12 @@ class TooLongError(Exception):
 
 
 def outcome(seed: int) -> PressOutcome:
-    """Press and tell how it ended.
+    """Press and return how it ended.
 
-    Refused counts what names a pressure that holds; whatever else does not converge has failed.
+    A refused press names the largest pressure with an equilibrium; any other error is a failure.
     """
     specimen, sheet, travel, load = random_press(seed)
-    told = (
+    text = (
         f"{specimen.kind}, h {sheet.thickness_mm:.3f}, travel {travel:.2f}, "  # type: ignore[attr-defined]
         f"G {sheet.tack_j_m2:.2f} ({sheet.friction}), {load['back_pressure_kpa']:.2f} kPa"
     )
@@ -115,15 +118,15 @@ def outcome(seed: int) -> PressOutcome:
     try:
         press_sheet(specimen, sheet, Press.model_validate(values), Mechanics(model="sheet"))
     except LimitPressureError as error:
-        end, told = "refused" if error.held_kpa > 0 else "failed", f"{told}: {error}"
-    except Exception as error:  # whatever it is, it is counted and shown
-        end, told = "failed", f"{told}: {type(error).__name__}: {error}"
+        end, text = "refused" if error.held_kpa > 0 else "failed", f"{text}: {error}"
+    except Exception as error:  # any error is counted and printed
+        end, text = "failed", f"{text}: {type(error).__name__}: {error}"
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
     took = time.process_time() - start
     # Linux gives KiB.
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    return PressOutcome(seed, end, told, round(took, 1), round(memory, 3), code_digest())
+    return PressOutcome(seed, end, text, round(took, 1), round(memory, 3), code_digest())
 
 
 def _end(_signal: int, _frame: FrameType | None) -> None:
@@ -131,39 +134,39 @@ def _end(_signal: int, _frame: FrameType | None) -> None:
 
 
 def code_digest() -> str:
-    """Return the digest of the solver's sources, by which kept presses are told apart."""
+    """Return the digest of the solver's sources, which identifies stored presses."""
     files = sorted(Path(twin.mechanics.sheet.__path__[0]).glob("*.py"))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 
 def press_all(seeds: Iterable[int], workers: int, kept: Path | None) -> list[PressOutcome]:
-    """Press at random in processes of their own; take what a file has kept, and add to it."""
+    """Press at random in processes of their own; reuse the presses of a file, and add to it."""
     known: dict[int, PressOutcome] = {}
     if kept is not None and kept.exists():
-        lines = kept.read_text(encoding="utf-8").splitlines()
-        known = {one.seed: one for one in (PressOutcome(**json.loads(line)) for line in lines)}
+        lines = map(json.loads, kept.read_text(encoding="utf-8").splitlines())
+        known = {line["seed"]: PressOutcome(**line) for line in lines}
     found = [known[seed] for seed in seeds if seed in known]
     left = [seed for seed in seeds if seed not in known]
     context = multiprocessing.get_context("spawn")
-    # One press per process: its memory is known, and given back.
+    # One press per process, so that its memory is known, and released.
     with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=1) as pool:
-        for number, one in enumerate(pool.map(outcome, left), 1):
-            found.append(one)
-            print(f"{number} of {len(left)}: {one}", flush=True)
+        for number, pressed in enumerate(pool.map(outcome, left), 1):
+            found.append(pressed)
+            print(f"{number} of {len(left)}: {pressed}", flush=True)
             if kept is not None:
                 with kept.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(one)) + "\n")
+                    file.write(json.dumps(asdict(pressed)) + "\n")
     return found
 
 
 def summary(outcomes: list[PressOutcome]) -> dict[str, float | None]:
-    """Return the share that converged of those not refused, and what a press takes."""
-    ends = Counter(one.end for one in outcomes)
-    asked = ends["converged"] + ends["failed"]
+    """Return the share that converged of those not refused, and median time and peak memory."""
+    ends = Counter(pressed.end for pressed in outcomes)
+    judged = ends["converged"] + ends["failed"]
     return {
         "presses": float(len(outcomes)),
         "presses_of_this_code": float(sum(one.code == code_digest() for one in outcomes)),
-        "converged_share": ends["converged"] / asked if asked else None,
+        "converged_share": ends["converged"] / judged if judged else None,
         "refused": float(ends["refused"]),
         "press_s": statistics.median(one.cpu_s for one in outcomes) if outcomes else None,
         "press_gib": max((one.memory_gib for one in outcomes), default=None),

@@ -1,13 +1,12 @@
-"""What real presses of balls show, and the twins of these presses.
+"""Data of real presses of balls, and the twins of these presses.
 
-`real_presses.csv` holds 67 presses of 6.31 and 9.5 mm balls on one unit of a GelSight Mini: where
-and how deep, and the levels on 17 spots of each contact, before the press and during it. It was
-read off the images published with GelSLAM (rpl-cmu/gelslam, example_calibration), which have no
-clear licence and are not in this repository: `python -m benchmarks.real_presses FOLDER` makes it
-anew.
+`real_presses.csv` has 67 presses of 6.31 and 9.5 mm balls on one unit of a GelSight Mini: place and
+depth, and the levels on 17 spots of each contact, before the press and during it. It was measured
+in the images published with GelSLAM (rpl-cmu/gelslam, example_calibration), which have no clear
+licence and are not in this repository: `python -m benchmarks.real_presses FOLDER` repeats it.
 
-A twin of a press has the same ball at the same place, as deep as the contact's radius says after
-Hertz, and its own noise and drift of the lamps.
+A twin of a press has the same ball at the same place, at the depth that follows from the radius of
+the contact after Hertz, and its own noise and drift of the lamps.
 """
 
 import argparse
@@ -35,19 +34,19 @@ from twin.specimens.kinds.ball import Ball
 
 FILE = Path(__file__).with_name("real_presses.csv")
 WIDTH_PX, HEIGHT_PX = 320, 240
-# Spots: the contact's middle, and eight directions at two radii; share of the contact's radius.
+# Spots: the contact's middle, and eight directions at two radii, in radii of the contact.
 RADII, DIRECTIONS = (0.5, 0.88), 8
 REACH = 0.1
-# A spot counts when so many of its pixels lie in the image.
+# A spot counts if it has so many pixels in the image.
 LEAST_PX = 8
-# Balls beside the field need a gel under all of them, or the press is refused.
+# Balls at the border of the field need a wider gel.
 WIDE_PAD = {
     f"elastomer.length_{axis}_mm": {"value": mm, "range": [20.0, 40.0], "source": "benchmark"}
     for axis, mm in (("x", 32.0), ("y", 28.0))
 }
 FIRST_TWIN = 7000
-# The camera's pupil as seen from inside the gel: 25.2 mm in air, focal length in pixels times
-# pitch, times the gel's index of 1.41.
+# Apparent distance of the camera's pupil inside the gel: 25.2 mm in air, focal length in pixels
+# times pitch, times the gel's index of 1.41.
 VIEW_MM = 35.5
 _STEPS = 4
 
@@ -58,7 +57,7 @@ class RealPress:
 
     Attributes
     ----------
-    x_mm, y_mm : where the contact's middle appears on the untouched coat, world
+    x_mm, y_mm : apparent place of the contact's middle on the undeformed coat, world
     contact_mm : radius of the contact
     """
 
@@ -71,14 +70,14 @@ class RealPress:
     def depth_mm(self) -> float:
         """Depth after Hertz: square of the contact's radius over the ball's.
 
-        A bonded gel needs a fifth less for such a contact, but where the colour changes most, which
-        is what was found, lies 2 to 3 px within the contact: twins so deep show the same circles.
+        A bonded gel needs 20 % less depth for this contact, but the largest change of colour, which
+        was measured, is 2 to 3 px inside the contact: twins at this depth show the same circles.
         """
         return 2.0 * self.contact_mm**2 / self.ball_mm
 
     @property
     def place_mm(self) -> tuple[float, float]:
-        """World x and y of the ball: its contact's edge lies half the depth above the coat."""
+        """World x and y of the ball; the edge of its contact is half the depth above the coat."""
         nearer = 1.0 - self.depth_mm / 2.0 / VIEW_MM
         return self.x_mm * nearer, self.y_mm * nearer
 
@@ -89,8 +88,8 @@ class RealPresses:
 
     Attributes
     ----------
-    of_press : (spot,) int, the press that a spot belongs to
-    across : (spot, xy) float, place in the contact, world axes, of its radius
+    of_press : (spot,) int, index of the press of a spot
+    across : (spot, xy) float, place in the contact, world axes, in radii of the contact
     before, during : (spot, channel) float, 8-bit levels, red first
     """
 
@@ -102,7 +101,7 @@ class RealPresses:
 
     @property
     def change(self) -> FloatArray:
-        """What the press changes, (spot, channel) levels."""
+        """Change of levels by the press, (spot, channel)."""
         return self.during - self.before
 
     @cached_property
@@ -114,10 +113,9 @@ class RealPresses:
 
     @cached_property
     def points_mm(self) -> FloatArray:
-        """Places of the spots on the pressed coat, where slant rays of the camera meet the balls.
+        """Intersections of the camera's rays through the spots with the balls, (spot, xyz).
 
-        (spot, xyz); a ray that would meet the coat at x, untouched, passes z above it at
-        x (1 - z / VIEW_MM).
+        A ray that meets the undeformed coat at x is at x (1 - z / VIEW_MM) at a height z above it.
         """
         seen = self.untouched_mm[:, :2]
         radius_mm, depth_mm = self._each("ball_mm") / 2.0, self._each("depth_mm")
@@ -130,7 +128,7 @@ class RealPresses:
 
     @cached_property
     def untouched_mm(self) -> FloatArray:
-        """Places of the spots on the untouched coat, (spot, xyz)."""
+        """Places of the spots on the undeformed coat, (spot, xyz)."""
         places = np.column_stack([self._each("x_mm"), self._each("y_mm")])
         xy = places + self.across * self._each("contact_mm")[:, None]
         return np.column_stack([xy, np.zeros(len(xy))])
@@ -140,7 +138,7 @@ class RealPresses:
 
 
 def read_presses(file: Path = FILE) -> RealPresses:
-    """Read what `main` wrote."""
+    """Read the file that `main` writes."""
     with file.open(encoding="utf-8", newline="") as text:
         rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(text)]
     number = np.array([int(row["press"]) for row in rows])
@@ -177,7 +175,7 @@ def case_of(experiment: Experiment, press: RealPress) -> Experiment:
 
 
 def circle_of(press: RealPress) -> ContactCircle:
-    """Return where the contact lies in the image."""
+    """Return the circle of the contact in the image."""
     return ContactCircle(
         (HEIGHT_PX - 1) / 2 - press.y_mm / PITCH_MM,
         (WIDTH_PX - 1) / 2 + press.x_mm / PITCH_MM,
@@ -213,18 +211,14 @@ def _rows(presses: list[BallPress], background: Any) -> list[dict[str, Any]]:
             "y_mm": round(((HEIGHT_PX - 1) / 2 - found.row_px) * PITCH_MM, 3),
             "contact_mm": round(found.radius_px * PITCH_MM, 3),
         }
-        # As rounded in the file: a twin's spots are the same.
+        # As rounded in the file, so that a twin has the same spots.
         circle = circle_of(RealPress(**place))
         across, during = spots_of(press.image, circle)
         before = spots_of(background, circle)[1]
-        for at, one, other in zip(across.round(4), before.round(1), during.round(1), strict=True):
-            rows.append(
-                {"press": number}
-                | place
-                | {"across_x": at[0], "across_y": at[1]}
-                | {f"{c}_before": level for c, level in zip(CHANNELS, one, strict=True)}
-                | {f"{c}_during": level for c, level in zip(CHANNELS, other, strict=True)}
-            )
+        names = [f"{c}_{when}" for when in ("before", "during") for c in CHANNELS]
+        for at, *levels in zip(across.round(4), before.round(1), during.round(1), strict=True):
+            spot = {"press": number} | place | {"across_x": at[0], "across_y": at[1]}
+            rows.append(spot | dict(zip(names, np.concatenate(levels), strict=True)))
     return rows
 
 

@@ -1,33 +1,31 @@
 """Speed of the one-trace renderer: a whole fringe stack against stock Mitsuba, frame by frame.
 
-Both see the same pressed face, camera, coating and samples per pixel. A stock frame is `mi.render`
-with the `direct` integrator and the `projector` emitter, scene and texture loaded beforehand; a
-stack is timed until all frames lie in memory as one array each. Two comparisons in one run:
+Both render the same pressed face, camera, coating and samples per pixel. A stock frame is
+`mi.render` with the `direct` integrator and the `projector` emitter, scene and texture loaded
+before; a stack is timed until each frame is an array in memory. Two comparisons in one run:
 
 - a whole stack against ONE stock frame, full film: median of alternating turns after a warm-up of
-  each, so kernel compilation is in none. The stack once with a shadow ray from every point, as
-  stock traces them: like for like; and once as the twin does: without, as this relief is proven to
-  cast no shadow. Stock asks its tree, the stack marches over the heights (`twin.optics.heights`);
-- a whole stack against ALL its frames by stock renders, small film; writing the pattern textures is
-  not counted.
+  each, so no kernel is compiled in them. The stack once with a shadow ray from every point, as
+  stock traces them, and once as the twin does: without, as this relief provably casts no shadow.
+  Stock traces rays through its tree, the stack over the heights (`twin.optics.heights`);
+- a whole stack against ALL its frames by stock renders, small film; the writing of the pattern
+  textures is not included.
 
-The memory is the highest of this process up to the end of the first stacks, before anything of
-stock Mitsuba is loaded: press, mesh, BVH and all frames.
+The memory is the peak of this process up to the end of the first stacks, before stock Mitsuba is
+loaded: press, mesh, BVH and all frames.
 
 Last line: {"stack_with_shadow_rays_over_one_frame": ratio,
 "stack_without_shadow_rays_over_one_frame": ratio, "naive_over_stack": ratio, "frames": n, ...}.
 """
 
-import argparse
-import json
-import resource
 import statistics
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
+from itertools import count
 from typing import Any
 
+import numpy as np
+
+from benchmarks._harness import in_turns, print_figures, quick_parser, resident_bytes, seconds
 from twin.config import Experiment, load_experiment
 from twin.mechanics import face_mesh, press_with
 from twin.optics.session import activate
@@ -41,35 +39,19 @@ SETTINGS = {"patterns.period_px": 10}
 
 def main() -> None:
     """Time both engines and print one JSON line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="968 x 732 instead of 1936 x 1464")
+    parser = quick_parser(__doc__, "968 x 732 instead of 1936 x 1464")
     backend = activate()
     case = StackCase.of_film(2 if parser.parse_args().quick else 1)
     print(f"{backend.variant}: {case.frames} frames at {case.size}, {case.samples} samples")
     if case.rig.shadows:
-        raise SystemExit(
-            "bench stack: this relief needs shadow rays, there is nothing without them"
-        )
+        raise SystemExit("bench stack: this relief needs shadow rays, so no stack omits them")
     case.trace()
     case.trace()
-    memory_gib = peak_memory_gib()
+    memory_gib = resident_bytes("VmHWM") / 2**30
     print(f"peak memory of press and stack {memory_gib:.2f} GiB")
     figures = against_one_frame(case) | against_all_frames() | {"peak_memory_gib": memory_gib}
-    rounded = {name: round(value, 3) for name, value in figures.items()}
     facts = {"frames": case.frames, "size": case.size, "samples": case.samples}
-    print(json.dumps(rounded | facts | {"triangles": len(case.face.faces)}))
-
-
-def peak_memory_gib() -> float:
-    """Return the most memory this process has held.
-
-    Not ru_maxrss where it can be avoided: Linux begins it with the peak of whoever started us.
-    """
-    status = Path("/proc/self/status")
-    if not status.is_file():
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    lines = status.read_text(encoding="ascii").splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 2**20
+    print_figures(figures | facts | {"triangles": len(case.face.faces)})
 
 
 @dataclass(frozen=True)
@@ -86,27 +68,22 @@ class StackCase:
     @classmethod
     def of_film(cls, binning: int) -> "StackCase":
         """Press, mesh and load."""
+        from tests.optics.scenes import coated_scene
         from twin.optics.light import light_tables, pattern_set
-        from twin.optics.scene import coated_rig, coated_scene
+        from twin.optics.scene import coated_rig
 
         experiment = load_experiment("examples/slab_balls", SETTINGS | {"camera.binning": binning})
-        face = face_mesh(
-            press_with(
-                experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
-            )
+        pressed = press_with(
+            experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
         )
+        face = face_mesh(pressed)
         patterns = pattern_set(experiment.projector, experiment.patterns)
-        return cls(
-            experiment,
-            face,
-            coated_scene(experiment, face),
-            coated_rig(experiment, face),
-            patterns,
-            light_tables(experiment.projector, patterns),
-        )
+        scene, rig = coated_scene(experiment, face), coated_rig(experiment, face)
+        tables = light_tables(experiment.projector, patterns)
+        return cls(experiment, face, scene, rig, patterns, tables)
 
     def with_shadow_rays(self) -> "StackCase":
-        """Return the same traced with shadow rays, needed or not."""
+        """Return the same case traced with shadow rays, needed or not."""
         return replace(self, rig=replace(self.rig, shadows=True))
 
     @property
@@ -156,28 +133,26 @@ def against_one_frame(case: StackCase) -> dict[str, float]:
     """Seconds of a stack, with shadow rays and without, and of one stock frame, and the ratios."""
     from twin.optics import stock
 
-    scene, shadowed = case.stock_scene(), case.with_shadow_rays()
-    stock.render_frame(scene, 0)
-    shadowed.trace()
-    turns = []
-    for number in range(1, TURNS + 1):
-        calls = shadowed.trace, case.trace, lambda n=number: stock.render_frame(scene, n)
-        turns.append([seconds(call) for call in calls])
-        told = (f"{name} {s:.2f} s" for name, s in zip(TIMED, turns[-1], strict=True))
-        print(f"turn {number}: {', '.join(told)}")
-    shadowed_s, stack_s, frame_s = (statistics.median(c) for c in zip(*turns, strict=True))
+    scene, shadowed, number = case.stock_scene(), case.with_shadow_rays(), count()
+    calls = shadowed.trace, case.trace, lambda: stock.render_frame(scene, next(number))
+    calls[2]()
+    calls[0]()
+    turns = in_turns(dict(zip(TIMED, calls, strict=True)), TURNS)
+    for turn in turns:
+        print(", ".join(f"{name} {s:.2f} s" for name, s in turn.items()))
+    with_rays, without, frame = (np.array([turn[name] for turn in turns]) for name in TIMED)
     return {
-        "stack_with_shadow_rays_over_one_frame": statistics.median(t[0] / t[2] for t in turns),
-        "stack_without_shadow_rays_over_one_frame": statistics.median(t[1] / t[2] for t in turns),
-        "stack_with_shadow_rays_s": shadowed_s,
-        "stack_s": stack_s,
-        "stock_frame_s": frame_s,
-        "frames_per_s": case.frames / stack_s,
+        "stack_with_shadow_rays_over_one_frame": float(np.median(with_rays / frame)),
+        "stack_without_shadow_rays_over_one_frame": float(np.median(without / frame)),
+        "stack_with_shadow_rays_s": float(np.median(with_rays)),
+        "stack_s": float(np.median(without)),
+        "stock_frame_s": float(np.median(frame)),
+        "frames_per_s": case.frames / float(np.median(without)),
     }
 
 
 def against_all_frames() -> dict[str, float]:
-    """Render every frame by itself on a small film, against the stack there."""
+    """Render every frame by itself on a small film, and the stack there."""
     import mitsuba as mi
 
     from twin.optics import stock
@@ -193,16 +168,9 @@ def against_all_frames() -> dict[str, float]:
         naive_s += seconds(lambda n=index: stock.render_frame(scene, n))
         if index % 6 == 0:
             stack_s.append(seconds(case.trace))
-    print(f"{case.size}: {case.frames} stock frames {naive_s:.2f} s,", end=" ")
-    print(f"stack {statistics.median(stack_s):.3f} s")
-    return {"naive_over_stack": naive_s / statistics.median(stack_s)}
-
-
-def seconds(call: Callable[[], Any]) -> float:
-    """Wall-clock seconds of one call."""
-    start = time.perf_counter()
-    call()
-    return time.perf_counter() - start
+    median_s = statistics.median(stack_s)
+    print(f"{case.size}: {case.frames} stock frames {naive_s:.2f} s, stack {median_s:.3f} s")
+    return {"naive_over_stack": naive_s / median_s}
 
 
 if __name__ == "__main__":

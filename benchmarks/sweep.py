@@ -1,34 +1,28 @@
-"""Design points per hour of a sweep, against the same cases one by one.
+"""Design points per hour of a sweep, compared with the same cases measured in turn.
 
 A study of three axes, coat albedo x hardness x fringe period, at 484 x 366 under force control
-(under depth control hardness would change nothing but the force, and cost nothing): every hardness
-is a press and a scene of its own, every coat a trace, every case its own camera noise, decoding and
-score. The sweep runs on two workers into an empty store, start of the workers included; compiled
-kernels are in the cache, as they are after the first case of a kind. Cases spread over the design
-are then measured one by one: within one process, and by `twin measure`, one process each, as a user
-would without a sweep.
+(under depth control hardness would change the force only): every hardness needs a press and a
+scene, every coat a trace, every case its own camera noise, decoding and score. The sweep runs on
+two workers into an empty store, start of the workers included, with compiled kernels. Cases spread
+over the design are then measured in turn: within one process, and by `twin measure`, one process
+per case.
 
-`speed_up_2_workers` is of cases that share nothing but code: every thickness is a press, a scene
-and a trace of its own. One worker process with the threads of one core stands against two such:
-what is lost is lost to the engine (cases ahead, batches, store) and to the memory that both share.
-The processes are started, and their kernels loaded, before the clock runs. Only an idle machine of
-two cores or more tells the truth; `machine_speed_up`, of plain loops that share nothing at all,
-taken before and after, says what it has to give: cores of a virtual machine are often less than 2.
-`worker_efficiency` is the first over the second.
+`speed_up_2_workers`: cases that share only code, each thickness with its own press, scene and
+trace; one worker process with the threads of one core over two such workers, started and warm. The
+losses are those of the engine (cases ahead, batches, store) and of the shared memory bus. It is
+valid on an idle machine of two cores or more; `machine_speed_up`, of plain loops that share
+nothing, before and after, is the gain that the machine allows: virtual cores often give less
+than 2. `worker_efficiency` is the first over the second.
 
-Last line: {"over_one_process": r, "over_one_by_one": r, "points_per_hour": n, ...}. The first is
-like for like: `measure` called again and again in one process, so that nothing but the sharing and
-the second worker is gained; the second also gains what starting a process per case takes. Also
-given are the overhead of engine and store per case, and what each stage takes of a point: wall
-clock of one process on all cores that measures cases in the order of the sweep, `press_s, trace_s,
-light_s, noise_s, decode_s, score_s`, `object_s` of its comparison with the true object, and
-`store_s`, the overhead.
+Last line: {"over_one_process": r, "over_one_by_one": r, "points_per_hour": n, ...}. The first
+compares `measure` called repeatedly in one process, so it gains from sharing and from the second
+worker only; the second also gains the start of a process per case. Also: the overhead of engine and
+store per case, and wall-clock seconds per point of each stage, in one process on all cores, in the
+sweep's order: `press_s, trace_s, light_s, noise_s, decode_s, score_s`, `object_s` (comparison with
+the true object) and `store_s` (the overhead).
 """
 
-import argparse
-import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -36,6 +30,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+from benchmarks._harness import print_figures, processor_s, quick_parser, seconds
 from twin.config import load_experiment, to_toml
 from twin.config.study import Study
 from twin.pipeline import Memory, measure
@@ -55,12 +50,11 @@ BASE = {
     "press.depth_mm": None,
     "press.force_n": 0.2,
     "press.back_pressure_kpa": 0.0,
-    # By hardness the sheet may deflect by 0.4 of its thickness, where `auto` takes a model that
-    # needs a minute: the benchmark is about the sweep.
+    # At a deflection of 0.4 of the thickness `auto` takes a model that needs a minute.
     "mechanics.model": "spectral",
 }
-
-# What the last line calls them: stages of `twin.pipeline.memory`.
+LOOP = [sys.executable, "-c", "sum(i * i for i in range(60_000_000))"]
+# Figures and their stages of `twin.pipeline.memory`.
 STAGES = {
     "press_s": ("shape", "press", "texture"),
     "trace_s": ("geometry", "view", "trace", "photons"),
@@ -85,9 +79,7 @@ def study_of(albedos: int, hardnesses: int, periods: int) -> Study:
 
 def main() -> None:
     """Time both ways and print one JSON line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="48 cases instead of 320")
-    quick = parser.parse_args().quick
+    quick = quick_parser(__doc__, "48 cases instead of 320").parse_args().quick
     levels = (4, 3, 4) if quick else (8, 4, 10)
     record = StudyRecord(study_of(*levels), load_experiment("examples/slab_balls", BASE))
     cases = record.cases().unique()
@@ -97,40 +89,22 @@ def main() -> None:
         start = time.perf_counter()
         outcome = sweep(record, Path(scratch) / "store", local_workers(2))
         per_point_s = (time.perf_counter() - start) / len(cases)
-        # Of the two workers: where the machine does other work too, this is what stays comparable.
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        cpu_s = (used.ru_utime + used.ru_stime) / len(cases)
-        print(f"sweep: {per_point_s:.3f} s per point ({dict(outcome.states)})")
+        # Comparable on a busy machine; includes the warm-up.
+        cpu_s = processor_s() / len(cases)
+        print(f"sweep: {per_point_s:.3f} s per point ({dict(outcome.states)})", flush=True)
         few = cases[:: max(1, len(cases) // (2 if quick else 4))][: 2 if quick else 4]
-        alone_s = measured_alone(few, Path(scratch))
-        in_process_s = measured_in_process(few)
+        alone_s, in_process_s = measured_alone(few, Path(scratch)), measured_in_process(few)
+        print(f"in turn: {in_process_s:.2f} s within one process, {alone_s:.2f} s by twin measure")
         stages = seconds_of_stages(cases[: 24 if quick else 80])
-        alike = (12 if quick else 24, Path(scratch))
-        loops = [machine_speed_up()]
-        one_s, two_s = (of_workers(count, *alike) for count in (1, 2))
-        loops.append(machine_speed_up())
-    print(f"{alike[0]} cases that share nothing: {one_s:.1f} s by one worker, {two_s:.1f} s by two")
-    print(f"one by one: {in_process_s:.2f} s within one process, {alone_s:.2f} s by twin measure")
-    print(
-        json.dumps(
-            gains(per_point_s, in_process_s, alone_s)
-            | {
-                "speed_up_2_workers": round(one_s / two_s, 2),
-                "machine_speed_up": round(sum(loops) / len(loops), 2),
-                "worker_efficiency": round(one_s / two_s * len(loops) / sum(loops), 3),
-                "cpu_s_per_point": round(cpu_s, 3),
-                "overhead_ms": round(1e3 * (store_s := overhead_s(record, len(cases))), 2),
-                **stages,
-                "store_s": round(store_s, 4),
-                "cases": len(cases),
-                "done": outcome.states.get("done", 0),
-            }
-        )
-    )
+        scaling = worker_scaling(12 if quick else 24, Path(scratch))
+    store_s = overhead_s(record, len(cases))
+    counts = {"cases": len(cases), "done": outcome.states.get("done", 0)}
+    overhead = {"cpu_s_per_point": cpu_s, "overhead_ms": 1e3 * store_s, "store_s": store_s}
+    print_figures(gains(per_point_s, in_process_s, alone_s) | scaling | overhead | stages | counts)
 
 
 def gains(per_point_s: float, in_process_s: float, alone_s: float) -> dict[str, float]:
-    """Return what the sweep gains, like for like first, and its pace."""
+    """Return the gains of the sweep, against one process first, and its pace."""
     return {
         "over_one_process": round(in_process_s / per_point_s, 2),
         "over_one_by_one": round(alone_s / per_point_s, 2),
@@ -148,25 +122,22 @@ def measured_alone(cases: list[Case], scratch: Path) -> float:
     """Return the mean seconds of `twin measure`, one process per case."""
     start = time.perf_counter()
     for case in cases:
-        file = scratch / f"{case.digest}.toml"
+        file, out = scratch / f"{case.digest}.toml", scratch / case.digest
         file.write_text(to_toml(case.experiment), encoding="utf-8")
-        command = [str(Path(sys.executable).with_name("twin")), "measure", str(file)]
-        out = str(scratch / case.digest)
-        subprocess.run([*command, "-o", out], check=True, capture_output=True)
+        program = str(Path(sys.executable).with_name("twin"))
+        command = [program, "measure", str(file), "-o", str(out)]
+        subprocess.run(command, check=True, capture_output=True)
     return (time.perf_counter() - start) / len(cases)
 
 
 def measured_in_process(cases: list[Case]) -> float:
-    """Return the mean seconds of `measure`, after one that warms up."""
+    """Return the mean seconds of `measure`, after a first call that warms up."""
     measure(cases[0].experiment)
-    start = time.perf_counter()
-    for case in cases:
-        measure(case.experiment)
-    return (time.perf_counter() - start) / len(cases)
+    return seconds(lambda: [measure(case.experiment) for case in cases]) / len(cases)
 
 
-class _Timed(Memory):
-    """Adds up the seconds of every stage that is asked for by no other."""
+class _TimedMemory(Memory):
+    """Adds up the seconds of every stage that no other stage requests."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -189,18 +160,28 @@ def seconds_of_stages(cases: list[Case]) -> dict[str, float]:
     """Return seconds per case of every stage, measured in the sweep's order by one process."""
     first = CaseMeasurer()
     first(cases[0].experiment)
-    memory, after = _Timed(), Counter[str]()
+    memory, after = _TimedMemory(), Counter[str]()
     for _, case in in_sharing_order(cases, first.reads()):
         taken = measure(case.experiment, memory=memory).seconds
         after.update({f"{stage}_s": taken[stage] for stage in ("score", "object")})
     found = {
         name: sum(memory.seconds[stage] for stage in stages) for name, stages in STAGES.items()
     }
-    return {name: round(value / len(cases), 4) for name, value in (found | after).items()}
+    return {name: value / len(cases) for name, value in (found | after).items()}
+
+
+def worker_scaling(cases: int, scratch: Path) -> dict[str, float]:
+    """Return the gain of a second worker, that of a second plain loop, and their ratio."""
+    loops = [machine_speed_up()]
+    one_s, two_s = (of_workers(count, cases, scratch) for count in (1, 2))
+    loops.append(machine_speed_up())
+    print(f"{cases} independent cases: {one_s:.1f} s by one worker, {two_s:.1f} s by two")
+    found = {"speed_up_2_workers": one_s / two_s, "machine_speed_up": sum(loops) / len(loops)}
+    return found | {"worker_efficiency": found["speed_up_2_workers"] / found["machine_speed_up"]}
 
 
 def of_workers(count: int, cases: int, scratch: Path) -> float:
-    """Return the seconds that workers of one core each take for cases that share nothing."""
+    """Return the run time of workers with one core each for cases that share only code."""
     base = load_experiment("examples/slab_balls", BASE)
 
     def of(low_mm: float, levels: int) -> list[Case]:
@@ -208,41 +189,36 @@ def of_workers(count: int, cases: int, scratch: Path) -> float:
         return StudyRecord(Study(name="alone", base="x", axis=(axis,)), base).cases().unique()
 
     with lasting(local_workers(count, cores=count)) as workers:
-        for name, wanted in (("warm", of(2.0, 6)), ("timed", of(2.5, cases))):
+        for name, chosen in (("warm", of(2.0, 6)), ("timed", of(2.5, cases))):
             store = Store(scratch / f"{name}_{count}")
             store.open()
-            outcome = Run(store, workers)(wanted)
+            outcome = Run(store, workers)(chosen)
     if outcome.states != {"done": cases}:
         raise SystemExit(f"of {cases} cases ended: {dict(outcome.states)}")
     return outcome.seconds
 
 
 def machine_speed_up() -> float:
-    """Return how much faster two processes count than one, at work all the time."""
-    loop = [sys.executable, "-c", "sum(i * i for i in range(60_000_000))"]
+    """Return the ratio of the rates of two and one process that count."""
 
-    def seconds(count: int) -> float:
-        start = time.perf_counter()
-        for process in [subprocess.Popen(loop) for _ in range(count)]:
+    def run(count: int) -> None:
+        for process in [subprocess.Popen(LOOP) for _ in range(count)]:
             process.wait()
-        return time.perf_counter() - start
 
-    return 2 * seconds(1) / seconds(2)
+    return 2 * seconds(lambda: run(1)) / seconds(lambda: run(2))
 
 
 def overhead_s(record: StudyRecord, count: int) -> float:
-    """Return seconds per case that engine, store and index take when measuring takes none."""
+    """Return seconds per case of engine, store and index, with a measurer that returns at once."""
     with tempfile.TemporaryDirectory() as scratch:
         store = Store(Path(scratch) / "store")
         store.open()
-        run = Run(store, local_workers(1), make_measurer=_Instant, done=Index(store).enter)
-        start = time.perf_counter()
-        run(record.cases().unique())
-        return (time.perf_counter() - start) / count
+        run = Run(store, local_workers(1), make_measurer=_InstantMeasurer, done=Index(store).enter)
+        return seconds(lambda: run(record.cases().unique())) / count
 
 
-class _Instant:
-    """Answers at once."""
+class _InstantMeasurer:
+    """Returns a fixed result at once."""
 
     def __init__(self, keep: tuple[str, ...]) -> None:
         self.keep = keep

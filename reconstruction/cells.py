@@ -62,8 +62,17 @@ class SquareCells:
     pitch_mm: float
 
     @classmethod
-    def of(cls, points_mm: NDArray[np.floating[Any]], pitch_mm: float) -> "SquareCells":
+    def of(
+        cls,
+        points_mm: NDArray[np.floating[Any]],
+        pitch_mm: float,
+        corner_mm: tuple[float, float] = (0.0, 0.0),
+    ) -> "SquareCells":
         """Sort points (point, xyz) or (point, xy), world, at least one, into cells.
+
+        Parameters
+        ----------
+        corner_mm : world x and y of a corner of any cell
 
         Raises
         ------
@@ -71,15 +80,16 @@ class SquareCells:
         """
         if pitch_mm <= 0.0:
             raise InputError(f"height map: pitch: found {pitch_mm:g} mm, allowed more than 0")
-        across, along = (np.floor(axis_mm / pitch_mm) for axis_mm in points_mm.T[:2])
+        shifted_mm = (axis_mm - at for axis_mm, at in zip(points_mm.T[:2], corner_mm, strict=True))
+        across, along = (np.floor(axis_mm / pitch_mm) for axis_mm in shifted_mm)
         left, low = float(across.min()), float(along.min())
         cols, rows = int(across.max() - left) + 1, int(along.max() - low) + 1
         if rows * cols > _MOST_CELLS:
             made = f"pitch {pitch_mm:g} mm makes {rows} x {cols} cells"
             raise InputError(f"height map: {made}; give more")
         row, col = (along - low).astype(np.int64), (across - left).astype(np.int64)
-        x_mm = np.asarray((left + np.arange(cols) + 0.5) * pitch_mm)
-        y_mm = np.asarray((low + np.arange(rows)[::-1] + 0.5) * pitch_mm)
+        x_mm = np.asarray(corner_mm[0] + (left + np.arange(cols) + 0.5) * pitch_mm)
+        y_mm = np.asarray(corner_mm[1] + (low + np.arange(rows)[::-1] + 0.5) * pitch_mm)
         return cls((rows - 1 - row) * cols + col, x_mm, y_mm, float(pitch_mm))
 
     def means(self, values: NDArray[Any]) -> CellMeans:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
 from reconstruction.cells import CellMeans, SquareCells
@@ -19,6 +20,8 @@ from reconstruction.cells import CellMeans, SquareCells
 _MOST_CELLS = 400
 _GAP = "#d9d9d9"
 _DPI = 100
+# Room between neighbouring panels, as a share of a panel's width and height.
+_ROOM_ACROSS, _ROOM_DOWN = 0.06, 0.08
 
 
 class Drawing(Figure):
@@ -26,7 +29,8 @@ class Drawing(Figure):
 
     def __init__(self, panels: int, rows: int = 1) -> None:
         size = 4.4 * panels, 3.4 * rows
-        super().__init__(figsize=size, facecolor="white", layout="constrained")
+        layout = ConstrainedLayoutEngine(wspace=_ROOM_ACROSS, hspace=_ROOM_DOWN)
+        super().__init__(figsize=size, facecolor="white", layout=layout)
 
     def png(self) -> bytes:
         """Return it as a PNG file."""

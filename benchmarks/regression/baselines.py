@@ -1,33 +1,33 @@
 """The committed baselines: value, standard uncertainty, number of runs, date, versions, machine.
 
-Beside them lie stated rows: figures that take too long, or a machine of its own, to be measured
-with the others. They are written by hand, with date and command.
+Stated rows are figures that need too much time, or a machine of their own, to be measured with the
+other figures. They are written by hand, with date and command.
 """
 
+import json
 import os
 import tomllib
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
-from benchmarks.regression.figures import GuardedFigure, MeanOfRuns
+from benchmarks.regression.figures import MeanOfRuns
 from reconstruction.errors import InputError
 from twin.output import versions
 
 NAMED = ("fringe-twin", "mitsuba", "drjit", "numpy")
 HEADER = """\
-# Baselines of the regression benchmarks. [figure] is written by `./run bench all --update`;
-# [stated] are further rows, by hand; headline rows stand in the README. See docs/benchmarks.md.
-
+# Baselines of the regression benchmarks, written by `./run bench all --update`; docs/benchmarks.md.
+# [[accepted]]: figures that were measured together, each [value, standard uncertainty, runs].
+# [stated]: further rows, written by hand. Rows with headline = true are also in the README.
 """
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """What a figure was when it was last accepted."""
+    """Value of a figure when it was last accepted."""
 
     estimate: MeanOfRuns
     date: str
@@ -36,14 +36,14 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class Stated:
-    """A row that nothing here measures; a headline stands in the README's table, too."""
+class StatedRow:
+    """A row that no case measures; a headline is also in the README's table."""
 
     name: str
-    what: str
+    label: str
     target: str
     measured: str
-    how: str
+    command: str
     date: str
     headline: bool = False
 
@@ -53,10 +53,10 @@ class Baselines:
     """All baselines by name, and the stated rows."""
 
     figures: Mapping[str, Baseline]
-    stated: tuple[Stated, ...] = ()
+    stated: tuple[StatedRow, ...] = ()
 
     def updated(self, found: Mapping[str, MeanOfRuns], date: str, machine: str) -> "Baselines":
-        """Return these with new values of the figures found."""
+        """Return these with new values of the measured figures."""
         named = named_versions()
         new = {name: Baseline(value, date, named, machine) for name, value in found.items()}
         return replace(self, figures={**self.figures, **new})
@@ -80,10 +80,9 @@ def read_baselines(path: Path) -> Baselines:
         return Baselines({})
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-        return Baselines(
-            {name: _baseline(table) for name, table in content.get("figure", {}).items()},
-            tuple(Stated(name, **table) for name, table in content.get("stated", {}).items()),
-        )
+        figures = dict(pair for group in content.get("accepted", ()) for pair in _pairs(group))
+        stated = (StatedRow(name, **row) for name, row in content.get("stated", {}).items())
+        return Baselines(figures, tuple(stated))
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{path}: {type(error).__name__} {error}; take the committed file, or delete it and run"
@@ -91,43 +90,39 @@ def read_baselines(path: Path) -> Baselines:
         ) from None
 
 
-def write_baselines(
-    baselines: Baselines, registry: Mapping[str, GuardedFigure], path: Path
-) -> None:
-    """Write the baselines whole or not at all, in the registry's order, others dropped."""
-    content = {
-        "figure": {
-            name: _table(figure, baselines.figures[name])
-            for name, figure in registry.items()
-            if name in baselines.figures
-        },
-        "stated": {
-            row.name: _fields(row, ("what", "target", "measured", "how", "date", "headline"))
-            for row in baselines.stated
-        },
-    }
-    replace_text(path, HEADER + tomli_w.dumps(content))
+def _pairs(group: Mapping[str, Any]) -> Iterable[tuple[str, Baseline]]:
+    origin = [group[key] for key in ("date", "versions", "machine")]
+    for name, (value, standard_uncertainty, n) in group["figures"].items():
+        estimate = MeanOfRuns(float(value), float(standard_uncertainty), n)
+        yield name, Baseline(estimate, *origin)
+
+
+def write_baselines(baselines: Baselines, names: Iterable[str], path: Path) -> None:
+    """Write the baselines of the named figures, all or nothing, in the order of the names."""
+    groups: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    for name in names:
+        if known := baselines.figures.get(name):
+            line = f"figures.{name} = {list(astuple(known.estimate))}"
+            groups[known.date, known.versions, known.machine].append(line)
+    lines = [HEADER]
+    for origin, figures in groups.items():
+        named = zip(("date", "versions", "machine"), map(json.dumps, origin), strict=True)
+        lines += ["[[accepted]]", *(f"{key} = {text}" for key, text in named), *figures, ""]
+    lines += ["[stated]", *map(_line, baselines.stated), ""]
+    replace_text(path, "\n".join(lines))
+
+
+def _line(row: StatedRow) -> str:
+    named = (field.name for field in fields(row)[1:])
+    parts = ", ".join(f"{name} = {json.dumps(getattr(row, name))}" for name in named)
+    return f"{row.name} = {{ {parts} }}"
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
+    """Write a text file, all or nothing."""
     part = path.with_name(f".{path.name}.part")
     with part.open("w", encoding="utf-8") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
     part.replace(path)
-
-
-def _baseline(table: Mapping[str, Any]) -> Baseline:
-    estimate = MeanOfRuns(float(table["value"]), float(table["standard_uncertainty"]), table["n"])
-    return Baseline(estimate, table["date"], table["versions"], table["machine"])
-
-
-def _table(figure: GuardedFigure, baseline: Baseline) -> dict[str, Any]:
-    estimate = _fields(baseline.estimate, ("value", "standard_uncertainty", "n"))
-    return {"what": figure.what} | estimate | _fields(baseline, ("date", "versions", "machine"))
-
-
-def _fields(holder: object, names: Iterable[str]) -> dict[str, Any]:
-    return {name: getattr(holder, name) for name in names}

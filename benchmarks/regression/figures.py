@@ -1,34 +1,32 @@
-"""What a figure is, and what one run says about it."""
+"""A guarded figure, its target, the mean of its runs, and the case that measures it."""
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 Kind = Literal["accuracy", "speed", "absolute"]
 
+Values = dict[str, list[float]]
+"""Values of every figure of a case, one per seed."""
+
 
 @dataclass(frozen=True)
 class Target:
-    """What the project promises of a figure, in its unit; the ends belong to it."""
+    """Range that the project promises for a figure, in its unit; both ends are inside."""
 
     low: float = -math.inf
     high: float = math.inf
-
-    @classmethod
-    def about(cls, value: float, within: float) -> "Target":
-        """Promise a value within so much on either side."""
-        return cls(value - within, value + within)
 
     def __str__(self) -> str:
         if self.low == self.high:
             return f"{self.low:g}"
         if math.isinf(self.low):
             return f"at most {self.high:g}"
-        return (
-            f"at least {self.low:g}" if math.isinf(self.high) else f"{self.low:g} to {self.high:g}"
-        )
+        if math.isinf(self.high):
+            return f"at least {self.low:g}"
+        return f"{self.low:g} to {self.high:g}"
 
 
 @dataclass(frozen=True)
@@ -37,21 +35,20 @@ class GuardedFigure:
 
     Attributes
     ----------
-    name : ends with its unit; without one it is a ratio or a count
-    what : what was measured, which statistic of it, and its unit
-    headline : stands in the README's table, too
-    kind : against its baseline "accuracy" fails outside the combined uncertainty, "speed" (a ratio
-        inside one run, or memory) when worse by `factor`, "absolute" (seconds, points per hour)
-        never
-    target : what the project promises, judged besides; None: nothing
-    floor, floor_rel : type-B standard uncertainty of a comparison, in the figure's unit and as a
-        share of the baseline; the larger counts
-    factor : a speed may be worse than its baseline by so much
-    higher_is_better : for speeds
+    name : ends with its unit; a ratio or a count has none
+    label : quantity, statistic and unit
+    headline : is also a row of the README's table
+    kind : compared with its baseline, "accuracy" fails outside the combined uncertainty, "speed"
+        (a ratio within one run, or memory) if worse by `factor`, "absolute" (seconds, points per
+        hour) never
+    target : judged in addition to the baseline; None: no target
+    floor, floor_rel : type-B standard uncertainty of a comparison, in the figure's unit and
+        relative to the baseline; the larger counts
+    field : "key" or "key / key" of the JSON object that a benchmark command prints
     """
 
     name: str
-    what: str
+    label: str
     kind: Kind = "accuracy"
     target: Target | None = None
     floor: float = 0.0
@@ -59,6 +56,7 @@ class GuardedFigure:
     factor: float = 1.5
     higher_is_better: bool = False
     headline: bool = False
+    field: str = ""
 
     def floor_of(self, baseline: float) -> float:
         """Return the type-B standard uncertainty of a comparison with the baseline."""
@@ -67,7 +65,7 @@ class GuardedFigure:
 
 @dataclass(frozen=True)
 class MeanOfRuns:
-    """Mean of n runs and its type-A standard uncertainty, 0 for a single one."""
+    """Mean of n runs and its type-A standard uncertainty, 0 for a single run."""
 
     value: float
     standard_uncertainty: float = 0.0
@@ -80,7 +78,7 @@ class MeanOfRuns:
         Raises
         ------
         ValueError
-            No value, or one that is no finite number.
+            There is no value, or a value is not finite.
         """
         if not values or not all(map(math.isfinite, values)):
             raise ValueError(f"finite values needed, found {list(values)}")
@@ -89,5 +87,29 @@ class MeanOfRuns:
         return cls(statistics.fmean(values), spread / math.sqrt(n), n)
 
 
-Values = dict[str, list[float]]
-"""Values of every figure of a case, one per seed (or place)."""
+@dataclass(frozen=True)
+class BenchmarkCase:
+    """Figures that are measured together; `--only` takes the name.
+
+    Attributes
+    ----------
+    conditions : image size and repetitions, or the command that measures
+    measure : returns values of every figure
+    quick : runs with `--quick` too
+    """
+
+    name: str
+    conditions: str
+    figures: tuple[GuardedFigure, ...]
+    measure: Callable[[], Values]
+    quick: bool = True
+
+
+def repeated(count: int, once: Callable[[int], dict[str, float]]) -> Values:
+    """Measure with seeds 1 to `count`, print each seed, and collect the values by name."""
+    values: Values = {}
+    for seed in range(1, count + 1):
+        print(f"  seed {seed} of {count}", flush=True)
+        for name, value in once(seed).items():
+            values.setdefault(name, []).append(value)
+    return values

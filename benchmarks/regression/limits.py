@@ -1,19 +1,18 @@
-"""When a figure has left its baseline, or misses its target.
+"""When a figure differs from its baseline, or misses its target.
 
 Accuracy: |value - baseline| > k u_c with u_c^2 = u^2 + u0^2 + b^2, where u and u0 are the type-A
-standard uncertainties of run and baseline, s / sqrt(n) over seeds, and b a type-B one for what the
-seeds do not vary: rounding of another processor or compiler. k is Student's quantile with the
-effective degrees of freedom of Welch and Satterthwaite (GUM:2008 G.4.1), b counted with infinitely
-many. A plain k = 3 would be wrong: with 5 seeds on either side it raises a false alarm in 1.7 % of
-the comparisons, thus in every second run of 40 figures. Here the rate is 1 % for a whole run
-(Sidak: 1 - (1 - 0.01)^(1/m) for each of m figures; dependent figures only lower it).
+standard uncertainties of run and baseline, s / sqrt(n) over seeds, and b is the type-B uncertainty
+from rounding on another processor or by another compiler, which seeds do not vary. k is Student's
+quantile with the effective degrees of freedom of Welch and Satterthwaite (GUM:2008 G.4.1), b with
+infinitely many. With k = 3 and 5 seeds on either side, 1.7 % of the comparisons would raise a false
+alarm, so every second run of 40 figures. Here the rate is 1 % for a whole run (Sidak:
+1 - (1 - 0.01)^(1/m) for each of m figures; dependent figures only lower it). A better value outside
+the limit fails too: accept it with `--update`.
 
-Better is outside as well: whoever improves a figure states so with `--update`.
+Speed: a ratio within one run fails if it is worse than the baseline by a stated factor.
 
-Speed: a ratio inside one run is a failure when worse than the baseline by a stated factor.
-
-Target: a figure beyond what the project promises is a failure, whatever its baseline. Absolute
-seconds differ by two with what else the machine does: they fail beyond twice their target.
+Target: a figure outside its target fails for any baseline. Seconds vary by a factor of two with the
+load of the machine: they fail beyond twice their target.
 """
 
 import math
@@ -29,7 +28,7 @@ BUSY_MACHINE = 2.0
 
 @dataclass(frozen=True)
 class Judgement:
-    """A figure against its baseline or target; `limit`: how far it may be off, or the worst."""
+    """Result of a comparison; `limit` is the largest allowed deviation, or the worst value."""
 
     passed: bool
     limit: float
@@ -48,7 +47,7 @@ def judge(
     combined = combined_uncertainty(found, baseline, floor)
     limit = coverage_factor(found, baseline, floor, accuracy_figures) * combined
     off = abs(found.value - baseline.value)
-    # Zero uncertainty on both sides and no floor: only the very same number passes.
+    # Without any uncertainty only the identical number passes.
     return Judgement(off <= limit, limit, f"off by {off:.2g}, allowed {limit:.2g}")
 
 
@@ -69,7 +68,7 @@ def combined_uncertainty(found: MeanOfRuns, baseline: MeanOfRuns, floor: float) 
 
 
 def coverage_factor(found: MeanOfRuns, baseline: MeanOfRuns, floor: float, figures: int) -> float:
-    """Return Student's two-sided quantile for one of so many figures."""
+    """Return Student's two-sided quantile for one of several figures."""
     share = -math.expm1(math.log1p(-FALSE_ALARMS_PER_RUN) / figures)
     dof = degrees_of_freedom(found, baseline, floor)
     # Student's quantile; the inverse of its lower tail keeps the digits of a small share.
@@ -78,8 +77,9 @@ def coverage_factor(found: MeanOfRuns, baseline: MeanOfRuns, floor: float, figur
 
 def degrees_of_freedom(found: MeanOfRuns, baseline: MeanOfRuns, floor: float) -> float:
     """Return the effective degrees of freedom by Welch and Satterthwaite."""
-    spent = sum(one.standard_uncertainty**4 / (one.n - 1) for one in (found, baseline) if one.n > 1)
-    return combined_uncertainty(found, baseline, floor) ** 4 / spent if spent else math.inf
+    parts = [run.standard_uncertainty**4 / (run.n - 1) for run in (found, baseline) if run.n > 1]
+    combined = combined_uncertainty(found, baseline, floor)
+    return combined**4 / sum(parts) if sum(parts) else math.inf
 
 
 def _judge_speed(figure: GuardedFigure, value: float, baseline: float) -> Judgement:

@@ -1,38 +1,37 @@
-"""Run cases, tell progress, and compare with the baselines."""
+"""Run cases, print progress, and compare the results with the baselines."""
 
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from benchmarks.regression.baselines import Baseline
-from benchmarks.regression.cases import BenchmarkCase
-from benchmarks.regression.figures import GuardedFigure, MeanOfRuns
+from benchmarks.regression.figures import BenchmarkCase, GuardedFigure, MeanOfRuns
 from benchmarks.regression.limits import judge, judge_target
 
 
 @dataclass(frozen=True)
-class Found:
-    """What the runs gave.
+class CaseResults:
+    """Results of cases.
 
     Attributes
     ----------
     estimates : by figure
-    broken : by case, why it gave nothing
+    broken : by case, the error that ended it
     """
 
     estimates: dict[str, MeanOfRuns] = field(default_factory=dict)
     broken: dict[str, str] = field(default_factory=dict)
 
 
-def run_cases(cases: tuple[BenchmarkCase, ...]) -> Found:
-    """Run one case after the other; one that fails does not stop the rest."""
-    found = Found()
+def run_cases(cases: tuple[BenchmarkCase, ...]) -> CaseResults:
+    """Run the cases in turn; a case that fails does not stop the rest."""
+    found = CaseResults()
     for number, case in enumerate(cases, start=1):
-        print(f"[{number}/{len(cases)}] {case.name}: {case.how}", flush=True)
+        print(f"[{number}/{len(cases)}] {case.name}: {case.conditions}", flush=True)
         start = time.perf_counter()
         try:
             estimates = estimates_of(case)
-        # Whatever a case dies of is a finding about the code under test.
+        # Any error is a result about the code under test.
         except Exception as error:
             found.broken[case.name] = f"{type(error).__name__}: {error}"
             print(f"  BROKEN: {found.broken[case.name]}", flush=True)
@@ -50,7 +49,7 @@ def estimates_of(case: BenchmarkCase) -> dict[str, MeanOfRuns]:
     Raises
     ------
     ValueError
-        It gave other figures than it lists.
+        The measured figures are not those of the registry.
     """
     values = case.measure()
     listed = [figure.name for figure in case.figures]
@@ -60,15 +59,15 @@ def estimates_of(case: BenchmarkCase) -> dict[str, MeanOfRuns]:
 
 
 def again(case: BenchmarkCase, first: Mapping[str, MeanOfRuns]) -> dict[str, MeanOfRuns]:
-    """Measure a speed once more and return the better of each figure.
+    """Measure speeds again and return the better value of each figure.
 
-    Other programs on the machine only ever make it slower.
+    Other programs on the machine can only increase run times.
     """
     second = run_cases((case,)).estimates
     better = {}
     for figure in case.figures:
         pick = max if figure.higher_is_better else min
-        both = [one[figure.name] for one in (first, second) if figure.name in one]
+        both = [run[figure.name] for run in (first, second) if figure.name in run]
         better[figure.name] = pick(both, key=lambda estimate: estimate.value)
     return better
 
@@ -79,7 +78,7 @@ def failures(
     baselines: Mapping[str, Baseline],
     accuracy_figures: int,
 ) -> dict[str, str]:
-    """Return, by figure, in which case it misses its target or baseline and by how much."""
+    """Return, by figure, its case and by how much it misses its target or baseline."""
     failed = {}
     for case in cases:
         for figure in case.figures:
@@ -94,7 +93,7 @@ def failures(
 def _misses(
     figure: GuardedFigure, found: MeanOfRuns, known: Baseline | None, accuracy_figures: int
 ) -> str:
-    """Return what a figure misses; empty: nothing."""
+    """Return the limits that a figure misses; empty if none."""
     promised = judge_target(figure, found.value)
     missed = [] if promised.passed else [promised.text]
     if known is None:

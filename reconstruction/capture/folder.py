@@ -114,7 +114,7 @@ class Capture:
         }
 
     def plot(self) -> "Drawing":
-        """Draw the first frame, and the least and the greatest value of each pixel in all frames.
+        """Draw the first frame, and the mean and the greatest value of each pixel in all frames.
 
         Returns
         -------
@@ -126,7 +126,7 @@ class Capture:
         panels = drawing.subplots(1, 3)
         images = {
             f"frame {self.patterns.frames[0].name}": self.stack[0],
-            "least of all frames": self.stack.min(axis=0),
+            "mean of all frames": self.stack.mean(axis=0),
             "greatest of all frames": self.stack.max(axis=0),
         }
         for axes, (title, image) in zip(panels, images.items(), strict=True):

@@ -156,12 +156,6 @@ class FilterNoise:
         across = self._across.transposed(lifted)
         return np.asarray(slope + across + self._along.transposed(lifted + across))
 
-    def applied(self, value_px: FloatArray) -> FloatArray:
-        """Return K x of coordinates or their noise, (row, col) px, with these shares."""
-        lift = _lift(value_px, self._along, self._across)
-        coarse = self._support * _smoothed(lift, self._gauss)
-        return np.asarray(value_px + self._of_lift * lift + self._of_coarse * coarse)
-
     def _part(self, rows: slice, cols: slice) -> "FilterNoise":
         """Return the map over a part of the image; exact for derivatives away from its border."""
         cut = np.s_[rows, cols]

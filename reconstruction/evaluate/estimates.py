@@ -14,9 +14,14 @@ from scipy.optimize import least_squares
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import fit_sphere, inliers
-from reconstruction.evaluate.robust import BallFit, CylinderFit, fit_ball, fit_cylinder
+from reconstruction.evaluate.robust import (
+    BallFit,
+    CylinderFit,
+    fit_ball,
+    fit_cylinder,
+    fit_heights,
+)
 
-_MOST_TURNS = 20
 _LEAST_POINTS = 5
 _LEAST_IN_FIT = 20
 # Residuals of 0.1 um are no outliers, however exact the other points are.
@@ -127,7 +132,7 @@ def step_between(
         if part.sum() < _LEAST_POINTS:
             raise FitError(f"step: {part.sum()} points on the {name} level, 5 needed")
     design = np.column_stack([upper.astype(np.float64), np.ones(len(z_mm)), xy_mm])
-    return _linear(design, z_mm, (upper, lower))
+    return _parameters(design, z_mm, (upper, lower))[0]
 
 
 def fit_linear(design: FloatArray, z_mm: FloatArray) -> FittedDimension:
@@ -145,7 +150,7 @@ def fit_linear(design: FloatArray, z_mm: FloatArray) -> FittedDimension:
     least = max(_LEAST_POINTS, design.shape[1])
     if len(z_mm) < least:
         raise FitError(f"{len(z_mm)} points, {least} needed")
-    return _linear(design, z_mm, (np.ones(len(z_mm), bool),))
+    return _parameters(design, z_mm, (np.ones(len(z_mm), bool),))[0]
 
 
 def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDimension:
@@ -163,17 +168,16 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
         raise FitError(f"grooves: {len(s_mm)} points, 20 over at least one pitch needed")
     angle = 2 * np.pi * s_mm / pitch_mm
     design = np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(s_mm)), s_mm])
-    parts = [_linear(design, z_mm, (np.ones(len(z_mm), bool),), which) for which in (0, 1)]
+    parts = _parameters(design, z_mm, (np.ones(len(z_mm), bool),), count=2)
     size = float(np.hypot(parts[0].value, parts[1].value))
     slope = sum(one.value / max(size, 1e-12) * one.slope for one in parts)
-    used = parts[0].used
     towards = np.array([2 * one.value / max(size, 1e-12) for one in parts] + [0.0, 0.0])
     return FittedDimension(
         2 * size,
         np.asarray(2 * slope),
         parts[0].residuals_mm,
-        used,
-        design * used[:, None],
+        parts[0].used,
+        parts[0].design,
         towards,
     )
 
@@ -286,27 +290,27 @@ def _radius(
     return FittedDimension(radius_mm, slope, all_residuals, kept, heights, first)
 
 
-def _linear(
-    design: FloatArray, z_mm: FloatArray, groups: tuple[BoolImage, ...], which: int = 0
-) -> FittedDimension:
-    """Fit by least squares, repeated without outliers; the value is parameter `which`.
+def _parameters(
+    design: FloatArray, z_mm: FloatArray, groups: tuple[BoolImage, ...], count: int = 1
+) -> list[FittedDimension]:
+    """Fit by least squares, repeated without outliers; return the first `count` parameters.
 
     An outlier is one among its own group: a small level must not be one beside a large one.
     """
-    kept = np.any(groups, axis=0)
-    for _ in range(_MOST_TURNS):
-        found, *_ = np.linalg.lstsq(design[kept], z_mm[kept], rcond=None)
-        residuals = z_mm - design @ found
+
+    def good(residuals: FloatArray) -> BoolImage:
         good = np.zeros(len(z_mm), bool)
         for group in groups:
             left = residuals[group]
             good[group] = inliers(left) | (np.abs(left - np.median(left)) <= _NEVER_OUT_MM)
-        if np.array_equal(good, kept):
-            break
-        kept = good
-    slope = np.zeros(len(z_mm))
-    slope[kept] = np.linalg.pinv(design[kept])[which]
-    towards = np.eye(design.shape[1])[which]
-    return FittedDimension(
-        float(found[which]), slope, residuals, kept, design * kept[:, None], towards
-    )
+        return good
+
+    fit = fit_heights(design, z_mm, good, first=np.any(groups, axis=0))
+    kept, residuals = fit.inliers, z_mm - design @ fit.shape
+    slopes = np.zeros((design.shape[1], len(z_mm)))
+    slopes[:, kept] = np.linalg.pinv(design[kept])
+    used, unit = design * kept[:, None], np.eye(design.shape[1])
+    return [
+        FittedDimension(float(fit.shape[k]), slopes[k], residuals, kept, used, unit[k])
+        for k in range(count)
+    ]

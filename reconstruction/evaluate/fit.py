@@ -1,6 +1,8 @@
 """Least-squares spheres and planes, residual statistics, and outliers; lengths mm."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +19,8 @@ MAD_TO_SIGMA = 1.4826
 _MOST_STEPS, _STEP_OF_ROUNDING = 30, 1e-13
 REJECT_BEYOND_SIGMAS = 4.0
 """One of 16,000 normal residuals lies beyond."""
+
+Shape = TypeVar("Shape")
 
 
 @dataclass(frozen=True)
@@ -276,3 +280,46 @@ def inliers(residuals_mm: FloatArray) -> BoolImage:
     limit = REJECT_BEYOND_SIGMAS * max(spread(residuals_mm), 1e-12)
     kept: BoolImage = np.abs(residuals_mm - median(residuals_mm)) <= limit
     return kept
+
+
+@dataclass(frozen=True, eq=False)
+class InlierFit(Generic[Shape]):
+    """A shape fitted without outliers.
+
+    Attributes
+    ----------
+    shape : of the last fit
+    fitted : (n,) points of the last fit
+    inliers : (n,) points that are no outliers of it; equal to `fitted` unless the fits were ended
+    """
+
+    shape: Shape
+    fitted: BoolImage
+    inliers: BoolImage
+
+
+def fit_inliers(
+    fit: Callable[[BoolImage], Shape],
+    residuals_mm: Callable[[Shape], FloatArray],
+    first: BoolImage,
+    judge: Callable[[FloatArray], BoolImage] = inliers,
+    most_fits: int = 21,
+) -> InlierFit[Shape]:
+    """Repeat a fit without the outliers of the fit before, until the same points remain.
+
+    Parameters
+    ----------
+    fit : points to use (n,) to the shape
+    residuals_mm : shape to the residuals (n,) of all points
+    first : (n,) points of the first fit
+    judge : residuals (n,) to the points that are no outliers
+    most_fits : after so many fits the last one is returned
+    """
+    used, good = first, first
+    for _ in range(most_fits):
+        used = good
+        shape = fit(used)
+        good = judge(residuals_mm(shape))
+        if np.array_equal(good, used):
+            break
+    return InlierFit(shape, used, good)

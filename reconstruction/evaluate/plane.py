@@ -9,9 +9,9 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import PlaneFit, fit_plane, inliers
+from reconstruction.evaluate.fit import PlaneFit, fit_inliers, fit_plane, rms
+from reconstruction.evaluate.robust import fit_heights
 
-_MOST_TURNS = 20
 # Gaussian of ISO 16610-61: exp(-pi (x / (a L))^2) / (a L)^2 with a = sqrt(ln 2 / pi).
 _SIGMA_OVER_NESTING = np.sqrt(np.log(2.0) / np.pi) / np.sqrt(2.0 * np.pi)
 _LEAST_SUPPORT = 0.5
@@ -49,16 +49,13 @@ def flatness(points_mm: ArrayLike) -> Flatness:
     FitError : too few points, or they lie on a line
     """
     points = np.asarray(points_mm, np.float64)
-    plane = fit_plane(points)
-    kept = np.ones(len(points), bool)
-    for _ in range(_MOST_TURNS):
-        now = inliers(distances_mm(points, plane))
-        if np.array_equal(now, kept):
-            break
-        kept = now
-        plane = fit_plane(points[kept])
-    residuals = plane.residuals_mm
-    return Flatness(float(np.ptp(residuals)), float(np.sqrt(np.mean(residuals**2))), kept, plane)
+    found = fit_inliers(
+        lambda used: fit_plane(points[used]),
+        lambda plane: distances_mm(points, plane),
+        np.ones(len(points), bool),
+    )
+    residuals = found.shape.residuals_mm
+    return Flatness(float(np.ptp(residuals)), rms(residuals), found.fitted, found.shape)
 
 
 def distances_mm(points_mm: FloatArray, plane: PlaneFit) -> FloatArray:
@@ -119,9 +116,7 @@ def areal_roughness(
     )
     level = np.where(kept, z - tilt, 0.0)
     rough = _without_waviness(level, kept, _SIGMA_OVER_NESTING * nesting_mm / pitch_mm)
-    return ArealRoughness(
-        float(np.mean(np.abs(rough))), float(np.sqrt(np.mean(rough**2))), float(np.ptp(rough))
-    )
+    return ArealRoughness(float(np.mean(np.abs(rough))), rms(rough), float(np.ptp(rough)))
 
 
 def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> FloatArray:
@@ -136,7 +131,7 @@ def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> F
 
 
 _LEAST_POINTS = 5
-_MOST_LINE_TURNS = 10
+_MOST_LINE_FITS = 10
 _STEPS_PER_SIGMA = 4
 # Of the fastest change of slope on a side: what counts as an edge, and not as texture.
 _STRONG = 0.5
@@ -205,8 +200,9 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
             raise FitError(f"step height: {part.sum()} points on the {name} stretch, 5 needed")
     used = inside | before | after
     design = np.column_stack([np.ones_like(s), s, inside.astype(np.float64)])[used]
-    found, residuals = _robust_line(design, z[used])
-    return StepHeight(float(found[2]), float(np.sqrt(np.mean(residuals**2))))
+    found = fit_heights(design, z[used], most_fits=_MOST_LINE_FITS)
+    residuals = z[used] - design @ found.shape
+    return StepHeight(float(found.shape[2]), rms(residuals[found.inliers]))
 
 
 def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWidth:
@@ -333,15 +329,3 @@ def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:
     """Position between samples `at` and `at + 1` where z takes a level."""
     share = (level - z[at]) / (z[at + 1] - z[at])
     return float(s[at] + share * (s[at + 1] - s[at]))
-
-
-def _robust_line(design: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least squares, repeated without outliers; parameters and residuals of the points kept."""
-    kept: BoolImage = np.ones(z.size, bool)
-    for _ in range(_MOST_LINE_TURNS):
-        found, *_ = np.linalg.lstsq(design[kept], z[kept], rcond=None)
-        now = inliers(z - design @ found)
-        if np.array_equal(now, kept):
-            break
-        kept = now
-    return np.asarray(found, np.float64), (z - design @ found)[kept]

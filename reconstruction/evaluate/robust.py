@@ -1,5 +1,6 @@
-"""Balls and cylinders of points of which some are wrong: soft-L1 first, then least squares; mm."""
+"""Balls, cylinders and linear shapes through points of which some are outliers; mm."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,10 @@ from scipy.optimize import least_squares
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import (
+    InlierFit,
     ResidualStats,
+    SphereFit,
+    fit_inliers,
     fit_sphere,
     inliers,
     radial_jacobian,
@@ -18,7 +22,6 @@ from reconstruction.evaluate.fit import (
     spread,
 )
 
-_MOST_TURNS = 20
 # The first scale comes from a fit that outliers have pulled off: it is taken anew once.
 _SOFT_TURNS = 2
 _LEAST_POINTS = 20
@@ -71,19 +74,17 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
     FitError : too few, coplanar or non-finite points
     """
     points = np.asarray(points_mm, np.float64)
-    first = fit_sphere(points)
-    parameters = _softly(points, np.append(first.centre_mm, first.radius_mm))
-    kept = inliers(radial_mm(parameters, points))
-    for _ in range(_MOST_TURNS):
-        fine = fit_sphere(points[kept])
-        now = inliers(radial_mm(np.append(fine.centre_mm, fine.radius_mm), points))
-        if np.array_equal(now, kept):
-            break
-        kept = now
-    else:
-        fine = fit_sphere(points[kept])
-    sigma_mm = _radius_sigma_mm(points[kept], fine.centre_mm, fine.residuals_mm)
-    return BallFit(fine.centre_mm, fine.radius_mm, sigma_mm, fine.residuals_mm, kept)
+    start = fit_sphere(points)
+    parameters = _softly(points, np.append(start.centre_mm, start.radius_mm))
+
+    def radial(sphere: SphereFit) -> FloatArray:
+        return radial_mm(np.append(sphere.centre_mm, sphere.radius_mm), points)
+
+    first = inliers(radial_mm(parameters, points))
+    found = fit_inliers(lambda used: fit_sphere(points[used]), radial, first)
+    ball, kept = found.shape, found.fitted
+    sigma_mm = _radius_sigma_mm(points[kept], ball.centre_mm, ball.residuals_mm)
+    return BallFit(ball.centre_mm, ball.radius_mm, sigma_mm, ball.residuals_mm, kept)
 
 
 def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
@@ -220,3 +221,24 @@ def _from_axis(parameters: FloatArray, local: FloatArray) -> FloatArray:
 
 def _upright(axis: FloatArray) -> FloatArray:
     return np.asarray(axis * np.sign(axis[np.argmax(np.abs(axis))]))
+
+
+def fit_heights(
+    design: FloatArray,
+    z_mm: FloatArray,
+    judge: Callable[[FloatArray], BoolImage] = inliers,
+    *,
+    first: BoolImage | None = None,
+    most_fits: int = 20,
+) -> InlierFit[FloatArray]:
+    """Fit heights z = design p, design (n, k), by least squares, repeated without outliers.
+
+    The first fit takes all points by default; other arguments as of `fit_inliers`.
+    """
+    return fit_inliers(
+        lambda used: np.asarray(np.linalg.lstsq(design[used], z_mm[used], rcond=None)[0]),
+        lambda found: np.asarray(z_mm - design @ found),
+        np.ones(len(z_mm), bool) if first is None else first,
+        judge,
+        most_fits,
+    )

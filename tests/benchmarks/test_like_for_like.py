@@ -1,4 +1,4 @@
-"""What the benchmarks of stack and sweep publish: like for like first."""
+"""The benchmarks of stack and sweep publish the comparison under equal conditions first."""
 
 from types import SimpleNamespace
 
@@ -14,9 +14,9 @@ def test_a_stack_is_compared_with_shadow_rays_and_without(mi, monkeypatch):
     """Setup: 6 s with shadow rays, 4.5 s without, 5 s a stock frame."""
     from twin.optics import stock
 
-    told = {"with": 6.0, "without": 4.5, "stock": 5.0}
+    times = {"with": 6.0, "without": 4.5, "stock": 5.0}
     monkeypatch.setattr(stock, "render_frame", lambda *_: "stock")
-    monkeypatch.setattr(stack, "seconds", lambda call: told[call()])
+    monkeypatch.setattr("benchmarks._harness.seconds", lambda call: times[call()])
     found = stack.against_one_frame(
         SimpleNamespace(
             frames=54,

@@ -1,4 +1,4 @@
-"""When a figure counts as having left its baseline."""
+"""When a figure differs from its baseline."""
 
 import math
 
@@ -55,7 +55,7 @@ def test_the_floor_is_for_what_seeds_do_not_vary():
 
 
 def test_effective_degrees_of_freedom():
-    """Equal uncertainties: their sum; one alone: its own; a floor above all: infinitely many."""
+    """Equal uncertainties: their sum; a single one: its own; a dominant floor: infinitely many."""
     assert degrees_of_freedom(SURE, SURE, 0.0) == pytest.approx(8.0)
     assert degrees_of_freedom(SURE, MeanOfRuns(1.0), 0.0) == pytest.approx(4.0)
     assert degrees_of_freedom(SURE, SURE, 1.0) > 1e9
@@ -109,7 +109,7 @@ def test_speed_fails_when_worse_by_the_factor():
     [
         (Target(high=2.0), "at most 2", [2.0, -1.0], [2.001]),
         (Target(low=5.0), "at least 5", [5.0, 60.0], [4.999]),
-        (Target.about(1.0, 0.15), "0.85 to 1.15", [0.85, 1.15], [0.849, 1.151]),
+        (Target(0.85, 1.15), "0.85 to 1.15", [0.85, 1.15], [0.849, 1.151]),
         (Target(0, 0), "0", [0.0], [1.0, -1.0]),
     ],
 )
@@ -143,7 +143,7 @@ def test_mean_and_standard_uncertainty():
 
 
 def test_no_figure_is_blind():
-    """A limit larger than the figure tells nothing, unless the target ends there as well."""
+    """A limit larger than the figure detects no change, unless the target ends there as well."""
     known = read_baselines(BASELINES).figures
     guarded = [one for one in FIGURES.values() if one.kind == "accuracy" and one.name in known]
     assert len(guarded) > 30

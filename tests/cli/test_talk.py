@@ -47,7 +47,7 @@ def test_keys_are_wrapped_and_never_cut(capsys, monkeypatch, columns):
     assert "elastomer.tack_j_m2" in lines
     assert all(len(line) <= max(columns, 40) for line in lines if line.startswith(" "))
     text = " ".join(" ".join(lines).split())
-    assert "between clear face and specimen; stick: no slip once touched" in text
+    assert "between clear face and specimen; stick: no slip after contact" in text
     assert "..." not in text
     assert "…" not in text
 

@@ -1,4 +1,4 @@
-"""Every command on damaged files and hostile arguments, in processes of its own: 25 fixed seeds."""
+"""Commands on damaged files and hostile arguments, each in its own process: 8 fixed seeds."""
 
 import json
 import random
@@ -46,7 +46,7 @@ def _seed_of(target: str) -> int:
     ],
 )
 def test_misbehaviour_is_seen(tmp_path, ending, end):
-    """The judge is a test, too: each way of going wrong is told as what it is."""
+    """The judge is a test, too: it reports each kind of misbehaviour by its name."""
     stock, scratch = tmp_path / "stock", tmp_path / "case"
     (stock / "kept").mkdir(parents=True)
     scratch.mkdir()
@@ -85,7 +85,7 @@ def stock(mi, tmp_path, monkeypatch):
 @pytest.mark.filterwarnings("ignore:ImageIO's vendored tifffile:DeprecationWarning")
 def test_commands_survive_damaged_input(stock):
     done = subprocess.run(
-        # The limit only ends what never would: how fast the machine is, is not tested.
+        # The limit only ends endless cases; the speed of the machine is not tested.
         [
             *(sys.executable, "-m", "benchmarks.fuzz", "--cases", "8", "--limit", "300"),
             *("--stock", str(stock)),

@@ -1,4 +1,4 @@
-"""Documents drawn from the config models: valid, or refused in lines, never anything else."""
+"""Documents drawn from the config models are valid, or rejected with a message in lines."""
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -13,7 +13,7 @@ from twin.config.schema import validated
 from twin.config.study import Study
 from twin.optics.coatings.flakes import Flakes
 
-# The same cases in every run, and no time limit: the machine's speed is not what is tested.
+# The same cases in every run, and no time limit: the speed of the machine is not tested.
 FUZZED = settings(
     max_examples=60,
     derandomize=True,

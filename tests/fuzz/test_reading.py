@@ -1,4 +1,4 @@
-"""Files that others wrote: whatever is wrong with one is told in one line; nothing waits."""
+"""Untrusted files: each fault is reported in one line, and no reader waits."""
 
 import os
 import re
@@ -81,7 +81,7 @@ def test_a_file_that_is_too_large_is_refused_with_both_sizes(tmp_path):
         ("[" + ".".join("a" * 1 for _ in range(80)) + "]", "nested deeper than 64"),
         ("b = 1\n" + "a." * 100 + "a = 1", "line 2: found a key of more than 64 parts"),
         ("'a' . \"b\" ." * 100 + "a = 1", "line 1: found a key of more than 64 parts"),
-        # For whole minutes the parser took a key of 50,000 parts apart.
+        # The parser needs minutes for a key of 50,000 parts.
         ("a." * 400_000 + "a = 1", "line 1: found a key of more than 64 parts"),
     ],
 )

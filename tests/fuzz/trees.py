@@ -1,4 +1,4 @@
-"""Documents that a model may be given: mostly as it wants them, with faults in between."""
+"""Input documents for a model: mostly valid, with faults in between."""
 
 import copy
 import types
@@ -25,7 +25,7 @@ _MOST_DEEP = 4
 
 
 def documents(model: type[BaseModel]) -> st.SearchStrategy[dict[str, Any]]:
-    """Return nested tables for a model: fields left out, odd values, keys that it does not know."""
+    """Return nested tables for a model: fields left out, odd values, unknown keys."""
     return _tables(model, 0)
 
 
@@ -51,7 +51,7 @@ def _marked(annotation: Any, metadata: Iterable[Any], depth: int) -> st.SearchSt
 
 
 def damaged(tree: dict[str, Any]) -> st.SearchStrategy[dict[str, Any]]:
-    """Return a tree with one to three of its values, or tables, exchanged for odd ones."""
+    """Return a tree with one to three of its values or tables replaced by odd values."""
     places = list(_places(tree, ()))
     faults = st.lists(st.tuples(st.sampled_from(places), _HOSTILE), min_size=1, max_size=3)
     return faults.map(lambda chosen: _with_faults(tree, chosen))

@@ -1,4 +1,4 @@
-"""A sensor of two hidden values whose figures are formulas, importable by worker processes."""
+"""A sensor with two hidden values and figures by formulas, importable by worker processes."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ REACHES = {"1": 1.0, "1p5": 1.5, "2p5": 2.5, "4": 4.0}
 
 
 class Formula:
-    """Reads radius and width as a sheet of some thickness, pressed so deep, would show them."""
+    """Return radius and height by formulas of the sheet's thickness and the press's travel."""
 
     def __init__(self, keep=()):
         self.keep = keep
@@ -26,7 +26,7 @@ class Formula:
             "wave_mm": 0.4 + 0.1 * np.sin(2 * np.pi * depth / 0.25) + noise,
             "warnings": [],
         }
-        figures |= {f"reach_{told}_mm": thickness * r for told, r in REACHES.items()}
+        figures |= {f"reach_{label}_mm": thickness * r for label, r in REACHES.items()}
         return CaseResult(figures)
 
     def reads(self):

@@ -1,12 +1,12 @@
 """Stock Mitsuba's `thinlens` as oracle of the depth of field.
 
 Setup: a fringed plane in the focal plane and, 8 mm above it, the oblique edge of a second sheet,
-before the plane in one half of the image and before nothing in the other: blur circles of 6 px,
+before the plane in one half of the image and before no surface in the other: blur circles of 6 px,
 occlusion within the lens, fringes out of focus.
 Stock Mitsuba renders frames with `thinlens` and `direct`, 24 independent runs of 16 samples.
 Expected: per pixel, (one-trace - mean of runs) / standard error follows Student's t with 23 degrees
 of freedom; fitted to the runs, the radius of the lens is the stated one within its own error.
-Why: the oracle draws places on its lens at random, ours are a fixed set: a set that is unevenly
+Why: the oracle draws points on its lens at random, the twin has a fixed set: a set that is unevenly
 spread, correlated with the sub-pixel grid, or a wrong radius or focus moves the t values.
 """
 
@@ -17,6 +17,7 @@ import pytest
 import trimesh
 from scipy import stats
 
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.optics.light import light_tables, pattern_set
 
@@ -67,7 +68,7 @@ def coated_sheets(mi, experiment, two_sheets):
 @pytest.fixture(scope="module")
 def setting(mi, experiment, two_sheets):
     """Return the scene, the rig, the sequence and its light."""
-    from twin.optics.scene import coated_scene, rig_of
+    from twin.optics.scene import rig_of
 
     patterns = pattern_set(experiment.projector, experiment.patterns)
     tables = light_tables(experiment.projector, patterns)

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
 from twin.optics.light import light_tables, pattern_set
 
@@ -53,7 +54,7 @@ def experiment():
 def one_trace(mi, experiment, bump):
     """The rig, the sequence and all frames of the one-trace renderer, 16 x 16 samples."""
     from twin.optics.one_trace import trace_stack
-    from twin.optics.scene import coated_rig, coated_scene
+    from twin.optics.scene import coated_rig
 
     rig = replace(coated_rig(experiment, bump), shadows=True)
     assert rig.heights is not None

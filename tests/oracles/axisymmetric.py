@@ -11,10 +11,11 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from tests.oracles.ball_contact import BallContact
+from tests.oracles.round_grid import RoundGrid
 from twin.mechanics.errors import PressError
-from twin.mechanics.reference.grid import ElementGrid, IntArray, Surface, graded
+from twin.mechanics.reference.grid import Surface, graded
 from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
 from twin.mechanics.reference.mixed import linear as small_strain
 from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, Pushed, press_to
@@ -171,7 +172,7 @@ def _check(
 
 def _grid(
     slab: RoundSlab, radius_mm: float, depth_mm: float, fineness: Resolution
-) -> tuple[ElementGrid, float]:
+) -> tuple[RoundGrid, float]:
     """Return the grid and the size of an element under the ball."""
     fine_mm = min(1.6 * np.sqrt(radius_mm * depth_mm), 1.2 * radius_mm, 0.6 * slab.outer_radius_mm)
     fine = round(_FINE_SHARE * fineness.radial)
@@ -180,7 +181,7 @@ def _grid(
         # The ledge's edge must be a grid line.
         inner = slab.outer_radius_mm - slab.ledge_mm
         r[np.abs(r - inner)[1:-1].argmin() + 1] = inner
-    return ElementGrid((r, graded(slab.thickness_mm, fineness.axial, 1.25))), fine_mm / fine
+    return RoundGrid((r, graded(slab.thickness_mm, fineness.axial, 1.25))), fine_mm / fine
 
 
 def _bent_contact_mm(slab: RoundSlab, radius_mm: float, depth_mm: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray
 from twin.mechanics.reference.grid import Surface
-from twin.mechanics.reference.newton import Pushed, push
+from twin.mechanics.reference.newton import Pushed, StepFailedError, push
 
 # The tangential penalty may be softer: sticking needs no sharp constraint.
 _TANGENTIAL_STIFFNESS = 0.3
@@ -55,6 +55,12 @@ class BallContact:
         """
         if self.linear:
             return self._push_along(moved_mm, depth_mm, active)
+        return self._push_and_drag(moved_mm, depth_mm, active)[0]
+
+    def _push_and_drag(
+        self, moved_mm: FloatArray, depth_mm: float, active: BoolArray | None
+    ) -> tuple[Pushed, FloatArray]:
+        """Return the ball's action, and the tangential stress (point,) of it."""
         v = self.surface.trace @ (self.nodes_mm + moved_mm)
         v[:, 1] += self.radius_mm - depth_mm
         distance = np.linalg.norm(v, axis=1)
@@ -71,12 +77,19 @@ class BallContact:
         drag, dragging = self._drag(n, tau, distance, pressure)
         traction = pressure[:, None] * n - drag[:, None] * tau
         stiffness = np.where(touching[:, None, None], stiffness + dragging, 0.0)
-        return push(self.surface, traction, stiffness, pressure, drag)
+        return push(self.surface, traction, stiffness, pressure), drag
 
     def settle(self, moved_mm: FloatArray, depth_mm: float) -> "BallContact":
-        """Return the contact with angle and drag of a finished load step as its memory."""
-        pushed = self.evaluate(moved_mm, depth_mm, None)
-        return replace(self, angle_before=self._angle(moved_mm, depth_mm), drag_before=pushed.drag)
+        """Return the contact with angle and drag of a finished load step as its memory.
+
+        Raises StepFailedError if the contact is spurious.
+        """
+        if self.is_spurious(moved_mm, depth_mm):
+            raise StepFailedError("the contact has a hole where there is none")
+        if self.linear:
+            return self
+        drag = self._push_and_drag(moved_mm, depth_mm, None)[1]
+        return replace(self, angle_before=self._angle(moved_mm, depth_mm), drag_before=drag)
 
     def carry(self, pressure: FloatArray) -> "BallContact":
         """Return the contact with another carried pressure."""
@@ -141,5 +154,4 @@ class BallContact:
         pressure = np.where(touching, raw, 0.0)
         along = np.array([0.0, 1.0])
         stiffness = np.where(touching, self.penalty, 0.0)[:, None, None] * np.outer(along, along)
-        nothing = np.zeros_like(pressure)
-        return push(self.surface, pressure[:, None] * along, stiffness, pressure, nothing)
+        return push(self.surface, pressure[:, None] * along, stiffness, pressure)

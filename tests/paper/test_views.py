@@ -10,7 +10,6 @@ from twin.optics.rig import true_calibration
 from twin.pipeline.press import press_specimen
 
 COARSE = {"press.cell_mm": 0.4, "press.relief_pitch_mm": 0.05}
-TOWARDS_LAMP = (-1.0, 0.0, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -24,15 +23,13 @@ def pressed(experiment):
 
 
 def view_camera(width_mm=10.0, size=(64, 48), eye=(0.0, -40.0, 40.0)):
-    from twin.optics.view import ViewCamera
+    from twin.optics.view import SceneView
 
-    return ViewCamera(eye, (0.0, 0.0, 0.0), width_mm, *size)
+    return SceneView(eye, (0.0, 0.0, 0.0), width_mm, *size)
 
 
-def plane(z_mm=0.0, half_mm=50.0):
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half_mm
-    vertices = np.column_stack([corners, np.full(4, z_mm)])
-    return vertices, np.array([(0, 1, 2), (0, 2, 3)])
+def bounds(surface):
+    return np.stack([surface.vertices_mm.min(axis=0), surface.vertices_mm.max(axis=0)])
 
 
 def test_view_camera_sees_the_target_in_the_middle_and_z_upright(mi):
@@ -51,41 +48,12 @@ def test_view_straight_down_has_world_y_at_the_top(mi):
     assert at[1, 0] > 31.5
 
 
-def test_rays_meet_a_plane_where_they_project_to(mi):
-    """Setup: the plane z = 0 fills the picture. Expected: each point projects to its pixel."""
-    from twin.optics.view import visible_surface
-
-    seen = visible_surface(*plane(), view_camera(), TOWARDS_LAMP)
-    assert seen.hit.all()
-    assert seen.sunlit.all()
-    row, col = np.mgrid[:48, :64]
-    at = view_camera().project(seen.points_mm.astype(float))
-    np.testing.assert_allclose(at, np.stack([col, row], axis=-1), atol=2e-3)
-    np.testing.assert_allclose(seen.normals, np.broadcast_to((0, 0, 1.0), (48, 64, 3)), atol=1e-6)
-
-
-def test_a_screen_throws_a_shadow_where_geometry_says(mi):
-    """Setup: lamp at 45 deg from -x, a wall of height 1 at x = 0. Expected: dark for 0 < x < 1."""
-    from twin.optics.view import visible_surface
-
-    ground, triangles = plane()
-    wall = np.array([(0, -20, 0), (0, 20, 0), (0, 20, 1), (0, -20, 1)], float)
-    vertices = np.vstack([ground, wall])
-    both = np.vstack([triangles, triangles + 4])
-    seen = visible_surface(vertices, both, view_camera(eye=(0.0, -0.01, 60.0)), TOWARDS_LAMP)
-    x = seen.points_mm[..., 0]
-    low = seen.hit & (seen.points_mm[..., 2] < 0.01)
-    assert not seen.sunlit[low & (x > 0.05) & (x < 0.95)].any()
-    assert seen.sunlit[low & (x > 1.05)].all()
-    assert seen.sunlit[low & (x < -0.05)].all()
-
-
 def test_pictures_are_white_where_nothing_is_and_repeat_byte_for_byte(mi):
-    from twin.optics.view import SceneObject, matte, picture
+    from twin.optics.picture import picture
+    from twin.optics.view import SceneSurface
 
-    ball = SceneObject(
-        "ball", trimesh.creation.icosphere(radius=2.0), matte(0.6, 0.1, 0.1), smooth=True
-    )
+    mesh = trimesh.creation.icosphere(radius=2.0)
+    ball = SceneSurface.of_mesh("ball", mesh, (0.6, 0.1, 0.1), smooth=True)
     first, again = (picture([ball], view_camera(), samples=4) for _ in range(2))
     np.testing.assert_array_equal(first, again)
     assert (first[0] == 255).all()
@@ -129,16 +97,17 @@ def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
     from twin.paper.rig_scene import sheet_things
 
     silicone, coat = sheet_things(experiment, pressed, cut_y_mm=0.0)
-    assert silicone.mesh.is_watertight
+    assert trimesh.Trimesh(silicone.vertices_mm, silicone.triangles).is_watertight
+    low, high = bounds(silicone)
     # The clear face lies a local thickness behind the coat, along a normal that leans at the cut.
-    assert -experiment.elastomer.thickness_mm < silicone.mesh.bounds[0, 1] <= 0.06
-    assert coat.mesh.bounds[0, 1] == pytest.approx(0.0, abs=0.06)
+    assert -experiment.elastomer.thickness_mm < low[1] <= 0.06
+    assert bounds(coat)[0, 1] == pytest.approx(0.0, abs=0.06)
     half = experiment.elastomer.length_y_mm / 2
     # A sheet leans at its simple support, where its faces are half a thickness off its middle; the
     # air bulges it a little beyond.
-    assert half <= silicone.mesh.bounds[1, 1] <= half + experiment.elastomer.thickness_mm
+    assert half <= high[1] <= half + experiment.elastomer.thickness_mm
     kept = pressed.face_z_mm[pressed.face_y_mm >= 0.0]
-    assert coat.mesh.bounds[1, 2] == pytest.approx(kept.max() + 0.04, abs=0.01)
+    assert bounds(coat)[1, 2] == pytest.approx(kept.max() + 0.04, abs=0.01)
 
 
 def test_the_specimen_is_where_the_press_put_it(experiment, pressed, mi):
@@ -146,7 +115,7 @@ def test_the_specimen_is_where_the_press_put_it(experiment, pressed, mi):
 
     balls = specimen_things(experiment, pressed)[0]
     top = experiment.elastomer.touched_plane_mm + pressed.depth_mm
-    assert balls.mesh.bounds[1, 2] == pytest.approx(top, abs=0.03)
+    assert bounds(balls)[1, 2] == pytest.approx(top, abs=0.03)
 
 
 @pytest.fixture

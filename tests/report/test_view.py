@@ -11,7 +11,8 @@ import pytest
 from reconstruction.rig.layers import PlaneLayers
 from tests.browser import Browser, browser
 from twin.report.measurement import write_report
-from twin.report.view import DEVIATION, HEIGHTS, SPECIMEN, ray_path, view_data
+from twin.report.scene import DEVIATION, HEIGHTS, SPECIMEN, measured_scene, ray_path
+from twin.report.view import view_data
 from twin.results.folder import read_measurement
 
 CANVAS = "document.querySelector('.view3d canvas')"
@@ -25,7 +26,7 @@ def page(finished, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def data(finished):
-    return view_data(read_measurement(finished))
+    return view_data(measured_scene(read_measurement(finished)))
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from twin.optics.contrast import FringeLight, extent_variance_px2, outline, tran
 from twin.optics.light import OVERSAMPLING, light_tables, pattern_set
 from twin.optics.stack import TraceMaps
 from twin.results.bound import _of_spheres
-from twin.results.prediction import FringeNumbers, axis_levels, clipping, steps_of
+from twin.results.fringe_levels import FringeNumbers, axis_levels, clipping, steps_of
 
 SHAPE = (12, 16)
 

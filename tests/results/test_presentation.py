@@ -151,11 +151,23 @@ def test_a_capture_in_one_line_and_as_labelled_arrays(measured):
 
 
 def test_a_capture_in_pictures(measured):
-    """The least and the greatest grey value of each pixel show where there is contrast."""
+    """The mean over all frames shows the object, the greatest value whether a pixel saturates."""
     capture = measured.fringes.capture
     drawing = capture.plot()
     assert [axes.get_xlabel() for axes in drawing.axes[:3]] == ["column (px)"] * 3
     assert [axes.get_ylabel() for axes in drawing.axes[3:]] == ["grey value (DN)"] * 3
-    least, greatest = (axes.images[0].get_array() for axes in drawing.axes[1:3])
-    np.testing.assert_array_equal(greatest - least, np.ptp(capture.stack, axis=0))
+    mean, greatest = (axes.images[0].get_array() for axes in drawing.axes[1:3])
+    np.testing.assert_allclose(mean, capture.stack.mean(axis=0))
+    np.testing.assert_array_equal(greatest, capture.stack.max(axis=0))
+    assert mean.mean() > 0.1 * greatest.mean()  # the picture is not black
     assert "data:image/png;base64," in capture._repr_html_()
+
+
+def test_labels_of_neighbouring_panels_are_apart(measured):
+    """All that belongs to a panel, labels included, ends 0.2 inches before the next one begins."""
+    drawing = measured.fringes.capture.plot()
+    drawing.png()
+    boxes = sorted(axes.get_tightbbox().extents[[0, 2]].tolist() for axes in drawing.axes[:3])
+    bars = sorted(axes.get_tightbbox().extents[2] for axes in drawing.axes[3:])
+    gaps_in = [(box[0] - bar) / drawing.dpi for bar, box in zip(bars[:2], boxes[1:], strict=True)]
+    assert min(gaps_in) > 0.2

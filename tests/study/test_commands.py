@@ -248,7 +248,7 @@ def test_dry_run_of_a_search_looks_along_its_axes(tmp_path, capsys):
 
 def test_dry_run_checks_equal_fields_once(base, study_of, monkeypatch):
     """200 noise draws and codes of one press and one coat: one check."""
-    from twin.study import sweep as module
+    from twin.study import measurable as module
     from twin.study.cases import cases_of
 
     checked = []

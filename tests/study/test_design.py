@@ -8,9 +8,9 @@ from twin.assets import list_assets
 from twin.config import ConfigError
 from twin.config.study import Axis, Study, load_study
 from twin.study.cases import cases_of, point_count, points_of, shares_of
+from twin.study.estimate import estimate
 from twin.study.record import StudyRecord
 from twin.study.store import Store
-from twin.study.sweep import estimate
 
 LOW_HIGH = {"path": "coating.base_albedo", "low": 0.1, "high": 0.5}
 ROUGH = {"path": "coating.flake_roughness", "low": 0.1, "high": 0.9}

@@ -1,4 +1,4 @@
-"""Measurements whose uncertainty is known, importable by worker processes."""
+"""Model measurements with known uncertainty, importable by worker processes."""
 
 from dataclasses import dataclass
 
@@ -42,8 +42,8 @@ class Refusing(Linear):
 
 
 class Blank(Linear):
-    """Finds no point, so that the figure has no value."""
+    """A measurement without points: the figure has no value."""
 
     def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
-        found = super().__call__(experiment, conditions).figures
-        return CaseResult(found | {"value_mm": None, "points": 0})
+        figures = super().__call__(experiment, conditions).figures
+        return CaseResult(figures | {"value_mm": None, "points": 0})

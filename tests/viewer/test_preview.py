@@ -7,7 +7,7 @@ from reconstruction.errors import InputError
 from twin.cli import run
 from twin.config import load_experiment
 from twin.mechanics import press
-from twin.viewer.preview import Preview, slider_ranges, thinned
+from twin.viewer.preview import Preview, PreviewPicture, slider_ranges, thinned
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +92,18 @@ def test_a_thinned_coat_keeps_its_outline():
     assert few.face_x_mm[0] == whole.face_x_mm[0]
     row, col = np.abs(whole.face_y_mm - few.face_y_mm[5]).argmin(), 0
     assert few.face_z_mm[5, 0] == whole.face_z_mm[row, col]
+
+
+def test_surfaces_are_the_coat_and_the_specimen_under_it():
+    """Why: the foremost point of the specimen touches the elastomer, a thickness below the coat."""
+    experiment = load_experiment("examples/slab_balls")
+    pressed = thinned(press(experiment.specimen, experiment.elastomer, experiment.press))
+    blank = np.zeros((2, 2), np.uint8)
+    coat, specimen = PreviewPicture(experiment, blank, blank, pressed).surfaces
+    assert coat.vertices_mm[:, 2].max() == pytest.approx(pressed.face_z_mm.max())
+    assert coat.rgb.shape == coat.vertices_mm.shape
+    front_mm = pressed.depth_mm + experiment.elastomer.touched_plane_mm
+    assert specimen.vertices_mm[:, 2].max() == pytest.approx(front_mm, abs=0.01)
 
 
 @pytest.mark.parametrize("modality", ["direct_fpp", "photometric_stereo"])

@@ -6,36 +6,31 @@ source. The table in `fields` lists the source of each field.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.capture.folder import Capture, read_capture
 from reconstruction.characterise import (
-    Dark,
-    FitLimits,
-    NoiseSamples,
     PhotonTransfer,
     ProjectorFit,
     Sparkle,
     UncertainValue,
-    dark_of,
-    fit_projector,
-    photon_transfer,
-    samples_of_pairs,
     sparkle_of,
 )
-from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import InputError, counted
 from reconstruction.pipeline import Reconstruction, ReconstructOptions, reconstruct
-from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
-from reconstruction.triangulation import triangulate
-from twin.adoption.defocus import CaptureBlur, defocus_fields, defocus_of
+from twin.adoption.capture_fits import (
+    dark_frames,
+    fit_captures,
+    noise_of,
+    two_period_chi2,
+    with_black,
+)
+from twin.adoption.defocus import defocus_fields, defocus_of
 from twin.adoption.elastomer import KnownBallPress, elastomer_fields, press_capture
 from twin.adoption.fields import (
     camera_fields,
@@ -44,7 +39,6 @@ from twin.adoption.fields import (
     light_fields,
     pattern_fields,
     pose_fields,
-    read_images,
     response_of,
 )
 from twin.adoption.findings import ModelRig, RigField, rig_tables, validated
@@ -57,14 +51,6 @@ if TYPE_CHECKING:
     import xarray
 
     from reconstruction.drawing import Drawing
-
-# Of the square of a normal number.
-_MEDIAN_OF_SQUARE = 0.455
-# Largest ratio of squared differences of two captures of one scene to the variance of their noise.
-_MOST_OVER_FITTED, _MOST_OVER_STATED = 1.5, 20.0
-# Of dark frames over the darkest frame of a capture: rounding and drift of the black level.
-_BRIGHTER_DN, _BRIGHTER_SIGMAS = 1.0, 5.0
-UNFILTERED = DecodeOptions(filter_taps=0)
 
 
 @dataclass(frozen=True)
@@ -162,12 +148,12 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     captures = [read_capture(folder) for folder in given.captures]
     _require_alike(given.captures, captures)
     watch("read", 1.0)
-    dark = _dark(given.dark, captures[0]) if given.dark else None
-    sensor = _with_black(captures[0].sensor, dark)
+    dark = dark_frames(given.dark, captures[0]) if given.dark else None
+    sensor = with_black(captures[0].sensor, dark)
     watch("fit", 0.0)
-    fitted = _fits(given.captures, captures, sensor, notes)
+    fitted = fit_captures(given.captures, captures, sensor, notes)
     fits = [fit_of_capture.fit for fit_of_capture in fitted]
-    noise, noise_from = _noise(captures, fits, sensor, notes)
+    noise, noise_from = noise_of(captures, fits, sensor, notes)
     placed = place(captures[0].calibration)
     watch("fit", 1.0)
     fields = camera_fields(captures[0], model, noise, noise_from, dark)
@@ -197,7 +183,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
         noise_from=noise_from,
         placed=placed,
         stated=captures[0].sensor,
-        two_period_chi2=_two_period_chi2(captures, known),
+        two_period_chi2=two_period_chi2(captures, known),
         sparkle=coat_sparkle(known, points),
         notes=tuple(notes),
     )
@@ -286,126 +272,6 @@ def _require_alike(folders: Sequence[Path], captures: Sequence[Capture]) -> None
             )
 
 
-def _dark(folder: Path, capture: Capture) -> Dark:
-    """Return black level and noise of the dark frames; they must not be brighter than the capture.
-
-    The mean of the capture's darkest frame is the black level plus ambient light.
-    """
-    dark = dark_of(read_images(folder, capture))
-    black = dark.black_level_dn
-    darkest_dn = float(capture.stack.mean(axis=(1, 2), dtype=np.float64).min())
-    if black.value > darkest_dn + _BRIGHTER_DN + _BRIGHTER_SIGMAS * black.uncertainty:
-        raise InputError(
-            f"{folder}: dark frames have a mean of {black.value:.4g} DN, allowed up to "
-            f"{darkest_dn:.4g} DN, that of the capture's darkest frame; cover the lens, and keep "
-            "the camera's settings"
-        )
-    return dark
-
-
-def _with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
-    if dark is None:
-        return sensor
-    return replace(sensor, black_level_dn=max(dark.black_level_dn.value, 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Fitted:
-    """Projector response of a capture, and its blur by distance."""
-
-    fit: ProjectorFit
-    blur: CaptureBlur
-
-
-def _fits(
-    folders: Sequence[Path],
-    captures: Sequence[Capture],
-    sensor: SensorNoise,
-    notes: list[str],
-) -> list[_Fitted]:
-    """Fit each capture; captures that cannot be fitted are left out, with a note."""
-    results = []
-    for folder, capture in zip(folders, captures, strict=True):
-        try:
-            decoded = decode(capture.stack, capture.patterns, sensor, UNFILTERED, capture.scale)
-            if capture.scale is not None:
-                raise InputError("merged exposures have no single noise")
-            inverse = _inverse_distances(decoded, capture.calibration)
-            fit = _fit_twice(capture, sensor, decoded)
-            results.append(
-                _Fitted(fit, CaptureBlur(float(inverse.mean()), float(inverse.std()), fit.blur_px))
-            )
-        except InputError as error:
-            notes.append(f"{folder.name}: the projector's response cannot be estimated: {error}")
-    return results
-
-
-def _fit_twice(capture: Capture, sensor: SensorNoise, decoded: Decoded) -> ProjectorFit:
-    """Fit, decode with the fitted response, and fit again from there."""
-    stack, patterns = capture.stack, capture.patterns
-    first = fit_projector(stack, patterns, sensor, decoded)
-    if not patterns.kind.takes_response:
-        return first
-    known = first.response()
-    again = decode(stack, patterns, sensor, UNFILTERED, response=known)
-    return fit_projector(
-        stack, patterns, sensor, again, FitLimits(gamma=known.gamma, blur_px=known.blur_px)
-    )
-
-
-def _inverse_distances(decoded: Decoded, calibration: Calibration) -> FloatArray:
-    """Return the inverse distance of all points along the projector's axis, 1/mm."""
-    points = triangulate(decoded, calibration)
-    if not points.valid.any():
-        raise InputError("no pixel has a point; does the calibration belong to the capture?")
-    T_world_from_proj = calibration.T_world_from_proj
-    points_mm = points.points_world_mm[points.valid].astype(np.float64)
-    return np.asarray(1.0 / ((points_mm - T_world_from_proj[:3, 3]) @ T_world_from_proj[:3, 2]))
-
-
-def _noise(
-    captures: Sequence[Capture],
-    fits: Sequence[ProjectorFit],
-    sensor: SensorNoise,
-    notes: list[str],
-) -> tuple[PhotonTransfer | None, str]:
-    """Return the noise, and its source as text: repeated captures, or residuals of a fit."""
-    own = next((fit.noise for fit in fits if fit.noise is not None), None)
-    pairs = _pairs(captures, sensor, own)
-    if pairs is not None:
-        try:
-            return photon_transfer(pairs, sensor), "photon transfer of repeated captures"
-        except InputError as error:
-            notes.append(f"repeated captures: {error}")
-    if own is not None:
-        return own, "photon transfer of what the fit of one capture leaves"
-    notes.append("the captures do not determine the camera's noise: its gain is the model's")
-    return None, ""
-
-
-def _pairs(
-    captures: Sequence[Capture], sensor: SensorNoise, own: PhotonTransfer | None
-) -> NoiseSamples | None:
-    """Return samples of all successive captures of the same scene; None: there are none.
-
-    Such captures differ by noise only: the fitted noise, or about the noise of capture.toml.
-    """
-    all_samples: NoiseSamples | None = None
-    for earlier, later in pairwise(captures):
-        if (
-            earlier.patterns != later.patterns
-            or earlier.scale is not None
-            or later.scale is not None
-        ):
-            continue
-        samples = samples_of_pairs(earlier.stack, later.stack, sensor)
-        expected = own.variance_at(samples.mean_dn) if own else sensor.variance_dn2(samples.mean_dn)
-        ratio = float(np.median(samples.square_dn2 / expected)) / _MEDIAN_OF_SQUARE
-        if ratio < (_MOST_OVER_FITTED if own else _MOST_OVER_STATED):
-            all_samples = samples if all_samples is None else all_samples.joined(samples)
-    return all_samples
-
-
 def _known(
     capture: Capture,
     sensor: SensorNoise,
@@ -428,44 +294,3 @@ def coat_sparkle(capture: Capture, points: Reconstruction) -> Sparkle | None:
         return sparkle_of(white, capture.sensor, points.point_map.valid)
     except InputError:
         return None
-
-
-def _two_period_chi2(captures: Sequence[Capture], known: Capture) -> float | None:
-    """Return chi-square per pixel of two captures of one scene with different periods, or None.
-
-    It compares coordinates of unfiltered pixels, with the estimated sensor and response.
-    """
-    first = captures[0]
-    for second in captures[1:]:
-        if second.patterns.period_px == first.patterns.period_px:
-            continue
-        decoded = [
-            decode(
-                capture.stack,
-                capture.patterns,
-                known.sensor,
-                UNFILTERED,
-                capture.scale,
-                response=known.response,
-            )
-            for capture in (first, second)
-        ]
-        return chi2_of(decoded[0], decoded[1])
-    return None
-
-
-def chi2_of(first: Decoded, second: Decoded) -> float | None:
-    """Return the mean square of the differences of columns over their sigma, for the same scene.
-
-    Pixels that differ by more than 10 sigma show another scene or have a wrong fringe order: they
-    are left out. The result is None if they are more than 1 % of the pixels.
-    """
-    both = first.valid & second.valid
-    if int(both.sum()) < 100:
-        return None
-    step: FloatArray = first.column.coordinate_px[both].astype(np.float64)
-    step = step - second.column.coordinate_px[both]
-    sigmas: FloatImage = np.hypot(first.column.sigma_px[both], second.column.sigma_px[both])
-    square = (step / sigmas) ** 2
-    near = square < 100.0
-    return float(square[near].mean()) if near.mean() > 0.99 else None

@@ -14,7 +14,7 @@ from reconstruction.characterise import UncertainValue
 from reconstruction.pipeline import ReconstructOptions, reconstruct
 from twin.adoption.findings import RigField
 from twin.config.sensor_layer import SensorLayer, load_sensor_layer
-from twin.pipeline.compensation import calibrated_layer
+from twin.pipeline.calibrated_layer import calibrated_layer
 
 _HARDNESS = ("shore_a", "shore_00", "young_modulus_kpa")
 

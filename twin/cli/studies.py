@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from twin.propagation.results import Uncertainty
     from twin.study.cases import Case
-    from twin.study.engine import SweepOutcome
+    from twin.study.outcome import SweepOutcome
     from twin.study.record import StudyRecord
     from twin.study.remarks import Remark
     from twin.study.workers import Workers
@@ -66,9 +66,9 @@ def sweep(
         TOML file, or the name of a shipped study such as studies/albedo_flakes.
     """
     from twin.config.study import load_study
+    from twin.study.estimate import estimate, estimate_line
     from twin.study.record import StudyRecord
     from twin.study.store import Store
-    from twin.study.sweep import estimate, estimate_text
     from twin.study.sweep import sweep as run
 
     record = StudyRecord(*load_study(study))
@@ -76,7 +76,7 @@ def sweep(
     cases = None if searches else record.first_look() if dry_run else record.cases()
     who = workers_of(workers, cluster)
     if cases is not None:
-        sys.stderr.write(f"{estimate_text(estimate(record, cases, Store(out), who.count))}\n")
+        sys.stderr.write(f"{estimate_line(estimate(record, cases, Store(out), who.count))}\n")
     code = _check(record, () if cases is None else cases.run)
     if dry_run or code:
         return code
@@ -107,7 +107,7 @@ def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
     InputError : no case has a figure that the study names
     """
     from twin.study.checks import check_figures
-    from twin.study.sweep import probes_of, unmeasurable
+    from twin.study.measurable import probes_of, unmeasurable
 
     searches = record.study.sampling.method in ("optimise", "gradient")
     cases = probes_of(record) if searches else cases
@@ -324,11 +324,12 @@ def _swept(
     record: "StudyRecord", out: Path, who: "Workers", read: list[Path], retry: bool
 ) -> "SweepOutcome":
     """Print the estimated run time, measure the trials that are not in OUT, print the outcome."""
+    from twin.study.estimate import estimate, estimate_line
     from twin.study.store import Store
-    from twin.study.sweep import estimate, estimate_text, sweep
+    from twin.study.sweep import sweep
 
     cases = record.cases()
-    sys.stderr.write(f"{estimate_text(estimate(record, cases, Store(out), who.count))}\n")
+    sys.stderr.write(f"{estimate_line(estimate(record, cases, Store(out), who.count))}\n")
     with progress_bars() as watch:
         outcome = sweep(
             record,

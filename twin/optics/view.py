@@ -1,42 +1,182 @@
-"""External view camera: where it stands, what lies behind its pixels, and pictures in soft light.
+"""Scene description of all 3-D pictures: surfaces, lines and views. It draws nothing.
 
-For pictures of rigs, specimens and measured reliefs, without noise; the measurement does not use
-this module. World frame, mm; pixels as everywhere: (0, 0) is the CENTRE of the first, row 0 is the
-top. Scene objects have colours here, which the monochrome backend renders as three passes with the
-same seed, one per primary: noise is grey.
+World frame, mm. Each output medium has one drawer:
+
+| medium | drawer |
+|---|---|
+| picture in soft light, with materials | `twin.optics.picture` |
+| figure of a relief, by Matplotlib | `twin.report.relief` |
+| view in a report that the reader turns | `twin.report.view` |
+| live view in a browser | `twin.viewer.live` |
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
+from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.rig.pinhole import Pinhole
-from twin.optics.bsdfs import level
-from twin.optics.materials import mitsuba_mesh
-from twin.optics.rig import perspective_sensor
-from twin.optics.session import renderer_session
 
 if TYPE_CHECKING:
     import trimesh
-
+    from matplotlib.cm import ScalarMappable
 
 Point = tuple[float, float, float]
+Numbers = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSurface:
+    """A triangle mesh with its colours; or a surface over a grid, which has triangles as well.
+
+    Attributes
+    ----------
+    name : label, unique in its scene
+    vertices_mm : (vertex, xyz); of a grid row by row, NaN where there is no point
+    triangles : (triangle, 3) int, indices of vertices
+    rgb : (3,) or (vertex, 3), 0 to 1: colour on a screen; reflectance in a picture with materials
+    bsdf : material for `mi.load_dict` instead of `rgb`
+    normals : (vertex, xyz) unit normals of a smooth surface; faceted without
+    cells : of a grid, (row - 1, col - 1) bool; True where the four vertices are joined
+    scale : colour map with the range from which `rgb` was computed
+    """
+
+    name: str
+    vertices_mm: Numbers
+    triangles: NDArray[np.integer[Any]]
+    rgb: FloatArray
+    bsdf: Mapping[str, Any] | None = None
+    normals: Numbers | None = None
+    cells: BoolImage | None = None
+    scale: "ScalarMappable | None" = None
+
+    @classmethod
+    def of_mesh(
+        cls,
+        name: str,
+        mesh: "trimesh.Trimesh",
+        rgb: ArrayLike = (0.5, 0.5, 0.5),
+        *,
+        bsdf: Mapping[str, Any] | None = None,
+        smooth: bool = False,
+    ) -> "SceneSurface":
+        """Return a mesh with its colours; `smooth` uses the normals of its vertices."""
+        normals = np.asarray(mesh.vertex_normals) if smooth else None
+        corners, facets = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        return cls(name, corners, facets, np.asarray(rgb, np.float64), bsdf, normals)
+
+    @classmethod
+    def of_grid(
+        cls,
+        name: str,
+        points_mm: Numbers,
+        values: NDArray[Any],
+        scale: "ScalarMappable",
+        *,
+        cut: float | None = None,
+    ) -> "SceneSurface":
+        """Join the neighbours of a grid of points (row, col, xyz), row 0 at the top.
+
+        Parameters
+        ----------
+        values : (row, col), coloured by `scale`
+        cut : cells with an edge this many times longer than the median edge are left out
+        """
+        cells = _joined(points_mm, cut)
+        number = np.arange(points_mm[..., 0].size).reshape(points_mm.shape[:2])
+        a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+        triangles = np.stack([a, c, b, b, c, d], axis=-1)[cells].reshape(-1, 3)
+        rgb = scale.to_rgba(np.ma.masked_invalid(values))[..., :3].reshape(-1, 3)
+        return cls(name, points_mm.reshape(-1, 3), triangles, rgb, cells=cells, scale=scale)
+
+    @property
+    def grid_mm(self) -> Numbers:
+        """Vertices of a surface over a grid, (row, col, xyz)."""
+        assert self.cells is not None
+        rows, cols = self.cells.shape
+        return self.vertices_mm.reshape(rows + 1, cols + 1, 3)
+
+
+def _joined(points_mm: Numbers, cut: float | None) -> BoolImage:
+    """Return the cells (row - 1, col - 1) of which all four edges are known and short."""
+    across, down = (np.linalg.norm(np.diff(points_mm, axis=axis), axis=-1) for axis in (1, 0))
+    longest = np.maximum.reduce([across[:-1], across[1:], down[:, :-1], down[:, 1:]])
+    known = np.concatenate([edges[np.isfinite(edges)] for edges in (across, down)])
+    limit_mm = np.inf if cut is None or not known.size else cut * np.median(known)
+    return np.asarray(longest <= limit_mm)  # False where it is NaN
+
+
+@dataclass(frozen=True, eq=False)
+class SceneLines:
+    """Straight pieces of one colour.
+
+    Attributes
+    ----------
+    name : label, unique in its scene
+    ends_mm : (end, xyz) float32, two ends per piece
+    rgb : 0 to 255
+    """
+
+    name: str
+    ends_mm: NDArray[np.float32]
+    rgb: tuple[int, int, int]
+
+    @classmethod
+    def along(cls, name: str, paths: list[FloatArray], rgb: tuple[int, int, int]) -> "SceneLines":
+        """Return the pieces of paths, each (corner, xyz)."""
+        pairs = [np.stack((path[:-1], path[1:]), axis=1).reshape(-1, 3) for path in paths]
+        return cls(name, np.concatenate(pairs).astype("<f4"), rgb)
 
 
 @dataclass(frozen=True)
-class ViewCamera:
-    """A pinhole camera that looks at a point, the world's z axis upright in its picture."""
+class SceneView:
+    """A pinhole camera that looks at a point, the world's z axis upright in its picture.
+
+    Attributes
+    ----------
+    width_mm : width of the picture on the plane through the target, across the view
+    enlarged : factor on z
+    shows : names of the parts of the scene that are shown at first; all where it is empty
+    """
 
     eye_mm: Point
     target_mm: Point
     width_mm: float
-    """How much of the plane through the target, across the view, the picture's width shows."""
     width_px: int = 640
     height_px: int = 480
+    enlarged: float = 1.0
+    shows: tuple[str, ...] = ()
+
+    @classmethod
+    def around(
+        cls,
+        target_mm: ArrayLike,
+        width_mm: float,
+        turn_rad: float,
+        lift_rad: float,
+        distance_mm: float | None = None,
+        **more: Any,
+    ) -> "SceneView":
+        """Return the view from a direction, see `turn_and_lift_rad`; by default two widths away."""
+        across, target = np.cos(lift_rad), np.asarray(target_mm, np.float64)
+        towards = across * np.sin(turn_rad), -across * np.cos(turn_rad), np.sin(lift_rad)
+        eye = target + (distance_mm or 2 * width_mm) * np.array(towards)
+        return cls(point(eye), point(target), width_mm, **more)
+
+    @property
+    def towards_eye(self) -> FloatArray:
+        """Unit vector from target to eye."""
+        away = np.subtract(self.eye_mm, self.target_mm)
+        return np.asarray(away / np.linalg.norm(away))
+
+    @property
+    def turn_and_lift_rad(self) -> tuple[float, float]:
+        """Direction of the eye: angle about z, 0 towards -y; and elevation above the xy plane."""
+        x, y, z = self.towards_eye
+        return float(np.arctan2(x, -y)), float(np.arcsin(z))
 
     @property
     def pinhole(self) -> Pinhole:
@@ -63,235 +203,26 @@ class ViewCamera:
         return pose
 
     def project(self, points_world_mm: Any) -> FloatArray:
-        """Return the pixels (..., 2) where world points (..., 3) appear."""
+        """Return the pixels (..., 2) of world points (..., 3); (0, 0) is a pixel's centre."""
         pose = self.world_from_eye
         return self.pinhole.project((np.asarray(points_world_mm) - pose[:3, 3]) @ pose[:3, :3])
 
 
-@dataclass(frozen=True, eq=False)
-class VisibleSurface:
-    """What lies behind each pixel centre.
-
-    Attributes
-    ----------
-    hit : (row, col) bool
-    points_mm : (row, col, xyz) float32, 0 where nothing is hit
-    normals : (row, col, xyz) float32, unit normals of the facets, turned to the camera
-    sunlit : (row, col) bool; nothing lies between the point and the distant lamp, which is on the
-        visible side
-    """
-
-    hit: BoolImage
-    points_mm: FloatImage
-    normals: FloatImage
-    sunlit: BoolImage
-
-
-@renderer_session()
-def visible_surface(
-    vertices_mm: ArrayLike,
-    triangles: ArrayLike,
-    camera: ViewCamera,
-    towards_lamp: tuple[float, float, float],
-) -> VisibleSurface:
-    """Cast one ray through each pixel centre.
-
-    Parameters
-    ----------
-    vertices_mm : (vertex, xyz) float, world
-    triangles : (triangle, 3) int
-    towards_lamp : direction to a lamp infinitely far away
-
-    Raises
-    ------
-    MissingBackend : no usable Dr.Jit backend
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    scene = mi.load_dict(
-        {"type": "scene", "relief": mitsuba_mesh("relief", vertices_mm, triangles)}
-    )
-    directions = _directions(camera)
-    ray = mi.Ray3f(mi.Point3f(*camera.eye_mm), mi.Vector3f(directions.astype(np.float32).T))
-    met = scene.ray_intersect_preliminary(ray, coherent=True)
-    hit = met.is_valid()
-    surface = met.compute_surface_interaction(ray)
-    normal = dr.select(dr.dot(surface.n, ray.d) > 0.0, -surface.n, surface.n)
-    lamp = dr.normalize(mi.Vector3f(*towards_lamp))
-    faces_lamp = dr.dot(normal, lamp) > 0.0
-    surface.n = normal  # spawn_ray leaves the surface on this side
-    free = ~scene.ray_test(surface.spawn_ray(lamp), hit & faces_lamp)
-    shape = camera.height_px, camera.width_px
-    found = hit.numpy().reshape(shape)
-    return VisibleSurface(
-        hit=found,
-        points_mm=surface.p.numpy().T.reshape(*shape, 3) * found[..., None],
-        normals=normal.numpy().T.reshape(*shape, 3),
-        sunlit=(hit & faces_lamp & free).numpy().reshape(shape),
-    )
-
-
-def _directions(camera: ViewCamera) -> FloatArray:
-    """World directions through the pixel centres, row by row, (n, xyz)."""
-    rows, cols = np.mgrid[: camera.height_px, : camera.width_px]
-    slopes = camera.pinhole.unproject(np.stack([cols.ravel(), rows.ravel()], axis=-1))
-    rays = np.column_stack([slopes, np.ones(len(slopes))]) @ camera.world_from_eye[:3, :3].T
-    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
-
-
-Picture = Levels
-
-MOST_BOUNCES = 12
-"""Enough for light to leave a hollow clear body: each wall takes two."""
-
-# The sky lights from everywhere; two lamps, high on the left and low on the right, model the form.
-_SKY, _KEY, _FILL = 0.5, 1.15, 0.4
-# Half the edge of a lamp, in widths of the picture: large and dim, or clear bodies sparkle.
-_LAMP = 1.0
-_PRIMARIES = 3
+def point(xyz: FloatArray) -> Point:
+    """Return (xyz) as floats."""
+    x, y, z = (float(value) for value in xyz)
+    return x, y, z
 
 
 @dataclass(frozen=True, eq=False)
-class SceneObject:
-    """A surface with its colours.
+class SceneDescription:
+    """Surfaces, lines and views, each by its name."""
 
-    Attributes
-    ----------
-    bsdf : for `mi.load_dict`; a tuple of three numbers stands for red, green and blue
-    shade : (vertex,) float; albedo of a matte surface at each vertex; the BSDF is then not used
-    smooth : with the mesh's vertex normals; faceted otherwise
-    """
+    surfaces: tuple[SceneSurface, ...]
+    lines: tuple[SceneLines, ...] = ()
+    views: Mapping[str, SceneView] = field(default_factory=dict)
 
-    name: str
-    mesh: "trimesh.Trimesh"
-    bsdf: dict[str, Any] = field(default_factory=dict)
-    shade: FloatArray | None = None
-    smooth: bool = False
-
-
-def matte(red: float, green: float, blue: float) -> dict[str, Any]:
-    """Return the BSDF of a diffuse colour, seen from both sides."""
-    reflectance = {"type": "spectrum", "value": (red, green, blue)}
-    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
-
-
-@renderer_session()
-def picture(
-    objects: Sequence[SceneObject],
-    camera: ViewCamera,
-    samples: int = 64,
-    *,
-    gray: bool = False,
-    bounces: int = MOST_BOUNCES,
-) -> Picture:
-    """Render objects before a white background in soft light.
-
-    Parameters
-    ----------
-    objects : at least one, all names different
-    samples : paths per pixel
-    gray : True: one pass instead of three, for objects without colours
-    bounces : most surfaces that light meets; 4 do where nothing is clear
-
-    Returns
-    -------
-    (row, col, 3) uint8, sRGB
-
-    Raises
-    ------
-    MissingBackend : no usable Dr.Jit backend
-    """
-    passes = [0] if gray else range(_PRIMARIES)
-    layers = [_render(_scene(objects, camera, primary, samples, bounces)) for primary in passes]
-    light = np.stack(layers * (_PRIMARIES // len(layers)), axis=-1)
-    return _srgb(light)
-
-
-def _render(scene: Any) -> FloatImage:
-    """Return the light of one primary over white, (row, col) float, 1 is white."""
-    import mitsuba as mi
-
-    image = np.array(mi.render(scene, seed=0))
-    light, alpha = image[..., 0], image[..., -1]
-    return np.asarray(light + (1.0 - np.clip(alpha, 0.0, 1.0)), np.float32)
-
-
-def _scene(
-    objects: Sequence[SceneObject], camera: ViewCamera, primary: int, samples: int, bounces: int
-) -> Any:
-    import mitsuba as mi
-
-    sensor = perspective_sensor(camera.pinhole, camera.world_from_eye, samples)
-    sensor["film"]["pixel_format"] = "luminance_alpha"
-    # One more than bounces: Mitsuba counts the way to the lamp.
-    integrator = {"type": "path", "max_depth": bounces + 1, "hide_emitters": True}
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": integrator,
-            "sensor": sensor,
-            **_lights(camera),
-            **{part.name: _mesh(part, primary) for part in objects},
-        },
-        optimize=False,  # load_dict would merge shapes
-    )
-
-
-def _lights(camera: ViewCamera) -> dict[str, Any]:
-    """Sky and two square lamps that follow the camera and the size of what it shows."""
-    import mitsuba as mi
-
-    target, size = np.array(camera.target_mm), camera.width_mm
-    right, _, forward = camera.world_from_eye[:3, :3].T
-    towards, up = -np.array([forward[0], forward[1], 0.0]), np.array([0.0, 0.0, 1.0])
-    places = {
-        "key": (target + size * (-1.0 * right + 0.6 * towards + 1.7 * up), _KEY),
-        "fill": (target + size * (1.5 * right + 0.9 * towards + 0.8 * up), _FILL),
-    }
-    lamps = {
-        name: {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f().look_at(
-                origin=place.tolist(), target=target.tolist(), up=[0.1, 0.2, 1.0]
-            )
-            @ mi.ScalarTransform4f().scale([_LAMP * size] * 3),
-            "emitter": {"type": "area", "radiance": level(radiance)},
-        }
-        for name, (place, radiance) in places.items()
-    }
-    return {"sky": {"type": "constant", "radiance": level(_SKY)}, **lamps}
-
-
-def _mesh(part: SceneObject, primary: int) -> Any:
-    return mitsuba_mesh(
-        part.name,
-        part.mesh.vertices,
-        part.mesh.faces,
-        _of_primary(_bsdf(part), primary),
-        normals=part.mesh.vertex_normals if part.smooth else None,
-        shade=part.shade,
-    )
-
-
-def _bsdf(part: SceneObject) -> dict[str, Any]:
-    if part.shade is None:
-        return part.bsdf
-    reflectance = {"type": "mesh_attribute", "name": "vertex_shade"}
-    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
-
-
-def _of_primary(tree: Any, primary: int) -> Any:
-    """Return a dictionary with each colour replaced by its part of one primary."""
-    if isinstance(tree, dict):
-        return {key: _of_primary(value, primary) for key, value in tree.items()}
-    return tree[primary] if isinstance(tree, tuple) else tree
-
-
-def _srgb(light: FloatImage) -> Picture:
-    """Encode linear light, 1 is white (IEC 61966-2-1)."""
-    linear = np.clip(light, 0.0, 1.0)
-    encoded = np.where(
-        linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
-    )
-    return np.asarray(np.rint(255.0 * encoded), np.uint8)
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Labels of surfaces and lines."""
+        return (*(one.name for one in self.surfaces), *(one.name for one in self.lines))

@@ -1,4 +1,4 @@
-"""The specimen alone on the stage in soft light, as one would photograph it."""
+"""Rendered photographs of the specimen on the stage, without sheet, in soft light."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -7,11 +7,12 @@ import numpy as np
 
 from twin.config import Experiment
 from twin.optics.direct import STAGE, solids
-from twin.optics.view import Picture, SceneObject, ViewCamera, picture
+from twin.optics.picture import Picture, picture
+from twin.optics.view import SceneSurface, SceneView, point
 
 _WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 20
 _FROM = (0.5, -0.52, 0.69)
-# Eyes so far away see nearly in parallel, as a macro lens does.
+# The large distance makes the perspective nearly parallel, as with a macro lens.
 _DISTANCE, _ROOM = 7.0, 1.3
 
 
@@ -25,32 +26,27 @@ def photograph_of(experiment: Experiment) -> Picture:
     MissingBackend
         No usable Dr.Jit backend.
     """
-    return _render(_Sitter(experiment.model_dump_json(include={"specimen", "stage"}), experiment))
+    return _render(_Subject(experiment.model_dump_json(include={"specimen", "stage"}), experiment))
 
 
 @dataclass(frozen=True)
-class _Sitter:
-    """What is photographed, told apart by specimen and stage alone."""
+class _Subject:
+    """Subject of a photograph; equal if specimen and stage are equal."""
 
     key: str
     experiment: Experiment = field(compare=False)
 
 
 @lru_cache(maxsize=32)
-def _render(sitter: _Sitter) -> Picture:
+def _render(subject: _Subject) -> Picture:
     things = [
-        SceneObject(solid.name, solid.mesh, solid.bsdf, smooth=True)
-        for solid in solids(sitter.experiment)
+        SceneSurface.of_mesh(solid.name, solid.mesh, bsdf=solid.bsdf, smooth=True)
+        for solid in solids(subject.experiment)
     ]
-    shown = [thing.mesh.bounds for thing in things if thing.name != STAGE]
-    low, high = np.min([b[0] for b in shown], axis=0), np.max([b[1] for b in shown], axis=0)
+    shown = np.concatenate([thing.vertices_mm for thing in things if thing.name != STAGE])
+    low, high = shown.min(axis=0), shown.max(axis=0)
     middle = (low + high) / 2
     width_mm = _ROOM * float(np.hypot(*(high - low)[:2]))
     eye = middle + _DISTANCE * width_mm * np.array(_FROM)
-    observer = ViewCamera(_point(eye), _point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
-    return picture(things, observer, _SAMPLES, gray=True)
-
-
-def _point(xyz: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in xyz)
-    return x, y, z
+    view = SceneView(point(eye), point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
+    return picture(things, view, _SAMPLES, gray=True)

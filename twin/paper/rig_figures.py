@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
+from twin.optics.picture import picture
 from twin.optics.rig import true_calibration
-from twin.optics.view import ViewCamera, picture
+from twin.optics.view import SceneView
 from twin.paper.rig_scene import (
     device_things,
     frame_things,
@@ -32,6 +31,7 @@ from twin.report.canvas import (
     no_ticks,
     printing,
 )
+from twin.report.scene import field_corners
 from twin.report.section import (
     face_profile,
     slab_span,
@@ -42,9 +42,9 @@ from twin.report.section import (
 from twin.specimens import shape_of
 
 _SAMPLES, _BOUNCES = 12, 3
-_RIG = ViewCamera((-420.0, -1150.0, 520.0), (35.0, 0.0, 108.0), 412.0, 520, 640)
-_SHEET = ViewCamera((-26.0, -80.0, 62.0), (0.0, 0.0, -2.0), 56.0, 560, 420)
-_CUT = ViewCamera((-14.0, -95.0, 30.0), (0.0, 0.0, -5.5), 42.0, 640, 400)
+_RIG = SceneView((-420.0, -1150.0, 520.0), (35.0, 0.0, 108.0), 412.0, 520, 640)
+_SHEET = SceneView((-26.0, -80.0, 62.0), (0.0, 0.0, -2.0), 56.0, 560, 420)
+_CUT = SceneView((-14.0, -95.0, 30.0), (0.0, 0.0, -5.5), 42.0, 640, 400)
 
 
 def draw_setup(stem: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
@@ -100,13 +100,13 @@ def draw_concept(stem: Path, experiment: Experiment, pressed: PressedElastomer) 
 
 
 def _cover(axes: Axes, experiment: Experiment) -> None:
-    """Draw what camera and projector cover, as pyramids from pinhole to the undeformed face."""
+    """Draw the fields of view as pyramids from the pinholes to the undeformed face."""
     rig = true_calibration(experiment)
     for device, pose, colour in (
         (rig.camera, rig.T_world_from_cam, MEASURED),
         (rig.projector, rig.T_world_from_proj, FIT),
     ):
-        corners = _RIG.project(_on_face(device, pose))
+        corners = _RIG.project(field_corners(device, pose))
         tip = _RIG.project(pose[:3, 3])
         outline = np.vstack([tip, corners])
         hull: Any = ConvexHull(outline)
@@ -114,12 +114,6 @@ def _cover(axes: Axes, experiment: Experiment) -> None:
         for corner in corners:
             axes.plot(*np.stack([tip, corner]).T, color=colour, lw=0.5, alpha=0.8)
         axes.add_patch(Polygon(corners, fill=False, edgecolor=colour, lw=0.8))
-
-
-def _on_face(device: Pinhole, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World points where the corners of a device's image meet z = 0, (4, xyz)."""
-    rays = np.column_stack([device.seen_corners(), np.ones(4)]) @ pose[:3, :3].T
-    return np.asarray(pose[:3, 3] - (pose[2, 3] / rays[:, 2])[:, None] * rays)
 
 
 def _name_parts(axes: Axes, experiment: Experiment) -> None:
@@ -165,7 +159,7 @@ def _label(axes: Axes, text: str, at_px: Any, offset_pt: tuple[float, float]) ->
 _SECTION_SAMPLES, _STRIPES = 401, 14
 _SILICONE, _BODY, _COAT = "#cfe3f1", "#d9cdb8", "#7a7f87"
 _SHOWN_DISTANCE = 21.0
-"""Millimetres of the drawing from the sheet to the devices; they stand ten times as far."""
+"""Distance of the devices from the sheet in the drawing, mm; the true one is about 10 x larger."""
 
 
 def draw_principle(axes: Axes, experiment: Experiment, pressed: PressedElastomer) -> None:
@@ -183,7 +177,7 @@ def draw_principle(axes: Axes, experiment: Experiment, pressed: PressedElastomer
 def _section(
     axes: Axes, experiment: Experiment, pressed: PressedElastomer, span: tuple[float, float]
 ) -> float:
-    """Draw the sheet and what presses into it; returns the specimen's lowest z."""
+    """Draw the sheet and the specimen in section; return the specimen's lowest z, mm."""
     trace = trace_through_apexes(experiment)
     s_mm = np.linspace(*span, _SECTION_SAMPLES)
     coated = face_profile(pressed, trace, s_mm)
@@ -224,7 +218,7 @@ def _devices(axes: Axes, experiment: Experiment, span: tuple[float, float]) -> N
         ("projector", rig.T_world_from_proj, FIT, _STRIPES),
     ):
         at_mm = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
-        # A projector beside the section's plane still leans to one side in the drawing.
+        # An offset perpendicular to the section's plane is drawn as an offset in this plane.
         along = float(at_mm[:2] @ direction) or float(np.hypot(*at_mm[:2]))
         tip = _SHOWN_DISTANCE * np.array([along, at_mm[2]])
         _fan(axes, tip, span, colour, stripes)
@@ -273,7 +267,7 @@ def _labels(
         (0, lowest - 5.5), (0, lowest - 1.7), mutation_scale=9, color=INK, lw=1.0
     )
     axes.add_patch(lift)
-    told = f"z stage lifts {pressed.depth_mm:g} mm\nafter first touch"
-    axes.text(1.0, lowest - 3.6, told, fontsize=7, va="center")
+    travel = f"z stage lifts {pressed.depth_mm:g} mm\nafter first touch"
+    axes.text(1.0, lowest - 3.6, travel, fontsize=7, va="center")
     axes.plot([left - 5, right + 6], [9.0, 9.0], color=FAINT, lw=0.6, ls=(0, (4, 3)), zorder=0)
     axes.text(left - 5.5, 9.3, "distances above\nnot to scale", fontsize=5.5, color=FAINT)

@@ -1,4 +1,4 @@
-"""The set-up as things to look at: sheet, specimen, stage and frame, camera and projector.
+"""Scene objects of the set-up: sheet, specimen, stage and frame, camera and projector.
 
 Poses, sheet, relief and specimen are those of the experiment. Housings, frame and stage are
 schematic: the paper shows them in a photograph without dimensions. World frame, mm.
@@ -12,15 +12,16 @@ import trimesh
 from numpy.typing import NDArray
 
 from twin.config import Experiment
-from twin.mechanics import PressedElastomer, face_mesh, fields_at, slab_mesh
+from twin.mechanics import PressedElastomer, face_mesh, slab_mesh
 from twin.optics.rig import true_calibration
-from twin.optics.view import SceneObject, matte
+from twin.optics.view import SceneSurface
+from twin.report.scene import on_nodes
 from twin.specimens import bodies
 
-ALUMINIUM, DARK, CREAM = matte(0.42, 0.44, 0.48), matte(0.05, 0.05, 0.06), matte(0.75, 0.75, 0.72)
-CAMERA_BLUE, PROJECTOR_ORANGE = matte(0.10, 0.30, 0.55), matte(0.75, 0.30, 0.08)
+ALUMINIUM, DARK, CREAM = (0.42, 0.44, 0.48), (0.05, 0.05, 0.06), (0.75, 0.75, 0.72)
+CAMERA_BLUE, PROJECTOR_ORANGE = (0.10, 0.30, 0.55), (0.75, 0.30, 0.08)
 # Matte, as in a cut-away drawing: clear silicone under its coat would be a dark slit.
-SILICONE = matte(0.50, 0.72, 0.88)
+SILICONE = (0.50, 0.72, 0.88)
 # Coincident faces would flicker: the coat floats over the silicone, which floats over the specimen.
 _APART_MM = 0.02
 _RENDER_PITCH_MM = 0.1
@@ -29,14 +30,16 @@ _FRINGE_DARK, _FRINGE_BRIGHT = 0.08, 0.62
 
 def sheet_things(
     experiment: Experiment, pressed: PressedElastomer, cut_y_mm: float | None = None
-) -> list[SceneObject]:
+) -> list[SceneSurface]:
     """Return silicone and coat with a fringe pattern on it; only y > `cut_y_mm` when cut open."""
     coarse = _thinned(pressed, cut_y_mm)
-    coat = face_mesh(coarse)
-    shade = fringe_shade(experiment, np.asarray(coat.vertices))
+    face = face_mesh(coarse)
+    shade = fringe_shade(experiment, np.asarray(face.vertices))
+    rgb = np.repeat(shade[:, np.newaxis], 3, axis=1)
+    coat = SceneSurface.of_mesh("coat", face, rgb, smooth=True)
     return [
-        SceneObject("silicone", slab_mesh(coarse, experiment.elastomer), SILICONE),
-        SceneObject("coat", _shifted(coat, 2 * _APART_MM), shade=shade, smooth=True),
+        SceneSurface.of_mesh("silicone", slab_mesh(coarse, experiment.elastomer), SILICONE),
+        replace(coat, vertices_mm=np.add(coat.vertices_mm, (0.0, 0.0, 2 * _APART_MM))),
     ]
 
 
@@ -52,25 +55,26 @@ def fringe_shade(
     return np.asarray(middle + swing * np.cos(phase))
 
 
-def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneObject]:
+def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneSurface]:
     """Return the specimen where it is pressed to, and the stage under it."""
     top_mm = experiment.elastomer.touched_plane_mm + pressed.depth_mm - _APART_MM
     parts = bodies(experiment.specimen, top_mm)
     things = [
-        SceneObject(
+        SceneSurface.of_mesh(
             f"part_{k}",
             _smooth(part.mesh),
-            CREAM if part.material is None else part.material.bsdf(),
+            CREAM,
+            bsdf=None if part.material is None else part.material.bsdf(),
             smooth=True,
         )
         for k, part in enumerate(parts)
     ]
     lowest = min(float(part.mesh.bounds[0, 2]) for part in parts) - _APART_MM
     stage = _box((-14, -11, lowest - 3), (14, 11, lowest))
-    return [*things, SceneObject("stage_plate", stage, CREAM)]
+    return [*things, SceneSurface.of_mesh("stage_plate", stage, CREAM)]
 
 
-def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list[SceneObject]:
+def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list[SceneSurface]:
     """Return the frame that holds the sheet's rim; open in front when cut."""
     slab, rim = experiment.elastomer, 8.0
     x, y, low, high = slab.length_x_mm / 2, slab.length_y_mm / 2, -slab.thickness_mm - 2.0, 0.3
@@ -83,11 +87,12 @@ def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list
     if cut_y_mm is None:
         bars["front"] = ((-x - rim, -y - rim, low), (x + rim, -y, high))
     return [
-        SceneObject(f"holder_{name}", _box(*corners), ALUMINIUM) for name, corners in bars.items()
+        SceneSurface.of_mesh(f"holder_{name}", _box(*corners), ALUMINIUM)
+        for name, corners in bars.items()
     ]
 
 
-def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneObject]:
+def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneSurface]:
     """Return aluminium extrusions behind the rig, base plate and z stage, schematic."""
     rig = true_calibration(experiment)
     top = float(max(rig.T_world_from_cam[2, 3], rig.T_world_from_proj[2, 3])) + 90.0
@@ -110,21 +115,23 @@ def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[Scen
     column = trimesh.creation.cylinder(12.0, segment=((0, 0, base + 30), (0, 0, under)))
     foot = _box((-30, -30, base), (30, 30, base + 30))
     return [
-        *(SceneObject(name, _box(*corners), ALUMINIUM) for name, corners in boxes.items()),
-        SceneObject("stage_column", column, CREAM),
-        SceneObject("stage_foot", foot, DARK),
+        *(SceneSurface.of_mesh(name, _box(*corners), ALUMINIUM) for name, corners in boxes.items()),
+        SceneSurface.of_mesh("stage_column", column, CREAM),
+        SceneSurface.of_mesh("stage_foot", foot, DARK),
     ]
 
 
-def device_things(experiment: Experiment) -> list[SceneObject]:
+def device_things(experiment: Experiment) -> list[SceneSurface]:
     """Return housings round the true pinholes, lenses forward."""
     rig = true_calibration(experiment)
     camera, projector = rig.T_world_from_cam, _level_pose(rig.T_world_from_proj)
     return [
-        SceneObject("camera_lens", _lens(camera, 20.0, -45.0, 12.0), DARK),
-        SceneObject("camera_body", _posed_box(camera, (-20, -20, -80), (20, 20, -45)), CAMERA_BLUE),
-        SceneObject("projector_lens", _lens(projector, 11.0, -14.0, 4.0), DARK),
-        SceneObject(
+        SceneSurface.of_mesh("camera_lens", _lens(camera, 20.0, -45.0, 12.0), DARK),
+        SceneSurface.of_mesh(
+            "camera_body", _posed_box(camera, (-20, -20, -80), (20, 20, -45)), CAMERA_BLUE
+        ),
+        SceneSurface.of_mesh("projector_lens", _lens(projector, 11.0, -14.0, 4.0), DARK),
+        SceneSurface.of_mesh(
             "projector_body",
             _posed_box(projector, (-38, -14, -72), (38, 26, -14)),
             PROJECTOR_ORANGE,
@@ -133,7 +140,7 @@ def device_things(experiment: Experiment) -> list[SceneObject]:
 
 
 def _level_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the pose turned so that it looks at the world's origin: what one sees of an offset."""
+    """Return the pose rotated so that it looks at the world's origin, without the lens offset."""
     forward = -pose[:3, 3] / np.linalg.norm(pose[:3, 3])
     down = pose[:3, 1] - (pose[:3, 1] @ forward) * forward
     down /= np.linalg.norm(down)
@@ -149,29 +156,12 @@ def _thinned(pressed: PressedElastomer, cut_y_mm: float | None) -> PressedElasto
     rows, cols = (_every(nodes, step) for nodes in (pressed.face_y_mm, pressed.face_x_mm))
     if cut_y_mm is not None:
         rows = rows[pressed.face_y_mm[rows] >= cut_y_mm]
-    kept = np.ix_(rows, cols)
-    return replace(
-        pressed,
-        face_x_mm=pressed.face_x_mm[cols],
-        face_y_mm=pressed.face_y_mm[rows],
-        face_z_mm=pressed.face_z_mm[kept],
-        texture_mm=None,
-        sheet=None if pressed.sheet is None else fields_at(pressed.sheet, kept),
-    )
+    return on_nodes(replace(pressed, texture_mm=None), rows, cols)
 
 
 def _every(nodes: NDArray[Any], step: int) -> NDArray[np.intp]:
     """Return every nth index and the last."""
     return np.union1d(np.arange(0, nodes.size, step), [nodes.size - 1])
-
-
-def _shifted(mesh: trimesh.Trimesh, up_mm: float) -> trimesh.Trimesh:
-    return trimesh.Trimesh(
-        np.add(mesh.vertices, (0.0, 0.0, up_mm)),
-        mesh.faces,
-        vertex_normals=mesh.vertex_normals,
-        process=False,
-    )
 
 
 def _smooth(mesh: trimesh.Trimesh) -> trimesh.Trimesh:

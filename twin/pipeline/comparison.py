@@ -12,7 +12,7 @@ comparison: a gel bonded to a window resists far more than a free sheet.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from reconstruction.errors import InputError
 from reconstruction.reading import is_regular, read_json
@@ -34,7 +34,13 @@ from twin.pipeline.memory import Memory
 from twin.pipeline.methods import measure_into
 from twin.pipeline.press import press_specimen
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.results.figures import Metrics
+from twin.results.figures import Figures, Metrics
+from twin.results.rows import draw_rows, rows_as_arrays
+
+if TYPE_CHECKING:
+    import xarray
+
+    from reconstruction.drawing import Drawing
 
 Match = Literal["force", "depth"]
 
@@ -43,6 +49,8 @@ _FORCE_DIGITS = 4
 # Not the seed: all specimens meet one sensor, whose noise and reference presses are the rig's.
 _CARRIED = ("name", "description", "specimen", "stage", "score")
 _LOAD = ("control", "depth_mm", "force_n")
+_DRAWN = ("z_rmse_um", "completeness", "object_rms_um")
+"""Figures that a notebook shows."""
 
 
 @dataclass(frozen=True)
@@ -162,6 +170,62 @@ class Outcome:
     reused: bool = False
 
 
+@dataclass(frozen=True)
+class Comparison(Sequence[Outcome]):
+    """Specimens by methods, by experiment, then by method; also those that failed."""
+
+    outcomes: tuple[Outcome, ...]
+
+    @overload
+    def __getitem__(self, at: int) -> Outcome: ...
+    @overload
+    def __getitem__(self, at: slice) -> tuple[Outcome, ...]: ...
+    def __getitem__(self, at: int | slice) -> Outcome | tuple[Outcome, ...]:
+        return self.outcomes[at]
+
+    def __len__(self) -> int:
+        return len(self.outcomes)
+
+    def __repr__(self) -> str:
+        shown = "; ".join(f"{name}: {value}" for name, value in self._in_short().items())
+        return f"<Comparison: {shown}>"
+
+    def _repr_html_(self) -> str:
+        from reconstruction.drawing import as_html
+
+        return as_html("comparison", self._in_short(), self.plot())
+
+    def _in_short(self) -> dict[str, str]:
+        """Return error and share of points, or the failure, of each measurement as texts."""
+        return {f"{one.name}, {one.method}": _in_short(one) for one in self.outcomes}
+
+    def plot(self) -> "Drawing":
+        """Draw errors and share of points by specimen and method: a Matplotlib figure."""
+        return draw_rows(self._rows(), "specimen", _DRAWN, by="method")
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return specimen, method, failure and all figures, along `case`; NaN where none is."""
+        rows = self._rows()
+        names = dict.fromkeys(name for row in rows for name in row)
+        return rows_as_arrays(rows, [*names]).to_xarray()
+
+    def _rows(self) -> list[Mapping[str, Any]]:
+        return [
+            {"specimen": one.name, "method": one.method, "failure": one.failure}
+            | dict(one.figures or {})
+            for one in self.outcomes
+        ]
+
+
+def _in_short(outcome: Outcome) -> str:
+    if outcome.failure:
+        return outcome.failure
+    figures = Figures(outcome.figures or {})
+    rmse_um, share = figures.get("z_rmse_um"), figures.get("completeness")
+    error = "no error of z" if rmse_um is None else f"error of z {rmse_um:.3g} um RMS"
+    return error if share is None else f"{error}, points on {100 * share:.1f} %"
+
+
 def methods_named(text: str) -> tuple[Method, ...]:
     """Read a comma-separated list of methods.
 
@@ -196,7 +260,7 @@ def compare(
     watch: ProgressCallback = no_progress,
     plan: PhotometricPlan | None = None,
     inputs: Iterable[Path] = (),
-) -> list[Outcome]:
+) -> Comparison:
     """Measure every experiment by every method, into `out`.
 
     All measurements share one memory, so that a sensor is calibrated once.
@@ -212,8 +276,8 @@ def compare(
 
     Returns
     -------
-    list of Outcome
-        By experiment, then by method. What could not be measured is among them.
+    Comparison
+        By experiment, then by method. Measurements that failed are among them.
 
     Raises
     ------
@@ -226,10 +290,10 @@ def compare(
     with alone_in(out):
         found = [_outcome(one, method, run) for one in experiments for method in methods]
         _write(out, found)
-    return found
+    return Comparison(tuple(found))
 
 
-def read_outcomes(folder: Path) -> list[Outcome]:
+def read_outcomes(folder: Path) -> Comparison:
     """Read a finished comparison.
 
     Raises
@@ -240,7 +304,7 @@ def read_outcomes(folder: Path) -> list[Outcome]:
     if result.get("command") != COMMAND:
         raise InputError(f"{folder}: result of command {result.get('command')!r}, no comparison")
     try:
-        return [Outcome(**case) for case in result["cases"]]
+        return Comparison(tuple(Outcome(**case) for case in result["cases"]))
     except (KeyError, TypeError):
         raise InputError(
             f"{folder / RESULT_FILE}: cases are damaged; run twin compare again"

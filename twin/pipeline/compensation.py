@@ -15,14 +15,10 @@ from scipy import fft
 from reconstruction.arrays import FloatArray, at_pixels
 from reconstruction.compensation import (
     BarPlace,
-    CalibratedSheet,
     Compensated,
     CompensatedGel,
     GelLayer,
-    KnownTravel,
-    SheetLayer,
     SheetOpening,
-    calibrate_sheet,
     compensate_gel,
     contact_arrays,
     relief_on_frame,
@@ -38,26 +34,18 @@ from reconstruction.writing import write_text
 from twin.config import Experiment, load_experiment
 from twin.config.digest import content_digest
 from twin.config.loading import read_toml
-from twin.config.sensor_layer import (
-    SensorLayer,
-    layer_to_toml,
-    load_sensor_layer,
-    sensor_layer_of,
-)
+from twin.config.sensor_layer import SensorLayer, layer_to_toml, load_sensor_layer, sensor_layer_of
 from twin.config.specimen_base import Specimen
 from twin.mechanics.choice import is_slab, may_wrap
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.layer import BondedLayer
 from twin.mechanics.layouts import WINDOW_MARGIN, coat_film
 from twin.output import EXPERIMENT_FILE, output_folder, write_outcome
+from twin.pipeline.calibrated_layer import calibrated_layer
 from twin.pipeline.dimensions import RECONSTRUCTION_FILE
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.pipeline.slab_object import calibrate_slab, fit_slab, slab_object
-from twin.results.compensated import (
-    load_figures,
-    object_figures,
-    object_points,
-)
+from twin.pipeline.slab_object import fit_slab, slab_object
+from twin.results.compensated import load_figures, object_figures, object_points
 from twin.results.features import bars_of
 from twin.results.figures import COMPENSATED
 from twin.results.names import may_compensate
@@ -66,7 +54,6 @@ from twin.results.under_sheet import (
     SheetCompensation,
     compensated_sheet,
     sheet_compensation,
-    sheet_layer,
     sigma_of_modulus,
 )
 from twin.specimens import shape_of
@@ -77,7 +64,6 @@ if TYPE_CHECKING:
     from reconstruction.drawing import Drawing
 
 CONTACT_FILE, LAYER_FILE = "contact.nc", "layer.toml"
-_UM = 1e3
 # Of the gel: as fine as ridges that a bonded layer still answers to.
 _GEL_CELL_MM = 0.08
 
@@ -265,80 +251,6 @@ def compensate_points(
     return fit_slab(found, sigma_mm, slab_object(layer, specimen))
 
 
-def calibrated_layer(
-    points: PointMap,
-    layer: SensorLayer,
-    ball_diameter_mm: float,
-    specimen: Specimen | None = None,
-) -> tuple[SensorLayer, dict[str, Any]]:
-    """Fit thickness and modulus to a press of known balls; the layer, and the figures.
-
-    Raises
-    ------
-    InputError : the elastomer is neither sheet nor slab, or no ball is found
-    """
-    elastomer, valid = layer.elastomer, points.valid
-    measured = (
-        at_pixels(points.points_world_mm, valid).astype(np.float64),
-        at_pixels(points.sigma_z_mm, valid).astype(np.float64),
-    )
-    if is_slab(elastomer):
-        return calibrate_slab(*measured, slab_object(layer, specimen), ball_diameter_mm)
-    if not may_wrap(elastomer):
-        raise InputError(
-            f"--ball-diameter-mm: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; a "
-            "ball calibrates a sheet or slab with layout = 'opposite_face'"
-        )
-    found = calibrate_sheet(
-        *measured, sheet_layer(layer), ball_diameter_mm / 2, travel=_known_travel(layer)
-    )
-    return _with_sheet(layer, found.layer), _calibration_figures(found)
-
-
-def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
-    """Return the layer with what was found of its sheet, and how well."""
-    found = {
-        "shore_a": None,
-        "shore_00": None,
-        "young_modulus_kpa": sheet.young_modulus_kpa,
-        "thickness_mm": sheet.thickness_mm,
-        "rim_compliance_mm2_per_n": sheet.rim_compliance_mm2_per_n,
-    }
-    sigma = {
-        "thickness_mm": sheet.sigma_thickness_mm,
-        "young_modulus_kpa": sheet.sigma_young_modulus_kpa,
-        "pre_stretch": sheet.sigma_pre_stretch,
-        "rim_compliance_mm2_per_n": sheet.sigma_rim_compliance_mm2_per_n,
-    }
-    elastomer, known = layer.elastomer, layer.sigma
-    return layer.model_copy(
-        update={
-            "elastomer": type(elastomer).model_validate(elastomer.model_dump() | found),
-            "sigma": type(known).model_validate(known.model_dump() | sigma),
-        }
-    )
-
-
-def _calibration_figures(found: CalibratedSheet) -> dict[str, Any]:
-    """Return what a known ball told, for result.json; None of what it does not tell."""
-    sheet = found.layer
-    modulus = sheet.young_modulus_kpa, sheet.sigma_young_modulus_kpa
-    rim = sheet.rim_compliance_mm2_per_n, sheet.sigma_rim_compliance_mm2_per_n
-    modulus_kpa, modulus_sigma_kpa = modulus if found.modulus_found else (None, None)
-    compliance, sigma_compliance = rim if found.rim_found else (None, None)
-    return {
-        "calibrated_thickness_mm": sheet.thickness_mm,
-        "calibrated_thickness_sigma_um": _UM * sheet.sigma_thickness_mm,
-        "calibrated_modulus_kpa": modulus_kpa,
-        "calibrated_modulus_sigma_kpa": modulus_sigma_kpa,
-        "calibrated_rim_compliance_mm2_per_n": compliance,
-        "calibrated_rim_compliance_sigma_mm2_per_n": sigma_compliance,
-        "radius_before_calibration_mm": found.radius_before_mm,
-        "thickness_per_pre_stretch_mm": found.thickness_per_pre_stretch_mm,
-        "calibration_balls": found.balls,
-    }
-
-
 def _on_gel(points_mm: FloatArray, sigma_mm: FloatArray, layer: SensorLayer) -> CompensatedGel:
     """Compensate the coat of a gel on a window, on the part of the pad that was measured."""
     elastomer = layer.elastomer
@@ -379,14 +291,6 @@ def _margin(cells: int, pitch_mm: float, thickness_mm: float) -> int:
     while (total - cells) % 2:
         total = fft.next_fast_len(total + 1, real=True)
     return int(total - cells) // 2
-
-
-def _known_travel(layer: SensorLayer) -> KnownTravel | None:
-    """Return the travel that the stage told, where its uncertainty is stated."""
-    travel_mm, sigma_mm = layer.press.depth_mm, layer.sigma.depth_mm
-    if travel_mm is None or sigma_mm is None:
-        return None
-    return KnownTravel(travel_mm, float(np.hypot(sigma_mm, layer.sigma.plane_mm)))
 
 
 def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Measurement:

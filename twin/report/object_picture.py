@@ -26,8 +26,8 @@ from twin.report.canvas import (
     symmetric_limit,
 )
 from twin.report.page import Figure
+from twin.report.relief import average_on_grid, draw_cells
 from twin.report.section import Trace, trace_through_apexes
-from twin.report.surfaces import average_on_grid
 from twin.results.measurands import measurand_of
 from twin.results.object_points import ObjectPoints, SeenObject
 from twin.results.record import Measurement
@@ -81,8 +81,8 @@ def draw_object(path: Path, measured: Measurement) -> None:
     with drawing(path, 10.0, 7.0) as figure:
         cells = average_on_grid(points, points[:, 2], pixel_mm, _MAP_CELLS)
         outline = cells.extent_mm
-        draw_map(
-            axes_at(figure, 0.6, 0.35, 3.5, 2.6), cells.values, outline, "measured relief",
+        draw_cells(
+            axes_at(figure, 0.6, 0.35, 3.5, 2.6), cells, "measured relief",
             "z (mm)", ends=(low, high), extend="both",
         )  # fmt: skip
         extent = (
@@ -100,8 +100,8 @@ def draw_object(path: Path, measured: Measurement) -> None:
         apart_mm = pixel_mm * np.sqrt(seen.measured.touching.sum() / max(len(deviation_um), 1))
         cells = average_on_grid(aligned.points_mm, deviation_um, float(apart_mm), _MAP_CELLS)
         axes = axes_at(figure, 0.6, 3.95, 3.5, 2.6)
-        draw_map(
-            axes, cells.values, cells.extent_mm, "deviation, offset taken off", "deviation (µm)",
+        draw_cells(
+            axes, cells, "deviation, offset taken off", "deviation (µm)",
             cmap=diverging(), ends=(-limit_um, limit_um), extend="both",
         )  # fmt: skip
         axes.set(xlim=outline[:2], ylim=outline[2:])

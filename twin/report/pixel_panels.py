@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, Levels, Reason
+from reconstruction.cells import CellMeans
 from twin.report.canvas import (
     GAP,
     add_colorbar,
@@ -24,10 +24,8 @@ from twin.report.canvas import (
     drawing,
     height_scale,
     no_ticks,
-    round_up,
-    sequential,
 )
-from twin.report.surfaces import WorldMap, shaded
+from twin.report.relief import enlargement, height_scale_of, height_surface, shaded
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
 
@@ -47,8 +45,6 @@ REASON_COLOURS = {
     Reason.NO_POINT: "#8a5a00",
 }
 _SHOWN_PX = 480
-# The relief fills at least this share of the field's width, as in the report's other views.
-_RELIEF_SHARE = 0.2
 _SIDE_IN, _WIDTH_IN, _BAR_IN = 0.02, 3.0, 0.95
 
 
@@ -69,7 +65,7 @@ class ZScale:
     def of(cls, z_mm: NDArray[Any], width_mm: float) -> "ZScale":
         """Return the scale of heights (n,) in an image that is so wide."""
         low, high = height_scale(z_mm) if z_mm.size else (0.0, 1.0)
-        return cls((low, high), max(1.0, round_up(_RELIEF_SHARE * width_mm / (high - low))))
+        return cls((low, high), enlargement(width_mm, high - low))
 
 
 def draw_small(path: Path, show: Callable[[Axes], None], shape: tuple[int, int], bar: bool) -> None:
@@ -109,17 +105,14 @@ def show_z(
     bar : draw a colour bar below
     extent : of the image in the axes' coordinates; pixels by default
     """
-    norm, (rows, cols) = Normalize(*scale.ends_mm), z_mm.shape
-    if z_mm.count():
-        pitch_mm = width_mm / cols
-        x_mm, y_mm = pitch_mm * np.arange(cols), pitch_mm * np.arange(rows)
-        upwards = WorldMap(z_mm[::-1], x_mm, y_mm, pitch_mm)  # whose rows grow upwards
-        axes.imshow(shaded(upwards, norm, scale.enlarged)[::-1], extent=extent)
-    else:
-        axes.imshow(np.ones((rows, cols, 3)), extent=extent)
+    colours, (rows, cols) = height_scale_of(*scale.ends_mm), z_mm.shape
+    pitch_mm = width_mm / cols
+    x_mm, y_mm = pitch_mm * np.arange(cols), -pitch_mm * np.arange(rows)
+    pixels = CellMeans(x_mm, y_mm, z_mm.data, ~np.ma.getmaskarray(z_mm), pitch_mm)
+    surface = height_surface("heights", pixels, colours)
+    axes.imshow(shaded(surface, scale.enlarged), extent=extent)
     if bar:
-        shown = ScalarMappable(norm, sequential())
-        add_colorbar(axes, shown, "z (mm)", extend="both", side="below")
+        add_colorbar(axes, colours, "z (mm)", extend="both", side="below")
 
 
 def show_z_error(axes: Axes, error_um: Masked, limit_um: float, bar: bool = True) -> None:

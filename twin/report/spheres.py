@@ -22,13 +22,12 @@ from twin.report.canvas import (
     axes_at,
     chart,
     diverging,
-    draw_map,
     drawing,
     symmetric_limit,
 )
 from twin.report.page import Figure, Section
+from twin.report.relief import average_on_grid, draw_cells
 from twin.report.section import Trace, trace_through_apexes
-from twin.report.surfaces import average_on_grid
 from twin.report.table import Cell, Column, Table
 from twin.results.decoders import decoder_name
 from twin.results.object_points import is_covered
@@ -206,7 +205,7 @@ def _residual_map(axes: Axes, view: BallView) -> None:
     cells = average_on_grid(view.measured_mm, residuals_um, view.pixel_mm, _MAP_CELLS)
     ends = (-view.limit_um, view.limit_um)
     told = "Residual from the fitted sphere", "radial residual (µm)"
-    draw_map(axes, cells.values, cells.extent_mm, *told, cmap=diverging(), ends=ends, extend="both")
+    draw_cells(axes, cells, *told, cmap=diverging(), ends=ends, extend="both")
 
 
 def _residual_histogram(axes: Axes, view: BallView) -> None:

@@ -37,6 +37,7 @@ from twin.report.study_figures import (
 )
 from twin.report.table import Column, Table
 from twin.report.words import NONE
+from twin.results.rows import is_number
 from twin.study.feasibility import feasibility_in_words
 from twin.study.pictures import CasePicture, stored_picture
 from twin.study.sensitivity import Effect, effects_of, without
@@ -44,7 +45,6 @@ from twin.study.table import (
     StudyTable,
     designs_of,
     goals_of,
-    is_number,
     nearest_rows,
     ranked_rows,
     read_table,

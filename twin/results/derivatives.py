@@ -20,15 +20,14 @@ from twin.config.bounds import EXPOSURE_PERCENTILE
 from twin.config.models import Experiment
 from twin.optics.rig import true_calibration
 from twin.optics.stack import TraceMaps, Truth
-from twin.results.prediction import (
+from twin.results.fringe_levels import (
     FringeNumbers,
-    PredictedMaps,
     axis_levels,
-    coordinate_slope,
     outlines,
     steps_of,
     white_radiance,
 )
+from twin.results.prediction import PredictedMaps, coordinate_slope
 
 Vary = Callable[[float], Experiment]
 _STEP = 1e-20j

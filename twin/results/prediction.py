@@ -23,7 +23,7 @@ fringe orders, and that clipping of a frame near the limit is a matter of chance
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,142 +35,22 @@ from reconstruction.decoding.filter_noise import FilterNoise, filter_noise, with
 from reconstruction.patterns import AXES, Axis
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import distortion_jacobian
-from reconstruction.rig.sensor import QUANTISATION_DN2
 from reconstruction.triangulation import PointMap, triangulate
-from twin.camera import (
-    choose_exposure_ms,
-    electrons_per_ms,
-    noise_model,
-)
+from twin.camera import choose_exposure_ms, noise_model
 from twin.config.models import Experiment
-from twin.optics.contrast import FringeLight, extent_variance_px2, outline, transfer
-from twin.optics.light import Defocus, pattern_set
+from twin.optics.contrast import FringeLight
 from twin.optics.rig import true_calibration
 from twin.optics.stack import TraceMaps, Truth, rows_of
+from twin.results.fringe_levels import (
+    FringeNumbers,
+    axis_levels,
+    clipping,
+    steps_of,
+    white_radiance,
+)
 
 # Of a band of rows that stays in the cache with all that is made of it.
 _BAND_PIXELS = 1 << 16
-
-
-@dataclass(frozen=True)
-class FringeNumbers:
-    """The numbers between irradiance and sigma; complex where a derivative is asked for.
-
-    Attributes
-    ----------
-    electrons_per_radiance : e- per mW / (mm^2 sr), at the exposure
-    mean, amplitude : of fringes, shares of white
-    growth_px_mm, focus_mm : of the blur with the distance, see `Defocus`; 0 and 1 without
-    """
-
-    electrons_per_radiance: Any
-    dark_e: Any
-    gain_dn_per_e: Any
-    read_noise_e: Any
-    mean: Any
-    amplitude: Any
-    blur_px: Any
-    growth_px_mm: Any
-    focus_mm: Any
-    period_px: Any
-
-    @classmethod
-    def of(cls, experiment: Experiment, exposure_ms: float) -> "FringeNumbers":
-        """Return the numbers of an experiment at an exposure."""
-        camera, projector = experiment.camera, experiment.projector
-        sensor, light = noise_model(camera), FringeLight.of(projector, experiment.patterns)
-        blur = Defocus.of(projector) or Defocus(projector.blur_px, 0.0, 1.0)
-        return cls(
-            electrons_per_radiance=exposure_ms * electrons_per_ms(camera, projector.wavelength_nm),
-            dark_e=camera.dark_current_e_per_s * camera.binning**2 * exposure_ms * 1e-3,
-            gain_dn_per_e=sensor.gain_dn_per_e,
-            read_noise_e=sensor.read_noise_e,
-            mean=light.mean,
-            amplitude=light.amplitude,
-            blur_px=blur.blur_px,
-            growth_px_mm=blur.growth_px_mm,
-            focus_mm=blur.focus_mm,
-            period_px=experiment.patterns.period_px,
-        )
-
-    def moved(self, along: "FringeNumbers", step: complex) -> "FringeNumbers":
-        """Return the numbers a step further along their derivatives."""
-        names = [one.name for one in fields(self)]
-        return FringeNumbers(**{n: getattr(self, n) + step * getattr(along, n) for n in names})
-
-    def blur_px2(self, axial_mm: Any) -> Any:
-        """Variance of the blur at axial distances."""
-        return Defocus(self.blur_px, self.growth_px_mm, self.focus_mm).variance_px2(axial_mm)
-
-
-@dataclass(frozen=True)
-class Steps:
-    """How one axis is shifted: all periods as shares of the finest, and the number of steps."""
-
-    ratios: tuple[float, ...]
-    count: int
-
-
-def white_radiance(maps: TraceMaps, experiment: Experiment) -> FloatImage:
-    """Return the white frame, (row, col) float32 mW / (mm^2 sr), on which an exposure is chosen."""
-    numbers = FringeNumbers.of(experiment, 1.0)
-    return np.asarray(maps.weight * outlines(maps, numbers, experiment), np.float32)
-
-
-def outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) -> Any:
-    """Return the share of white that the blurred outline of the image leaves, (row, col)."""
-    projector, sigma = experiment.projector, np.sqrt(numbers.blur_px2(maps.axial_mm))
-    along = outline(maps.column_px, projector.width_px, sigma)
-    return along * outline(maps.row_px, projector.height_px, sigma)
-
-
-@dataclass(frozen=True, eq=False)
-class AxisLevels:
-    """What the fringes along one axis give each pixel, (row, col).
-
-    Attributes
-    ----------
-    light_dn : mean above the black level
-    modulation_dn : of the finest period
-    sigma_px : of the single pixel's coordinate; all frames good
-    phase_sigma_rad : of the worst period
-    """
-
-    light_dn: Any
-    modulation_dn: Any
-    sigma_px: Any
-    phase_sigma_rad: Any
-
-
-def axis_levels(
-    maps: TraceMaps, numbers: FringeNumbers, steps: Steps, axis: Axis, white: Any
-) -> AxisLevels:
-    """Return level, contrast and sigma in closed form; analytic in maps and numbers.
-
-    Parameters
-    ----------
-    white : (row, col) radiance of the white frame
-    """
-    electrons = white * numbers.electrons_per_radiance
-    light_dn = numbers.gain_dn_per_e * (electrons * numbers.mean + numbers.dark_e)
-    reach = maps.column_range_px if axis == "column" else maps.row_range_px
-    blur = numbers.blur_px2(maps.axial_mm) + extent_variance_px2(reach, maps.samples)
-    read_dn = numbers.gain_dn_per_e * numbers.read_noise_e
-    noise = np.sqrt(read_dn**2 + numbers.gain_dn_per_e * light_dn + QUANTISATION_DN2)
-    modulations, information, worst = [], 0.0, 0.0
-    for ratio in steps.ratios:
-        period = ratio * numbers.period_px
-        kept = transfer(period, blur)
-        modulation = numbers.gain_dn_per_e * electrons * numbers.amplitude * kept
-        phase = np.sqrt(2.0 / steps.count) * noise / _not_zero(modulation)
-        information = information + (2.0 * np.pi / (period * phase)) ** 2
-        modulations.append(modulation)
-        worst = np.maximum(worst, phase)
-    return AxisLevels(light_dn, modulations[0], 1.0 / np.sqrt(information), worst)
-
-
-def _not_zero(values: Any) -> Any:
-    return np.where(np.real(values) > 1e-12, values, 1e-12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,14 +195,6 @@ class _Single:
         return Decoded(axis("column"), axis("row"), self.reason)
 
 
-def steps_of(experiment: Experiment, axis: Axis) -> Steps:
-    """Return how an experiment's fringes along one axis are shifted."""
-    patterns = pattern_set(experiment.projector, experiment.patterns)
-    finest_px = experiment.patterns.period_px
-    ratios = tuple(period / finest_px for period in patterns.fused_periods(axis))
-    return Steps(ratios, patterns.steps)
-
-
 def _dark(experiment: Experiment, white: FloatImage, numbers: FringeNumbers) -> ReasonImage:
     """Mark pixels on which white and black frame will not differ."""
     sensor = noise_model(experiment.camera)
@@ -334,40 +206,6 @@ def _dark(experiment: Experiment, white: FloatImage, numbers: FringeNumbers) -> 
     variance = sensor.variance_dn2(bright + black_dn) + sensor.variance_dn2(dim + black_dn)
     dark = bright - dim < DecodeOptions.dark_sigmas * np.sqrt(variance)
     return np.where(dark, Reason.DARK, Reason.VALID).astype(np.uint8)
-
-
-def clipping(
-    experiment: Experiment, levels: AxisLevels, place_px: FloatArray, axis: Axis,
-    reason: ReasonImage,
-) -> FloatArray:  # fmt: skip
-    """Return how much sigma grows by frames that clip; mark pixels that too few are left of.
-
-    As the decoder does: least squares over the frames below the limit, see `_phase.refit_row`.
-    """
-    sensor, growth = noise_model(experiment.camera), np.ones(reason.shape)
-    limit = sensor.clipped_from_dn - sensor.black_level_dn
-    at = (reason == 0) & (levels.light_dn + levels.modulation_dn > limit)
-    if not at.any():
-        return growth
-    patterns = pattern_set(experiment.projector, experiment.patterns)
-    shift = 2.0 * np.pi * np.array(patterns.shifts(axis, 0))
-    phase = 2.0 * np.pi * place_px[at] / patterns.period_along(axis)
-    frames = np.cos(phase[:, None] + shift)
-    good = levels.light_dn[at, None] + levels.modulation_dn[at, None] * frames < limit
-    root = np.sqrt(2.0)
-    basis = np.stack([np.ones_like(shift), root * np.cos(shift), -root * np.sin(shift)], axis=1)
-    matrix = np.einsum("pn,na,nb->pab", good.astype(np.float64), basis, basis)
-    matrix += 1e-9 * np.eye(3)  # of a pixel without a good frame
-    inverse = np.linalg.inv(matrix)
-    size = np.linalg.norm(matrix, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2)) / 3.0
-    lost = (good.sum(axis=1) < 3) | (size > DecodeOptions.max_condition)
-    turned = np.stack([np.zeros_like(phase), -np.sin(phase), np.cos(phase)], axis=1)
-    spread = patterns.steps * np.einsum("pa,pab,pb->p", turned, inverse, turned)
-    growth[at] = np.where(lost, 1.0, np.sqrt(np.maximum(spread, 1.0)))
-    marked = reason[at]
-    marked[lost] = Reason.SATURATED
-    reason[at] = marked
-    return growth
 
 
 def _placed(

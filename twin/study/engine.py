@@ -11,7 +11,7 @@ first or last cases are being computed, batches of the next study are submitted.
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
@@ -21,9 +21,9 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case
 from twin.study.measuring import DEFAULT_MEASURING, StageReads
 from twin.study.order import batches_of, in_sharing_order
-from twin.study.remarks import Remark
+from twin.study.outcome import SweepOutcome
 from twin.study.store import Store, write_failure
-from twin.study.worker import DIED, Batch, BatchReport, MakeMeasurer, Report, State, compute
+from twin.study.worker import DIED, Batch, BatchReport, MakeMeasurer, Report, compute
 from twin.study.workers import Workers
 
 _MOST_DEATHS_EACH = 3
@@ -32,45 +32,6 @@ _MOST_DEATHS = 10  # in a row, with no case finished between them
 _FIRST_REASONS = 3
 _AHEAD = 2  # batches per worker that wait in the executor
 _WAIT_FOR_OTHERS_S = 0.2
-
-
-@dataclass(frozen=True)
-class SweepOutcome:
-    """Result of a run.
-
-    Attributes
-    ----------
-    states : number of cases of each state
-    unsaved : reason of every case that could not be written, by digest
-    seconds : wall clock of the run
-    busy_seconds : spent on cases, summed over all workers
-    finished : number of cases of the study that have a result, of this run or of an earlier one
-    failures : digests of the failed cases, of this run or of an earlier one, by reason
-    damaged : reason of every case that ran again because its files could not be read, by digest
-    remarks : warnings of the cases that have a result, the most frequent first
-    """
-
-    states: Mapping[State, int]
-    unsaved: dict[str, str]
-    seconds: float
-    busy_seconds: float
-    finished: int = 0
-    failures: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    damaged: Mapping[str, str] = field(default_factory=dict)
-    remarks: Sequence[Remark] = ()
-
-    @classmethod
-    def together(cls, parts: Sequence["SweepOutcome"]) -> "SweepOutcome":
-        """Return the result of several successive runs as one."""
-        states: Counter[State] = Counter()
-        for part in parts:
-            states.update(part.states)
-        return cls(
-            states=states,
-            unsaved={digest: why for part in parts for digest, why in part.unsaved.items()},
-            seconds=sum(part.seconds for part in parts),
-            busy_seconds=sum(part.busy_seconds for part in parts),
-        )
 
 
 @dataclass

@@ -17,11 +17,11 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import ConfigError
 from twin.config.study import Constraint, GradientSearch
+from twin.results.rows import is_number
 from twin.study.cases import Case, Cases, cases_of, point_at, quantity
-from twin.study.engine import SweepOutcome
+from twin.study.outcome import SweepOutcome
 from twin.study.record import StudyRecord, unbounded
 from twin.study.store import Store
-from twin.study.table import is_number
 
 RunCases = Callable[[StudyRecord, Cases], SweepOutcome]
 _DIFFERENCE = 1e-3  # of an axis

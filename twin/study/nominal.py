@@ -9,11 +9,11 @@ from typing import Any
 from reconstruction.errors import InputError
 from twin.config.study import Study
 from twin.results.figures import why_absent
+from twin.results.rows import is_number
 from twin.study.cases import Case, Cases
 from twin.study.measuring import TRUE_RIG
 from twin.study.record import StudyRecord
 from twin.study.store import FAILURE_FILE, Store
-from twin.study.table import is_number
 from twin.study.trials import PART, TRIAL, TRIALS
 
 

@@ -17,13 +17,14 @@ from reconstruction.machine import warnings_ignored
 from twin.config import ConfigError
 from twin.config.study import Axis, Constraint, Optimise, Study
 from twin.extras import missing
+from twin.results.rows import is_number
 from twin.study.cases import Case, Cases, Point, cases_of, quantity
 from twin.study.derived import DERIVED, with_derived
-from twin.study.engine import SweepOutcome
 from twin.study.feasibility import beyond_tolerances, has_tolerances
+from twin.study.outcome import SweepOutcome
 from twin.study.record import StudyRecord
 from twin.study.store import Store
-from twin.study.table import cost_of, is_number
+from twin.study.table import cost_of
 
 if TYPE_CHECKING:
     import optuna

@@ -18,8 +18,9 @@ from scipy import stats
 
 from reconstruction.arrays import FloatArray, IntArray
 from twin.config.study import Study
+from twin.results.rows import is_number
 from twin.study.cases import shares_of
-from twin.study.table import StudyTable, is_number
+from twin.study.table import StudyTable
 
 _DRAWS = 1000
 

@@ -1,129 +1,29 @@
-"""Run a study into its store; estimate its run time and disk space, find unmeasurable cases."""
+"""Run a study into its store."""
 
-import math
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from reconstruction.errors import InputError, counted
+from reconstruction.errors import InputError
 from reconstruction.reading import read_json
-from twin.config import ConfigError, Experiment
-from twin.config.board import load_board
-from twin.config.study import Study
-from twin.mechanics.choice import possible_models
-from twin.mechanics.models import PressInput
-from twin.optics.light import pattern_set
-from twin.pipeline.memory import Path as FieldPath
-from twin.pipeline.memory import Reads, values_at, watched
 from twin.pipeline.methods import check_measurable
 from twin.pipeline.progress import ProgressCallback, no_progress
-from twin.study.cases import Case, Cases, Point, cases_of
-from twin.study.engine import Run, SweepOutcome, run_together
+from twin.study.cases import Case, Cases
+from twin.study.engine import Run, run_together
 from twin.study.gradient import descend
 from twin.study.index import DAMAGED, Index, entry_of
-from twin.study.measuring import CALIBRATION_FILE, DEFAULT_MEASURING, Measuring, calibrated
+from twin.study.measuring import DEFAULT_MEASURING, Measuring, calibrated
 from twin.study.nominal import check_nominal, nominal_case
 from twin.study.optimise import optimise
+from twin.study.outcome import SweepOutcome
 from twin.study.record import StudyRecord, write_record
 from twin.study.remarks import remarks_of
 from twin.study.store import FAILURE_FILE, Store
-from twin.study.trials import nominal
+from twin.study.trials import drawn_board, nominal
 from twin.study.worker import DIED, UNEXPECTED, MakeMeasurer
 from twin.study.workers import Workers, lasting
-
-# Measured on two cores of 2.5 GHz: camera noise dominates, then loading a pressed face.
-_SECONDS_PER_FRAME_PIXEL = 9e-8
-_SECONDS_PER_CASE = 0.3
-_SECONDS_PER_PRESS, _SECONDS_PER_SHEET = 3.0, 20.0
-_BYTES_PER_CASE = 24_000
-_BYTES_PER_PIXEL = {"points": 160, "capture": 0, "press": 0}
-_BYTES_PER_FRAME_PIXEL = 2
-_PRESS_BYTES = 80_000_000
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Run time and disk space of a run, within a factor of two for slabs and sheets.
-
-    Attributes
-    ----------
-    step : 1 if all cases were examined; n if every n-th was examined, and the sums were scaled
-    """
-
-    cases: int
-    known: int
-    excluded: int
-    seconds: float
-    disk_bytes: float
-    free_bytes: int
-    step: int = 1
-
-
-def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> Estimate:
-    """Estimate run time and disk space of the cases that are not in the store."""
-    known = store.finished() if store.exists() else set()
-    unique = cases.unique()
-    missing = [case for case in unique if case.digest not in known]
-    presses = {_pressing(case.experiment): press_seconds(case.experiment) for case in missing}
-    work = sum(_case_seconds(case.experiment) for case in missing) + sum(presses.values())
-    folder = next(p for p in (store.folder, *store.folder.parents) if p.exists())
-    return Estimate(
-        cases=len(unique) * cases.step,
-        known=(len(unique) - len(missing)) * cases.step,
-        excluded=cases.excluded * cases.step,
-        seconds=work * cases.step / workers + _calibration_seconds(record, store),
-        disk_bytes=cases.step * sum(_case_bytes(record.study, case.experiment) for case in missing),
-        free_bytes=shutil.disk_usage(folder).free,
-        step=cases.step,
-    )
-
-
-def _calibration_seconds(record: StudyRecord, store: Store) -> float:
-    """Return the time (s, one process) of the calibration for drawn rigs; 0 if it is cached."""
-    board = drawn_board(record)
-    if not board or (store.folder / CALIBRATION_FILE).is_file():
-        return 0.0
-    return len(load_board(board).poses) * _case_seconds(record.base)
-
-
-def _pressing(experiment: Experiment) -> str:
-    parts = {"mechanics", "specimen", "elastomer", "press"}
-    return experiment.model_dump_json(include=parts)
-
-
-def press_seconds(experiment: Experiment) -> float:
-    """Return the approximate time of a press, s."""
-    scene = experiment
-    case = PressInput(scene.mechanics, scene.specimen, scene.elastomer, scene.press)
-    wraps = any(model.wraps for model in possible_models(case))
-    return _SECONDS_PER_SHEET if wraps else _SECONDS_PER_PRESS
-
-
-def _pixels(experiment: Experiment) -> int:
-    camera = experiment.camera
-    return (camera.width_px // camera.binning) * (camera.height_px // camera.binning)
-
-
-def _frame_pixels(experiment: Experiment) -> int:
-    frames = len(pattern_set(experiment.projector, experiment.patterns).frames)
-    return frames * _pixels(experiment)
-
-
-def _case_seconds(experiment: Experiment) -> float:
-    return _SECONDS_PER_CASE + _frame_pixels(experiment) * _SECONDS_PER_FRAME_PIXEL
-
-
-def _case_bytes(study: Study, experiment: Experiment) -> float:
-    bytes_per_case = _BYTES_PER_CASE
-    if "points" in study.keep:
-        bytes_per_case += _BYTES_PER_PIXEL["points"] * _pixels(experiment)
-    if "capture" in study.keep:
-        bytes_per_case += _BYTES_PER_FRAME_PIXEL * _frame_pixels(experiment)
-    return bytes_per_case + (_PRESS_BYTES if "press" in study.keep else 0)
 
 
 def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) -> int:
@@ -186,7 +86,7 @@ class _Session:
     def whole(self, outcome: SweepOutcome) -> SweepOutcome:
         """Return the outcome with the states of all requested cases."""
         standing = _standing(Index(self.store), self.requested)
-        return replace(outcome, damaged=self.damaged, **standing)
+        return replace(outcome, damaged=self.damaged, folder=self.store.folder, **standing)
 
 
 def sweep(
@@ -205,13 +105,14 @@ def sweep(
 
     Parameters
     ----------
-    folder : the store; created if it does not exist
-    cases : of the record, if they are known already
+    folder : the store; made when it is not there
+    cases : the record's, where they are made already
     retry : also run cases again that failed because of their experiment
     make_measurer : factory of the measurer of a case; importable by the workers. Default:
-        `Measuring`, after a calibration of the rig if trials draw their rigs
-    inputs : files that the folder must not contain
-    tell : called with a message if another run uses the store, and for the first failures
+        `Measuring`, after a calibration of the rig where trials draw theirs
+    inputs : files that the folder must not hold
+    tell : is called with a sentence if another run uses the store, and with the reasons of the
+        first failures
 
     Raises
     ------
@@ -355,18 +256,10 @@ def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Me
     The rig is calibrated in this process: its last digits depend on the number of threads of the
     linear algebra, which must not depend on the workers.
     """
-    board = drawn_board(record)
+    board = drawn_board(record.study, record.base)
     if not board:
         return DEFAULT_MEASURING
     return Measuring(calibrated(folder, nominal(record.study, record.base), board, watch))
-
-
-def drawn_board(record: StudyRecord) -> str:
-    """Return the board of the calibration from which trials draw rigs; empty: the true rig."""
-    plan = record.study.sampling
-    if plan.method != "trials" or plan.calibration == "true":
-        return ""
-    return plan.board if nominal(record.study, record.base).method.fringes else ""
 
 
 def _standing(index: Index, requested: Sequence[str]) -> dict[str, Any]:
@@ -379,87 +272,3 @@ def _standing(index: Index, requested: Sequence[str]) -> dict[str, Any]:
             failures.setdefault(entry.reason, []).append(entry.digest)
     done = {entry.digest: entry.figures for entry in stored if entry.state == "done"}
     return {"finished": len(done), "failures": failures, "remarks": remarks_of(done)}
-
-
-def estimate_text(estimated: Estimate) -> str:
-    """Return an estimate as text in one line."""
-    preview = f"about {counted(estimated.cases, 'case')}, from one point in {estimated.step}"
-    parts = [counted(estimated.cases, "case") if estimated.step == 1 else preview]
-    if estimated.excluded:
-        parts.append(f"{estimated.excluded} more excluded by constraints")
-    if estimated.known:
-        parts.append(f"{estimated.known} of them in the store")
-    parts.append(f"about {duration(estimated.seconds)}")
-    parts.append(f"{_size(estimated.disk_bytes)} of {_size(estimated.free_bytes)} free disk")
-    return ", ".join(parts)
-
-
-def duration(seconds: float) -> str:
-    """Write a time in seconds, minutes or hours."""
-    if seconds < 90:
-        return f"{math.ceil(seconds)} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-def _size(count: float) -> str:
-    for unit, size in (("GB", 1e9), ("MB", 1e6)):
-        if count >= size:
-            return f"{count / size:.1f} {unit}"
-    return f"{count / 1e3:.0f} kB"
-
-
-def unmeasurable(cases: Sequence[Case]) -> dict[str, list[Case]]:
-    """Return the cases that cannot be measured, by reason.
-
-    The fields that the checks read are recorded, so that cases with the same values of these fields
-    are checked once: cases that differ in seed, code or exposure only need no further check.
-    """
-    known: dict[tuple[FieldPath, ...], dict[tuple[bytes, ...], str]] = {}
-    cases_by_reason: dict[str, list[Case]] = {}
-    for case in cases:
-        checked = ((reasons, values_at(case.experiment, paths)) for paths, reasons in known.items())
-        reason = next((reasons[values] for reasons, values in checked if values in reasons), None)
-        if reason is None:
-            reads = Reads()
-            reason = _problem(case, reads)
-            paths = reads.paths
-            known.setdefault(paths, {})[values_at(case.experiment, paths)] = reason
-        if reason:
-            cases_by_reason.setdefault(reason, []).append(case)
-    return cases_by_reason
-
-
-def _problem(case: Case, reads: Reads) -> str:
-    try:
-        check_measurable(watched(case.experiment, reads))
-    except InputError as error:
-        return " ".join(str(error).split())
-    return ""
-
-
-def probes_of(record: StudyRecord) -> list[Case]:
-    """Return cases along each axis of a search: ends and middle, all other axes at their middle.
-
-    Raises
-    ------
-    ConfigError : none of them is a valid experiment that the constraints admit
-    """
-    cases, reason = list[Case](), ""
-    for point in dict(_along_axes(record)).values():
-        try:
-            cases += cases_of(record.study, record.base, [point]).run
-        except ConfigError as error:
-            reason = str(error)
-    if not cases:
-        raise ConfigError(reason)
-    return cases
-
-
-def _along_axes(record: StudyRecord) -> Iterator[tuple[str, Point]]:
-    axes = record.study.axis
-    middle = tuple(axis.level_at(0.5) for axis in axes)
-    for number, axis in enumerate(axes):
-        ends = (axis.level_at(share) for share in (0.0, 0.5, 1.0))
-        for level in chain(axis.levels(), ends if axis.is_continuous else ()):
-            point = (*middle[:number], level, *middle[number + 1 :])
-            yield repr([coordinate.label for coordinate in point]), point

@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from twin.extras import missing
 from twin.files import creating
 from twin.results import parts
 from twin.results.figures import why_absent
+from twin.results.rows import is_number
 from twin.study.cases import Case
 from twin.study.derived import DERIVED, with_derived
 from twin.study.feasibility import (
@@ -287,11 +288,6 @@ def on_front(costs: FloatArray) -> BoolImage:
         better = np.all(costs <= cost, axis=1) & np.any(costs < cost, axis=1)
         on_front_mask[i] = not better.any()
     return on_front_mask
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Return True if a cell is a number: no text, no boolean and not empty."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def cost_of(row: Row, objective: Objective) -> float:

@@ -255,3 +255,11 @@ def drawn_values(
             deviation = deviation_of(variable, nominal).rvs(random_state=rng)
             values[variable.key] = nominal + float(deviation)
     return values
+
+
+def drawn_board(study: Study, base: Experiment) -> str:
+    """Return the board of the calibration from which trials draw rigs; empty: the true rig."""
+    plan = study.sampling
+    if plan.method != "trials" or plan.calibration == "true":
+        return ""
+    return plan.board if nominal(study, base).method.fringes else ""

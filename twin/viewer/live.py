@@ -13,7 +13,6 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 
 from reconstruction.arrays import FloatArray, Levels
 from reconstruction.colouring import Deviation
@@ -24,14 +23,15 @@ from twin.config import Experiment
 from twin.extras import missing
 from twin.mechanics import PressedElastomer
 from twin.optics.rig import true_calibration
-from twin.report.view import field_rays, segments
+from twin.optics.view import SceneSurface
+from twin.report.scene import CAMERA_RGB, PROJECTOR_RGB, rig_lines
 from twin.results.folder import deviation_of
 from twin.results.record import Measurement
-from twin.specimens import shape_of
 from twin.viewer.preview import Preview, PreviewPicture, SliderRange, slider_ranges
 
-_CAMERA_RGB, _PROJECTOR_RGB = (31, 119, 180), (214, 110, 14)
 _STEPS = 100
+# The measured surface is so far above the coat of the preview, which would hide half of it.
+_RAISED_MM = (0.0, 0.0, 0.05)
 _MOST_VERTICES = 200_000
 
 
@@ -124,36 +124,29 @@ class LiveView:
             f"{pressed.face_z_mm.max():.3g} mm; picture in {time.perf_counter() - start:.2f} s"
         )
         if self._pressed is None or not np.array_equal(self._pressed.face_z_mm, pressed.face_z_mm):
-            self._draw_bodies(shown)
+            for surface in shown.surfaces:
+                self._draw_surface(surface)
             self._pressed = pressed
         self._draw_rig(shown)
 
-    def _draw_bodies(self, shown: PreviewPicture) -> None:
-        scene, coat = self._server.scene, shown.coat
-        z_mm = coat.vertices[:, 2]
-        share = (z_mm - z_mm.min()) / max(float(np.ptp(z_mm)), 1e-9)
-        coat.visual.vertex_colors = np.rint(255 * colormaps["viridis"](share)).astype(np.uint8)
-        scene.add_mesh_trimesh("/coat", coat)
-        touched_mm = shown.experiment.elastomer.touched_plane_mm + shown.pressed.depth_mm
-        specimen = shape_of(shown.experiment.specimen).mesh(touched_mm)
-        scene.add_mesh_simple(
-            "/specimen",
-            np.asarray(specimen.vertices),
-            np.asarray(specimen.faces),
-            color=(190, 182, 168),
-        )
+    def _draw_surface(self, surface: SceneSurface) -> Any:
+        """Show a surface; returns the handle that hides it."""
+        rgb, name = np.rint(255 * surface.rgb).astype(np.uint8), f"/{surface.name}"
+        if rgb.ndim == 1:
+            mesh = surface.vertices_mm, surface.triangles
+            return self._server.scene.add_mesh_simple(name, *mesh, color=tuple(rgb.tolist()))
+        from trimesh import Trimesh
+
+        body = Trimesh(surface.vertices_mm, surface.triangles, vertex_colors=rgb, process=False)
+        return self._server.scene.add_mesh_trimesh(name, body)
 
     def _draw_rig(self, shown: PreviewPicture) -> None:
-        scene, rig = self._server.scene, true_calibration(shown.experiment)
-        seen = _rgb(shown.fringes)
-        self._add_device("/camera", rig.camera, rig.T_world_from_cam, _CAMERA_RGB, seen)
-        self._add_device("/projector", rig.projector, rig.T_world_from_proj, _PROJECTOR_RGB, None)
-        for name, device, pose, rgb in (
-            ("/camera_rays", rig.camera, rig.T_world_from_cam, _CAMERA_RGB),
-            ("/projector_rays", rig.projector, rig.T_world_from_proj, _PROJECTOR_RGB),
-        ):
-            ends = segments(field_rays(device, pose, rig.layers)).reshape(-1, 2, 3)
-            scene.add_line_segments(name, ends, rgb, thickness=0.2)
+        for lines in rig_lines(shown.experiment, elastomer=False):
+            ends_mm, scene = lines.ends_mm.reshape(-1, 2, 3), self._server.scene
+            scene.add_line_segments(f"/{lines.name}", ends_mm, lines.rgb, thickness=0.2)
+        rig, seen = true_calibration(shown.experiment), _rgb(shown.fringes)
+        self._add_device("/camera", rig.camera, rig.T_world_from_cam, CAMERA_RGB, seen)
+        self._add_device("/projector", rig.projector, rig.T_world_from_proj, PROJECTOR_RGB, None)
 
     def _add_device(
         self,
@@ -188,12 +181,10 @@ class LiveView:
                 f"view: {len(mesh.vertices_mm)} points, at most {_MOST_VERTICES} are shown live; "
                 "measure with camera.binning = 4, or open surface.ply in a mesh viewer"
             )
-        from trimesh import Trimesh
-
-        surface = Trimesh(mesh.vertices_mm, mesh.triangles, process=False)
-        surface.visual.vertex_colors = deviation.rgb[found.valid]
-        # A little above the coat of the preview, which would hide half of it.
-        handle = self._server.scene.add_mesh_trimesh("/measured", surface, position=(0, 0, 0.05))
+        raised_mm, rgb = mesh.vertices_mm + _RAISED_MM, deviation.rgb[found.valid]
+        handle = self._draw_surface(
+            SceneSurface("measured", raised_mm, mesh.triangles, rgb / 255.0)
+        )
         box = self._server.gui.add_checkbox(_told_of(deviation), initial_value=True)
 
         def show(_: Any) -> None:

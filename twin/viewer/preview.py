@@ -6,21 +6,22 @@ pixels of a full image and a coarser coat; nothing is decoded.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 
 from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.patterns import PERIOD_RANGE_PX
 from twin.config import Experiment, vary
 from twin.mechanics import PressedElastomer, face_mesh
+from twin.optics.view import SceneSurface
 from twin.pipeline import Memory
 from twin.pipeline.fringes import record
 from twin.pipeline.press import press
-
-if TYPE_CHECKING:
-    import trimesh
+from twin.report.scene import SPECIMEN, SPECIMEN_RGB, on_nodes
+from twin.specimens import shape_of
 
 _ACROSS_PX = 250
 _BINNINGS = (4, 2, 1)
@@ -57,15 +58,26 @@ class PreviewPicture:
     ----------
     experiment : at full size, with the changes
     fringes, white : (row, col) uint8, 255 at saturation
-    coat : coated face, world mm
-    pressed : the press behind it
+    pressed : the press that the images show
     """
 
     experiment: Experiment
     fringes: Levels
     white: Levels
-    coat: "trimesh.Trimesh"
     pressed: PressedElastomer
+
+    @property
+    def surfaces(self) -> tuple[SceneSurface, ...]:
+        """Coat and specimen at the end of the press."""
+        coat = face_mesh(self.pressed)
+        z_mm = np.asarray(coat.vertices)[:, 2]
+        share = (z_mm - z_mm.min()) / max(float(np.ptp(z_mm)), 1e-9)
+        touched_mm = self.experiment.elastomer.touched_plane_mm + self.pressed.depth_mm
+        specimen = shape_of(self.experiment.specimen).mesh(touched_mm)
+        return (
+            SceneSurface.of_mesh("coat", coat, colormaps["viridis"](share)[:, :3]),
+            SceneSurface.of_mesh(SPECIMEN, specimen, np.divide(SPECIMEN_RGB, 255.0)),
+        )
 
 
 # key, label, how far it may be moved from where it stands
@@ -149,28 +161,14 @@ class Preview:
             np.clip(np.rint(255.0 * stack[place] / full), 0, 255).astype(np.uint8)
             for place in (patterns.index("phase", "column").start, patterns.index("white").start)
         )
-        return PreviewPicture(
-            vary(self._full, changes), fringes, white, face_mesh(pressed), pressed
-        )
+        return PreviewPicture(vary(self._full, changes), fringes, white, pressed)
 
 
 def thinned(pressed: PressedElastomer) -> PressedElastomer:
     """Return a press with so few nodes on its coat that it is loaded at once."""
     step = max(1, max(pressed.face_z_mm.shape) // _MOST_NODES)
-    rows, cols = (
-        np.arange(0, len(pressed.face_y_mm), step),
-        np.arange(0, len(pressed.face_x_mm), step),
-    )
-    grid = np.ix_(rows, cols)
-    texture = None if pressed.texture_mm is None else pressed.texture_mm[grid]
-    return replace(
-        pressed,
-        face_x_mm=pressed.face_x_mm[cols],
-        face_y_mm=pressed.face_y_mm[rows],
-        face_z_mm=pressed.face_z_mm[grid],
-        texture_mm=texture,
-        sheet=None,
-    )
+    rows, cols = (np.arange(0, size, step) for size in pressed.face_z_mm.shape)
+    return on_nodes(replace(pressed, sheet=None), rows, cols)
 
 
 def _preview_size(experiment: Experiment) -> dict[str, Any]:

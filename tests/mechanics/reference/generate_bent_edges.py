@@ -15,8 +15,9 @@ import numpy as np
 from skfem.mapping.mapping_isoparametric import MappingIsoparametric
 
 import tests.mechanics.reference.generate_solid_sheets as sheets
+from tests.oracles.round_grid import RoundGrid
 from twin.mechanics.errors import SolverError
-from twin.mechanics.reference.grid import ElementGrid, graded
+from twin.mechanics.reference.grid import graded
 from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
 from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to
 
@@ -58,7 +59,7 @@ def solve(case):
     r = RING_MM + sheets._edges(bar, case.focus_mm, case.finest_mm)
     through = max(3, round(case.thickness_mm / case.finest_mm / 1.5))
     body = MixedBody(
-        ElementGrid((r, graded(case.thickness_mm, through, 1.05))),
+        RoundGrid((r, graded(case.thickness_mm, through, 1.05))),
         neo_hookean,
         moduli(sheets.POISSON_RATIO),
     )

@@ -73,17 +73,13 @@ class DistanceContact:
         pressure = np.where(touching, raw, 0.0)
         stiffness = self.penalty * np.einsum("qi,qj->qij", n, n) - pressure[:, None, None] * bend
         stiffness[~touching] = 0.0
-        nothing = np.zeros_like(pressure)
-        return push(self.surface, pressure[:, None] * n, stiffness, pressure, nothing)
+        return push(self.surface, pressure[:, None] * n, stiffness, pressure)
 
     def settle(self, moved_mm, depth_mm):
-        return self
+        return self  # a tight sheet carries nothing on the flat between the edges: holes are true
 
     def carry(self, pressure):
         return replace(self, carried=pressure)
-
-    def is_spurious(self, moved_mm, depth_mm):
-        return False  # a tight sheet carries nothing on the flat between the edges
 
 
 def solve(case: SpaceCase, mesh: Mesh) -> list[dict]:

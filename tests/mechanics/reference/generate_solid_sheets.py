@@ -16,9 +16,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tests.oracles.ball_contact import BallContact
+from tests.oracles.round_grid import RoundGrid
 from tests.oracles.sections import bar_section
 from twin.mechanics.errors import SolverError
-from twin.mechanics.reference.grid import ElementGrid, Surface, graded
+from twin.mechanics.reference.grid import Surface, graded
 from twin.mechanics.reference.mixed import MixedBody, moduli, neo_hookean
 from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem, press_to, push
 
@@ -71,17 +72,13 @@ class BarContact:
         across = np.stack((near.normal_z, -near.normal_x), axis=1)
         stiffness = np.where(touching, self.penalty, 0.0)[:, None, None] * _square(n)
         stiffness -= (pressure * near.curvature_per_mm)[:, None, None] * _square(across)
-        nothing = np.zeros_like(pressure)
-        return push(self.surface, pressure[:, None] * n, stiffness, pressure, nothing)
+        return push(self.surface, pressure[:, None] * n, stiffness, pressure)
 
     def settle(self, moved_mm, depth_mm):
-        return self
+        return self  # a tight sheet carries nothing on the flat between the edges: holes are true
 
     def carry(self, pressure):
         return replace(self, carried=pressure)
-
-    def is_spurious(self, moved_mm, depth_mm):
-        return False  # a tight sheet carries nothing on the flat between the edges
 
 
 def _square(direction):
@@ -118,7 +115,7 @@ def _body(case):
     finest = (0.03 if case.kind == "bar" else 0.05) / case.fineness
     through = math.ceil((3 if case.thickness_mm <= 0.3 else 6) * case.fineness)
     r = offset + _edges(case, focus, finest)
-    grid = ElementGrid((r, graded(case.thickness_mm, through, 1.0 + 0.1 / case.fineness)))
+    grid = RoundGrid((r, graded(case.thickness_mm, through, 1.0 + 0.1 / case.fineness)))
     return MixedBody(grid, neo_hookean, moduli(POISSON_RATIO)), finest
 
 

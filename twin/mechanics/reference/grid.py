@@ -1,14 +1,14 @@
-"""Q2/Q1 (Taylor-Hood) elements on rectangle and brick grids: where they are and what they see.
+"""Q2/Q1 (Taylor-Hood) elements on brick grids: nodes, integration points, shape functions.
 
 Meshes, elements and quadrature are scikit-fem's, as for the tetrahedra (`taylor_hood`); here they
-are put in the order of the grid. Axes: r, z in axisymmetry; x, y, z in space; z is the last and
-runs along the press from the touched face (z = 0) to the far face. Displacement nodes are the grid
-lines and their midpoints, numbered as in `numpy.ravel_multi_index`; unknowns node by node.
+are put in the order of the grid. Axes x, y, z; z is the last and runs along the press from the
+touched face (z = 0) to the far face. Displacement nodes are the grid lines and their midpoints,
+numbered as in `numpy.ravel_multi_index`; unknowns node by node.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import skfem
@@ -16,15 +16,19 @@ from scipy import sparse
 
 from reconstruction.arrays import FloatArray, IntArray
 
-# Tensor components (i, j) of the deformation gradient that can differ from the identity.
-_AXISYMMETRIC = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2))
-_SPATIAL = tuple((i, j) for i in range(3) for j in range(3))
+Components = tuple[tuple[int, int], ...]
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
 class ElementGrid:
-    """A rectangle grid (axisymmetric) or a brick grid, given by its element edges."""
+    """A brick grid, given by its element edges."""
+
+    #: tensor components (i, j) of the deformation gradient, one for each row of `gradient`
+    components: ClassVar[Components] = tuple((i, j) for i in range(3) for j in range(3))
+    mesh_of: ClassVar[Any] = skfem.MeshHex
+    displacement_element: ClassVar[Any] = skfem.ElementHex2
+    pressure_element: ClassVar[Any] = skfem.ElementHex1
 
     #: one ascending array per axis, mm
     edges_mm: tuple[FloatArray, ...]
@@ -33,13 +37,8 @@ class ElementGrid:
 
     @property
     def axes(self) -> int:
-        """2 in axisymmetry, 3 in space."""
+        """Number of coordinates of a node."""
         return len(self.edges_mm)
-
-    @property
-    def components(self) -> tuple[tuple[int, int], ...]:
-        """The tensor components that an element's `gradient` rows stand for."""
-        return _AXISYMMETRIC if self.axes == 2 else _SPATIAL
 
     @cached_property
     def lines_mm(self) -> tuple[FloatArray, ...]:
@@ -72,24 +71,23 @@ class ElementGrid:
 
     @cached_property
     def weights(self) -> FloatArray:
-        """(element, point) integration weights, mm^3; 2 pi r included in axisymmetry."""
-        weights: FloatArray = self._displacement.dx
-        return weights * 2 * np.pi * self._points_r if self.axes == 2 else weights
+        """(element, point) integration weights, mm^3."""
+        return np.asarray(self._displacement.dx)
 
     @cached_property
     def gradient(self) -> FloatArray:
         """(element, point, component, unknown): displacement to deformation gradient less I."""
-        shapes = [shape[0] for shape in self._displacement.basis]
-        slopes = np.stack([np.moveaxis(shape.grad, 0, -1) for shape in shapes], axis=-2)
+        return self._slopes(self.components)
+
+    def _slopes(self, components: Components) -> FloatArray:
+        """Return the map (element, point, component, unknown) to derivatives du_i / dx_j."""
+        shapes = [shape[0].grad for shape in self._displacement.basis]
+        slopes = np.stack([np.moveaxis(shape, 0, -1) for shape in shapes], axis=-2)
         elements, points, nodes, axes = slopes.shape
-        operator = np.zeros((elements, points, len(self.components), nodes, axes))
-        for row, (i, j) in enumerate(self.components):
-            if i < axes:
-                operator[:, :, row, :, i] = slopes[..., j]
-            else:
-                values = np.stack([np.asarray(shape) for shape in shapes], axis=-1)
-                operator[:, :, row, :, 0] = values / self._points_r[..., None]
-        return operator.reshape(elements, points, len(self.components), nodes * axes)
+        operator = np.zeros((elements, points, len(components), nodes, axes))
+        for row, (i, j) in enumerate(components):
+            operator[:, :, row, :, i] = slopes[..., j]
+        return operator.reshape(elements, points, len(components), nodes * axes)
 
     def surface(self, gauss: int) -> "Surface":
         """Return the touched face (z = 0) with `gauss` integration points per element and axis.
@@ -97,39 +95,23 @@ class ElementGrid:
         Points follow one another facet by facet, ascending in the first axis, then in the second.
         """
         low = self._mesh.facets_satisfying(lambda at: np.isclose(at[-1], self.edges_mm[-1][0]))
-        face = skfem.FacetBasis(self._mesh, self._quadratic, facets=low, intorder=2 * gauss - 1)
-        order, first = _in_order(face), np.asarray(face.global_coordinates())[0]
-        weight = face.dx * 2 * np.pi * first if self.axes == 2 else face.dx
-        values = np.stack([np.asarray(shape[0]) for shape in face.basis], axis=-1)
-        nodes = self._node_of_unknown[face.element_dofs.T]
-        columns = np.repeat(nodes[:, None], weight.shape[1], axis=1).reshape(weight.size, -1)
-        count = (weight.size, self.nodes_mm.shape[0])
-        rows = np.repeat(np.arange(weight.size), columns.shape[1])
-        trace = sparse.csr_array(
-            (values.reshape(columns.shape)[order].ravel(), (rows, columns[order].ravel())), count
-        )
-        # A facet's basis knows the nodes of its whole element: nothing is seen of those inside.
-        trace.data[np.abs(trace.data) < _ROUNDING] = 0.0
-        trace.eliminate_zeros()
-        return Surface(trace, weight.ravel()[order], self.axes)
+        quadratic = self.displacement_element()
+        face = skfem.FacetBasis(self._mesh, quadratic, facets=low, intorder=2 * gauss - 1)
+        order, nodes = _in_order(face), self._node_of_unknown[face.element_dofs.T]
+        trace = trace_of(face, nodes, self.nodes_mm.shape[0])
+        return Surface(sparse.csr_array(trace[order]), face.dx.ravel()[order], self.axes)
 
     @cached_property
     def _mesh(self) -> Any:
-        kind = skfem.MeshQuad if self.axes == 2 else skfem.MeshHex
-        return kind.init_tensor(*self.edges_mm)
-
-    @property
-    def _quadratic(self) -> Any:
-        return skfem.ElementQuad2() if self.axes == 2 else skfem.ElementHex2()
+        return self.mesh_of.init_tensor(*self.edges_mm)
 
     @cached_property
     def _displacement(self) -> Any:
-        return skfem.CellBasis(self._mesh, self._quadratic, intorder=2 * self.gauss - 1)
+        return skfem.CellBasis(self._mesh, self.displacement_element(), intorder=2 * self.gauss - 1)
 
     @cached_property
     def _pressure(self) -> Any:
-        linear = skfem.ElementQuad1() if self.axes == 2 else skfem.ElementHex1()
-        return self._displacement.with_element(linear)
+        return self._displacement.with_element(self.pressure_element())
 
     @cached_property
     def _node_of_unknown(self) -> IntArray:
@@ -139,10 +121,6 @@ class ElementGrid:
         numbers = tuple(np.searchsorted(between, at) for between, at in halfway)
         counts = tuple(line.size for line in self.lines_mm)
         return np.asarray(np.ravel_multi_index(numbers, counts), dtype=np.int64)
-
-    @cached_property
-    def _points_r(self) -> FloatArray:
-        return np.asarray(np.asarray(self._displacement.global_coordinates())[0])
 
 
 @dataclass(frozen=True)
@@ -159,6 +137,25 @@ class Surface:
     def vector_trace(self) -> sparse.csr_array:
         """(axes * point, axes * node) sparse: the same for vectors, point by point."""
         return sparse.csr_array(sparse.kron(self.trace, sparse.eye_array(self.axes)))
+
+
+def trace_of(face: Any, nodes: IntArray, count: int) -> sparse.csr_array:
+    """Return the map (point, node) from values at nodes to values at the points of a face.
+
+    Parameters
+    ----------
+    face : facet basis of scikit-fem; its points follow one another facet by facet
+    nodes : (facet, shape) nodes of the elements behind the facets
+    count : of all nodes
+    """
+    values = np.stack([np.asarray(shape[0]) for shape in face.basis], axis=-1)
+    columns = np.broadcast_to(nodes[:, None], values.shape).ravel()
+    rows = np.repeat(np.arange(face.dx.size), nodes.shape[1])
+    trace = sparse.csr_array((values.ravel(), (rows, columns)), (face.dx.size, count))
+    # Shape functions of an element's nodes that are not on the facet are zero there.
+    trace.data[np.abs(trace.data) < _ROUNDING] = 0.0
+    trace.eliminate_zeros()
+    return trace
 
 
 def graded(length_mm: float, count: int, ratio: float) -> FloatArray:

@@ -45,7 +45,6 @@ from twin.specimens import shape_of
 
 _SURFACE_POINTS = 3
 _PENALTY_OVER_SHEAR = 60.0
-_GROWTH = 0.5
 _SYMMETRY_MM = 1e-6
 _SECANTS = 12
 _FORCE_TOLERANCE = 1e-4
@@ -90,20 +89,15 @@ class HeightContact:
             pressure[:, None] * normal,
             np.where(touching[:, None, None], stiffness, 0.0),
             pressure,
-            np.zeros_like(pressure),
         )
 
     def settle(self, moved_mm: FloatArray, depth_mm: float) -> "HeightContact":
-        """Return the contact itself: without friction nothing is remembered."""
+        """Return the contact itself: it has no friction, and any specimen may touch with holes."""
         return self
 
     def carry(self, pressure: FloatArray) -> "HeightContact":
         """Return the contact with another carried pressure."""
         return replace(self, carried=pressure)
-
-    def is_spurious(self, moved_mm: FloatArray, depth_mm: float) -> bool:
-        """Tell nothing: a specimen of any shape may touch with holes."""
-        return False
 
     def _shape(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return normals (point, xyz) along the gradient and curvatures (point, 2, 2)."""

@@ -28,9 +28,8 @@ class Pushed:
     force: FloatArray
     #: (displacement unknown, displacement unknown) its negative derivative
     stiffness: sparse.csr_array
-    #: (point,) pressure and tangential stress per undeformed area
+    #: (point,) pressure per undeformed area
     pressure: FloatArray
-    drag: FloatArray
     #: force along the press, the last axis
     along: float
 
@@ -45,7 +44,6 @@ def push(
     traction: FloatArray,
     stiffness: FloatArray,
     pressure: FloatArray,
-    drag: FloatArray,
 ) -> Pushed:
     """Gather what acts at the points of a surface.
 
@@ -55,7 +53,7 @@ def push(
     traction : (point, axis) float; per undeformed area
     stiffness : (point, axis, axis) float; negative derivative of the traction by the point's
         position, per mm
-    pressure, drag : (point,) float; normal and tangential stress per undeformed area
+    pressure : (point,) float; normal stress per undeformed area
     """
     weight, wide = surface.weight_mm2, surface.vector_trace
     points = np.arange(weight.size + 1)
@@ -64,7 +62,6 @@ def push(
         force=wide.T @ (traction * weight[:, None]).ravel(),
         stiffness=sparse.csr_array(wide.T @ blocks.tocsr() @ wide),
         pressure=pressure,
-        drag=drag,
         along=float(weight @ traction[:, -1]),
     )
 
@@ -82,15 +79,16 @@ class MovingContact(Protocol):
         ...
 
     def settle(self, moved_mm: FloatArray, depth_mm: float) -> "MovingContact":
-        """Return the contact after a finished load step."""
+        """Return the contact after a finished load step.
+
+        Raises
+        ------
+        StepFailedError : a converged contact cannot be the true one
+        """
         ...
 
     def carry(self, pressure: FloatArray) -> "MovingContact":
         """Return the contact with another carried pressure."""
-        ...
-
-    def is_spurious(self, moved_mm: FloatArray, depth_mm: float) -> bool:
-        """Tell whether a converged contact cannot be the true one."""
         ...
 
 
@@ -133,7 +131,7 @@ class Equilibrium:
     rate: FloatArray | None = None
 
 
-class _StepFailedError(Exception):
+class StepFailedError(Exception):
     """A load step failed; a shorter one may succeed."""
 
 
@@ -150,7 +148,7 @@ def press_to(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibri
         aim = min(at.depth_mm + step, depth_mm)
         try:
             at = _step(problem, at, aim)
-        except _StepFailedError as failure:
+        except StepFailedError as failure:
             step /= 2
             if step < shortest:
                 raise SolverError(
@@ -165,11 +163,9 @@ def _step(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibrium:
     for _ in range(problem.options.augmentations + 1):
         found = _solve(problem, found)
         found = replace(found, contact=found.contact.carry(found.pushed.pressure))
-    moved = problem.body.displacement_mm(found.state)
-    if found.contact.is_spurious(moved, depth_mm):
-        raise _StepFailedError("the contact has a hole where there is none")
+    settled = found.contact.settle(problem.body.displacement_mm(found.state), depth_mm)
     rate = (found.state - start.state) / (depth_mm - start.depth_mm)
-    return replace(found, contact=found.contact.settle(moved, depth_mm), rate=rate)
+    return replace(found, contact=settled, rate=rate)
 
 
 def _predicted(problem: Problem, start: Equilibrium, depth_mm: float) -> FloatArray:
@@ -193,8 +189,8 @@ def _solve(problem: Problem, start: Equilibrium) -> Equilibrium:
             frozen = pushed.active
         at = replace(at, state=at.state + _move(problem, tangent, residual))
         if not np.isfinite(at.state).all() or not problem.body.is_admissible(at.state):
-            raise _StepFailedError("an element turned inside out")
-    raise _StepFailedError(f"residual {size:.1e} after {options.max_iterations} iterations")
+            raise StepFailedError("an element turned inside out")
+    raise StepFailedError(f"residual {size:.1e} after {options.max_iterations} iterations")
 
 
 def _residual(
@@ -214,7 +210,7 @@ def _move(problem: Problem, tangent: sparse.csc_array, residual: FloatArray) -> 
     try:
         move[free] = -_solve_linear(sparse.csc_array(tangent[free][:, free]), residual[free])
     except RuntimeError as failure:
-        raise _StepFailedError("singular tangent") from failure
+        raise StepFailedError("singular tangent") from failure
     largest = float(np.abs(move[: problem.body.displacements]).max())
     return move * min(1.0, problem.options.largest_move_mm / largest) if largest > 0 else move
 

@@ -16,6 +16,7 @@ from skfem.helpers import ddot, div, sym_grad
 
 from reconstruction.arrays import FloatArray, IntArray
 from twin.mechanics.errors import PressError
+from twin.mechanics.reference.grid import trace_of
 from twin.mechanics.reference.mixed import moduli, symmetric_lu
 from twin.mechanics.reference.pad import Hold, Selector
 from twin.mechanics.reference.tetrahedra import Tetrahedra
@@ -27,7 +28,7 @@ _FACET_ORDER = 4
 class Facets:
     """A part of the surface with integration points; (facet, ...) and (point, ...) arrays."""
 
-    #: (facet, 6) nodes: three vertices, then the midpoints opposite to them in turn 01, 12, 20
+    #: (facet, 6) nodes: three vertices, then the edges' midpoints
     nodes: IntArray
     #: (point, xyz) mm
     points_mm: FloatArray
@@ -65,20 +66,25 @@ class ElasticBody:
         ------
         PressError : nothing was chosen
         """
-        corners, centres, normals = self._boundary
-        chosen = where(centres, normals)
-        if not chosen.any():
+        chosen = self._chosen(where)
+        if not chosen.size:
             raise PressError("pad: a selector chooses no facet of the surface")
-        return self._with_points(corners[chosen], normals[chosen])
+        quadratic = skfem.ElementTetP2()
+        face = skfem.FacetBasis(self._mesh, quadratic, facets=chosen, intorder=_FACET_ORDER)
+        return Facets(
+            nodes=self._nodes_on(chosen),
+            points_mm=np.asarray(face.global_coordinates()).reshape(3, -1).T,
+            weight_mm2=face.dx.ravel(),
+            plan_mm2=(face.dx * np.abs(face.normals[2])).ravel(),
+            # Unknowns of the scalar element are numbered as the nodes are.
+            trace=trace_of(face, face.element_dofs.T, self.nodes_mm.shape[0]),
+        )
 
     def solve(self, force: FloatArray) -> FloatArray:
         """Return the displacement (node, xyz), mm, under nodal forces (node, xyz) over E."""
-        right = np.zeros(self._free.size)
-        displaced = np.zeros(self._size)
-        displaced[self._unknowns] = force
-        right[:] = displaced[self._free]
-        found = np.zeros(self._size)
-        found[self._free] = self._factor.solve(right)
+        load, found = np.zeros((2, self._size))
+        load[self._unknowns] = force
+        found[self._free] = self._factor.solve(load[self._free])
         return np.asarray(found[self._unknowns])
 
     def residual(self, moved_mm: FloatArray, pressure: FloatArray) -> FloatArray:
@@ -132,13 +138,11 @@ class ElasticBody:
 
     @cached_property
     def _free(self) -> IntArray:
-        corners, centres, normals = self._boundary
         held = np.zeros((self.nodes_mm.shape[0], 3), dtype=bool)
         for hold in self.holds:
-            chosen = hold.where(centres, normals)
-            if not chosen.any():
+            nodes = self._nodes_on(self._chosen(hold.where))
+            if not nodes.size:
                 raise PressError("pad: a hold chooses no facet of the surface")
-            nodes = np.unique(self._six_nodes(corners[chosen]))
             for direction in hold.directions:
                 held[nodes, "xyz".index(direction)] = True
         return np.asarray(np.setdiff1d(np.arange(self._size), self._unknowns[held]))
@@ -150,50 +154,17 @@ class ElasticBody:
         return symmetric_lu(matrix)
 
     @cached_property
-    def _boundary(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return vertices (facet, 3), centres and outward normals of the surface."""
-        numbers = self._mesh.boundary_facets()
-        corners = np.asarray(self._mesh.facets[:, numbers].T, dtype=np.int64)
-        at = self._mesh.p.T[corners]
-        normals = np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        cells = self._mesh.t[:, self._mesh.f2t[0, numbers]].T
-        centres = at.mean(axis=1)
-        inwards = self._mesh.p.T[cells].mean(axis=1) - centres
-        normals *= -np.sign(np.sum(normals * inwards, axis=1, keepdims=True))
-        return corners, centres, normals
+    def _surface(self) -> Any:
+        """The surface, with one point at each facet's centre."""
+        return skfem.FacetBasis(self._mesh, skfem.ElementTetP1(), intorder=1)
 
-    def _six_nodes(self, corners: IntArray) -> IntArray:
+    def _chosen(self, where: Selector) -> IntArray:
+        """Return the numbers of the surface's facets that a selector chooses."""
+        centres = np.asarray(self._surface.global_coordinates())[..., 0].T
+        normals = np.asarray(self._surface.normals)[..., 0].T
+        return np.asarray(self._surface.find[where(centres, normals)])
+
+    def _nodes_on(self, facets: IntArray) -> IntArray:
         """Return vertices and midpoints (facet, 6)."""
-        count, edges = self._mesh.p.shape[1], np.sort(self._mesh.edges, axis=0)
-        keys = edges[0].astype(np.int64) * count + edges[1]
-        order = np.argsort(keys)
-        pairs = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
-        wanted = pairs[..., 0] * count + pairs[..., 1]
-        midpoints = order[np.searchsorted(keys, wanted, sorter=order)] + count
-        return np.concatenate((corners, midpoints), axis=1)
-
-    def _with_points(self, corners: IntArray, normals: FloatArray) -> Facets:
-        nodes = self._six_nodes(corners)
-        local, unit = skfem.quadrature.get_quadrature(
-            skfem.element.ElementTriP2.refdom, _FACET_ORDER
-        )
-        share = np.stack((1 - local.sum(axis=0), *local), axis=1)
-        at = self._mesh.p.T[corners]
-        double = np.linalg.norm(np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]), axis=1)
-        weight = np.outer(double, unit)
-        shapes = np.concatenate(
-            (share * (2 * share - 1), 4 * share * np.roll(share, -1, axis=1)), axis=1
-        )
-        rows = np.repeat(np.arange(weight.size), 6)
-        columns = np.repeat(nodes, unit.size, axis=0).ravel()
-        values = np.tile(shapes, (nodes.shape[0], 1)).ravel()
-        return Facets(
-            nodes=nodes,
-            points_mm=np.einsum("qc,fcx->fqx", share, at).reshape(-1, 3),
-            weight_mm2=weight.ravel(),
-            plan_mm2=(weight * np.abs(normals[:, 2:])).ravel(),
-            trace=sparse.csr_array(
-                (values, (rows, columns)), shape=(weight.size, self.nodes_mm.shape[0])
-            ),
-        )
+        midpoints = self._mesh.f2e[:, facets] + self._mesh.p.shape[1]
+        return np.concatenate((self._mesh.facets[:, facets], midpoints)).T.astype(np.int64)

@@ -99,7 +99,6 @@ class Sheet:
     rim: tuple[RimSpring, ...] = field(init=False, default=())
     #: whose forces and tangent are held
     latest: Evaluation = field(init=False)
-    factorisations: int = field(init=False, default=0)
     evaluations: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
@@ -230,7 +229,6 @@ class Sheet:
         if viscosity:
             weights = np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
             values[self.system.stencil.start[:-1]] += viscosity * weights
-        self.factorisations += 1
         return self.system.solver.factorise(values)
 
     def newton_step_mm(self) -> FloatArray:

@@ -1,6 +1,7 @@
 "use strict";
 // A view that is turned by dragging: height maps and lines, drawn by the browser itself (WebGL 2).
-// Data: {grids: [{name, nx, ny, x, y, z, rgb}], lines: [{name, rgb, points}], homes, enlarged}.
+// Data, by twin/report/view.py: {grids: [{name, nx, ny, x, y, z, rgb}],
+// lines: [{name, rgb, points}], homes: {name: {middle, radius, enlarged, turn, lift, shows}}}.
 (() => {
   const levels = text => Uint8Array.from(atob(text), one => one.charCodeAt(0));
   const numbers = text => new Float32Array(levels(text).buffer);
@@ -131,7 +132,7 @@
 
     const go = name => {
       const home = data.homes[name];
-      Object.assign(state, {turn: -0.5, lift: 0.6, zoom: 1}, home);
+      Object.assign(state, home, {zoom: 1});
       for (const one of bodies) one.shown = home.shows.includes(one.name);
       for (const box of holder.querySelectorAll("input"))
         box.checked = bodies.some(one => one.name === box.value && one.shown);

@@ -1,28 +1,40 @@
-"""Accuracy of fringe projection: coat, bare specimens, window, sampling, calibration.
+"""The accuracy cases of `figures.toml`: one function each, called by the name of its case.
 
-Seeds change the camera (both its noise and its fixed pattern) and, on bare specimens, the random
-paths of light. Press, trace and pixel values before the camera are the same for all seeds and are
-computed once, by the stages that sweeps share.
+Seeds change the camera (its noise and its fixed pattern) and, on bare specimens, the random paths
+of light. Press, trace and pixel values before the camera are equal for all seeds and computed once,
+by the stages that sweeps share.
 """
 
+import statistics
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from benchmarks import calibration as bench
-from benchmarks.regression.cases import repeated
-from benchmarks.regression.figures import Values
+from benchmarks import calibration as board_bench
+from benchmarks import mechanics
+from benchmarks.decode import ideal_rms_px
+from benchmarks.direct import energy_gap
+from benchmarks.gelsight import BALL_MM, DEPTH_MM, FIRST_IMAGE, cap_ratios, photographed
+from benchmarks.regression.figures import Values, repeated
 from reconstruction.pipeline import reconstruct
 from twin.config import Experiment, load_experiment, vary
 from twin.config.board import load_board
 from twin.pipeline import Memory, measure, press_specimen, record
 from twin.pipeline.calibration import calibrate_rendered
 from twin.pipeline.captures import options_of
+from twin.pipeline.colours import with_ball
 from twin.results.score import Scores
+from twin.specimens.kinds.ball import Ball
 
 IDEAL = {"camera.noise": False, "decode.filter_taps": 0}
 CENTRE = {"camera.binning": 2, "camera.width_px": 640, "camera.height_px": 480}
 """Middle of the field at the demo's resolution."""
+FEW_PRESSES = {"photometric.presses.count": 16}
+PLACES_MM = ((0.0, 0.0), (5.0, 2.5), (-4.0, -3.0), (4.0, -3.0), (-5.0, 2.5))
+
+
+# ---- fringe projection ---------------------------------------------------------------------------
 
 
 def two_balls(seeds: int = 5, binning: int = 2) -> Values:
@@ -30,14 +42,12 @@ def two_balls(seeds: int = 5, binning: int = 2) -> Values:
     memory = Memory()
 
     def once(seed: int) -> dict[str, float]:
-        experiment = load_experiment(
-            "examples/slab_balls", {"camera.binning": binning, "seed": seed}
-        )
+        settings = {"camera.binning": binning, "seed": seed}
+        experiment = load_experiment("examples/slab_balls", settings)
         done = measure(experiment, memory=memory)
-        plain = measure(
-            vary(experiment, {"decode.filter_taps": 0}), memory=memory
-        ).score.against_truth
+        unfiltered = measure(vary(experiment, {"decode.filter_taps": 0}), memory=memory)
         truth = done.score.against_truth
+        spread = unfiltered.score.against_truth.error_over_sigma
         return spheres(done.score) | {
             "two_balls_force_n": done.pressed.force_n,
             "two_balls_z_rmse_um": truth.z_rmse_um,
@@ -45,7 +55,7 @@ def two_balls(seeds: int = 5, binning: int = 2) -> Values:
             "two_balls_completeness": truth.completeness,
             "two_balls_wrong_orders_px": float(truth.wrong_order_pixels),
             "two_balls_spread_over_sigma": truth.error_over_sigma,
-            "two_balls_unfiltered_spread_over_sigma": plain.error_over_sigma,
+            "two_balls_unfiltered_spread_over_sigma": spread,
         }
 
     return repeated(seeds, once)
@@ -61,7 +71,7 @@ def spheres(scored: Scores) -> dict[str, float]:
 
 
 def ideal() -> Values:
-    """Measure without noise and filter: what sampling, decoding and triangulation lose."""
+    """Measure without noise and filter: errors of sampling, decoding and triangulation."""
     truth = measure(load_experiment("examples/slab_balls", IDEAL | {"camera.binning": 4})).score
     return {"ideal_z_rmse_um": [truth.against_truth.z_rmse_um]}
 
@@ -70,18 +80,15 @@ def sampling() -> Values:
     """Compare projector columns of 2 x 2 rays per pixel with those of 16 x 16, noise-free."""
     experiment = load_experiment("examples/slab_balls", IDEAL | CENTRE)
     pressed = press_specimen(experiment)
-    coarse, fine = (
-        decoded(one, record(one, pressed))
-        for one in (experiment, vary(experiment, {"render.samples": 256}))
-    )
+
+    def decoded(sampled: Experiment) -> Any:
+        capture = record(sampled, pressed).capture
+        return reconstruct(capture, options_of(sampled.decode)).decoded
+
+    coarse, fine = decoded(experiment), decoded(vary(experiment, {"render.samples": 256}))
     both = coarse.valid & fine.valid
     error_px = (coarse.column.coordinate_px - fine.column.coordinate_px)[both]
     return {"sampling_error_px": [float(np.sqrt(np.mean(error_px.astype(np.float64) ** 2)))]}
-
-
-def decoded(experiment: Experiment, recording: Any) -> Any:
-    """Decode a recording with the experiment's options."""
-    return reconstruct(recording.capture, options_of(experiment.decode)).decoded
 
 
 def albedo(seeds: int = 5) -> Values:
@@ -100,7 +107,7 @@ def albedo(seeds: int = 5) -> Values:
 
 
 def rod(seeds: int = 5) -> Values:
-    """Read the width of the paper's rod C off the relief as the paper's table does."""
+    """Measure the width of the paper's rod C from the relief as the paper's table does."""
     memory = Memory()
 
     def once(seed: int) -> dict[str, float]:
@@ -112,7 +119,7 @@ def rod(seeds: int = 5) -> Values:
 
 
 def window(seeds: int = 5) -> Values:
-    """Measure through a gel and a window, which the decoder knows, and takes for air."""
+    """Measure through a gel and a window, decoded with refraction and as if in air."""
     memory = Memory()
 
     def once(seed: int) -> dict[str, float]:
@@ -141,18 +148,79 @@ def direct(name: str, seeds: int) -> Values:
     return repeated(seeds, once)
 
 
+direct_nut = partial(direct, "nut", 4)
+direct_brick = partial(direct, "brick", 3)
+
+
+def photons(seeds: int = 3) -> Values:
+    """Trace light into the clear brick and compare the energy that arrives with that sent."""
+    settings = {"camera.binning": 4, "modality": "direct_fpp"}
+    experiment = load_experiment("paper/brick", settings)
+    return repeated(seeds, lambda seed: {"photons_energy_gap_rel": energy_gap(experiment, seed)})
+
+
 def calibration(seeds: int = 8) -> Values:
     """Calibrate on rendered poses of the dot board, then measure a plane and 10 mm lengths."""
     board = load_board("boards/paper_dots")
 
     def once(seed: int) -> dict[str, float]:
         experiment = load_experiment("examples/slab_balls", {"camera.binning": 4, "seed": seed})
-        done = calibrate_rendered(experiment, board)
-        rig = done.result.calibration
-        lengths_um = bench.length_errors_um(experiment, board, rig, 0)
+        rig = calibrate_rendered(experiment, board).result.calibration
+        lengths_um = board_bench.length_errors_um(experiment, board, rig, 0)
         return {
-            "calibration_plane_pv_um": bench.plane_pv_um(experiment, board, rig, 0),
+            "calibration_plane_pv_um": board_bench.plane_pv_um(experiment, board, rig, 0),
             "calibration_length_rms_um": float(np.sqrt(np.mean(lengths_um**2))),
         }
 
     return repeated(seeds, once)
+
+
+def decode(seeds: int = 5) -> Values:
+    """Decode exact and 8-bit frames at random coordinates."""
+
+    def once(seed: int) -> dict[str, float]:
+        return {f"decode_{name}": value for name, value in ideal_rms_px(seed).items()}
+
+    return repeated(seeds, once)
+
+
+# ---- mechanics -----------------------------------------------------------------------------------
+
+
+def press() -> Values:
+    """Press a paraboloid on a half-space, balls on bonded layers, and a ball at large strain."""
+    values = {
+        "press_hertz_force_rel": mechanics.hertz_force_rel(),
+        "press_fredholm_force_rel": mechanics.fredholm_max_rel(),
+        "press_large_strain_face_um": mechanics.nh_face_rms_um(quick=True),
+    }
+    return {name: [value] for name, value in values.items() if value is not None}
+
+
+def fem() -> Values:
+    """Press a ball into a free slab of tetrahedra, whose mesh differs from run to run."""
+    return {"fem_face_um": [mechanics.free_fem_face_um()]}
+
+
+# ---- photometric stereo --------------------------------------------------------------------------
+
+
+def gelsight(seeds: int = 4) -> Values:
+    """Measure caps of a ball with a GelSight-like sensor, calibrated on few balls for each seed.
+
+    The places are equal for all seeds: places differ by more (6 %) than the mean over the places
+    does from seed to seed.
+    """
+    return repeated(seeds, caps)
+
+
+def caps(seed: int) -> dict[str, float]:
+    """Return measured over true cap heights, mean over the places, by integration scheme."""
+    experiment = load_experiment("examples/gelsight_ball", FEW_PRESSES | {"seed": seed})
+    shots = []
+    for number, (x_mm, y_mm) in enumerate(PLACES_MM):
+        ball = Ball(diameter_mm=BALL_MM, x_mm=x_mm, y_mm=y_mm)
+        case = with_ball(experiment, ball, DEPTH_MM)
+        shots.append(photographed(experiment, case, FIRST_IMAGE + number))
+    ratios = cap_ratios(experiment, shots)
+    return {f"gelsight_cap_{name}": statistics.fmean(values) for name, values in ratios.items()}

@@ -1,41 +1,49 @@
 """The tables of measured figures in README and docs/benchmarks.md, made from the baselines."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from benchmarks.regression.baselines import Baselines
-from benchmarks.regression.cases import BenchmarkCase
-from benchmarks.regression.figures import MeanOfRuns
+from benchmarks.regression.figures import BenchmarkCase, MeanOfRuns
 from reconstruction.errors import InputError
 
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
-HEAD = ("| figure | target | measured +- u | case |", "|---|---|---|---|")
+HEAD = ("figure", "target", "measured +- u", "case")
 
 
 def table(cases: Iterable[BenchmarkCase], baselines: Baselines, headlines: bool = False) -> str:
-    """Return the table in Markdown: measured rows first, then the stated ones.
+    """Return the table in Markdown: measured rows first, then the stated rows.
 
     Parameters
     ----------
-    headlines : only the rows of the README
+    headlines : the rows of the README, each with its case; else every row, a case named once
     """
-    rows = [
-        _row(
-            figure.what,
-            str(figure.target or ""),
-            shown(baselines.figures[figure.name].estimate),
-            _how(case),
-        )
-        for case in cases
-        for figure in case.figures
-        if figure.name in baselines.figures and (figure.headline or not headlines)
-    ]
-    rows += [
-        _row(row.what, row.target, row.measured, f"{row.how}, {row.date}")
-        for row in baselines.stated
-        if row.headline or not headlines
-    ]
-    return "\n".join((*_above(baselines), "", *HEAD, *rows))
+    rows = list(_rows(cases, baselines, headlines))
+    if headlines:
+        lines = (f"| {' | '.join(row)} |" for row in (HEAD, *rows))
+    else:
+        cases_above = [HEAD[-1], *(row[-1] for row in rows)]
+        named_once = [
+            (*row[:-1], row[-1] * (row[-1] != above))
+            for row, above in zip(rows, cases_above, strict=False)
+        ]
+        lines = (f"|{'|'.join(row)}|" for row in (HEAD, *named_once))
+    head, *rest = lines
+    return "\n".join((*_above(baselines), "", head, "|---|---|---|---|", *rest))
+
+
+def _rows(
+    cases: Iterable[BenchmarkCase], baselines: Baselines, headlines: bool
+) -> Iterator[tuple[str, ...]]:
+    for case in cases:
+        for figure in case.figures:
+            known = baselines.figures.get(figure.name)
+            if known and (figure.headline or not headlines):
+                origin = f"`{case.name}`, {case.conditions}"
+                yield figure.label, str(figure.target or ""), shown(known.estimate), origin
+    for row in baselines.stated:
+        if row.headline or not headlines:
+            yield row.label, row.target, row.measured, f"{row.command}, {row.date}"
 
 
 def with_table(page: str, made: str) -> str:
@@ -56,7 +64,7 @@ def with_table(page: str, made: str) -> str:
 
 
 def shown(estimate: MeanOfRuns) -> str:
-    """Return value and standard uncertainty, the latter to two digits; one alone to three."""
+    """Return value and standard uncertainty, to two digits of the latter, or three digits."""
     value, u = estimate.value, estimate.standard_uncertainty
     if u <= 0.0:
         return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
@@ -72,20 +80,12 @@ def _to_two_digits(value: float, u: float) -> str:
 
 
 def _above(baselines: Baselines) -> tuple[str, ...]:
-    dates = sorted({one.date for one in baselines.figures.values()})
+    dates = sorted({known.date for known in baselines.figures.values()})
     span = " to ".join(dict.fromkeys([*dates[:1], *dates[-1:]]))
-    versions = "; ".join(sorted({one.versions for one in baselines.figures.values()}))
-    machines = "; ".join(sorted({one.machine for one in baselines.figures.values()}))
+    versions = "; ".join(sorted({known.versions for known in baselines.figures.values()}))
+    machines = "; ".join(sorted({known.machine for known in baselines.figures.values()}))
     return (
         f"On {machines}; {versions}; {span}.",
         "A case is measured again by `./run bench all --only CASE`; u is the standard uncertainty",
         "of the mean over the seeds. `./run bench all --check` compares with values and targets.",
     )
-
-
-def _how(case: BenchmarkCase) -> str:
-    return f"`{case.name}`, {case.how}"
-
-
-def _row(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"

@@ -1,0 +1,99 @@
+"""Elastomer layers calibrated on a press of known balls."""
+
+from typing import Any
+
+import numpy as np
+
+from reconstruction.arrays import at_pixels
+from reconstruction.compensation import CalibratedSheet, KnownTravel, SheetLayer, calibrate_sheet
+from reconstruction.errors import InputError
+from reconstruction.triangulation import PointMap
+from twin.config.sensor_layer import SensorLayer
+from twin.config.specimen_base import Specimen
+from twin.mechanics.choice import is_slab, may_wrap
+from twin.pipeline.slab_object import calibrate_slab, slab_object
+from twin.results.under_sheet import sheet_layer
+
+_UM = 1e3
+
+
+def calibrated_layer(
+    points: PointMap,
+    layer: SensorLayer,
+    ball_diameter_mm: float,
+    specimen: Specimen | None = None,
+) -> tuple[SensorLayer, dict[str, Any]]:
+    """Fit thickness and modulus to a press of known balls; the layer, and the figures.
+
+    Raises
+    ------
+    InputError : the elastomer is neither sheet nor slab, or no ball is found
+    """
+    elastomer, valid = layer.elastomer, points.valid
+    measured = (
+        at_pixels(points.points_world_mm, valid).astype(np.float64),
+        at_pixels(points.sigma_z_mm, valid).astype(np.float64),
+    )
+    if is_slab(elastomer):
+        return calibrate_slab(*measured, slab_object(layer, specimen), ball_diameter_mm)
+    if not may_wrap(elastomer):
+        raise InputError(
+            f"--ball-diameter-mm: found {elastomer.layout}, {elastomer.thickness_mm:g} mm thick; a "
+            "ball calibrates a sheet or slab with layout = 'opposite_face'"
+        )
+    found = calibrate_sheet(
+        *measured, sheet_layer(layer), ball_diameter_mm / 2, travel=_known_travel(layer)
+    )
+    return _with_sheet(layer, found.layer), _calibration_figures(found)
+
+
+def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
+    """Return the layer with what was found of its sheet, and how well."""
+    found = {
+        "shore_a": None,
+        "shore_00": None,
+        "young_modulus_kpa": sheet.young_modulus_kpa,
+        "thickness_mm": sheet.thickness_mm,
+        "rim_compliance_mm2_per_n": sheet.rim_compliance_mm2_per_n,
+    }
+    sigma = {
+        "thickness_mm": sheet.sigma_thickness_mm,
+        "young_modulus_kpa": sheet.sigma_young_modulus_kpa,
+        "pre_stretch": sheet.sigma_pre_stretch,
+        "rim_compliance_mm2_per_n": sheet.sigma_rim_compliance_mm2_per_n,
+    }
+    elastomer, known = layer.elastomer, layer.sigma
+    return layer.model_copy(
+        update={
+            "elastomer": type(elastomer).model_validate(elastomer.model_dump() | found),
+            "sigma": type(known).model_validate(known.model_dump() | sigma),
+        }
+    )
+
+
+def _calibration_figures(found: CalibratedSheet) -> dict[str, Any]:
+    """Return what a known ball told, for result.json; None of what it does not tell."""
+    sheet = found.layer
+    modulus = sheet.young_modulus_kpa, sheet.sigma_young_modulus_kpa
+    rim = sheet.rim_compliance_mm2_per_n, sheet.sigma_rim_compliance_mm2_per_n
+    modulus_kpa, modulus_sigma_kpa = modulus if found.modulus_found else (None, None)
+    compliance, sigma_compliance = rim if found.rim_found else (None, None)
+    return {
+        "calibrated_thickness_mm": sheet.thickness_mm,
+        "calibrated_thickness_sigma_um": _UM * sheet.sigma_thickness_mm,
+        "calibrated_modulus_kpa": modulus_kpa,
+        "calibrated_modulus_sigma_kpa": modulus_sigma_kpa,
+        "calibrated_rim_compliance_mm2_per_n": compliance,
+        "calibrated_rim_compliance_sigma_mm2_per_n": sigma_compliance,
+        "radius_before_calibration_mm": found.radius_before_mm,
+        "thickness_per_pre_stretch_mm": found.thickness_per_pre_stretch_mm,
+        "calibration_balls": found.balls,
+    }
+
+
+def _known_travel(layer: SensorLayer) -> KnownTravel | None:
+    """Return the travel that the stage told, where its uncertainty is stated."""
+    travel_mm, sigma_mm = layer.press.depth_mm, layer.sigma.depth_mm
+    if travel_mm is None or sigma_mm is None:
+        return None
+    return KnownTravel(travel_mm, float(np.hypot(sigma_mm, layer.sigma.plane_mm)))

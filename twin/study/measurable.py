@@ -1,0 +1,72 @@
+"""Cases of a study that no run can measure, and the cases along the axes of a search."""
+
+from collections.abc import Iterator, Sequence
+from itertools import chain
+
+from reconstruction.errors import InputError
+from twin.config import ConfigError
+from twin.pipeline.memory import Path as FieldPath
+from twin.pipeline.memory import Reads, values_at, watched
+from twin.pipeline.methods import check_measurable
+from twin.study.cases import Case, Point, cases_of
+from twin.study.record import StudyRecord
+
+
+def unmeasurable(cases: Sequence[Case]) -> dict[str, list[Case]]:
+    """Return the cases that cannot be measured, by reason.
+
+    The fields that the checks read are recorded, so that cases with the same values of these fields
+    are checked once: cases that differ in seed, code or exposure only need no further check.
+    """
+    known: dict[tuple[FieldPath, ...], dict[tuple[bytes, ...], str]] = {}
+    cases_by_reason: dict[str, list[Case]] = {}
+    for case in cases:
+        checked = ((reasons, values_at(case.experiment, paths)) for paths, reasons in known.items())
+        reason = next(
+            (reasons[values] for reasons, values in checked if values in reasons),
+            None,
+        )
+        if reason is None:
+            reads = Reads()
+            reason = _problem(case, reads)
+            paths = reads.paths
+            known.setdefault(paths, {})[values_at(case.experiment, paths)] = reason
+        if reason:
+            cases_by_reason.setdefault(reason, []).append(case)
+    return cases_by_reason
+
+
+def _problem(case: Case, reads: Reads) -> str:
+    try:
+        check_measurable(watched(case.experiment, reads))
+    except InputError as error:
+        return " ".join(str(error).split())
+    return ""
+
+
+def probes_of(record: StudyRecord) -> list[Case]:
+    """Return cases along each axis of a search: ends and middle, all other axes at their middle.
+
+    Raises
+    ------
+    ConfigError : none of them is a valid experiment that the constraints admit
+    """
+    cases, reason = list[Case](), ""
+    for point in dict(_along_axes(record)).values():
+        try:
+            cases += cases_of(record.study, record.base, [point]).run
+        except ConfigError as error:
+            reason = str(error)
+    if not cases:
+        raise ConfigError(reason)
+    return cases
+
+
+def _along_axes(record: StudyRecord) -> Iterator[tuple[str, Point]]:
+    axes = record.study.axis
+    middle = tuple(axis.level_at(0.5) for axis in axes)
+    for number, axis in enumerate(axes):
+        ends = (axis.level_at(share) for share in (0.0, 0.5, 1.0))
+        for level in chain(axis.levels(), ends if axis.is_continuous else ()):
+            point = (*middle[:number], level, *middle[number + 1 :])
+            yield repr([coordinate.label for coordinate in point]), point
