@@ -198,7 +198,7 @@ PHASE_16, GRAY_16 = SETS["3 steps + plain Gray, columns"][2]
 def test_inverted_shift_is_noticed(tmp_path, capsys):
     folder = plain(tmp_path, [PHASE_16 + "sign = -1\n", GRAY_16])
     message = refused(tmp_path, capsys, folder)
-    assert "the phase falls; correct their order, or the sign of their shifts" in message
+    assert "the phase decreases with the Gray word; correct their order, or the sign" in message
 
 
 def test_wrong_first_shift_is_noticed(tmp_path, capsys):

@@ -215,7 +215,7 @@ def test_a_sweep_with_some_failures_reports_them(tmp_path, capsys, faked):
          "camera.distortion: stock Mitsuba cannot express it"),
         (["set.camera.depth_of_field = true", "set.render.samples = 1"], "render.samples: found 1"),
         (['set.mechanics.model = "neo_hookean"', "set.press.back_pressure_kpa = 1.0"],
-         "knows neither film"),
+         "has neither film"),
     ],
 )  # fmt: skip
 def test_dry_run_finds_unmeasurable_cases(tmp_path, capsys, lines, message):
