@@ -10,6 +10,10 @@ No other module calls the system's lock functions.
 
 A file system without locks raises OSError, too. The system releases every lock when its process
 ends for any reason.
+
+No library is used: filelock and portalocker have no locks of single bytes, which several hosts need
+to share a store, and on Windows portalocker locks the content, which other processes then cannot
+read.
 """
 
 import errno
