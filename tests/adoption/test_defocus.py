@@ -6,7 +6,7 @@ import pytest
 from benchmarks.adopt import bump, hidden_rig, write_set
 from reconstruction.characterise import UncertainValue
 from twin.adoption.adopt import Given, adopt
-from twin.adoption.defocus import SeenBlur, defocus_fields, defocus_of
+from twin.adoption.defocus import CaptureBlur, defocus_fields, defocus_of
 from twin.config import vary
 from twin.optics.light import Defocus
 from twin.pipeline.fringes import render
@@ -21,7 +21,7 @@ def blurs(places_mm=PLACES_MM, relative=0.0, seed=0):
         float(np.sqrt(TRUE.variance_px2(z))) * (1.0 + relative * rng.normal()) for z in places_mm
     ]
     return [
-        SeenBlur(1.0 / z, 0.0, UncertainValue(blur, 0.0))
+        CaptureBlur(1.0 / z, 0.0, UncertainValue(blur, 0.0))
         for z, blur in zip(places_mm, blurs, strict=True)
     ]
 
@@ -42,7 +42,7 @@ def test_a_tilted_surface_has_many_distances():
     for middle_mm in PLACES_MM[:3]:
         z_mm = np.linspace(middle_mm - 10.0, middle_mm + 10.0, 201)
         blur = UncertainValue(float(np.sqrt(TRUE.variance_px2(z_mm).mean())), 1e-4)
-        tilted.append(SeenBlur(float((1.0 / z_mm).mean()), float((1.0 / z_mm).std()), blur))
+        tilted.append(CaptureBlur(float((1.0 / z_mm).mean()), float((1.0 / z_mm).std()), blur))
     defocus = defocus_of(tilted)
     assert defocus.focus_mm.value == pytest.approx(215.0, rel=1e-6)
     assert defocus.blur_px.value == pytest.approx(0.7, rel=1e-6)
@@ -68,7 +68,7 @@ def test_uncertainties_are_the_spread():
         blurs(PLACES_MM[:2]),
         blurs((210.0, 210.1, 240.0)),  # two heights
         blurs((300.0, 304.0, 308.0)),  # focus far outside
-        [SeenBlur(1.0 / z, 0.0, UncertainValue(0.7, 0.01)) for z in PLACES_MM],
+        [CaptureBlur(1.0 / z, 0.0, UncertainValue(0.7, 0.01)) for z in PLACES_MM],
     ],
     ids=["two", "near", "beside", "even"],
 )

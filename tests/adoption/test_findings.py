@@ -5,7 +5,7 @@ import pytest
 from reconstruction.characterise import UncertainValue
 from twin.adoption.adopt import Given
 from twin.adoption.fields import joint
-from twin.adoption.findings import ModelRig, RigField, rig_tables, rows_of, tried, write_rig
+from twin.adoption.findings import ModelRig, RigField, rig_tables, rows_of, validated, write_rig
 from twin.config import load_experiment
 from twin.config.base import ConfigError
 
@@ -57,7 +57,7 @@ def test_every_field_of_the_rooms_has_a_source():
 def test_an_unusable_rig_is_rejected():
     tables = rig_tables(ModelRig.read("rigs/slab"), measured_field("projector.gamma", 9.0))
     with pytest.raises(ConfigError, match=r"projector\.gamma"):
-        tried(tables)
+        validated(tables)
 
 
 def test_joint_uncertainty_grows_with_disagreement():

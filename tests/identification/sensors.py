@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twin.study.measuring import AS_IT_IS, Answer
+from twin.study.measuring import NOMINAL_CONDITIONS, CaseResult
 
 NOISE_MM = 0.004
 REACHES = {"1": 1.0, "1p5": 1.5, "2p5": 2.5, "4": 4.0}
@@ -14,7 +14,7 @@ class Formula:
     def __init__(self, keep=()):
         self.keep = keep
 
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         thickness, depth = experiment.elastomer.thickness_mm, experiment.press.depth_mm
         noise = NOISE_MM * np.random.default_rng(int(1e9 * (thickness + depth)) % 2**32).normal()
         far = 2.0 if experiment.elastomer.layout == "contact_face" else 1.0
@@ -27,7 +27,7 @@ class Formula:
             "warnings": [],
         }
         figures |= {f"reach_{label}_mm": thickness * r for label, r in REACHES.items()}
-        return Answer(figures)
+        return CaseResult(figures)
 
     def reads(self):
         return ()

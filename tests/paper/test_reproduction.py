@@ -16,7 +16,7 @@ from twin.paper.statistics import values_of
 from twin.paper.trials import REFUSED
 from twin.propagation.results import is_uncertainty
 from twin.study import sweep as sweeping
-from twin.study.measuring import AS_IT_IS, Answer, RigCovariance
+from twin.study.measuring import NOMINAL_CONDITIONS, CaseResult, RigCovariance
 
 measured = Counter()
 
@@ -27,28 +27,28 @@ class Fake:
     def __init__(self, keep=()):
         pass
 
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         measured[experiment.name, experiment.modality] += 1
         value = 4.0 + experiment.specimen.x_mm + 1e-3 * conditions.trial
         figures = {"sphere_1_radius_mm": value, WIDTH: value}
         if conditions.board:
             figures["true_rig_sphere_1_radius_mm"] = value - 0.01
         figures |= {"share_specimen": 0.7, "share_specimen_points": 0.8}
-        return Answer(figures, lambda folder: (folder / COMPLETENESS_FILE).touch())
+        return CaseResult(figures, lambda folder: (folder / COMPLETENESS_FILE).touch())
 
     def reads(self):
         return ()
 
 
 class Refusing(Fake):
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         if conditions.trial == 2:
             raise InputError("specimen: too large")
         return super().__call__(experiment, conditions)
 
 
 class RefusingAll(Fake):
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         raise InputError("specimen: too large")
 
 

@@ -106,8 +106,8 @@ def test_a_drag_turns_it(page, tab, width):
     assert tab.evaluate(drawn) not in (before, turned)
     tab.evaluate("document.querySelector('.view3d button[value=relief]').click()")
     assert tab.evaluate(drawn) == before
-    assert tab.seen.errors == []
-    assert [one for one in tab.seen.requests if not one.startswith(("file:", "data:"))] == []
+    assert tab.activity.errors == []
+    assert [one for one in tab.activity.requests if not one.startswith(("file:", "data:"))] == []
     assert tab.overflow() == []
 
 

@@ -98,7 +98,7 @@ def test_dry_run_names_the_calibration_and_counts_stored_cases(modelled, capsys)
     assert run([*modelled, "-n", "4"]) == 0
     assert run([*modelled, "-n", "6", "--dry-run"]) == 0
     # Two further trials and two further repeats of the noise.
-    assert "18 cases, 14 of them known" in capsys.readouterr().err
+    assert "18 cases, 14 of them in the store" in capsys.readouterr().err
     assert run([*modelled[:-2], "-n", "6", "--dry-run"]) == 0
     assert "a calibration of the rig on rendered poses" in capsys.readouterr().err
 
@@ -114,7 +114,7 @@ def test_a_nominal_measurement_that_fails_stops_at_once(modelled, monkeypatch, t
     monkeypatch.setattr(module, "sweep", partial(module.sweep, make_measurer=Refusing))
     assert run([*modelled, "-n", "40", "-s", "specimen.x_mm=2"]) == 2
     said = capsys.readouterr().err
-    assert "the nominal measurement failed, so nothing else is measured: specimen: beyond" in said
+    assert "the nominal measurement failed, so no trial is measured: specimen: beyond" in said
     cases = list((tmp_path / "out/cases").iterdir())
     assert len(cases) == 1
     assert str(cases[0] / "failure.json") in said

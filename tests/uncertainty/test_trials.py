@@ -211,7 +211,7 @@ def test_the_public_function(balls, monkeypatch, tmp_path):
         balls, {"x": X, "y": Y}, n=3, calibration="true", measurands=["value_mm"]
     )
     assert result.trials == 3
-    assert measuring.AS_IT_IS.trial == 0
+    assert measuring.NOMINAL_CONDITIONS.trial == 0
     assert list(result.measurands) == ["value_mm"]
 
 

@@ -62,6 +62,6 @@ def test_the_thickness_slider_changes_the_picture(address, tab):
         tab.press("ArrowRight")
     tab.until(f"JSON.stringify({PICTURES}) !== {json.dumps(before)}")
     assert "not possible" not in tab.evaluate("document.body.innerText")
-    assert tab.seen.errors == []
-    hosts = [one for one in tab.seen.requests if "127.0.0.1" not in one]
+    assert tab.activity.errors == []
+    hosts = [one for one in tab.activity.requests if "127.0.0.1" not in one]
     assert [one for one in hosts if not one.startswith(("data:", "blob:"))] == []

@@ -52,7 +52,7 @@ from twin.pipeline.comparison import case_for
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.propagation.budget import Part, part_of
 from twin.study.cases import Case, Cases, case_of
-from twin.study.measuring import PLAINLY, Measuring, RigCovariance, calibrated
+from twin.study.measuring import DEFAULT_MEASURING, Measuring, RigCovariance, calibrated
 from twin.study.outcome import SweepOutcome
 from twin.study.store import Store
 from twin.study.sweep import CaseGroup, run_groups
@@ -268,7 +268,7 @@ class Reproduction:
                 return _group(folder, cases, make)
             case "budgets":
                 parts = [part for of in BUDGET_OF for part in self._budget_cases(of)]
-                return _group(folder, [case for part in parts for case in part], PLAINLY)
+                return _group(folder, [case for part in parts for case in part], DEFAULT_MEASURING)
             case "measured":
                 return _group(
                     folder,
