@@ -17,7 +17,7 @@ from twin.pipeline.comparison import compare, methods_named, read_outcomes
 from twin.report.bare import REASON_WORDS, discussion, missing_shares, verdicts
 from twin.report.comparison import comparison_table, write_comparison
 from twin.report.measurement import summary_table, write_report
-from twin.report.pixel_panels import error_um, true_scale, wanted
+from twin.report.pixel_panels import error_um, scored_pixels, true_scale
 from twin.report.words import percent, split_unit
 from twin.results.folder import read_measurement
 
@@ -183,7 +183,7 @@ def test_error_map_is_what_is_scored(direct):
     assert np.sqrt(np.mean(errors.compressed() ** 2)) == pytest.approx(
         direct.figures["z_rmse_um"], rel=1e-4
     )
-    assert not errors[~wanted(direct)].count()
+    assert not errors[~scored_pixels(direct)].count()
 
 
 def test_heights_are_scaled_by_the_truth_not_by_wrong_points(direct):

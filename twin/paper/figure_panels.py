@@ -1,4 +1,4 @@
-"""What stands in the panels of a figure, and where: pictures, maps, curves, shaded surfaces."""
+"""Panels of a figure and their layout: pictures, maps, curves, shaded surfaces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 @dataclass(frozen=True)
 class Grid:
-    """Equal cells; the labels of rows stand left of them, those of columns above."""
+    """Equal cells, with row labels on the left and column labels above."""
 
     rows: int
     columns: int
@@ -66,7 +66,7 @@ class Grid:
         return axes
 
     def label_rows(self, figure: Figure, labels: Sequence[str]) -> None:
-        """Write a label beside each row, upright."""
+        """Write a label to the left of each row, rotated by 90 degrees."""
         width_in, height_in = figure.get_size_inches()
         for row, label in enumerate(labels):
             middle_in = self.top_in + row * (self.cell_height_in + self.row_gap_in)
@@ -137,12 +137,12 @@ def show_section(axes: Axes, data: PanelData, legend: bool = True) -> None:
 
 
 def zoom_to_wanted(axes: Axes, data: PanelData) -> None:
-    """Show only where points are wanted, with a margin, in the picture's own shape."""
+    """Zoom to the scored pixels with a margin, in the aspect ratio of the picture."""
     rows, cols = data.wanted.shape
-    found = np.argwhere(data.wanted)
-    if not len(found):
+    pixels = np.argwhere(data.wanted)
+    if not len(pixels):
         return
-    low, high = found.min(axis=0), found.max(axis=0)
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
     share = min(1.0, 1.15 * float(((high - low + 1) / (rows, cols)).max()))
     row, col = (low + high) / 2
     axes.set_xlim(col - share * cols / 2, col + share * cols / 2)
@@ -151,11 +151,11 @@ def zoom_to_wanted(axes: Axes, data: PanelData) -> None:
 
 def residual_limit_um(*shown: PanelData) -> float:
     """Return one symmetric end of a residual scale for several measurements."""
-    return max(symmetric_limit(1e3 * one.ball_points[:, 3], 99.5) for one in shown)
+    return max(symmetric_limit(1e3 * data.ball_points[:, 3], 99.5) for data in shown)
 
 
 def show_residuals(axes: Axes, data: PanelData, number: int, limit_um: float) -> Any:
-    """Show the radial residuals of one ball's fit over world xy; returns what a bar needs."""
+    """Show the radial residuals of one ball's fit over world xy; return the mappable of a bar."""
     x, y, residual = data.ball(number).astype(np.float64).T
     cells = int(np.clip(np.sqrt(x.size / _POINTS_PER_CELL), 4, _MOST_CELLS))
     edges = [np.linspace(v.min(), v.max(), cells + 1) for v in (y, x)]
@@ -185,15 +185,15 @@ def show_histogram(axes: Axes, data: PanelData, number: int, limit_um: float) ->
         np.clip(residual_um, -limit_um, limit_um), edges.tolist(), weights=weights,
         color=MEASURED_FILL, edgecolor=MEASURED, linewidth=0.3,
     )  # fmt: skip
-    ball = next(one for one in data.numbers.balls if one.number == number)
-    told = f"r {ball.radius_mm:.3f} mm, RMSE {1e3 * ball.rmse_mm:.1f} µm"
-    axes.set_title(told, fontsize=6.0, loc="center")
+    ball = next(entry for entry in data.numbers.balls if entry.number == number)
+    label = f"r {ball.radius_mm:.3f} mm, RMSE {1e3 * ball.rmse_mm:.1f} µm"
+    axes.set_title(label, fontsize=6.0, loc="center")
     axes.axvline(0.0, color=FAINT, lw=0.6)
     axes.set(xlabel="radial residual (µm)", ylabel="points (%)", xlim=(-limit_um, limit_um))
     plain_spines(axes)
 
 
 def no_measurement(axes: Axes, words: str = "not measured") -> None:
-    """Say that there is nothing to show."""
+    """Write into the axes that there is no measurement."""
     no_ticks(axes)
     axes.text(0.5, 0.5, words, color=INK, ha="center", transform=axes.transAxes)

@@ -1,4 +1,4 @@
-"""Figures that show objects by several methods: hard ones, rods, beside GelSight, sphere fits."""
+"""Figures of objects by several methods: hard objects, rods, GelSight, sphere fits."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -68,7 +68,7 @@ def draw_rods(cases: Path, stem: Path) -> None:
     beside_in = grid.size_in[0] - section_in - 0.1
     wide = Grid(3, 1, section_in, grid.cell_height_in, left_in=beside_in, row_gap_in=gap_in)
     shown = {name: panels_of(cases, name, "contact_fpp") for name in RODS}
-    found = [data for data in shown.values() if data is not None]
+    available = [data for data in shown.values() if data is not None]
     with printing(stem, *grid.size_in) as figure:
         grid.label_rows(figure, [f"rod {letter}" for letter in RODS.values()])
         grid.label_columns(figure, ["object", "fringe image", "3-D"])
@@ -77,10 +77,10 @@ def draw_rods(cases: Path, stem: Path) -> None:
             cells.append(wide.cell(figure, row, 0, letter=False))
             for column, axes in enumerate(cells):
                 label_panel(axes, LETTERS[row * len(cells) + column])
-            _rod(cells, data, found, last=row == grid.rows - 1)
+            _rod(cells, data, available, last=row == grid.rows - 1)
 
 
-def _rod(cells: list[Axes], data: PanelData | None, found: list[PanelData], last: bool) -> None:
+def _rod(cells: list[Axes], data: PanelData | None, available: list[PanelData], last: bool) -> None:
     if data is None:
         for axes in cells:
             no_measurement(axes)
@@ -88,12 +88,12 @@ def _rod(cells: list[Axes], data: PanelData | None, found: list[PanelData], last
     photograph, fringes, relief, section = cells
     show_picture(photograph, data.photograph)
     show_picture(fringes, data.picture)
-    show_relief(relief, data, stage_for(*found), bar=last)
+    show_relief(relief, data, stage_for(*available), bar=last)
     if not len(data.section):
         no_measurement(section, "no point on the section")
         return
-    show_section(section, data, legend=data is found[0])
-    heights = np.concatenate([one.section[:, 1] for one in found])
+    show_section(section, data, legend=data is available[0])
+    heights = np.concatenate([rod.section[:, 1] for rod in available])
     room = 0.08 * np.ptp(heights)
     section.set_ylim(heights.min() - room, heights.max() + room)
     if data.numbers.width is not None:
@@ -130,9 +130,9 @@ def _pair(figure: Figure, grid: Grid, at: tuple[int, int], data: PanelData | Non
     show_relief(right, data, stage)
     show_scale(right, stage)
     shares = data.numbers.completeness, data.numbers.good_share
-    told = "{} points, {} right".format(*(number(share, ".0%") for share in shares))
+    label = "{} points, {} right".format(*(number(share, ".0%") for share in shares))
     left.text(
-        0.5, -0.05, told, transform=left.transAxes, ha="center", va="top", color=FAINT, fontsize=6
+        0.5, -0.05, label, transform=left.transAxes, ha="center", va="top", color=FAINT, fontsize=6
     )
 
 
@@ -140,14 +140,14 @@ def _compared_reliefs(
     axes: tuple[Axes, Axes], gelsight: PanelData | None, contact: PanelData | None
 ) -> None:
     """Show both reliefs with one scale, one enlargement and one size."""
-    found = [one for one in (gelsight, contact) if one is not None]
+    available = [panels for panels in (gelsight, contact) if panels is not None]
     for place, data in zip(axes, (gelsight, contact), strict=True):
         if data is None:
             no_measurement(place)
         else:
-            show_relief(place, data, stage_for(*found))
-    if found:
-        show_scale(axes[1], stage_for(*found))
+            show_relief(place, data, stage_for(*available))
+    if available:
+        show_scale(axes[1], stage_for(*available))
 
 
 def _cell(axes: Axes, data: PanelData | None, show: Callable[[Axes, PanelData], None]) -> None:
@@ -203,8 +203,8 @@ def draw_sphere_fit(cases: Path, stem: Path) -> None:
 
     Residuals, too, have one scale for both methods.
     """
-    found = {method: panels_of(cases, _SPECIMEN, method) for method in _METHODS}
-    measured = [one for one in found.values() if one is not None]
+    by_method = {method: panels_of(cases, _SPECIMEN, method) for method in _METHODS}
+    measured = [panels for panels in by_method.values() if panels is not None]
     with printing(stem, _WIDTH_IN, _HEIGHT_IN) as figure:
         for column, (method, name) in enumerate(_METHODS.items()):
             left_in = column * _HALF_IN
@@ -216,7 +216,7 @@ def draw_sphere_fit(cases: Path, stem: Path) -> None:
                 va="center",
                 fontsize=8.5,
             )
-            data = found[method]
+            data = by_method[method]
             axes = axes_at(figure, left_in + 0.5, _SURFACE_TOP_IN, 2.2, 1.45)
             label_panel(axes, LETTERS[column])
             if data is None:

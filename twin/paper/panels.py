@@ -1,4 +1,4 @@
-"""What the figures show of one measurement, small enough to keep: arrays and a few numbers.
+"""Reduced data of one measurement for the figures: thinned arrays and a few numbers.
 
 Maps are thinned to at most `MOST_PX` pixels along their longer side; balls and sections are taken
 from all points before. World frame, mm; row 0 is the top.
@@ -66,7 +66,7 @@ class Width:
 
 @dataclass(frozen=True)
 class Numbers:
-    """What is said beside the pictures.
+    """Numbers of a measurement that the figures print next to the pictures.
 
     Attributes
     ----------
@@ -96,15 +96,15 @@ class PanelData:
     Attributes
     ----------
     picture : (row, col) or (row, col, 3) uint8
-        What the camera saw: fringes from black to saturation, or colours.
+        Camera image: fringes from black to saturation, or colours.
     photograph : (row, col, 3) uint8
-        The specimen alone.
+        Rendered photograph of the specimen without the sensor.
     points_mm : (row, col, xyz) float32
     valid : (row, col) bool
         Points that were measured.
     true_z_mm : (row, col) float32
     wanted : (row, col) bool
-        Pixels that ought to give a point.
+        Pixels that should have a point.
     reason : (row, col) uint8
         Why a pixel of a fringe measurement has no point, `reconstruction.arrays.Reason`.
     ball_points : (point, ball number, x, y, radial residual) float32, mm
@@ -126,7 +126,7 @@ class PanelData:
 
     @property
     def error_um(self) -> "np.ma.MaskedArray[Any, Any]":
-        """Measured minus true z, (row, col); masked where there is no wanted point."""
+        """Measured minus true z, (row, col); masked where there is no scored point."""
         difference = 1e3 * (self.points_mm[..., 2] - self.true_z_mm).astype(np.float64)
         return np.ma.masked_array(difference, ~(self.valid & self.wanted))
 
@@ -150,7 +150,7 @@ def write_panel_data(folder: Path, data: PanelData) -> None:
 
 
 def read_panel_data(folder: Path) -> PanelData:
-    """Read what `write_panel_data` wrote.
+    """Read the files of `write_panel_data`.
 
     Raises
     ------
@@ -159,8 +159,8 @@ def read_panel_data(folder: Path) -> PanelData:
     """
     numbers = read_json(folder / NUMBERS_FILE)
     try:
-        with np.load(folder / ARRAYS_FILE, allow_pickle=False) as kept:
-            arrays = {name: kept[name] for name in kept.files}
+        with np.load(folder / ARRAYS_FILE, allow_pickle=False) as arrays:
+            arrays = {name: arrays[name] for name in arrays.files}
         return PanelData(numbers=_read_numbers(numbers), **arrays)
     except (OSError, ValueError, KeyError, TypeError) as error:
         reason = " ".join(str(error).split())
@@ -171,7 +171,7 @@ def _read_numbers(tree: Mapping[str, Any]) -> Numbers:
     width = tree["width"]
     pairs = {key: tuple(tree[key]) for key in ("outline_mm", "scale_mm", "half_field_mm")}
     # By name: earlier files also hold a nominal radius, which no figure shows.
-    names = [one.name for one in fields(PanelBall)]
+    names = [field.name for field in fields(PanelBall)]
     balls = tuple(PanelBall(**{name: ball[name] for name in names}) for ball in tree["balls"])
     parts = {"balls": balls, "width": None if width is None else Width(**width)}
     return Numbers(**{**tree, **pairs, **parts})
@@ -180,49 +180,49 @@ def _read_numbers(tree: Mapping[str, Any]) -> Numbers:
 _PICTURE_PX = 500
 
 
-def panel_data_of(seen: Measurement) -> PanelData:
-    """Thin a measurement to what the figures show of it.
+def panel_data_of(measured: Measurement) -> PanelData:
+    """Reduce a measurement to the data of the figures.
 
     Raises
     ------
     MissingBackend
         No usable Dr.Jit backend for the specimen's photograph.
     """
-    experiment, truth, method = seen.experiment, seen.truth, seen.experiment.method
-    true_mm, shown, points = truth.points_world_mm, truth.depth_mm > 0, seen.points
-    wanted = wanted_pixels(experiment, truth)
+    experiment, truth, method = measured.experiment, measured.truth, measured.experiment.method
+    true_mm, shown, points = truth.points_world_mm, truth.depth_mm > 0, measured.points
+    scored = wanted_pixels(experiment, truth)
     lit = points.valid & (truth.lit if method.fringes and method.presses else shown)
     section, true_section = (
         _section(experiment, points[lit].astype(np.float64))
         for points in (points.world_mm, true_mm)
     )
     return PanelData(
-        numbers=_numbers(seen, true_mm[shown], section),
-        picture=_small(seen.picture),
+        numbers=_numbers(measured, true_mm[shown], section),
+        picture=_small(measured.picture),
         photograph=photograph_of(experiment),
         points_mm=thinned(points.world_mm).astype(np.float32),
         valid=thinned(points.valid),
         true_z_mm=thinned(true_mm[..., 2]).astype(np.float32),
-        wanted=thinned(wanted),
+        wanted=thinned(scored),
         reason=thinned(points.reason),
-        ball_points=_ball_points(points.world_mm, seen.score.spheres),
+        ball_points=_ball_points(points.world_mm, measured.score.spheres),
         section=_columns(section),
         true_section=_columns(true_section),
     )
 
 
-def _numbers(seen: Measurement, true_mm: NDArray[Any], section: RodSection | None) -> Numbers:
-    experiment, heights = seen.experiment, true_mm[:, 2]
+def _numbers(measured: Measurement, true_mm: NDArray[Any], section: RodSection | None) -> Numbers:
+    experiment, heights = measured.experiment, true_mm[:, 2]
     return Numbers(
         name=experiment.name,
         description=experiment.description,
         method=experiment.modality,
-        **{name: seen.figures[name] for name in ("completeness", "good_share", "z_rmse_um")},
+        **{name: measured.figures[name] for name in ("completeness", "good_share", "z_rmse_um")},
         good_within_um=experiment.score.good_within_um,
         outline_mm=shape_of(experiment.specimen).bounds_mm(),
         scale_mm=height_scale(heights) if heights.size else (0.0, 1.0),
         half_field_mm=_half_field(true_mm),
-        balls=tuple(_fit(ball) for ball in seen.score.spheres),
+        balls=tuple(_fit(ball) for ball in measured.score.spheres),
         width=_width(experiment, section),
     )
 

@@ -1,4 +1,4 @@
-"""The specimen alone on the stage in soft light, as one would photograph it."""
+"""Rendered photograph of the specimen on the stage in soft light, without the sensor."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -12,7 +12,7 @@ from twin.optics.view import SceneSurface, SceneView, point
 
 _WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 20
 _FROM = (0.5, -0.52, 0.69)
-# Eyes so far away see nearly in parallel, as a macro lens does.
+# Distance of the eye in picture widths: nearly a parallel projection, like a macro lens.
 _DISTANCE, _ROOM = 7.0, 1.3
 
 
@@ -26,27 +26,29 @@ def photograph_of(experiment: Experiment) -> Picture:
     MissingBackend
         No usable Dr.Jit backend.
     """
-    return _render(_Sitter(experiment.model_dump_json(include={"specimen", "stage"}), experiment))
+    return _render(
+        _PhotographScene(experiment.model_dump_json(include={"specimen", "stage"}), experiment)
+    )
 
 
 @dataclass(frozen=True)
-class _Sitter:
-    """What is photographed, told apart by specimen and stage alone."""
+class _PhotographScene:
+    """Specimen and stage to be rendered; `key` identifies them in the cache."""
 
     key: str
     experiment: Experiment = field(compare=False)
 
 
 @lru_cache(maxsize=32)
-def _render(sitter: _Sitter) -> Picture:
-    things = [
+def _render(scene: _PhotographScene) -> Picture:
+    surfaces = [
         SceneSurface.of_mesh(solid.name, solid.mesh, bsdf=solid.bsdf, smooth=True)
-        for solid in solids(sitter.experiment)
+        for solid in solids(scene.experiment)
     ]
-    shown = np.concatenate([thing.vertices_mm for thing in things if thing.name != STAGE])
+    shown = np.concatenate([surface.vertices_mm for surface in surfaces if surface.name != STAGE])
     low, high = shown.min(axis=0), shown.max(axis=0)
     middle = (low + high) / 2
     width_mm = _ROOM * float(np.hypot(*(high - low)[:2]))
     eye = middle + _DISTANCE * width_mm * np.array(_FROM)
     view = SceneView(point(eye), point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
-    return picture(things, view, _SAMPLES, gray=True)
+    return picture(surfaces, view, _SAMPLES, gray=True)
