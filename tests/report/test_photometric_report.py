@@ -1,4 +1,4 @@
-"""Photometric stereo beside contact-FPP on one press: files, figures and pages.
+"""Photometric stereo compared with contact-FPP on the same press: files, figures and pages.
 
 The sensor has few reference presses, those of tests/pipeline: rendered once for both.
 """
@@ -89,7 +89,7 @@ def figures_of(folder):
 
 
 def test_both_coats_feel_the_same_force(compared, summaries):
-    """Expected: one force, to what the solver leaves (0.1 %); a bonded gel yields less to it.
+    """Expected: equal force within the solver's tolerance (0.1 %); a bonded gel yields less.
 
     Specimen and scoring are the experiment's; gel, lamps and camera are the other sensor's.
     """
@@ -100,7 +100,7 @@ def test_both_coats_feel_the_same_force(compared, summaries):
     ours, theirs = (summary.experiment for summary in summaries.values())
     assert (ours.specimen, ours.score) == (theirs.specimen, theirs.score)
     assert ours.elastomer != theirs.elastomer
-    assert press_in_words(summaries).startswith("The same force, two elastomers")
+    assert press_in_words(summaries).startswith("Two elastomers, same force")
 
 
 def test_each_layout_has_one_truth_mesh(compared, summaries):
@@ -167,7 +167,7 @@ def test_console_table(result, gel_result):
 
 
 def test_decoders_read_back_as_measured(result, gel_result, tmp_path):
-    """The page decodes the stored image anew: the same figures as when it was measured."""
+    """The page decodes the stored image again: the same figures as in the measurement."""
     write_decoders(tmp_path / "again.csv", gel_result.colours.decoded)
     assert (tmp_path / "again.csv").read_bytes() == (result / "decoders.csv").read_bytes()
     assert gel_result.colours.own.errors.z_rmse_um == pytest.approx(
@@ -226,7 +226,7 @@ def test_a_report_without_its_image_is_refused(result, tmp_path, capsys):
 def test_a_load_that_one_layout_cannot_take_is_told(mi, tmp_path, summaries):
     """Setup: 60 N on an 8 mm ball, more than the 4.25 mm gel can give way to.
 
-    Expected: the cell tells the depth it would need, the page that there is no one press.
+    Expected: the cell states the required depth, the page that the presses cannot be compared.
     """
     experiment = tmp_path / "ball.toml"
     experiment.write_text(HARD)
@@ -236,4 +236,4 @@ def test_a_load_that_one_layout_cannot_take_is_told(mi, tmp_path, summaries):
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Could not be measured: press" in page
     missing = summaries | {"photometric_stereo": None}
-    assert "could not be brought to one press" in press_in_words(missing)
+    assert "cannot be compared" in press_in_words(missing)

@@ -57,7 +57,7 @@ def test_table_fits_a_terminal_and_tells_the_rest(finished):
 
 
 def test_warnings_are_printed_themselves(finished):
-    """A report that was not drawn cannot tell them: --no-report pointed to it."""
+    """With --no-report there is no page with the warnings, to which the terminal referred."""
     scored = read_measurement(finished)
     texts = ["the contact is 3 cells wide: " + "use finer cells, " * 9, "second"]
     table = summary_table(replace(scored, metrics={**scored.metrics, "warnings": texts}))

@@ -91,7 +91,7 @@ def middle(tab: Browser) -> tuple[float, float]:
 
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_drag_turns_it(page, tab, width):
-    """In a browser: no error, nothing loaded, and the picture changes, and back by a button."""
+    """In a browser: no error, no file loaded; dragging changes the picture, a button resets it."""
     tab.open(page.as_uri(), width)
     if not tab.evaluate("!!document.createElement('canvas').getContext('webgl2')"):
         pytest.skip("no WebGL here")
@@ -107,7 +107,9 @@ def test_a_drag_turns_it(page, tab, width):
     tab.evaluate("document.querySelector('.view3d button[value=relief]').click()")
     assert tab.evaluate(drawn) == before
     assert tab.seen.errors == []
-    assert [one for one in tab.seen.requests if not one.startswith(("file:", "data:"))] == []
+    assert [
+        request for request in tab.seen.requests if not request.startswith(("file:", "data:"))
+    ] == []
     assert tab.overflow() == []
 
 

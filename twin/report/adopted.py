@@ -92,7 +92,8 @@ def _frames_section(adopted: Adopted, twin: Rendered) -> Section:
             "maps",
             "Modulation and sigma",
             "Fringe amplitude (DN) and predicted standard deviation of the decoded projector "
-            "column (px), from the captured and the rendered frames on the same scale; gray: no value.",
+            "column (px), from the captured and the rendered frames on the same scale; gray: no "
+            "value.",
             "Maps of modulation and sigma in pairs.",
             partial(_draw_maps, adopted.points, twin.points),
         ),

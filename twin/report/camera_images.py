@@ -105,7 +105,7 @@ def _sheet(capture: Capture) -> list[list[PatternFrame]]:
 
 
 def _phases(capture: Capture, axis: Axis) -> list[PatternFrame]:
-    """Return frames whose phases differ by about a quarter of a period."""
+    """Return frames with phase steps of about a quarter of a period."""
     patterns = capture.patterns
     frames = [frame for frame in patterns.frames if (frame.kind, frame.axis) == ("phase", axis)]
     chosen = sorted({round(k * patterns.steps / 4) for k in range(4)})

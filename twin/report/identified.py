@@ -136,7 +136,8 @@ def _fields(identified: Identified) -> list[Block]:
     ridges = [
         Note(
             f"Not separable: {ridge_words(ridge)} (posterior over prior variance: of the "
-            f"combination {ridge.variance_ratio:.2g}, of its best known single field {ridge.open_ratio:.2g})"
+            f"combination {ridge.variance_ratio:.2g}, of its best known single field "
+            f"{ridge.open_ratio:.2g})"
         )
         for ridge in identified.ridges()
     ]

@@ -144,7 +144,7 @@ class TurnableView:
     Attributes
     ----------
     name : its place in the page
-    caption : what it shows, and how to turn it
+    caption : plotted quantities, and how to turn the view
     data : JSON for the script
     homes : predefined views, one button each
     parts : surfaces and lines that can be shown and hidden
@@ -203,7 +203,7 @@ class Page:
     numbered : sections carry numbers
     contents : the page has a list of the sections before them
     wide : for tables with many columns
-    certificate : printed alone on the first page, and not shown on a screen
+    certificate : the first printed page; not shown on a screen
     """
 
     kind: str

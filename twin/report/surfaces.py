@@ -52,10 +52,10 @@ _VIEW = SceneView.around((0.0, 0.0, 0.0), 1.0, *np.deg2rad((28.0, 32.0)))
 
 def z_enlargement(points: SurfacePoints) -> float:
     """Return the factor on z in the 3-D view: a round number, at least 1."""
-    found = at_pixels(points.world_mm, points.valid)
-    if not len(found):
+    box_mm = at_pixels(points.world_mm, points.valid)
+    if not len(box_mm):
         return 1.0
-    return enlargement(float(np.ptp(found[:, 0])), float(np.ptp(found[:, 2])))
+    return enlargement(float(np.ptp(box_mm[:, 0])), float(np.ptp(box_mm[:, 2])))
 
 
 def relief_figure(measured: Measurement) -> Figure:
@@ -159,8 +159,8 @@ def draw_height_map(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
 
 
 def _relief(points: SurfacePoints, pixel_mm: float, cells: int) -> CellMeans:
-    found = at_pixels(points.world_mm, points.valid)
-    return average_on_grid(found, found[:, 2], pixel_mm, cells)
+    near = at_pixels(points.world_mm, points.valid)
+    return average_on_grid(near, near[:, 2], pixel_mm, cells)
 
 
 def _surface(cells: CellMeans) -> SceneSurface:
