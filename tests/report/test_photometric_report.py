@@ -117,7 +117,7 @@ def test_comparison_shows_both_and_needs_no_network(compared, summaries):
     assert page.count("data:image/png;base64,") == 1 + 4 * len(summaries)
     for target in re.findall(r"""(?:src|href)\s*=\s*["']([^"']{0,60})""", page):
         assert target.startswith("data:") or target in reports, target
-    for text in ("photometric stereo", "contact-FPP", "The same force", "vendor 2025", "look-up"):
+    for text in ("photometric stereo", "contact-FPP", "same force", "vendor 2025", "look-up"):
         assert text in page
 
 

@@ -108,7 +108,7 @@ def test_discussion_of_a_thin_sheet_tells_of_stretch_and_not_of_the_slab(finishe
     sheet |= {"thinnest_mm": 0.1567, "steepest_deg": 61.2}
     wrapped = replace(scored, metrics={**scored.metrics, **sheet})
     text = " ".join(discussion(wrapped))
-    assert "stretched up to 1.23 times, 0.157 mm thick where it is thinnest" in text
+    assert "largest stretch is 1.23, the smallest thickness 0.157 mm" in text
     assert "low-pass" in " ".join(discussion(scored))
     assert "low-pass filter: T(q)" not in text
     assert "shear through the thickness" in judge_press(wrapped).reasons[0]
