@@ -138,7 +138,7 @@ def test_a_coat_on_the_touching_face_is_not_a_slab_that_filters(finished):
     scored = read_measurement(finished)
     on_window = vary(scored.experiment, {"elastomer.layout": "contact_face"})
     text = " ".join(discussion(replace(scored, experiment=on_window)))
-    assert "has the ball's shape" in text
+    assert "has the shape of the ball" in text
     assert "low-pass" not in text
     assert "free span" not in text
 
