@@ -52,7 +52,7 @@ from twin.study.table import (
 )
 
 _MOST_METRICS, _MOST_PAIRS, _MOST_BEST = 5, 6, 12
-_UNTAKEN = "no picture yet; twin sweep report measures the best designs and draws them"
+_UNTAKEN = "not drawn yet; twin sweep report measures the best designs and draws them"
 
 Row = Mapping[str, Any]
 
