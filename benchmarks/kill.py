@@ -30,7 +30,7 @@ from pathlib import Path
 from benchmarks.killing import TARGETS, kill_commands
 from twin.config import digest, load_experiment
 from twin.config.study import Study
-from twin.study.measuring import AS_IT_IS, Answer, CaseMeasurer
+from twin.study.measuring import NOMINAL_CONDITIONS, CaseMeasurer, CaseResult
 from twin.study.record import StudyRecord
 from twin.study.store import Store
 from twin.study.sweep import sweep
@@ -45,7 +45,7 @@ WAYS = ("everything", "everything", "run", "worker")
 class Logged(CaseMeasurer):
     """Measures, and logs when each case starts."""
 
-    def __call__(self, experiment, conditions=AS_IT_IS) -> Answer:
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS) -> CaseResult:
         """Measure one case."""
         with Path(os.environ[LOG]).open("a") as file:
             file.write(f"{digest(experiment)} {time.time()}\n")

@@ -224,9 +224,9 @@ class _InstantMeasurer:
         self.keep = keep
 
     def __call__(self, experiment, conditions=None):
-        from twin.study.measuring import Answer
+        from twin.study.measuring import CaseResult
 
-        return Answer({"value": experiment.coating.base_albedo, "warnings": []})
+        return CaseResult({"value": experiment.coating.base_albedo, "warnings": []})
 
     def reads(self):
         return ((("coating", "base_albedo"),),)

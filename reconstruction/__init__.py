@@ -2,22 +2,22 @@
 
     from reconstruction import read_capture, reconstruct
 
-    found = reconstruct(read_capture("my_capture"))
-    points_mm = found.point_map.points_world_mm  # (row, col, xyz), world frame
+    result = reconstruct(read_capture("my_capture"))
+    points_mm = result.point_map.points_world_mm  # (row, col, xyz), world frame
 
-| name | what it is |
+| name | content |
 |---|---|
-| `PatternSet` | what the projector shows and the decoder expects |
-| `Capture`, `read_capture`, `write_capture` | frames and what is known about them, as a folder |
-| `SensorNoise`, `Pinhole`, `Calibration` | what a capture says of its rig |
+| `PatternSet` | the images that the projector shows and the decoder expects |
+| `Capture`, `read_capture`, `write_capture` | frames, patterns, calibration and noise: a folder |
+| `SensorNoise`, `Pinhole`, `Calibration` | noise, camera model and geometry of the rig |
 | `decode`, `DecodeOptions` | frames to projector coordinates, their sigma, a reason per pixel |
 | `triangulate` | projector coordinates to points in the world frame, mm |
-| `reconstruct`, `ReconstructOptions` | both in one call |
-| `CODES`, `PatternCode` | pattern codes by name, and what a code from outside states: `codes` |
+| `reconstruct`, `ReconstructOptions` | decode and triangulate in one call |
+| `CODES`, `PatternCode` | pattern codes by name, base class of a user's code: `codes` |
 | `calibrate` | observations of a board to a calibrated rig; boards and `observe`: `calibration` |
-| `calibration`, `evaluate`, `photometric` | rooms with names of their own, see there |
+| `calibration`, `evaluate`, `photometric` | subpackages with public names of their own |
 
-Nothing is imported before it is asked for.
+A submodule is imported when one of its names is first used.
 """
 
 from importlib import import_module
@@ -58,7 +58,7 @@ __all__ = [
     "write_capture",
 ]
 
-# No name of a function may be that of a room: importing the room would put itself in its place.
+# A function must not have the name of a subpackage: importing the subpackage would replace it.
 _ROOMS = ("calibration", "evaluate", "photometric")
 _MODULE_OF = {
     "CODES": "codes",

@@ -21,41 +21,41 @@ Levels = NDArray[np.uint8]
 Stack = NDArray[Any]
 
 Alignment = Literal["none", "offset", "offset_tilt", "rigid"]
-"""What is taken off a surface before it is compared, see `evaluate.deviation`."""
+"""Motion that is fitted and removed before a surface is compared, see `evaluate.deviation`."""
 
 
 def at_pixels(image: NDArray[Any], where: BoolImage) -> NDArray[Any]:
-    """Return what an image (row, col, ...) holds at some pixels, row by row: (pixel, ...)."""
-    # Ten times as fast as an index of bools.
+    """Return the values of an image (row, col, ...) at the selected pixels: (pixel, ...)."""
+    # 10 times faster than a boolean index.
     pixels = image.reshape(-1, *image.shape[2:])
     return pixels.take(np.flatnonzero(where), axis=0)
 
 
 class Reason(IntEnum):
-    """Reason code of a pixel; when several apply the lowest code is kept."""
+    """Reason code of a pixel; when several apply the lowest code is stored."""
 
     VALID = 0
     DARK = 1
     """White and black frame do not differ: no projector light."""
     LOW_MODULATION = 2
-    """Fringe contrast too small for the phase uncertainty asked for."""
+    """Fringe contrast too small for the required phase uncertainty."""
     SATURATED = 3
     """Clipped or lost phase frames leave too few for a fit."""
     ORDER_UNCERTAIN = 4
-    """The Gray word could stand for another fringe order, or contradicts the phase."""
+    """The Gray word fits two fringe orders, or contradicts the phase."""
     OUTSIDE_PROJECTOR = 5
-    """The decoded coordinate lies outside the projector image."""
+    """The decoded coordinate is outside the projector image."""
     EDGE = 6
-    """Beside a pixel without light: part of it may see past the edge. Only marked by the filter."""
+    """Next to a pixel without light: its footprint may cross the edge. Set by the filter only."""
     EPIPOLAR_MISMATCH = 7
-    """Column and row coordinate belong to no common point of this camera ray."""
+    """The column and the row coordinate correspond to no common point of this camera ray."""
     NO_POINT = 8
-    """No camera ray (the lens folds before it), or none that meets the projector plane in front of
-    both devices and before the projector's lens folds."""
+    """The camera pixel has no ray (the lens model folds before it), or its ray has no intersection
+    with the projector plane in front of both devices and within the projector's lens model."""
 
 
 class PhotometricReason(IntEnum):
-    """Reason code; when several apply the lowest code above 0 is kept.
+    """Reason code; when several apply the lowest code above 0 is stored.
 
     Slopes of coded pixels are estimates (filled in or extrapolated), heights are integrated over
     them: finite numbers everywhere, measurements only where the code is 0.
@@ -63,8 +63,8 @@ class PhotometricReason(IntEnum):
 
     VALID = 0
     MARKER = 1
-    """A printed dot, in this image or in the background: the slope is filled in from around it."""
+    """A printed dot, in this image or in the background: the slope is filled in from its border."""
     CLIPPED = 2
     """A channel is at 0 or 255: the colour is a bound, not a value."""
     UNCALIBRATED = 3
-    """The calibration presses showed no such colour: the slope is the nearest known one."""
+    """No calibration press contains this colour: the slope is that of the nearest known colour."""

@@ -1,4 +1,4 @@
-"""Means in square cells of world x and y: how scattered points become a map in mm."""
+"""Means in square cells of world x and y, which turn scattered points into a map in mm."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,9 +18,9 @@ class CellMeans:
 
     Attributes
     ----------
-    x_mm : (col,) world x of the cells' centres, growing
-    y_mm : (row,) world y of the cells' centres, falling: row 0 is the top of a picture
-    mean : (row, col) 0 where no point lies
+    x_mm : (col,) world x of the cells' centres, ascending
+    y_mm : (row,) world y of the cells' centres, descending: row 0 is the top of a picture
+    mean : (row, col) 0 in cells without a point
     valid : (row, col) bool
     pitch_mm : edge of a cell
     """
@@ -40,7 +40,7 @@ class CellMeans:
 
 
 def box_of(points: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the largest coordinates of points (point, axis), at least one."""
+    """Return the least and the largest coordinates of points (point, axis), at least one point."""
     # Axis by axis: over short rows Numpy takes ten times as long.
     axes = points.T
     return np.array([axis.min() for axis in axes]), np.array([axis.max() for axis in axes])
@@ -48,7 +48,7 @@ def box_of(points: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class SquareCells:
-    """Which square cell each of some points lies in.
+    """Number of the square cell of each point.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Deviations as colours of points, for programs that show a cloud without being told how."""
+"""Deviations as colours of points, for viewers that read vertex colours."""
 
 from functools import cached_property
 from typing import Any
@@ -13,11 +13,11 @@ UNKNOWN = 128
 
 
 class Deviation:
-    """Measured less true height, where it is known, and its colour.
+    """Measured minus true height, where the true height is known, and its colour.
 
     Attributes
     ----------
-    um : (row, col) float32; 0 where it is not known
+    um : (row, col) float32; 0 where the deviation is unknown
     known : (row, col) bool
     limit_um : deviations as large as this or larger have the full colour
     """
@@ -25,12 +25,12 @@ class Deviation:
     def __init__(self, um: NDArray[Any], known: BoolImage) -> None:
         self.known = np.asarray(known)
         self.um: FloatImage = np.where(self.known, um, 0.0).astype(np.float32)
-        found = np.abs(self.um[self.known])
-        self.limit_um = float(np.percentile(found, 99.0)) if found.any() else 1.0
+        magnitude = np.abs(self.um[self.known])
+        self.limit_um = float(np.percentile(magnitude, 99.0)) if magnitude.any() else 1.0
 
     @cached_property
     def rgb(self) -> Levels:
-        """(row, col, 3) uint8: blue below, white at 0, red above, grey where nothing is known."""
+        """(row, col, 3) uint8: blue below, white at 0, red above, grey where it is unknown."""
         share = np.clip(self.um / self.limit_um, -1.0, 1.0)
         levels = np.stack(
             (1.0 + np.minimum(share, 0.0), 1.0 - np.abs(share), 1.0 - np.maximum(share, 0.0)),
@@ -41,6 +41,6 @@ class Deviation:
 
     @property
     def legend(self) -> str:
-        """What the colours mean, for the head of a file."""
+        """Meaning of the colours, for the header of a file."""
         limit = f"{self.limit_um:.3g} um"
         return f"colour is deviation_um: blue -{limit}, white 0, red +{limit}, grey unknown"

@@ -1,8 +1,8 @@
 """Maps in 16 bits per pixel, expanded when they are read.
 
-A full result would otherwise need as much memory as the frames it was made of. What is measured
-with stays in single precision: the coordinate. What informs about it is kept in half precision,
-whose step of at most 1 / 1024 of the value lies below the noise of each of these quantities.
+A full result would otherwise need as much memory as the frames. The coordinate, from which points
+are computed, has single precision. All other maps have half precision: its step of at most
+1 / 1024 of the value is below the noise of each of these quantities.
 """
 
 from collections.abc import Callable
@@ -22,14 +22,14 @@ RAD_PER_STEP = 2.0 * np.pi / TURN_STEPS
 
 
 class Compact(Protocol):
-    """A map that can be expanded to the array it stands for."""
+    """A map that can be expanded to an array."""
 
     def expand(self) -> NDArray[Any]:
         """Return a new array, (row, col)."""
 
 
 class ExpandedOnRead:
-    """Attribute that keeps what it was given, and expands it whenever it is read."""
+    """Attribute that stores a value as it was assigned, and expands it whenever it is read."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -37,7 +37,7 @@ class ExpandedOnRead:
     def __get__(self, instance: object | None, owner: type) -> Any:
         if instance is None:
             return self
-        value = kept(instance, self._name)
+        value = stored_value(instance, self._name)
         return value if isinstance(value, np.ndarray) else value.expand()
 
     def __set__(self, instance: object, value: Compact | NDArray[Any]) -> None:
@@ -45,7 +45,7 @@ class ExpandedOnRead:
 
 
 def keeps_compact(*names: str) -> Callable[[type[Class]], type[Class]]:
-    """Let these fields of a dataclass, arrays to their reader, be given as `Compact` as well."""
+    """Let these array fields of a dataclass also accept `Compact` values."""
 
     def install(owner: type[Class]) -> type[Class]:
         for name in names:
@@ -55,8 +55,8 @@ def keeps_compact(*names: str) -> Callable[[type[Class]], type[Class]]:
     return install
 
 
-def kept(instance: object, name: str) -> Compact | NDArray[Any]:
-    """Return such a field as it was given."""
+def stored_value(instance: object, name: str) -> Compact | NDArray[Any]:
+    """Return the unexpanded value of a field that `keeps_compact` installed."""
     value: Compact | NDArray[Any] = vars(instance)[name]
     return value
 
@@ -70,7 +70,7 @@ class Half:
 
     @classmethod
     def of(cls, values: NDArray[Any], unit: float) -> "Half":
-        """Round values to half precision; larger ones become the largest."""
+        """Round values to half precision; values above the largest are set to it."""
         scaled = np.minimum(np.asarray(values, np.float32) / np.float32(unit), LARGEST)
         return cls(np.ascontiguousarray(scaled.astype(np.float16)).view(np.uint16), unit)
 
@@ -104,7 +104,7 @@ class Share:
 
 @dataclass(frozen=True, eq=False)
 class Orders:
-    """Fringe numbers: a coordinate in periods without its phase; 0 where there is none."""
+    """Fringe numbers: a coordinate in periods minus its phase; 0 where there is no coordinate."""
 
     coordinate_px: FloatImage
     turns: Turns

@@ -24,25 +24,25 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 # band, so the last digit of a result must not depend on the number of cores.
 BAND_ROWS = 16
 
-# Every file whose code or constants end up in a kernel.
+# Patterns of all files that contribute code or constants to a kernel.
 KERNEL_SOURCES = ("**/_[!_]*.py", "compiling.py", "arrays.py", "rig/pinhole.py", "rig/sensor.py")
 
 # Division by zero gives inf as in numpy. Fused multiply-add is allowed, but not the fast arithmetic
 # that assumes there are no NaNs: a damaged float stack must not pass a threshold.
-# Kernels make no arrays, and references to arrays are the callers' to count: counted in every call,
-# they take a tenth of the compile time.
+# Kernels allocate no arrays and the callers count references to arrays: counting them in every
+# call takes 10 % of the compile time.
 OPTIONS: dict[str, Any] = {
     "nogil": True,
     "_nrt": False,
     "error_model": "numpy",
     "fastmath": {"contract"},
 }
-# What only other kernels call.
+# Options of functions that are called from kernels only.
 NESTED: dict[str, Any] = {"no_cpython_wrapper": True}
 
 
 def digest_of_sources(folder: Path, patterns: tuple[str, ...]) -> str:
-    """Return the digest of all files whose code or constants end up in some kernels."""
+    """Return the digest of all files that contribute code or constants to a set of kernels."""
     files = sorted(file for pattern in patterns for file in folder.glob(pattern))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
@@ -51,41 +51,41 @@ SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, KERNEL_SOURCES)
 
 
 def compiled(function: Function) -> Function:
-    """Compile `function` on first call and keep the result on disk."""
+    """Compile `function` on first call and store the result on disk."""
     return compile_and_keep(function, OPTIONS, SOURCE_DIGEST)
 
 
 def nested(function: Function) -> Function:
-    """Compile `function` for other kernels alone: Python cannot call it, and must not try.
+    """Compile `function` for calls from kernels; Python code must not call it.
 
-    To take arguments from Python takes a tenth of the compile time.
+    A wrapper that converts arguments from Python takes 10 % of the compile time.
     """
     return compile_and_keep(function, OPTIONS | NESTED, SOURCE_DIGEST)
 
 
 def inlined(function: Function) -> Function:
-    """Compile `function` into its callers, as `nested`: for what runs once per pixel."""
+    """Compile `function` into its callers, as `nested`: for code that runs once per pixel."""
     return compile_and_keep(function, OPTIONS | NESTED | {"forceinline": True}, SOURCE_DIGEST)
 
 
 def merged(function: Function) -> Function:
-    """Copy `function` into its callers before types are found.
+    """Copy `function` into its callers before type inference.
 
-    For what runs once per image row: a compiled function is optimised anew in every function that
-    calls it, so that each further level would cost its callers' compile time once more.
+    For code that runs once per image row: a compiled function is optimised again in each function
+    that calls it, so every further level of calls adds its callers' compile time.
     """
     return cast(Function, numba.njit(inline="always", **OPTIONS)(function))
 
 
 def compile_and_keep(function: Function, options: dict[str, Any], source_digest: str) -> Function:
-    """Compile on first call; keep the result on disk for as long as the sources are the same."""
-    options = {**options, "no_cfunc_wrapper": True}  # nobody calls a kernel from C
+    """Compile on first call; store the result on disk and reuse it while the sources are equal."""
+    options = {**options, "no_cfunc_wrapper": True}  # no kernel is called from C
     try:
         kernel = numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # there is no place to write: compile anew in every process
+    except RuntimeError:  # no writable cache folder: every process compiles
         return cast(Function, numba.njit(**options)(function))
-    # The cache notices a change in a function's own file only, and would keep serving code into
-    # which another file's old function or constant was inlined.
+    # Numba's cache checks a function's own file only. It would return code with an outdated
+    # function or constant of another file inlined.
     stored = kernel._cache._cache_file
     stored._source_stamp = source_digest
     stored._load_index = partial(_load_index, stored)
@@ -95,18 +95,18 @@ def compile_and_keep(function: Function, options: dict[str, Any], source_digest:
 
 
 @contextmanager
-def telling_of_compiling(told: Callable[[], None]) -> Iterator[None]:
-    """Call `told`, from the thread that compiles, whenever a kernel is compiled and not loaded."""
-    with event.install_listener("numba:compile", _Listener(told)):
+def telling_of_compiling(callback: Callable[[], None]) -> Iterator[None]:
+    """Call `callback`, in the thread that compiles, whenever a kernel is compiled, not loaded."""
+    with event.install_listener("numba:compile", _Listener(callback)):
         yield
 
 
 class _Listener(event.Listener):  # type: ignore[misc]  # numba has no type information
-    def __init__(self, told: Callable[[], None]) -> None:
-        self._told = told
+    def __init__(self, callback: Callable[[], None]) -> None:
+        self._callback = callback
 
     def on_start(self, event: Any) -> None:
-        self._told()
+        self._callback()
 
     def on_end(self, event: Any) -> None:
         pass
@@ -115,13 +115,13 @@ class _Listener(event.Listener):  # type: ignore[misc]  # numba has no type info
 def _load_index(stored: Any) -> Any:
     """Return the stored versions of a kernel by their argument types.
 
-    The file names the types of the arguments; reading it fails where one is no longer there, before
-    the digest could tell that the file is old. Opening what is no file, a pipe, may never end: the
-    next compiled version takes its place.
+    The file names the types of the arguments; reading it fails if such a type no longer exists,
+    before the digest is compared. Opening a pipe may never return: the next compiled version
+    replaces it.
     """
     try:
-        found = is_regular(Path(stored._index_path))
-        return type(stored)._load_index(stored) if found else {}
+        is_stored = is_regular(Path(stored._index_path))
+        return type(stored)._load_index(stored) if is_stored else {}
     except (AttributeError, ImportError):
         return {}
 
@@ -134,7 +134,7 @@ def _load_data(stored: Any, name: str) -> Any:
 
 
 def _save(cache: Any, signature: Any, compiled: Any) -> None:
-    """Store a compiled kernel; a full or forbidden disk costs only the time of the next process."""
+    """Store a compiled kernel; if the disk is full or read-only, the next process compiles it."""
     with suppress(OSError):
         type(cache).save_overload(cache, signature, compiled)
 
@@ -142,7 +142,7 @@ def _save(cache: Any, signature: Any, compiled: Any) -> None:
 def run_over_rows(
     kernel: Callable[..., None], rows: int, *arguments: object, band_rows: int = BAND_ROWS
 ) -> None:
-    """Call `kernel(first_row, end_row, *arguments)` for bands that cover all rows once."""
+    """Call `kernel(first_row, end_row, *arguments)` for bands that cover each row exactly once."""
     with ThreadPoolExecutor(threads()) as pool:
         calls = [
             pool.submit(kernel, first, min(first + band_rows, rows), *arguments)

@@ -1,6 +1,6 @@
-"""Pictures of results: maps over world x and y, sections, as figures that a notebook shows.
+"""Figures of results for notebooks: maps over world x and y, sections, distributions.
 
-Matplotlib is imported here and nowhere else in `reconstruction`, and only when something is drawn.
+In `reconstruction` only this module imports Matplotlib, when the first figure is drawn.
 """
 
 import base64
@@ -25,7 +25,7 @@ _ROOM_ACROSS, _ROOM_DOWN = 0.06, 0.08
 
 
 class Drawing(Figure):
-    """A Matplotlib figure that a notebook shows by itself; `savefig` writes it to a file."""
+    """A Matplotlib figure that a notebook displays; `savefig` writes it to a file."""
 
     def __init__(self, panels: int, rows: int = 1) -> None:
         size = 4.4 * panels, 3.4 * rows
@@ -33,7 +33,7 @@ class Drawing(Figure):
         super().__init__(figsize=size, facecolor="white", layout=layout)
 
     def png(self) -> bytes:
-        """Return it as a PNG file."""
+        """Return the figure as a PNG file."""
         drawn = io.BytesIO()
         self.savefig(drawn, format="png", dpi=_DPI, metadata={"Software": None})
         return drawn.getvalue()
@@ -45,7 +45,7 @@ class Drawing(Figure):
 def gridded(points_mm: NDArray[Any], values: NDArray[Any]) -> CellMeans:
     """Average (point,) values at (point, xyz) points on at most 400 cells along a side."""
     span_mm = float(np.ptp(points_mm[:, :2], axis=0).max())
-    # Cells of two typical distances of neighbours: nearly every one has a point.
+    # Cells of two typical distances of neighbours: almost every cell has a point.
     apart_mm = 2.0 * np.sqrt(np.prod(np.ptp(points_mm[:, :2], axis=0)) / len(points_mm))
     pitch_mm = max(span_mm / _MOST_CELLS, float(apart_mm), 1e-6)
     return SquareCells.of(points_mm, pitch_mm).means(values)
@@ -54,19 +54,19 @@ def gridded(points_mm: NDArray[Any], values: NDArray[Any]) -> CellMeans:
 def draw_cells(
     axes: Axes, cells: CellMeans, title: str, label: str, *, signed: bool = False
 ) -> None:
-    """Draw means over world x and y with their scale; cells without a point are grey.
+    """Draw cell means over world x and y with a colour bar; cells without a point are grey.
 
     Parameters
     ----------
-    label : of the scale, with the unit
+    label : of the colour bar, with the unit
     signed : colours are symmetric about 0
     """
-    found = cells.mean[cells.valid]
+    values = cells.mean[cells.valid]
     if signed:
-        high = float(np.percentile(np.abs(found), 99.0)) or 1.0
+        high = float(np.percentile(np.abs(values), 99.0)) or 1.0
         low = -high
     else:
-        low, high = float(found.min()), float(found.max())
+        low, high = float(values.min()), float(values.max())
     axes.set_facecolor(_GAP)
     shown = axes.imshow(
         np.ma.masked_array(cells.mean, ~cells.valid),
@@ -106,7 +106,7 @@ def draw_distribution(
 
 
 def draw_section(axes: Axes, curves: Mapping[str, CellMeans]) -> None:
-    """Draw z of some height maps along x, through the row of cells nearest y = 0."""
+    """Draw z of height maps along x, through the row of cells nearest to y = 0."""
     for number, (name, cells) in enumerate(curves.items()):
         row = int(np.abs(cells.y_mm).argmin())
         z_mm = np.ma.masked_array(cells.mean[row], ~cells.valid[row])
@@ -117,7 +117,7 @@ def draw_section(axes: Axes, curves: Mapping[str, CellMeans]) -> None:
 
 
 def as_html(title: str, rows: Mapping[str, str], drawing: Drawing) -> str:
-    """Return what a notebook shows: a title, a short table and the drawing, in one piece."""
+    """Return the HTML that a notebook displays: a title, a short table and the figure."""
     lines = "".join(
         f'<tr><td style="text-align:left">{html.escape(name)}</td>'
         f'<td style="text-align:right">{html.escape(value)}</td></tr>'

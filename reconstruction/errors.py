@@ -6,7 +6,7 @@ from pathlib import PurePath
 
 
 class InputError(ValueError):
-    """Input that cannot be used as given; base of every such error of this package."""
+    """Input that cannot be used as given; base class of all input errors of this package."""
 
 
 class CaptureError(InputError):
@@ -14,27 +14,27 @@ class CaptureError(InputError):
 
 
 class FitError(InputError):
-    """Points that do not determine the shape asked for."""
+    """Points that do not determine the requested shape."""
 
 
 def one_line(error: BaseException) -> str:
-    """Return what a library said, as part of a message."""
+    """Return the message of a library's exception as one line."""
     return " ".join(str(error).split())
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
-    """Return a number with its noun, in the singular for one: "1 case", "2 cases"."""
+    """Return a number with its noun, singular for 1: "1 case", "2 cases"."""
     return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
 
 
 def few(names: list[str]) -> str:
-    """Return the first three of some names and how many more there are."""
+    """Return the first three names and the number of further ones."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(names[:3]) + more or "none"
 
 
 def require_instance(name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:
-    """Raise InputError unless `value` is an instance of one of some classes."""
+    """Raise InputError unless `value` is an instance of `kinds`."""
     if not isinstance(value, kinds):
         written = repr(value) if isinstance(value, (str, int, float, PurePath)) else ""
         written = f"{written[:60]}, " if written else ""

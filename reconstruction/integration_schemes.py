@@ -1,6 +1,6 @@
-"""Integration schemes of photometric stereo: from slopes to heights. One kind per module.
+"""Integration schemes of photometric stereo: from slopes to heights. One scheme per module.
 
-A kind is one file of `reconstruction.photometric.schemes`, of an installed package (entry points of
+A scheme is a file of `reconstruction.photometric.schemes`, of an installed package (entry points of
 the group `fringe_twin.integrations`) or of the user (`--plugin`). Minimal example:
 
     class RowByRow(IntegrationScheme):
@@ -24,19 +24,19 @@ Boundary = Literal["neumann", "dirichlet"]
 
 
 class IntegrationScheme:
-    """A way to integrate slopes. A kind states `name`, `title`, `summary`, and what differs.
+    """Integration of slopes to heights. A scheme sets `name`, `title`, `summary` and its options.
 
     Attributes
     ----------
     name : value of the key `integration`
-    title : as pages call it
+    title : name in reports and documentation
     summary : one line of documentation
-    rank : place in tables and figures, the smallest first; equal ranks by name
-    marker_growth_px : by how much printed dots are enlarged before slopes are filled in
-    finds_small_markers : whether dots are also found by their contrast to the gel around them
-    corrects_light : whether a slow change of the lamps' light is taken out first
+    rank : position in tables and figures, the smallest first; equal ranks by name
+    marker_growth_px : width by which printed dots are enlarged before slopes are filled in
+    finds_small_markers : whether dots are also detected by their contrast to the gel around them
+    corrects_light : whether a slow change of the lamps' light is removed first
     fills_smoothly : slopes under dots are smooth continuations; False: those of the nearest pixel
-    takes_boundary : whether `boundary` = dirichlet holds the border at height 0
+    takes_boundary : whether `boundary` = dirichlet fixes the height at the border to 0
     """
 
     name: str
@@ -58,11 +58,11 @@ class IntegrationScheme:
         ----------
         slopes : (2, row, col) float64, mm/mm, along rows (down) and along columns (right); finite
         pitch_mm : distance of neighbouring pixels on the surface
-        weights : (row, col) >= 0, proportional to 1 / variance of the slopes; None: all alike
+        weights : (row, col) >= 0, proportional to 1 / variance of the slopes; None: equal weights
 
         Raises
         ------
-        FitError : no heights result
+        FitError : the heights cannot be computed
         """
         raise NotImplementedError(f"integration {self.name!r} has no function heights_mm")
 
@@ -74,5 +74,5 @@ SCHEMES: Registry[IntegrationScheme] = Registry(
 
 
 def schemes_in_order() -> list[IntegrationScheme]:
-    """Return all schemes as tables list them."""
+    """Return all schemes in the order of tables and figures."""
     return sorted(SCHEMES, key=lambda scheme: (scheme.rank, scheme.name))

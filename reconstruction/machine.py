@@ -1,9 +1,9 @@
-"""What the machine gives: cores to share, memory, and a disk that may be full.
+"""Resources of the machine: cores, memory, and a disk that may be full.
 
-Programs that share a machine agree on how many threads may run side by side (`VARIABLE`). A full
+Programs that share a machine limit their threads by an environment variable (`VARIABLE`). A full
 disk is an ordinary error (see `writing`).
-Warning filters, the environment and the threads of BLAS belong to the whole process: they are
-changed for a block only, and so that the caller's values are restored when several threads do so.
+Warning filters, environment variables and the thread count of BLAS are global to the process. They
+are changed within a block only, such that the caller's values are restored also with threads.
 """
 
 import ctypes
@@ -24,21 +24,21 @@ VARIABLE = "NUMBA_NUM_THREADS"
 
 
 def usable_cores() -> int:
-    """Return the number of cores that this process may use; all where the system sets no limit."""
+    """Return the number of cores that this process may use; without a system limit all cores."""
     limited = hasattr(os, "sched_getaffinity")  # of Linux
     return len(os.sched_getaffinity(0)) if limited else os.cpu_count() or 1
 
 
 def threads() -> int:
-    """Return the number of cores that this process may use, or less where VARIABLE says so."""
+    """Return the number of cores that this process may use, at most the limit in VARIABLE."""
     cores, limit = usable_cores(), os.environ.get(VARIABLE, "")
     return max(1, min(cores, int(limit) if limit.isdecimal() else cores))
 
 
 def run_side_by_side(jobs: Sequence[Callable[[], object]]) -> None:
-    """Run jobs on the cores of this process; raises the failure of the first that failed.
+    """Run jobs on the cores of this process; raise the exception of the first job that failed.
 
-    For what spends its time outside of Python: array arithmetic, compression, files.
+    For jobs that spend their time outside of Python: array arithmetic, compression, files.
     """
     with ThreadPoolExecutor(threads()) as pool:
         for job in [pool.submit(job) for job in jobs]:
@@ -50,9 +50,9 @@ _PROCESS_WIDE = threading.RLock()
 
 @contextmanager
 def warnings_ignored(category: type[Warning] = Warning) -> Iterator[None]:
-    """Ignore warnings of a category in a block, which one thread at a time enters.
+    """Ignore warnings of a category in a block; one thread at a time enters it.
 
-    Two threads in `warnings.catch_warnings` would leave the filters of one to the process.
+    Two threads in `warnings.catch_warnings` would leave one thread's filters set in the process.
     """
     with _PROCESS_WIDE, warnings.catch_warnings():
         warnings.simplefilter("ignore", category)
@@ -61,7 +61,7 @@ def warnings_ignored(category: type[Warning] = Warning) -> Iterator[None]:
 
 @contextmanager
 def environment_variable(name: str, value: str | None) -> Iterator[None]:
-    """Set an environment variable in a block, which one thread at a time enters; None: leave it."""
+    """Set an environment variable in a block; one thread at a time enters it; None: no change."""
     with _PROCESS_WIDE:
         before = os.environ.get(name)
         if value is not None:
@@ -82,7 +82,7 @@ class _Blas:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Let BLAS use one thread in a block; the last of several threads restores the number."""
+    """Limit BLAS to one thread in a block; the last of several callers restores the number."""
     from threadpoolctl import threadpool_limits
 
     with _PROCESS_WIDE:
@@ -108,11 +108,11 @@ _MALLOPT = {
 
 
 def keep_freed_memory() -> None:
-    """Let this process use its freed memory again rather than give it back to the system.
+    """Let this process reuse its freed memory instead of returning it to the system.
 
-    Every operation on images frees one and needs one; zeroed by the system anew each time, memory
-    costs more than the arithmetic. For programs, not for libraries: it holds for the whole process.
-    Where there is no GNU C library nothing happens.
+    Every operation on images frees one array and allocates another. The system fills each new
+    array with zeros, which costs more time than the arithmetic. For programs, not for libraries:
+    the setting applies to the whole process. Without the GNU C library the function has no effect.
     """
     try:
         library = ctypes.CDLL(None)
@@ -127,17 +127,17 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def is_disk_full(error: BaseException) -> bool:
-    """Tell whether an error means that there is no room: full disk, quota, or limit of a file."""
+    """Return True if an error reports a full disk, an exceeded quota or file size limit."""
     return isinstance(error, OSError) and error.errno in _FULL
 
 
 def unwritable(
     path: Path | str, error: OSError, kind: type[InputError] = InputError
 ) -> OSError | InputError:
-    """Return what to raise for a file that cannot be written.
+    """Return the exception to raise for a file that cannot be written.
 
-    A full disk stays an OSError, for nothing that was asked for is wrong; it names the file.
-    Anything else (no permission, a file in the place of a folder) is bad input.
+    A full disk remains an OSError, because the input is valid; the error names the file. Any other
+    cause (no permission, a file in the place of a folder) is bad input.
     """
     if is_disk_full(error):
         return OSError(error.errno, error.strerror, str(path))

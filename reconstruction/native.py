@@ -1,10 +1,10 @@
-"""Native readers that loop for ever, crash or corrupt memory on damaged files: in a child.
+"""Run native readers that hang, crash or corrupt memory on damaged files in a child process.
 
-HDF5 loops on some, SciPy's reader of MATLAB files crashes on some, and a process cannot guard
-itself against that from within. The child's processor time is limited, so that neither busy
-neighbours nor slow disks count, and nothing outlives its parent for long.
+HDF5 loops on some damaged files, SciPy's reader of MATLAB files crashes on some, and a process
+cannot protect itself against either. The limit is on the child's processor time, so that busy
+neighbours and slow disks do not count. The child ends soon after its parent.
 
-OpenEXR only talks too much: thousands of lines about one damaged file (`quiet`).
+OpenEXR prints thousands of lines about one damaged file; `quiet` suppresses them.
 """
 
 import io
@@ -19,23 +19,23 @@ from pathlib import Path
 from typing import Literal
 
 _CHILD = Path(__file__).with_name("native_child.py")
-# Far more than a sound file takes.
+# Far above the time for an intact file.
 LEAST_LIMIT_S, SLOWEST_BYTES_PER_S = 5.0, 20e6
-# Ends the child after its share of processor time; Windows has none, there the clock limits it.
+# Ends the child after its processor time limit; Windows has no such signal: wall time counts.
 _TIMER_SIGNAL: int = getattr(signal, "SIGPROF", 0)
 
 
 def read_in_child(kind: Literal["HDF5", "MATLAB"], path: Path) -> bytes:
-    """Read an existing file whole by a native reader, in a process of its own.
+    """Read an existing file completely by a native reader, in a child process.
 
     Returns
     -------
     bytes
-        What the child tells of the file, see there.
+        The standard output of the child, see `native_child`.
 
     Raises
     ------
-    OSError : the reader fails, crashes or comes to no end
+    OSError : the reader fails, crashes or exceeds the time limit
     """
     limit_s = LEAST_LIMIT_S + path.stat().st_size / SLOWEST_BYTES_PER_S
     try:
@@ -67,9 +67,9 @@ _quiet_threads: list[ExitStack] = []
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Let what this process prints in the block go nowhere; blocks of several threads may overlap.
+    """Discard all output that this process prints in the block; blocks of threads may overlap.
 
-    For a library that prints about a file what its error says, too.
+    For a library that prints the same message as its exception contains.
     """
     with _talking:
         _quiet_threads.append(_silenced() if not _quiet_threads else ExitStack())
@@ -77,17 +77,17 @@ def quiet() -> Iterator[None]:
         yield
     finally:
         with _talking:
-            # The first block's silence goes on until the last one ends.
-            held = _quiet_threads.pop() if len(_quiet_threads) > 1 else None
-            (held or _quiet_threads.pop()).close()
+            # The first block's redirection remains until the last block ends.
+            earlier = _quiet_threads.pop() if len(_quiet_threads) > 1 else None
+            (earlier or _quiet_threads.pop()).close()
 
 
 def _silenced() -> ExitStack:
-    """Send both streams away, of Python and of native code, until the stack is closed."""
+    """Redirect stdout and stderr of Python and native code to the null device until closed."""
     stack = ExitStack()
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for number in (1, 2):
-        with suppress(OSError):  # a stream that is closed is silent as it is
+        with suppress(OSError):  # a closed stream needs no redirection
             before = os.dup(number)
             os.dup2(nowhere, number)
             stack.callback(os.close, before)

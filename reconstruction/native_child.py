@@ -1,8 +1,8 @@
-"""Reads a file by native code, in a process that the file may take down; see `native`.
+"""Read a file by native code, in a process that the file may crash; see `native`.
 
-Called with the kind of file, a limit in seconds of processor time, and the file; imports nothing of
-this package, so that it starts fast. Prints what is wrong in one line and exits with 1; of a MATLAB
-file it prints the arrays of numbers, as npz.
+Arguments: kind of file, limit in seconds of processor time, file. The module imports nothing of
+this package, so that it starts fast. An error is printed in one line, with exit status 1. For a
+MATLAB file the numeric arrays are printed as npz.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-# No filter packs more numbers into a byte, but for arrays that nobody wrote.
+# Compression packs fewer numbers into a byte, except for arrays that were never written.
 _MOST_NUMBERS_PER_BYTE, _ALWAYS_ALLOWED_BYTES = 2000, 2**28
 
 
@@ -48,7 +48,7 @@ def _walk(group: Any) -> None:
 
 
 def read_matlab(path: str) -> bytes:
-    """Return the arrays of numbers of a MATLAB file by their path inside, as npz."""
+    """Return the numeric arrays of a MATLAB file by their path inside, as npz."""
     import numpy as np
     from scipy.io import loadmat
 
@@ -73,21 +73,21 @@ def _numbers(tree: dict[str, Any], path: str) -> Iterator[tuple[str, Any]]:
 
 
 def main(kind: str, limit_s: str, path: str) -> int:
-    """Read a file of a kind, and print what is told of it."""
-    if hasattr(signal, "setitimer"):  # elsewhere the parent limits the time
+    """Read a file of a kind and print the result or the error."""
+    if hasattr(signal, "setitimer"):  # on other systems the parent limits the time
         signal.setitimer(signal.ITIMER_PROF, float(limit_s))
     readers = {"HDF5": read_hdf5, "MATLAB": read_matlab}
     try:
-        told, code = readers[kind](path), 0
+        output, code = readers[kind](path), 0
     except Exception as error:
-        told, code = " ".join(f"{error or type(error).__name__}".split()).encode(), 1
-    sys.stdout.buffer.write(told)
+        output, code = " ".join(f"{error or type(error).__name__}".split()).encode(), 1
+    sys.stdout.buffer.write(output)
     return code
 
 
 if __name__ == "__main__":
     code = main(*sys.argv[1:])
-    # h5netcdf prints a traceback when what it half opened is collected.
+    # h5netcdf prints a traceback when a file that it failed to open is garbage-collected.
     with contextlib.suppress(OSError):
         sys.stdout.flush()
     os._exit(code)

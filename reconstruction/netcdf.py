@@ -1,11 +1,11 @@
 """Arrays with named dimensions, units and long names, as netCDF-4 files.
 
-HDF5 encodes them in memory, and `writing` copies them to the disk. HDF5 must never learn that a
-write failed, nor read back less than it wrote: either may end the process in a segmentation fault,
-the second by chance, as names of varying length are then taken from memory that nobody filled. In
-memory neither happens. Which files HDF5 is given to read is decided in `sealing`.
+HDF5 encodes them in memory, and `writing` copies them to the disk. HDF5 must never receive a failed
+write, nor read fewer bytes than it wrote: both may end the process in a segmentation fault. In the
+second case HDF5 takes names of variable length from uninitialised memory. In memory neither
+happens. `sealing` decides which files HDF5 may read.
 
-Nothing of this needs xarray, which takes a second to load.
+This module does not import xarray, which takes 1 s to load.
 """
 
 import io
@@ -40,13 +40,13 @@ Labelled = tuple[str | tuple[str, ...], NDArray[Any], Mapping[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class LabelledArrays:
-    """What one file holds.
+    """Content of one file.
 
     Attributes
     ----------
     variables : arrays by name; no bool
-    coords : arrays along a dimension of the same name, likewise
-    attrs : of the whole
+    coords : arrays along a dimension of the same name; no bool
+    attrs : attributes of the file
     """
 
     variables: Mapping[str, Labelled]
@@ -61,7 +61,7 @@ class LabelledArrays:
         return (self.variables[name] if name in self.variables else self.coords[name])[1]
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the same as an xarray set."""
+        """Return the content as an xarray dataset."""
         import xarray
 
         return xarray.Dataset(self.variables, self.coords, self.attrs)
@@ -70,16 +70,16 @@ class LabelledArrays:
 def write_arrays(path: Path | str, arrays: LabelledArrays) -> None:
     """Write arrays as netCDF-4; an existing file is replaced.
 
-    Maps of whole numbers are compressed: masks, reasons, orders. Maps of measured numbers are not:
-    noise leaves a third of their size, and takes longer to compress than all else. Frames are one
-    run of bytes each: chunks of one frame take ten times as long.
+    Maps of whole numbers (masks, reasons, orders) are compressed. Maps of measured numbers are not:
+    because of their noise they only shrink to 33 %, and they take longer than all other arrays.
+    Frames are stored contiguously: chunks of one frame take 10 times as long.
 
-    The file needs its size in memory; one is encoded at a time, also where several threads write.
+    Encoding needs the size of the file in memory; only one thread encodes at a time.
 
     Raises
     ------
-    MemoryError : there is no memory for it
-    OSError : it cannot be written; an earlier file is as it was
+    MemoryError : there is not enough memory for the file
+    OSError : the file cannot be written; an earlier file is unchanged
     """
     with _encoding:
         memory = _encoded(arrays)
@@ -91,22 +91,22 @@ def _encoded(arrays: LabelledArrays) -> io.BytesIO:
 
     labelled = {**arrays.variables, **arrays.coords}
     _require_memory(sum(values.nbytes for _, values, _ in labelled.values()))
-    # Not of a class of ours: a signal would interrupt its methods, and HDF5 learn of a failure.
+    # No class of this package: a signal in its methods would reach HDF5 as a failed write.
     memory = io.BytesIO()
     with h5netcdf.File(memory, "w") as file:
         file.attrs.update(arrays.attrs)
-        for name, one in labelled.items():
-            _write_array(file, name, *one)
+        for name, labelled_array in labelled.items():
+            _write_array(file, name, *labelled_array)
     seal(memory)
     return memory
 
 
 def _require_memory(size_bytes: int) -> None:
-    """Raise MemoryError here rather than in HDF5, which would not survive it."""
+    """Raise MemoryError here rather than in HDF5, which would crash."""
     try:
-        # Only reserved: growing takes the old place and the new one, and HDF5 some for itself.
+        # Only reserved: growing needs the old and the new buffer, and HDF5 some memory for itself.
         size = 2 * size_bytes + _OF_HDF5_BYTES
-        private = hasattr(mmap, "MAP_PRIVATE")  # not of Windows, where all such memory is
+        private = hasattr(mmap, "MAP_PRIVATE")  # not on Windows, where anonymous memory is private
         (mmap.mmap(-1, size, mmap.MAP_PRIVATE) if private else mmap.mmap(-1, size)).close()
     except OSError as error:
         raise MemoryError(f"no {size_bytes / 1e6:.0f} MB of memory to encode a file") from error
@@ -138,21 +138,21 @@ def _write_array(
 
 
 def pixel_coordinates(rows: int, cols: int) -> dict[str, Labelled]:
-    """Return the coordinates of camera pixels: (0, 0) is the first, row 0 the top."""
-    told = {"row": "camera row, from the top", "col": "camera column, from the left"}
+    """Return the coordinates of camera pixels: (0, 0) is the first pixel, row 0 at the top."""
+    texts = {"row": "camera row, from the top", "col": "camera column, from the left"}
     return {
-        name: (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": told[name]})
+        name: (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": texts[name]})
         for name, count in zip(PIXELS, (rows, cols), strict=True)
     }
 
 
 def read_arrays(path: Path | str, group: str | None = None) -> LabelledArrays:
-    """Read a netCDF-4 file, or a group of it, as it was written, whole.
+    """Read a complete netCDF-4 file, or one group of it.
 
     Raises
     ------
-    InputError : it is no file
-    OSError : it is missing, damaged or something else; or a number in it is not finite
+    InputError : the path is not a regular file
+    OSError : it is missing, damaged or of another format; or a number in it is not finite
     """
     import h5netcdf
 
@@ -162,23 +162,23 @@ def read_arrays(path: Path | str, group: str | None = None) -> LabelledArrays:
     try:
         with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
             node = file if group is None else file[group]
-            found = {
-                name: (one.dimensions, np.asarray(one[...]), dict(one.attrs))
-                for name, one in node.variables.items()
+            labelled = {
+                name: (variable.dimensions, np.asarray(variable[...]), dict(variable.attrs))
+                for name, variable in node.variables.items()
             }
             attrs = dict(node.attrs)
-        _require_finite(found)
+        _require_finite(labelled)
     except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise OSError(f"{path}: is damaged ({one_line(error)})") from error
-    coords = {name: one for name, one in found.items() if one[0] == (name,)}
-    others = {name: one for name, one in found.items() if name not in coords}
-    return LabelledArrays(others, coords, attrs)
+    coords = {name: array for name, array in labelled.items() if array[0] == (name,)}
+    variables = {name: array for name, array in labelled.items() if name not in coords}
+    return LabelledArrays(variables, coords, attrs)
 
 
-def _require_finite(found: Mapping[str, Labelled]) -> None:
-    """Refuse NaN and infinity, which no file of ours holds: masks say what has no value."""
+def _require_finite(labelled: Mapping[str, Labelled]) -> None:
+    """Raise ValueError for NaN or infinity: this package marks missing values by masks."""
     with np.errstate(all="ignore"):
-        for name, (_, values, _) in found.items():
-            # A sum is finite when all its parts are, and takes no memory.
+        for name, (_, values, _) in labelled.items():
+            # A sum is finite if all its terms are, and needs no temporary array.
             if values.dtype.kind == "f" and not math.isfinite(values.sum(dtype=np.float64)):
                 raise ValueError(f"{name} holds numbers that are not finite")

@@ -1,20 +1,20 @@
-"""The projected patterns: the one definition that the projector shows and the decoder expects.
+"""The projected patterns: one definition for the projector and for the decoder.
 
 Frame: projector pixels, x right (column), y down (row), integer = centre of a pixel.
 
 | symbol | meaning |
 |---|---|
 | x | coordinate along the axis, px |
-| phi = 2 pi x / period | phase, grows with x |
+| phi = 2 pi x / period | phase, increases with x |
 | I_n = A + B cos(phi + 2 pi n / N) | phase frame n of N |
 | k = floor(x / period) | period index (fringe order) |
 | w | a word that numbers the fringes, see `codes`; without phase frames floor(x / period) |
 
 A word w is shown as bits of one of four kinds, most significant first; an inverse frame shows the
 complement of each. reflected: g = w ^ (w >> 1), plain Gray code. binary: w itself. xor_02, xor_04:
-Gray code whose coarser bits are exchanged for their exclusive or with the last, the last but one,
-so that no frame has stripes wider than a few words (Gupta et al., Int. J. Comput. Vis. 102, 33
-(2013)).
+Gray code with its coarser bits replaced by their exclusive or with the last (xor_02) or the last
+but one (xor_04), so that no frame has stripes wider than a few words (Gupta et al., Int. J. Comput.
+Vis. 102, 33 (2013)).
 """
 
 import math
@@ -33,14 +33,14 @@ Axis = Literal["column", "row"]
 WordName = Literal["reflected", "binary", "xor_02", "xor_04"]
 AXES: tuple[Axis, Axis] = ("column", "row")
 WORDS: tuple[WordName, ...] = get_args(WordName)
-# Place of the bit, from the last, that the coarser ones are exchanged with.
+# Position, counted from the last bit, of the bit that is combined with the coarser ones.
 XOR_PLACES = {"xor_02": 0, "xor_04": 1}
 
-# Below 4 px a Gray stripe of a period that is no whole number of pixels may be misplaced by a
-# quarter of a period, the whole margin of the edge-safe rules.
+# Below 4 px a Gray stripe of a fractional period may be displaced by 0.25 periods, the whole margin
+# of the edge-safe rules.
 PERIOD_RANGE_PX = (4.0, 65536.0)
 STEPS_RANGE = (3, 1000)
-# Of a word without phase frames: no phase margin is asked for.
+# Of a word without phase frames, which needs no margin for the phase.
 LEAST_STRIPE_PX = 1.0
 MOST_FURTHER_PERIODS = 7
 
@@ -66,19 +66,19 @@ class PatternSet:
     Parameters
     ----------
     width_px, height_px : projector image size
-    period_px : fringe period that is measured with, >= 4 px
-    steps : phase steps N of every period, >= 3 (with code "micro" of `period_px` alone); 0: words
-        alone, `period_px` wide each
+    period_px : measuring period, >= 4 px
+    steps : phase steps N of every period, >= 3 (with code "micro" of `period_px` only); 0: words
+        only, `period_px` wide each
     low_level, high_level : 8-bit projector levels of black and white
-    code : how the fringes are numbered, a kind of `codes.CODES`
-    further_periods_px : the other periods, where the code needs any
+    code : fringe numbering, a kind of `codes.CODES`
+    further_periods_px : the periods after the measuring one, if the code needs any
     row_periods_px : all periods along rows, in the order of those along columns; (): the same
-    axes : the axes along which something is shown
-    word : how words are shown as bits; other than "reflected" only with code "gray"
-    inverse : every Gray frame is followed by its inverse, which it is compared with
+    axes : the axes along which patterns are shown
+    word : encoding of words as bits; values except "reflected" only with code "gray"
+    inverse : every Gray frame is followed by its inverse, with which it is compared
     uniform : white and black are shown
     first_shifts_deg : phase of step 00 at x = 0, degrees, of every period along columns, then along
-        rows, of those axes that are shown; (): 0
+        rows, for the shown axes only; (): 0
     """
 
     width_px: int
@@ -122,29 +122,29 @@ class PatternSet:
             return [PatternFrame(kind, axis, n) for n in range(count)]
 
         shots = sum(self.images(number) for number in range(len(self.periods_px)))
-        found = [frame for axis in self.axes for frame in along("phase", axis, shots)]
+        ordered = [frame for axis in self.axes for frame in along("phase", axis, shots)]
         for axis in self.axes:
-            found += along("gray", axis, self.word_bits(axis))
-            found += along("inverse", axis, self.word_bits(axis) * self.inverse)
+            ordered += along("gray", axis, self.word_bits(axis))
+            ordered += along("inverse", axis, self.word_bits(axis) * self.inverse)
         last = [PatternFrame("white", None, 0), PatternFrame("black", None, 0)]
-        return (*found, *last[: 2 * self.uniform])
+        return (*ordered, *last[: 2 * self.uniform])
 
     @property
     def exposure_frame(self) -> int:
-        """Stack index of the frame that exposures are chosen on: white, or else the first one."""
+        """Stack index of the frame that sets the exposure: white, or without it the first one."""
         return self.index("white").start if self.uniform else 0
 
     @property
     def periods_px(self) -> tuple[float, ...]:
-        """All fringe periods in the order of projection; the one that is measured with first."""
+        """All fringe periods in the order of projection; the measuring period first."""
         return (self.period_px, *self.further_periods_px)
 
     def periods_along(self, axis: Axis) -> tuple[float, ...]:
-        """Return all fringe periods along `axis`, px; the one that is measured with first."""
+        """Return all fringe periods along `axis`, px; the measuring period first."""
         return self.row_periods_px if axis == "row" and self.row_periods_px else self.periods_px
 
     def period_along(self, axis: Axis) -> float:
-        """Return the period along `axis` that is measured with, px; of words alone, their width."""
+        """Return the measuring period along `axis`, px; without fringes the width of a word."""
         return self.periods_along(axis)[0]
 
     @property
@@ -153,7 +153,7 @@ class PatternSet:
         return CODES[self.code]
 
     def fringes(self, axis: Axis) -> AxisFringes:
-        """Return length and periods along `axis`, as codes read them."""
+        """Return length and periods along `axis`, the input of a code."""
         return AxisFringes(self.length_px(axis), self.periods_along(axis))
 
     def fused_periods(self, axis: Axis) -> tuple[float, ...]:
@@ -162,12 +162,12 @@ class PatternSet:
         return periods_px if self.kind.rule is Rule.CHAIN else periods_px[:1]
 
     def images(self, number: int) -> int:
-        """Return how many images a period has, by its number; 0 is the measuring one."""
+        """Return the number of images of a period, by its index; 0 is the measuring period."""
         return self.kind.images(number, self.steps)
 
     @property
     def sets(self) -> int:
-        """How many periods have N steps; they come before those with a single image."""
+        """Number of periods with N steps; they precede those with a single image."""
         return sum(self.images(number) == self.steps for number in range(len(self.periods_px)))
 
     def step_sets(self, axis: Axis) -> tuple[slice, ...]:
@@ -185,15 +185,15 @@ class PatternSet:
         return self.width_px if axis == "column" else self.height_px
 
     def periods(self, axis: Axis) -> int:
-        """Return how many fringe periods are begun along `axis`."""
+        """Return the number of complete and partial fringe periods along `axis`."""
         return math.ceil(self.length_px(axis) / self.period_along(axis))
 
     def gray_bits(self, axis: Axis) -> int:
-        """Return the bits that number the periods, without those that make the code edge-safe."""
+        """Return the number of bits for the periods, without those that make the code edge-safe."""
         return (self.periods(axis) - 1).bit_length()
 
     def words(self, axis: Axis) -> tuple[CodeWord, ...]:
-        """Return the words that number the fringes along `axis`; () where none are shown."""
+        """Return the words that number the fringes along `axis`; () if `axis` is not shown."""
         return self.kind.words(self.fringes(axis)) if axis in self.axes else ()
 
     def word_bits(self, axis: Axis) -> int:
@@ -201,7 +201,7 @@ class PatternSet:
         return sum(word.bits for word in self.words(axis))
 
     def word_count(self, axis: Axis) -> int:
-        """Return how many different values the first word along `axis` has; 1 without words."""
+        """Return the number of different values of the first word along `axis`; 1 without words."""
         words = self.kind.words(self.fringes(axis))
         return words[0].count(self.length_px(axis)) if words else 1
 
@@ -212,7 +212,7 @@ class PatternSet:
         return np.concatenate(rows) if rows else np.zeros((0, x_px.size), np.bool_)
 
     def binary(self, bits: BoolArray) -> BoolArray:
-        """Return the bits of a word itself, from its bits as shown; (bit, ...)."""
+        """Return the bits of a word before encoding, from its bits as shown; (bit, ...)."""
         if self.word == "binary":
             return bits
         shown = bits.copy()
@@ -233,10 +233,10 @@ class PatternSet:
 
     def index(self, kind: Kind, axis: Axis | None = None) -> slice:
         """Return the stack indices of a kind of frames, most significant Gray bit first."""
-        found = [i for i, f in enumerate(self.frames) if f.kind == kind and f.axis == axis]
-        if not found and not (kind in ("gray", "inverse") and axis in AXES):
+        indices = [i for i, f in enumerate(self.frames) if f.kind == kind and f.axis == axis]
+        if not indices and not (kind in ("gray", "inverse") and axis in AXES):
             raise InputError(f"there are no {kind!r} frames along axis {axis!r}")
-        return slice(found[0], found[-1] + 1) if found else slice(0, 0)
+        return slice(indices[0], indices[-1] + 1) if indices else slice(0, 0)
 
     def profile(self, frame: PatternFrame) -> Levels:
         """Return the levels along the axis of `frame`, (length,) uint8; uniform: (width,)."""
@@ -333,7 +333,7 @@ class PatternSet:
             self.kind.check(fringes)
 
     def _checked_fringes(self) -> list[AxisFringes]:
-        """Return the fringes of each axis; where both have the same, of the longer one."""
+        """Return the fringes of each axis; if both have the same periods, of the longer axis."""
         if self.row_periods_px:
             return [self.fringes(axis) for axis in self.axes]
         return [AxisFringes(max(map(self.length_px, self.axes)), self.periods_px)]
@@ -350,9 +350,9 @@ def _periods(name: str, values: object, allowed_px: tuple[float, float]) -> tupl
 
 
 def _axes(values: object) -> tuple[Axis, ...]:
-    found = tuple(values) if isinstance(values, (tuple, list)) else ()
-    if found not in (AXES, AXES[:1], AXES[1:]):
+    axes = tuple(values) if isinstance(values, (tuple, list)) else ()
+    if axes not in (AXES, AXES[:1], AXES[1:]):
         raise InputError(
             f"patterns axes is {values!r}; allowed are ['column', 'row'], ['column'] and ['row']"
         )
-    return found
+    return axes

@@ -1,4 +1,4 @@
-"""The whole way from a capture to points, and to files for other programs.
+"""Complete reconstruction: from a capture to points, and to files for other programs.
 
 Files: organised netCDF maps and point clouds as binary PLY.
 """
@@ -31,10 +31,13 @@ from reconstruction.writing import write_bytes
 
 @dataclass(frozen=True)
 class ReconstructOptions:
-    """Options of both stages; see `DecodeOptions`, `triangulate`, `EpipolarTolerance`.
+    """Options of decoding and triangulation.
 
-    through_layers : bend the rays at the calibration's plane layers; otherwise triangulate as if
-        air reached down to the surface, as software does that does not know them
+    See `DecodeOptions`, `triangulate`, `EpipolarTolerance`.
+
+
+    through_layers : refract the rays at the calibration's plane layers; False: triangulate as if
+        air reached down to the surface, like software without a layer model
     """
 
     decode: DecodeOptions = field(default_factory=DecodeOptions)
@@ -45,15 +48,15 @@ class ReconstructOptions:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Result of both stages."""
+    """Result of decoding and triangulation."""
 
     decoded: Decoded
     point_map: PointMap
 
     def __repr__(self) -> str:
         rows, cols = self.point_map.mask_reason.shape
-        told = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
-        return f"<Reconstruction: {rows} x {cols} pixels, {told}>"
+        summary = ", ".join(f"{name} {value}" for name, value in self._in_short().items())
+        return f"<Reconstruction: {rows} x {cols} pixels, {summary}>"
 
     def _repr_html_(self) -> str:
         from reconstruction.drawing import as_html
@@ -79,7 +82,7 @@ class Reconstruction:
 
         valid = self.point_map.valid
         if not valid.any():
-            raise InputError("plot: found no valid point; look at the mask's reasons")
+            raise InputError("plot: found no valid point; inspect the mask's reasons")
         points_mm = at_pixels(self.point_map.points_world_mm, valid).astype(np.float64)
         sigma_um = 1e3 * at_pixels(self.point_map.sigma_z_mm, valid)
         drawing = Drawing(3)
@@ -91,7 +94,7 @@ class Reconstruction:
         return drawing
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return all maps over camera row and column, as reconstruction.nc holds them."""
+        """Return all maps over camera row and column, with the content of reconstruction.nc."""
         return reconstruction_arrays(self.decoded, self.point_map).to_xarray()
 
 
@@ -104,13 +107,13 @@ def reconstruct(
     ----------
     unwrap : own function that numbers the fringes, called once for each projector axis with the
         wrapped phases (`reconstruction.codes.Wrapped`); it returns the absolute coordinates
-        (row, col) float, px, NaN where unknown. Masks, noise and filter are as for a pattern code,
-        the noise being that of the measuring period. None: the capture's pattern code
+        (row, col) float, px, NaN where unknown. Masks, noise and filter are as for a pattern code;
+        the noise is that of the measuring period. None: the capture's pattern code
 
     Raises
     ------
-    InputError : stack, patterns and calibration do not fit each other, or `unwrap` returns
-        coordinates of another shape
+    InputError : stack, patterns and calibration are inconsistent, or `unwrap` returns coordinates
+        of another shape
     """
     chosen = options or ReconstructOptions()
     decoded = decode(
@@ -123,29 +126,29 @@ def reconstruct(
         unwrap=unwrap,
     )
     rig = capture.calibration
-    seen = rig if chosen.through_layers else replace(rig, layers=None)
+    model = rig if chosen.through_layers else replace(rig, layers=None)
     use: Use = chosen.use if len(decoded.axes) == 2 else decoded.axes[0]
-    point_map = triangulate(decoded, seen, use, chosen.tolerance)
+    point_map = triangulate(decoded, model, use, chosen.tolerance)
     return Reconstruction(decoded, point_map)
 
 
 def filter_bias(
-    found: Reconstruction, use: Use, where: BoolImage, sigma_z_mm: NDArray[np.floating]
+    reconstruction: Reconstruction, use: Use, where: BoolImage, sigma_z_mm: NDArray[np.floating]
 ) -> tuple[float, float]:
-    """Tell how much of the relief the filter may have taken; needs no truth.
+    """Estimate the bias of the relief caused by the filter; needs no true shape.
 
     Parameters
     ----------
-    use : the coordinate that gave the depth; the larger share of both counts for "both"
+    use : the coordinate from which the depth was computed; for "both" the larger bias share
     where : (row, col), valid points to count, at least one
     sigma_z_mm : (point,) of those points
 
     Returns
     -------
-    RMS of the predicted bias of world z, um, and the share of the points where it exceeds the
+    RMS of the predicted bias of world z, um, and the share of the points with a bias above the
     predicted noise; both are part of sigma
     """
-    axes = (found.decoded.column, found.decoded.row)
+    axes = (reconstruction.decoded.column, reconstruction.decoded.row)
     chosen = axes if use == "both" else (axes[use == "row"],)
     share = np.max([at_pixels(axis.bias_share, where) for axis in chosen], axis=0)
     sigma_um = 1e3 * sigma_z_mm.astype(np.float64)
@@ -247,7 +250,7 @@ def write_point_map_ply(
 ) -> None:
     """Write the valid points row by row, with sigma_*_mm and the pixel (row, col) of each.
 
-    Where the truth is known, deviation_um and its colour (red, green, blue) are properties, too.
+    If the true shape is known, deviation_um and its colour (red, green, blue) are added.
     """
     valid = point_map.valid
     row, col = np.divmod(np.flatnonzero(valid), valid.shape[1])
@@ -285,33 +288,33 @@ def reconstruction_arrays(decoded: Decoded, point_map: PointMap) -> LabelledArra
 
 
 def _labelled(maps: Maps, attributes: dict[str, Any]) -> LabelledArrays:
-    told: dict[str, dict[str, Any]] = {}
+    variables: dict[str, dict[str, Any]] = {}
     for name in maps:
         units = UNITS.get(name.rsplit("_", 1)[-1], "1")
-        told[name] = {"units": units, "long_name": _long_name(name)}
-    told["mask_reason"].update(
+        variables[name] = {"units": units, "long_name": _long_name(name)}
+    variables["mask_reason"].update(
         comment="where it is not 0, points and their sigmas are 0 and no values",
         flag_values=np.array([int(reason) for reason in Reason], np.uint8),
         flag_meanings=" ".join(reason.name for reason in Reason),
     )
     return LabelledArrays(
-        {name: (PIXELS, values, told[name]) for name, values in maps.items()},
+        {name: (PIXELS, values, variables[name]) for name, values in maps.items()},
         coords=pixel_coordinates(*maps["mask_reason"].shape),
         attrs=attributes,
     )
 
 
 def read_reconstruction(path: Path | str) -> Reconstruction:
-    """Read what `write_reconstruction` wrote.
+    """Read a file that `write_reconstruction` wrote.
 
     Raises
     ------
     CaptureError : missing or damaged file, or a map is missing
     """
-    found = read_maps(path)
-    maps = {name: values for name, (_, values, _) in found.variables.items()}
-    if POSE in found.attrs:
-        maps[POSE] = np.asarray(found.attrs[POSE], dtype=np.float64).reshape(4, 4)
+    stored = read_maps(path)
+    maps = {name: values for name, (_, values, _) in stored.variables.items()}
+    if POSE in stored.attrs:
+        maps[POSE] = np.asarray(stored.attrs[POSE], dtype=np.float64).reshape(4, 4)
     try:
         return _from_variables(maps)
     except KeyError as error:
@@ -371,7 +374,7 @@ def _from_variables(maps: Maps) -> Reconstruction:
         for axis in AXES
     )
     reason = maps["mask_reason"].astype(np.uint8)
-    # The last two reasons arise in triangulation: such a pixel was decoded.
+    # The last two reasons are set in triangulation: such a pixel was decoded.
     decoded_reason = np.where(reason < Reason.EPIPOLAR_MISMATCH, reason, 0).astype(np.uint8)
     points, sigma = (
         np.stack([maps[f"{before}{name}_mm"] for name in "xyz"], axis=-1).astype(np.float32)
@@ -382,6 +385,6 @@ def _from_variables(maps: Maps) -> Reconstruction:
 
 
 def _long_name(name: str) -> str:
-    """Return what a map holds; names of the row's maps of pixel values end in _row_dn."""
-    told = next(told for start, told in _LONG_NAMES.items() if name.startswith(start))
-    return f"{told}, horizontal fringes" if name.endswith("_row_dn") else told
+    """Return the long name of a map; "_row_dn" marks horizontal fringes."""
+    text = next(text for start, text in _LONG_NAMES.items() if name.startswith(start))
+    return f"{text}, horizontal fringes" if name.endswith("_row_dn") else text

@@ -1,8 +1,8 @@
-"""Files that others wrote: what may be opened at all; text, TOML, JSON, images and arrays.
+"""Read files of other programs: check that a file may be opened; text, TOML, JSON, images, arrays.
 
-Whatever is wrong with such a file is an InputError of one line: the file, the place, what was found
-and what is allowed. Pipes and devices are refused before they are opened, since reading from them
-may never end.
+Every fault of such a file is an InputError of one line: the file, the position, the value read and
+the allowed values. Pipes and devices are rejected before they are opened, because reading them may
+never end.
 """
 
 import json
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_TEXT_BYTES = 16 * 2**20
-# Of TOML, which is written by hand: the largest list of frames has some 100 kB.
+# Limit for TOML, which is written by hand: the largest list of frames has some 100 kB.
 MOST_TOML_BYTES = 2**20
 MOST_DATA_BYTES = 64 * 2**30
 MOST_IMAGE_BYTES = 2**30
-# Deeper tables are a mistake or an attack; Python's own limit would end in a RecursionError.
+# Deeper tables are a mistake or an attack; Python's recursion limit would raise RecursionError.
 MOST_NESTED = 64
-# A dotted key of more parts, which the parser would take apart in time quadratic in their number.
+# A dotted key of more parts, which the parser would split in time quadratic in their number.
 _DEEP_KEY = re.compile(
     rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MOST_NESTED}}}"""
 )
 _LONGEST_SHOWN = 120
-# Windows has no pipes among its files, and would change the ends of lines.
+# Windows has no pipes among its files, and would translate line ends.
 _READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 _KINDS: Mapping[int, str] = {
     stat.S_IFDIR: "a folder",
@@ -44,7 +44,7 @@ _KINDS: Mapping[int, str] = {
 
 
 def is_regular(path: Path) -> bool:
-    """Tell whether a file is there; names that no file can have are of none."""
+    """Return True if the path is a regular file; False also for names that are not valid."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -60,16 +60,16 @@ def regular_file(path: Path | str, most_bytes: int = MOST_DATA_BYTES) -> Path:
     """
     path = Path(path)
     try:
-        found = path.stat()
+        status = path.stat()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or one_line(error)
         raise InputError(f"{shown(path)}: cannot be read: {reason}") from None
-    if not stat.S_ISREG(found.st_mode):
-        kind = _KINDS.get(stat.S_IFMT(found.st_mode), "no file")
+    if not stat.S_ISREG(status.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(status.st_mode), "no file")
         raise InputError(f"{shown(path)}: cannot be read: found {kind}, allowed a file")
-    if found.st_size > most_bytes:
+    if status.st_size > most_bytes:
         raise InputError(
-            f"{shown(path)}: cannot be read: found {found.st_size} bytes, allowed up to "
+            f"{shown(path)}: cannot be read: found {status.st_size} bytes, allowed up to "
             f"{most_bytes}"
         )
     return path
@@ -84,7 +84,7 @@ def read_bytes(path: Path | str, most_bytes: int = MOST_DATA_BYTES) -> bytes:
     """
     path = regular_file(path, most_bytes)
     try:
-        # Not waiting for a writer, should a pipe have taken the file's place.
+        # Non-blocking, in case a pipe has replaced the file: no wait for its writer.
         with os.fdopen(os.open(path, _READING), "rb") as file:
             return file.read()
     except OSError as error:
@@ -96,7 +96,7 @@ def read_text(path: Path | str, most_bytes: int = MOST_TEXT_BYTES) -> str:
 
     Raises
     ------
-    InputError : as `read_bytes`, or it is no UTF-8
+    InputError : as `read_bytes`, or it is not UTF-8
     """
     content = read_bytes(path, most_bytes)
     try:
@@ -113,17 +113,17 @@ def read_toml(path: Path | str) -> dict[str, Any]:
 
     Raises
     ------
-    InputError : as `read_text`, or it is no TOML, or nested deeper than any file of ours
+    InputError : as `read_text`, or it is not TOML, or nested too deeply
     """
     return parse_toml(read_text(path, MOST_TOML_BYTES), shown(path))
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Return a TOML text's content; `where` begins the message.
+    """Return a TOML text's content; error messages start with `where`.
 
     Raises
     ------
-    InputError : it is no TOML, or nested deeper than any file of ours
+    InputError : it is not TOML, or nested too deeply
     """
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
@@ -132,12 +132,12 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
             f"deeper than {MOST_NESTED} levels; shorten it"
         )
     try:
-        found = tomllib.loads(text)
+        content = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        # Integers beyond 4300 digits are a ValueError of Python's own.
+        # Integers beyond 4300 digits raise Python's own ValueError.
         raise InputError(f"{where}: not valid TOML: {_cause(error)}") from None
-    _require_shallow(found, where)
-    return found
+    _require_shallow(content, where)
+    return content
 
 
 def read_json(path: Path | str) -> dict[str, Any]:
@@ -145,7 +145,7 @@ def read_json(path: Path | str) -> dict[str, Any]:
 
     Raises
     ------
-    InputError : as `read_text`, or it is no JSON, or no object
+    InputError : as `read_text`, or it is not JSON, or not an object
     """
     where = shown(path)
     text = read_text(path)
@@ -166,12 +166,12 @@ def read_pixels(path: Path | str) -> "NDArray[Any]":
     ------
     InputError : as `regular_file`, or it is no complete image
     """
-    import imageio.v3 as imageio  # 0.1 s that reading text need not pay
+    import imageio.v3 as imageio  # 0.1 s that are not needed for text
 
     path = regular_file(path, MOST_IMAGE_BYTES)
     try:
         return _array(imageio.imread(path, plugin="pillow"))
-    # Pillow's readers raise each their own: SyntaxError, struct.error, zlib.error, IndexError ...
+    # Pillow's readers raise many classes: SyntaxError, struct.error, zlib.error, IndexError ...
     except Exception as error:
         raise InputError(f"{shown(path)}: is no complete image ({_of_image(error)})") from None
 
@@ -179,14 +179,14 @@ def read_pixels(path: Path | str) -> "NDArray[Any]":
 def _of_image(error: Exception) -> str:
     if isinstance(error, AttributeError):
         return "a part is missing, such as its palette"
-    # imageio hides what Pillow said.
+    # imageio hides the message of Pillow.
     return one_line(error.__cause__ or error) or type(error).__name__
 
 
-def _array(found: Any) -> "NDArray[Any]":
+def _array(decoded: Any) -> "NDArray[Any]":
     import numpy as np
 
-    array = np.asarray(found)
+    array = np.asarray(decoded)
     if array.dtype.kind not in "biuf" or array.ndim not in (2, 3) or not array.size:
         raise ValueError(f"found {array.dtype} of shape {array.shape}")
     return array
@@ -203,10 +203,10 @@ def read_arrays(path: Path | str) -> "dict[str, np.ndarray[Any, Any]]":
 
     path = regular_file(path)
     try:
-        # Opened here: np.load leaves a file open that is no archive.
+        # Opened here: np.load does not close a file that is not an archive.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: np.asarray(file[name]) for name in file.files}
-    # zipfile and numpy raise each their own: BadZipFile, zlib.error, NotImplementedError ...
+    # zipfile and numpy raise different classes: BadZipFile, zlib.error, NotImplementedError ...
     except Exception as error:
         reason = one_line(error) or type(error).__name__
         raise InputError(f"{shown(path)}: is no complete npz file ({reason})") from None
@@ -220,7 +220,7 @@ def _cause(error: Exception) -> str:
 
 
 def _require_shallow(tree: Any, where: str) -> None:
-    """Refuse nested content without recursion."""
+    """Raise InputError for content that is nested too deeply, without recursion."""
     level = [tree]
     for _ in range(MOST_NESTED):
         level = [
@@ -235,6 +235,6 @@ def _require_shallow(tree: Any, where: str) -> None:
 
 
 def shown(name: Path | str) -> str:
-    """Return a name as messages show it: without control characters, not longer than a line."""
+    """Return a name for messages: without control characters, at most one line long."""
     text = repr(str(name))[1:-1]
     return f"{text[:_LONGEST_SHOWN]}..." if len(text) > 2 * _LONGEST_SHOWN else text

@@ -1,13 +1,13 @@
-"""Registries: the kinds of one seam by name, each from one file that registers it.
+"""Registries: the kinds of one extension point by name, each from one file that registers it.
 
-A seam is a place where the twin can be extended: specimens, coatings, pattern codes. Its registry
-takes kinds from three places:
+An extension point ("seam") is a part of the twin that users can extend: specimens, coatings,
+pattern codes. Its registry loads kinds from three sources:
 
-1. the modules of its home package: a file put there is a kind;
+1. the modules of its home package: each file in it registers a kind;
 2. installed packages: entry points of the group `fringe_twin.SEAM`, each of which names a kind;
 3. plug-in files: Python files that the user names with `--plugin` (see `load_plugin`).
 
-A data file that is read never runs code.
+Reading a data file never runs code.
 """
 
 import hashlib
@@ -37,13 +37,13 @@ class PluginError(InputError):
 
 
 class Registry(Generic[Kind]):
-    """The kinds of one seam by name. They are loaded when the first is looked up.
+    """The kinds of one extension point by name. They are loaded at the first look-up.
 
     Parameters
     ----------
     seam : plural name; the entry points' group is `fringe_twin.SEAM`
     home : package whose modules register the built-in kinds
-    name_of : gives a kind's name
+    name_of : returns the name of a kind
     """
 
     def __init__(self, seam: str, home: str, name_of: Callable[[Kind], str]) -> None:
@@ -54,17 +54,17 @@ class Registry(Generic[Kind]):
         self._is_loading = self._is_complete = False
 
     def register(self, kind: Kind) -> Kind:
-        """Enter a kind; works as a decorator.
+        """Register a kind; can be used as a decorator.
 
         Raises
         ------
         PluginError : another kind of this name is registered
         """
         name = self.name_of(kind)
-        known = self._kinds.setdefault(name, kind)
-        if known is not kind:
+        registered = self._kinds.setdefault(name, kind)
+        if registered is not kind:
             raise PluginError(
-                f"{self.seam}: found the kind '{name}' twice, in {_origin(known)} and in "
+                f"{self.seam}: found the kind '{name}' twice, in {_origin(registered)} and in "
                 f"{_origin(kind)}; rename one"
             )
         if self._is_complete:
@@ -72,7 +72,7 @@ class Registry(Generic[Kind]):
         return kind
 
     def on_change(self, listener: Callable[[], Any]) -> None:
-        """Call `listener` after each kind that is registered once the built-in ones are loaded."""
+        """Call `listener` after each registration that follows the loading of built-in kinds."""
         self._listeners.append(listener)
 
     def names(self) -> tuple[str, ...]:
@@ -107,7 +107,7 @@ class Registry(Generic[Kind]):
 
     def _loaded(self) -> dict[str, Kind]:
         with self._lock:
-            # A kind that looks up others while it is registered sees those loaded so far.
+            # A kind that looks up others during its registration gets those loaded so far.
             if not (self._is_complete or self._is_loading):
                 self._is_loading = True
                 try:
@@ -131,11 +131,11 @@ class Registry(Generic[Kind]):
 
 
 def load_plugin(file: str | Path) -> None:
-    """Run a Python file that registers kinds, here and in the processes started from here.
+    """Run a Python file that registers kinds, in this process and in its child processes.
 
     Raises
     ------
-    PluginError : there is no such file, or it fails; the line names the place in the file
+    PluginError : there is no such file, or it fails; the message names the line in the file
     """
     path = Path(file).resolve()
     _run(path)
@@ -145,7 +145,7 @@ def load_plugin(file: str | Path) -> None:
 
 
 def load_inherited_plugins() -> None:
-    """Run the plug-in files of the process that started this one."""
+    """Run the plug-in files of the parent process."""
     for path in _inherited():
         _run(path)
 
@@ -155,7 +155,7 @@ def _inherited() -> list[Path]:
 
 
 def _run(path: Path) -> None:
-    """Import a file once, under a name of its own."""
+    """Import a file once, under a module name derived from its path."""
     name = f"fringe_twin_plugin_{hashlib.sha256(os.fsencode(path)).hexdigest()[:16]}"
     if name in sys.modules:
         return
@@ -169,11 +169,11 @@ def _run(path: Path) -> None:
         spec.loader.exec_module(module)
     except Exception as error:
         del sys.modules[name]
-        raise PluginError(f"--plugin {path}{_line_in(path, error)}: {_said(error)}") from error
+        raise PluginError(f"--plugin {path}{_line_in(path, error)}: {_message(error)}") from error
 
 
 def _line_in(path: Path, error: Exception) -> str:
-    """Return the last line of the file that the error passed, ":LINE"; empty if none."""
+    """Return the last line of the file in the traceback, ":LINE"; empty if there is none."""
     if isinstance(error, SyntaxError):
         return f":{error.lineno}"
     lines = [
@@ -182,7 +182,7 @@ def _line_in(path: Path, error: Exception) -> str:
     return f":{lines[-1]}" if lines else ""
 
 
-def _said(error: Exception) -> str:
+def _message(error: Exception) -> str:
     if isinstance(error, InputError):
         return one_line(error)
     return f"{type(error).__name__}: {one_line(error)}"
@@ -194,8 +194,8 @@ def _kind_at(point: EntryPoint) -> Any:
     except Exception as error:
         package = point.dist.name if point.dist is not None else "an installed package"
         raise PluginError(
-            f"{package}: entry point {point.group}: {point.name} = {point.value}: {_said(error)}; "
-            "mend or uninstall the package"
+            f"{package}: entry point {point.group}: {point.name} = {point.value}: "
+            f"{_message(error)}; mend or uninstall the package"
         ) from error
 
 

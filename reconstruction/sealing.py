@@ -1,18 +1,18 @@
-"""Which netCDF-4 files HDF5 may be given: those with a seal, and those that a child has read.
+"""Which netCDF-4 files HDF5 may open: those with a seal, and those that a child process has read.
 
-HDF5 trusts its files: on a damaged one it may loop for ever or crash. So what this package writes
-ends with a seal, behind the end that HDF5 knows of, where no reader of HDF5 looks:
+HDF5 does not check its files: on a damaged one it may loop for ever or crash. Files of this package
+therefore end with a seal. It follows the end of file that HDF5 records, so no HDF5 reader reads it:
 
 | bytes | content |
 |---|---|
-| 16 n | runs of plain numbers, of which HDF5 interprets nothing: offset and size, uint64 |
-| 32 | BLAKE2b of these runs and of all bytes before the seal that are in none |
+| 16 n | ranges of plain numbers, which HDF5 does not interpret: offset and size, uint64 |
+| 32 | BLAKE2b of these ranges and of all bytes before the seal outside of them |
 | 8 | n, uint64 |
 | 16 | "fringe-twin seal" |
 
-Numbers are little-endian. A file whose seal holds is opened as it is. Any other one, of another
-program or damaged, is first read whole by a child (`native`). A seal tells of damage; it is no
-signature.
+Numbers are little-endian. A file with a valid seal is opened directly. Any other file, from another
+program or damaged, is first read completely by a child process (`native`). A seal detects damage;
+it is no signature.
 """
 
 import hashlib
@@ -42,11 +42,11 @@ def seal(file: IO[bytes]) -> None:
 
     def note(_: str, node: object) -> None:
         if isinstance(node, h5py.Dataset) and node.dtype.kind in "biufc":
-            offset = node.id.get_offset()  # None for what lies in pieces
+            offset = node.id.get_offset()  # None for chunked data
             runs.extend([] if offset is None else [(offset, node.id.get_storage_size())])
 
-    with h5py.File(file, "r") as found:
-        found.visititems(note)
+    with h5py.File(file, "r") as content:
+        content.visititems(note)
     runs.sort()
     end = file.seek(0, os.SEEK_END)
     foot = _FOOT.pack(_digest(file, end, runs), len(runs), _MARK)
@@ -55,14 +55,14 @@ def seal(file: IO[bytes]) -> None:
 
 
 def is_sealed(path: Path) -> bool:
-    """Tell whether a file has a seal and is, but for its plain numbers, as it was sealed."""
+    """Return True if a file has a valid seal: unchanged since sealing except for plain numbers."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _FOOT.size))
-        found = file.read()
-        if len(found) < _FOOT.size or not found.endswith(_MARK):
+        foot = file.read()
+        if len(foot) < _FOOT.size or not foot.endswith(_MARK):
             return False
-        digest, count, _ = _FOOT.unpack(found)
+        digest, count, _ = _FOOT.unpack(foot)
         end = size - _FOOT.size - min(count, _MOST_RUNS) * _RUN.size
         if end < 0:
             return False
@@ -72,30 +72,30 @@ def is_sealed(path: Path) -> bool:
 
 
 def _digest(file: IO[bytes], end: int, runs: Runs) -> bytes:
-    """Return the digest of the runs and of the first `end` bytes without them."""
+    """Return the digest of the ranges and of the first `end` bytes outside of them."""
     digest, at = hashlib.blake2b(digest_size=32), 0
     for run in runs:
         digest.update(_RUN.pack(*run))
     for offset, size in (*runs, (end, 0)):
         file.seek(at)
-        left = max(0, min(offset, end) - at)
-        while left and (piece := file.read(min(left, _PIECE_BYTES))):
+        remaining = max(0, min(offset, end) - at)
+        while remaining and (piece := file.read(min(remaining, _PIECE_BYTES))):
             digest.update(piece)
-            left -= len(piece)
+            remaining -= len(piece)
         at = max(at, min(offset + size, end))
     return digest.digest()
 
 
 def require_readable(path: Path) -> None:
-    """Refuse an existing file that is no netCDF-4, or on which HDF5 fails, crashes or never ends.
+    """Raise OSError for a file that is not netCDF-4, or on which HDF5 fails, crashes or hangs.
 
     Raises
     ------
-    OSError : with the reason
+    OSError : the message gives the reason
     """
     state = path.stat()
-    known = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns)
-    if known in _tried or is_sealed(path):
+    identity = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns)
+    if identity in _tried or is_sealed(path):
         return
     read_in_child("HDF5", path)
-    _tried.add(known)
+    _tried.add(identity)

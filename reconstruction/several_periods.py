@@ -18,7 +18,7 @@ class Chain:
     Parameters
     ----------
     weights : (level, set), whole numbers c_ij
-    periods_px : (level,), falling
+    periods_px : (level,), decreasing
     """
 
     weights: tuple[tuple[int, ...], ...]
@@ -30,12 +30,12 @@ def make_chain(weights: tuple[tuple[int, ...], ...], periods_px: tuple[float, ..
 
     Raises
     ------
-    InputError : periods that make no chain
+    InputError : the periods form no chain
     """
     inverses = [sum(c / p for c, p in zip(row, periods_px, strict=True)) for row in weights]
     if any(value <= 0.0 for value in inverses) or inverses != sorted(inverses):
         raise InputError(
-            f"patterns periods {periods_px} px have no falling beat periods; heterodyne needs"
+            f"patterns periods {periods_px} px have no decreasing beat periods; heterodyne needs"
             " p0 < p1 (< p2) and 1/p0 - 2/p1 + 1/p2 > 0, change further_periods_px"
         )
     return Chain(weights, tuple(1.0 / value for value in inverses))

@@ -1,11 +1,11 @@
-"""How files are written: encoded in memory, then copied to the disk by Python, whole or not at all.
+"""Write files: encode in memory, then copy to the disk by Python, completely or not at all.
 
 A native library that writes by itself may crash on a full disk (HDF5), hide the failure (OpenCV),
-or report it in words only (OpenEXR, Pillow). So no library is given a path or an open file: it
-writes into memory, and `write_bytes` copies that to the disk. Its failure is an ordinary OSError.
+or report it only as text (OpenEXR, Pillow). So no library gets a path or an open file: it encodes
+into memory, and `write_bytes` copies that to the disk. A failed copy is an ordinary OSError.
 
-A file is written under a temporary name next to its own, which is removed on a failure, and
-renamed at the end: an earlier file of that name remains whole until then.
+A file is written under a temporary name next to its own and renamed at the end; on a failure the
+temporary file is removed. An earlier file of the same name is complete until then.
 """
 
 import errno
@@ -26,22 +26,22 @@ _PIECE_BYTES = 2**24
 
 
 def write_bytes(path: Path | str, *parts: Content, durable: bool = False) -> None:
-    """Write bytes one after another as a file, in place of an earlier one.
+    """Write bytes one after another to a file, replacing an earlier one.
 
     Parameters
     ----------
     parts : contents in their order, contiguous
-    durable : wait until the device has the bytes, before the file takes its name
+    durable : wait until the device has stored the bytes, before the file is renamed
 
     Raises
     ------
-    OSError : with the name of the file; an earlier file is as it was
+    OSError : names the file; an earlier file is unchanged
     """
-    place = Path(os.path.realpath(path))  # a symbolic link remains one
+    place = Path(os.path.realpath(path))  # a symbolic link remains a link
     try:
         if place.exists() and not os.access(place, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        if place.exists() and not place.is_file():  # a device or a pipe keeps its place
+        if place.exists() and not place.is_file():  # a device or a pipe is not replaced
             _write(place, parts, durable=False)
         else:
             _replace(place, parts, durable)
@@ -50,7 +50,7 @@ def write_bytes(path: Path | str, *parts: Content, durable: bool = False) -> Non
 
 
 def _replace(place: Path, parts: tuple[Content, ...], durable: bool) -> None:
-    # The number of the process: another one may write the same file.
+    # With the process number: another process may write the same file.
     temporary = place.with_name(f".{place.name}.{os.getpid()}.part")
     try:
         _write(temporary, parts, durable)
@@ -63,10 +63,10 @@ def _replace(place: Path, parts: tuple[Content, ...], durable: bool) -> None:
 def _write(place: Path, parts: tuple[Content, ...], durable: bool) -> None:
     with place.open("wb", buffering=0) as file:
         for part in parts:
-            left = memoryview(part)
-            left = left.cast("B") if left.nbytes else left[:0]
-            while left:
-                left = left[_written(file, left[:_PIECE_BYTES]) :]
+            remaining = memoryview(part)
+            remaining = remaining.cast("B") if remaining.nbytes else remaining[:0]
+            while remaining:
+                remaining = remaining[_written(file, remaining[:_PIECE_BYTES]) :]
         if durable:
             os.fsync(file.fileno())
 
@@ -79,43 +79,43 @@ def _written(file: io.FileIO, piece: memoryview) -> int:
 
 
 def make_durable(folder: Path) -> None:
-    """Wait until the device has every file below a folder, and the folder.
+    """Wait until the device has stored a folder and every file below it.
 
     Raises
     ------
-    OSError : it cannot take them; some file systems say so only now
+    OSError : the device cannot store them; some file systems report it only now
     """
     for path in folder.rglob("*"):
         if path.is_dir():
             make_names_durable(path)
         elif path.is_file():
-            # Windows synchronises only what is open for writing.
+            # Windows synchronises only files that are open for writing.
             with path.open("r+b" if os.name == "nt" else "rb") as file:
                 os.fsync(file.fileno())
     make_names_durable(folder)
 
 
 def make_names_durable(folder: Path) -> None:
-    """Wait until the device has the names in a folder: what was made, renamed and removed.
+    """Wait until the device has stored the entries of a folder: created, renamed, removed.
 
     Raises
     ------
-    OSError : it cannot take them
+    OSError : the device cannot store them
     """
-    if not hasattr(os, "O_DIRECTORY"):  # Windows opens no folders
+    if not hasattr(os, "O_DIRECTORY"):  # Windows cannot open folders
         return
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)
     except OSError as error:
-        if error.errno != errno.EINVAL:  # a file system that knows of files only
+        if error.errno != errno.EINVAL:  # a file system without synchronisation of folders
             raise
     finally:
         os.close(handle)
 
 
 def write_text(path: Path | str, text: str, *, durable: bool = False) -> None:
-    """Write text in UTF-8, with the ends of lines that it has; else as `write_bytes`."""
+    """Write text in UTF-8 with unchanged line ends, like `write_bytes`."""
     write_bytes(path, text.encode("utf-8"), durable=durable)
 
 
@@ -126,7 +126,7 @@ def write_png(path: Path | str, pixels: "NDArray[Any]") -> None:
     ------
     OSError : as `write_bytes`
     """
-    import imageio.v3 as imageio  # 0.1 s that writing text need not pay
+    import imageio.v3 as imageio  # 0.1 s that are not needed for text
 
     write_bytes(path, imageio.imwrite("<bytes>", pixels, plugin="pillow", extension=".png"))
 
@@ -134,7 +134,7 @@ def write_png(path: Path | str, pixels: "NDArray[Any]") -> None:
 def write_npz(path: Path | str, arrays: Mapping[str, "NDArray[Any]"]) -> None:
     """Write arrays as a compressed .npz; the same arrays give the same bytes.
 
-    A name without .npz remains as it is.
+    The name is used as given, also without .npz.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""A headless Chromium that a test drives: open a page, look at it, drag on it.
+"""A headless Chromium under the control of a test: open a page, read it, drag on it.
 
-It is told what to do through a pipe, by the browser's own debugging protocol: no driver, no port.
+Commands are sent through a pipe in the browser's debugging protocol: no driver, no port.
 """
 
 import base64
@@ -25,30 +25,30 @@ WIDTHS = (1280, 390)
 PAPER_PX = (718, 1047)
 """A4 less margins of 10 mm, at 96 pixels per inch."""
 SECONDS = 60.0
-"""A guard against a hang, far beyond what any page takes."""
+"""Time limit against a hang, much longer than any page takes."""
 
 
 @dataclass
-class Seen:
-    """What a page did since it was opened: errors on its console, addresses that it asked for."""
+class PageActivity:
+    """Activity of a page since it was opened: errors on its console, requested addresses."""
 
     errors: list[str] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
 
     def take(self, message: dict[str, Any]) -> None:
-        """Keep what an event tells."""
-        told = message.get("params", {})
+        """Record an event."""
+        parameters = message.get("params", {})
         match message.get("method"):
             case "Network.requestWillBeSent":
-                self.requests.append(told["request"]["url"])
+                self.requests.append(parameters["request"]["url"])
             case "Network.webSocketCreated":
-                self.requests.append(told["url"])
+                self.requests.append(parameters["url"])
             case "Runtime.exceptionThrown":
-                self.errors.append(json.dumps(told["exceptionDetails"])[:500])
-            case "Runtime.consoleAPICalled" if told["type"] == "error":
-                self.errors.append(json.dumps(told["args"])[:500])
-            case "Log.entryAdded" if told["entry"]["level"] == "error":
-                self.errors.append(told["entry"]["text"])
+                self.errors.append(json.dumps(parameters["exceptionDetails"])[:500])
+            case "Runtime.consoleAPICalled" if parameters["type"] == "error":
+                self.errors.append(json.dumps(parameters["args"])[:500])
+            case "Log.entryAdded" if parameters["entry"]["level"] == "error":
+                self.errors.append(parameters["entry"]["text"])
 
 
 class Browser:
@@ -59,7 +59,7 @@ class Browser:
         self._bytes = b""
         self._number = 0
         self._session: str | None = None
-        self.seen = Seen()
+        self.activity = PageActivity()
         page = self._call("Target.createTarget", url="about:blank")["targetId"]
         attached = self._call("Target.attachToTarget", targetId=page, flatten=True)
         self._session = attached["sessionId"]
@@ -69,7 +69,7 @@ class Browser:
     def open(self, address: str, width: int = 1280, height: int = 900) -> None:
         """Open an address in a window of this size and wait until it has loaded."""
         self.resize(width, height)
-        self.seen = Seen()
+        self.activity = PageActivity()
         self._call("Page.navigate", url=address)
         self._until(lambda message: message.get("method") == "Page.loadEventFired")
         self.evaluate("document.readyState")
@@ -84,9 +84,9 @@ class Browser:
         self._call("Emulation.setEmulatedMedia", media="print")
 
     def evaluate(self, expression: str) -> Any:
-        """Return the value of an expression in the page; a promise is waited for."""
-        asked = {"expression": expression, "returnByValue": True, "awaitPromise": True}
-        answer = self._call("Runtime.evaluate", **asked)
+        """Return the value of an expression in the page; wait for a promise."""
+        arguments = {"expression": expression, "returnByValue": True, "awaitPromise": True}
+        answer = self._call("Runtime.evaluate", **arguments)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
@@ -97,7 +97,7 @@ class Browser:
             assert monotonic() < end, f"never true: {expression}"
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 5) -> None:
-        """Press the mouse at a place of the window, move it to another, let go."""
+        """Press the mouse at a point of the window, move it to a second point, release it."""
         places = [
             tuple(a + (b - a) * step / steps for a, b in zip(start, end, strict=True))
             for step in range(steps + 1)
@@ -110,28 +110,28 @@ class Browser:
     def press(self, key: str) -> None:
         """Press a key, by its name in the DOM, such as ArrowRight."""
         codes = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}
-        told = {"key": key, "code": key, "windowsVirtualKeyCode": codes.get(key, 0)}
+        event = {"key": key, "code": key, "windowsVirtualKeyCode": codes.get(key, 0)}
         for kind in ("keyDown", "keyUp"):
-            self._call("Input.dispatchKeyEvent", type=kind, **told)
+            self._call("Input.dispatchKeyEvent", type=kind, **event)
 
     def picture(self) -> bytes:
-        """Return what the window shows, as PNG."""
+        """Return the content of the window as PNG."""
         return base64.b64decode(self._call("Page.captureScreenshot", format="png")["data"])
 
     def overflow(self) -> list[str]:
-        """Name what is wider than the window, where the page can be scrolled sideways."""
-        found = self.evaluate(WIDER)
-        assert isinstance(found, list)
-        return found
+        """Return the elements wider than the window, if the page can be scrolled sideways."""
+        elements = self.evaluate(WIDER)
+        assert isinstance(elements, list)
+        return elements
 
     def _mouse(self, kind: str, place: tuple[float, ...]) -> None:
         held = {"button": "left", "buttons": 1, "clickCount": 1}
         self._call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], **held)
 
-    def _call(self, method: str, **told: Any) -> dict[str, Any]:
+    def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._number += 1
         number = self._number
-        message = {"id": number, "method": method, "params": told}
+        message = {"id": number, "method": method, "params": parameters}
         if self._session:
             message["sessionId"] = self._session
         os.write(self._commands, json.dumps(message).encode() + b"\0")
@@ -145,7 +145,7 @@ class Browser:
         end = monotonic() + SECONDS
         while True:
             message = self._next(end)
-            self.seen.take(message)
+            self.activity.take(message)
             if wanted(message):
                 return message
 
@@ -190,7 +190,7 @@ def browser(profile: Path) -> Iterator[Browser]:
 
     Parameters
     ----------
-    profile : folder for what it keeps
+    profile : folder for the browser's profile
     """
     if CHROMIUM is None:
         pytest.skip("no chromium on this machine")
@@ -225,16 +225,19 @@ def browser(profile: Path) -> Iterator[Browser]:
 
 
 def assert_readable(page: Path, profile: Path) -> None:
-    """Open a page at desktop and phone width, all that is folded unfolded.
+    """Check a page at desktop and phone width, with all folded sections open.
 
-    No error, no request to anywhere, nothing that sticks out sideways.
+    No error, no network request, no element wider than the window.
     """
     with browser(profile) as tab:
         for width in WIDTHS:
             tab.open(page.as_uri(), width)
             tab.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
-            assert tab.seen.errors == [], width
-            assert {urlsplit(one).scheme for one in tab.seen.requests} <= {"file", "data"}, width
+            assert tab.activity.errors == [], width
+            assert {urlsplit(address).scheme for address in tab.activity.requests} <= {
+                "file",
+                "data",
+            }, width
             assert tab.overflow() == [], width
 
 

@@ -38,7 +38,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--quick", action="store_true", help=f"leave out what {SLOW.name} names")
+    parser.addoption("--quick", action="store_true", help=f"leave out the tests of {SLOW.name}")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -49,13 +49,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """Leave modules and tests, which stay to the end, out of every later collection."""
+    """Exclude modules and tests, which exist to the end, from every later garbage collection."""
     gc.collect()
     gc.freeze()
 
 
 def is_slow(test: str) -> bool:
-    """Tell whether the list names a test, its function without parameters, or its file."""
+    """Return True if the list has a test, its function without parameters, or its file."""
     file, function = test.split("::")[0], test.split("[")[0]
     return not {test, function, file}.isdisjoint(slow_tests())
 
@@ -69,7 +69,7 @@ def slow_tests() -> frozenset[str]:
 
 @pytest.fixture(autouse=True)
 def new_worker() -> None:
-    """Let no case find stages that an earlier test left in this process: tests count them."""
+    """Clear the stages that an earlier test cached in this process: tests count them."""
     worker = sys.modules.get("twin.study.worker")
     if worker is not None:
         worker.forget_stages()

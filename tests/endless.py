@@ -1,4 +1,4 @@
-"""An end for what would wait for ever; how fast the machine is, is not tested."""
+"""A time limit for code that would wait for ever; the speed of the machine is not tested."""
 
 import signal
 from collections.abc import Iterator

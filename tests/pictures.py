@@ -1,4 +1,4 @@
-"""What a drawn picture shows: its figure before it is written, and colours at known places."""
+"""Content of a drawn picture: its figure before it is written, and colours at known points."""
 
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,7 +34,7 @@ def colour_at(path, axes, x, y):
 
 
 def is_drawn(path, width_in, height_in):
-    """Tell whether a picture has its size, is mostly white paper, and has ink on every side."""
+    """Return True if a picture has its size, is mostly white, and has ink in every quarter."""
     shown = picture(path)
     ink = np.abs(shown - 255.0).max(axis=-1) > 100.0
     quarters = [part for half in np.array_split(ink, 2) for part in np.array_split(half, 2, axis=1)]
@@ -44,7 +44,7 @@ def is_drawn(path, width_in, height_in):
 
 
 def kept_figures(monkeypatch, *modules):
-    """Keep the figures that modules draw, by file name; they are written as ever."""
+    """Record the figures that modules draw, by file name; they are written as usual."""
     figures = {}
     for module in modules:
         real = module.drawing

@@ -73,11 +73,11 @@ NAMES = {
     "sweep": ("twin.study.sweep", "a study into its store"),
     "load_problem": (
         "twin.config.problem",
-        "unknown fields, and what was measured of them",
+        "unknown fields, and measurements that depend on them",
     ),
     "identify": (
         "twin.identification.run",
-        "which values of unknown fields agree with measurements",
+        "values of unknown fields that agree with measurements",
     ),
     "uncertainty": (
         "twin.propagation.trials",

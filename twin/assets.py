@@ -1,8 +1,8 @@
-"""Data files of the twin: `scenes` and `materials`, wherever this installation keeps them.
+"""Data files of the twin: `scenes` and `materials`, in the folders of this installation.
 
-The two collections are data, not packages. They are looked for in this order: the folder named by
-``TWIN_ASSETS``, the installed package, the checkout beside the package. The first folder that has
-the file wins, so a user's folder may replace or add single files.
+The two collections are data, not packages. They are searched in this order: the folder named by
+``TWIN_ASSETS``, the installed package, the checkout that contains the package. The first folder
+with the file is used, so a user's folder may replace or add single files.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LONGEST_NAME = 255
 
 
 class AssetError(InputError):
-    """A data file that is not there, or that may not be named so."""
+    """A data file that does not exist, or that has a forbidden name."""
 
 
 def asset_path(collection: Collection, name: str) -> Path:
@@ -42,7 +42,7 @@ def asset_path(collection: Collection, name: str) -> Path:
 
     Raises
     ------
-    AssetError : if there is no such file; close names are told
+    AssetError : if there is no such file; the message has the nearest names
     """
     _check_name(collection, name)
     folders = [Path()] if _is_path(name) else asset_folders(collection)
@@ -54,7 +54,7 @@ def asset_path(collection: Collection, name: str) -> Path:
 
 
 def scene_file(name: str | Path) -> Path:
-    """Find a file that a user names: one of their own, or a shipped one in `scenes`.
+    """Find a file by its name: a user's file, or a shipped file in `scenes`.
 
     Raises
     ------
@@ -67,11 +67,11 @@ def scene_file(name: str | Path) -> Path:
 
 
 def mesh_path(name: str) -> Path:
-    """Return where a file lies that an experiment names, which need not exist.
+    """Return the path of a mesh file that an experiment names; the file need not exist.
 
     Raises
     ------
-    AssetError : the name begins with ``scenes/``, and there is no such file
+    AssetError : the name starts with ``scenes/``, and there is no such file
     """
     path = Path(name)
     if not is_regular(path) and name.startswith("scenes/"):
@@ -100,7 +100,7 @@ def list_assets(collection: Collection) -> list[str]:
 
 
 def asset_folders(collection: Collection) -> list[Path]:
-    """List the folders that may hold a collection, in the order of their precedence.
+    """List the folders that may contain a collection, in the order of their precedence.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _is_path(name: str) -> bool:
 
 
 def _existing(path: Path) -> Path | None:
-    """Return the file itself, or the same with ``.toml``: a name may have a point of its own."""
+    """Return the file, or the file with suffix ``.toml``, as a name may contain a point."""
     with_suffix = path.with_name(path.name + ".toml")
     spellings = (path, with_suffix) if path.suffix else (with_suffix,)
     return next((spelling for spelling in spellings if is_regular(spelling)), None)

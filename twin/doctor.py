@@ -1,8 +1,8 @@
-"""Report what the twin finds on this machine: each finding with what to do about it.
+"""Check this machine for the requirements of the twin: each finding with a remedy.
 
-Nothing here raises: a check that fails is a finding.
+No check raises: an exception becomes a finding.
 
-`python -m twin.doctor` compiles the kernels of ordinary measurements ahead.
+`python -m twin.doctor` compiles the kernels of ordinary measurements in advance.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from twin.extras import install, pip_install
 
 DISTRIBUTION = "fringe-twin"
 MINIMUM_PYTHON = (3, 11)
-MINIMUM_MEMORY_GIB = 4.0  # a 16-bit stack at 1936 x 1464 alone is 0.3 GiB
+MINIMUM_MEMORY_GIB = 4.0  # one 16-bit stack at 1936 x 1464 px is 0.3 GiB
 MINIMUM_DISK_GIB = 2.0
 _GIB = 2.0**30
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One fact about this machine.
+    """Result of a check of this machine.
 
     Parameters
     ----------
-    name : what was looked at
-    ok : whether the twin can work with it
-    detail : what was found
-    advice : what to do; empty if nothing
+    name : of the checked property
+    ok : True if the twin can run with it
+    detail : value of the property
+    advice : remedy; empty if ok
     """
 
     name: str
@@ -54,11 +54,11 @@ class Finding:
 
 
 def diagnose() -> list[Finding]:
-    """Look at everything the twin needs.
+    """Check all requirements of the twin.
 
     Returns
     -------
-    In the order in which they should be mended
+    Findings in the order in which they should be repaired
     """
     checks: tuple[Callable[[], list[Finding]], ...] = (
         _python,
@@ -77,7 +77,7 @@ def diagnose() -> list[Finding]:
 def _safely(check: Callable[[], list[Finding]]) -> list[Finding]:
     try:
         return check()
-    except Exception as error:  # a diagnosis must survive whatever is broken
+    except Exception as error:  # any broken package must give a finding, not end the diagnosis
         name = check.__name__.strip("_").replace("_", " ")
         return [Finding(name, False, f"{type(error).__name__}: {error}", "./run setup")]
 
@@ -98,8 +98,8 @@ def _packages() -> list[Finding]:
 
 
 def _package(requirement: str) -> Finding:
-    found = re.match(r"[A-Za-z0-9._-]+", requirement)
-    name = found[0] if found else requirement
+    matched = re.match(r"[A-Za-z0-9._-]+", requirement)
+    name = matched[0] if matched else requirement
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
@@ -146,12 +146,12 @@ def _memory() -> list[Finding]:
 
 
 def _compiled_kernels() -> list[Finding]:
-    """Check that Numba can keep compiled kernels, or every start compiles them again."""
+    """Check that Numba can cache compiled kernels; else every start compiles them again."""
     spec = importlib.util.find_spec("reconstruction")
-    beside = Path(spec.origin).parent if spec and spec.origin else Path()
+    package = Path(spec.origin).parent if spec and spec.origin else Path()
     user = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folders = [Path(chosen)] if chosen else [beside, user]
+    folders = [Path(chosen)] if chosen else [package, user]
     writable = next((folder for folder in folders if _is_writable(folder)), None)
     if writable is None:
         tried = ", ".join(map(str, folders))
@@ -187,12 +187,12 @@ def _disk() -> list[Finding]:
     return [Finding("disk", ok, detail, "" if ok else "a full stack takes 300 MB, make room")]
 
 
-# What each process compiles, side by side: as long as the longer. Sizes do not matter to kernels.
+# Kernels that each of two parallel processes compiles, in similar time. Array sizes do not matter.
 WARMED = ("renderer, decoder, meshes", "camera noise, filter, thin sheets")
 
 
-def warm(told: Callable[[str], object] = lambda _: None) -> list[Finding]:
-    """Compile the kernels of ordinary measurements ahead, and keep them; `told` what is ready."""
+def warm(report: Callable[[str], object] = lambda _: None) -> list[Finding]:
+    """Compile the kernels of ordinary measurements in advance; call `report` for each group."""
     start = time.perf_counter()
 
     def compile_one(name: str) -> Finding:
@@ -202,7 +202,7 @@ def warm(told: Callable[[str], object] = lambda _: None) -> list[Finding]:
         if done.returncode:
             reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
             return Finding(name, False, reason, "the first measurement compiles them")
-        told(f"{name}: {seconds}")
+        report(f"{name}: {seconds}")
         return Finding(f"kernels: {name}", True, f"compiled or there already, {seconds}")
 
     with ThreadPoolExecutor() as pool:
@@ -236,7 +236,7 @@ def _warm_sheets() -> None:
     coarse = {"press.relief_pitch_mm": 0.05, "press.cell_mm": 0.5, "press.depth_mm": 0.1}
     sheet = {"mechanics.model": "sheet", "press.back_pressure_kpa": 0.0}
     experiment = load_experiment("examples/wrapped_balls", coarse | sheet)
-    # What the other process comes to last: as its camera records, and its decoder hands on.
+    # Kernels that the other process needs last: of the camera's noise and of the decoder's filter.
     expose(experiment, [np.full((16, 16), 1e-3, np.float32)], white_frame=0)
     maps, mask = np.zeros((2, 16, 16)), np.zeros((16, 16), np.uint8)
     smooth(Unfiltered(maps.astype(np.float32), maps.astype(np.uint16), mask), 5, 1.0, 9.0, 1e-3)
@@ -244,16 +244,18 @@ def _warm_sheets() -> None:
 
 
 def _main(names: list[str]) -> bool:
-    """Compile what is named, or everything side by side; tells whether that went well."""
+    """Compile the named groups, or all groups in parallel; return True if that succeeded."""
     by_name = dict(zip(WARMED, (_warm_measurement, _warm_sheets), strict=True))
     gc.disable()  # a compiler makes millions of small objects: searched for cycles, 8 % of the time
     for name in names:
         by_name[name]()
     if names:
         return True
-    found = warm(lambda done: sys.stderr.write(f"      {done}\n"))
-    sys.stderr.writelines(f"      {one.name}: {one.detail}\n" for one in found if not one.ok)
-    return all(one.ok for one in found)
+    findings = warm(lambda done: sys.stderr.write(f"      {done}\n"))
+    sys.stderr.writelines(
+        f"      {finding.name}: {finding.detail}\n" for finding in findings if not finding.ok
+    )
+    return all(finding.ok for finding in findings)
 
 
 if __name__ == "__main__":

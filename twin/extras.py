@@ -1,6 +1,6 @@
-"""How to install what an optional part of the twin needs: the extras of pyproject.toml.
+"""Install commands for optional dependencies: the extras of pyproject.toml.
 
-The project is in no package index, so that an extra is installed from the checkout.
+The project is in no package index, so an extra is installed from the checkout.
 """
 
 import shlex
@@ -11,14 +11,14 @@ from reconstruction.errors import InputError
 
 
 def missing(where: str, package: str, extra: str, note: str = "") -> InputError:
-    """Return the error of an option whose package is not installed, with the command that does it.
+    """Return the error of an option with a missing package, with the install command.
 
     Parameters
     ----------
     where : the option or key that needs it
-    package : its name, as people write it
+    package : its name in prose
     extra : of pyproject.toml
-    note : what to observe, behind the command
+    note : additional remark after the command
     """
     more = f" ({note})" if note else ""
     return InputError(f"{where}: needs {package}, which is not installed; {install(extra)}{more}")
@@ -32,9 +32,9 @@ def install(extra: str = "") -> str:
     return pip_install("-e", f"{root}{wanted}")
 
 
-def pip_install(*what: str) -> str:
-    """Return the command that installs packages into this Python; a bare pip may be another's."""
-    return shlex.join([sys.executable, "-m", "pip", "install", *what])
+def pip_install(*requirements: str) -> str:
+    """Return the command that installs packages into this Python; `pip` may be of another one."""
+    return shlex.join([sys.executable, "-m", "pip", "install", *requirements])
 
 
 def _checkout() -> Path | None:

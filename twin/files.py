@@ -1,4 +1,4 @@
-"""Single files that commands write: whole or not at all, never in the place of the user's."""
+"""Single output files of commands: written atomically, and never over an existing file."""
 
 import os
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from twin.working import remove_leftovers, working_folder
 
 @contextmanager
 def creating(path: Path) -> Iterator[Path]:
-    """Yield where to write a file that then appears as `path`, whole or not at all.
+    """Yield a path to write to; at the end the file is moved to `path` in one atomic step.
 
     Raises
     ------

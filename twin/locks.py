@@ -8,8 +8,12 @@ No other module calls the system's lock functions.
 | Windows (`msvcrt`) | byte beyond the end | none: OSError | byte lock |
 | neither module | OSError | OSError | OSError |
 
-OSError is also what a file system without locks raises. The system releases every lock when its
-process ends, however that happens.
+A file system without locks raises OSError, too. The system releases every lock when its process
+ends for any reason.
+
+No library is used: filelock and portalocker have no locks of single bytes, which several hosts need
+to share a store, and on Windows portalocker locks the content, which other processes then cannot
+read.
 """
 
 import errno

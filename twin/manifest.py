@@ -1,9 +1,9 @@
-"""Manifests: which files of a folder were written by `twin`, so that nothing else is removed.
+"""Manifests: the files of a folder that `twin` wrote; only these files are removed.
 
-`twin-manifest.txt` opens with a comment that tells format, version and kind of the folder; then
-comes a line `SHA256  PATH` per file, as `sha256sum -c twin-manifest.txt` checks them. A line is
-entered before its file is put there. A file counts as ours while it has the content of one of its
-lines: what was edited since is the user's.
+The first line of `twin-manifest.txt` is a comment with format, version and kind of the folder. Each
+further line is `SHA256  PATH` of a file, in the format of `sha256sum -c twin-manifest.txt`. A line
+is written before its file. A file counts as ours if its content has the digest of one of its lines:
+a file that was edited since is the user's.
 """
 
 import hashlib
@@ -37,12 +37,12 @@ _OF_THE_SYSTEM = {"lost+found"}
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a folder's manifest says.
+    """Content of a folder's manifest.
 
     Attributes
     ----------
-    kind : `result`, replaced as a whole, or the command that goes on in it
-    lines : digests of each path's contents that were written; paths are relative, with slashes
+    kind : `result`, replaced as a whole, or the command that adds files to the folder
+    lines : digests of the written contents of each path; paths are relative, with slashes
     """
 
     kind: str
@@ -50,12 +50,12 @@ class Manifest:
 
     @property
     def folders(self) -> set[str]:
-        """Folders that hold one of the files."""
+        """Folders that contain any of the files."""
         return {str(above) for path in self.lines for above in PurePosixPath(path).parents}
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """Read the manifest of a folder; None when it has none.
+    """Read the manifest of a folder; None if there is none.
 
     Raises
     ------
@@ -66,28 +66,28 @@ def read_manifest(folder: Path) -> Manifest | None:
         return None
     text = read_bytes(path).decode("utf-8", errors="surrogateescape")
     head, *rest = text.split("\n")
-    found = _HEAD.fullmatch(head)
-    if found is None:
+    header = _HEAD.fullmatch(head)
+    if header is None:
         return None
-    if int(found["version"]) != _VERSION:
-        raise InputError(f"{path}: has version {found['version']}, known is {_VERSION}")
+    if int(header["version"]) != _VERSION:
+        raise InputError(f"{path}: has version {header['version']}, known is {_VERSION}")
     lines: dict[str, set[str]] = {}
     for line in filter(None, map(_LINE.fullmatch, rest)):
         if _is_below(line["path"]):
             lines.setdefault(line["path"], set()).add(line["digest"])
-    return Manifest(found["kind"], lines)
+    return Manifest(header["kind"], lines)
 
 
 def _is_below(path: str) -> bool:
-    """Tell whether a path stays within its folder: nothing beside it is ours."""
+    """Return True if a path is inside its folder: files outside are never ours."""
     parts = PurePosixPath(path)
     return not parts.is_absolute() and ".." not in parts.parts
 
 
 def files_of(folder: Path) -> list[str]:
     """Return the relative paths of all files below a folder, with slashes, sorted."""
-    found = (path for path in folder.rglob("*") if not path.is_dir())
-    return sorted(path.relative_to(folder).as_posix() for path in found)
+    files = (path for path in folder.rglob("*") if not path.is_dir())
+    return sorted(path.relative_to(folder).as_posix() for path in files)
 
 
 def manifest_lines(folder: Path) -> list[str]:
@@ -104,7 +104,7 @@ def write_manifest(path: Path, kind: str, lines: Sequence[str]) -> None:
 
 
 def enter(folder: Path, kind: str, lines: Sequence[str]) -> None:
-    """Add lines that it lacks to the manifest of a folder, and start it where there is none."""
+    """Add missing lines to the manifest of a folder; create the manifest if there is none."""
     with (folder / MANIFEST_FILE).open("a+b", buffering=0) as file:
         with suppress(OSError):  # a file system without locks
             lock_file(file.fileno(), wait=True)
@@ -112,7 +112,7 @@ def enter(folder: Path, kind: str, lines: Sequence[str]) -> None:
         there = file.readall()
         known = set(there.decode("utf-8", errors="surrogateescape").split("\n"))
         head = [] if there else [f"# fringe-twin manifest {_VERSION}: {kind}"]
-        torn = "\n" if there and not there.endswith(b"\n") else ""  # killed while it wrote
+        torn = "\n" if there and not there.endswith(b"\n") else ""  # killed while writing
         added = "".join(f"{line}\n" for line in (*head, *lines) if line not in known)
         try:
             _write_all(file, f"{torn}{added}".encode("utf-8", errors="surrogateescape"))
@@ -129,46 +129,46 @@ def _write_all(file: io.FileIO, left: bytes) -> None:
 
 
 def is_ours(folder: Path, path: str, known: Manifest | None) -> bool:
-    """Tell whether a file below a folder has the content that was written."""
+    """Return True if a file below a folder has the content that `twin` wrote."""
     file, digests = folder / path, known.lines.get(path, set()) if known else set()
     return bool(digests) and not file.is_symlink() and file.is_file() and _digest(file) in digests
 
 
 def ours(folder: Path, paths: Sequence[str], known: Manifest | None) -> set[str]:
-    """Return those of some files below a folder that have the content that was written."""
-    told = _side_by_side(lambda path: is_ours(folder, path, known), paths)
-    return {path for path, is_own in zip(paths, told, strict=True) if is_own}
+    """Return the files, of those given, that have the content that `twin` wrote."""
+    flags = _side_by_side(lambda path: is_ours(folder, path, known), paths)
+    return {path for path, is_own in zip(paths, flags, strict=True) if is_own}
 
 
 def foreign(
     folder: Path, known: Manifest | None, names: Collection[str] = (), *, changed: bool = True
 ) -> str | None:
-    """Return in words the first thing in a folder that `twin` did not write; None without any.
+    """Return a text on the first entry of a folder that `twin` did not write; None if all are ours.
 
     Parameters
     ----------
-    names : look only at these entries of the folder; by default at all
-    changed : a file that was written, but changed since, counts too
+    names : check only these entries of the folder; default: all
+    changed : also report files that `twin` wrote and that were changed since
     """
-    found = list(_found(folder, "", known, names))
-    own = ours(folder, found, known)
-    for path in found:
+    paths = list(_entries(folder, "", known, names))
+    own = ours(folder, paths, known)
+    for path in paths:
         is_changed = known is not None and path in known.lines
         if path not in own and (changed or not is_changed):
             return f"{path}, changed since it was written" if is_changed else path
     return None
 
 
-def _found(
+def _entries(
     root: Path, below: str, known: Manifest | None, names: Collection[str] = ()
 ) -> Iterator[str]:
-    """Yield what is in a folder; of folders of its own, what is in them."""
+    """Yield the entries of a folder; of its folders with known files, their entries instead."""
     for entry in sorted(os.scandir(root / below), key=lambda entry: entry.name):
         path = f"{below}{entry.name}"
         if (names and entry.name not in names) or (not below and _is_own_mark(entry)):
             continue
         if entry.is_dir(follow_symlinks=False) and known and path in known.folders:
-            yield from _found(root, f"{path}/", known)
+            yield from _entries(root, f"{path}/", known)
         else:
             yield path
 

@@ -1,14 +1,15 @@
-"""Folders that commands write: whole or not there, and nothing of anybody else's removed.
+"""Output folders of commands: complete or absent, and no file of the user is removed.
 
-Everything is written into a working folder (`twin.working`) and moved at the end; an interrupted
-command leaves the earlier result, if any, untouched. The manifest (`twin.manifest`) tells what may
-be replaced.
+A command writes into a working folder (`twin.working`), which is moved at the end. An interrupted
+command does not change the earlier result, if any. Only files of the manifest (`twin.manifest`) are
+replaced.
 
 - A new folder appears by one renaming.
-- An existing one, which may be a mount point or the target of a symbolic link, stays where it is.
-  Its files are exchanged one by one, `result.json` last; a result without it is none. Signals wait
-  until that is done. What is to be exchanged is planned in the working folder before: after a
-  kill -9 whoever opens the folder next, to write or to read, ends the exchange (`end_exchange`).
+- An existing folder, which may be a mount point or the target of a symbolic link, is not moved. Its
+  files are exchanged one by one, `result.json` last; a folder without that file is no result.
+  Signals are delayed until the end of the exchange. A plan of the exchange is written into the
+  working folder before: after a kill -9 the next command that opens the folder, to write or to
+  read, completes the exchange (`end_exchange`).
 """
 
 import json
@@ -49,15 +50,15 @@ _ADVICE = "choose another -o DIR"
 
 @contextmanager
 def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
-    """Yield a folder to write into; on success it becomes `target`, on failure it vanishes.
+    """Yield a folder to write into; on success it becomes `target`, on failure it is removed.
 
     Parameters
     ----------
-    inputs : files and folders that the command reads; those that do not exist are passed over
+    inputs : files and folders that the command reads; missing ones are ignored
 
     Raises
     ------
-    InputError : `target` cannot be written, holds something that was not written by `twin` or was
+    InputError : `target` cannot be written, contains files that `twin` did not write or that were
         changed since, or is the current folder, home, an input, or a folder above these, or in an
         input; or another process is writing there
     OSError : the disk is full
@@ -65,24 +66,24 @@ def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
     real = _checked_place(target, inputs)
     _refuse_foreign(target, real)
     with ExitStack() as stack:
-        with _telling(target):
+        with _naming_target(target):
             stack.callback(_remove_empty, _make_folders(real if real.is_dir() else real.parent))
             remove_leftovers(real.parent, real.name)
             folder = stack.enter_context(_working(real))
         _refuse_second(target, folder)
         with _failing_to_write(target, folder):
             yield folder
-        with _telling(target):
+        with _naming_target(target):
             _publish(folder, real)
 
 
 @contextmanager
 def adding(target: Path, *names: str) -> Iterator[Path]:
-    """Yield a folder; on success what was written there is added to the existing `target`.
+    """Yield a folder; on success its files are added to the existing `target`.
 
     Parameters
     ----------
-    names : what will be added, at the top: looked at beforehand
+    names : top-level names of the files to add: checked before the block
 
     Raises
     ------
@@ -93,27 +94,27 @@ def adding(target: Path, *names: str) -> Iterator[Path]:
     real = Path(os.path.realpath(target))
     _refuse_in_the_way(target, real, names)
     with ExitStack() as stack:
-        with _telling(target):
+        with _naming_target(target):
             folder = stack.enter_context(_working(real))
         with _failing_to_write(target, folder):
             yield folder
-        with _telling(target):
+        with _naming_target(target):
             _put(folder, real)
 
 
 def claim(target: Path, kind: str, names: Collection[str], inputs: Iterable[Path] = ()) -> None:
-    """Make `target` a folder that a command goes on in, or go on in it.
+    """Create or reuse `target` as a folder to which a command adds files in several runs.
 
-    What others put there stays, and is refused only where it is in the way.
+    Files of the user remain; InputError only if such a file has a name that the command writes.
 
     Parameters
     ----------
     kind : the command
-    names : what it writes at the top
+    names : top-level names that the command writes
 
     Raises
     ------
-    InputError : as `output_folder`; or the folder is one of another command
+    InputError : as `output_folder`; or the folder belongs to another command
     OSError : the disk is full
     """
     real = _checked_place(target, inputs)
@@ -123,7 +124,7 @@ def claim(target: Path, kind: str, names: Collection[str], inputs: Iterable[Path
     elif known.kind != kind:
         raise InputError(f"{target}: holds no earlier run of twin {kind}; {_ADVICE}")
     _refuse_in_the_way(target, real, names)
-    with ExitStack() as stack, _telling(target):
+    with ExitStack() as stack, _naming_target(target):
         stack.callback(_remove_empty, _make_folders(real))
         _take_up(real)
         enter(real, kind, ())
@@ -131,14 +132,14 @@ def claim(target: Path, kind: str, names: Collection[str], inputs: Iterable[Path
 
 @contextmanager
 def alone_in(target: Path) -> Iterator[None]:
-    """Hold a claimed folder for as long as a command goes on in it.
+    """Lock a claimed folder for the run of a command.
 
     Raises
     ------
-    InputError : another process holds it
+    InputError : another process has locked it
     """
     with ExitStack() as stack:
-        with _telling(target):
+        with _naming_target(target):
             folder = stack.enter_context(_working(Path(os.path.realpath(target))))
         _refuse_second(target, folder)
         yield
@@ -150,22 +151,22 @@ def _refuse_second(target: Path, folder: Path) -> None:
 
 
 def _checked_place(target: Path, inputs: Iterable[Path]) -> Path:
-    """Resolve links; refuse what is at or above what must stay, or inside an input."""
+    """Resolve links; raise InputError if the target would replace or contain a protected folder."""
     real = Path(os.path.realpath(target))
-    kept = {"the current folder": Path.cwd(), "your home": Path("~").expanduser()}
-    kept |= {f"the input {path}": path for path in inputs if path.exists()}
-    for what, path in kept.items():
+    protected = {"the current folder": Path.cwd(), "your home": Path("~").expanduser()}
+    protected |= {f"the input {path}": path for path in inputs if path.exists()}
+    for label, path in protected.items():
         there = Path(os.path.realpath(path))
         if real == there or real in there.parents:
             above = "is" if real == there else "holds"
-            raise InputError(f"{target}: {above} {what}; {_ADVICE}")
-        if what.startswith("the input") and there in real.parents:
-            raise InputError(f"{target}: lies inside {what}; {_ADVICE}")
+            raise InputError(f"{target}: {above} {label}; {_ADVICE}")
+        if label.startswith("the input") and there in real.parents:
+            raise InputError(f"{target}: is inside {label}; {_ADVICE}")
     return real
 
 
 def _refuse_foreign(target: Path, real: Path, kind: str = RESULT) -> None:
-    """Refuse a target that holds anything that was not written by `twin`."""
+    """Raise InputError if the target contains files that `twin` did not write."""
     if real.exists() and not real.is_dir():
         raise InputError(f"{target}: is a file; {_ADVICE}")
     if not real.is_dir():
@@ -173,22 +174,22 @@ def _refuse_foreign(target: Path, real: Path, kind: str = RESULT) -> None:
     known = read_manifest(real)
     if known is not None and known.kind != RESULT:
         raise InputError(f"{target}: belongs to twin {known.kind}; {_ADVICE}")
-    with _telling(target):
-        found = foreign(real, known)
-    if found is None:
+    with _naming_target(target):
+        entry = foreign(real, known)
+    if entry is None:
         return
     earlier = "earlier result" if kind == RESULT else f"earlier run of twin {kind}"
-    reason = f"not written by twin: {found}" if known else f"no {MANIFEST_FILE}; found {found}"
+    reason = f"not written by twin: {entry}" if known else f"no {MANIFEST_FILE}; found {entry}"
     raise InputError(f"{target}: is no {earlier} ({reason}); move it away, or {_ADVICE}")
 
 
 def _refuse_in_the_way(target: Path, real: Path, names: Collection[str]) -> None:
-    """Refuse where one of these names is somebody else's."""
+    """Raise InputError if a file of such a name was not written by `twin`."""
     if names and real.is_dir():
-        found = foreign(real, read_manifest(real), names)
-        if found is not None:
+        entry = foreign(real, read_manifest(real), names)
+        if entry is not None:
             raise InputError(
-                f"{target}: {found} is in the way (not written by twin); move or delete it"
+                f"{target}: {entry} is in the way (not written by twin); move or delete it"
             )
 
 
@@ -214,13 +215,13 @@ def _publish(folder: Path, real: Path) -> None:
 
 
 def _put(folder: Path, real: Path, gone: Set[str] | None = None) -> None:
-    """Move the files of `folder` to `real`, where the files `gone` make room for a whole result.
+    """Move the files of `folder` to `real`; for a whole result, remove the files `gone` there.
 
     A file that appeared there while the command ran is not overwritten.
     """
     new, lines = files_of(folder), manifest_lines(folder)
     _refuse_blocked(real, set(new) - (gone or set()))
-    # All that takes room comes first: a full disk leaves the earlier result as it is.
+    # All that needs disk space is first: a full disk then does not change the earlier result.
     if gone is not None:
         write_manifest(folder.parent / MANIFEST_FILE, RESULT, lines)
     prepared = folder.parent / f"{PLAN}.part"
@@ -245,14 +246,14 @@ def _refuse_blocked(real: Path, new: Iterable[str]) -> None:
 
 
 def _exchange(folder: Path, real: Path) -> None:
-    """Carry out what is left of a plan, the result's own file first away and last there.
+    """Do the remaining steps of a plan: `result.json` is removed first and written last.
 
-    Where the system fails in between, the plan and the files remain (`twin.working.PLAN`).
+    If the system fails in between, the plan and the files remain (`twin.working.PLAN`).
     """
     try:
         _exchange_files(folder, real)
     except OSError as error:
-        unfinished = "its files are exchanged in part, the next command on this folder goes on"
+        unfinished = "only some files are exchanged; the next command on this folder completes it"
         raise OSError(error.errno, f"{error.strerror}; {unfinished}", error.filename) from None
 
 
@@ -270,13 +271,13 @@ def _exchange_files(folder: Path, real: Path) -> None:
 
 
 def end_exchange(folder: Path) -> None:
-    """End the exchange of files at which a run was killed; to call before a folder is read.
+    """Complete the exchange of files of a killed run; call it before a folder is read.
 
     Raises
     ------
     InputError : a file that `twin` did not write is in the way
     """
-    with suppress(OSError):  # no right to write there: the folder holds no result
+    with suppress(OSError):  # no write permission: the folder contains no result
         _take_up(Path(os.path.realpath(folder)))
 
 
@@ -290,7 +291,7 @@ def _take_up(real: Path) -> None:
 
 
 def _make_folders(folder: Path) -> list[Path]:
-    """Make a folder and what is missing above it; returns those made, the innermost first."""
+    """Create a folder and its missing parents; return the created folders, innermost first."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -307,20 +308,24 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 
 
 @contextmanager
-def _telling(target: Path) -> Iterator[None]:
-    """Say which target cannot be written, and what to do."""
+def _naming_target(target: Path) -> Iterator[None]:
+    """Convert an OSError to an InputError with the target and a remedy."""
     try:
         yield
     except OSError as error:
-        told = unwritable(target, error)
-        raise (InputError(f"{told}; {_ADVICE}") if isinstance(told, InputError) else told) from None
+        converted = unwritable(target, error)
+        raise (
+            InputError(f"{converted}; {_ADVICE}")
+            if isinstance(converted, InputError)
+            else converted
+        ) from None
 
 
 @contextmanager
 def _failing_to_write(target: Path, folder: Path) -> Iterator[None]:
-    """Name the target where its working folder cannot be written; other errors are the command's.
+    """Name the target in errors of its working folder; other errors are passed on.
 
-    Where that folder was removed, any error is of that.
+    If the working folder was removed, any error is attributed to that.
     """
     try:
         yield
@@ -331,13 +336,13 @@ def _failing_to_write(target: Path, folder: Path) -> Iterator[None]:
                 f"run again, or {_ADVICE}"
             ) from None
         if isinstance(error, OSError) and _is_about(error, folder):
-            with _telling(target):
+            with _naming_target(target):
                 raise
         raise
 
 
 def _is_about(error: OSError, folder: Path) -> bool:
-    """Tell whether a file below a folder failed; a full disk may be without a name."""
+    """Return True if an error is of a file below a folder; a full disk may have no file name."""
     if error.filename is None:
         return is_disk_full(error)
     return folder in Path(os.fsdecode(error.filename)).parents
@@ -348,20 +353,20 @@ def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = False)
 
     Parameters
     ----------
-    durable : the device has it before it takes the place of an earlier file
+    durable : synchronise to the device before an earlier file is replaced
     """
     text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False)
     write_text(path, f"{text}\n", durable=durable)
 
 
 def write_outcome(folder: Path, command: str, figures: Mapping[str, Any], **named: str) -> None:
-    """Write result.json: the figures, which command and versions made them, and what names them."""
+    """Write result.json: the figures, their command and versions, and additional entries."""
     content = {"command": command, "metrics": figures, "versions": versions(), **named}
     write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
 
 
 def replace_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON to the device, in place of an earlier file, whole or not at all.
+    """Replace a JSON file in one atomic step, synchronised to the device.
 
     Raises
     ------
@@ -373,16 +378,16 @@ def replace_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything that can change a number in a result."""
+    """Return the versions of all packages that can change a number in a result."""
     return dict(_versions())
 
 
 @cache
 def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
+    known = {"python": platform.python_version()}
     for name in _NAMED_PACKAGES:
         try:
-            found[name] = metadata.version(name)
+            known[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            found[name] = "absent"
-    return found
+            known[name] = "absent"
+    return known

@@ -1,6 +1,6 @@
 """The interface between a specimen's description and mechanics, rendering and scoring: its shape.
 
-Lengths in mm. z counts from the touched plane, upwards: the specimen comes from below, so its
+Lengths in mm. z is the height above the touched plane: the specimen approaches from below, so its
 foremost point is its highest.
 """
 
@@ -52,13 +52,13 @@ class Sphere:
 
     x_mm: float
     y_mm: float
-    #: height of the centre above the touched plane (negative: the specimen comes from below)
+    #: height of the centre above the touched plane (negative: the specimen is below the plane)
     z_mm: float
     radius_mm: float
 
     @property
     def apex_z_mm(self) -> float:
-        """Height of the ball's own foremost point, 0 where it is the first to touch."""
+        """Height of the ball's foremost point, 0 if the ball is the first to touch."""
         return self.z_mm + self.radius_mm
 
 
@@ -91,7 +91,7 @@ class Shape(Protocol):
 
     @property
     def bottom_mm(self) -> float:
-        """Height of the point farthest back, where it stands on its plate."""
+        """Height of the point farthest back, at the specimen's plate."""
         ...
 
     def placed(self, pose: Placement) -> "Shape":
@@ -111,7 +111,7 @@ class Shape(Protocol):
         return ()
 
     def distances(self) -> tuple[SignedDistance, ...]:
-        """Return the signed distances to the bodies, whose contact potentials add."""
+        """Return the signed distances to the bodies; their contact potentials are summed."""
         ...
 
     def bounds_mm(self) -> tuple[float, float, float, float]:

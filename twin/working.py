@@ -1,17 +1,18 @@
-"""Working folders: where a command writes until its result is whole; and how a signal ends it.
+"""Working folders, into which a command writes until its result is complete; end by a signal.
 
-`.NAME.twin-XXXX.part/` with `lock`, which the process that writes there holds, and `new/`, the
-result to be. The system lets go of the lock however that process ends, so a folder whose lock is
-free is what a killed run left, and the next run on the same target removes it. While it begins, the
-folder around is locked (shared): what has no mark yet and nobody begins is a leftover, too.
+`.NAME.twin-XXXX.part/` has a file `lock`, locked by the process that writes there, and `new/`, the
+future result. The system releases the lock when the process ends for any reason: a folder with a
+free lock is a leftover of a killed run, and the next run on the same target removes it. While a
+working folder is created, its parent is locked (shared): a folder without the mark is a leftover if
+its parent is not locked.
 
 A signal ends a command as an error does: working folders are removed and worker processes ended.
 SIGINT, SIGTERM and SIGHUP, as far as the platform has them, raise `Interrupted` in the main thread.
-A signal that this process was started to ignore (nohup) stays ignored.
+A signal that this process was started to ignore (nohup) remains ignored.
 
-Python tells the main thread of a signal when the call that it is in returns, and a call into a
-renderer or a solver may last a minute. `end_within` starts a thread that does the same clean-up by
-itself when the main thread has not ended by then. It waits for what must not be done by half.
+Python runs a signal handler in the main thread after the current call has returned, and a call into
+a renderer or a solver may last a minute. `end_within` starts a thread that does the same clean-up
+if the main thread has not ended by then. It waits for the end of an atomic step (`signals_held`).
 """
 
 import atexit
@@ -40,7 +41,7 @@ ENDING_SIGNALS: tuple[signal.Signals, ...] = tuple(
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal ends the process; `number` says which."""
+    """A signal ends the process; `number` is its number."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -50,7 +51,7 @@ class Interrupted(KeyboardInterrupt):
 class _Hold:
     depth = 0
     waiting: int | None = None
-    #: held by whoever changes files that must not be left half-changed, or ends the process
+    #: held by the thread that does an atomic step on files, or ends the process
     gate = threading.Lock()
     #: folders that the process has not finished
     working: ClassVar[set[Path]] = set()
@@ -66,7 +67,7 @@ def unwind_on_signals() -> None:
 
 @contextmanager
 def signals_held() -> Iterator[None]:
-    """Put off what would interrupt the block until its end: it must not be done by half."""
+    """Delay signals to the end of the block, which is an atomic step."""
     if threading.current_thread() is not threading.main_thread():
         yield  # handlers run in the main thread only
         return
@@ -91,9 +92,9 @@ def _interrupt(number: int, _: FrameType | None) -> None:
 
 
 def end_within(seconds: float) -> None:
-    """End the process so long after a signal at the latest, whatever the main thread is in.
+    """End the process at the latest this time after a signal, independent of the main thread.
 
-    Only for a process that is a command: in any other one this would end it, too.
+    Only for the process of a command, as any process would be ended.
     """
     read, write = os.pipe()
     if hasattr(os, "set_blocking"):  # on Windows from Python 3.12 on, and not required there
@@ -111,11 +112,10 @@ def _guard(read: int, seconds: float) -> None:
 
 
 def end_process(code: int) -> NoReturn:
-    """End a command that has done everything, and its process with it.
+    """End the process of a finished command.
 
-    Python would first take apart what is in memory, object by object: half a second after a
-    measurement. What was registered for the end of the process is done; who has closed our output
-    is told of it in Python's own way.
+    Python would first destroy all objects in memory: 0.5 s after a measurement. Exit handlers are
+    run; if the output was closed, Python's own exit reports it.
     """
     try:
         sys.stdout.flush()
@@ -127,14 +127,14 @@ def end_process(code: int) -> NoReturn:
 
 
 def _end_now(number: int) -> None:
-    # Who has children has imported it; to import it here might wait for the main thread.
+    # Imported if there are child processes; an import here might wait for the main thread.
     processes = sys.modules.get("multiprocessing")
     for child in processes.active_children() if processes else ():
         child.terminate()
     for folder in list(_Hold.working):
         _remove(folder)
     _free_semaphores()
-    says_the_end(number)
+    write_end_message(number)
     if sys.stderr.isatty():
         sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
     sys.stderr.flush()
@@ -142,30 +142,30 @@ def _end_now(number: int) -> None:
 
 
 def _free_semaphores() -> None:
-    # What Python does at its end, which is not reached: else its tracker warns of leaked ones.
+    # As Python does at its end, which is not reached: else its tracker warns of leaked semaphores.
     util = sys.modules.get("multiprocessing.util")
     if util is not None:
         util._run_finalizers(0)
 
 
-def says_the_end(number: int) -> None:
-    """Say once that a signal has ended the command."""
+def write_end_message(number: int) -> None:
+    """Write once that a signal has ended the command."""
     if _Hold.said.acquire(blocking=False):
         name = signal.Signals(number).name
-        sys.stderr.write(f"twin: ended by {name}; nothing is left half-written\n")
+        sys.stderr.write(f"twin: ended by {name}; no incomplete files remain\n")
 
 
 _NAME = re.compile(r"\.(?P<target>.*)\.twin-[^.]+\.part", re.DOTALL)
 _LOCK, _NEW = "lock", "new"
 PLAN = "plan.json"
-"""A working folder that contains this is not removed: its files are exchanged in part."""
+"""A working folder that contains this file is not removed: its exchange is incomplete."""
 _MARK = b"working folder of fringe-twin\n"
 _TRIES, _POLL_S = 20, 0.01
 
 
 @contextmanager
 def working_folder(place: Path, target: str) -> Iterator[Path]:
-    """Yield an empty folder inside a working folder in `place`, which is removed at the end.
+    """Yield an empty folder inside a new working folder in `place`, which is removed at the end.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def working_folder(place: Path, target: str) -> Iterator[Path]:
 
 
 def is_working(folder: Path) -> bool:
-    """Tell whether this is a working folder, of a living process or a dead one."""
+    """Return True for a working folder, of a running or of a dead process."""
     try:
         return _NAME.fullmatch(folder.name) is not None and (
             _is_unmarked(folder) or read_bytes(folder / _LOCK) == _MARK
@@ -208,7 +208,7 @@ def is_working(folder: Path) -> bool:
 
 
 def is_second(folder: Path) -> bool:
-    """Tell whether another living process began on the same target before this working folder.
+    """Return True if a running process has an older working folder for the same target.
 
     Parameters
     ----------
@@ -217,8 +217,10 @@ def is_second(folder: Path) -> bool:
     mine = folder.parent
     target = _target(mine)
     with suppress(OSError):
-        others = [one for one in mine.parent.iterdir() if one != mine and _target(one) == target]
-        return any(_is_held(one) and _age(one) < _age(mine) for one in others)
+        others = [
+            entry for entry in mine.parent.iterdir() if entry != mine and _target(entry) == target
+        ]
+        return any(_is_held(entry) and _age(entry) < _age(mine) for entry in others)
     return False
 
 
@@ -228,15 +230,14 @@ def _target(folder: Path) -> str:
 
 
 def _age(folder: Path) -> tuple[int, str]:
-    """Return what orders working folders by their beginning."""
+    """Return a sort key of working folders by their time of creation."""
     return (folder / _LOCK).stat().st_mtime_ns, folder.name
 
 
 def leftovers(place: Path, target: str | None = None) -> Iterator[Path]:
-    """Yield what dead processes left in `place` (for one target), as `working_folder` yields it.
+    """Yield the folders of dead processes in `place` (for one target), as `working_folder` does.
 
-    Each is locked while it is looked at, so that two processes do not take up the same one, and
-    removed then.
+    Each is locked while it is in use, so that no second process uses it, and removed afterwards.
     """
     with suppress(OSError):
         for entry in list(place.iterdir()):
@@ -249,7 +250,7 @@ def leftovers(place: Path, target: str | None = None) -> Iterator[Path]:
 
 
 def remove_leftovers(place: Path, target: str | None = None) -> None:
-    """Remove the working folders in `place` (for one target) whose process has ended."""
+    """Remove the working folders of dead processes in `place` (for one target)."""
     for _ in leftovers(place, target):
         pass
     with suppress(OSError), locked_folder(place, shared=False):
@@ -261,7 +262,7 @@ def remove_leftovers(place: Path, target: str | None = None) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a working folder; its lock goes last, so that it is known as one until then."""
+    """Remove a working folder; its lock last, so that it is a working folder until then."""
     with suppress(OSError):
         if (folder / PLAN).exists():
             return
@@ -276,18 +277,18 @@ def _remove(folder: Path) -> None:
 
 
 def _is_unmarked(folder: Path) -> bool:
-    """Tell whether a working folder is at its beginning: without the mark in its lock."""
+    """Return True if a working folder has no mark in its lock yet."""
     if folder.is_symlink() or not folder.is_dir():
         return False
-    found = list(folder.iterdir())
-    return not found or (found == [folder / _LOCK] and not found[0].lstat().st_size)
+    entries = list(folder.iterdir())
+    return not entries or (entries == [folder / _LOCK] and not entries[0].lstat().st_size)
 
 
 @contextmanager
 def _begun(place: Path) -> Iterator[None]:
-    """Tell others that a folder without mark in `place` belongs to somebody who lives.
+    """Lock `place` (shared), so that a folder without mark there is not taken for a leftover.
 
-    Does without where somebody else holds that folder, for instance `flock out twin ... -o out/a`.
+    No lock if another process has locked that folder, for example `flock out twin ... -o out/a`.
     """
     with ExitStack() as stack:
         for _ in range(_TRIES):
@@ -302,10 +303,10 @@ def _begun(place: Path) -> Iterator[None]:
 
 
 def _locked(folder: Path) -> IO[bytes]:
-    # Marked when it is locked: what has no mark yet is not taken for a leftover.
+    # Marked after it is locked: a folder without mark is not taken for a leftover.
     lock = (folder / _LOCK).open("wb", buffering=0)
     try:
-        with suppress(OSError):  # a file system without locks: leftovers stay
+        with suppress(OSError):  # a file system without locks: leftovers remain
             lock_file(lock.fileno(), wait=True)
         lock.write(_MARK)
     except BaseException:
@@ -327,7 +328,7 @@ def _is_held(folder: Path) -> bool:
 
 @contextmanager
 def _seized(folder: Path) -> Iterator[bool]:
-    """Hold the lock of a dead process' working folder; yields False where it is none."""
+    """Lock the working folder of a dead process; yield False if it is no such folder."""
     with ExitStack() as stack:
         is_abandoned = False
         with suppress(OSError):

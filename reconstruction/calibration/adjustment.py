@@ -1,9 +1,9 @@
-"""Adjust camera, projector and all poses together, and say how sure each parameter is.
+"""Adjust camera, projector and all poses together, with the uncertainty of each parameter.
 
 Minimises the reprojection residuals of all features in camera and projector pixels. The projector
-coordinate is read at the place where the camera sees the feature, so an error d of that place shows
-in the projector as well, as G d with the local slope G. What is independent, and is minimised, is
-the camera's residual and the projector's beyond G d, each weighted by its own spread (estimated
+coordinate is read at the camera's image of the feature, so an error d of that place appears in the
+projector as well, as G d with the local slope G. The minimised residuals are independent: the
+camera's, and the projector's minus G d, each weighted by its own spread (estimated
 from the residuals themselves). Covariance: s^2 (J^T W J)^-1 with s^2 from the residuals
 (Gauss-Markov; Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000).
 """
@@ -31,16 +31,16 @@ from reconstruction.calibration.plane_images import PHASE_SHARE, centre_bias_px,
 from reconstruction.errors import InputError
 from reconstruction.rig.plausibility import implausible, lens_checks
 
-# The bias of dot centres depends on the poses and is at most some tenths of a pixel: it settles at
-# once. The weights settle with it.
+# The bias of dot centres depends on the poses and is at most some 0.1 px: it converges in one turn.
+# The weights converge with it.
 TURNS = 4
-# A feature off by more than this many spreads is left out (a dirty or half-hidden dot), but
-# never for less than this many pixels: exact data have no outliers.
+# Features with residuals above this many spreads are excluded (a dirty or half-hidden dot), but
+# only above this many pixels: exact data have no outliers.
 OUTLIER_SPREADS, MIN_OUTLIER_PX = 6.0, 1e-3
-# Residuals are never trusted beyond this: exact data would get infinite weight.
+# Lower limit of the spread: exact data would get infinite weight.
 MIN_SPREAD_PX = 1e-9
 MAD_TO_SIGMA = 1.4826
-# Rounding only: what the poses hardly determine shows in its uncertainty.
+# For rounding only: parameters that the poses hardly determine have a large uncertainty.
 MIN_SINGULAR_RATIO = 1e-9
 DIVERGES = "the adjustment diverges: no camera and projector fit all features of all poses"
 # Coefficients of the camera's defocus, at the end of the vector.
@@ -49,12 +49,12 @@ DEFOCUS = 2
 
 @dataclass(frozen=True)
 class AdjustOptions:
-    """What is estimated.
+    """Selection of the estimated parameters and corrections.
 
     Parameters
     ----------
     freedom : parameters that are free, see `Freedom`
-    correct_dot_bias : take out the perspective bias of dot centres
+    correct_dot_bias : subtract the perspective bias of dot centres
     """
 
     freedom: Freedom = field(default_factory=Freedom)
@@ -71,24 +71,24 @@ class PixelRatio:
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """The rig found, and how well.
+    """Adjusted rig, its uncertainty and residuals.
 
     Parameters
     ----------
     rig : camera, projector and motions
     vector : (p,) float, all parameters in the order of `parameters`
-    covariance : (p, p) float; 0 for what was held fixed
+    covariance : (p, p) float; 0 for fixed parameters
     pupil_mm2, pupil_sigma_mm2 : mean square of the x of the camera's pupil, a quarter of its
-        squared radius, and its standard uncertainty; 0 where it is not estimated
-    measured_px : per pose (n, 4) float: camera x, y, projector column, row of the features, the
-        perspective bias of dots and the displacement of defocus taken out
+        squared radius, and its standard uncertainty; 0 if it is not estimated
+    measured_px : per pose (n, 4) float: camera x, y, projector column, row of the features,
+        corrected for the perspective bias of dots and the displacement by defocus
     residuals_px : per pose (n, 4) float: measured minus projected
-    used : per pose (n,) bool, features that took part
-    spread_px : standard deviation of the camera's residuals, and of the projector's beyond what the
-        camera's explain
+    used : per pose (n,) bool, features included in the fit
+    spread_px : standard deviation of the camera's residuals, and of the projector's without the
+        share that the camera's explain
     degrees_of_freedom : measured numbers minus free parameters
-    pixel_ratios : of camera and projector, as one step of the adjustment would change them if both
-        were free
+    pixel_ratios : of camera and projector, estimated by one step of the adjustment with both
+        free
     """
 
     rig: RigEstimate
@@ -114,7 +114,7 @@ def adjust(
 
     Parameters
     ----------
-    most_rms_px : RMS of all residuals after the first turn, above which it is given up
+    most_rms_px : largest RMS of all residuals after the first turn; above it the fit stops
 
     Raises
     ------
@@ -125,7 +125,7 @@ def adjust(
     vector = np.append(admissible(chosen.freedom, pack(start)), np.zeros(DEFOCUS))
     for turn in range(TURNS):
         problem.measure(vector)
-        if turn:  # the first turn only brings the rig near
+        if turn:  # the first turn only brings the rig near the solution
             problem.weigh(vector)
         vector = problem.solve(vector)
         if turn == 0 and not problem.rms_px(vector) <= most_rms_px:
@@ -143,43 +143,52 @@ class _Problem:
     def __init__(
         self, observations: Sequence[Observation], start: RigEstimate, options: AdjustOptions
     ) -> None:
-        self._seen, self._devices = observations, (start.camera, start.projector)
+        self._observations, self._devices = observations, (start.camera, start.projector)
         self._correct = options.correct_dot_bias
         size = len(pack(start))
         self._freedom = _freedom(options.freedom, size)
         released = replace(options.freedom, camera_pixel_ratio=None, projector_pixel_ratio=None)
         self._released = _freedom(released, size)
-        self._defocus = [np.zeros((len(seen.ids), 4, DEFOCUS)) for seen in observations]
-        self._targets = [np.hstack([seen.camera_px, seen.projector_px]) for seen in observations]
+        self._defocus = [
+            np.zeros((len(observation.ids), 4, DEFOCUS)) for observation in observations
+        ]
+        self._targets = [
+            np.hstack([observation.camera_px, observation.projector_px])
+            for observation in observations
+        ]
         self._spread = np.ones(2)
-        self._used = [np.ones(len(seen.ids), dtype=np.bool_) for seen in observations]
+        self._used = [np.ones(len(observation.ids), dtype=np.bool_) for observation in observations]
 
     def measure(self, vector: FloatArray) -> None:
-        """Move the dot centres from the ellipses' to the imaged centres; see how defocus acts."""
+        """Correct dot centres from the ellipses' to the imaged centres; update defocus slopes."""
         rig = self._rig(vector)
         middle_mm = float(np.median(rig.T_cam_from_board[:, 2, 3]))
-        for k, (seen, T) in enumerate(zip(self._seen, rig.T_cam_from_board, strict=True)):
-            inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
+        for k, (observation, T) in enumerate(
+            zip(self._observations, rig.T_cam_from_board, strict=True)
+        ):
+            inside = observation.points_mm @ T[:3, :3].T + T[:3, 3]
             shift = defocus_slopes_px(rig.camera, inside, T[:3, 2], middle_mm)
-            self._defocus[k] = np.hstack([shift, PHASE_SHARE * seen.slopes @ shift])
+            self._defocus[k] = np.hstack([shift, PHASE_SHARE * observation.slopes @ shift])
             if not self._correct:
                 continue
-            bias = centre_bias_px(rig.camera, inside, seen.radii_mm, T[:3, :3])
-            along = np.einsum("nij,nj->ni", seen.slopes, bias)
-            self._targets[k] = np.hstack([seen.camera_px - bias, seen.projector_px - along])
+            bias = centre_bias_px(rig.camera, inside, observation.radii_mm, T[:3, :3])
+            along = np.einsum("nij,nj->ni", observation.slopes, bias)
+            self._targets[k] = np.hstack(
+                [observation.camera_px - bias, observation.projector_px - along]
+            )
 
     def _rig(self, vector: FloatArray) -> RigEstimate:
         try:
             rig = unpack(vector[:-DEFOCUS], *self._devices)
-        except InputError as error:  # focal lengths that no device has
+        except InputError as error:  # focal lengths impossible for any device
             raise _diverges() from error
-        for seen, T in zip(self._seen, rig.T_cam_from_board, strict=True):
-            if (seen.points_mm @ T[2, :3] + T[2, 3]).min() <= 0.0:
+        for observation, T in zip(self._observations, rig.T_cam_from_board, strict=True):
+            if (observation.points_mm @ T[2, :3] + T[2, 3]).min() <= 0.0:
                 raise _diverges()
         return rig
 
     def weigh(self, vector: FloatArray) -> None:
-        """Set spreads from the residuals (robustly) and leave out features far beyond them."""
+        """Set spreads from the residuals (robustly) and exclude features far beyond them."""
         residuals = self._independent(vector)
         stacked = np.concatenate(residuals)
         for device in range(2):
@@ -193,22 +202,24 @@ class _Problem:
         self._require_enough()
 
     def _require_enough(self) -> None:
-        for seen, used in zip(self._seen, self._used, strict=True):
+        for observation, used in zip(self._observations, self._used, strict=True):
             if used.sum() < 6:
                 raise InputError(
-                    f"{seen.name}: only {used.sum()} of {len(used)} features fit the common rig; "
-                    "leave this pose out, or check that the board did not move during it"
+                    f"{observation.name}: only {used.sum()} of {len(used)} features fit the common "
+                    "rig; remove this pose, or check that the board did not move during it"
                 )
 
     def reprojection(self, vector: FloatArray) -> list[FloatArray]:
         """Return measured minus projected pixels of every pose, (n, 4)."""
         return [
-            target - project_pose(vector, k, seen.points_mm)[0]
-            for k, (seen, target) in enumerate(zip(self._seen, self._sharp(vector), strict=True))
+            target - project_pose(vector, k, observation.points_mm)[0]
+            for k, (observation, target) in enumerate(
+                zip(self._observations, self._sharp(vector), strict=True)
+            )
         ]
 
     def _sharp(self, vector: FloatArray) -> list[FloatArray]:
-        """Return what would be measured without defocus, (n, 4) px."""
+        """Return the measured pixels corrected for defocus, (n, 4) px."""
         coefficients = vector[-DEFOCUS:]
         return [
             target - slopes @ coefficients
@@ -216,19 +227,21 @@ class _Problem:
         ]
 
     def _independent(self, vector: FloatArray) -> list[FloatArray]:
-        """Return the residuals with the camera's share taken out of the projector's, (n, 4)."""
-        found = self.reprojection(vector)
-        for residual, seen in zip(found, self._seen, strict=True):
-            residual[:, 2:] -= np.einsum("nij,nj->ni", seen.slopes, residual[:, :2])
-        return found
+        """Return the residuals, the projector's without the camera's share, (n, 4)."""
+        residuals = self.reprojection(vector)
+        for pose_residuals, observation in zip(residuals, self._observations, strict=True):
+            pose_residuals[:, 2:] -= np.einsum(
+                "nij,nj->ni", observation.slopes, pose_residuals[:, :2]
+            )
+        return residuals
 
     def _weights(self) -> FloatArray:
         return 1.0 / np.repeat(self._spread, 2)
 
     def _residuals(self, free: FloatArray, vector: FloatArray) -> FloatArray:
         residuals = self._independent(vector + self._freedom @ free)
-        kept = [residual[u] for residual, u in zip(residuals, self._used, strict=True)]
-        return (np.concatenate(kept) * self._weights()).ravel()
+        used_residuals = [residual[u] for residual, u in zip(residuals, self._used, strict=True)]
+        return (np.concatenate(used_residuals) * self._weights()).ravel()
 
     def _jacobian(self, free: FloatArray, vector: FloatArray) -> FloatArray:
         return self._slopes(vector + self._freedom @ free) @ self._freedom
@@ -236,10 +249,10 @@ class _Problem:
     def _slopes(self, now: FloatArray) -> FloatArray:
         """Return the derivatives of the weighted residuals by all parameters."""
         weights, blocks = self._weights(), []
-        for k, (seen, used) in enumerate(zip(self._seen, self._used, strict=True)):
-            slopes = project_pose(now, k, seen.points_mm[used])[1]
+        for k, (observation, used) in enumerate(zip(self._observations, self._used, strict=True)):
+            slopes = project_pose(now, k, observation.points_mm[used])[1]
             slopes[..., -DEFOCUS:] = self._defocus[k][used]
-            slopes[:, 2:] -= seen.slopes[used] @ slopes[:, :2]
+            slopes[:, 2:] -= observation.slopes[used] @ slopes[:, :2]
             blocks.append((-weights[:, np.newaxis] * slopes).reshape(-1, len(now)))
         return np.concatenate(blocks)
 
@@ -248,11 +261,11 @@ class _Problem:
         return float(np.sqrt(np.mean(np.concatenate(self.reprojection(vector)) ** 2)))
 
     def solve(self, vector: FloatArray) -> FloatArray:
-        found = least_squares(
+        solution = least_squares(
             self._residuals,
             np.zeros(self._freedom.shape[1]),
             self._jacobian,
-            method="lm",  # trf spends its time in singular value decompositions
+            method="lm",  # trf takes most of its time for singular value decompositions
             x_scale="jac",
             xtol=1e-12,
             ftol=1e-12,
@@ -260,10 +273,10 @@ class _Problem:
             max_nfev=100,
             args=(vector,),
         )
-        if not np.all(np.isfinite(found.x)):
+        if not np.all(np.isfinite(solution.x)):
             raise _diverges()
-        moved = np.asarray(vector + self._freedom @ found.x)
-        if found.status == 0 and not self._has_lenses(moved):  # it would run on for ever
+        moved = np.asarray(vector + self._freedom @ solution.x)
+        if solution.status == 0 and not self._has_lenses(moved):  # the iteration would not end
             raise _diverges()
         return moved
 
@@ -273,9 +286,9 @@ class _Problem:
         return not implausible(lenses)
 
     def result(self, vector: FloatArray) -> Adjustment:
-        nothing = np.zeros(self._freedom.shape[1])
-        slopes, residuals = self._slopes(vector), self._residuals(nothing, vector)
-        degrees = len(residuals) - len(nothing)
+        zeros = np.zeros(self._freedom.shape[1])
+        slopes, residuals = self._slopes(vector), self._residuals(zeros, vector)
+        degrees = len(residuals) - len(zeros)
         covariance = _covariance(slopes @ self._freedom) * float(residuals @ residuals) / degrees
         covariance = self._freedom @ covariance @ self._freedom.T
         independent = self._independent(vector)
@@ -319,8 +332,8 @@ def _pixel_ratios(
         camera, projector = (vector[d.start + 1] / vector[d.start] for d in (CAMERA, PROJECTOR))
         return PixelRatio(float(camera), np.inf), PixelRatio(float(projector), np.inf)
     step = -inverse @ (jacobian.T @ residuals)
-    left = residuals + jacobian @ step
-    variance = float(left @ left) / max(len(left) - len(step), 1)
+    residual = residuals + jacobian @ step
+    variance = float(residual @ residual) / max(len(residual) - len(step), 1)
     covariance = released @ inverse @ released.T * variance
     change = released @ step
     camera, projector = (
@@ -333,7 +346,7 @@ def _pixel_ratios(
 def _pixel_ratio(
     vector: FloatArray, change: FloatArray, covariance: FloatArray, focal: slice
 ) -> PixelRatio:
-    """Return fy / fx; the step is that of its logarithm, so that it stays positive."""
+    """Return fy / fx; the step applies to its logarithm, so that it remains positive."""
     fx, fy = vector[focal]
     slope = np.array([-1.0 / fx, 1.0 / fy])
     with np.errstate(over="ignore"):
@@ -342,7 +355,7 @@ def _pixel_ratio(
 
 
 def _covariance(jacobian: FloatArray) -> FloatArray:
-    """Invert J^T J, its columns scaled, by way of Q R; refuse what the data do not determine."""
+    """Invert J^T J with scaled columns by QR; raise InputError if the data do not determine it."""
     scale = np.linalg.norm(jacobian, axis=0)
     if np.any(scale == 0.0):
         raise _undetermined()
@@ -363,7 +376,11 @@ def _undetermined() -> InputError:
 def _spreads(
     residuals: Sequence[FloatArray], used: Sequence[BoolImage], share: float
 ) -> tuple[float, float]:
-    """Return the standard deviation of both devices' residuals, free parameters allowed for."""
-    kept = np.concatenate([residual[u] for residual, u in zip(residuals, used, strict=True)])
-    camera, projector = (float(np.sqrt(np.mean(kept[:, i : i + 2] ** 2) / share)) for i in (0, 2))
+    """Return the standard deviation of both devices' residuals, corrected for free parameters."""
+    used_residuals = np.concatenate(
+        [residual[u] for residual, u in zip(residuals, used, strict=True)]
+    )
+    camera, projector = (
+        float(np.sqrt(np.mean(used_residuals[:, i : i + 2] ** 2) / share)) for i in (0, 2)
+    )
     return camera, projector

@@ -1,4 +1,4 @@
-"""Boards as data: where their features lie and where their ink is.
+"""Boards as data: positions of their features and of their ink.
 
 Board frame: x right, y up, z out of the printed face, origin in the middle of the pattern, mm.
 Feature (column, row) counts from the top left; its id is row * columns + column. Printer and
@@ -16,7 +16,7 @@ from reconstruction.errors import InputError, require_integer, require_number
 
 Indices = NDArray[np.integer[Any]]
 MARKER_DICTIONARY = "DICT_4X4_250"
-# Of the drawing from which a ChArUco board is printed, per square.
+# Resolution of the drawing from which a ChArUco board is printed, per square.
 MARKER_TEXELS = 60
 
 
@@ -24,8 +24,8 @@ MARKER_TEXELS = 60
 class DotBoard:
     """Dark dots on white in a square grid; three larger dots fix origin and orientation.
 
-    The larger dots are `origin`, the dot two columns to its right and the dot above it, so that
-    a part of the board, or a turned one, is recognised; a mirrored image is refused.
+    The larger dots are `origin`, the dot two columns to its right and the dot above it. They
+    identify the visible part of a board and its rotation; a mirrored image is rejected.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ class DotBoard:
         require_integer("board columns", self.columns, 4, 1000)
         require_integer("board rows", self.rows, 4, 1000)
         require_number("board pitch_mm", self.pitch_mm, 0.0, open_low=True)
-        # Below 1.4 areas differ by less than 2 and blur can hide which dots are larger; above 0.72
-        # of the pitch the white ring that carries level and fringe is lost.
+        # Below 1.4 the areas differ by less than 2 and blur can hide the difference; above 0.72 of
+        # the pitch the white ring, which gives brightness and phase, is too narrow.
         require_number("board dot_diameter_mm", self.dot_diameter_mm, 0.0, open_low=True)
         low_mm, high_mm = 1.4 * self.dot_diameter_mm, 0.72 * self.pitch_mm
         require_number("board fiducial_diameter_mm", self.fiducial_diameter_mm, low_mm, high_mm)
@@ -70,7 +70,7 @@ class DotBoard:
         return origin, origin + 2, origin - self.columns
 
     def ink(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float) -> FloatArray:
-        """Share of ink at board positions x (col,) and y (row,): (row, col), edges this wide."""
+        """Share of ink at board positions x (col,) and y (row,): (row, col), with edge width."""
         centre = _grid_mm(self.columns, self.rows, self.pitch_mm)[0]
         column = np.clip(np.rint((x_mm - centre[0]) / self.pitch_mm), 0, self.columns - 1)
         row = np.clip(np.rint((centre[1] - y_mm) / self.pitch_mm), 0, self.rows - 1)
@@ -83,9 +83,9 @@ class DotBoard:
 
 @dataclass(frozen=True)
 class Chessboard:
-    """Plain chessboard, seen whole.
+    """Plain chessboard, entirely in view.
 
-    A turn by 180 degrees may go unnoticed: harmless here, it only turns that pose.
+    A rotation by 180 degrees may be undetected: it only rotates the pose, without other effect.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class Chessboard:
         return _grid_mm(self.columns, self.rows, self.square_mm)
 
     def ink(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float) -> FloatArray:
-        """Share of ink at board positions x (col,) and y (row,): (row, col), edges this wide."""
+        """Share of ink at board positions x (col,) and y (row,): (row, col), with edge width."""
         corner = self.points_mm[0]
         across = _square_wave(x_mm - corner[0], self.square_mm, edge_mm)
         down = _square_wave(corner[1] - y_mm, self.square_mm, edge_mm)
@@ -154,7 +154,7 @@ class CharucoBoard:
         return cv2.aruco.CharucoBoard(size, self.square_mm, self.marker_mm, dictionary)
 
     def ink(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float) -> FloatArray:
-        """Share of ink at board positions x (col,) and y (row,): (row, col), edges this wide."""
+        """Share of ink at board positions x (col,) and y (row,): (row, col), with edge width."""
         image = self.opencv().generateImage(
             ((self.columns + 1) * MARKER_TEXELS, (self.rows + 1) * MARKER_TEXELS)
         )
@@ -188,7 +188,7 @@ def _square_wave(offset_mm: FloatArray, square_mm: float, edge_mm: float) -> Flo
 def _box_average(image: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """Average rows of an image between positions low and high (n,), texel borders at integers.
 
-    Outside the image there is nothing: 0.
+    Outside the image the value is 0.
     """
     total = np.concatenate([np.zeros((1, image.shape[1])), np.cumsum(image, axis=0)])
     upper, lower = (_interpolate(total, np.clip(p, 0.0, len(image))) for p in (high, low))

@@ -1,7 +1,7 @@
-"""Why a calibration is implausible: which change of the input makes it plausible.
+"""Find the change of the input that makes an implausible calibration plausible.
 
-Each mistake that is common with real rigs is taken back in a copy of the observations, or freed in
-the model, and the rig is adjusted again. The first change after which all checks hold is named.
+Each common mistake with real rigs is reversed in a copy of the observations, or permitted by the
+model, and the rig is adjusted again. The first change for which all checks pass is reported.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ NO_CAUSE = (
     "the captures has the projector's size and the order and sign of the frames"
 )
 MIRRORED = "mirrored"
-# Of the right change a few blunders are left; a wrong one misses by more.
+# With the right change only a few outliers remain; a wrong change has a larger RMS.
 GIVE_UP_PX = 5.0
 # Radial terms over a wide field.
 RADIAL: tuple[Distortion, ...] = ("k1", "k2")
@@ -31,7 +31,7 @@ RADIAL: tuple[Distortion, ...] = ("k1", "k2")
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Changed observations or options, and what to do if these fit."""
+    """Changed observations or options, and the remedy to report if they fit."""
 
     observations: Sequence[Observation]
     options: AdjustOptions
@@ -41,11 +41,11 @@ class _Trial:
 def remedy_for(
     observations: Sequence[Observation], options: AdjustOptions, failed: Adjustment | None
 ) -> str:
-    """Return what makes the calibration plausible, or what to check if nothing does.
+    """Return the change that makes the calibration plausible, or a list of checks if none does.
 
     Parameters
     ----------
-    failed : the implausible adjustment; None: there is none
+    failed : the implausible adjustment, if there is one
     """
     for trial in _trials(observations, options, failed):
         fit = _plausible_fit(trial)
@@ -71,9 +71,9 @@ def _trials(
     released = replace(options, freedom=free)
     trials = [
         _Trial(observations, released, ""),
-        _Trial([_mirrored(seen) for seen in observations], released, MIRRORED),
+        _Trial([_mirrored(observation) for observation in observations], released, MIRRORED),
     ]
-    # The linear solution puts the boards behind a mirrored projector.
+    # With a mirrored projector the linear solution has the boards behind it.
     yield from trials if is_resected(observations, free) else reversed(trials)
     radial = replace(options.freedom, camera_distortion=RADIAL, projector_distortion=RADIAL)
     yield _Trial(
@@ -85,10 +85,10 @@ def _trials(
     if failed is not None and len(observations) > MIN_POSES:
         worst = int(np.argmax([_rms(residuals) for residuals in failed.residuals_px]))
         yield _Trial(
-            [seen for k, seen in enumerate(observations) if k != worst],
+            [observation for k, observation in enumerate(observations) if k != worst],
             options,
-            f"{observations[worst].name} does not fit the others: the board, camera or projector "
-            "moved during it, or it shows another board; leave it out",
+            f"{observations[worst].name} does not fit the other poses: the board, camera or "
+            "projector moved during it, or it shows another board; remove it",
         )
 
 
@@ -96,13 +96,13 @@ def _rms(residuals_px: FloatArray) -> float:
     return float(np.sqrt(np.mean(residuals_px**2)))
 
 
-def _mirrored(seen: Observation) -> Observation:
-    """Return the observation with the projector's columns counted from the other side."""
-    columns = seen.projector_size_px[0] - 1 - seen.projector_px[:, 0]
+def _mirrored(observation: Observation) -> Observation:
+    """Return the observation with the projector's columns counted from the opposite side."""
+    columns = observation.projector_size_px[0] - 1 - observation.projector_px[:, 0]
     return replace(
-        seen,
-        projector_px=np.column_stack([columns, seen.projector_px[:, 1]]),
-        slopes=seen.slopes * np.array([[-1.0], [1.0]]),
+        observation,
+        projector_px=np.column_stack([columns, observation.projector_px[:, 1]]),
+        slopes=observation.slopes * np.array([[-1.0], [1.0]]),
     )
 
 
@@ -114,7 +114,7 @@ def _remedy(trial: _Trial, fit: Adjustment, declared: Freedom) -> str:
 
 
 def _mirror_remedy(fit: Adjustment) -> str:
-    """Name the axes that are exchanged or counted backwards; both mirror the image."""
+    """Return which axes are exchanged or counted backwards; both mirror the image."""
     roll_deg = abs(np.degrees(rotation_vector(fit.rig.T_proj_from_cam[:3, :3])[2]))
     if 45.0 < roll_deg < 135.0:
         return (
@@ -151,6 +151,6 @@ def _differs(ratio: float, declared: float | None) -> bool:
 
 
 def _simple(ratio: float) -> float:
-    """Return 2, 1 or 1/2 where the ratio is near enough, or the ratio."""
+    """Return 2, 1 or 1/2 if the ratio is within the tolerance of it, or else the ratio."""
     near = [simple for simple in (0.5, 1.0, 2.0) if abs(ratio / simple - 1.0) < RATIO_TOLERANCE]
     return near[0] if near else ratio

@@ -1,7 +1,7 @@
-"""Features of a board in an image: dots and their names, corners.
+"""Find features of a board in an image: dots with their ids, corners.
 
-Dots, to a few thousandths of a pixel, are grey-level centroids of what is ink; the three larger
-ones give the frame, and the grid grows from them. Corners come from OpenCV, to sub-pixels.
+Dot centres, to a few thousandths of a pixel, are grey-level centroids of the ink; the three larger
+dots give the frame, from which the grid is extended. Corners are OpenCV's, to sub-pixels.
 """
 
 from dataclasses import dataclass
@@ -15,23 +15,23 @@ from reconstruction.calibration.boards import CharucoBoard, Chessboard, DotBoard
 from reconstruction.calibration.plane_images import apply_homography, fit_homography
 from reconstruction.errors import InputError
 
-# A smaller blob has too few pixels for its shape to be judged.
+# A smaller blob has too few pixels to classify its shape.
 MIN_AREA_PX = 40
-# The area must be that of the ellipse with the same second moments: within this share.
+# Largest relative difference of a dot's area from the ellipse with the same second moments.
 ELLIPSE_TOLERANCE = 0.12
 MIN_AXIS_RATIO = 0.45
-# In units of the dot's own ellipse: ink ends inside the first, white lies between the other two.
+# In units of the dot's own ellipse: limit of its ink, and limits of the white ring around it.
 CENTROID_REACH, RING_INNER, RING_OUTER = 1.25, 1.3, 1.65
-# A dot lies this close to a grid position, in pitches, while the grid grows.
+# Largest distance of a dot from its grid position, in pitches, when the grid is extended.
 GROW_TOLERANCE = 0.2
-# A larger dot has more than this many times the median area (at least 1.4^2 = 1.96 when flat).
+# Least ratio of a larger dot's area to the median area (at least 1.4^2 = 1.96 without tilt).
 LARGE_AREA = 1.5
 MAX_CANDIDATES = 8
 # Perspective makes the three large dots' areas differ a little.
 AREA_SPREAD = 1.35
 MIN_DOTS = 12
-# Share of the dots within the board's outline that must lie on the grid: a mirrored board fits a
-# sheared grid, but only every other of its dots.
+# Share of the dots within the board's outline that must be on the grid: a mirrored board fits a
+# sheared grid, but only with every second dot.
 MIN_ON_GRID = 0.8
 
 SOFTEN_PX = 2.0
@@ -59,13 +59,13 @@ class FoundDots:
 
 
 def find_dots(relative: FloatImage, threshold: float) -> FoundDots:
-    """Find dark ellipses in a brightness relative to white; those cut by the border are left out.
+    """Find dark ellipses in a brightness relative to white, without those cut by the border.
 
-    Centres are those of the thresholded blobs; `refine_centres` makes them sub-pixel.
+    Centres are those of the thresholded blobs; `refine_centres` gives sub-pixel precision.
     """
     ink = (relative < threshold).astype(np.uint8)
     count, labels, stats, centroids = cv2.connectedComponentsWithStats(ink, connectivity=4)
-    found = [
+    blobs = [
         (centroids[k], float(stats[k, cv2.CC_STAT_AREA]), moments)
         for k in range(1, count)
         if _inside(stats[k], ink.shape)
@@ -73,16 +73,16 @@ def find_dots(relative: FloatImage, threshold: float) -> FoundDots:
         and _is_ellipse(moments, float(stats[k, cv2.CC_STAT_AREA]))
     ]
     return FoundDots(
-        np.array([entry[0] for entry in found], dtype=np.float64).reshape(-1, 2),
-        np.array([entry[1] for entry in found], dtype=np.float64),
-        np.array([entry[2] for entry in found], dtype=np.float64).reshape(-1, 2, 2),
+        np.array([entry[0] for entry in blobs], dtype=np.float64).reshape(-1, 2),
+        np.array([entry[1] for entry in blobs], dtype=np.float64),
+        np.array([entry[2] for entry in blobs], dtype=np.float64).reshape(-1, 2, 2),
     )
 
 
 def _inside(stats: FloatArray, shape: tuple[int, int]) -> bool:
     left, top, width, height, area = stats
     touches = left <= 0 or top <= 0 or left + width >= shape[1] or top + height >= shape[0]
-    # Fewer than a quarter of the image: the dark surroundings of the board are no dot.
+    # At most 25 % of the image: excludes the dark surroundings of the board.
     return not touches and MIN_AREA_PX <= area <= 0.25 * shape[0] * shape[1]
 
 
@@ -105,21 +105,21 @@ def _is_ellipse(moments: FloatArray, area: float) -> bool:
 def refine_centres(relative: FloatImage, dots: FoundDots) -> tuple[FloatArray, BoolImage]:
     """Return grey-level centroids of the ink, (n, 2) px, and which dots have a whole white ring.
 
-    Each dot is compared with a plane of white fitted round it, so that shading does not shift it:
-    ink = 1 - brightness / white. The centroid of a uniform ellipse is its centre, whatever
-    symmetric blur lies on it.
+    Each dot is compared with a plane fitted to the white around it, so that shading does not
+    shift it: ink = 1 - brightness / white. The centroid of a uniform ellipse is its centre, with
+    any symmetric blur.
     """
     centres = dots.centres_px.copy()
-    found = np.zeros(len(centres), dtype=np.bool_)
+    is_whole = np.zeros(len(centres), dtype=np.bool_)
     for k, (start, moments) in enumerate(zip(dots.centres_px, dots.moments_px2, strict=True)):
         centre = _centroid(relative, start, moments)
         if centre is not None:
-            centres[k], found[k] = centre, True
-    return centres, found
+            centres[k], is_whole[k] = centre, True
+    return centres, is_whole
 
 
 def _centroid(relative: FloatImage, centre: FloatArray, moments: FloatArray) -> FloatArray | None:
-    for _ in range(2):  # the window follows the centre once
+    for _ in range(2):  # the window is centred again once
         window = _window(relative, centre, moments)
         if window is None:
             return None
@@ -139,7 +139,7 @@ def _centroid(relative: FloatImage, centre: FloatArray, moments: FloatArray) -> 
 def _window(
     relative: FloatImage, centre: FloatArray, moments: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-    """Cut a dot out: x, y from its centre, brightness, distance in units of its ellipse."""
+    """Return x, y from a dot's centre, brightness, and distance in units of its ellipse."""
     half = np.ceil(2.0 * RING_OUTER * np.sqrt(np.diag(moments))).astype(int) + 1
     first = np.rint(centre).astype(int) - half
     last = np.rint(centre).astype(int) + half + 1
@@ -158,7 +158,7 @@ def label_dots(board: DotBoard, dots: FoundDots) -> tuple[list[int], list[int]]:
 
     Raises
     ------
-    InputError : the larger dots are not found, the image is mirrored, too few dots remain
+    InputError : the larger dots are not recognised, the image is mirrored, or too few dots remain
     """
     large = _large(dots)
     reason = f"{len(large)} larger dots found among {len(dots.areas_px)}, needed are 3"
@@ -187,18 +187,18 @@ def _large(dots: FoundDots) -> list[int]:
 def _grow(
     board: DotBoard, dots: FoundDots, triple: tuple[int, int, int]
 ) -> tuple[list[int], list[int]]:
-    """Grow the grid ring by ring from an assumed origin, right and upper dot."""
-    nothing: tuple[list[int], list[int]] = ([], [])
+    """Extend the grid ring by ring from an assumed origin, right and upper dot."""
+    no_match: tuple[list[int], list[int]] = ([], [])
     origin, right, upper = dots.centres_px[list(triple)]
     across, up = (right - origin) / 2.0, upper - origin
     lengths = np.linalg.norm(across), np.linalg.norm(up)
     turn = across[0] * up[1] - across[1] * up[0]
     areas = dots.areas_px[list(triple)]
-    # In the image y points down: a right-handed view turns negatively from right to up.
+    # In the image y points down: in an unmirrored view the turn from right to up is negative.
     if turn > -0.5 * lengths[0] * lengths[1] or not 0.5 < lengths[0] / lengths[1] < 2.0:
-        return nothing
+        return no_match
     if areas.max() > AREA_SPREAD * areas.min():
-        return nothing
+        return no_match
     affine = np.linalg.inv(
         np.array([[across[0], -up[0], origin[0]], [across[1], -up[1], origin[1]], [0, 0, 1.0]])
     )
@@ -227,16 +227,16 @@ def _grow_rings(
 
 
 def _unique(ids: Indices, members: Indices) -> tuple[list[int], list[int]]:
-    """Drop every dot whose place in the grid is claimed twice; sort by place."""
-    found, first, counts = np.unique(ids[members], return_index=True, return_counts=True)
+    """Remove dots that share a place in the grid; sort by place."""
+    unique_ids, first, counts = np.unique(ids[members], return_index=True, return_counts=True)
     single = counts == 1
-    return found[single].tolist(), members[first[single]].tolist()
+    return unique_ids[single].tolist(), members[first[single]].tolist()
 
 
 def find_corners(
     board: Chessboard | CharucoBoard, relative: FloatImage
 ) -> tuple[Indices, FloatArray]:
-    """Return ids (n,) and image positions (n, 2) px of the corners seen.
+    """Return ids (n,) and image positions (n, 2) px of the visible corners.
 
     Raises
     ------
@@ -251,8 +251,8 @@ def find_corners(
 
 
 def _chessboard(board: Chessboard, image: Levels) -> tuple[Indices, FloatArray]:
-    found, corners = cv2.findChessboardCorners(image, (board.columns, board.rows))
-    if not found:
+    is_found, corners = cv2.findChessboardCorners(image, (board.columns, board.rows))
+    if not is_found:
         raise InputError(
             f"no chessboard of {board.columns} x {board.rows} inner corners is recognised; show "
             "the whole board, tilt it less, or correct the board's data"
@@ -276,7 +276,7 @@ def _charuco(board: CharucoBoard, image: Levels) -> tuple[Indices, FloatArray]:
 
 
 def _clear_share(board: Chessboard | CharucoBoard) -> float:
-    """Return the half window round a corner, in squares, that holds no other edge."""
+    """Return the half window round a corner, in squares, that contains no other edge."""
     if isinstance(board, Chessboard):
         return 0.4
     return min(0.4, 0.4 * (1.0 - board.marker_mm / board.square_mm))
@@ -287,7 +287,7 @@ def _refined(image: Levels, corners: FloatArray, share: float) -> FloatArray:
     half = int(np.clip(share * spacing, 2, 30))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, REFINE_TURNS, REFINE_STEP_PX)
     start = np.ascontiguousarray(corners, dtype=np.float32).reshape(-1, 1, 2)
-    # Sharp edges alias: without this blur the corners are drawn 0.05 px towards pixel centres.
+    # Sharp edges alias: without this blur the corners shift by 0.05 px towards pixel centres.
     soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), min(SOFTEN_PX, half / 3.0))
     refined = cv2.cornerSubPix(soft, start, (half, half), (-1, -1), criteria)
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)

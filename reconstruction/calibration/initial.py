@@ -1,8 +1,8 @@
 """Starting values: the camera by OpenCV, the projector as the inverse camera by resection.
 
-OpenCV starts from a principal point in the middle of the image and refuses a guess outside it; a
-projector's may lie outside. The camera's calibration turns all boards into ONE spatial set of
-points, from which a projection matrix follows linearly, wherever its principal point is.
+OpenCV starts from a principal point in the middle of the image and rejects a guess outside it; a
+projector's may be outside. The camera's calibration converts all boards into ONE spatial set of
+points. A projection matrix follows from it linearly, for any principal point.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from reconstruction.rig.pinhole import Pinhole
 
 MIN_POSES = 3
 SQUARE_PIXELS = Freedom()
-# Only the focal length is left free: the start must not wander in weakly determined directions.
+# Only the focal length is free: weakly determined parameters must not drift at the start.
 CAMERA_FLAGS = (
     cv2.CALIB_FIX_PRINCIPAL_POINT
     | cv2.CALIB_FIX_ASPECT_RATIO
@@ -29,24 +29,24 @@ CAMERA_FLAGS = (
     | cv2.CALIB_FIX_K2
     | cv2.CALIB_FIX_K3
 )
-# Board normals must spread by this much, or focal length and distance are exchangeable.
+# Least spread of the board normals; below it focal length and distance are not separable.
 MIN_TILT_SPREAD_DEG = 3.0
-# What a resection may find without being called a failure: focal length in image widths, deviation
-# of fy / fx from the pixel ratio as a factor.
+# Accepted results of a resection: focal length in image widths, and the ratio of fy / fx to the
+# pixel ratio.
 FOCAL_WIDTHS, MAX_RATIO = (0.3, 20.0), 1.3
-# Tilted views of a small field leave focal length and distance nearly exchangeable: several starts,
-# the best fit wins. So it does where the pixel ratio is open.
+# Tilted views of a small field hardly separate focal length and distance: the fit is started from
+# several values and the best is used. The same applies to a free pixel ratio.
 FOCAL_FACTORS, USUAL_RATIOS = (1.0, 0.5, 2.0), (1.0, 0.5, 2.0)
-# Projector pixels that the features of all poses must cover.
+# Least extent in projector pixels of the features of all poses.
 LEAST_EXTENT_PX = 8.0
-# Throw ratio of a usual projector, where the resection fails.
+# Throw ratio of a typical projector, used if the resection fails.
 FALLBACK_THROW = 1.4
 
 
 def starting_rig(
     observations: Sequence[Observation], freedom: Freedom = SQUARE_PIXELS
 ) -> RigEstimate:
-    """Return a first estimate of the whole rig; of `freedom` the pixel ratios are used.
+    """Return a first estimate of the whole rig; only the pixel ratios of `freedom` are used.
 
     Raises
     ------
@@ -76,8 +76,10 @@ def _in_space(
 ) -> tuple[FloatArray, FloatArray]:
     """Return all features in the camera's frame, (n, 3) mm, and in the projector, (n, 2) px."""
     poses = zip(observations, motions, strict=True)
-    points = [seen.points_mm @ T[:3, :3].T + T[:3, 3] for seen, T in poses]
-    return np.concatenate(points), np.concatenate([seen.projector_px for seen in observations])
+    points = [observation.points_mm @ T[:3, :3].T + T[:3, 3] for observation, T in poses]
+    return np.concatenate(points), np.concatenate(
+        [observation.projector_px for observation in observations]
+    )
 
 
 def _require_tilts(motions: FloatArray) -> None:
@@ -91,8 +93,10 @@ def _start_camera(
     observations: Sequence[Observation], pixel_ratio: float | None
 ) -> tuple[Pinhole, FloatArray]:
     size = observations[0].camera_size_px
-    objects = [seen.points_mm.astype(np.float32) for seen in observations]
-    images = [seen.camera_px.astype(np.float32).reshape(-1, 1, 2) for seen in observations]
+    objects = [observation.points_mm.astype(np.float32) for observation in observations]
+    images = [
+        observation.camera_px.astype(np.float32).reshape(-1, 1, 2) for observation in observations
+    ]
     tries = [
         _calibrate_camera(objects, images, size, guess, factor)
         for ratio in (USUAL_RATIOS if pixel_ratio is None else (pixel_ratio,))
@@ -101,7 +105,7 @@ def _start_camera(
     ]
     if not tries:
         raise _undetermined()
-    error, matrix, rotations, shifts = min(tries, key=lambda found: found[0])
+    error, matrix, rotations, shifts = min(tries, key=lambda trial: trial[0])
     if not np.isfinite(error):
         raise _undetermined()
     fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
@@ -128,10 +132,10 @@ def _calibrate_camera(
     matrix[:2, 2] = (size[0] - 1) / 2.0, (size[1] - 1) / 2.0
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | CAMERA_FLAGS
     try:
-        found = cv2.calibrateCamera(objects, images, size, matrix, np.zeros(5), flags=flags)
+        solution = cv2.calibrateCamera(objects, images, size, matrix, np.zeros(5), flags=flags)
     except cv2.error:
         return np.inf, matrix, (), ()
-    error, matrix, _, rotations, shifts = found[:5]
+    error, matrix, _, rotations, shifts = solution[:5]
     return float(error), matrix, rotations, shifts
 
 
@@ -149,17 +153,17 @@ def _start_projector(
     pixel_ratio: float | None,
 ) -> tuple[Pinhole, FloatArray]:
     _require_spread(pixels_px)
-    found = resect(points_cam_mm, pixels_px)
-    if found is not None:
-        matrix, motion = found
+    resection = resect(points_cam_mm, pixels_px)
+    if resection is not None:
+        matrix, motion = resection
         fx, fy = float(matrix[0, 0]), float(matrix[1, 1])
         low, high = FOCAL_WIDTHS[0] * size[0], FOCAL_WIDTHS[1] * size[0]
         deviation = 1.0 if pixel_ratio is None else fy / fx / pixel_ratio
         if low < fx < high and 1.0 / MAX_RATIO < deviation < MAX_RATIO:
             cx, cy = float(matrix[0, 2]), float(matrix[1, 2])
             return Pinhole(size[0], size[1], fx, fy, cx, cy), motion
-    # Noise swamps the linear solution: an ordinary projector with a centred lens, put where the
-    # points say; the adjustment moves its principal point.
+    # The linear solution fails with strong noise: start from a typical projector with a centred
+    # lens, posed by the points; the adjustment then moves its principal point.
     fx = FALLBACK_THROW * size[0]
     fy = (pixel_ratio or 1.0) * fx
     matrix = np.array([[fx, 0.0, (size[0] - 1) / 2], [0.0, fy, (size[1] - 1) / 2], [0.0, 0.0, 1.0]])
@@ -167,7 +171,7 @@ def _start_projector(
         points_cam_mm, pixels_px, matrix, np.zeros(5), flags=cv2.SOLVEPNP_SQPNP
     )
     if not ok:
-        raise InputError("the projector cannot be placed: its coordinates fit no pinhole")
+        raise InputError("the projector has no pose: its coordinates fit no pinhole")
     device = Pinhole(size[0], size[1], fx, fy, float(matrix[0, 2]), float(matrix[1, 2]))
     return device, rigid(rotation, shift)
 
@@ -187,7 +191,7 @@ def resect(points_mm: FloatArray, pixels_px: FloatArray) -> tuple[FloatArray, Fl
     Notes
     -----
     Direct linear transformation with normalised coordinates: Hartley and Zisserman, Multiple View
-    Geometry, algorithm 7.1. The principal point may lie anywhere.
+    Geometry, algorithm 7.1. The principal point may be anywhere.
     """
     space, image = normaliser(points_mm), normaliser(pixels_px)
     X = np.column_stack([points_mm, np.ones(len(points_mm))]) @ space.T

@@ -1,7 +1,7 @@
-"""Captures of a board, and what each says: features in camera and projector pixels.
+"""Board captures, and the features in them: positions in camera and projector pixels.
 
-A capture like any other, but the rig is not calibrated yet. Features are found in the brightness
-relative to the white print around, so without the lighting.
+A capture of an uncalibrated rig. Features are detected in the brightness relative to the white
+print around them, so that the lighting has no effect.
 """
 
 from dataclasses import dataclass
@@ -25,16 +25,16 @@ from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import AXES
 from reconstruction.rig.sensor import SensorNoise
 
-# What a pose was recorded in; a folder of such files is not left out silently.
+# Formats of recorded poses; a folder with such files but no description is an error.
 RECORDED = {".png", ".tif", ".tiff", ".bmp", ".exr", ".nc"}
 # Half side of the window in which the phase is fitted, in feature distances.
 WINDOW = 1.1
-# No filter: it would carry phase over the edge of a dot.
+# No filter: it would spread the phase over the edge of a dot.
 UNFILTERED = DecodeOptions(filter_taps=0)
-# Edge pixels to leave out, as a share of the feature distance (at least one pixel).
+# Width of the excluded edge, as a share of the feature distance (at least one pixel).
 EDGE_SHARE = 0.03
 
-# The white level is the local maximum over this share of the image height: larger than any dot or
+# Window of the white level, a local maximum, as a share of the image height: larger than any dot or
 # square, small enough to follow the projector's fall-off.
 WINDOW_SHARE = 0.25
 WORK_HEIGHT_PX = 180
@@ -45,7 +45,7 @@ BoardCapture = UncalibratedCapture
 
 
 def read_board_capture(folder: Path | str) -> BoardCapture:
-    """Read a capture whose calibration file need not exist.
+    """Read a capture that may have no calibration file.
 
     Raises
     ------
@@ -64,25 +64,25 @@ def pose_folders(folder: Path | str) -> list[Path]:
 
     Raises
     ------
-    CaptureError : there is none, or one holds images that no capture.toml describes
+    CaptureError : there is none, or one contains images without a capture.toml
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise CaptureError(f"{folder}: no such folder; give one that holds a folder per board pose")
+        raise CaptureError(f"{folder}: no such folder; give one with a folder per board pose")
     inside = sorted(path for path in folder.iterdir() if path.is_dir())
-    found = [path for path in inside if described(path) is not None]
+    poses = [path for path in inside if described(path) is not None]
     for path in inside:
-        if path not in found and any(item.suffix.lower() in RECORDED for item in path.iterdir()):
+        if path not in poses and any(item.suffix.lower() in RECORDED for item in path.iterdir()):
             raise CaptureError(
                 f"{path}: holds images but no {DESCRIPTION_FILE}; write one (copy that of another "
-                "pose), or move the folder away"
+                "pose), or move the folder elsewhere"
             )
-    if not found:
+    if not poses:
         raise CaptureError(
-            f"{folder}: no folder with {DESCRIPTION_FILE} in it; give the folder that holds one "
+            f"{folder}: no folder with {DESCRIPTION_FILE} in it; give the folder that contains one "
             "capture folder per board pose"
         )
-    return found
+    return poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ class Observation:
     points_mm : (n, 3) float, board frame
     radii_mm : (n,) float, of dots; 0 for corners
     camera_px : (n, 2) float; for dots the centre of the imaged ellipse, not the imaged centre
-    projector_px : (n, 2) float, column and row of the place seen at `camera_px`
+    projector_px : (n, 2) float, column and row at `camera_px`
     slopes : (n, 2, 2) float, d(projector) / d(camera) on the board there
     ids : (n,) int
     camera_size_px, projector_size_px : width, height
@@ -113,7 +113,7 @@ class Observation:
 
 
 def observe(capture: BoardCapture, board: Board, name: str = "pose") -> Observation:
-    """Find the board's features and where the projector sees them.
+    """Find the board's features and their projector coordinates.
 
     Raises
     ------
@@ -142,32 +142,32 @@ def _observe(capture: BoardCapture, board: Board, name: str) -> Observation:
     margin_px = max(1, round(EDGE_SHARE * spacing_px))
     white = white_print(relative, 0.5 * (1.0 + threshold), margin_px)
     there = projector_points(decoded, white, camera_px, WINDOW * spacing_px)
-    found = there.found
-    if found.sum() < 6:
-        raise InputError(f"only {found.sum()} features have decoded fringes round them, needed 6")
+    located = there.located
+    if located.sum() < 6:
+        raise InputError(f"only {located.sum()} features have decoded fringes round them, needed 6")
     radii = board.radii_mm[ids] if isinstance(board, DotBoard) else np.zeros(len(ids))
     rows, cols = capture.stack.shape[1:]
     return Observation(
         name=name,
-        points_mm=points_mm[found],
-        radii_mm=radii[found],
-        camera_px=camera_px[found],
-        projector_px=there.pixels_px[found],
-        slopes=there.slopes[found],
-        ids=ids[found],
+        points_mm=points_mm[located],
+        radii_mm=radii[located],
+        camera_px=camera_px[located],
+        projector_px=there.pixels_px[located],
+        slopes=there.slopes[located],
+        ids=ids[located],
         camera_size_px=(cols, rows),
         projector_size_px=(capture.patterns.width_px, capture.patterns.height_px),
     )
 
 
 def _features(board: Board, relative: FloatImage, threshold: float) -> tuple[Indices, FloatArray]:
-    """Return ids (n,) and camera pixels (n, 2) of the features seen."""
+    """Return ids (n,) and camera pixels (n, 2) of the visible features."""
     if not isinstance(board, DotBoard):
         return find_corners(board, relative)
     dots = find_dots(relative, threshold)
     ids, members = label_dots(board, dots)
-    centres, found = refine_centres(relative, dots.chosen(np.array(members)))
-    return np.array(ids)[found], centres[found]
+    centres, whole = refine_centres(relative, dots.chosen(np.array(members)))
+    return np.array(ids)[whole], centres[whole]
 
 
 def _spacing_px(points_mm: FloatArray, camera_px: FloatArray) -> float:
@@ -202,7 +202,7 @@ def relative_brightness(image_dn: FloatImage) -> FloatImage:
     side = max(3, round(WINDOW_SHARE * small.shape[0]))
     white = cv2.blur(cv2.dilate(small, np.ones((side, side), np.uint8)), (side, side))
     white = cv2.resize(white, (cols, rows), interpolation=cv2.INTER_LINEAR)
-    # Where the board ends there is no white to compare with.
+    # Outside the board there is no white reference.
     floor = np.float32(0.05) * image_dn.max()
     return np.asarray(image_dn / np.maximum(white, floor), dtype=np.float32)
 
@@ -216,7 +216,7 @@ def ink_threshold(relative: FloatImage) -> float:
 def white_print(relative: FloatImage, threshold: float, margin_px: int) -> BoolImage:
     """Return the white pixels at least `margin_px` away from ink, (row, col) bool.
 
-    Pixels on an edge mix two places of the board and lean their fringe towards the brighter one.
+    Pixels on an edge mix two places of the board and bias their phase towards the brighter place.
     """
     white = (relative > threshold).astype(np.uint8)
     kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)

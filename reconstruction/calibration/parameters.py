@@ -1,21 +1,21 @@
-"""The rig and the board poses as one vector, and how it projects the boards' features.
+"""The rig and the board poses as one vector, and the projection of the boards' features.
 
 Layout: camera fx fy cx cy k1 k2 p1 p2 k3, projector likewise, T_proj_from_cam (rotation vector in
 rad, translation in mm), then T_cam_from_board of every pose likewise.
 
-A field of a few degrees does not determine all of them. Which are free (`Freedom`), with reasons:
+A field of a few degrees does not determine all of them. Free parameters (`Freedom`) and reasons:
 
-- the ratio fy / fx, the width of a pixel over its height, is given for both devices: chips are made
-  to better than the 0.01 % that the poses could determine. It is 1 for square pixels, and 2 for a
-  diamond chip whose columns are counted at half their number (LightCrafter 4500: 912 x 1140);
-- camera k1 only: over a field of 4 degrees k2 and k3 act far below the noise, and tangential terms
-  cannot be told from the principal point;
-- no projector distortion: the board covers a small patch of the image, off its axis, where a radial
+- the ratio fy / fx, the width of a pixel over its height, is given for both devices: the geometry
+  of chips is better than the 0.01 % that the poses could determine. It is 1 for square pixels, and
+  2 for a diamond chip with columns counted at half their number (LightCrafter 4500: 912 x 1140);
+- camera k1 only: over a field of 4 degrees k2 and k3 have effects far below the noise, and
+  tangential terms are not separable from the principal point;
+- no projector distortion: the board covers a small off-axis patch of the image, where a radial
   term looks like a shift and a change of focal length;
-- both principal points free: an error of the camera's turns into a tilt, the projector's lies far
-  off-axis and is not known beforehand;
-- defocus of the camera (`defocus_slopes_px`): two coefficients, zero for a
-  camera that is sharp everywhere; neglected they would lean on principal points and rotations.
+- both principal points are free: an error of the camera's becomes a tilt, and the projector's is
+  far off-axis and not known beforehand;
+- defocus of the camera (`defocus_slopes_px`): two coefficients, zero for a camera in focus
+  everywhere; if neglected they would bias principal points and rotations.
 """
 
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ def pack(rig: RigEstimate) -> FloatArray:
 
 
 def unpack(vector: FloatArray, camera: Pinhole, projector: Pinhole) -> RigEstimate:
-    """Return the rig of a parameter vector; image sizes are taken from the given devices."""
+    """Return the rig of a parameter vector, with the image sizes of the given devices."""
     motions = vector[STEREO.start :].reshape(-1, 6)
     matrices = np.stack([rigid(motion[:3], motion[3:]) for motion in motions])
     return RigEstimate(
@@ -82,14 +82,14 @@ def _pinhole(values: FloatArray, like: Pinhole) -> Pinhole:
 def rotation_vector(rotation: FloatArray) -> FloatArray:
     """Return the rotation vector (3,) of a matrix, rad.
 
-    Not OpenCV's: it rounds turns near 180 degrees to 1e-5, and a camera looking down on a board
-    is turned by just that.
+    Does not use OpenCV's function, which rounds rotations near 180 degrees to 1e-5: a camera that
+    looks down on a board has such a rotation.
     """
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 def rigid(rotation: FloatArray, shift: FloatArray) -> FloatArray:
-    """Return the motion (4, 4) of a rotation vector, rad, and a shift, mm; OpenCV's columns too."""
+    """Return the motion (4, 4) of a rotation vector, rad, and shift, mm; (3,) or (3, 1)."""
     matrix = np.eye(4)
     matrix[:3, :3] = cv2.Rodrigues(np.array(rotation))[0]
     matrix[:3, 3] = np.ravel(shift)
@@ -118,7 +118,7 @@ def project_pose(
     slopes[:, :2, place], slopes[:, :2, CAMERA] = along[..., :6], along[..., 6:]
     inside, by_motion = _move(points_mm, motion)
     pixels[:, 2:], along = _project(inside, stereo, vector[PROJECTOR])
-    # A step in the camera frame acts like a shift of the projector, turned into its frame.
+    # A step in the camera frame acts as a shift of the projector, rotated into its frame.
     by_point = along[..., 3:6] @ cv2.Rodrigues(stereo[:3].copy())[0]
     slopes[:, 2:, place] = by_point @ by_motion
     slopes[:, 2:, STEREO], slopes[:, 2:, PROJECTOR] = along[..., :6], along[..., 6:]
@@ -129,7 +129,7 @@ def _project(
     points_mm: FloatArray, motion: FloatArray, lens: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
-    # OpenCV keeps views of what it is given: it gets copies.
+    # OpenCV keeps views of its arguments: pass copies.
     rotation, shift, distortion = motion[:3].copy(), motion[3:].copy(), lens[4:].copy()
     pixels, slopes = cv2.projectPoints(points_mm, rotation, shift, matrix, distortion)[:2]
     return pixels.reshape(-1, 2), slopes.reshape(-1, 2, 15)
@@ -155,11 +155,11 @@ class Freedom:
     camera_principal_point, projector_principal_point : estimate it
     camera_pixel_ratio, projector_pixel_ratio : width of a pixel over its height, fy / fx; None:
         estimate it
-    camera_defocus : estimate what the camera's aperture does to tilted boards
+    camera_defocus : estimate the effect of the camera's aperture on tilted boards
 
     Raises
     ------
-    InputError : unknown coefficient or one that is named twice, or a pixel ratio out of range
+    InputError : unknown or repeated coefficient, or a pixel ratio out of range
     """
 
     camera_distortion: tuple[Distortion, ...] = ("k1",)
@@ -187,7 +187,7 @@ class Freedom:
 
 
 def admissible(freedom: Freedom, vector: FloatArray) -> FloatArray:
-    """Return the parameter vector moved to where the fixed relations hold."""
+    """Return the parameter vector projected onto the fixed relations."""
     moved = vector.copy()
     for device, ratio in (
         (CAMERA, freedom.camera_pixel_ratio),

@@ -1,7 +1,7 @@
-"""From observations of a board to the calibration, and what to read off it.
+"""Calibration from observations of a board, its parameters and residuals.
 
-Parameters with their uncertainty, residuals of every pose; and, as an independent check of lengths,
-where the calibrated rig sees the features of a board.
+Parameters have their uncertainty, every pose its residuals. As an independent check of lengths, the
+calibrated rig measures the features of a board.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ STEPS = 4
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of the rig; sigma 0: held fixed."""
+    """One number of the rig; sigma 0: fixed."""
 
     name: str
     value: float
@@ -60,52 +60,54 @@ class PoseResidual:
     epipolar_px: float
 
 
-def parameters(found: Adjustment) -> list[Parameter]:
+def parameters(fit: Adjustment) -> list[Parameter]:
     """Return every parameter of the rig with its standard uncertainty, baseline included."""
     names = [
         *(f"camera_{name}" for name in INTRINSICS),
         *(f"projector_{name}" for name in INTRINSICS),
         *(f"stereo_{name}" for name in MOTION),
     ]
-    values, sigmas = found.vector, np.sqrt(np.diag(found.covariance))
+    values, sigmas = fit.vector, np.sqrt(np.diag(fit.covariance))
     rows = [Parameter(name, float(values[k]), float(sigmas[k])) for k, name in enumerate(names)]
-    return [*rows, _baseline(found)]
+    return [*rows, _baseline(fit)]
 
 
 def parameters_of(rig: RigEstimate | Calibration) -> dict[str, float]:
-    """Return the same parameters of a known rig, to compare with."""
+    """Return the same parameters of a known rig, for comparison."""
     T = rig.T_proj_from_cam
-    found: dict[str, float] = {}
+    numbers_by_name: dict[str, float] = {}
     for device, lens in (("camera", rig.camera), ("projector", rig.projector)):
-        numbers = (lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, *lens.distortion)
-        found |= {f"{device}_{name}": n for name, n in zip(INTRINSICS, numbers, strict=True)}
+        values = (lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, *lens.distortion)
+        numbers_by_name |= {
+            f"{device}_{name}": n for name, n in zip(INTRINSICS, values, strict=True)
+        }
     motion = [*rotation_vector(T[:3, :3]), *T[:3, 3]]
-    found |= {f"stereo_{name}": float(n) for name, n in zip(MOTION, motion, strict=True)}
-    return found | {"baseline_mm": float(np.linalg.norm(T[:3, 3]))}
+    numbers_by_name |= {f"stereo_{name}": float(n) for name, n in zip(MOTION, motion, strict=True)}
+    return numbers_by_name | {"baseline_mm": float(np.linalg.norm(T[:3, 3]))}
 
 
-def _baseline(found: Adjustment) -> Parameter:
+def _baseline(fit: Adjustment) -> Parameter:
     shift = slice(STEREO.start + 3, STEREO.stop)
-    length = float(np.linalg.norm(found.vector[shift]))
-    along = found.vector[shift] / length
+    length = float(np.linalg.norm(fit.vector[shift]))
+    along = fit.vector[shift] / length
     return Parameter(
-        "baseline_mm", length, float(np.sqrt(along @ found.covariance[shift, shift] @ along))
+        "baseline_mm", length, float(np.sqrt(along @ fit.covariance[shift, shift] @ along))
     )
 
 
-def pose_residuals(found: Adjustment, observations: Sequence[Observation]) -> list[PoseResidual]:
-    """Return the residuals of every pose, over the features that took part."""
+def pose_residuals(fit: Adjustment, observations: Sequence[Observation]) -> list[PoseResidual]:
+    """Return the residuals of every pose, over the features in the fit."""
     rows = []
-    for k, seen in enumerate(observations):
-        used, residuals = found.used[k], found.residuals_px[k][found.used[k]]
+    for k, observation in enumerate(observations):
+        used, residuals = fit.used[k], fit.residuals_px[k][fit.used[k]]
         rows.append(
             PoseResidual(
-                name=seen.name,
+                name=observation.name,
                 features=int(used.sum()),
                 left_out=int((~used).sum()),
                 camera_px=_rms(residuals[:, :2]),
                 projector_px=_rms(residuals[:, 2:]),
-                epipolar_px=_rms(epipolar_residuals_px(found.rig, found.measured_px[k][used])),
+                epipolar_px=_rms(epipolar_residuals_px(fit.rig, fit.measured_px[k][used])),
             )
         )
     return rows
@@ -124,27 +126,27 @@ def epipolar_residuals_px(rig: RigEstimate | Calibration, measured_px: FloatArra
     Lines are drawn on the undistorted projector image and scaled by its focal lengths.
     """
     T = rig.T_proj_from_cam
-    seen = _rays(rig.camera.unproject(measured_px[:, :2]))
-    shown = _rays(rig.projector.unproject(measured_px[:, 2:]))
-    lines = np.cross(T[:3, 3], seen @ T[:3, :3].T)
+    camera_rays = _rays(rig.camera.unproject(measured_px[:, :2]))
+    projector_rays = _rays(rig.projector.unproject(measured_px[:, 2:]))
+    lines = np.cross(T[:3, 3], camera_rays @ T[:3, :3].T)
     per_px = lines[:, :2] / (rig.projector.fx_px, rig.projector.fy_px)
-    return np.asarray(np.sum(lines * shown, axis=1) / np.linalg.norm(per_px, axis=1))
+    return np.asarray(np.sum(lines * projector_rays, axis=1) / np.linalg.norm(per_px, axis=1))
 
 
-def pupil_diameter_mm(found: Adjustment) -> float:
-    """Return the aperture that the blur of tilted boards tells; 0 where it is not seen.
+def pupil_diameter_mm(fit: Adjustment) -> float:
+    """Return the aperture from the blur of tilted boards; 0 if it is not significant.
 
-    To about a tenth; a plausibility check (focal length over f-number), not a measurement.
+    Accurate to about 10 %; for a plausibility check (focal length over f-number) only.
     """
-    seen = found.pupil_mm2 > 3.0 * found.pupil_sigma_mm2
-    return 4.0 * float(np.sqrt(found.pupil_mm2)) if seen else 0.0
+    is_significant = fit.pupil_mm2 > 3.0 * fit.pupil_sigma_mm2
+    return 4.0 * float(np.sqrt(fit.pupil_mm2)) if is_significant else 0.0
 
 
-def calibration_of(found: Adjustment) -> Calibration:
-    """Return the calibration; the world is the board frame of the first pose, z to the devices."""
-    T_world_from_cam = _inverse(found.rig.T_cam_from_board[0])
-    T_world_from_proj = T_world_from_cam @ _inverse(found.rig.T_proj_from_cam)
-    return Calibration(found.rig.camera, found.rig.projector, T_world_from_cam, T_world_from_proj)
+def calibration_of(fit: Adjustment) -> Calibration:
+    """Return the calibration; world = board frame of the first pose, z towards the devices."""
+    T_world_from_cam = _inverse(fit.rig.T_cam_from_board[0])
+    T_world_from_proj = T_world_from_cam @ _inverse(fit.rig.T_proj_from_cam)
+    return Calibration(fit.rig.camera, fit.rig.projector, T_world_from_cam, T_world_from_proj)
 
 
 def _inverse(motion: FloatArray) -> FloatArray:
@@ -169,7 +171,7 @@ class Calibrated:
     Attributes
     ----------
     checks : all of them plausible
-    doubts : residuals that the model does not explain, and an aperture that was left out, in words
+    doubts : messages on residuals that the model does not explain, and on a rejected aperture
     """
 
     calibration: Calibration
@@ -192,31 +194,33 @@ def calibrate(
     Raises
     ------
     InputError : too few poses, different image sizes, poses that do not determine the rig, or an
-        implausible result; names the mistake of the input that explains it, where one does
+        implausible result; the message gives the mistake in the input if one explains it
     """
-    sizes = {(seen.camera_size_px, seen.projector_size_px) for seen in observations}
+    sizes = {
+        (observation.camera_size_px, observation.projector_size_px) for observation in observations
+    }
     if len(sizes) > 1:
         raise InputError(
             f"the poses have different image sizes (camera, projector): {sorted(sizes)}; "
             "calibrate each size by itself"
         )
     chosen = options or AdjustOptions()
-    found, doubt = _adjusted(observations, chosen)
-    checks = _plausible(observations, chosen, found)
+    fit, doubt = _adjusted(observations, chosen)
+    checks = _plausible(observations, chosen, fit)
     return Calibrated(
-        calibration=calibration_of(found),
-        adjustment=found,
-        parameters=tuple(parameters(found)),
-        poses=tuple(pose_residuals(found, observations)),
+        calibration=calibration_of(fit),
+        adjustment=fit,
+        parameters=tuple(parameters(fit)),
+        poses=tuple(pose_residuals(fit, observations)),
         checks=checks,
-        doubts=(*([doubt] if doubt else []), *misfits(found, observations)),
+        doubts=(*([doubt] if doubt else []), *misfits(fit, observations)),
     )
 
 
 def _adjusted(
     observations: Sequence[Observation], options: AdjustOptions
 ) -> tuple[Adjustment, str]:
-    """Return the adjustment, without the camera's aperture where that is implausible, and why."""
+    """Return the adjustment, without the camera's aperture if it is implausible, and the reason."""
     start = starting_rig(observations, options.freedom)
     try:
         fit = adjust(observations, start, options)
@@ -230,7 +234,7 @@ def _adjusted(
         )
     except InputError as error:
         remedy = remedy_for(observations, options, None)
-        if remedy == NO_CAUSE and str(error) != DIVERGES:  # it says what to do
+        if remedy == NO_CAUSE and str(error) != DIVERGES:  # the error has its own remedy
             raise
         raise InputError(f"{error}; {remedy}") from error
 
@@ -244,27 +248,27 @@ def _plausible(
     return checks
 
 
-def locate_features(calibration: Calibration, seen: Observation) -> FloatArray:
+def locate_features(calibration: Calibration, observation: Observation) -> FloatArray:
     """Triangulate every feature from camera and projector pixels, (n, 3) mm, world frame.
 
-    The board's dimensions enter only the bias of the dots' centres (below a micrometre), through a
-    rough pose: distances between the points are measurements.
+    The board's dimensions are used only for the bias of the dots' centres (below a micrometre),
+    through a rough pose: distances between the points are measurements.
     """
     camera = calibration.camera
-    T = _rough_pose(calibration, seen)
-    inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
-    bias = centre_bias_px(camera, inside, seen.radii_mm, T[:3, :3])
-    projector_px = seen.projector_px - np.einsum("nij,nj->ni", seen.slopes, bias)
-    rays = _rays(camera.unproject(seen.camera_px - bias))
+    T = _rough_pose(calibration, observation)
+    inside = observation.points_mm @ T[:3, :3].T + T[:3, 3]
+    bias = centre_bias_px(camera, inside, observation.radii_mm, T[:3, :3])
+    projector_px = observation.projector_px - np.einsum("nij,nj->ni", observation.slopes, bias)
+    rays = _rays(camera.unproject(observation.camera_px - bias))
     points = rays * _depths(calibration, rays, projector_px, inside[:, 2])[:, np.newaxis]
     world = calibration.T_world_from_cam
     return np.asarray(points @ world[:3, :3].T + world[:3, 3])
 
 
-def _rough_pose(calibration: Calibration, seen: Observation) -> FloatArray:
-    flat = np.ascontiguousarray(calibration.camera.unproject(seen.camera_px))
+def _rough_pose(calibration: Calibration, observation: Observation) -> FloatArray:
+    flat = np.ascontiguousarray(calibration.camera.unproject(observation.camera_px))
     rotation, shift = cv2.solvePnP(
-        seen.points_mm, flat, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+        observation.points_mm, flat, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
     )[1:3]
     return rigid(rotation, shift)
 
@@ -272,7 +276,7 @@ def _rough_pose(calibration: Calibration, seen: Observation) -> FloatArray:
 def _depths(
     calibration: Calibration, rays: FloatArray, projector_px: FloatArray, start_mm: FloatArray
 ) -> FloatArray:
-    """Depths along the camera rays that fit both projector coordinates best (Gauss-Newton)."""
+    """Return the depths along the camera rays that best fit both projector coordinates."""
     T, depth, step_mm = calibration.T_proj_from_cam, start_mm.copy(), 1e-3
     for _ in range(STEPS):
         places = [
@@ -286,10 +290,10 @@ def _depths(
 
 
 def length_errors_mm(
-    points_world_mm: FloatArray, seen: Observation, length_mm: float
+    points_world_mm: FloatArray, observation: Observation, length_mm: float
 ) -> FloatArray:
-    """Return measured minus nominal distance of all pairs of features `length_mm` apart, (m,)."""
-    nominal = np.linalg.norm(seen.points_mm[:, np.newaxis] - seen.points_mm, axis=-1)
+    """Return measured minus nominal distance of all pairs with this nominal distance, (m,)."""
+    nominal = np.linalg.norm(observation.points_mm[:, np.newaxis] - observation.points_mm, axis=-1)
     first, second = np.nonzero(np.triu(np.abs(nominal - length_mm) < 1e-6))
     measured = np.linalg.norm(points_world_mm[first] - points_world_mm[second], axis=1)
     return np.asarray(measured - nominal[first, second])

@@ -1,35 +1,36 @@
-"""How a plane appears in images: homographies, circles, defocus, and the projector on it.
+"""Images of a plane: homographies, circles, defocus, and the projector's coordinates on it.
 
 Homographies are fitted by the normalised direct linear transformation (Hartley 1997).
 
-A circle's image has its centre not where the circle's centre is imaged. The dual conic of a circle
+The centre of a circle's image is not the image of the circle's centre. The dual conic of a circle
 with centre c = (a, b, 1) and radius r in the board plane is c c^T - r^2 diag(1, 1, 0); a homography
 H maps it to (Hc)(Hc)^T - r^2 (h1 h1^T + h2 h2^T), and the centre of the image ellipse is its last
 column over its last element. (Heikkila, IEEE PAMI 22, 1066 (2000), corrects the same bias; dual
 form: Hartley and Zisserman, Multiple View Geometry, 2.2.3.)
 
-A tilted board out of focus appears not quite where the lens's centre sees it. Symbols: f focal
+A tilted board out of focus is displaced from its image through the lens's centre. Symbols: f focal
 length, px; n normal of the board, P a point of it at the depth Z, camera frame, mm; Z_f depth in
 focus; k mean square of the pupil's x (a quarter of its squared radius), mm^2.
 
-A place s of the pupil sees the point displaced by s f (1 / Z_f - 1 / Z), exactly, and a piece of
-the board there as an area proportional to n . (P - s), as a matt board sends its light. The mean
+From a place s of the pupil the point is displaced by s f (1 / Z_f - 1 / Z), exactly. A piece of the
+board there appears with an area proportional to n . (P - s), as for matt reflection. The mean
 over the pupil is therefore displaced by
 
     b = -k n_xy / (n . P) f (1 / Z_f - 1 / Z),
 
-the centroid of a blurred dot. The mean of a smooth function, such as the phase, over what one pixel
-gathers is displaced alike and in the same sense, so that the phase read at the displaced dot is off
-by twice b. It is linear in k and in k (1 / Z_f - 1 / Z_m) for any middle depth Z_m: these two are
-adjusted. Left out: the phase also leans towards where the board is brighter, by the blur's variance
-times the relative gradient (rendered with f/8, 6 mm out of focus: 3e-4 projector pixels).
+the centroid of a blurred dot. The mean of a smooth function, such as the phase, over one pixel's
+footprint has a displacement of the same size and direction, so that the phase read at the displaced
+dot has an error of 2 b. It is linear in k and in k (1 / Z_f - 1 / Z_m) for any middle depth Z_m:
+these two are adjusted. Neglected: the phase is also biased towards brighter parts of the board, by
+the blur's variance times the relative gradient (rendered with f/8, 6 mm out of focus: 3e-4
+projector pixels).
 
 Projector coordinates at board features come from the phase of the white print around them.
 
-The map from camera to projector pixels is a homography for a flat board, but for lens distortion
+The map from camera to projector pixels is a homography for a flat board, except for lens distortion
 (Moreno and Taubin, 3DIMPVT 2012, fit one per corner to Gray-code integers). Here it is fitted to
-the PHASE of the white pixels of the whole board, and round each feature a cubic of what is left
-follows the distortion: dark ink, which has little phase, and mixed edge pixels take no part.
+the PHASE of the white pixels of the whole board, and around each feature a cubic is fitted to the
+remaining distortion. Dark ink, with a weak phase, and mixed edge pixels are excluded.
 """
 
 from dataclasses import dataclass
@@ -64,14 +65,14 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     scale_source, scale_target = normaliser(source), normaliser(target)
     x, y = apply_homography(scale_source, source).T
     u, v = apply_homography(scale_target, target).T
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    upper = np.column_stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u])
-    lower = np.column_stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v])
+    zero, ones = np.zeros_like(x), np.ones_like(x)
+    upper = np.column_stack([x, y, ones, zero, zero, zero, -u * x, -u * y, -u])
+    lower = np.column_stack([zero, zero, zero, x, y, ones, -v * x, -v * y, -v])
     design = np.concatenate([upper, lower])
-    # The eigenvector of the smallest eigenvalue of A^T A: 9 x 9 however many points there are.
+    # The eigenvector of the smallest eigenvalue of A^T A: 9 x 9 for any number of points.
     values, vectors = np.linalg.eigh(design.T @ design)
     if values[1] < 1e-12 * values[-1]:
-        raise InputError("the points of a homography lie on one line")
+        raise InputError("the points of a homography are on one line")
     H = np.linalg.inv(scale_target) @ vectors[:, 0].reshape(3, 3) @ scale_source
     return np.asarray(H / H[2, 2])
 
@@ -107,8 +108,8 @@ def centre_bias_px(
 ) -> FloatArray:
     """Return ellipse centre minus imaged circle centre, (n, 2) px.
 
-    The lens distortion moves both alike; its change over one dot is left out (third order in the
-    dot's angular size).
+    The lens distortion moves both equally; its change over one dot is neglected (third order in
+    the dot's angular size).
     """
     centres = ellipse_centres(points_dev_mm, radii_mm, rotation)
     homogeneous = np.column_stack([centres, np.ones(len(centres))])
@@ -122,7 +123,7 @@ def defocus_slopes_px(
 
     Parameters
     ----------
-    camera : distortion is left out
+    camera : its distortion is neglected
     points_cam_mm : (n, 3) float
     normal : (xyz) float, unit normal of the board, camera frame
     middle_mm : Z_m
@@ -135,10 +136,10 @@ def defocus_slopes_px(
 
 GLOBAL_PIXELS, LOCAL_PIXELS = 40_000, 6_000
 MIN_LOCAL_PIXELS = 60
-# Left, right, above and below a feature lies at least this share of the white pixels each: no
+# Least share of the white pixels on each side of a feature (left, right, above, below): no
 # extrapolation.
 MIN_HALF_SHARE = 0.25
-# A wrong fringe order is a whole period off; the distortion of the board's map is far less.
+# A wrong fringe order has an error of a whole period; the board's distortion is far smaller.
 OUTLIER_PX = 2.0
 
 
@@ -150,12 +151,12 @@ class ProjectorPoints:
     ----------
     pixels_px : (n, 2) float, projector column and row
     slopes : (n, 2, 2) float, d(column, row) / d(camera x, y)
-    found : (n,) bool
+    located : (n,) bool, features with enough decoded pixels around them
     """
 
     pixels_px: FloatArray
     slopes: FloatArray
-    found: BoolImage
+    located: BoolImage
 
 
 def projector_points(
@@ -172,20 +173,20 @@ def projector_points(
 
     Raises
     ------
-    InputError : hardly any white pixel is decoded
+    InputError : too few white pixels are decoded
     """
     usable = white & decoded.valid
     H = _board_map(decoded, usable)
     count = len(features_px)
     pixels, slopes = apply_homography(H, features_px), _slopes(H, features_px)
-    found = np.zeros(count, dtype=np.bool_)
+    is_located = np.zeros(count, dtype=np.bool_)
     for k, centre in enumerate(features_px):
         local = _local_residual(decoded, usable, H, centre, reach_px)
         if local is not None:
             pixels[k] += local[0]
             slopes[k] += local[1:3].T / reach_px
-            found[k] = True
-    return ProjectorPoints(pixels, slopes, found)
+            is_located[k] = True
+    return ProjectorPoints(pixels, slopes, is_located)
 
 
 def _board_map(decoded: Decoded, usable: BoolImage) -> FloatArray:
@@ -205,8 +206,8 @@ def _board_map(decoded: Decoded, usable: BoolImage) -> FloatArray:
 
 
 def _coordinates(decoded: Decoded, row: Indices, col: Indices) -> FloatArray:
-    found = [axis.coordinate_px[row, col] for axis in (decoded.column, decoded.row)]
-    return np.stack(found, axis=-1).astype(np.float64)
+    coordinates = [axis.coordinate_px[row, col] for axis in (decoded.column, decoded.row)]
+    return np.stack(coordinates, axis=-1).astype(np.float64)
 
 
 def _slopes(H: FloatArray, points: FloatArray) -> FloatArray:
@@ -220,9 +221,9 @@ def _slopes(H: FloatArray, points: FloatArray) -> FloatArray:
 def _local_residual(
     decoded: Decoded, usable: BoolImage, H: FloatArray, centre: FloatArray, reach_px: float
 ) -> FloatArray | None:
-    """Fit a cubic (1, x, y, ...) to what the homography leaves: coefficients (10, 2) at reach 1.
+    """Fit a cubic (1, x, y, ...) to the homography's residual: coefficients (10, 2) at reach 1.
 
-    Radial distortion is a cubic: a quadratic would lean where the window is one-sided.
+    Radial distortion is cubic: a quadratic would be biased in a one-sided window.
     """
     low = np.maximum(np.floor(centre - reach_px), 0).astype(int)
     high = np.ceil(centre + reach_px).astype(int) + 1
@@ -232,8 +233,8 @@ def _local_residual(
     stride = max(1, len(row) // LOCAL_PIXELS)
     row, col = row[::stride] + low[1], col[::stride] + low[0]
     camera = np.column_stack([col, row]).astype(np.float64)
-    left = _coordinates(decoded, row, col) - apply_homography(H, camera)
-    good = np.max(np.abs(left - np.median(left, axis=0)), axis=1) < OUTLIER_PX
+    residual = _coordinates(decoded, row, col) - apply_homography(H, camera)
+    good = np.max(np.abs(residual - np.median(residual, axis=0)), axis=1) < OUTLIER_PX
     x, y = ((camera[good] - centre) / reach_px).T
     shares = [np.mean(x > 0.0), np.mean(y > 0.0)]
     if min(shares) < MIN_HALF_SHARE or max(shares) > 1.0 - MIN_HALF_SHARE:
@@ -241,4 +242,4 @@ def _local_residual(
     cubic = (x * x * x, x * x * y, x * y * y, y * y * y)
     design = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y, *cubic])
     # Normal equations: well conditioned at reach 1, and 20 times faster than an SVD of all rows.
-    return np.asarray(np.linalg.lstsq(design.T @ design, design.T @ left[good], rcond=None)[0])
+    return np.asarray(np.linalg.lstsq(design.T @ design, design.T @ residual[good], rcond=None)[0])

@@ -1,19 +1,19 @@
-"""Checks whether an adjustment found the rig, or numbers without a meaning.
+"""Check whether an adjustment is plausible for a real rig.
 
 | check | plausible | reason |
 |---|---|---|
-| RMS of the worst pose in either device | see below | less is a useful fit |
+| RMS of the worst pose in either device | see below | a larger one has no use |
 | features left out | up to 25 % | a dirty board; more is a wrong model |
-| relative uncertainty of focal lengths, baseline | up to 25 % | k = 2: half of the value |
+| relative uncertainty of focal lengths, baseline | up to 25 % | k = 2: 50 % of the value |
 | fy / fx over the declared ratio | 1 +- (3 % + 5 sigma) | chips are exact, printed boards 1 % |
 | depth of every feature | above 0 | in front of the device |
-| angle of incidence on the print | up to 88 degrees | both devices see the printed face |
+| angle of incidence on the print | up to 88 degrees | both devices view the printed face |
 
-The aperture that the blur of tilted boards gives is checked apart from these (`pupil_doubt`): where
-it is implausible, it took up residuals of another kind, and the rig is adjusted without it.
+The aperture from the blur of tilted boards is checked separately (`pupil_doubt`): if it is
+implausible, it has fitted residuals of another kind, and the rig is adjusted without it.
 
 RMS: up to the largest of 1 px, 1/2000 of the image's diagonal, and 5 times the scatter of
-detection. Lenses that the model does not follow remain below it; wrong boards and pixels do not.
+detection. Lenses outside the model remain below it; wrong boards and pixels do not.
 
 The scatter of detection does not depend on the rig: it is the spread of the features from a smooth
 map of the board into the image (a homography and a cubic), which follows any lens.
@@ -33,7 +33,7 @@ from reconstruction.rig.calibration import DEVICES
 from reconstruction.rig.plausibility import TRIANGULATION_ANGLES_DEG, Check, lens_checks
 
 MOST_RMS_PX, DIAGONALS_PER_RMS, MOST_SCATTERS = 1.0, 2000.0, 5.0
-# Worth a warning, as is that multiple of the scatter.
+# Least RMS worth a warning, if it also exceeds that multiple of the scatter.
 LEAST_DOUBT_PX = 0.2
 MOST_LEFT_OUT = 0.25
 MOST_RELATIVE_SIGMA = 0.25
@@ -65,7 +65,7 @@ def adjustment_checks(
 
 
 def pupil_doubt(fit: Adjustment) -> str:
-    """Return why the camera's aperture cannot be that of a lens; empty: it can, or is not seen.
+    """Return why the camera's aperture is implausible; empty: plausible or not significant.
 
     Notes
     -----
@@ -85,15 +85,15 @@ def pupil_doubt(fit: Adjustment) -> str:
 def detection_scatter_px(
     observations: Sequence[Observation], pixels_px: Sequence[FloatArray]
 ) -> float:
-    """Return the robust spread of the features from smooth maps of the boards; 0: too few.
+    """Return the robust spread of the features from smooth maps of the boards; 0: too few points.
 
     Parameters
     ----------
     pixels_px : per pose (n, 2) float, px in one device
     """
     spreads = [
-        _scatter_px(seen.points_mm[:, :2], pixels)
-        for seen, pixels in zip(observations, pixels_px, strict=True)
+        _scatter_px(observation.points_mm[:, :2], pixels)
+        for observation, pixels in zip(observations, pixels_px, strict=True)
         if len(pixels) >= 2 * CUBIC_TERMS
     ]
     return float(np.median(spreads)) if spreads else 0.0
@@ -128,7 +128,7 @@ def _pose_rms_px(fit: Adjustment, part: slice) -> list[float]:
 
 
 def misfits(fit: Adjustment, observations: Sequence[Observation]) -> tuple[str, ...]:
-    """Return what a plausible adjustment does not explain: residuals far above the scatter."""
+    """Return a message per device with residuals far above the detection scatter."""
     texts = []
     for name, part in zip(DEVICES, PARTS, strict=True):
         scatter = detection_scatter_px(observations, [m[:, part] for m in fit.measured_px])
@@ -178,12 +178,12 @@ def _place_checks(fit: Adjustment, observations: Sequence[Observation]) -> list[
     stereo = fit.rig.T_proj_from_cam
     centre_mm = -stereo[:3, :3].T @ stereo[:3, 3]
     depths, cosines, angles = [], [], []
-    for seen, T in zip(observations, fit.rig.T_cam_from_board, strict=True):
-        points = seen.points_mm @ T[:3, :3].T + T[:3, 3]
-        ways = [_directions(place - points) for place in (np.zeros(3), centre_mm)]
+    for observation, T in zip(observations, fit.rig.T_cam_from_board, strict=True):
+        points = observation.points_mm @ T[:3, :3].T + T[:3, 3]
+        directions = [_directions(place - points) for place in (np.zeros(3), centre_mm)]
         depths.append([points[:, 2].min(), (points @ stereo[2, :3] + stereo[2, 3]).min()])
-        cosines.append([(way @ T[:3, 2]).min() for way in ways])
-        angles.append(np.median(_degrees(np.sum(ways[0] * ways[1], axis=1))))
+        cosines.append([(direction @ T[:3, 2]).min() for direction in directions])
+        angles.append(np.median(_degrees(np.sum(directions[0] * directions[1], axis=1))))
     depth, incidence = np.min(depths, axis=0), _degrees(np.min(cosines, axis=0))
     checks = []
     for k, name in enumerate(DEVICES):

@@ -1,1 +1,1 @@
-"""Read and write captures: frames, what is known about them, and whether their order is right."""
+"""Read and write captures: frames and metadata; check the order of the frames."""

@@ -89,16 +89,16 @@ def write_description(path: Path, description: Description) -> None:
 
 
 def response_table(response: ProjectorResponse | None) -> dict[str, Any]:
-    """Return the table [response] by its name; none of a projector that is taken for linear."""
+    """Return the table [response] by its name; {} for a projector that is assumed linear."""
     if response is None:
         return {}
-    told = asdict(response)
-    del told["gamma" if response.curve else "curve"]
-    return {RESPONSE: told}
+    values = asdict(response)
+    del values["gamma" if response.curve else "curve"]
+    return {RESPONSE: values}
 
 
 def pattern_table(patterns: PatternSet) -> dict[str, Any]:
-    """Return [patterns]: the keys of every sequence, and of the others those not by default."""
+    """Return [patterns]: the keys of every sequence, and further keys that differ from default."""
     return {
         name: value
         for name, value in asdict(patterns).items()
@@ -154,9 +154,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def take_header(values: dict[str, Any], expected: tuple[str, int]) -> None:
     """Remove format and version from `values`; raise CaptureError unless they are `expected`."""
-    found = (values.pop("format", None), values.pop("version", None))
-    if found != expected:
-        raise CaptureError(f"format and version are {found}; this program reads {expected}")
+    header = (values.pop("format", None), values.pop("version", None))
+    if header != expected:
+        raise CaptureError(f"format and version are {header}; this program reads {expected}")
 
 
 def table_of(values: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -168,14 +168,14 @@ def table_of(values: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def build(part: type[Part], table: Mapping[str, Any], where: str) -> Part:
-    """Make the dataclass `part` from exactly its own keys."""
-    known = {item.name: item for item in fields(part)}  # type: ignore[arg-type]
+    """Make the dataclass `part` from its own keys only."""
+    by_name = {item.name: item for item in fields(part)}  # type: ignore[arg-type]
     for key in table:
-        if key not in known:
-            close = difflib.get_close_matches(key, known, n=1)
-            told = f"did you mean {close[0]}?" if close else f"allowed are {', '.join(known)}"
-            raise CaptureError(f"unknown key {key} in {where}; {told}")
-    required = [k for k, item in known.items() if item.default is item.default_factory is MISSING]
+        if key not in by_name:
+            close = difflib.get_close_matches(key, by_name, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"allowed are {', '.join(by_name)}"
+            raise CaptureError(f"unknown key {key} in {where}; {hint}")
+    required = [k for k, item in by_name.items() if item.default is item.default_factory is MISSING]
     missing = [name for name in required if name not in table]
     if missing:
         raise CaptureError(f"missing in {where}: {', '.join(missing)}")
@@ -216,7 +216,7 @@ def write_manifest(path: Path, patterns: PatternSet) -> None:
 
 
 def read_manifest(path: Path | str) -> PatternSet:
-    """Return the sequence that a manifest, or the folder that holds it, describes.
+    """Return the sequence that a manifest, or the folder that contains it, describes.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def is_sequence(path: Path) -> bool:
 
 
 def read_sequence(path: Path, settings: Mapping[str, Any]) -> PatternSet:
-    """Return the sequence of [patterns] in a file like a manifest, files or not.
+    """Return the sequence of [patterns] in a file like a manifest, with or without files.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def read_sequence(path: Path, settings: Mapping[str, Any]) -> PatternSet:
 
     Raises
     ------
-    CaptureError : no TOML, wrong format or version, unknown key, a sequence that cannot be
+    CaptureError : no TOML, wrong format or version, unknown key, an invalid sequence
     """
     values = read_toml(path)
     try:
@@ -256,16 +256,16 @@ def read_sequence(path: Path, settings: Mapping[str, Any]) -> PatternSet:
         foreign = [key for key in settings if not key.startswith("patterns.")]
         if foreign:
             raise CaptureError(f"--set {foreign[0]}: allowed are keys of [patterns], patterns.KEY")
-        given = {key.removeprefix("patterns."): value for key, value in settings.items()}
-        return build(PatternSet, table_of(values, "patterns") | given, "patterns")
+        replaced = {key.removeprefix("patterns."): value for key, value in settings.items()}
+        return build(PatternSet, table_of(values, "patterns") | replaced, "patterns")
     except InputError as error:
         raise CaptureError(f"{path}: {error}") from error
 
 
-def _check_files(found: object, patterns: PatternSet) -> None:
+def _check_files(files: object, patterns: PatternSet) -> None:
     expected = file_names(patterns)
-    if not isinstance(found, Iterable) or tuple(found) != expected:
+    if not isinstance(files, Iterable) or tuple(files) != expected:
         raise CaptureError(
             f"files do not name the {len(expected)} images of [patterns] in their order, from"
-            f" {expected[0]} to {expected[-1]}; write the sequence anew"
+            f" {expected[0]} to {expected[-1]}; write the sequence again"
         )

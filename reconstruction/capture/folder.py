@@ -56,17 +56,17 @@ class Capture:
 
     Parameters
     ----------
-    stack : (frame, row, col) uint8 or uint16, DN, in the order of `patterns.frames`; float32 holds
+    stack : (frame, row, col) uint8 or uint16, DN, in the order of `patterns.frames`; float32:
         the expected values of a noise-free rendering, or corrected frames
     sensor : camera noise
     calibration : camera and projector; the camera has the image size of the stack
     bit_depth : bits per pixel value, 8 to 16
     scale : (row, col) float32, by which merged exposures were multiplied, see `merge_exposures`
-    response : of the projector, as far as it is known; None: it is taken for linear
+    response : of the projector, if it is known; None: it is assumed linear
 
     Raises
     ------
-    CaptureError : the parts do not fit each other
+    CaptureError : the parts are inconsistent
     """
 
     stack: Stack
@@ -86,7 +86,7 @@ class Capture:
                 f"stack is {self.stack.dtype} {self.stack.shape}; patterns and calibrated camera "
                 f"need {' or '.join(TYPES)} {expected} (frame, row, col)"
             )
-        # Written as "not below", so that a NaN of a float stack is an error, too.
+        # Written as "not below", so that a NaN of a float stack is an error as well.
         largest = 2**self.bit_depth * (1.0 if self.scale is None else float(self.scale.max()))
         if not self.stack.max() < largest:
             raise CaptureError(
@@ -135,9 +135,9 @@ class Capture:
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return the stack (frame, row, col), DN, with the names of its frames."""
-        found = stack_arrays(self.stack, self.patterns).to_xarray().set_coords(NAMES)
+        dataset = stack_arrays(self.stack, self.patterns).to_xarray().set_coords(NAMES)
         places = pixel_coordinates(*self.stack.shape[1:])
-        return found.assign_coords(places).assign_attrs(bit_depth=self.bit_depth)
+        return dataset.assign_coords(places).assign_attrs(bit_depth=self.bit_depth)
 
 
 def write_capture(folder: Path | str, capture: Capture) -> None:
@@ -145,7 +145,7 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
 
     Raises
     ------
-    CaptureError : the folder is missing or holds something; exposures were merged
+    CaptureError : the folder is missing or not empty; exposures were merged
     """
     folder = Path(folder)
     if capture.scale is not None:
@@ -169,13 +169,13 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
 
 
 def read_capture(folder: Path | str) -> Capture:
-    """Read a capture from its folder, or from a folder that holds it as `capture/`.
+    """Read a capture from its folder, or from a folder that contains it as `capture/`.
 
     The order of the frames is checked; image files of several exposures are merged.
 
     Raises
     ------
-    CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
+    CaptureError : a file is missing, damaged or inconsistent, or the frames are clearly
         in another order
     """
     recorded = find_recorded(find_capture(folder))
@@ -204,7 +204,7 @@ def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
 
     Raises
     ------
-    CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
+    CaptureError : a file is missing, damaged or inconsistent, or the frames are clearly
         in another order
     """
     recorded = find_recorded(find_capture(folder))
@@ -231,7 +231,7 @@ def find_recorded(folder: Path) -> RecordedFrames:
 def read_frames(
     recorded: RecordedFrames, calibration: Calibration | None = None
 ) -> tuple[Stack, FloatImage | None]:
-    """Read and check recorded frames; where there are several exposures, merge them.
+    """Read and check recorded frames; merge several exposures.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def read_frames(
     Raises
     ------
     CaptureError : missing or damaged files, unequal sizes or types, values beyond the bit depth,
-        exposures that do not fit the light, frames clearly in another order
+        exposures that contradict the light, frames clearly in another order
     """
     patterns, sensor = recorded.patterns, recorded.sensor
     if recorded.stack_file is not None:
@@ -265,7 +265,7 @@ def read_frames(
 
 
 def described(folder: Path) -> Path | None:
-    """Return the folder, here or below, that capture.toml describes; None where there is none."""
+    """Return the folder that capture.toml describes, this one or below; None if there is none."""
     for candidate in (folder, folder / SUBFOLDER):
         if is_regular(candidate / DESCRIPTION_FILE):
             return candidate
@@ -273,10 +273,10 @@ def described(folder: Path) -> Path | None:
 
 
 def find_capture(folder: Path | str) -> Path:
-    """Return the folder, here or below, that capture.toml describes, or raise CaptureError."""
-    found = described(Path(folder))
-    if found is None:
+    """Return the folder that capture.toml describes, this one or below, or raise CaptureError."""
+    subfolder = described(Path(folder))
+    if subfolder is None:
         raise CaptureError(
             f"{folder}: no {DESCRIPTION_FILE} here or in {SUBFOLDER}/; give the folder of a capture"
         )
-    return found
+    return subfolder

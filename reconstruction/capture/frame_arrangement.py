@@ -1,8 +1,8 @@
 """Sort listed frames into the order of decoding, and determine their sequence.
 
 The stated period, shift and bit of each frame decide, not its name or place: sets of equal steps by
-period, words by their bits. The code is stated, or it is the one with `is_shown_by` True for the
-widths of the words and the periods of the fringes.
+period, words by their bits. The code is stated, or it is the only code with `is_shown_by` True for
+the widths of the words and the periods of the fringes.
 """
 
 import math
@@ -15,7 +15,7 @@ from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, co
 from reconstruction.errors import CaptureError, require_integer
 from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet, WordName
 
-# Rounding of shifts written with few digits, of a step.
+# Rounding of shifts written with few digits, as a share of a step.
 EQUAL_STEPS = 0.02
 
 
@@ -31,7 +31,7 @@ class ListedFrame:
     shift_deg : with its sign, in [0, 360)
     bit : 0 is the coarsest
     shifted : of the second word
-    exposure_ms : 0 where there is one exposure
+    exposure_ms : 0 if there is a single exposure
     """
 
     file: str
@@ -44,8 +44,8 @@ class ListedFrame:
     exposure_ms: float = 0.0
 
     @property
-    def told(self) -> str:
-        """Its pattern in words, for messages."""
+    def text(self) -> str:
+        """Description of its pattern, for messages."""
         along = f" along {self.axis}" if self.axis else ""
         if self.kind == "phase":
             return f"phase{along}, period {self.period_px:g} px, shift {self.shift_deg:g} degrees"
@@ -70,17 +70,17 @@ class Arrangement:
 
     Raises
     ------
-    InputError : two images show the same, one is missing, or the whole cannot be decoded
+    InputError : two images show the same pattern, an image is missing, or the set cannot be decoded
     """
 
     def __init__(
         self, frames: Sequence[ListedFrame], size: ProjectorSize, word: WordName, code: str = ""
     ) -> None:
-        _refuse_twice(frames)
+        _require_distinct(frames)
         self._stated = code_of(code) if code else None
         self._frames = frames
         self._size = size
-        self._axes = tuple(axis for axis in AXES if any(one.axis == axis for one in frames))
+        self._axes = tuple(axis for axis in AXES if any(frame.axis == axis for frame in frames))
         self._word = word
         if not self._axes:
             raise CaptureError("no frame along column or row is listed; list phase or Gray frames")
@@ -89,8 +89,8 @@ class Arrangement:
     def _of(
         self, kind: Kind, axis: Axis | None = None, *, shifted: bool = False
     ) -> list[ListedFrame]:
-        found = (f for f in self._frames if (f.kind, f.axis, f.shifted) == (kind, axis, shifted))
-        return sorted(found, key=lambda one: one.bit)
+        matching = (f for f in self._frames if (f.kind, f.axis, f.shifted) == (kind, axis, shifted))
+        return sorted(matching, key=lambda frame: frame.bit)
 
     def _sorted(self) -> tuple[PatternSet, list[str]]:
         phases = {axis: self._phase_sets(axis) for axis in self._axes}
@@ -98,10 +98,10 @@ class Arrangement:
         if len(set(counts.values())) > 1:
             raise CaptureError(
                 f"there are {counts['column']} fringe periods along column and {counts['row']} "
-                "along row; list the same number, or one axis alone"
+                "along row; list the same number, or one axis only"
             )
         steps = {_sizes(sets) for sets in phases.values() if sets}
-        sizes = sorted({size for one in steps for size in one})
+        sizes = sorted({size for counts_of_axis in steps for size in counts_of_axis})
         if len(steps) > 1 or (len(sizes) > 1 and not _has_single_images(next(iter(steps)))):
             raise CaptureError(
                 f"there are phase sets of {sizes} steps; list sets of the same number, or for "
@@ -109,28 +109,28 @@ class Arrangement:
             )
         words = {axis: self._coded(axis, phases[axis]) for axis in self._axes}
         patterns = self._patterns(phases, words)
-        ordered = [one for sets in phases.values() for frames in sets for one in frames]
+        ordered = [frame for sets in phases.values() for frames in sets for frame in frames]
         for gray, inverse in (word[1:] for word in words.values()):
             ordered += [*gray, *inverse]
         uniform = [self._of("white"), self._of("black")]
-        ordered += [one for found in uniform for one in found] if patterns.uniform else []
+        ordered += [frame for images in uniform for frame in images] if patterns.uniform else []
         if len(ordered) != len(patterns.frames):
             raise CaptureError(
                 f"{len(ordered)} frames are listed, {patterns.code} of this size has "
                 f"{len(patterns.frames)}; list exactly the bits of both words"
             )
-        return patterns, [one.file for one in ordered]
+        return patterns, [frame.file for frame in ordered]
 
     def _phase_sets(self, axis: Axis) -> list[list[ListedFrame]]:
         frames = self._of("phase", axis)
-        periods = sorted({one.period_px or 0.0 for one in frames})
-        sets = [[one for one in frames if one.period_px == period] for period in periods]
+        periods = sorted({frame.period_px or 0.0 for frame in frames})
+        sets = [[frame for frame in frames if frame.period_px == period] for period in periods]
         if _has_single_images(tuple(sorted(map(len, sets), reverse=True))):
             return [
-                _equal_steps(one) if len(one) > 1 else one
-                for one in sorted(sets, key=lambda one: len(one) == 1)
+                _equal_steps(step_set) if len(step_set) > 1 else step_set
+                for step_set in sorted(sets, key=lambda step_set: len(step_set) == 1)
             ]
-        return [_equal_steps(one) for one in sets]
+        return [_equal_steps(step_set) for step_set in sets]
 
     def _coded(
         self, axis: Axis, phases: list[list[ListedFrame]]
@@ -151,11 +151,11 @@ class Arrangement:
         bits = _WordBits(first, fringe_px, self._length(axis), bool(second), self._word)
         widths = ((bits.width_periods, is_displaced), *[(1.0, True)][: len(second)])
         code = self._code(axis, phases, widths)
-        kept = bits.kept(code)
-        gray = [*first[kept], *second]
-        inverse = self._of("inverse", axis, shifted=is_displaced)[kept]
+        needed = bits.needed_bits(code)
+        gray = [*first[needed], *second]
+        inverse = self._of("inverse", axis, shifted=is_displaced)[needed]
         inverse += [] if is_displaced else self._of("inverse", axis, shifted=True)
-        if inverse and [one.bit for one in inverse] != [one.bit for one in gray]:
+        if inverse and [frame.bit for frame in inverse] != [frame.bit for frame in gray]:
             raise CaptureError(
                 f"along {axis} there are {len(gray)} Gray frames and {len(inverse)} inverse ones "
                 "of other bits; every Gray frame needs its inverse, or none"
@@ -165,7 +165,7 @@ class Arrangement:
     def _code(
         self, axis: Axis, phases: list[list[ListedFrame]], words: tuple[tuple[float, bool], ...]
     ) -> PatternCode:
-        """Return the stated code, or the one that lists such frames."""
+        """Return the stated code, or the only code with such frames."""
         periods_px = tuple(frames[0].period_px or 0.0 for frames in phases)
         layout = AxisFrames(self._length(axis), periods_px, _sizes(phases), words)
         codes = [self._stated] if self._stated else [c for c in CODES if c.is_shown_by(layout)]
@@ -180,8 +180,8 @@ class Arrangement:
                 "fringes; list the phase frames that they number, or the first word as well"
             )
         raise CaptureError(
-            f"along {axis} there is one period of {periods_px[-1]:g} px and nothing that numbers "
-            "its fringes; list Gray frames or further periods"
+            f"along {axis} there is one period of {periods_px[-1]:g} px, "
+            "without a word or period that numbers its fringes; list Gray frames or further periods"
         )
 
     def _patterns(self, phases: dict[Axis, Any], words: dict[Axis, Any]) -> PatternSet:
@@ -190,7 +190,7 @@ class Arrangement:
         if len(codes) > 1 or len(has_inverse) > 1:
             raise CaptureError(
                 f"along column and row there are different codes ({', '.join(sorted(codes))}) or "
-                "inverse frames along one of them alone; list one axis alone"
+                "inverse frames along one axis only; list one axis only"
             )
         uniform = {kind: bool(self._of(kind)) for kind in ("white", "black")}
         periods = {axis: self._periods_px(axis, phases, words) for axis in self._axes}
@@ -224,28 +224,35 @@ class Arrangement:
 
 
 def _sizes(sets: list[list[ListedFrame]]) -> tuple[int, ...]:
-    return tuple(len(one) for one in sets)
+    return tuple(len(step_set) for step_set in sets)
 
 
 def _has_single_images(sizes: tuple[int, ...]) -> bool:
-    """Whether one period has several steps, the first, and the others have a single image each."""
+    """Whether the first period has several steps and each further one a single image."""
     return len(sizes) > 1 and sizes[0] >= STEPS_RANGE[0] and set(sizes[1:]) == {1}
 
 
-def _refuse_twice(frames: Sequence[ListedFrame]) -> None:
-    seen: dict[Any, ListedFrame] = {}
+def _require_distinct(frames: Sequence[ListedFrame]) -> None:
+    listed: dict[Any, ListedFrame] = {}
     names: dict[str, ListedFrame] = {}
-    for one in frames:
-        key = (one.kind, one.axis, one.period_px, round(one.shift_deg, 3), one.bit, one.shifted)
-        if key in seen:
+    for frame in frames:
+        key = (
+            frame.kind,
+            frame.axis,
+            frame.period_px,
+            round(frame.shift_deg, 3),
+            frame.bit,
+            frame.shifted,
+        )
+        if key in listed:
             raise CaptureError(
-                f"{seen[key].file} and {one.file} are both listed as {one.told}; correct one"
+                f"{listed[key].file} and {frame.file} are both listed as {frame.text}; correct one"
             )
-        if one.file in names:
+        if frame.file in names:
             raise CaptureError(
-                f"{one.file} is listed twice: as {names[one.file].told}, and as {one.told}"
+                f"{frame.file} is listed twice: as {names[frame.file].text}, and as {frame.text}"
             )
-        seen[key], names[one.file] = one, one
+        listed[key], names[frame.file] = frame, frame
 
 
 def _equal_steps(frames: list[ListedFrame]) -> list[ListedFrame]:
@@ -253,18 +260,18 @@ def _equal_steps(frames: list[ListedFrame]) -> list[ListedFrame]:
     count = len(frames)
     step_deg = 360.0 / count
     slack_deg = EQUAL_STEPS * step_deg
-    # A shift just below a full turn is one of 0 that was rounded.
-    found = sorted(frames, key=lambda one: (one.shift_deg + slack_deg) % 360.0)
-    shifts = [(one.shift_deg + slack_deg) % 360.0 for one in found]
+    # A shift just below a full turn is a rounded shift of 0.
+    ordered = sorted(frames, key=lambda frame: (frame.shift_deg + slack_deg) % 360.0)
+    shifts = [(frame.shift_deg + slack_deg) % 360.0 for frame in ordered]
     uneven = [b - a for a, b in pairwise(shifts) if abs(b - a - step_deg) > slack_deg]
     if count < 3 or uneven:
-        told = ", ".join(f"{one.shift_deg:g}" for one in found)
+        texts = ", ".join(f"{frame.shift_deg:g}" for frame in ordered)
         raise CaptureError(
-            f"the {count} phase frames along {found[0].axis} of period {found[0].period_px:g} px "
-            f"have the shifts {told} degrees: no {max(count, 3)} equal steps of a turn; record the "
-            "missing ones, or correct shift_deg, steps and sign"
+            f"the {count} phase frames along {ordered[0].axis} of period "
+            f"{ordered[0].period_px:g} px have the shifts {texts} degrees: no {max(count, 3)} "
+            "equal steps of a turn; record the missing ones, or correct shift_deg, steps and sign"
         )
-    return found
+    return ordered
 
 
 class _WordBits:
@@ -272,8 +279,8 @@ class _WordBits:
 
     Attributes
     ----------
-    width_periods : width of the words in fringe periods, once the finest bits are left out that the
-        fringes do not need: 1 or 1/2
+    width_periods : width of the words in fringe periods, without the finest bits that the fringes
+        do not need: 1 or 1/2
     """
 
     def __init__(
@@ -295,8 +302,8 @@ class _WordBits:
         self._left_out = _left_out(frames, self._fringe_px, width_px, shifted, word)
         self.width_periods = width_px * 2**self._left_out / self._fringe_px
 
-    def kept(self, code: PatternCode) -> slice:
-        """Return which bits a code needs; coarser ones are 0 everywhere."""
+    def needed_bits(self, code: PatternCode) -> slice:
+        """Return the bits that a code needs; coarser ones are 0 everywhere."""
         words = code.words(AxisFringes(self._length_px, (self._fringe_px,)))
         if not words:
             axis = self._frames[0].axis
@@ -314,7 +321,7 @@ class _WordBits:
 
 
 def _require_all_bits(frames: list[ListedFrame]) -> None:
-    bits = [one.bit for one in frames]
+    bits = [frame.bit for frame in frames]
     if bits != list(range(bits[0], bits[0] + len(bits))):
         missing = sorted(set(range(bits[0], bits[-1])) - set(bits))
         raise CaptureError(
@@ -325,7 +332,7 @@ def _require_all_bits(frames: list[ListedFrame]) -> None:
 def _left_out(
     frames: list[ListedFrame], fringe_px: float, stated_px: float, shifted: bool, word: str
 ) -> int:
-    """Return how many of the finest bits the fringes do not need."""
+    """Return the number of finest bits that the fringes do not need."""
     finer = math.log2(fringe_px / stated_px)
     count = max(round(finer) - (0 if shifted or word != "reflected" else 1), 0)
     if abs(finer - round(finer)) > 1e-9 or finer < -1e-9 or (count and word != "reflected"):

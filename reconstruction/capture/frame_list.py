@@ -13,8 +13,8 @@ decoding, independently of their names, and define the `PatternSet`. A set with 
 `twin patterns` is the short form of such a list.
 
 A phase frame shows A + B cos(2 pi x / period + sign * shift); a set of N must be N equal steps of
-360 degrees / N from anywhere. The finest bits of a reflected word may be left out: the other
-bits number stripes of twice the width, so that bits finer than the fringes need are not used.
+360 degrees / N with any first shift. The finest bits of a reflected word may be omitted: the
+remaining bits number stripes of twice the width, so bits finer than needed are not used.
 """
 
 import re
@@ -54,20 +54,20 @@ class FrameEntry:
 
     Parameters
     ----------
-    files : names, in the order shown: one; with * or ?, then in natural order; with a range of
+    files : names, in the order shown: one name; with * or ?, then in natural order; with a range of
         numbers as in {00..21} or {0..20..2}, also downwards; or a list of these
     kind : gray_and_inverse: each Gray frame is followed by its inverse
     axis : along which the pattern varies: "column" has vertical stripes
-    period_px : of fringes; of bits the width of one word, needed where the bits are more than the
+    period_px : of fringes; of bits the width of one word, needed if there are more bits than the
         fringes need
     steps : phase steps N, if not all images of the group
-    shift_deg : of every phase frame; a single number: of the first one, the others follow by
+    shift_deg : of every phase frame; a single number: of the first one, further ones follow by
         360 / N
     sign : -1: the shift is subtracted from 2 pi x / period, not added
-    bit : of every Gray frame, 0 the coarsest; left out: as in `bits`
-    bits : in which order the frames of a word follow one another
-    shifted : this is the second word, half a period aside
-    exposure_ms : where the sequence was taken several times
+    bit : of every Gray frame, 0 the coarsest; default: as in `bits`
+    bits : order of the frames of a word
+    shifted : this is the second word, displaced by half a period
+    exposure_ms : exposure time, if the sequence was recorded several times
     """
 
     files: str | list[str]
@@ -89,8 +89,8 @@ class FrameEntry:
             raise InputError(f"frames files is {self.files!r}; give a name or a list of names")
         is_uniform = self.kind in ("white", "black")
         if (self.axis is None) != is_uniform or self.axis not in (None, *AXES):
-            told = "leave it out" if is_uniform else "allowed are column and row"
-            raise InputError(f"frames axis of kind {self.kind!r} is {self.axis!r}; {told}")
+            remedy = "leave it out" if is_uniform else "allowed are column and row"
+            raise InputError(f"frames axis of kind {self.kind!r} is {self.axis!r}; {remedy}")
         if self.kind == "phase" and self.period_px is None:
             raise InputError(
                 f"frames period_px of {self.files!r} is missing; give that of the fringes"
@@ -117,9 +117,9 @@ class ListedSet(ImageSet):
 
     Parameters
     ----------
-    word : how words are shown as bits, see `PatternSet`
-    code : name of the pattern code; "": the one that the frames show, which is stated where several
-        codes project such frames
+    word : encoding of words as bits, see `PatternSet`
+    code : name of the pattern code; "": the only code that projects such frames. It must be stated
+        if several codes project them
     """
 
     projector: ProjectorSize
@@ -150,17 +150,22 @@ class ListedSet(ImageSet):
 
     def _arranged(self, folder: Path, frames: Sequence[ListedFrame]) -> RecordedFrames:
         exposures = sorted({frame.exposure_ms for frame in frames})
-        sets = [[one for one in frames if one.exposure_ms == exposure] for exposure in exposures]
-        found = [Arrangement(one, self.projector, self.word, self.code) for one in sets]
-        for one, exposure in zip(found, exposures, strict=True):
-            if one.patterns != found[0].patterns:
+        sets = [
+            [frame for frame in frames if frame.exposure_ms == exposure] for exposure in exposures
+        ]
+        arrangements = [
+            Arrangement(frames_of_set, self.projector, self.word, self.code)
+            for frames_of_set in sets
+        ]
+        for arrangement, exposure in zip(arrangements, exposures, strict=True):
+            if arrangement.patterns != arrangements[0].patterns:
                 raise CaptureError(
                     f"the frames of exposure_ms {exposure:g} show another sequence than those of "
                     f"{exposures[0]:g}; list all frames for every exposure"
                 )
-        files = [[folder / name for name in one.files] for one in found]
+        files = [[folder / name for name in arrangement.files] for arrangement in arrangements]
         times_ms = tuple(exposures) if len(exposures) > 1 else ()
-        return self.recorded_as(folder, found[0].patterns, files, times_ms)
+        return self.recorded_as(folder, arrangements[0].patterns, files, times_ms)
 
 
 def read_listed(path: Path) -> ListedSet:
@@ -224,8 +229,8 @@ def _expand(folder: Path, entry: FrameEntry, dark_file: str) -> list[ListedFrame
 
 def _names(folder: Path, entry: FrameEntry, dark_file: str) -> list[str]:
     """Return the names of the images of a group, relative to the folder."""
-    given = [entry.files] if isinstance(entry.files, str) else entry.files
-    names = [name for text in given for name in _matching(folder, text, dark_file)]
+    texts = [entry.files] if isinstance(entry.files, str) else entry.files
+    names = [name for text in texts for name in _matching(folder, text, dark_file)]
     missing = [name for name in names if not reading.is_regular(folder / name)]
     if missing:
         raise CaptureError(
@@ -241,9 +246,9 @@ def _names(folder: Path, entry: FrameEntry, dark_file: str) -> list[str]:
 
 def _matching(folder: Path, text: str, dark_file: str) -> list[str]:
     require_below("frames files", text)
-    found = _RANGE.search(text)
-    if found:
-        names = [text[: found.start()] + number + text[found.end() :] for number in _numbers(found)]
+    match = _RANGE.search(text)
+    if match:
+        names = [text[: match.start()] + number + text[match.end() :] for number in _numbers(match)]
         if any(_RANGE.search(name) or set("*?") & set(name) for name in names):
             raise InputError(f"frames files is {text[:200]!r}; give one range, without * and ?")
         return names
@@ -254,12 +259,12 @@ def _matching(folder: Path, text: str, dark_file: str) -> list[str]:
     return [name for name in names if name != dark_file]
 
 
-def _numbers(found: re.Match[str]) -> Iterable[str]:
-    first, last, step = found.group(1), found.group(2), int(found.group(3) or 1)
+def _numbers(match: re.Match[str]) -> Iterable[str]:
+    first, last, step = match.group(1), match.group(2), int(match.group(3) or 1)
     width = len(first) if first.startswith("0") else 0
     low, high = int(first), int(last)
     if step < 1 or abs(high - low) // step >= MOST_FRAMES:
-        raise InputError(f"frames files has the range {found.group()}; give up to {MOST_FRAMES}")
+        raise InputError(f"frames files has the range {match.group()}; give up to {MOST_FRAMES}")
     steps = range(low, high + 1, step) if high >= low else range(low, high - 1, -step)
     return (f"{number:0{width}d}" for number in steps)
 
@@ -270,9 +275,9 @@ def _shifts_deg(entry: FrameEntry, count: int) -> list[float]:
     if not isinstance(entry.shift_deg, list):
         shifts = [entry.shift_deg + 360.0 * n / steps for n in range(count)]
     if len(shifts) != count or steps != count:
-        told = f"{len(shifts)} shifts" if len(shifts) != count else f"{steps} steps"
+        stated = f"{len(shifts)} shifts" if len(shifts) != count else f"{steps} steps"
         raise CaptureError(
-            f"{entry.files!r} finds {count} phase images, stated are {told}; record the missing "
+            f"{entry.files!r} finds {count} phase images, stated are {stated}; record the missing "
             "ones, or correct files"
         )
     return [round(entry.sign * shift, 6) % 360.0 for shift in shifts]
@@ -291,7 +296,7 @@ def _bits(entry: FrameEntry, count: int) -> list[int]:
 
 def _all_of(kind: type, value: object) -> bool:
     return isinstance(value, kind) or (
-        isinstance(value, list) and all(isinstance(one, kind) for one in value)
+        isinstance(value, list) and all(isinstance(item, kind) for item in value)
     )
 
 

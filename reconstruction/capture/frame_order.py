@@ -1,15 +1,15 @@
 """Check by the data whether the frames have the order of the pattern set.
 
 Five checks of a sample of the lit pixels; each names the mistake that explains the data:
-- the whole sequence: does another order (exchanged axes, shifted by one, reversed ...) turn far
-  more of the lit pixels into points?
+- the whole sequence: does another order (exchanged axes, shifted by one, reversed ...) give points
+  for far more of the lit pixels?
 - each N-step set: do its frames follow A + B cos(phi + 2 pi n / N), equally bright, and does an
   exchange of two of them fit better? (`check_phase_sets`)
 - phase against the half-periods of an edge-safe Gray code: does the set start at step 0?
   (`check_first_step`)
 - Gray words of neighbouring pixels: do they differ by one? (`check_words`)
-- phase against plain Gray words where a word ends: is it 0 there, and does it grow with the word?
-  (`check_borders`)
+- phase against plain Gray words where a word ends: is it 0 there, and does it increase with the
+  word? (`check_borders`)
 
 Not detected: phase frames that start late, or run backwards along both axes, with
 multi-frequency codes; a foreign phase frame with fewer than five steps.
@@ -38,8 +38,8 @@ from reconstruction.triangulation import triangulate
 
 SAMPLE_PX = 72
 """The shorter side of the sample of the image."""
-# Below this share of lit pixels that become points other orders are tried; one of them is blamed
-# only if it wins this much more, so that a difficult but well-ordered capture passes.
+# Below this share of lit pixels with points further orders are tried. Such an order is reported
+# only if its share is larger by this much: a difficult but well-ordered capture passes.
 ENOUGH, MUCH_MORE = 0.8, 0.25
 # A pixel is lit when its frames differ by this many sigmas of its noise.
 LIT_SIGMAS = 8.0
@@ -72,7 +72,7 @@ def check_order(
     stack : (frame, row, col), DN of one exposure
     patterns : the projected sequence, in this order
     sensor : camera noise, by which lit pixels are selected
-    calibration : detects exchanged axes even if both axes are similar; None: there is none yet
+    calibration : detects exchanged axes even if both axes are similar; None: not calibrated yet
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _sample(
 
 
 def _thinned(calibration: Calibration, stride: int, shape: tuple[int, ...]) -> Calibration:
-    """Return the calibration of a camera of which only each stride-th pixel is read."""
+    """Return the calibration of a camera that reads only each stride-th pixel."""
     camera = calibration.camera
     numbers = ("fx_px", "fy_px", "cx_px", "cy_px")
     scaled = {name: getattr(camera, name) / stride for name in numbers}
@@ -121,8 +121,8 @@ def _check_sequence(sample: Sample) -> None:
         return
     needed = stated + MUCH_MORE
     for orders in (_mistakes(sample.patterns), _exchanged_gray(sample.patterns)):
-        found = [(_share_of_points(sample, take), text) for text, take in orders]
-        best, text = max(found, default=(0.0, ""), key=lambda item: item[0])
+        shares = [(_share_of_points(sample, take), text) for text, take in orders]
+        best, text = max(shares, default=(0.0, ""), key=lambda item: item[0])
         if best >= needed:
             raise CaptureError(
                 f"the frames do not fit the pattern set: {text}; that order turns {best:.0%} of "

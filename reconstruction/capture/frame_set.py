@@ -73,7 +73,7 @@ class FrameSet(ImageSet):
 
     @property
     def sets(self) -> int:
-        """How many times the sequence was taken."""
+        """Number of recordings of the sequence."""
         return max(1, len(self.exposures_ms))
 
     def recorded(self, folder: Path) -> RecordedFrames:
@@ -143,9 +143,9 @@ def _sorted_files(
 
 
 def _gap(files: list[Path]) -> str:
-    """Name the first jump in the running numbers, if the names end in one."""
-    found = [re.search(r"(\d+)\D*$", path.name) for path in files]
-    numbers = [int(match.group(1)) for match in found if match]
+    """Return a text with the first jump in the running numbers, if the names end in numbers."""
+    matches = [re.search(r"(\d+)\D*$", path.name) for path in files]
+    numbers = [int(match.group(1)) for match in matches if match]
     for before, after in pairwise(numbers):
         if after - before > 1:
             return f" (their numbers jump from {before} to {after})"
@@ -172,13 +172,13 @@ def _check_fields(files: str, sets: int) -> None:
         raise InputError(f"files is {files!r}: the same name for all frames; use {{index}}")
     if (sets > 1) != ("set" in named):
         raise InputError(
-            f"files is {files!r} with {sets} sets of frames; {{set}} stands for the number (from 0)"
+            f"files is {files!r} with {sets} sets of frames; {{set}} is the number (from 0)"
             " of each of exposures_ms, use both or neither"
         )
 
 
 def _is_narrow(name: str | None, form: str | None, conversion: str | None) -> bool:
-    """Whether a field has a narrow format: a width of ten digits would take as many GB."""
+    """Whether a field has a narrow format: a width of ten digits would need as many GB."""
     width = r"" if name == "name" else r"0?\d{0,2}d?"
     return conversion is None and re.fullmatch(width, form or "") is not None
 

@@ -8,89 +8,89 @@ from typing import Any
 
 from reconstruction.capture.frame_list import FrameEntry
 from reconstruction.capture.guess import Guess
-from reconstruction.capture.image_looks import FrameGroup, LookedAt
+from reconstruction.capture.image_features import FolderFeatures, FrameGroup
 from reconstruction.capture.phase_anchor import word_px, words_per_fringe
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis
 
 ASSUMED_FULL_WELL_E = 10_000.0
-# With fewer fringes of the coarsest period in view, that period is taken to cover the projector.
+# With fewer fringes of the coarsest period in view, that period is assumed to cover the projector.
 MOST_CYCLES = 1.6
 
 
-def written(found: Guess, size: tuple[int, int], *, is_known: bool = True) -> str:
+def written(guess: Guess, size: tuple[int, int], *, is_known: bool = True) -> str:
     """Return the content of capture.toml with a comment on each guessed value.
 
     Parameters
     ----------
-    size : of the projector, px, as it was guessed with
+    size : of the projector, px, as used for the guess
     is_known : whether the user stated it
     """
     width_px, height_px = size
     lines = [
-        "# Guessed from the images; correct what is wrong, then: twin decode FOLDER -o DIR",
-        *(f"# unsure: {text}" for text in found.unsure),
+        "# Guessed from the images; correct the errors, then: twin decode FOLDER -o DIR",
+        *(f"# unsure: {text}" for text in guess.unsure),
         'format = "fringe-frames"',
         "version = 1",
-        *_depth_lines(found.looked),
-        f"word = {json.dumps(found.word)}" if found.word != "reflected" else "",
+        *_depth_lines(guess.folder_features),
+        f"word = {json.dumps(guess.word)}" if guess.word != "reflected" else "",
         "",
-        "[projector]" + "  # unsure: not to be seen in images" * (not is_known),
+        "[projector]" + "  # unsure: not visible in images" * (not is_known),
         f"width_px = {width_px}",
         f"height_px = {height_px}",
     ]
-    for group in found.groups:
-        lines += ["", *_group_lines(group, found, size)]
-    return "\n".join(line for line in [*lines, "", *_sensor_lines(found.looked)]) + "\n"
+    for group in guess.groups:
+        lines += ["", *_group_lines(group, guess, size)]
+    return "\n".join(line for line in [*lines, "", *_sensor_lines(guess.folder_features)]) + "\n"
 
 
-def _depth_lines(looked: LookedAt) -> list[str]:
-    lines = [f"bit_depth = {_depth(looked)}"]
-    if looked.channel:
-        lines.append(f'channel = "{looked.channel}"  # of colour images; or "red", "blue"')
+def _depth_lines(folder_features: FolderFeatures) -> list[str]:
+    lines = [f"bit_depth = {_depth(folder_features)}"]
+    if folder_features.channel:
+        lines.append(f'channel = "{folder_features.channel}"  # of colour images; or "red", "blue"')
     return lines
 
 
-def _depth(looked: LookedAt) -> int:
-    if looked.dtype == "uint8":
+def _depth(folder_features: FolderFeatures) -> int:
+    if folder_features.dtype == "uint8":
         return 8
-    return min(max(math.ceil(math.log2(looked.largest + 1.0)), 8), 16)
+    return min(max(math.ceil(math.log2(folder_features.largest + 1.0)), 8), 16)
 
 
-def _group_lines(group: FrameGroup, found: Guess, size: tuple[int, int]) -> list[str]:
-    entry = _entry(group, found, size)
+def _group_lines(group: FrameGroup, guess: Guess, size: tuple[int, int]) -> list[str]:
+    entry = _entry(group, guess, size)
     FrameEntry(**entry)  # raises InputError for an entry that `twin decode` would reject
-    remarks = _remarks(group, found)
+    remarks = _remarks(group, guess)
     lines = (f"{key} = {_toml(value)}{remarks.get(key, '')}" for key, value in entry.items())
     return ["[[frames]]", *lines]
 
 
-def _entry(group: FrameGroup, found: Guess, size: tuple[int, int]) -> dict[str, Any]:
+def _entry(group: FrameGroup, guess: Guess, size: tuple[int, int]) -> dict[str, Any]:
     """Return the keys of `FrameEntry` that describe a group."""
     entry: dict[str, Any] = {"files": list(group.files), "kind": group.kind}
     if group.axis is not None:
         entry["axis"] = group.axis
-        if group.kind == "phase" or not _phases(found, group.axis):
-            entry["period_px"] = _period_px(group, found, size)
+        if group.kind == "phase" or not _phases(guess, group.axis):
+            entry["period_px"] = _period_px(group, guess, size)
     if group.kind == "phase":
         entry["shift_deg"] = [round(shift, 4) for shift in group.shifts_deg]
         entry["sign"] = group.sign or 1
     return entry
 
 
-def _remarks(group: FrameGroup, found: Guess) -> dict[str, str]:
+def _remarks(group: FrameGroup, guess: Guess) -> dict[str, str]:
     """Return the comments on values that are not certain, by their keys."""
     bits = ("gray", "inverse")
-    same = [g for g in found.groups if g.axis == group.axis and {g.kind, group.kind} <= {*bits}]
-    files = [name for one in (group, *same) for name in one.files]
+    same = [g for g in guess.groups if g.axis == group.axis and {g.kind, group.kind} <= {*bits}]
+    files = [name for group in (group, *same) for name in group.files]
     remarks = {"period_px": "  # unsure: follows from the size of the projector"}
-    if any(name in text for text in found.unsure for name in files):
+    if any(name in text for text in guess.unsure for name in files):
         remarks["files"] = "  # unsure: see above"
     if group.sign:
-        remarks["shift_deg"] = "  # unsure: as the first word begins at projector pixel 0"
+        remarks["shift_deg"] = "  # unsure: as the first word starts at projector pixel 0"
     else:
         remarks["shift_deg"] = "  # unsure: of the first image 0 is assumed"
-        remarks["sign"] = "  # unsure: -1 if the camera sees the projector mirrored"
+        remarks["sign"] = "  # unsure: -1 if the camera view of the projector is mirrored"
     return remarks
 
 
@@ -98,23 +98,23 @@ def _toml(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else json.dumps(value)
 
 
-def _phases(found: Guess, axis: Axis | None) -> list[FrameGroup]:
-    return [one for one in found.groups if one.kind == "phase" and one.axis == axis]
+def _phases(guess: Guess, axis: Axis | None) -> list[FrameGroup]:
+    return [group for group in guess.groups if group.kind == "phase" and group.axis == axis]
 
 
-def _period_px(group: FrameGroup, found: Guess, size: tuple[int, int]) -> float:
+def _period_px(group: FrameGroup, guess: Guess, size: tuple[int, int]) -> float:
     """Return a period, px, with which all of them cover the projector."""
     length_px = size[AXES.index(group.axis or "column")]
-    bits = next((g for g in found.groups if g.kind == "gray" and g.axis == group.axis), None)
+    bits = next((g for g in guess.groups if g.kind == "gray" and g.axis == group.axis), None)
     if bits is not None:
-        width_px = _word_px(bits, found, size)
+        width_px = _word_px(bits, guess, size)
         if group.kind != "phase":
             return width_px
-        return words_per_fringe(group, bits, found.word) * width_px
-    return length_px * _covering(found, group.axis) / group.frequency
+        return words_per_fringe(group, bits, guess.word) * width_px
+    return length_px * _covering(guess, group.axis) / group.frequency
 
 
-def _word_px(bits: FrameGroup, found: Guess, size: tuple[int, int]) -> float:
+def _word_px(bits: FrameGroup, guess: Guess, size: tuple[int, int]) -> float:
     """Return the width of a word, px.
 
     A power of two, unless that excludes words in view, or all words are needed to number fringes of
@@ -122,39 +122,39 @@ def _word_px(bits: FrameGroup, found: Guess, size: tuple[int, int]) -> float:
     """
     length_px = size[AXES.index(bits.axis or "column")]
     power_px = word_px(len(bits.files), length_px)
-    last = next((one.last for one in found.words if one.axis == bits.axis), 0)
+    last = next((numbered.last for numbered in guess.words if numbered.axis == bits.axis), 0)
     if last * power_px >= length_px:
         return length_px / 2.0 ** len(bits.files)
     if (last + 2) * power_px >= length_px:
         return power_px
-    exact_px = _whole_fringes(found, size)
+    exact_px = _whole_fringes(guess, size)
     return exact_px.get(bits.axis, power_px)
 
 
-def _whole_fringes(found: Guess, size: tuple[int, int]) -> dict[Axis | None, float]:
+def _whole_fringes(guess: Guess, size: tuple[int, int]) -> dict[Axis | None, float]:
     """Return the width of a word along each axis, px, if the bits number exactly all words.
 
-    Empty where the fringes would not be whole pixels along all axes.
+    Empty if the fringes would not be whole pixels along all axes.
     """
     widths: dict[Axis | None, float] = {}
-    for bits in (one for one in found.groups if one.kind == "gray"):
+    for bits in (bits_group for bits_group in guess.groups if bits_group.kind == "gray"):
         width_px = size[AXES.index(bits.axis or "column")] / 2.0 ** len(bits.files)
         widths[bits.axis] = width_px
         fringes = [
-            words_per_fringe(g, bits, found.word) * width_px for g in _phases(found, bits.axis)
+            words_per_fringe(g, bits, guess.word) * width_px for g in _phases(guess, bits.axis)
         ]
         if not fringes or any(period_px != round(period_px) for period_px in fringes):
             return {}
     return widths
 
 
-def _covering(found: Guess, axis: Axis | None) -> float:
+def _covering(guess: Guess, axis: Axis | None) -> float:
     """Return the frequency of one cycle per projector: of the coarsest period, or of the beat.
 
     Periods of which the view shows several fringes each number one another by their beats.
     """
-    rates = sorted(one.frequency for one in _phases(found, axis))
-    cycles = rates[0] * found.looked.looks[0].along[axis or "column"].shape[1]
+    rates = sorted(phase.frequency for phase in _phases(guess, axis))
+    cycles = rates[0] * guess.folder_features.features[0].along[axis or "column"].shape[1]
     if cycles < MOST_CYCLES or not 2 <= len(rates) <= 3:
         return rates[0]
     beats = [b - a for a, b in pairwise(rates)]
@@ -162,20 +162,20 @@ def _covering(found: Guess, axis: Axis | None) -> float:
     return beat if beat > 0.0 else rates[0]
 
 
-def _sensor_lines(looked: LookedAt) -> list[str]:
-    saturation = 2.0 ** _depth(looked) - 1.0
+def _sensor_lines(folder_features: FolderFeatures) -> list[str]:
+    saturation = 2.0 ** _depth(folder_features) - 1.0
     gain = saturation / ASSUMED_FULL_WELL_E
     return [
         "# unsure: assumed, not measured; sigma is as good as these, see docs/real_rig.md",
         "[sensor]",
         f"gain_dn_per_e = {gain:.6g}",
         f"read_noise_e = {saturation / 255.0 / gain:.6g}",
-        f"black_level_dn = {max(min(looked.darkest_dn, 0.2 * saturation), 0.0):.6g}",
+        f"black_level_dn = {max(min(folder_features.darkest_dn, 0.2 * saturation), 0.0):.6g}",
         f"saturation_dn = {saturation:.6g}",
     ]
 
 
-def require_groups(found: Guess, folder: Path) -> None:
+def require_groups(guess: Guess, folder: Path) -> None:
     """Raise CaptureError if no image has stripes."""
-    if not any(group.axis for group in found.groups):
+    if not any(group.axis for group in guess.groups):
         raise CaptureError(f"{folder}: no image shows stripes; give a folder of projected patterns")

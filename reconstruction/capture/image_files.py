@@ -1,9 +1,9 @@
 """Frames of a real camera from PNG, TIFF, BMP, PGM, EXR or NPY files into one checked stack.
 
 PNG, TIFF and BMP by imageio, EXR by OpenEXR; EXR holds DN as floating-point numbers. Colour
-images give one of their channels, where capture.toml names it. A dark frame D
-is taken off as I - D + black level: a constant per pixel, which drops out of the phase but not of
-white against black or of merged exposures.
+images give one of their channels, which capture.toml names. A dark frame D is subtracted as
+I - D + black level. This constant per pixel does not change the phase, but the comparison of white
+with black and merged exposures.
 
 The same sequence taken at several exposures is merged into one stack before decoding. Per pixel the
 brightest exposure with no saturated frame is used (Zhang and Yau, Opt. Eng. 48, 033604
@@ -31,7 +31,7 @@ from reconstruction.rig.sensor import SensorNoise
 
 Image = NDArray[Any]
 TYPES = ("uint8", "uint16", "float32")
-# Ratio of two exposures' light against that of their times: beyond it the sets are mixed up.
+# Ratio of two exposures' light to that of their times: beyond it the sets are exchanged.
 EXPOSURE_FACTOR = 1.5
 
 
@@ -43,7 +43,7 @@ def read_exposures(recorded: RecordedFrames) -> list[Stack]:
     CaptureError : missing or damaged images, unequal sizes or types, values beyond the bit depth
     """
     channel = recorded.channel
-    sets = [read_stack_of_images(one, recorded.bit_depth, channel) for one in recorded.files]
+    sets = [read_stack_of_images(files, recorded.bit_depth, channel) for files in recorded.files]
     if recorded.dark_file is None:
         return sets
     dark = _read_dark(recorded.dark_file, sets[0].shape[1:], channel)
@@ -51,7 +51,7 @@ def read_exposures(recorded: RecordedFrames) -> list[Stack]:
 
 
 def with_file_names(message: str, recorded: RecordedFrames) -> str:
-    """Add to each frame that a message names the name of its image, where the two differ."""
+    """Add to each frame in a message the name of its image, if the two differ."""
     for frame, path in zip(recorded.patterns.frames, (recorded.files or ((),))[0], strict=False):
         if frame.name not in path.name:
             message = message.replace(f"({frame.name})", f"({frame.name}: {path.name})")
@@ -108,15 +108,15 @@ def read_image(path: Path, channel: Channel = "") -> Image:
 
 
 def _read_exr(path: Path) -> Image:
-    import OpenEXR  # 0.1 s that other captures need not pay
+    import OpenEXR  # 0.1 s that are not needed for other captures
 
     regular_file(path, MOST_IMAGE_BYTES)
     try:
         with quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
             # By name they are in the order B, G, R.
             channels = sorted(file.channels().items(), key=lambda item: "RGBA".find(item[0][-1]))
-            found = [np.asarray(one.pixels, np.float32) for _, one in channels]
-            return found[0].copy() if len(found) == 1 else np.stack(found, axis=-1)
+            values = [np.asarray(channel.pixels, np.float32) for _, channel in channels]
+            return values[0].copy() if len(values) == 1 else np.stack(values, axis=-1)
     # The binding raises errors of Python and of C++: RuntimeError, TypeError, KeyError ...
     except Exception as error:
         raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
@@ -129,13 +129,13 @@ def _check_depth(path: Path, image: Image, bit_depth: int) -> None:
     largest = 2**bit_depth - 1
     if image.dtype == np.uint8 and bit_depth > 8:
         raise CaptureError(
-            f"{path}: holds 8 bits, capture.toml says bit_depth = {bit_depth}; store 16-bit images "
-            "or say bit_depth = 8"
+            f"{path}: holds 8 bits, capture.toml has bit_depth = {bit_depth}; store 16-bit images "
+            "or set bit_depth = 8"
         )
-    # A NaN is an error, too; a float between the last two levels is not clipped.
+    # A NaN is an error as well; a float between the last two levels is not clipped.
     if not image.max() < largest + 1:
         step = int(np.gcd.reduce(image.ravel())) if image.dtype.kind == "u" else 1
-        shifted = f"; all values are multiples of {step}: the bits stand on the left" * (step > 1)
+        shifted = f"; all values are multiples of {step}: the bits are left-aligned" * (step > 1)
         raise CaptureError(
             f"{path}: holds the value {image.max()}, {bit_depth} bits end at {largest}{shifted}; "
             "correct bit_depth and with it [sensor]"
@@ -161,8 +161,8 @@ def _read_dark(path: Path, shape: tuple[int, ...], channel: Channel) -> Image:
 def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     """Return float32 frames with every pixel's dark value moved to the black level.
 
-    Clipped and lost (0) pixels keep their values, by which `decode` detects them. A pixel that a
-    dark value below the black level lifts to `clipped_from_dn` counts as clipped.
+    Clipped and lost (0) pixels keep their values, by which `decode` detects them. A pixel that the
+    subtraction of a low dark value moves to `clipped_from_dn` or above counts as clipped.
     """
     black_dn = np.float32(sensor.black_level_dn)
     offset = dark.astype(np.float32) - black_dn
@@ -175,7 +175,7 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
 
 
 def check_exposures(sets: Sequence[Stack], recorded: RecordedFrames) -> None:
-    """Raise CaptureError unless white less black is proportional to the exposure time."""
+    """Raise CaptureError unless white minus black is proportional to the exposure time."""
     times_ms, patterns, sensor = recorded.exposures_ms, recorded.patterns, recorded.sensor
     if not patterns.uniform:
         return
@@ -191,21 +191,21 @@ def check_exposures(sets: Sequence[Stack], recorded: RecordedFrames) -> None:
         expected = times_ms[number] / times_ms[0]
         if not 1.0 / EXPOSURE_FACTOR < ratio / expected < EXPOSURE_FACTOR:
             raise CaptureError(
-                f"set {number} is {ratio:.2g} times as bright as set 0, exposures_ms say "
+                f"set {number} is {ratio:.2g} times as bright as set 0, exposures_ms give "
                 f"{expected:.2g}; the sets or their exposures look exchanged"
             )
 
 
 @dataclass(frozen=True, eq=False)
 class MergedExposures:
-    """One stack out of several.
+    """One stack merged from several exposures.
 
     Parameters
     ----------
     stack : (frame, row, col) float32, DN of the longest exposure; may exceed `saturation_dn`
     scale : (row, col) float32, s >= 1, for `decode`
     chosen : (row, col) uint8, index of the exposure taken
-    exposure_ms : that of the stack
+    exposure_ms : exposure time of the stack
     """
 
     stack: Stack
@@ -219,17 +219,17 @@ def merge_exposures(
 ) -> MergedExposures:
     """Take every pixel from its brightest exposure without a saturated frame.
 
-    Where all saturate, the shortest one is taken: `decode` ignores its clipped frames.
+    Where all are saturated, the shortest one is used: `decode` ignores its clipped frames.
 
     Parameters
     ----------
     stacks : equal shapes (frame, row, col), DN, one per exposure
     exposures_ms : their exposure times, all different
-    sensor : common to all; DN grow in proportion to the exposure above its black level
+    sensor : common to all; DN are proportional to the exposure above its black level
 
     Raises
     ------
-    InputError : stacks and exposures do not fit each other
+    InputError : stacks and exposures are inconsistent
     """
     _check(stacks, exposures_ms)
     order = sorted(range(len(stacks)), key=lambda i: exposures_ms[i])
@@ -239,7 +239,7 @@ def merge_exposures(
     scale = np.ones(merged.shape[1:], np.float32)
     chosen = np.zeros(merged.shape[1:], np.uint8)
     for rank, i in enumerate(order):
-        # This way round NaN counts as saturated.
+        # In this form NaN counts as saturated.
         takes = np.asarray(stacks[i].max(axis=0) < sensor.clipped_from_dn) | (rank == 0)
         s = np.float32(longest_ms / exposures_ms[i])
         scale[takes], chosen[takes] = s, i

@@ -1,4 +1,4 @@
-"""Images that hold numbers and little else: NumPy arrays and binary grey maps (PGM)."""
+"""Images that contain little but numbers: NumPy arrays and binary grey maps (PGM)."""
 
 import re
 from pathlib import Path
@@ -23,11 +23,11 @@ def read_npy(path: Path) -> NDArray[Any]:
     """
     regular_file(path, MOST_IMAGE_BYTES)
     try:
-        found = np.load(path, allow_pickle=False)
+        content = np.load(path, allow_pickle=False)
     # numpy raises ValueError, EOFError, OSError ...
     except Exception as error:
         raise InputError(f"{path}: is no complete image ({one_line(error)})") from error
-    image = np.asarray(found)
+    image = np.asarray(content)
     if not image.size:
         raise InputError(f"{path}: is no complete image (an array of shape {image.shape})")
     return image
@@ -36,11 +36,11 @@ def read_npy(path: Path) -> NDArray[Any]:
 def read_pgm(path: Path) -> NDArray[Any]:
     """Return the values of a binary PGM file as they are stored, (row, col) uint8 or uint16.
 
-    Other readers stretch a largest value of, say, 4095 to 65535.
+    Other readers rescale a largest value of, for example, 4095 to 65535.
 
     Raises
     ------
-    InputError : no file, no binary PGM, or fewer bytes than the header tells
+    InputError : no file, no binary PGM, or fewer bytes than the header states
     """
     content = read_bytes(path, MOST_IMAGE_BYTES)
     header = _HEADER.match(content)

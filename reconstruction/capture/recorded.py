@@ -1,4 +1,4 @@
-"""Recorded frames: which files contain the frames of a capture, and how these were recorded.
+"""Recorded frames: the files that contain the frames of a capture, and their exposures.
 
 Each kind of capture.toml is read as one `RecordedFrames`, by its function `recorded`:
 
@@ -35,13 +35,13 @@ class RecordedFrames:
     ----------
     folder : of capture.toml
     calibration_file : need not exist
-    response : of the projector, as far as it is known
+    response : of the projector, if it is known
     stack_file : contains all frames; None: they are in `files`
     shape : (rows, cols) of the stack
     files : image of every frame, one list for each exposure
     exposures_ms : one for each list of `files`; () where there is one exposure
     dark_file : image without light; None: none was recorded
-    channel : of colour images the one to read; "": images are grey
+    channel : channel of colour images to read; "": images are grey
     """
 
     folder: Path
@@ -110,7 +110,7 @@ class ImageSet:
 
 
 def require_one_of(key: str, value: object, allowed: tuple[str, ...]) -> None:
-    """Raise InputError unless the value of a key is one of some texts."""
+    """Raise InputError unless the value of a key is one of the allowed texts."""
     if value not in allowed:
         texts = ", ".join(repr(text) for text in allowed)
         raise InputError(f"{key} is {value!r}; allowed are {texts}")
@@ -127,6 +127,6 @@ def require_below(key: str, files: str) -> None:
 
 
 def natural_key(path: Path) -> list[tuple[int, str]]:
-    """Sort key by which frame_2 comes before frame_10."""
+    """Sort key that places frame_2 before frame_10."""
     parts = re.split(r"(\d+)", path.as_posix())
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]

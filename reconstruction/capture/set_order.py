@@ -8,10 +8,10 @@ exchanges are tried without the images.
 First step: the phase must agree with the half-periods of the Gray code. A set that starts k steps
 late is a perfect set with all coordinates moved by k period / N. Only the Gray code shows it: the
 bits of an edge-safe code have even parity in the first half of every period, so that the mean of
-+-exp(i phi) has the argument pi / 2, less the half pixel by which stripes start earlier. A set
-recorded backwards has the phase 2 pi / N - phi.
++-exp(i phi) has the argument pi / 2, minus the half pixel by which stripes start earlier. A set
+that was recorded backwards has the phase 2 pi / N - phi.
 
-Plain Gray words show the ends of a period, not its halves: between neighbouring pixels with words
+Plain Gray words have borders at the ends of a period only: between neighbouring pixels with words
 that differ by one the phase passes 0 and increases towards the larger word. With shifts of the
 wrong sign it decreases there.
 
@@ -30,9 +30,9 @@ from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
-# One frame brighter or darker by more than this, measured against the cosine through all sums.
+# One frame brighter or darker by more than this, relative to the cosine through all sums.
 LEVEL_TOLERANCE = 0.15
-# An exchange must leave less than this share of the residual: noise and harmonics do not profit.
+# An exchange must reduce the residual to less than this share: not so for noise and harmonics.
 EXCHANGE_GAIN = 0.5
 # A single strange frame: its RMS deviation in units of the modulation, and its share of all.
 STRANGE_DEVIATION, STRANGE_SHARE = 0.2, 0.5
@@ -40,11 +40,11 @@ STRANGE_DEVIATION, STRANGE_SHARE = 0.2, 0.5
 CHAOTIC = 0.35
 # Fewer steps have no or one degree of freedom, which identifies no frame.
 LEAST_STEPS = 5
-# In steps; and in radians, which blur, noise and a few fringes may move the mean by.
+# In steps; and in radians, by which blur, noise and a few fringes may move the mean.
 LEAST_STEPS_OFF, LEAST_ANGLE_OFF = 0.7, 0.2
-# More steps than this are rather a set recorded backwards, where that explains them.
+# More steps than this are rather a set recorded backwards, if that explains them.
 MOST_STEPS_OFF = 2.0
-# Phase and Gray code agree above the first share of the mean that ideal frames give; below the
+# Phase and Gray code agree above the first share of the mean that ideal frames have; below the
 # second share they are independent.
 AGREES, DISAGREES = 0.6, 0.3
 # Points per projector pixel at which the pattern itself is looked up.
@@ -58,8 +58,8 @@ LEAST_CHANGES = 30
 BACKWARDS = 0.5
 # A pixel is used when its frames differ by this many sigmas of its noise.
 LIT_SIGMAS = 20.0
-# Share of jumps by more than one: steep edges and light between parts give up to 0.6 without any
-# mistake, which no exchange lowers: it is blamed only if it explains most. Coarse bits jump seldom.
+# Share of jumps by more than one: steep edges and light between parts cause up to 0.6 without any
+# mistake. An exchange is reported only if it explains most of them. Coarse bits rarely jump.
 MANY_JUMPS, EXPLAINED = 0.02, 1.0 / 3.0
 
 
@@ -71,7 +71,7 @@ def exchanged(count: int, i: int, j: int) -> list[int]:
 
 
 def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
-    """Check each set of N phase frames by itself.
+    """Check each set of N phase frames separately.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def _check_levels(missed_dn: FloatArray, mean_dn: float, first: int, names: list
         ratio = 1.0 + excess / max(mean_dn - excess / len(names), 1e-9)
         raise CaptureError(
             f"mixed exposures: frame {first + worst} ({names[worst]}) is {ratio:.2g} times as "
-            "bright as the frames beside it; record with fixed exposure, gain and light"
+            "bright as the neighbouring frames; record with fixed exposure, gain and light"
         )
 
 
@@ -131,7 +131,7 @@ def _check_exchange(gram: FloatArray, remainder: FloatArray, first: int, names: 
         i, j = pair
         raise CaptureError(
             f"frames {first + i} ({names[i]}) and {first + j} ({names[j]}) look exchanged: "
-            f"the other way round they fit the {len(names)} phase steps"
+            f"in exchanged order they fit the {len(names)} phase steps"
         )
 
 
@@ -175,36 +175,38 @@ def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
     """
     if patterns.kind.rule not in ALTERNATING:
         return
-    found = {axis: _found(pixels, patterns, axis, axis) for axis in patterns.axes}
+    measured = {axis: _measured(pixels, patterns, axis, axis) for axis in patterns.axes}
     expected = {axis: _expected(patterns, axis) for axis in patterns.axes}
-    is_strange = all(abs(found[axis]) < DISAGREES * abs(expected[axis]) for axis in found)
+    is_strange = all(abs(measured[axis]) < DISAGREES * abs(expected[axis]) for axis in measured)
     if is_strange and patterns.axes == AXES:
         _check_exchanged_axes(pixels, patterns)
     for axis in patterns.axes:
-        if abs(found[axis]) > AGREES * abs(expected[axis]):
-            _check_start(found[axis], expected[axis], patterns, axis)
+        if abs(measured[axis]) > AGREES * abs(expected[axis]):
+            _check_start(measured[axis], expected[axis], patterns, axis)
 
 
 def _check_exchanged_axes(pixels: FloatArray, patterns: PatternSet) -> None:
-    crossed = [_found(pixels, patterns, axis, other) for axis, other in (AXES, AXES[::-1])]
+    crossed = [_measured(pixels, patterns, axis, coded) for axis, coded in (AXES, AXES[::-1])]
     if min(abs(mean) for mean in crossed) > AGREES * abs(_expected(patterns, "column")):
         raise CaptureError(
-            "the phase frames of columns and rows look exchanged: each goes with the Gray frames "
+            "the phase frames of columns and rows look exchanged: each fits the Gray frames "
             "of the other axis"
         )
 
 
-def _check_start(found: complex, expected: complex, patterns: PatternSet, axis: Axis) -> None:
+def _check_start(measured: complex, expected: complex, patterns: PatternSet, axis: Axis) -> None:
     per_step = 2.0 * np.pi / patterns.steps
-    turns = float(np.angle(found / expected))
-    backwards = float(np.angle(np.conj(found) * np.exp(1j * per_step) / expected))
+    turns = float(np.angle(measured / expected))
+    backwards = float(np.angle(np.conj(measured) * np.exp(1j * per_step) / expected))
     steps = turns / per_step
     if abs(steps) <= LEAST_STEPS_OFF or abs(turns) <= LEAST_ANGLE_OFF:
         return
     first = patterns.index("phase", axis).start
     subject = f"the {patterns.steps} phase frames along {axis} (from frame {first}) look"
     if abs(steps) > MOST_STEPS_OFF and abs(backwards) < LEAST_STEPS_OFF * per_step:
-        raise CaptureError(f"{subject} recorded backwards: against the Gray frames the phase falls")
+        raise CaptureError(
+            f"{subject} recorded backwards: against the Gray code the phase decreases"
+        )
     late = "late" if steps > 0 else "early"
     raise CaptureError(
         f"{subject} shifted by {abs(round(steps)) or 1}: against the Gray frames they start that "
@@ -212,7 +214,7 @@ def _check_start(found: complex, expected: complex, patterns: PatternSet, axis: 
     )
 
 
-def _found(pixels: FloatArray, patterns: PatternSet, axis: Axis, coded: Axis) -> complex:
+def _measured(pixels: FloatArray, patterns: PatternSet, axis: Axis, coded: Axis) -> complex:
     """Return the mean of the phase along `axis`, with the sign of the Gray word along `coded`."""
     phase = pixels[patterns.index("phase", axis)][: patterns.steps]
     phasor = np.exp(-2j * np.pi * np.array(patterns.shifts(axis, 0))) @ phase
@@ -273,7 +275,7 @@ def _check_axis_borders(corners_dn: FloatImage, patterns: PatternSet, axis: Axis
     subject = f"the {patterns.steps} phase frames along {axis} (from frame {first}) look"
     if np.sum(turn[ends]) < -BACKWARDS * np.sum(np.abs(turn[ends])):
         raise CaptureError(
-            f"{subject} recorded backwards: where the Gray word grows the phase falls; correct "
+            f"{subject} recorded backwards: the phase decreases with the Gray word; correct "
             "their order, or the sign of their shifts"
         )
     passed = np.mean((z[:, 1:] + z[:, :1])[ends]) * 0.5
@@ -297,7 +299,7 @@ def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None
     ------
     CaptureError : two Gray frames of an axis are clearly exchanged
     """
-    # Exclusive or hides the order of the bits in all but one.
+    # The exclusive or hides the order of all bits but one.
     is_checked = patterns.word in ("reflected", "binary")
     if not any(patterns.word_bits(axis) for axis in patterns.axes) or not is_checked:
         return
@@ -311,7 +313,7 @@ def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None
 def _corners(stack: Stack, sensor: SensorNoise) -> FloatImage:
     """Return lit, unsaturated pixels with right and lower neighbour, (frame, pixel, 3) DN."""
     _, rows, cols = stack.shape
-    # Drawn, always alike, since a regular raster could beat with the fringes.
+    # Random with a fixed seed, since a regular raster could beat with the fringes.
     rng = np.random.default_rng(0)
     row = rng.integers(0, rows - 1, POSITIONS)[:, np.newaxis] + np.array([0, 0, 1])
     col = rng.integers(0, cols - 1, POSITIONS)[:, np.newaxis] + np.array([0, 1, 0])
@@ -329,18 +331,18 @@ def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) 
     stated = _share_of_jumps(bits, patterns)
     if stated <= MANY_JUMPS:
         return
-    found = {
+    shares = {
         (i, j): _share_of_jumps(bits[exchanged(len(bits), i, j)], patterns)
         for i, j in combinations(range(len(bits)), 2)
     }
-    # Where several explain it alike, the nearest frames.
-    i, j = min(found, key=lambda pair: (round(found[pair], 2), pair[1] - pair[0]))
-    if found[i, j] < EXPLAINED * stated:
+    # If several explain it equally well, the nearest frames.
+    i, j = min(shares, key=lambda pair: (round(shares[pair], 2), pair[1] - pair[0]))
+    if shares[i, j] < EXPLAINED * stated:
         first, second = (patterns.frames[gray.start + bit].name for bit in (i, j))
         raise CaptureError(
             f"frames {gray.start + i} ({first}) and {gray.start + j} ({second}) look exchanged: "
-            f"{stated:.0%} of the changes between neighbouring pixels jump over words, the other "
-            f"way round {found[i, j]:.0%}"
+            f"{stated:.0%} of the changes between neighbouring pixels jump over words, in "
+            f"exchanged order {shares[i, j]:.0%}"
         )
 
 

@@ -35,7 +35,7 @@ def stack_arrays(stack: Stack, patterns: PatternSet) -> LabelledArrays:
 
 
 def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stack:
-    """Read the stack that `patterns` and the image `shape` (rows, cols) announce.
+    """Read the stack with the frames of `patterns` and the image `shape` (rows, cols).
 
     Raises
     ------
@@ -69,14 +69,14 @@ def _check(path: Path, file: LabelledArrays, patterns: PatternSet, shape: tuple[
         )
 
 
-def _check_frames(path: Path, found: list[str], patterns: PatternSet) -> None:
+def _check_frames(path: Path, names: list[str], patterns: PatternSet) -> None:
     expected = [frame.name for frame in patterns.frames]
-    if found == expected:
+    if names == expected:
         return
-    missing = [name for name in expected if name not in found]
-    extra = [name for name in found if name not in expected]
+    missing = [name for name in expected if name not in names]
+    extra = [name for name in names if name not in expected]
     raise CaptureError(
-        f"{path}: holds {len(found)} frames, the pattern set has {len(expected)}; "
+        f"{path}: holds {len(names)} frames, the pattern set has {len(expected)}; "
         f"missing: {few(missing)}; not expected: {few(extra)}; "
         "frames must be in the order of the pattern set"
     )

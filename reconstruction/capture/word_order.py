@@ -1,15 +1,15 @@
-"""The order of the bits of a word, from what neighbouring pixels show.
+"""The order of the bits of a word, from changes between neighbouring pixels.
 
 Where a bit of a Gray word changes, the next finer bit is 1 and the next but one is 0; where a bit
-of a binary word changes, both change as well, the other way. With the bits in another order, or
-with a bit taken for its inverse, that is not so. What contradicts is a share of the changes of each
-bit, so that a bit with few changes counts as much as one with many, and fine stripes which the
-camera hardly resolves do not hide the order of the coarse ones.
+of a binary word changes, both change as well, in the opposite direction. In another order of bits,
+or with a bit and its inverse exchanged, this is violated. Contradictions are counted as a share of
+the changes of each bit, so that a bit with few changes has the same weight as one with many. Fine
+stripes that the camera hardly resolves therefore do not hide the order of the coarse bits.
 
 A bit of place k that does not change within the view has at most one coarser bit that does: of the
 places 2^k words from each other every other one is an edge of that bit.
 
-A bit that does not change within the view, or seldom, may fit several places: `movable` names them.
+A bit that does not change within the view, or rarely, may fit several places, see `movable`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,11 +23,11 @@ from reconstruction.arrays import BoolImage, FloatArray, IntArray
 
 Shown = Literal["reflected", "binary"]
 SHOWN: tuple[Shown, Shown] = ("reflected", "binary")
-# Changes of a bit that count.
+# Least number of changes of a bit for a contradiction.
 LEAST_CHANGES = 8
-# Changes of other bits for each change of one that passes as steady: noise, or an edge of depth.
+# Changes of other bits per change of a bit that is steady: noise, or an edge of depth.
 STEADY = 4
-# Its mean is nearer to 0 or 1: a bit whose edges fall on dark parts of the object is not steady.
+# Its mean is nearer to 0 or 1: a bit with edges on dark parts of the object is not steady.
 STEADY_MEAN = 0.45
 # Contradictory shares, summed over the bits, by which one order is better than another: an
 # exchange of two bits or an inverse add 0.9 to 3, noise and depth edges up to 0.3.
@@ -37,15 +37,15 @@ MOST_ROUNDS = 30
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """What the bits show where one of them changes between neighbouring pixels.
+    """State of all bits where one of them changes between neighbouring pixels.
 
     Parameters
     ----------
     count : (bit,) changes
-    level : (bit, other) mean of the other bit where the bit changes
-    against, along : (bit, other) share of the changes at which the other bit changes, too, the
-        other way or the same way
-    mean : (bit,) at all places where anything changes
+    level : (bit, other) mean of the second bit where the first bit changes
+    against, along : (bit, other) share of the changes at which the second bit changes as well, in
+        the opposite or in the same direction
+    mean : (bit,) at all places where any bit changes
     """
 
     count: IntArray
@@ -73,7 +73,7 @@ class Changes:
         return cls(count, mean, level, against, along)
 
     def inverted(self, bits: Sequence[int]) -> "Changes":
-        """Return the same with some bits shown as their inverse."""
+        """Return the state with some bits replaced by their inverse."""
         is_other = np.zeros(len(self.count), bool)
         is_other[list(bits)] = True
         crossed = is_other[:, np.newaxis] ^ is_other
@@ -86,10 +86,10 @@ class Changes:
         )
 
     def contradictions(self, order: Sequence[int], shown: Shown) -> FloatArray:
-        """Return of every bit of an order the share of its changes that the finer ones contradict.
+        """Return for every bit of an order the share of its changes that finer bits contradict.
 
         0 for the finest bit, and for bits with fewer than LEAST_CHANGES changes; but 1 for a steady
-        one of which two coarser ones change.
+        bit if two coarser bits change.
         """
         shares = np.zeros(len(order))
         is_steady = np.abs(self.mean - 0.5) > STEADY_MEAN
@@ -101,11 +101,11 @@ class Changes:
                     and is_steady[bit]
                 )
                 continue
-            for finer, other in enumerate(order[place + 1 : place + 3]):
+            for finer, neighbour in enumerate(order[place + 1 : place + 3]):
                 if shown == "binary":
-                    share = 1.0 - self.against[bit, other]
+                    share = 1.0 - self.against[bit, neighbour]
                 else:
-                    share = abs((finer == 0) - self.level[bit, other])
+                    share = abs((finer == 0) - self.level[bit, neighbour])
                 shares[place] = max(shares[place], share)
         return shares
 
@@ -123,7 +123,7 @@ class BitOrder:
     order : indices into the bits as given
     shown : as Gray code or as binary word
     cost : contradictory shares, summed over the bits
-    is_by_names : the given order, or its reverse, was kept
+    is_by_names : the order is the given one or its reverse
     """
 
     order: tuple[int, ...]
@@ -133,31 +133,34 @@ class BitOrder:
 
 
 def named_order(changes: Changes) -> BitOrder:
-    """Return the given order of the bits or its reverse, whichever fits better."""
+    """Return the given order of the bits or its reverse, the one that fits better."""
     natural = tuple(range(len(changes.count)))
-    # Where the changes do not decide: the coarsest first, if the stripes get finer.
+    # If the changes do not decide: the coarsest first, if the stripes get finer.
     rises = np.sum(np.diff(changes.count)) >= 0.0
-    both = [_best_shown(changes, one) for one in (natural, natural[::-1])[:: 1 if rises else -1]]
+    both = [
+        _best_shown(changes, candidate)
+        for candidate in (natural, natural[::-1])[:: 1 if rises else -1]
+    ]
     return both[1] if both[1].cost < both[0].cost - MARGIN else both[0]
 
 
 def order_bits(changes: Changes) -> BitOrder:
     """Return the order of bits that the changes between neighbours confirm.
 
-    The given order, or its reverse, is kept unless another one is clearly better.
+    The given order, or its reverse, is returned unless another order is clearly better.
     """
-    kept = named_order(changes)
-    if kept.cost <= MARGIN:
-        return kept
+    named = named_order(changes)
+    if named.cost <= MARGIN:
+        return named
     by_changes = tuple(np.argsort(changes.count, kind="stable").tolist())
-    found = [_climb(changes, start) for start in (kept.order, by_changes)]
-    best = min(found, key=lambda one: one.cost)
-    return best if best.cost < kept.cost - MARGIN else kept
+    climbed = [_climb(changes, start) for start in (named.order, by_changes)]
+    best = min(climbed, key=lambda order: order.cost)
+    return best if best.cost < named.cost - MARGIN else named
 
 
 def _best_shown(changes: Changes, order: tuple[int, ...], *, is_by_names: bool = True) -> BitOrder:
     costs = {shown: changes.cost(order, shown) for shown in SHOWN}
-    # Two bits have no finer ones that would distinguish both kinds.
+    # Two bits have no finer bits that would distinguish both kinds.
     is_binary = costs["binary"] < costs["reflected"] - MARGIN and len(order) > 2
     shown: Shown = "binary" if is_binary else "reflected"
     return BitOrder(order, shown, costs[shown], is_by_names)
@@ -167,11 +170,13 @@ def _climb(changes: Changes, start: tuple[int, ...]) -> BitOrder:
     """Move or exchange bits while that lowers the cost."""
     best = _best_shown(changes, start, is_by_names=False)
     for _ in range(MOST_ROUNDS):
-        others = (_best_shown(changes, one, is_by_names=False) for one in _changed(best.order))
-        found = min(others, key=lambda one: one.cost, default=best)
-        if found.cost >= best.cost:
+        candidates = (
+            _best_shown(changes, candidate, is_by_names=False) for candidate in _changed(best.order)
+        )
+        better = min(candidates, key=lambda candidate: candidate.cost, default=best)
+        if better.cost >= best.cost:
             return best
-        best = found
+        best = better
     return best
 
 
@@ -185,35 +190,38 @@ def _changed(order: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
 
 
 def _moved(order: tuple[int, ...], place: int) -> Iterator[tuple[int, ...]]:
-    """Yield the orders with one bit at every other place."""
+    """Yield the orders with one bit moved to every other place."""
     rest = order[:place] + order[place + 1 :]
-    for other in range(len(order)):
-        if other != place:
-            yield (*rest[:other], order[place], *rest[other:])
+    for position in range(len(order)):
+        if position != place:
+            yield (*rest[:position], order[place], *rest[position:])
 
 
-def movable(changes: Changes, found: BitOrder) -> tuple[int, ...]:
+def movable(changes: Changes, order: BitOrder) -> tuple[int, ...]:
     """Return the bits, indices as given, that fit about as well at another place of the order."""
-    limit = found.cost + MARGIN
+    limit = order.cost + MARGIN
     return tuple(
         bit
-        for place, bit in enumerate(found.order)
-        if any(changes.cost(one, found.shown) < limit for one in _moved(found.order, place))
+        for place, bit in enumerate(order.order)
+        if any(
+            changes.cost(moved_order, order.shown) < limit
+            for moved_order in _moved(order.order, place)
+        )
     )
 
 
-def inverted(changes: Changes, found: BitOrder) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the bits that fit clearly better as their inverse, and those that fit either way.
+def inverted(changes: Changes, order: BitOrder) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the bits that fit clearly better as their inverse, and those that fit both ways.
 
-    The coarsest is always of the latter: its inverse numbers the words from the other end.
+    The coarsest bit is always among the latter: its inverse numbers the words from the other end.
     """
     wrong: list[int] = []
-    uncertain, cost = [], found.cost
-    for bit in found.order:
-        other = changes.inverted([*wrong, bit]).cost(found.order, found.shown)
-        if other < cost - MARGIN:
+    uncertain, cost = [], order.cost
+    for bit in order.order:
+        flipped_cost = changes.inverted([*wrong, bit]).cost(order.order, order.shown)
+        if flipped_cost < cost - MARGIN:
             wrong.append(bit)
-            cost = other
-        elif other < cost + MARGIN:
+            cost = flipped_cost
+        elif flipped_cost < cost + MARGIN:
             uncertain.append(bit)
     return tuple(wrong), tuple(uncertain)

@@ -1,4 +1,4 @@
-"""What a capture says of the devices that took it: the camera's noise, the projector's light."""
+"""Characterise devices from their captures: the camera's noise, the projector's light."""
 
 from reconstruction.characterise.flat_field import Dark, dark_of, prnu_of
 from reconstruction.characterise.photon_transfer import (

@@ -1,8 +1,8 @@
-"""Dark and flat frames: black level, read noise, and how pixels differ (EMVA 1288 release 4).
+"""Dark and flat frames: black level, read noise, and differences of pixels (EMVA 1288 release 4).
 
 The spatial variance of a mean of L frames is that of the pixels plus 1 / L of their temporal one.
-Slow changes of light over a flat frame are taken off by a high-pass, the image less its mean over
-7 x 7 pixels, which leaves 1 - 1/49 of the variance of pixels that differ by themselves.
+Slow changes of light over a flat frame are removed by a high-pass, the image minus its mean over
+7 x 7 pixels, which preserves 1 - 1/49 of the variance of independent pixels.
 """
 
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ MOST_PRNU = 0.1
 """Standard deviation over mean; sensors have 0.2 to 3 %, a textured surface has more."""
 _MOST_SATURATED = 0.01
 _BOX = 7
-_KEPT = 1.0 - 1.0 / _BOX**2
+_PRESERVED = 1.0 - 1.0 / _BOX**2
 
 
 @dataclass(frozen=True)
 class Dark:
-    """What frames without light say of a camera.
+    """Characteristics of a camera from frames without light.
 
     Attributes
     ----------
-    noise_dn : temporal, without that of the rounding; None where rounding rules it
-    dsnu_dn : spread of the offsets from pixel to pixel
+    noise_dn : temporal, without the rounding noise; None if rounding dominates
+    dsnu_dn : standard deviation of the pixels' offsets
     """
 
     black_level_dn: UncertainValue
@@ -48,33 +48,33 @@ def dark_of(frames: Stack) -> Dark:
     _require(frames, "dark")
     temporal, spatial = _variances(frames, is_flat=False)
     is_ruled = temporal.value < LEAST_VARIANCE_DN2
-    # A level that always rounds to the same number is known to that rounding alone.
+    # A level that is always rounded to the same number is known to that rounding only.
     rounding = QUANTISATION_DN2 if is_ruled else 0.0
     sampling = (spatial.value + temporal.value / len(frames)) / float(frames[0].size)
     level = UncertainValue(
         float(frames.mean(dtype=np.float64)), float(np.sqrt(sampling + rounding))
     )
-    # What Sheppard's 1/12 leaves of the rounding of a normal number, at the most unlucky level.
+    # Error of Sheppard's 1/12 for the rounding of a normal number, at the worst level.
     variance = max(temporal.value - QUANTISATION_DN2, 0.0)
-    left = np.exp(-2.0 * np.pi**2 * variance) * (4.0 * variance + 1.0 / np.pi**2)
-    noise = _root(variance, float(np.hypot(temporal.uncertainty, left / np.sqrt(2.0))))
+    rounding_error = np.exp(-2.0 * np.pi**2 * variance) * (4.0 * variance + 1.0 / np.pi**2)
+    noise = _root(variance, float(np.hypot(temporal.uncertainty, rounding_error / np.sqrt(2.0))))
     return Dark(level, None if is_ruled else noise, _root_of(spatial))
 
 
 def prnu_of(
     frames: Stack, black_level_dn: float, dsnu_dn: float = 0.0, clipped_from_dn: float = np.inf
 ) -> UncertainValue:
-    """Return the spread of the pixels' response as a share, of frames evenly lit.
+    """Return the relative standard deviation of the pixels' response, from evenly lit frames.
 
     Parameters
     ----------
-    frames : (frame, row, col) DN, at least two, of one bright, even and unsharp surface
+    frames : (frame, row, col) DN, at least two, of a bright and even surface out of focus
     black_level_dn, dsnu_dn : of the camera
-    clipped_from_dn : level from which a pixel may be full, see `SensorNoise`
+    clipped_from_dn : level from which a pixel may be saturated, see `SensorNoise`
 
     Raises
     ------
-    InputError : too few frames, no light on them, full pixels, or pixels that differ too much
+    InputError : too few frames, no light on them, saturated pixels, or pixels that differ too much
     """
     _require(frames, "flat")
     saturated = float(np.mean(frames >= clipped_from_dn))
@@ -88,13 +88,13 @@ def prnu_of(
         raise InputError(f"flat frames are {above_dn:.3g} DN above black; light them evenly")
     _, spatial = _variances(frames, is_flat=True)
     share2 = max(spatial.value - dsnu_dn**2, 0.0) / above_dn**2
-    found = _root(share2, spatial.uncertainty / above_dn**2)
-    if found.value > MOST_PRNU:
+    prnu = _root(share2, spatial.uncertainty / above_dn**2)
+    if prnu.value > MOST_PRNU:
         raise InputError(
-            f"flat frames: pixels differ by {found.value:.1%} (standard deviation), allowed "
+            f"flat frames: pixels differ by {prnu.value:.1%} (standard deviation), allowed "
             f"{MOST_PRNU:.0%}; record an even surface, out of focus and evenly lit"
         )
-    return found
+    return prnu
 
 
 def _require(frames: Stack, kind: str) -> None:
@@ -106,14 +106,14 @@ def _variances(frames: Stack, *, is_flat: bool) -> tuple[UncertainValue, Uncerta
     """Return temporal and spatial variance of the pixels, DN^2."""
     count = len(frames)
     values = frames.astype(np.float64)
-    # Light that drifts between frames is no noise of a pixel.
+    # Drift of the light between frames is not noise of a pixel.
     values -= values.mean(axis=(1, 2), keepdims=True) - values.mean()
     temporal = values.var(axis=0, ddof=1)
     mean = values.mean(axis=0)
     around = _high_pass(mean) if is_flat else mean - mean.mean()
-    kept = _KEPT if is_flat else 1.0
+    preserved = _PRESERVED if is_flat else 1.0
     within = UncertainValue(float(temporal.mean()), float(temporal.std() / np.sqrt(temporal.size)))
-    spread = float(np.mean(around**2)) / kept
+    spread = float(np.mean(around**2)) / preserved
     spatial = max(spread - within.value / count, 0.0)
     sampling = spread * np.sqrt(2.0 / around.size)
     return within, UncertainValue(spatial, float(np.hypot(sampling, within.uncertainty / count)))
@@ -130,7 +130,7 @@ def _root_of(variance: UncertainValue) -> UncertainValue:
 
 
 def _root(variance: float, uncertainty: float) -> UncertainValue:
-    """Return the root of a variance; of one that its uncertainty hides, with that of a bound."""
+    """Return the root of a variance; if its uncertainty exceeds it, with that of a bound."""
     root = float(np.sqrt(max(variance, 0.0)))
     if variance <= uncertainty:
         return UncertainValue(root, float(np.sqrt(uncertainty)))

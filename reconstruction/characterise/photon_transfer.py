@@ -1,12 +1,12 @@
-"""Photon transfer: system gain and read noise from how the noise of pixels grows with their light.
+"""Photon transfer: system gain and read noise from the increase of pixel noise with light.
 
 EMVA 1288 release 4, linear model. Symbols: K system gain (DN per electron), sigma_d temporal dark
 noise (electrons), b black level; a pixel of mean mu has the variance
 
     sigma^2 = K (mu - b) + (K sigma_d)^2 + 1 / 12.
 
-A straight line over samples (mean, squared residual): of two frames that show the same, or of what
-a model of the frames leaves of them (`projector_fit`).
+A straight line through samples (mean, squared residual). The samples are from two frames of the
+same scene, or from the residuals of a model of the frames (`projector_fit`).
 """
 
 from dataclasses import dataclass
@@ -20,19 +20,19 @@ from reconstruction.rig.sensor import QUANTISATION_DN2, SensorNoise
 BINS = 40
 LEAST_SAMPLES = 2000
 LEAST_VARIANCE_DN2 = 0.24
-"""Below it rounding rules a pixel's temporal noise, and is no 1/12 (EMVA 1288 release 4)."""
+"""Below it rounding dominates a pixel's temporal noise and is not 1/12 (EMVA 1288 release 4)."""
 
 _LEAST_BINS, _LEAST_IN_BIN = 5, 100
-# Samples this near to the ends of the scale have lost a part of their noise.
+# Samples this near to the ends of the scale have lost a part of their noise to clipping.
 _END_SIGMAS = 5.0
 _MOST_PIXELS = 200_000
 _ROUNDS = 3
 SATURATION_CAPACITIES_E = (100.0, 1e9)
-"""Full scale over gain: a pixel of 1 um at a gain of 30, to the largest photodiodes."""
-# Relative, k = 1: with k = 2 half of the gain, which is then not determined.
+"""Full scale over gain: from a pixel of 1 um at a gain of 30 to the largest photodiodes."""
+# Standard uncertainty over the gain. Above it the expanded uncertainty (k = 2) exceeds 50 %.
 _MOST_RELATIVE_SIGMA = 0.25
-# RMS of variances over the line, less 1. A scene that moved gives 0.4 and more, real sensors some
-# per cent.
+# RMS of variances over the line, minus 1. A scene that moved gives 0.4 and more, real sensors some
+# 0.01.
 _MOST_DEVIATION = 0.25
 
 
@@ -50,7 +50,7 @@ class UncertainValue:
 
 @dataclass(frozen=True, eq=False)
 class NoiseSamples:
-    """Pixels of some frames: what they should read, and a square whose mean is their variance.
+    """Pixels of some frames: expected levels, and squares with the pixels' variance as mean.
 
     mean_dn, square_dn2 : (sample,) float
     """
@@ -58,21 +58,21 @@ class NoiseSamples:
     mean_dn: FloatArray
     square_dn2: FloatArray
 
-    def joined(self, other: "NoiseSamples") -> "NoiseSamples":
-        """Return the samples of both."""
+    def joined(self, added: "NoiseSamples") -> "NoiseSamples":
+        """Return the samples of both sets."""
         return NoiseSamples(
-            np.concatenate([self.mean_dn, other.mean_dn]),
-            np.concatenate([self.square_dn2, other.square_dn2]),
+            np.concatenate([self.mean_dn, added.mean_dn]),
+            np.concatenate([self.square_dn2, added.square_dn2]),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class PhotonTransfer:
-    """The line, and the bins that it was drawn through.
+    """The fitted line and its bins.
 
     Attributes
     ----------
-    read_noise_e : None where the line's intercept lies below the rounding's: it is not seen
+    read_noise_e : None if the line's intercept is below that of the rounding
     mean_dn, variance_dn2, variance_uncertainty_dn2 : (bin,)
     chi2_per_bin : of the line; far above 1 the noise is not that of a linear sensor
     """
@@ -86,7 +86,7 @@ class PhotonTransfer:
     chi2_per_bin: float
 
     def variance_at(self, mean_dn: FloatArray) -> FloatArray:
-        """Return the variance that the line gives means, DN^2."""
+        """Return the line's variance at given means, DN^2."""
         read_dn = self.gain_dn_per_e.value * (self.read_noise_e.value if self.read_noise_e else 0.0)
         above = np.maximum(mean_dn - self.black_level_dn, 0.0)
         return np.asarray(
@@ -95,7 +95,7 @@ class PhotonTransfer:
 
 
 def samples_of_pairs(first: Stack, second: Stack, sensor: SensorNoise) -> NoiseSamples:
-    """Return samples of two stacks that show the same, frame by frame.
+    """Return samples of two stacks of the same scene, frame by frame.
 
     Parameters
     ----------
@@ -115,38 +115,38 @@ def samples_of_pairs(first: Stack, second: Stack, sensor: SensorNoise) -> NoiseS
     step = max(1, int(np.ceil(np.prod(first.shape[1:]) / _MOST_PIXELS)))
     samples = [
         _pair(
-            one.ravel()[::step].astype(np.float64) - sensor.black_level_dn,
-            other.ravel()[::step].astype(np.float64) - sensor.black_level_dn,
+            frame.ravel()[::step].astype(np.float64) - sensor.black_level_dn,
+            repeated.ravel()[::step].astype(np.float64) - sensor.black_level_dn,
             sensor,
         )
-        for one, other in zip(first, second, strict=True)
+        for frame, repeated in zip(first, second, strict=True)
     ]
     return NoiseSamples(
-        np.concatenate([one.mean_dn for one in samples]),
-        np.concatenate([one.square_dn2 for one in samples]),
+        np.concatenate([pair.mean_dn for pair in samples]),
+        np.concatenate([pair.square_dn2 for pair in samples]),
     )
 
 
-def _pair(one: FloatArray, other: FloatArray, sensor: SensorNoise) -> NoiseSamples:
-    total = float(other.sum())
-    ratio = float(one.sum()) / total if total > 0.0 else 1.0
-    # Where there is hardly light, drift of the light is none.
-    ratio = ratio if 0.5 < ratio < 2.0 and np.mean(other) > 10.0 else 1.0
-    mean = 0.5 * (one + ratio * other)
-    square = (one - ratio * other) ** 2 / (1.0 + ratio**2)
+def _pair(first: FloatArray, second: FloatArray, sensor: SensorNoise) -> NoiseSamples:
+    total = float(second.sum())
+    ratio = float(first.sum()) / total if total > 0.0 else 1.0
+    # With very little light its drift is not estimated.
+    ratio = ratio if 0.5 < ratio < 2.0 and np.mean(second) > 10.0 else 1.0
+    mean = 0.5 * (first + ratio * second)
+    square = (first - ratio * second) ** 2 / (1.0 + ratio**2)
     return NoiseSamples(mean + sensor.black_level_dn, square)
 
 
 def photon_transfer(samples: NoiseSamples, sensor: SensorNoise) -> PhotonTransfer:
-    """Draw the line through samples.
+    """Fit the line through samples.
 
     Parameters
     ----------
-    sensor : black level and saturation; its gain and noise only tell which samples are near an end
+    sensor : black level and saturation; its gain and noise only exclude samples near an end
 
     Raises
     ------
-    InputError : too few samples, too little light among them, or a line that no sensor has
+    InputError : too few samples, too little light in them, or a line impossible for a sensor
     """
     inside = _inside(samples, sensor)
     if int(inside.sum()) < LEAST_SAMPLES:
@@ -158,17 +158,17 @@ def photon_transfer(samples: NoiseSamples, sensor: SensorNoise) -> PhotonTransfe
     if not span_dn > 0.05 * (sensor.saturation_dn - sensor.black_level_dn):
         raise InputError("photon transfer: all frames are equally bright; record dark and bright")
     mean, variance, sigma = _bins(samples.mean_dn[inside], samples.square_dn2[inside])
-    told = variance >= LEAST_VARIANCE_DN2
-    if int(told.sum()) < _LEAST_BINS:
+    is_resolved = variance >= LEAST_VARIANCE_DN2
+    if int(is_resolved.sum()) < _LEAST_BINS:
         raise InputError(
-            "photon transfer: the noise lies within the rounding of the levels; record more bits, "
+            "photon transfer: the noise is below the rounding of the levels; record more bits, "
             "or raise the camera's gain"
         )
-    mean, variance, sigma = mean[told], variance[told], sigma[told]
+    mean, variance, sigma = mean[is_resolved], variance[is_resolved], sigma[is_resolved]
     above = mean - sensor.black_level_dn
     slope, intercept, covariance, chi2 = _line(above, variance, sigma)
     if not slope > 0.0:
-        raise InputError("photon transfer: noise does not grow with light; is this one sensor?")
+        raise InputError("photon transfer: noise does not increase with light; is this one sensor?")
     gain = UncertainValue(slope, float(np.sqrt(covariance[0, 0])))
     _require_plausible(gain, sensor)
     _require_straight(variance / (slope * above + intercept))
@@ -219,8 +219,8 @@ def _inside(samples: NoiseSamples, sensor: SensorNoise) -> BoolArray:
 def _bins(mean_dn: FloatArray, square_dn2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean, variance and its standard uncertainty of bins equally wide in the mean.
 
-    Not of equally many samples: they would part pixels of one level by the parity of their sums,
-    which is that of their differences.
+    Bins of equally many samples would separate pixels of one level by the parity of their sums,
+    which is the parity of their differences.
     """
     low, high = float(mean_dn.min()), float(mean_dn.max())
     place = (mean_dn - low) / max(high - low, 1e-9) * BINS
@@ -240,21 +240,22 @@ def _line(
 ) -> tuple[float, float, FloatArray, float]:
     """Return slope, intercept, their covariance and chi-square.
 
-    The weights follow the line and not the bins: a bin that happens to be quiet looks certain.
+    The weights are computed from the line, because a bin with a small variance by chance would
+    get too large a weight.
     """
     design = np.stack([above, np.ones_like(above)], axis=1)
     fitted = variance
     for _ in range(_ROUNDS):
         weight = (np.maximum(variance, 1e-12) / sigma / np.maximum(fitted, 1e-12)) ** 2
         normal = design.T @ (weight[:, None] * design)
-        found = np.linalg.solve(normal, design.T @ (weight * variance))
-        fitted = np.maximum(design @ found, 0.01 * variance)
-    chi2 = float(np.sum(weight * (variance - design @ found) ** 2))
+        line = np.linalg.solve(normal, design.T @ (weight * variance))
+        fitted = np.maximum(design @ line, 0.01 * variance)
+    chi2 = float(np.sum(weight * (variance - design @ line) ** 2))
     freedom = max(len(above) - 2, 1)
     covariance: FloatArray = np.asarray(
         np.linalg.inv(normal) * max(1.0, chi2 / freedom), dtype=np.float64
     )
-    return float(found[0]), float(found[1]), covariance, chi2
+    return float(line[0]), float(line[1]), covariance, chi2
 
 
 def _read_noise(slope: float, intercept: float, covariance: FloatArray) -> UncertainValue | None:

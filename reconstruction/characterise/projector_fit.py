@@ -1,21 +1,22 @@
-"""A capture fitted by the projector that made it: gamma, blur, and the noise that is left.
+"""Fit a model of the projector to a capture: gamma, blur, and the noise of the residuals.
 
-Symbols: I_kp frame k of pixel p; u, v its projector coordinates; o what it reads without light of
-the pattern, s how much light it sees; L_k the light of frame k along its axis for a response of
-gamma g and a lens blur b (`rig.projected_light`); h leverage. The model of all frames, Gray, phase
-and uniform ones alike, is
+Symbols: I_kp frame k of pixel p; u, v its projector coordinates; o its level without light of the
+pattern, s its amplitude; L_k the light of frame k along its axis for a response of gamma g and a
+lens blur b (`rig.projected_light`); h leverage. The model of all frames (Gray, phase and uniform)
+is
 
     I_kp = o_p + s_p L_k(u_p or v_p; g, b).
 
 Gauss-Newton with the pixels' own o, s, u, v projected out of the normal equations (variable
-projection, Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973)). Edges of Gray bits tell the
-blur, levels of the phase steps the gamma; neither takes one for the other, as harmonics alone do.
-The mean of r^2 / (1 - h) is the variance of a frame exactly, whatever the scene: a photon transfer
+projection, Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973)). Edges of Gray bits determine
+the blur, levels of the phase steps the gamma; harmonics of the phase steps would confuse both.
+The mean of r^2 / (1 - h) is the variance of a frame exactly, for any scene: a photon transfer
 curve from a single capture (`photon_transfer`).
 
-Left out: light that drifts from frame to frame, blur that differs over the image, light between
-surfaces. They raise `chi2` above 1, and with it the uncertainties, which follow the spread of the
-scores over blocks of the image (sandwich estimate, White, Econometrica 48, 817 (1980)).
+Neglected: drift of the light from frame to frame, variation of blur over the image, light reflected
+between surfaces. They raise `chi2` above 1 and also the uncertainties, which are computed from the
+scatter of the scores over blocks of the image (sandwich estimate, White, Econometrica 48, 817
+(1980)).
 """
 
 from dataclasses import dataclass, replace
@@ -39,28 +40,28 @@ PER_PX = 16
 _GAMMAS, _MOST_BLUR_PX = (GAMMA_RANGE[0] + 0.01, GAMMA_RANGE[1] - 0.01), 9.0
 _STEPS, _ROUNDS = 8, 3
 _DIFFERENCE = 1e-3
-# Of gamma and blur (px), in one step of the search.
+# Limits of a change of gamma and blur (px): within one step, and at the end of the search.
 _LARGEST_STEP, _SETTLED = 0.3, 0.1
 _BLOCKS = 8
 _LEAST_PIXELS = 200
-# Without white and black, at least: what makes o, s, u, v and the two unknowns of the light.
+# Least number of frames, white and black included: they determine o, s, u, v, gamma and blur.
 _LEAST_FRAMES = 7
 _LEAST_BLUR_PX = 0.05
 _EDGE_PX = 8.0
-# Standard uncertainty of the model itself, relative: by so much are gamma and blur of rendered
-# rigs, which are known, still off (./run bench adopt).
+# Standard uncertainty of the model itself, relative: error of gamma and blur of rendered rigs,
+# with known values (./run bench adopt).
 _MODEL_GAMMA, _MODEL_BLUR = 0.0003, 0.002
-# Below that share of the mean curvature gamma and blur cannot be told apart.
+# Below that share of the mean curvature gamma and blur are not separable.
 _LEAST_CONDITION = 1e-8
 
 
 @dataclass(frozen=True)
 class FitLimits:
-    """How much is fitted, and from where.
+    """Number of fitted pixels, and start of the fit.
 
-    pixels : evenly spread over those that are valid
-    gamma, blur_px : where the search starts
-    gamma_known : keep gamma as it is given, and find the blur alone
+    pixels : evenly spread over the valid ones
+    gamma, blur_px : starting values
+    gamma_known : keep the given gamma and fit the blur only
     """
 
     pixels: int = 4000
@@ -71,12 +72,12 @@ class FitLimits:
 
 @dataclass(frozen=True, eq=False)
 class ProjectorFit:
-    """What the fit found.
+    """Result of the fit.
 
     Attributes
     ----------
     blur_px : of the lens; see `_lens_blur` for the camera pixel's own footprint
-    noise : photon transfer of the residuals; None where too few frames differ in light
+    noise : photon transfer of the residuals; None if too few frames differ in light
     chi2 : residuals over predicted noise, per degree of freedom
     offset_dn, light_dn : (pixel,) of the fitted pixels
     footprint_px : standard deviation of a camera pixel's footprint on the projector
@@ -91,7 +92,7 @@ class ProjectorFit:
     footprint_px: float
 
     def response(self) -> ProjectorResponse:
-        """Return what a decoder needs to know."""
+        """Return the response for a decoder."""
         return ProjectorResponse(
             self.gamma.value,
             self.gamma.uncertainty,
@@ -126,36 +127,35 @@ def fit_projector(
     decoded: Decoded,
     limits: FitLimits | None = None,
 ) -> ProjectorFit:
-    """Fit gamma and blur, and the noise.
+    """Fit gamma, blur and noise.
 
     Parameters
     ----------
     stack : (frame, row, col) DN, as decoded
-    sensor : black level and saturation; gain and noise are where the weights start
-    decoded : coordinates of this stack, where the places on the projector begin; those of few
-        steps, decoded as if the projector were linear, are off by a tenth of a period at gamma 2,
-        from where the edges of bits lead some of them astray: decode again with what was found, and
-        fit again
+    sensor : black level and saturation; gain and noise give the weights at the start
+    decoded : coordinates of this stack, at which the places on the projector start. Decoded from
+        few steps for a linear projector, they have errors of 0.1 period at gamma 2, and some pixels
+        converge to a wrong bit edge: decode again with the fitted response, and fit again
 
     Raises
     ------
-    InputError : no fringes, too few frames to tell gamma and blur, too few valid pixels, or a gamma
-        or blur at the end of its range
+    InputError : no fringes, too few frames to separate gamma and blur, too few valid pixels, or a
+        gamma or blur at the end of its range
     """
     limits = limits or FitLimits()
     _require_frames(patterns)
     pixels = _chosen(stack, patterns, sensor, decoded, limits.pixels)
-    light, noise, found = np.array([limits.gamma, limits.blur_px]), sensor, None
+    light, noise, transfer = np.array([limits.gamma, limits.blur_px]), sensor, None
     for _ in range(_ROUNDS):
         pixels, light, information, change = _converged(pixels, patterns, light, noise, limits)
-        samples, chi2, scores = _left(pixels, patterns, light, noise, limits)
+        samples, chi2, scores = _residual_samples(pixels, patterns, light, noise, limits)
         try:
-            found = photon_transfer(samples, sensor)
+            transfer = photon_transfer(samples, sensor)
         except InputError:
             if change < _SETTLED:
                 break
-            continue  # from where the search has come to
-        noise = _with_noise(sensor, found)
+            continue  # the next round starts at the last estimate
+        noise = _with_noise(sensor, transfer)
     _require_inside(light, change)
     covariance = _sandwich(information, scores, pixels.block, max(1.0, chi2), limits)
     footprint_px = _footprint_px(decoded, patterns)
@@ -164,7 +164,7 @@ def fit_projector(
             float(light[0]), float(np.hypot(np.sqrt(covariance[0, 0]), _MODEL_GAMMA * light[0]))
         ),
         _lens_blur(float(light[1]), float(np.sqrt(covariance[1, 1])), footprint_px),
-        found,
+        transfer,
         chi2,
         pixels.own[:, 0],
         pixels.own[:, 1],
@@ -176,7 +176,7 @@ def _require_frames(patterns: PatternSet) -> None:
     own = 2 + len(patterns.axes)
     if not patterns.steps or len(patterns.frames) < max(_LEAST_FRAMES, own + 3):
         raise InputError(
-            f"{len(patterns.frames)} frames with {patterns.steps} phase steps do not tell the "
+            f"{len(patterns.frames)} frames with {patterns.steps} phase steps do not determine the "
             "projector's response; record more steps, bits, or white and black"
         )
 
@@ -184,7 +184,7 @@ def _require_frames(patterns: PatternSet) -> None:
 def _chosen(
     stack: Stack, patterns: PatternSet, sensor: SensorNoise, decoded: Decoded, count: int
 ) -> _FittedPixels:
-    """Take pixels that are valid and not clipped, evenly spread, inside the projector's image."""
+    """Select evenly spread pixels: valid, not clipped, inside the projector's image."""
     usable: BoolImage = np.equal(decoded.mask_reason, Reason.VALID)
     usable &= stack.max(axis=0) < sensor.clipped_from_dn
     usable &= stack.min(axis=0) > 0
@@ -213,9 +213,11 @@ def _chosen(
     return _FittedPixels(frames, np.stack(columns, axis=1), block, axes)
 
 
-def _with_noise(sensor: SensorNoise, found: PhotonTransfer) -> SensorNoise:
-    read_e = found.read_noise_e.value if found.read_noise_e else 0.0
-    return replace(sensor, gain_dn_per_e=found.gain_dn_per_e.value, read_noise_e=read_e, dsnu_e=0.0)
+def _with_noise(sensor: SensorNoise, transfer: PhotonTransfer) -> SensorNoise:
+    read_e = transfer.read_noise_e.value if transfer.read_noise_e else 0.0
+    return replace(
+        sensor, gain_dn_per_e=transfer.gain_dn_per_e.value, read_noise_e=read_e, dsnu_e=0.0
+    )
 
 
 class _LightNodes:
@@ -239,7 +241,7 @@ class _LightNodes:
         self.by_place = np.gradient(self.light, 1.0 / PER_PX, axis=0)
 
     def at(self, table: FloatArray, u_px: FloatArray) -> FloatArray:
-        """Return a table at places, (pixel, frame)."""
+        """Return a table interpolated at places, (pixel, frame)."""
         place = np.clip(u_px * PER_PX, 0.0, len(self._nodes_px) - 1.001)
         node = place.astype(int)
         share = (place - node)[:, None]
@@ -281,7 +283,7 @@ def _weights(predicted: FloatArray, noise: SensorNoise) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Projected:
-    """Residuals and common derivatives without what the pixels' own unknowns take."""
+    """Residuals and common derivatives, orthogonal to the pixels' own unknowns."""
 
     weight: FloatArray
     inverse: FloatArray
@@ -296,7 +298,7 @@ def _projected(pixels: _FittedPixels, model: _Linear, noise: SensorNoise) -> _Pr
     residual = pixels.frames - model.predicted
     weighted = model.own * weight[..., None]
     normal = np.einsum("pki,pkj->pij", weighted, model.own)
-    # A pixel whose light tells nothing of its place keeps it.
+    # If a pixel's levels do not depend on its place, the place is not changed.
     normal += 1e-9 * np.einsum("pii->pi", normal)[:, :, None] * np.eye(normal.shape[-1])
     inverse = np.linalg.inv(normal)
     own_step = np.einsum("pij,pkj,pk->pi", inverse, weighted, residual)
@@ -322,13 +324,13 @@ def _converged(
     noise: SensorNoise,
     limits: FitLimits,
 ) -> tuple[_FittedPixels, FloatArray, FloatArray, float]:
-    """Return pixels and light after some steps of Gauss and Newton, information, last change."""
+    """Return pixels and light after Gauss-Newton steps, the information matrix, last change."""
     free = _free(limits)
     for _ in range(_STEPS):
         parts = _projected(pixels, _model(pixels, patterns, light), noise)
         common = parts.common * free
         information = np.einsum("pkc,pk,pkd->cd", common, parts.weight, common)
-        _require_told(information, free)
+        _require_separable(information, free)
         score = np.einsum("pkc,pk,pk->c", common, parts.weight, parts.residual)
         step = np.linalg.solve(information + np.diag(1.0 - free), score)
         step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
@@ -347,45 +349,45 @@ def _converged(
 
 
 def _require_inside(light: FloatArray, last_change: float) -> None:
-    """Raise InputError if the search was stopped by a range or before its end.
+    """Raise InputError if the search stopped at a limit or did not converge.
 
-    The least blur is no such range: a lens may be sharp.
+    The least blur is not such a limit: a lens may be sharp.
     """
     gamma, blur_px = light.tolist()
     is_inside = _GAMMAS[0] < gamma < _GAMMAS[1] and blur_px < _MOST_BLUR_PX
     if not is_inside or last_change >= _SETTLED:
         raise InputError(
-            f"the fit of the frames does not end: gamma {gamma:.3g}, allowed {_GAMMAS[0]:.3g} to "
-            f"{_GAMMAS[1]:.3g}, blur {blur_px:.3g} px, allowed less than {_MOST_BLUR_PX:g} px; "
+            f"the fit of the frames does not converge: gamma {gamma:.3g}, allowed {_GAMMAS[0]:.3g} "
+            f"to {_GAMMAS[1]:.3g}, blur {blur_px:.3g} px, allowed less than {_MOST_BLUR_PX:g} px; "
             "check the order and kind of the frames, and that the camera's levels are linear"
         )
 
 
-def _require_told(information: FloatArray, free: FloatArray) -> None:
+def _require_separable(information: FloatArray, free: FloatArray) -> None:
     diagonal = np.diag(information)[free > 0.0]
     scaled = information / np.sqrt(np.outer(np.diag(information), np.diag(information)) + 1e-300)
     rest = 1.0 - float(scaled[0, 1]) ** 2 if free.all() else 1.0
     if not np.all(diagonal > 0.0) or rest < _LEAST_CONDITION:
         raise InputError(
-            "these frames cannot tell the projector's gamma from its blur; record more steps, "
+            "these frames do not separate the projector's gamma from its blur; record more steps, "
             "bits, or white and black"
         )
 
 
-def _left(
+def _residual_samples(
     pixels: _FittedPixels,
     patterns: PatternSet,
     light: FloatArray,
     noise: SensorNoise,
     limits: FitLimits,
 ) -> tuple[NoiseSamples, float, FloatArray]:
-    """Return squared residuals over what the fit left of them, chi-square, scores of the pixels."""
+    """Return squared residuals over 1 - leverage, chi-square, and the pixels' scores."""
     model = _model(pixels, patterns, light)
     parts = _projected(pixels, model, noise)
     leverage = parts.weight * np.einsum("pki,pij,pkj->pk", model.own, parts.inverse, model.own)
-    left = 1.0 - leverage
-    counted = left > 0.2
-    square = parts.residual**2 / np.where(counted, left, 1.0)
+    remaining = 1.0 - leverage
+    counted = remaining > 0.2
+    square = parts.residual**2 / np.where(counted, remaining, 1.0)
     common = parts.common * _free(limits)
     scores = np.einsum("pkc,pk,pk->pc", common, parts.weight, parts.residual)
     freedom = parts.residual.size - pixels.own.size - 2
@@ -396,7 +398,7 @@ def _left(
 def _sandwich(
     information: FloatArray, scores: FloatArray, block: FloatArray, chi2: float, limits: FitLimits
 ) -> FloatArray:
-    """Return the covariance: that of the noise or, where it is more, of the blocks' scores."""
+    """Return the covariance of the noise, scaled up to that of the blocks' scores."""
     free = _free(limits)
     inverse = np.linalg.inv(information + np.diag(1.0 - free)) * np.outer(free, free)
     totals = np.stack(
@@ -409,7 +411,7 @@ def _sandwich(
 
 
 def _footprint_px(decoded: Decoded, patterns: PatternSet) -> float:
-    """Return the standard deviation of a camera pixel's footprint along an axis, RMS of all."""
+    """Return the standard deviation of a camera pixel's footprint, RMS over pixels and axes."""
     valid = np.equal(decoded.mask_reason, Reason.VALID)
     variances = []
     for axis in patterns.axes:
@@ -422,10 +424,10 @@ def _footprint_px(decoded: Decoded, patterns: PatternSet) -> float:
 
 
 def _lens_blur(fitted_px: float, uncertainty_px: float, footprint_px: float) -> UncertainValue:
-    """Take half of the footprint off, and leave the other half as uncertainty, evenly spread.
+    """Subtract half of the footprint's share; the other half is a uniform uncertainty.
 
-    A real pixel adds its box to the lens blur; a rendered one only where its samples lie further
-    apart than a quarter of a projector pixel. Both are covered.
+    A real pixel adds its box to the lens blur; a rendered pixel does only if its samples are more
+    than 0.25 projector pixels apart. The result covers both.
     """
     lens_px = float(np.sqrt(max(fitted_px**2 - footprint_px**2, 0.0)))
     half_px = 0.5 * (fitted_px - lens_px)

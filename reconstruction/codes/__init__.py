@@ -1,7 +1,7 @@
 """Pattern codes: how fringes are numbered. One kind per module, registered in `CODES`.
 
-A kind states which words and further periods are projected, and how they give the fringe order:
-either one of the compiled rules (`Rule`), or its own `unwrap` in numpy. Minimal example:
+A kind defines the projected words and further periods, and how the fringe order is decoded: either
+by one of the compiled rules (`Rule`), or by its own `unwrap` in numpy. Minimal example:
 
     class TernaryCode(PatternCode):
         name, title = "ternary", "ternary code"
@@ -29,7 +29,7 @@ from reconstruction.several_periods import Chain
 
 
 class Rule(Enum):
-    """Compiled ways to the fringe order; coordinates are px, phases in [0, 2 pi)."""
+    """Compiled rules for the fringe order; coordinates are px, phases in [0, 2 pi)."""
 
     WORD_PER_PERIOD = auto()
     """The word changes where the phase is 0 (at `displacement`: minus that share of a turn)."""
@@ -40,7 +40,7 @@ class Rule(Enum):
     CHAIN = auto()
     """Phases of several periods, coarse to fine; all of them are averaged. See `Chain`."""
     SINGLE_IMAGES = auto()
-    """N steps of the first period, a single image of every other one."""
+    """N steps of the first period, a single image of each further one."""
     OWN = auto()
     """The kind's own `unwrap`."""
 
@@ -101,16 +101,16 @@ def period_word(
 
 @dataclass(frozen=True, eq=False)
 class Wrapped:
-    """What the frames along one projector axis say before the fringes are numbered.
+    """Wrapped phases and words of one projector axis, before the fringes are numbered.
 
     Parameters
     ----------
     fringes : length of the axis and all periods, px
     phase_rad : (period, row, col) float32 in [0, 2 pi); 0 where `usable` is False. The phase is
-        2 pi x / period modulo 2 pi. Periods that are shown in a single image have none
+        2 pi x / period modulo 2 pi. Periods with a single image have none
     sigma_rad : (period, row, col) float32, standard deviation of each phase
     usable : (row, col) bool, pixels that have a phase along all axes
-    words : of each word of the code the values (row, col) int64 as they were read
+    words : for each word of the code its decoded values (row, col) int64
     nearest_sigmas : (row, col) float32, smallest distance of a bit from its threshold in standard
         deviations of that distance; infinite without words
     """
@@ -133,7 +133,7 @@ class Wrapped:
 
 
 Unwrap = Callable[[Wrapped], FloatArray]
-"""From the wrapped phases of one axis to absolute coordinates, (row, col) float, px.
+"""Function from the wrapped phases of one axis to absolute coordinates, (row, col) float, px.
 
 NaN marks pixels whose fringe order is unknown. Values of pixels that are not `usable` are ignored.
 The standard deviation of the coordinate is that of the measuring period's phase.
@@ -142,12 +142,12 @@ The standard deviation of the coordinate is that of the measuring period's phase
 
 @dataclass(frozen=True)
 class AxisFrames:
-    """What a list of recorded frames contains along one axis.
+    """Content of a list of recorded frames along one axis.
 
     Parameters
     ----------
     length_px : projector pixels along the axis
-    periods_px : of the fringes, rising, periods with several images first; () without fringes
+    periods_px : of the fringes, increasing, periods with several images first; () without fringes
     images : number of images of each period
     words : of each word its width in fringe periods, and whether it is displaced by half a period
     """
@@ -164,24 +164,24 @@ class AxisFrames:
 
     @property
     def has_single_images(self) -> bool:
-        """Whether the first period has several images and every other one a single image."""
+        """Whether the first period has several images and each further one a single image."""
         return len(self.images) > 1 and self.images[0] > 1 and set(self.images[1:]) == {1}
 
 
 class PatternCode:
-    """A way to number fringes. A kind states `name`, `title`, `summary`, and what differs.
+    """A code that numbers fringes. A kind sets `name`, `title`, `summary` and its own methods.
 
     Attributes
     ----------
     name : value of the key `code`
-    title : as pages call it
+    title : name in reports and documentation
     summary : one line of documentation, with the further periods that the kind needs
     rule : how the order is decoded
     takes_further_periods : whether `further_periods_px` may be given
-    has_free_words : whether words may be shown in other ways than reflected, or without fringes
+    has_free_words : whether words may be shown in encodings except reflected, or without fringes
     displacement : of the words, in periods, in [0, 1); for WORD_PER_PERIOD
     takes_response : whether the projector's response can be corrected
-    has_closed_form : whether the standard deviation of a coordinate follows from its phase alone
+    has_closed_form : whether the standard deviation of a coordinate follows from its phase only
     """
 
     name: str
@@ -199,7 +199,7 @@ class PatternCode:
         return ()
 
     def images(self, number: int, steps: int) -> int:
-        """Return the number of images of a period: `steps`, or 1; number 0 measures."""
+        """Return the number of images of a period: `steps`, or 1; number 0 is the measuring one."""
         return steps
 
     def check(self, fringes: AxisFringes) -> None:
@@ -216,12 +216,12 @@ class PatternCode:
     def order_error(self, wrapped: Wrapped, coordinate_px: FloatArray) -> FloatArray:
         """Return the probability that the order of Rule.OWN is wrong, (row, col) float.
 
-        A kind that does not override it states no risk: 0, for which no pixel is masked.
+        A kind that does not override it reports probability 0, so no pixel is masked for it.
         """
         return np.zeros(coordinate_px.shape)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Whether frames listed like this are of this code; False: it must be stated."""
+        """Whether a list of frames with this layout is of this code; False: state the code."""
         return False
 
 
@@ -233,7 +233,7 @@ def code_of(name: object) -> PatternCode:
 
     Raises
     ------
-    InputError : there is no such code; the line names those that are
+    InputError : there is no such code; the message lists the allowed ones
     """
     if not isinstance(name, str) or name not in CODES:
         raise InputError(f"patterns code is {name!r}; allowed are {', '.join(CODES.names())}")

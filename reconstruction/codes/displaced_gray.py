@@ -1,6 +1,6 @@
-"""Displaced Gray code: the second word of the shifted Gray code alone.
+"""Displaced Gray code: only the second word of the shifted Gray code.
 
-In as many bits as number the periods; with 2^bits periods the last half period repeats the word
+It has as many bits as number the periods; with 2^bits periods the last half period repeats the word
 before it.
 """
 

@@ -34,7 +34,7 @@ class HeterodyneCode(PatternCode):
         return make_chain(BEATS[count], fringes.periods_px)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True for several periods without words, none as long as the image."""
+        """Return True for several periods without words, none of them as long as the image."""
         several = len(layout.periods_px) > 1 and not layout.has_single_images
         return not layout.words and several and not layout.is_unambiguous
 

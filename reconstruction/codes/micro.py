@@ -1,7 +1,7 @@
-"""Micro phase shifting: N steps of one period and a single image of each of several near ones.
+"""Micro phase shifting: N steps of one period and a single image of each of several near periods.
 
-All periods are so similar that mean and modulation are the same in all images; the order is that at
-which the single images agree. Gupta and Nayar, Proc. CVPR 2012, 813.
+All periods are so similar that mean and modulation are the same in all images; the order is that
+for which the single images agree. Gupta and Nayar, Proc. CVPR 2012, 813.
 """
 
 import math
@@ -12,8 +12,8 @@ import numpy as np
 from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, Rule
 from reconstruction.errors import InputError
 
-# Of the modulation: difference of two fringes in the single images, root of the sum of squares.
-# Below it no camera distinguishes them.
+# Difference of two fringes in the single images, root of the sum of squares, relative to the
+# modulation. Below it no camera distinguishes them.
 LEAST_DISTANCE = 0.02
 _NODES_PER_PERIOD = 16
 
@@ -30,7 +30,7 @@ class MicroCode(PatternCode):
     has_closed_form = False
 
     def images(self, number: int, steps: int) -> int:
-        """Return N of the measuring period, 1 of every other one."""
+        """Return N of the measuring period, 1 of each further one."""
         return 1 if number else steps
 
     def check(self, fringes: AxisFringes) -> None:
@@ -57,15 +57,15 @@ class MicroCode(PatternCode):
 def least_distance(periods_px: tuple[float, ...], length_px: int) -> float:
     """Return the smallest difference of two fringes in the single images, of the modulation.
 
-    At any phase that both have; root of the sum of squares over the images.
+    At equal phase; root of the sum of squares over the images.
     """
     fringes = np.arange(math.ceil(length_px / periods_px[0]))
     least = np.inf
     for phase in np.arange(_NODES_PER_PERIOD) / _NODES_PER_PERIOD:
         x_px = periods_px[0] * (phase + fringes[:, None])
         shown = np.cos(2.0 * np.pi * x_px / np.array(periods_px[1:]))
-        apart = np.square(shown[:, None] - shown).sum(axis=-1)
-        least = min(least, float(apart[np.triu_indices(len(fringes), 1)].min(initial=np.inf)))
+        squared = np.square(shown[:, None] - shown).sum(axis=-1)
+        least = min(least, float(squared[np.triu_indices(len(fringes), 1)].min(initial=np.inf)))
     return math.sqrt(least)
 
 

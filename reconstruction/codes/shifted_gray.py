@@ -25,7 +25,7 @@ class ShiftedGrayCode(PatternCode):
     rule = Rule.TWO_WORDS
 
     def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
-        """Return the period index, and the displaced one with a value more where needed."""
+        """Return the period index, and the displaced one with one value more if needed."""
         last = period_word(fringes, 0.5).at(np.array([fringes.length_px - 1]))
         return period_word(fringes), period_word(fringes, 0.5, int(last[0]).bit_length())
 

@@ -1,7 +1,7 @@
-"""Where an object carries a sheet: tension against air along the coat's normal; mm, kPa.
+"""Contact pressure of an object under a sheet: sheet tension against air pressure; mm, kPa.
 
-p_contact = p_air - N : b, b the curvature of the surface midway between the faces, positive in a
-valley, N the tension that the sheet's stretch tells.
+Along the coat's normal p_contact = p_air - N : b. b is the curvature of the surface midway between
+the faces, positive in a valley; N is the sheet tension computed from the stretch.
 """
 
 from dataclasses import dataclass
@@ -15,23 +15,23 @@ from reconstruction.compensation.sheet_layer import SheetLayer
 from reconstruction.evaluate.fit import spread
 
 NORMAL_SIGMA_MM = 0.1
-"""Gaussian filter of the heights whose slopes give normals and metric."""
+"""Standard deviation of the Gaussian filter of the heights for normals and metric."""
 CURVATURE_SIGMA_MM = 0.3
-"""Gaussian filter of the heights whose curvature tells contact from free span."""
+"""Standard deviation of the Gaussian filter of the heights for the curvature."""
 _SIGMAS_OF_CONTACT = 2.0
-# Of the pressure's noise in the least pressure of a contact, through the narrowest filter.
+# Ratio of the least contact pressure to the pressure's noise, for the narrowest filter.
 _SIGMAS_AT_FINE_SCALE = 4.0
 _FINE_SIGMAS_MM = (0.1, 0.14, 0.2, 0.28)
 _LEAST_FREE = 50
-# How far an edge is felt, in widths of what smears it: there a sheet that is bent lifts off.
+# Reach of an edge, in widths of the total blur: within it a bent sheet lifts off the object.
 _NEAR_WIDTHS = 2.0
-# Half width of a Gaussian at half its height over its sigma.
+# Half width at half maximum of a Gaussian, over its standard deviation.
 _HALF_WIDTH = float(np.sqrt(2 * np.log(2)))
 
 
 @dataclass(frozen=True, eq=False)
 class StretchedCoat:
-    """What the sheet's stretch tells on the relief's cells, (row, col).
+    """Thinning and tension of the stretched sheet on the relief's cells, (row, col).
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class ContactBalance:
     ----------
     pressure_kpa : of the object on the clear face
     sigma_kpa : its standard uncertainty, from noise and texture of the coat
-    least_kpa : of the contact
+    least_kpa : least pressure that counts as contact
     contact : bool
     upright_mm2 : area of the clear face in each cell, projected along z
     """
@@ -65,12 +65,12 @@ class ContactBalance:
 
 @dataclass(frozen=True, eq=False)
 class Footing:
-    """What lies on the object for sure; arrays (row, col) on the relief's cells.
+    """Cells in certain contact, and curvature range; arrays (row, col) on the relief's cells.
 
     Attributes
     ----------
-    sure : bool, contact less what the filter of the curvature may have blurred
-    uneven_per_mm : by how much the curvature differs within the contact near by
+    sure : bool, contact without the cells that the curvature's filter may have blurred
+    uneven_per_mm : range of the curvature within the contact near each cell
     """
 
     sure: BoolArray
@@ -87,8 +87,8 @@ class CoatShape:
 
     @classmethod
     def of(cls, relief: Relief, heights_mm: FloatArray) -> "CoatShape":
-        """Return that of a coat by its filtered heights, (row, col)."""
-        # Even about the rim, as the filter takes it: the clamp's bend lies within the first cells.
+        """Return the shape of a coat with filtered heights, (row, col)."""
+        # Mirrored at the rim like the filter: the clamp's bend is within the first cells.
         z = np.pad(heights_mm, 2, mode="symmetric")
         step_x, step_y = relief.pitch_mm
         z_y, z_x = np.gradient(z, step_y, step_x)
@@ -112,7 +112,7 @@ class CoatShape:
         return np.asarray(trace / (g_xx * g_yy - g_xy**2))
 
     def between(self, below_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return metric and curvature of the surface so far below, over the coat's x and y.
+        """Return metric and curvature of the surface at a depth below the coat, over x and y.
 
         r - t n has dr + t (G^-1 b) dr: G + 2 t b + t^2 b G^-1 b, and b + t b G^-1 b.
         """
@@ -137,7 +137,7 @@ class CoatShape:
 def balanced(
     relief: Relief, layer: SheetLayer, shape: CoatShape, stretched: StretchedCoat
 ) -> ContactBalance:
-    """Weigh tension against air, and tell contact from free span.
+    """Return the contact pressure and the cells in contact.
 
     Parameters
     ----------
@@ -158,21 +158,21 @@ def balanced(
 def footing_of(
     relief: Relief, layer: SheetLayer, stretched: StretchedCoat, balance: ContactBalance
 ) -> Footing:
-    """Find the cells that touch whatever the curvature's filter blurs, and edges near them.
+    """Return the cells in certain contact, and the curvature range near each cell.
 
-    The pressure of an edge is a line, and a filter smears it over the span beside it, which hangs
-    free. So contact must show through the narrowest filter that noise and texture of the coat
-    allow, and what that filter, the cells and the sheet's own bending smear over its edge is taken
-    off: of a line all.
+    The contact pressure of an edge is a line load, which the curvature's filter spreads over the
+    neighbouring free span. A cell is therefore certain only if its pressure exceeds the least one
+    with the narrowest filter that noise and texture of the coat allow. The width of filter, cell
+    and sheet bending is then removed from the contact's border, which removes line contacts.
     """
     sigma_mm, shape = _narrowest(relief, layer, stretched, balance)
     pressure = _pressure(relief, layer, shape, stretched)
     width_mm = float(np.hypot(sigma_mm, layer.thickness_mm))
     carried = (pressure > balance.least_kpa) & relief.measured & off_the_rim(relief)
     pressed = _up_to_half(carried, pressure, relief, width_mm)
-    apart_mm = ndimage.distance_transform_edt(pressed, sampling=relief.pitch_mm[::-1])
-    off_edges = apart_mm > _HALF_WIDTH * width_mm + min(relief.pitch_mm)
-    # What is a cell or two wide by then was a line.
+    edge_distance_mm = ndimage.distance_transform_edt(pressed, sampling=relief.pitch_mm[::-1])
+    off_edges = edge_distance_mm > _HALF_WIDTH * width_mm + min(relief.pitch_mm)
+    # A contact of one or two cells width after that was a line contact.
     sure = np.asarray(ndimage.binary_opening(off_edges, np.ones((3, 3))))
     return Footing(sure, _unevenness(shape.bend_per_mm, pressed, relief, _NEAR_WIDTHS * width_mm))
 
@@ -180,7 +180,7 @@ def footing_of(
 def _unevenness(
     bend_per_mm: FloatArray, among: BoolArray, relief: Relief, reach_mm: float
 ) -> FloatArray:
-    """Return the range of a curvature among some of the cells within a reach, (row, col)."""
+    """Return the range of the curvature over the `among` cells within a reach, (row, col)."""
     size = [2 * round(reach_mm / step) + 1 for step in relief.pitch_mm[::-1]]
     most = ndimage.maximum_filter(np.where(among, bend_per_mm, -np.inf), size)
     least = ndimage.minimum_filter(np.where(among, bend_per_mm, np.inf), size)
@@ -191,9 +191,9 @@ def _unevenness(
 def _narrowest(
     relief: Relief, layer: SheetLayer, stretched: StretchedCoat, balance: ContactBalance
 ) -> tuple[float, CoatShape]:
-    """Return the narrowest filter, mm, that tells contact from free span, and what it leaves.
+    """Return the narrowest filter, mm, with low enough noise of the pressure, and the shape.
 
-    Where the sheet hangs free no object presses: what a filter finds there is its noise.
+    The noise is measured where the sheet spans free, because the contact pressure is zero there.
     """
     free = free_span(relief, balance.contact)
     for sigma_mm in _FINE_SIGMAS_MM:
@@ -207,16 +207,16 @@ def _narrowest(
 
 
 def free_span(relief: Relief, contact: BoolArray) -> BoolArray:
-    """Return the cells that hang free, away from contact, rim and gaps."""
+    """Return the cells of the free span, without those near contact, rim or gaps."""
     reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(relief.pitch_mm)))
-    apart = ndimage.binary_erosion(relief.measured & ~contact, iterations=reach)
-    return np.asarray(apart & off_the_rim(relief))
+    away_from_contact = ndimage.binary_erosion(relief.measured & ~contact, iterations=reach)
+    return np.asarray(away_from_contact & off_the_rim(relief))
 
 
 def _pressure(
     relief: Relief, layer: SheetLayer, shape: CoatShape, stretched: StretchedCoat
 ) -> FloatArray:
-    """Return p_air - N : b within the frame, (row, col)."""
+    """Return p_air - N : b inside the frame, (row, col)."""
     curvature = shape.between(layer.thickness_mm / 2 * stretched.thinning)[1]
     parts = stretched.tension_kpa_mm * curvature
     pulls = parts[..., 0] + 2 * parts[..., 1] + parts[..., 2]
@@ -224,34 +224,34 @@ def _pressure(
 
 
 def _area(metric: FloatArray) -> FloatArray:
-    """Return the area of a surface over that of x and y."""
+    """Return the ratio of a surface's area to its area projected on x and y."""
     return np.asarray(np.sqrt(metric[..., 0] * metric[..., 2] - metric[..., 1] ** 2))
 
 
 def _up_to_half(
     contact: BoolArray, pressure_kpa: FloatArray, relief: Relief, blur_mm: float
 ) -> BoolArray:
-    """Take off the edge that the filter has blurred outwards: where it is half of what is near."""
+    """Remove border cells with less than 50 % of the highest pressure nearby: filter blur."""
     reach = 2 * int(np.ceil(2 * blur_mm / min(relief.pitch_mm))) + 1
     half = ndimage.maximum_filter(np.where(contact, pressure_kpa, 0.0), reach) / 2
     for _ in range(reach):
         edge = contact & ~ndimage.binary_erosion(contact)
-        off = edge & (pressure_kpa < half)
-        if not off.any():
+        beyond_edge = edge & (pressure_kpa < half)
+        if not beyond_edge.any():
             break
-        contact = contact & ~off
+        contact = contact & ~beyond_edge
     return contact
 
 
 def off_the_rim(relief: Relief) -> BoolArray:
-    """Return the cells so far from the rim that the clamp's bend is not in their curvature."""
+    """Return the cells farther from the rim than the reach of the clamp's bend in curvature."""
     reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(relief.pitch_mm)))
     inner = ndimage.binary_erosion(np.pad(relief.inside, 1), iterations=reach + 1)
     return np.asarray(inner[1:-1, 1:-1])
 
 
 def _without_specks(contact: BoolArray, relief: Relief) -> BoolArray:
-    """Drop parts narrower than the filter, which its noise makes; close holes of that size."""
+    """Remove contacts narrower than the filter, which are noise; close holes of that size."""
     reach = max(1, round(CURVATURE_SIGMA_MM / min(relief.pitch_mm) / 2))
     opened = ndimage.binary_opening(contact, iterations=reach)
     return np.asarray(ndimage.binary_closing(opened, iterations=reach) & relief.measured)
@@ -260,9 +260,9 @@ def _without_specks(contact: BoolArray, relief: Relief) -> BoolArray:
 def _sigma_of_pressure(relief: Relief, tension_kpa_mm: FloatArray) -> float:
     """Return the median standard uncertainty of N : b from noise and texture.
 
-    The second derivative of white noise of variance s^2 and correlation area A after a Gaussian of
-    sigma g has the variance 3 s^2 A / (16 pi g^6), both of them together, for equal tensions,
-    8 / 3 of that.
+    For white noise of variance s^2 and correlation area A, filtered by a Gaussian of standard
+    deviation g, one second derivative has the variance 3 s^2 A / (16 pi g^6). The sum of both,
+    at equal tension along x and y, has 8 / 3 of that.
     """
     variance, area = relief.noise_area_mm2(CURVATURE_SIGMA_MM)
     both = float(np.sqrt(variance * area / (2 * np.pi * CURVATURE_SIGMA_MM**6)))

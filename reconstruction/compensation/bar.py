@@ -1,21 +1,21 @@
-"""Width of a bar under a sheet, by its flat top and the free spans beside it; lengths mm, kPa.
+"""Width of a bar under a sheet, from its flat top and the neighbouring free spans; mm, kPa.
 
-On an edge the coat is no parallel surface of the bar: a sheet resists bending, and its texture and
-the camera's filter are as wide as the edge. But away from the edge it hangs in its tension alone,
-and a frictionless edge, round about O with radius r, turns no moment about O. So the line of
-tension of the span passes O at a distance that the bending moment B / R of the sheet decides:
+Over an edge the coat is not parallel to the bar: the sheet resists bending, and its texture and
+the camera's filter are as wide as the edge. Away from the edge the free span carries tension only.
+A frictionless rounded edge of centre O and radius r exerts no moment about O. The span's line of
+tension therefore passes O at a distance d set by the bending moment B / R of the sheet:
 
     d = R + l q - R q^2 / 2,   q = min(2 sin(turn / 4), l / R),   R = r + t / 2,   l^2 = B / N,
 
-t local thickness, N tension, l the length over which bending decays. Where q = l / R the sheet lies
-on the edge: d = R + l^2 / (2 R), of which N d = N_edge R + B / R makes twice, and the sheet's own
-energy, which slides freely, takes half (N_edge = N - B / (2 R^2)). Where the edge is sharper than
-that the sheet touches along one line, and hangs from it by two tails of Euler's elastica.
-From d, the top's height and the span's curve follows where O is, and the wall a radius beside it.
+t local thickness, N tension, l the length over which bending decays. For q = l / R the sheet is in
+contact along the rounded edge and d = R + l^2 / (2 R). (N d = N_edge R + B / R with N_edge = N
+would double the second term; but sliding without friction gives N_edge = N - B / (2 R^2) by energy
+balance.) On a sharper edge the contact is one line, with an Euler elastica on each side.
+d, the height of the top and the curve of the span give the position of O, and that plus the radius
+gives the wall.
 
 B of an incompressible neo-Hookean sheet stretched by a across and thinned to t = c h is
-mu (a^2 + c^2) t^3 / 6. The tension is that of a span that carries the air's pressure by its
-curvature.
+mu (a^2 + c^2) t^3 / 6. N is the tension of a span whose curvature carries the air pressure.
 """
 
 from dataclasses import dataclass, replace
@@ -30,32 +30,32 @@ from reconstruction.compensation.sheet import CompensatedSheet
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import fit_plane, inliers
 
-# Of the bar's length: where its ends are not felt.
+# Share of the bar's length, about its middle, that the effect of the ends does not reach.
 _MIDDLE_SHARE = 0.3
 _SPAN_MM = 3.5
-# Off the top beside its rounded edges: there the sheet lifts.
+# Margin between top cells and rounded edges: near the edges the sheet lifts off.
 _TOP_OFF_MM = 0.3
 _TURNS = 3
-# How far beside itself a bar may be looked for, and from where on its coat counts as its flank.
+# Largest offset of the bar from its stated place, and drop of the coat at which a flank starts.
 _ASIDE_MM, _FALLEN_MM = 1.0, 0.12
 _ARC_TURNS = 8
 _TAILS = 3.0
 _LEAST_CELLS = 40
 _FLAT_DEG, _LEAST_TURN_DEG = 3.0, 15.0
 THEORY_ON_EDGE, THEORY_OFF_EDGE = 0.2, 0.5
-"""Error of d - R over it, against solid elements (tests/compensation/test_bar.py): where the sheet
-lies on the edge, and where it touches it along a line."""
+"""Relative error of d - R, from solid elements (tests/compensation/test_bar.py): for contact along
+the rounded edge, and for contact on one line."""
 
 
 @dataclass(frozen=True)
 class BarPlace:
-    """Where a bar lies, to half a millimetre, and what its edges are.
+    """Approximate place of a bar and the radius of its edges.
 
     Attributes
     ----------
-    x_mm, y_mm : world, of its middle
-    along_deg : of its length from world y towards -x, to some four degrees
-    width_mm : where its walls are looked for, to some tenths of a millimetre
+    x_mm, y_mm : world, of its middle, to 0.5 mm
+    along_deg : direction of its length, from world y towards -x, to about 4 degrees
+    width_mm : approximate distance of its walls, to some 0.1 mm
     length_mm : least length between its ends
     edge_radius_mm : rounding of its upper edges
     sigma_edge_radius_mm : its standard uncertainty
@@ -72,17 +72,17 @@ class BarPlace:
 
 @dataclass(frozen=True)
 class BarUnderSheet:
-    """A bar's width, between its walls.
+    """Width of a bar between its walls.
 
     Attributes
     ----------
-    sigma_mm : standard uncertainty, of the shares below
-    noise_mm : of noise and texture of the coat
-    layer_mm : of what is open of the sheet and the air
-    edge_mm : of the edge's radius
-    theory_mm : of the sheet's bending over the edge
-    turn_deg : by how much the sheet turns at each edge
-    on_edge : whether it lies on both edges, or touches them along a line
+    sigma_mm : standard uncertainty, the root sum of squares of the four shares below
+    noise_mm : share of noise and texture of the coat
+    layer_mm : share of the sheet's uncertain values and of the air pressure
+    edge_mm : share of the edge radius
+    theory_mm : share of the model of bending over an edge
+    turn_deg : angle by which the sheet turns at each edge
+    on_edge : whether the sheet is in contact along both rounded edges, or on one line of each
     """
 
     width_mm: float
@@ -96,11 +96,11 @@ class BarUnderSheet:
 
 
 def bending_offset_mm(radius_mm: float, tail_mm: float, turn_rad: float) -> float:
-    """Return d - R: by how much farther from O the tension passes than the sheet's middle lies.
+    """Return d - R, the distance of the line of tension from O beyond the sheet's middle surface.
 
     Parameters
     ----------
-    radius_mm : of the sheet's middle on the edge
+    radius_mm : of the sheet's middle surface on the edge
     tail_mm : length over which bending decays
     turn_rad : angle between the spans on both sides of the edge
     """
@@ -112,7 +112,7 @@ def bending_offset_mm(radius_mm: float, tail_mm: float, turn_rad: float) -> floa
 
 @dataclass(frozen=True)
 class _Sheet:
-    """What the width rests on of the sheet, and what may be wrong with it."""
+    """Values of the sheet that the width depends on."""
 
     thickness_mm: float
     young_modulus_kpa: float
@@ -124,7 +124,7 @@ class _Sheet:
         return self.thickness_mm * self.thinning
 
     def tension(self, curvature_per_mm: float) -> float:
-        """Return N in kPa mm of a span whose coat has a curvature."""
+        """Return N, kPa mm, of a span with a coat of the given curvature."""
         return self.pressure_kpa * (1 / curvature_per_mm + self.local_mm / 2)
 
     def tail_mm(self, tension: float) -> float:
@@ -135,16 +135,16 @@ class _Sheet:
 
 @dataclass(frozen=True, eq=False)
 class _Span:
-    """The coat beside one edge: an arc of a circle, in axes along (s) and across its middle.
+    """Free span next to an edge: an arc of a circle, in axes along (s) and across its chord.
 
     Attributes
     ----------
     origin : (across, up) of s = 0
     slope_rad : of the axes, downwards
-    sagging_mm : how far the arc's middle lies above the origin, across
+    sagging_mm : distance of the arc's middle above the origin, across
     curvature_per_mm : positive in a valley
     covariance : (3, 3) of height, slope and half the curvature at s = 0
-    from_mm : s where the measured span begins
+    from_mm : s at which the measured span starts
     """
 
     origin: FloatArray
@@ -163,7 +163,7 @@ class _Span:
         return place, self.slope_rad - turned
 
     def steeper_than(self, least_deg: float) -> float:
-        """Return the s up to which the coat falls by more than an angle."""
+        """Return the s up to which the coat descends by more than an angle."""
         turned = np.clip(self.slope_rad - np.deg2rad(least_deg), -np.pi / 2, np.pi / 2)
         return float(np.sin(turned)) / self.curvature_per_mm
 
@@ -174,7 +174,7 @@ class _Span:
 
 @dataclass(frozen=True)
 class _Edge:
-    """Where the middle O of an edge lies across the bar, and how the sheet leaves it."""
+    """Position of the centre O of an edge across the bar, and angle of the sheet there."""
 
     across_mm: float
     turn_rad: float
@@ -184,39 +184,39 @@ class _Edge:
     on_edge: bool
 
 
-def bar_under_sheet(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
-    """Find the width of a bar with a flat top.
+def bar_under_sheet(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
+    """Measure the width of a bar with a flat top.
 
     Raises
     ------
-    FitError : no air, a sheet that sticks, or a top and spans that tell no width
+    FitError : no air pressure, a sheet that sticks, or a top or spans that give no width
     """
-    if found.layer.back_pressure_kpa <= 0:
-        raise FitError("width: without air on the coat nothing presses it onto the bar's top")
-    if found.layer.sticks:
-        raise FitError("width: the tension of a sheet that sticks is not known at an edge")
-    bar = _placed(found, bar)
+    if result.layer.back_pressure_kpa <= 0:
+        raise FitError("width: back_pressure_kpa is 0; air must press the sheet onto the bar")
+    if result.layer.sticks:
+        raise FitError("width: the tension at an edge is unknown for a sheet that sticks")
+    bar = _placed(result, bar)
     for _ in range(_TURNS):
-        told = _told(found, bar)
-        if not bar.width_mm / 2 < told.width_mm < 2 * bar.width_mm:
-            raise FitError(f"width: found {told.width_mm:.2f} mm, not near {bar.width_mm:g} mm")
-        bar = replace(bar, width_mm=told.width_mm)
-    return told
+        measured = _measured_width(result, bar)
+        if not bar.width_mm / 2 < measured.width_mm < 2 * bar.width_mm:
+            raise FitError(f"width: found {measured.width_mm:.2f} mm, not near {bar.width_mm:g} mm")
+        bar = replace(bar, width_mm=measured.width_mm)
+    return measured
 
 
-def _placed(found: CompensatedSheet, bar: BarPlace) -> BarPlace:
-    """Return the bar between its flanks, along the line of its halves' middles."""
+def _placed(result: CompensatedSheet, bar: BarPlace) -> BarPlace:
+    """Return the bar centred between its flanks, aligned with the middles of its two halves."""
     turn, shift = np.deg2rad(bar.along_deg), _MIDDLE_SHARE * bar.length_mm / 4
     along = np.array([-np.sin(turn), np.cos(turn)])
     across = np.array([along[1], -along[0]])
     middle = np.array([bar.x_mm, bar.y_mm])
-    points = found.relief.points_mm[found.relief.measured]
+    points = result.relief.points_mm[result.relief.measured]
     own = (points[:, :2] - middle) @ np.stack([across, along], axis=1)
     near, ends = np.abs(own[:, 0]) < bar.width_mm / 2 + _ASIDE_MM, []
     for side in (-1.0, 1.0):
         half = near & (np.abs(own[:, 1] - side * shift) < shift)
         between = _between_flanks(
-            own[half, 0], points[half, 2], found.relief.pitch_mm[0], bar.width_mm / 3
+            own[half, 0], points[half, 2], result.relief.pitch_mm[0], bar.width_mm / 3
         )
         ends.append(middle + between * across + side * shift * along)
     (x, y), line = np.mean(ends, axis=0), ends[1] - ends[0]
@@ -227,17 +227,17 @@ def _placed(found: CompensatedSheet, bar: BarPlace) -> BarPlace:
 def _between_flanks(
     across_mm: FloatArray, z_mm: FloatArray, pitch_mm: float, top_mm: float
 ) -> float:
-    """Return the middle between the places where the coat has fallen some way from its crest.
+    """Return the middle between the places where the coat is `_FALLEN_MM` below its crest.
 
     Parameters
     ----------
-    top_mm : up to where the bar's top is sure to reach on either side; its tilt is taken off
+    top_mm : half width that is certainly on the bar's top; the top's tilt is subtracted
     """
     number = np.floor(across_mm / pitch_mm).astype(int)
     first = int(number.min()) if len(number) else 0
     count = np.bincount(number - first)
     if not len(number) or not count.all():
-        raise FitError("width: the coat was not measured all over the bar")
+        raise FitError("width: the coat was not measured over the whole bar")
     profile = np.bincount(number - first, z_mm) / count
     places = (first + np.arange(len(count)) + 0.5) * pitch_mm
     top = np.abs(places) < top_mm
@@ -247,55 +247,58 @@ def _between_flanks(
     fallen = profile < profile[crest] - _FALLEN_MM
     left, right = np.flatnonzero(fallen[:crest]), crest + np.flatnonzero(fallen[crest:])
     if not len(left) or not len(right):
-        raise FitError("width: the coat beside the bar does not fall from its top")
+        raise FitError("width: the coat next to the bar is not below the bar's top")
     return float(first + (left[-1] + right[0] + 1) / 2) * pitch_mm
 
 
-def _told(found: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
-    axes = _Axes.of(found, bar)
-    sheet = _sheet(found, axes, bar)
-    spans = [_span(found, axes, bar, sheet, side) for side in (-1.0, 1.0)]
+def _measured_width(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
+    axes = _Axes.of(result, bar)
+    sheet = _sheet(result, axes, bar)
+    spans = [_span(result, axes, bar, sheet, side) for side in (-1.0, 1.0)]
 
     def edges(of: _Sheet, radius_mm: float) -> list[_Edge]:
-        # A thicker sheet has its bar deeper below the coat.
+        # With a thicker sheet the bar's top is deeper below the coat.
         drop_mm = of.local_mm - sheet.local_mm
         return [_edge(span, of, radius_mm, drop_mm) for span in spans]
 
     def width(of: _Sheet, radius_mm: float) -> float:
-        return sum(one.across_mm for one in edges(of, radius_mm)) + 2 * radius_mm
+        return sum(edge.across_mm for edge in edges(of, radius_mm)) + 2 * radius_mm
 
     radius, best = bar.edge_radius_mm, width(sheet, bar.edge_radius_mm)
-    here, layer = edges(sheet, radius), [width(one, radius) - best for one in _moved(found, sheet)]
+    here, layer = (
+        edges(sheet, radius),
+        [width(changed, radius) - best for changed in _moved(result, sheet)],
+    )
     shares = {
-        "noise_mm": float(np.linalg.norm([one.noise_mm for one in here])),
+        "noise_mm": float(np.linalg.norm([edge.noise_mm for edge in here])),
         "layer_mm": float(np.linalg.norm(layer)),
         "edge_mm": abs(width(sheet, radius + bar.sigma_edge_radius_mm) - best),
-        "theory_mm": sum(_theory_mm(one) for one in here),
+        "theory_mm": sum(_theory_mm(edge) for edge in here),
     }
-    left, right = (float(np.rad2deg(one.turn_rad)) for one in here)
+    left, right = (float(np.rad2deg(edge.turn_rad)) for edge in here)
     sigma = float(np.linalg.norm(list(shares.values())))
-    on_edge = all(one.on_edge for one in here)
+    on_edge = all(edge.on_edge for edge in here)
     return BarUnderSheet(best, sigma, turn_deg=(left, right), on_edge=on_edge, **shares)
 
 
 @dataclass(frozen=True, eq=False)
 class _Axes:
-    """Frame of a bar: across, along, up from its flat top; rows of `rotation`, world mm."""
+    """Frame of a bar: across, along, up from its flat top; axes are rows of `rotation`; mm."""
 
     middle_mm: FloatArray
     rotation: FloatArray
     band: BoolArray
 
     @classmethod
-    def of(cls, found: CompensatedSheet, bar: BarPlace) -> "_Axes":
-        turn, relief = np.deg2rad(bar.along_deg), found.relief
+    def of(cls, result: CompensatedSheet, bar: BarPlace) -> "_Axes":
+        turn, relief = np.deg2rad(bar.along_deg), result.relief
         along, middle = np.array([-np.sin(turn), np.cos(turn), 0.0]), (bar.x_mm, bar.y_mm, 0.0)
         own = (relief.points_mm - middle) @ np.stack([np.cross(along, (0, 0, 1.0)), along], axis=1)
         band = (np.abs(own[..., 1]) < _MIDDLE_SHARE * bar.length_mm / 2) & relief.measured
         top = band & (np.abs(own[..., 0]) < bar.width_mm / 2 - bar.edge_radius_mm - _TOP_OFF_MM)
         if top.sum() < _LEAST_CELLS:
             raise FitError(f"width: {int(top.sum())} cells on the bar's top, {_LEAST_CELLS} needed")
-        points = found.object_mm[top]
+        points = result.object_mm[top]
         flat = fit_plane(points)
         flat = fit_plane(points[inliers(flat.residuals_mm)])
         along -= (along @ flat.normal) * flat.normal
@@ -305,99 +308,102 @@ class _Axes:
         return cls(np.array([bar.x_mm, bar.y_mm, up]), rotation, band)
 
     def own(self, points_mm: FloatArray) -> FloatArray:
-        """Return world points (..., xyz) as (..., across along up)."""
+        """Return world points (..., xyz) in the bar's frame, (..., across along up)."""
         return np.asarray((points_mm - self.middle_mm) @ self.rotation.T)
 
 
-def _sheet(found: CompensatedSheet, axes: _Axes, bar: BarPlace) -> _Sheet:
-    layer, across = found.layer, axes.own(found.relief.points_mm)[..., 0]
-    beside = axes.band & (np.abs(np.abs(across) - bar.width_mm / 2) < _SPAN_MM)
-    thinning = float(np.median(found.thinning[beside]))
+def _sheet(result: CompensatedSheet, axes: _Axes, bar: BarPlace) -> _Sheet:
+    layer, across = result.layer, axes.own(result.relief.points_mm)[..., 0]
+    near_walls = axes.band & (np.abs(np.abs(across) - bar.width_mm / 2) < _SPAN_MM)
+    thinning = float(np.median(result.thinning[near_walls]))
     return _Sheet(layer.thickness_mm, layer.young_modulus_kpa, layer.back_pressure_kpa, thinning)
 
 
-def _moved(found: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
-    """Return the sheet with each of its values off by a standard uncertainty."""
-    layer = found.layer
+def _moved(result: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
+    """Return the sheet with each of its values changed by one standard uncertainty."""
+    layer = result.layer
     return [
         replace(sheet, thickness_mm=sheet.thickness_mm + layer.sigma_thickness_mm),
         replace(sheet, young_modulus_kpa=sheet.young_modulus_kpa + layer.sigma_young_modulus_kpa),
         replace(sheet, pressure_kpa=sheet.pressure_kpa + layer.sigma_back_pressure_kpa),
-        replace(sheet, thinning=sheet.thinning + float(np.median(found.sigma_thinning))),
+        replace(sheet, thinning=sheet.thinning + float(np.median(result.sigma_thinning))),
     ]
 
 
-def _span(found: CompensatedSheet, axes: _Axes, bar: BarPlace, sheet: _Sheet, side: float) -> _Span:
-    """Fit the coat beside an edge, twice: where bending has decayed is known after the first."""
+def _span(
+    result: CompensatedSheet, axes: _Axes, bar: BarPlace, sheet: _Sheet, side: float
+) -> _Span:
+    """Fit the span next to an edge, twice: the first fit gives the length of bending decay."""
     tail = 2 * sheet.local_mm
     for _ in range(2):
-        span = _fitted(found, axes, (side, bar.width_mm / 2), _TAILS * tail)
+        span = _fitted(result, axes, (side, bar.width_mm / 2), _TAILS * tail)
         tail = sheet.tail_mm(sheet.tension(span.curvature_per_mm))
     return span
 
 
 def _fitted(
-    found: CompensatedSheet, axes: _Axes, wall: tuple[float, float], clear_mm: float
+    result: CompensatedSheet, axes: _Axes, wall: tuple[float, float], clear_mm: float
 ) -> _Span:
-    relief, own, (side, half_mm) = found.relief, axes.own(found.relief.points_mm), wall
+    relief, own, (side, half_mm) = result.relief, axes.own(result.relief.points_mm), wall
     beyond = side * own[..., 0] - half_mm
-    start = found.layer.thickness_mm + relief.pitch_mm[0] + clear_mm
-    end = min(start + _SPAN_MM, _free_to_mm(found, axes, beyond) - clear_mm)
-    kept = axes.band & (beyond > start) & (beyond < end)
-    if kept.sum() < _LEAST_CELLS:
+    start = result.layer.thickness_mm + relief.pitch_mm[0] + clear_mm
+    end = min(start + _SPAN_MM, _free_to_mm(result, axes, beyond) - clear_mm)
+    span_cells = axes.band & (beyond > start) & (beyond < end)
+    if span_cells.sum() < _LEAST_CELLS:
         raise FitError(
-            f"width: {int(kept.sum())} cells of a free span beside the bar, {_LEAST_CELLS} needed"
+            f"width: {int(span_cells.sum())} cells of a free span next to the bar, "
+            f"{_LEAST_CELLS} needed"
         )
-    across, along, up = np.moveaxis(own[kept], -1, 0)
-    return _arc(np.stack((side * across, up, along), axis=-1), kept, found)
+    across, along, up = np.moveaxis(own[span_cells], -1, 0)
+    return _arc(np.stack((side * across, up, along), axis=-1), span_cells, result)
 
 
-def _free_to_mm(found: CompensatedSheet, axes: _Axes, beyond_mm: FloatArray) -> float:
-    """Return how far from the wall the sheet touches or is held again.
+def _free_to_mm(result: CompensatedSheet, axes: _Axes, beyond_mm: FloatArray) -> float:
+    """Return the distance from the wall at which the sheet touches or is clamped again.
 
-    By the contact's pressure, mean along the bar: texture makes specks of it in the map.
+    Uses the contact pressure averaged along the bar: in the map, texture makes specks of contact.
     """
-    pitch = found.relief.pitch_mm[0]
+    pitch = result.relief.pitch_mm[0]
     cells = axes.band & (beyond_mm > 0)
     number = (beyond_mm[cells] / pitch).astype(int)
     count = np.maximum(np.bincount(number), 1)
-    free = off_the_rim(found.relief)[cells].astype(float)
-    pressure, inner = (np.bincount(number, of) / count for of in (found.pressure_kpa[cells], free))
-    taken = (pressure > found.layer.back_pressure_kpa / 2) | (inner < 1)
+    free = off_the_rim(result.relief)[cells].astype(float)
+    pressure, inner = (np.bincount(number, of) / count for of in (result.pressure_kpa[cells], free))
+    taken = (pressure > result.layer.back_pressure_kpa / 2) | (inner < 1)
     first = int(np.ceil(3 * CURVATURE_SIGMA_MM / pitch))
     again = np.flatnonzero(taken[first:])
     return float(first + again[0] if len(again) else len(taken)) * pitch - CURVATURE_SIGMA_MM
 
 
-def _arc(points: FloatArray, kept: BoolArray, found: CompensatedSheet) -> _Span:
-    """Fit an arc to points (n, across up along); it may drift and turn along the bar."""
+def _arc(points: FloatArray, span_cells: BoolArray, result: CompensatedSheet) -> _Span:
+    """Fit an arc to points (n, across up along); place and angle may change along the bar."""
     origin, y = points[:, :2].mean(axis=0), points[:, 2]
     across, up = (points[:, :2] - origin).T
     angle, curvature = float(np.arctan(-np.polyfit(across, up, 1)[0])), 0.0
-    used, one = np.ones(len(y), bool), np.ones_like(y)
+    used, ones = np.ones(len(y), bool), np.ones_like(y)
     for _ in range(_ARC_TURNS):
         c, s = np.cos(angle), np.sin(angle)
         place, height = across * c - up * s, across * s + up * c
-        design = np.column_stack([one, place, place**2, y, y**2, place * y, place * y**2])
+        design = np.column_stack([ones, place, place**2, y, y**2, place * y, place * y**2])
         flat = height - _over_parabola(place, curvature)
         sagging, slope, half, *_ = fitted = np.linalg.lstsq(design[used], flat[used])[0]
         rest = flat - design @ fitted
         used = inliers(rest)
         angle, curvature = angle - float(np.arctan(slope)), float(2 * half)
     if curvature <= 0:
-        raise FitError("width: the coat beside the bar does not hang from it")
-    spread, members = np.zeros(kept.shape), np.zeros(kept.shape, bool)
-    spread[kept], members[kept] = rest, used
-    variance, area = variance_and_area(spread, members, found.relief.cell_area_mm2)
+        raise FitError("width: the coat next to the bar is not curved like a free span")
+    spread, members = np.zeros(span_cells.shape), np.zeros(span_cells.shape, bool)
+    spread[span_cells], members[span_cells] = rest, used
+    variance, area = variance_and_area(spread, members, result.relief.cell_area_mm2)
     covariance = np.linalg.inv(design[used].T @ design[used])[:3, :3] * variance
-    together = area / found.relief.cell_area_mm2
+    together = area / result.relief.cell_area_mm2
     return _Span(
         origin, angle, float(sagging), curvature, covariance * together, float(place.min())
     )
 
 
 def _over_parabola(place_mm: FloatArray, curvature_per_mm: float) -> FloatArray:
-    """Return how far a circle lies above the parabola of its curvature."""
+    """Return the height of a circle above the parabola of the same curvature."""
     if not curvature_per_mm:
         return np.zeros_like(place_mm)
     turned = np.clip(curvature_per_mm * place_mm, -0.99, 0.99)
@@ -405,32 +411,32 @@ def _over_parabola(place_mm: FloatArray, curvature_per_mm: float) -> FloatArray:
 
 
 def _edge(span: _Span, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _Edge:
-    """Place an edge so that the span's tension passes its middle at the distance d."""
+    """Locate an edge's centre so that the span's line of tension passes it at the distance d."""
     tension, middle = sheet.tension(span.curvature_per_mm), radius_mm + sheet.local_mm / 2
     tail = sheet.tail_mm(tension)
 
     def turn_and_offset(s_mm: float) -> tuple[float, float]:
         slope, offset = span.at(s_mm)[1], 0.0
         for _ in range(2):
-            # Air lifts the top's end by as much as the offset: it leaves the edge inclined.
+            # Air lifts the end of the top by the offset, so the sheet leaves the edge inclined.
             turn = slope + float(np.sqrt(2 * sheet.pressure_kpa * offset / tension))
             offset = bending_offset_mm(middle, tail, turn)
         return turn, offset
 
     def above(s_mm: float) -> float:
-        """Height of a point at the distance d inside the span over the edge's middle."""
+        """Height above O of the point at the distance d from the span towards the edge."""
         place, slope = span.at(s_mm)
         away = middle + turn_and_offset(s_mm)[1] + sheet.local_mm / 2
         return float(place[1] - away * np.cos(slope) + radius_mm + drop_mm)
 
     low, high = span.from_mm - _SPAN_MM, min(span.from_mm + _SPAN_MM, span.steeper_than(_FLAT_DEG))
     if high <= low or above(low) * above(high) > 0:
-        raise FitError("width: the coat beside the bar does not lead to its top")
+        raise FitError("width: the coat next to the bar does not lead to its top")
     s_mm = float(brentq(above, low, high))
     (across, _), slope = span.at(s_mm)
     if np.rad2deg(slope) < _LEAST_TURN_DEG:
         raise FitError(
-            f"width: the sheet leaves the edge by {np.rad2deg(slope):.0f} degrees only, "
+            f"width: the sheet leaves the edge at {np.rad2deg(slope):.0f} degrees, "
             f"{_LEAST_TURN_DEG:g} needed; press with more air or deeper"
         )
     turn, offset = turn_and_offset(s_mm)

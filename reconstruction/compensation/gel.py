@@ -1,14 +1,14 @@
 """The object pressed into a coated gel on a window (contact-face layout), from the coat; mm, kPa.
 
-World frame: the undeformed coat is z = 0, the object comes from below. Where it touches, the coat
-IS the object; elsewhere the gel is free. Which is which, and how hard it presses, says the layer:
-the non-negative pressure p whose deflection G p is nearest to the measured heights u,
+World frame: the undeformed coat is z = 0, the object approaches from below. In contact the coat
+has the object's surface; elsewhere the gel is free. The layer's compliance G separates both and
+gives the pressure: the non-negative p with the deflection G p nearest to the measured heights u,
 
-    min |w (G p - u)|^2,  p >= 0,  p = 0 where nothing was measured  (w: 1 where it was).
+    min |w (G p - u)|^2,  p >= 0,  p = 0 where u was not measured  (w: 1 where it was).
 
 Accelerated projected gradients with restart (Beck and Teboulle 2009, SIAM J. Imaging Sci. 2, 183;
-O'Donoghue and Candes 2015, Found. Comput. Math. 15, 715), begun at the regularised inverse. So many
-passes and no more: the data tell nothing of what they have not found by then but noise.
+O'Donoghue and Candes 2015, Found. Comput. Math. 15, 715), started at the regularised inverse. The
+number of passes is fixed: further passes fit noise only.
 Contact is where the smoothed pressure exceeds a share of its part's highest.
 """
 
@@ -28,23 +28,23 @@ Deflect = Callable[[FloatArray], FloatArray]
 """Pressure over modulus (row, col) on the layer's cells to deflection along +z, mm."""
 
 _PASSES = 120
-# Of the highest pressure: what separates parts, and the contact within each.
+# Shares of the highest pressure: threshold that separates parts, and contact within each part.
 _SEPARATE, _TOUCHING = 0.1, 0.3
 _SMOOTH_MM = 0.16
 # Parts with less force than this share of the strongest are noise.
 _WEAKEST = 0.02
-# Linear and frictionless against a neo-Hookean gel with friction (shared notes, mechanics.md 6).
+# Linear and frictionless model, compared with a neo-Hookean gel with friction.
 _FORCE_THEORY = 0.04
 
 
 @dataclass(frozen=True)
 class GelLayer:
-    """What is known of the gel; sigma_: standard uncertainties.
+    """Known values of the gel; sigma_: standard uncertainties.
 
     Attributes
     ----------
-    deflect : the layer's answer to pressure over modulus, on the cells of the relief with a margin
-    margin_cells : rows and columns that the layer has more than the relief, on each side
+    deflect : the layer's response to pressure over modulus, on the relief's cells with a margin
+    margin_cells : rows and columns that the layer extends beyond the relief, on each side
     """
 
     deflect: Deflect
@@ -80,17 +80,17 @@ class CompensatedGel(PresentedObject):
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """No sheet is bent over an edge: 0, (row, col)."""
+        """Zero, (row, col): a gel does not bend over an edge."""
         return np.zeros(self.contact.shape)
 
     @property
     def object_mm(self) -> FloatArray:
-        """Points of the coat, (row, col, xyz); the object's where there is contact."""
+        """Points of the coat, (row, col, xyz); of the object in contact."""
         return self.relief.points_mm
 
     @property
     def blur_mm(self) -> float:
-        """How far the contact's edge is blurred."""
+        """Width by which the contact's edge is blurred."""
         return _SMOOTH_MM
 
     @property
@@ -100,38 +100,38 @@ class CompensatedGel(PresentedObject):
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force: modulus, and what a linear gel leaves out."""
+        """Standard uncertainty of the force: modulus, and error of the linear model."""
         share = self.layer.sigma_young_modulus_kpa / self.layer.young_modulus_kpa
         return self.force_n * float(np.hypot(share, _FORCE_THEORY))
 
     @property
     def area_mm2(self) -> float:
-        """Area of the contact seen along z."""
+        """Area of the contact projected along z."""
         return float(self.contact.sum()) * self.relief.cell_area_mm2
 
     @property
     def layer_moves_mm(self) -> list[FloatArray]:
-        """What of the layer is uncertain moves no point: the coat is the object."""
+        """Empty: in contact the coat is the object's surface for any values of the layer."""
         return []
 
     def theory_mm(self, _: float) -> float:
-        """Return what the theory leaves out of a radius: the shape is measured, not modelled."""
+        """Return 0: the shape is measured, so that no model error enters a radius."""
         return 0.0
 
 
 def compensate_gel(relief: Relief, layer: GelLayer) -> CompensatedGel:
-    """Find contact and pressure of a gel that was pressed.
+    """Compute contact and pressure of a pressed gel.
 
     Raises
     ------
-    FitError : nothing presses
+    FitError : no object presses on the gel
     """
     margin = layer.margin_cells
     around = [(cells, cells) for cells in margin]
     known = np.pad(relief.measured.astype(np.float64), around)
     heights = known * np.pad(relief.heights_mm, around)
     if float(heights.max()) <= 0:
-        raise FitError("gel: nothing presses on it; the coat is nowhere above its plane z = 0")
+        raise FitError("gel: no object presses on it; the coat is nowhere above its plane z = 0")
     pressure = _pressure(layer.deflect, heights, known)
     misfit = known * (layer.deflect(pressure) - heights)
     inner = tuple(slice(m, size - m) for m, size in zip(margin, heights.shape, strict=True))
@@ -151,26 +151,26 @@ def compensate_gel(relief: Relief, layer: GelLayer) -> CompensatedGel:
 
 
 def _pressure(deflect: Deflect, heights_mm: FloatArray, known: FloatArray) -> FloatArray:
-    """Return the non-negative pressure over modulus that explains the heights best."""
+    """Return the non-negative pressure over modulus with the least misfit of the heights."""
     largest = _largest_compliance(deflect, known)
-    found = np.maximum(known * heights_mm, 0.0) / largest
-    # One scale for all: of the deflection's size, the shape comes with the passes.
-    first = deflect(found)
-    found *= max(float(np.sum(known * first * heights_mm) / np.sum(known * first**2)), 0.0)
-    ahead, momentum = found, 1.0
+    pressure = np.maximum(known * heights_mm, 0.0) / largest
+    # One factor for the size of the deflection; the passes find the shape.
+    first = deflect(pressure)
+    pressure *= max(float(np.sum(known * first * heights_mm) / np.sum(known * first**2)), 0.0)
+    ahead, momentum = pressure, 1.0
     for _ in range(_PASSES):
         downhill = known * deflect(known * (deflect(ahead) - heights_mm))
         moved = np.maximum(ahead - downhill / largest**2, 0.0)
-        if float(np.sum((ahead - moved) * (moved - found))) > 0:
-            momentum = 1.0  # the step turns back: begin anew
+        if float(np.sum((ahead - moved) * (moved - pressure))) > 0:
+            momentum = 1.0  # the step reverses: restart
         after = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
-        ahead = moved + (momentum - 1) / after * (moved - found)
-        found, momentum = moved, after
-    return found
+        ahead = moved + (momentum - 1) / after * (moved - pressure)
+        pressure, momentum = moved, after
+    return pressure
 
 
 def _largest_compliance(deflect: Deflect, known: FloatArray) -> float:
-    """Return the largest eigenvalue of the layer between measured cells, and 2 % above."""
+    """Return the largest eigenvalue of the layer between measured cells, plus 2 %."""
     wave = known * (1 + 0.1 * np.cos(np.arange(known.size)).reshape(known.shape))
     size = 1.0
     for _ in range(30):
@@ -182,7 +182,7 @@ def _largest_compliance(deflect: Deflect, known: FloatArray) -> float:
 
 
 def _touching(pressure: FloatArray) -> BoolArray:
-    """Return the contact: in each part what exceeds a share of its own highest pressure."""
+    """Return the contact: in each part the cells above a share of the part's highest pressure."""
     highest = float(pressure.max())
     labels, count = ndimage.label(pressure > _SEPARATE * highest)
     numbers = np.arange(1, count + 1)

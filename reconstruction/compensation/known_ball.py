@@ -1,15 +1,15 @@
-"""Calibrate a sheet on one press of a known ball: thickness, modulus, how its rim gives; mm, kPa.
+"""Calibrate thickness, modulus and rim compliance of a sheet on a press of a known ball; mm, kPa.
 
-What one press determines: the local thickness over the ball, by its radius; and with known air the
-tension of the free span, so the modulus. What it does not: thickness and pre-stretch apart. A sheet
-stretched more into its frame is thinner by the square of it before anything touches: along that
-ridge, h s^-2 nearly constant, nothing measured changes. The thickness is that at the pre-stretch
-taken, and serves every later press of the same mounted sheet.
+One press determines the local thickness over the ball, from its radius, and with known air pressure
+the tension of the free span and so the modulus. It does not separate thickness h and pre-stretch s:
+a mounted sheet is thinner by s^-2, and no measured quantity changes if h s^-2 is nearly constant.
+The calibrated thickness therefore belongs to the stated pre-stretch; it is valid for every later
+press of the same mounted sheet.
 
-A rim that gives leaves the sheet thicker over the ball. Its compliance is fitted where it is stated
-as uncertain, with what was believed of it and whatever else tells: with a known travel the tip of
-the ball, which lies where the stage has put it, z = travel - h s^-2 above the mounted coat; with a
-modulus known from elsewhere the tension of the free span. Weighted least squares, Gauss-Newton.
+With a compliant rim the sheet over the ball is thicker. The compliance is fitted if it has an
+uncertainty, using its prior value and the additional data that exist. A known travel gives the
+height of the ball's tip, z = travel - h s^-2 above the mounted coat. A modulus known from
+elsewhere gives the tension of the free span. Weighted least squares, Gauss-Newton.
 """
 
 from collections.abc import Iterator
@@ -26,29 +26,29 @@ from reconstruction.evaluate.estimates import ball_radius
 
 _MOST_TURNS = 6
 _CLOSE_MM, _CLOSE_MM2_PER_N = 1e-5, 0.05
-# Error of the free span's modulus, and what a mm of thickness adds in a frame of 12 mm, where the
-# sheet bends: against the one-dimensional solver, tests/compensation.
+# Error of the free span's modulus, and its increase per mm of thickness in a frame of 12 mm, where
+# the sheet bends; compared with the one-dimensional solver, tests/compensation.
 _MODULUS_THEORY, _MODULUS_PER_MM = 0.02, 0.15
-# Of the tip's place, beside what the theory leaves out of a radius: against the twin's sheet.
+# Error of the tip's height in addition to `theory_mm` of a radius; compared with the twin's sheet.
 _TIP_THEORY_MM = 2e-3
-# By which the rim gives more for its derivative, times shear modulus times thickness.
+# Increase of the rim's compliance for its derivative, times shear modulus times thickness.
 _STEP_MM = 0.05
-# Of the thickness and of the modulus in the layer file. A thickness is measured or cast to some per
-# cent; a hardness gives a modulus to 20 %. A wrong unit or ball gives more.
+# Allowed factor to the thickness and the modulus of the layer file. A thickness is known to a few
+# per cent, a modulus from the hardness to 20 %. A wrong unit or ball gives a larger factor.
 _THICKNESS_FACTOR, _MODULUS_FACTOR = 2.0, 3.0
-# During the iteration, which may pass the solution.
+# Allowed factor during the iteration, which may overshoot the solution.
 _STEP_FACTOR = 5.0
-# Relative, k = 1: with k = 2 half of the value, which is then not determined.
+# Standard uncertainty over the value. Above it the expanded uncertainty (k = 2) exceeds 50 %.
 _MOST_RELATIVE_SIGMA = 0.25
-# Radii of balls of one diameter, over their mean: a sheet is not equally thick everywhere.
+# Range over mean of the radii of equal balls: the thickness of a sheet is not uniform.
 _MOST_RADIUS_SPREAD = 0.1
-# A softer rim holds nothing, and no elastomer file takes it.
+# Limit of a usable rim, and of the elastomer file's key.
 _SOFTEST_MM2_PER_N = 100.0
 
 
 @dataclass(frozen=True)
 class KnownTravel:
-    """Travel of the stage after first touch, and its standard uncertainty, mm."""
+    """Travel of the stage after first contact, and its standard uncertainty, mm."""
 
     travel_mm: float
     sigma_mm: float
@@ -56,16 +56,16 @@ class KnownTravel:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedSheet:
-    """A sheet as one press of a known ball tells it.
+    """Values of a sheet calibrated on one press of a known ball.
 
     Attributes
     ----------
-    layer : with thickness, modulus and the rim's compliance found, and their standard
+    layer : with the fitted thickness, modulus and rim compliance and their standard
         uncertainties; the pre-stretch counts as exact, as later presses share it
-    radius_before_mm : of the ball by the layer as it was believed
-    balls : how many parts were balls
-    thickness_per_pre_stretch_mm : by how much the thickness would grow per unit of pre-stretch
-    modulus_found : whether the free span told one
+    radius_before_mm : radius of the ball with the layer's values before the calibration
+    balls : number of contact parts that are balls
+    thickness_per_pre_stretch_mm : change of the thickness per unit of pre-stretch
+    modulus_found : whether the free span determined a modulus
     rim_found : whether the rim's compliance was fitted
     """
 
@@ -86,32 +86,33 @@ def calibrate_sheet(
     sigma_radius_mm: float = 0.0,
     travel: KnownTravel | None = None,
 ) -> CalibratedSheet:
-    """Find the thickness with which the ball has its radius, and the modulus of the free span.
+    """Fit the thickness that gives the ball its radius, and the modulus of the free span.
 
     Parameters
     ----------
     points_mm, sigma_z_mm : as `compensate_sheet`
-    layer : as it is believed: where to begin; its rim's compliance is fitted where it has a sigma
+    layer : prior values, at which the fit starts; its rim's compliance is fitted if its sigma is
+        not 0
     ball_radius_mm, sigma_radius_mm : of every ball in contact, and its standard uncertainty
-    travel : where the stage tells it; serves the rim's compliance
+    travel : of the stage, if known; used for the rim's compliance
 
     Raises
     ------
-    FitError : no part is a ball, balls differ, no thickness and no rim give the radius, or they are
-        not determined, or thickness or modulus are far from those of the layer
+    FitError : no part is a ball; balls differ; no thickness and no rim give the radius, or they are
+        not determined; or thickness or modulus are far from those of the layer
     InputError : the radius is no positive number
     """
     require_number("ball radius", ball_radius_mm, 0.0, open_low=True)
     require_number("sigma of the ball radius", sigma_radius_mm, 0.0)
     known = _Known(layer, ball_radius_mm, sigma_radius_mm, travel)
-    here, before, told, softer, fit = _converged(points_mm, sigma_z_mm, known)
+    here, before, measured, softer, fit = _converged(points_mm, sigma_z_mm, known)
     _require_settled(fit)
     _require_thickness(known, here.thickness_mm, _THICKNESS_FACTOR)
     require_determined("thickness_mm", here.thickness_mm, float(fit.sigma[0]))
-    _require_modulus(known.believed, told.modulus_kpa)
+    _require_modulus(known.prior, measured.modulus_kpa)
     if here.rim_compliance_mm2_per_n > _SOFTEST_MM2_PER_N:
         raise FitError(
-            f"calibration: the rim would give by {here.rim_compliance_mm2_per_n:.3g} mm^2/N, "
+            f"calibration: the rim has a compliance of {here.rim_compliance_mm2_per_n:.3g} mm^2/N, "
             f"allowed 0 to {_SOFTEST_MM2_PER_N:g}; check travel and modulus of the layer"
         )
     calibrated = replace(
@@ -120,12 +121,12 @@ def calibrate_sheet(
         sigma_pre_stretch=0.0,
         sigma_rim_compliance_mm2_per_n=fit.sigma[1] if known.fits_rim else 0.0,
     )
-    free = told.modulus_kpa
-    of_rim = _modulus_by_rim(here, told, softer) * calibrated.sigma_rim_compliance_mm2_per_n
+    free = measured.modulus_kpa
+    of_rim = _modulus_by_rim(here, measured, softer) * calibrated.sigma_rim_compliance_mm2_per_n
     return CalibratedSheet(
         layer=calibrated if free is None else _with_modulus(calibrated, free, of_rim),
         radius_before_mm=before,
-        balls=told.balls,
+        balls=measured.balls,
         thickness_per_pre_stretch_mm=2 * here.thickness_mm / here.pre_stretch,
         modulus_found=free is not None,
         rim_found=known.fits_rim,
@@ -133,11 +134,11 @@ def calibrate_sheet(
 
 
 def require_determined(name: str, value: float, sigma: float) -> None:
-    """Check that a calibrated number is known better than to 25 %.
+    """Check that the standard uncertainty of a calibrated number is at most 25 % of it.
 
     Raises
     ------
-    FitError : it is not
+    FitError : the uncertainty is larger
     """
     if not sigma <= _MOST_RELATIVE_SIGMA * abs(value):
         raise FitError(
@@ -167,21 +168,21 @@ def _require_equal(balls: list[ObjectPart]) -> None:
 
 @dataclass(frozen=True)
 class _Known:
-    """What is known before, and of the ball."""
+    """Values known before the calibration, and the ball's radius."""
 
-    believed: SheetLayer
+    prior: SheetLayer
     radius_mm: float
     sigma_radius_mm: float
     travel: KnownTravel | None
 
     @property
     def fits_rim(self) -> bool:
-        return self.believed.sigma_rim_compliance_mm2_per_n > 0
+        return self.prior.sigma_rim_compliance_mm2_per_n > 0
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What a press tells of its balls with a layer, and how that changes with the thickness."""
+class _Balls:
+    """Measurements of the balls of one press with a layer, and their derivatives by thickness."""
 
     radius_mm: float
     radius_by_thickness: float
@@ -195,35 +196,35 @@ class _Told:
 
 def _converged(
     points_mm: FloatArray, sigma_z_mm: FloatArray, known: _Known
-) -> tuple[SheetLayer, float, _Told, _Told | None, "_Fit"]:
-    """Return the layer found, the radius before, what the press tells there, and the last step."""
-    here, before = known.believed, 0.0
+) -> tuple[SheetLayer, float, _Balls, _Balls | None, "_Fit"]:
+    """Return the fitted layer, the first radius, the last press, its softer one and step."""
+    here, before = known.prior, 0.0
     for turn in range(_MOST_TURNS):
-        told = _told(points_mm, sigma_z_mm, here)
-        before = told.radius_mm if turn == 0 else before
-        softer = _told(points_mm, sigma_z_mm, _softer(here)) if known.fits_rim else None
-        fit = _fit(known, here, told, softer)
+        measured = _measure_balls(points_mm, sigma_z_mm, here)
+        before = measured.radius_mm if turn == 0 else before
+        softer = _measure_balls(points_mm, sigma_z_mm, _softer(here)) if known.fits_rim else None
+        fit = _fit(known, here, measured, softer)
         if fit.is_close or turn == _MOST_TURNS - 1:
             break
         here = _moved(known, here, fit)
-    return here, before, told, softer, fit
+    return here, before, measured, softer, fit
 
 
-def _told(points_mm: FloatArray, sigma_z_mm: FloatArray, layer: SheetLayer) -> _Told:
-    found = compensate_sheet(points_mm, sigma_z_mm, layer)
-    balls = [part for part in parts_of(found) if part.form == "ball"]
+def _measure_balls(points_mm: FloatArray, sigma_z_mm: FloatArray, layer: SheetLayer) -> _Balls:
+    compensated = compensate_sheet(points_mm, sigma_z_mm, layer)
+    balls = [part for part in parts_of(compensated) if part.form == "ball"]
     if not balls:
         raise FitError("calibration: no part of the contact is a ball; press one, with air")
     _require_equal(balls)
-    radius, slope, tip = _mean_ball(found, balls)
-    free = found.modulus_of_free_span_kpa()
-    return _Told(
+    radius, slope, tip = _mean_ball(compensated, balls)
+    free = compensated.modulus_of_free_span_kpa()
+    return _Balls(
         radius_mm=radius,
         radius_by_thickness=slope,
         noise_mm=float(np.sqrt(np.mean([ball.noise_mm**2 for ball in balls]) / len(balls))),
-        theory_mm=found.theory_mm(radius),
+        theory_mm=compensated.theory_mm(radius),
         tip_mm=tip,
-        thinning=float(np.mean([found.thinning[ball.core].mean() for ball in balls])),
+        thinning=float(np.mean([compensated.thinning[ball.core].mean() for ball in balls])),
         modulus_kpa=None if free is None else free[0],
         balls=len(balls),
     )
@@ -236,7 +237,7 @@ def _softer(layer: SheetLayer) -> SheetLayer:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """One step of Gauss-Newton in thickness and compliance, and their standard uncertainties."""
+    """One Gauss-Newton step of thickness and compliance, and their standard uncertainties."""
 
     step: FloatArray
     sigma: FloatArray
@@ -256,72 +257,74 @@ def _require_settled(fit: _Fit) -> None:
         )
 
 
-def _fit(known: _Known, here: SheetLayer, told: _Told, softer: _Told | None) -> _Fit:
-    sigma = float(np.linalg.norm([told.noise_mm, told.theory_mm, known.sigma_radius_mm]))
-    miss = [(known.radius_mm - told.radius_mm) / sigma]
-    slopes = [[told.radius_by_thickness / sigma]]
+def _fit(known: _Known, here: SheetLayer, measured: _Balls, softer: _Balls | None) -> _Fit:
+    sigma = float(np.linalg.norm([measured.noise_mm, measured.theory_mm, known.sigma_radius_mm]))
+    misfits = [(known.radius_mm - measured.radius_mm) / sigma]
+    slopes = [[measured.radius_by_thickness / sigma]]
     if softer is not None:
         per = 1 / (_softer(here).rim_compliance_mm2_per_n - here.rim_compliance_mm2_per_n)
-        slopes[0].append((softer.radius_mm - told.radius_mm) * per / sigma)
-        for one, by_thickness, by_compliance in _further(known, here, told, softer):
-            miss.append(one)
+        slopes[0].append((softer.radius_mm - measured.radius_mm) * per / sigma)
+        for misfit, by_thickness, by_compliance in _further(known, here, measured, softer):
+            misfits.append(misfit)
             slopes.append([by_thickness, by_compliance * per])
-    matrix, left = np.array(slopes), np.array(miss)
-    step = np.linalg.lstsq(matrix, left, rcond=None)[0]
+    matrix, target = np.array(slopes), np.array(misfits)
+    step = np.linalg.lstsq(matrix, target, rcond=None)[0]
     if softer is not None and step[1] < -here.rim_compliance_mm2_per_n:
-        # No rim pushes: at most it is rigid.
+        # A rim cannot have a negative compliance; the limit is a rigid rim.
         rigid = -here.rim_compliance_mm2_per_n
-        alone = np.linalg.lstsq(matrix[:, :1], left - matrix[:, 1] * rigid, rcond=None)[0]
-        step = np.array([alone[0], rigid])
+        thickness_only = np.linalg.lstsq(matrix[:, :1], target - matrix[:, 1] * rigid, rcond=None)[
+            0
+        ]
+        step = np.array([thickness_only[0], rigid])
     return _Fit(step, np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix))))
 
 
 def _further(
-    known: _Known, here: SheetLayer, told: _Told, softer: _Told
+    known: _Known, here: SheetLayer, measured: _Balls, softer: _Balls
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield what else tells of the rim, over its sigma: miss, slope by thickness, and change.
+    """Yield further equations for the rim, over their sigma: misfit and two differences.
 
-    The change is that of a softer rim.
+    The differences are the derivative by thickness and the change for a softer rim.
     """
-    believed = known.believed
-    prior, at = believed.sigma_rim_compliance_mm2_per_n, here.rim_compliance_mm2_per_n
+    prior = known.prior
+    prior_sigma, at = prior.sigma_rim_compliance_mm2_per_n, here.rim_compliance_mm2_per_n
     change = _softer(here).rim_compliance_mm2_per_n - at
-    yield (believed.rim_compliance_mm2_per_n - at) / prior, 0.0, change / prior
+    yield (prior.rim_compliance_mm2_per_n - at) / prior_sigma, 0.0, change / prior_sigma
     if known.travel is not None:
         mounted = here.pre_stretch**-2
         expected_mm = known.travel.travel_mm - here.thickness_mm * mounted
-        shares = told.noise_mm, told.theory_mm, _TIP_THEORY_MM, known.travel.sigma_mm
+        shares = measured.noise_mm, measured.theory_mm, _TIP_THEORY_MM, known.travel.sigma_mm
         sigma = float(np.linalg.norm(shares))
         yield (
-            (expected_mm - told.tip_mm) / sigma,
-            (mounted - told.thinning) / sigma,
-            (softer.tip_mm - told.tip_mm) / sigma,
+            (expected_mm - measured.tip_mm) / sigma,
+            (mounted - measured.thinning) / sigma,
+            (softer.tip_mm - measured.tip_mm) / sigma,
         )
-    if told.modulus_kpa and softer.modulus_kpa and believed.sigma_young_modulus_kpa:
-        theory = (_MODULUS_THEORY + _MODULUS_PER_MM * here.thickness_mm) * told.modulus_kpa
-        sigma = float(np.hypot(theory, believed.sigma_young_modulus_kpa))
+    if measured.modulus_kpa and softer.modulus_kpa and prior.sigma_young_modulus_kpa:
+        theory = (_MODULUS_THEORY + _MODULUS_PER_MM * here.thickness_mm) * measured.modulus_kpa
+        sigma = float(np.hypot(theory, prior.sigma_young_modulus_kpa))
         yield (
-            (believed.young_modulus_kpa - told.modulus_kpa) / sigma,
-            -told.modulus_kpa / here.thickness_mm / sigma,
-            (softer.modulus_kpa - told.modulus_kpa) / sigma,
+            (prior.young_modulus_kpa - measured.modulus_kpa) / sigma,
+            -measured.modulus_kpa / here.thickness_mm / sigma,
+            (softer.modulus_kpa - measured.modulus_kpa) / sigma,
         )
 
 
 def _require_thickness(known: _Known, thickness_mm: float, factor: float) -> None:
     """Raise FitError if a thickness is more than a factor away from that of the layer."""
-    believed_mm = known.believed.thickness_mm
-    if not believed_mm / factor <= thickness_mm <= believed_mm * factor:
+    prior_mm = known.prior.thickness_mm
+    if not prior_mm / factor <= thickness_mm <= prior_mm * factor:
         raise FitError(
             f"calibration: a radius of {known.radius_mm:g} mm would take a sheet of "
-            f"{thickness_mm:.3g} mm, allowed {believed_mm / _THICKNESS_FACTOR:.3g} to "
-            f"{believed_mm * _THICKNESS_FACTOR:.3g}; check the ball, and thickness_mm = "
-            f"{believed_mm:g} and back_pressure_kpa = {known.believed.back_pressure_kpa:g} of the "
+            f"{thickness_mm:.3g} mm, allowed {prior_mm / _THICKNESS_FACTOR:.3g} to "
+            f"{prior_mm * _THICKNESS_FACTOR:.3g}; check the ball, and thickness_mm = "
+            f"{prior_mm:g} and back_pressure_kpa = {known.prior.back_pressure_kpa:g} of the "
             "layer"
         )
 
 
 def _moved(known: _Known, here: SheetLayer, fit: _Fit) -> SheetLayer:
-    """Return the layer a step on.
+    """Return the layer after one more step.
 
     Raises
     ------
@@ -337,20 +340,20 @@ def _moved(known: _Known, here: SheetLayer, fit: _Fit) -> SheetLayer:
     )
 
 
-def _modulus_by_rim(here: SheetLayer, told: _Told, softer: _Told | None) -> float:
+def _modulus_by_rim(here: SheetLayer, measured: _Balls, softer: _Balls | None) -> float:
     """Return the derivative of the free span's modulus by the compliance, kPa per mm^2/N."""
-    if softer is None or told.modulus_kpa is None or softer.modulus_kpa is None:
+    if softer is None or measured.modulus_kpa is None or softer.modulus_kpa is None:
         return 0.0
     change = _softer(here).rim_compliance_mm2_per_n - here.rim_compliance_mm2_per_n
-    return (softer.modulus_kpa - told.modulus_kpa) / change
+    return (softer.modulus_kpa - measured.modulus_kpa) / change
 
 
 def _with_modulus(layer: SheetLayer, modulus_kpa: float, of_rim_kpa: float) -> SheetLayer:
-    """Return the layer with the modulus of its free span; E h is what the air weighs.
+    """Return the layer with the modulus of its free span; the air pressure determines E h.
 
     Parameters
     ----------
-    of_rim_kpa : standard uncertainty by the rim's compliance
+    of_rim_kpa : standard uncertainty from the rim's compliance
     """
     shares = (
         _MODULUS_THEORY + _MODULUS_PER_MM * layer.thickness_mm,
@@ -362,13 +365,15 @@ def _with_modulus(layer: SheetLayer, modulus_kpa: float, of_rim_kpa: float) -> S
     return replace(layer, young_modulus_kpa=modulus_kpa, sigma_young_modulus_kpa=sigma)
 
 
-def _mean_ball(found: CompensatedSheet, balls: list[ObjectPart]) -> tuple[float, float, float]:
-    """Return the balls' mean radius, its derivative by the thickness, and their mean tip."""
-    small = 1e-3 * found.layer.thickness_mm
+def _mean_ball(
+    compensated: CompensatedSheet, balls: list[ObjectPart]
+) -> tuple[float, float, float]:
+    """Return the balls' mean radius, its derivative by the thickness, and their mean tip height."""
+    small = 1e-3 * compensated.layer.thickness_mm
     slopes, tips = [], []
     for ball in balls:
-        points, core = found.object_mm[ball.core], ball.core
-        moved = points - small * (found.thinning[core, None] * found.normal[core])
+        points, core = compensated.object_mm[ball.core], ball.core
+        moved = points - small * (compensated.thinning[core, None] * compensated.normal[core])
         radius, fit = ball_radius(points)
         slopes.append((ball_radius(moved)[0].value - radius.value) / small)
         tips.append(fit.centre_mm[2] + fit.radius_mm)

@@ -1,23 +1,23 @@
-"""Which piece of the mounted sheet lies where: the map of least stretching energy; lengths mm.
+"""Map of a sheet on its deformed surface that minimises the stretching energy; lengths mm.
 
-A sheet that slips freely on what it touches spreads along its own deformed surface until no tension
-pulls it on. Contact and air press along the normal and do no work on that motion: the surface, with
-the rim where the sheet is held, decides the stretch, neither pressure nor modulus does. But for a
-small share: where the sheet lies on something it is squeezed. A piece that thickens there lifts its
-own middle by half of that against the contact pressure p, which moves the stretch by p / mu.
+A sheet without friction slides along its own deformed surface until the tension is in equilibrium.
+Contact force and air pressure act along the normal and do no work on that motion. The stretch is
+therefore determined by the surface and the clamped rim, without pressure or modulus. There is one
+small exception. In contact the sheet is squeezed: a piece that becomes thicker lifts its own middle
+by half of the increase against the contact pressure p, which changes the stretch by p / mu.
 
-Unknown is X(x, y), the place on the sheet as it was made of what lies above (x, y): bilinear on
-square elements. With the surface's metric G, B = dX/dx, D = det B and the sheet's incompressible
-neo-Hookean energy mu h/2 (tr a + 1/det a - 3), a = B^-T G B^-1, an element holds per area of x, y
+The unknown is X(x, y), the material point of the undeformed sheet above (x, y), bilinear on square
+elements. With the surface's metric G, B = dX/dx, D = det B and the incompressible neo-Hookean
+energy mu h/2 (tr a + 1/det a - 3), a = B^-T G B^-1, an element has the energy per area of x, y
 
     psi = tr(A^T G A) / D + D^3 / det G - (3 - p / mu) D,  A = adj B   (in units of mu h / 2).
 
-A rim that gives lets the sheet creep in: s X - x beyond the mounted sheet's, on springs of k per
-length of the rim, which hold k / (mu h) |s X - x|^2 in the same units. The mounted sheet is at rest
-on them: they bear what it pulls.
+A compliant rim lets the sheet slide in by s X - x relative to the mounted sheet, against springs of
+stiffness k per length of the rim. Their energy is k / (mu h) |s X - x|^2 in the same units. The
+mounted sheet is in equilibrium: the springs carry its tension.
 
-Newton's method; where its tangent is indefinite the part of it that the sign of D's coefficient
-spoils is left out. Bending is left out: it pulls along the surface only as (h / R)^2.
+Newton's method; where the tangent is indefinite, the part that the sign of D's coefficient makes
+indefinite is omitted. Bending is neglected: its force along the surface is of order (h / R)^2.
 """
 
 from dataclasses import dataclass, field, replace
@@ -32,7 +32,7 @@ from reconstruction.errors import FitError
 _MOST_STEPS = 60
 _TOLERANCE = 1e-7
 _LEAST_SHARE = 1e-4
-# det B of an element may fall to this share of what it was within a step.
+# Least det B of an element after a step, as a share of the value before it.
 _SHRINKS_TO = 0.2
 _GAUSS = 0.5 / np.sqrt(3.0)
 _CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]]) / 2.0
@@ -50,7 +50,7 @@ class SurfaceMetric:
     x_mm, y_mm : (col + 1,), (row + 1,) nodes, growing
     xx, xy, yy : (row, col) components, mean over each element
     squeeze : (row, col) contact pressure over shear modulus
-    held : (row + 1, col + 1) bool, nodes where the frame holds the sheet
+    held : (row + 1, col + 1) bool, nodes at which the frame holds the sheet
     springs : (row + 1, col + 1) stiffness of held nodes' springs over shear modulus x thickness;
         0: rigid
     """
@@ -67,25 +67,25 @@ class SurfaceMetric:
     @property
     def flat(self) -> "SurfaceMetric":
         """The surface of the mounted sheet."""
-        one, none = np.ones_like(self.xx), np.zeros_like(self.xx)
-        return replace(self, xx=one, xy=none, yy=one, squeeze=none)
+        ones, none = np.ones_like(self.xx), np.zeros_like(self.xx)
+        return replace(self, xx=ones, xy=none, yy=ones, squeeze=none)
 
     @property
     def determinant(self) -> FloatArray:
-        """Squared area of the surface over that of x and y, (row, col)."""
+        """Squared ratio of the surface's area to its area in x and y, (row, col)."""
         return self.xx * self.yy - self.xy**2
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialMap:
-    """The sheet on its surface; all (row, col) of the elements.
+    """Thinning, tension and material points of a sheet; (row, col) of the elements.
 
     Attributes
     ----------
-    thinning : local thickness over that of the sheet as it was made
+    thinning : local thickness over that of the undeformed sheet
     tension : (row, col, 3) contravariant components xx, xy, yy of the tension over mu h
-    material_mm : (row + 1, col + 1, xy) place on the sheet as it was made, at the nodes
-    steps : of Newton's method
+    material_mm : (row + 1, col + 1, xy) material point of the undeformed sheet, at the nodes
+    steps : number of Newton steps
     """
 
     thinning: FloatArray
@@ -97,16 +97,16 @@ class MaterialMap:
 def material_map(
     metric: SurfaceMetric, pre_stretch: float = 1.0, near: MaterialMap | None = None
 ) -> MaterialMap:
-    """Spread a sheet on a surface so that it holds the least energy.
+    """Compute the map of a sheet on a surface with the least energy.
 
     Parameters
     ----------
     pre_stretch : of the mounted sheet, equal along x and y
-    near : of a surface much like this one, on the same elements: where the search begins
+    near : map for a similar surface on the same elements, used as the starting point
 
     Raises
     ------
-    FitError : the sheet finds no rest on this surface
+    FitError : no equilibrium of the sheet on this surface
     """
     x, y = np.meshgrid(metric.x_mm, metric.y_mm)
     mounted = np.stack((x, y), axis=-1) / pre_stretch
@@ -124,13 +124,13 @@ def material_map(
         move = _newton_move(elements, rows, gradient, free)
         place, value, gradient, rows = _along(elements, place, move, (value, gradient))
     raise FitError(
-        f"membrane: no rest within {_MOST_STEPS} steps; the relief is too rough: smooth it more"
+        f"membrane: no equilibrium in {_MOST_STEPS} steps; the relief is too rough: smooth it more"
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Elements:
-    """Bilinear elements with four Gauss points each; B of a point is linear in the nodes."""
+    """Bilinear elements with four Gauss points each; B at a point is linear in the nodes."""
 
     nodes: np.ndarray  # (element, 4) node numbers
     slopes: FloatArray  # (point, 2, 4) derivatives of the shape functions, for all elements
@@ -146,7 +146,7 @@ class _Elements:
         rows, cols = metric.xx.shape
         number = np.arange((rows + 1) * (cols + 1)).reshape(rows + 1, cols + 1)
         corners = (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
-        nodes = np.stack([one.ravel() for one in corners], axis=-1)
+        nodes = np.stack([corner.ravel() for corner in corners], axis=-1)
         step = (metric.x_mm[1] - metric.x_mm[0], metric.y_mm[1] - metric.y_mm[0])
         points = _GAUSS * 2 * _CORNERS
         slopes = np.stack([_slopes(point, step) for point in points])
@@ -158,8 +158,8 @@ class _Elements:
     def on_springs(
         self, metric: SurfaceMetric, rim: FloatArray, mounted: FloatArray, pre_stretch: float
     ) -> "_Elements":
-        """Return them with the springs of the rim, on which the mounted sheet is at rest."""
-        # Beyond the frame: nothing there holds what slips under it.
+        """Return the elements with springs at the rim, in equilibrium with the mounted sheet."""
+        # Elements outside the frame get no weight: the sheet slides there without resistance.
         beyond = metric.held.ravel()[self.nodes].all(axis=1)
         flat = replace(_Elements.on(metric.flat), weight=np.where(beyond, 0.0, self.weight))
         springs = 2 * pre_stretch**2 * np.repeat(rim.ravel(), 2)
@@ -167,7 +167,7 @@ class _Elements:
         return replace(self, weight=flat.weight, rim=_Springs(mounted.ravel(), springs, pulled))
 
     def gradients(self, place: FloatArray) -> FloatArray:
-        """Return (point, element, 4): B row by row at the Gauss points."""
+        """Return (point, element, 4): B in row order at the Gauss points."""
         corners = place.reshape(-1, 2)[self.nodes]
         b = np.einsum("pdn,eni->peid", self.slopes, corners)
         return np.asarray(b.reshape(*b.shape[:2], 4))
@@ -188,7 +188,7 @@ class _Elements:
         return float(np.sum(self.weight * (q / d + d**3 / g + self.linear * d))) + of_rim
 
     def energy(self, place: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the energy, its gradient by (node, xy) and the points' B."""
+        """Return the energy, its gradient by (node, xy), and B at the Gauss points."""
         b = self.gradients(place)
         d, to_d, pull, _g = self._parts(b)
         q_slope = 2 * np.einsum("eij,pej->pei", self.quadratic, b)
@@ -205,7 +205,7 @@ class _Elements:
         return self.value(place), gradient, b
 
     def tangent(self, b: FloatArray, *, whole: bool) -> sparse.csc_matrix:
-        """Return the second derivative; `whole`: with the part that may be indefinite."""
+        """Return the second derivative; `whole` includes the part that may be indefinite."""
         d, to_d, pull, g = self._parts(b)
         q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
         q_slope = 2 * np.einsum("eij,pej->pei", self.quadratic, b)
@@ -227,7 +227,7 @@ class _Elements:
         return inner + sparse.diags(self.rim.stiffness, format="csc") if self.rim else inner
 
     def _parts(self, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return D, its slope by B, the energy's slope by D, and det G."""
+        """Return D, its derivative by B, the energy's derivative by D, and det G."""
         d = b[..., 0] * b[..., 3] - b[..., 1] * b[..., 2]
         to_d = np.stack((b[..., 3], -b[..., 2], -b[..., 1], b[..., 0]), axis=-1)
         g = self.metric[:, 0] * self.metric[:, 2] - self.metric[:, 1] ** 2
@@ -237,11 +237,11 @@ class _Elements:
 
 @dataclass(frozen=True, eq=False)
 class _Springs:
-    """Springs of the rim's nodes, by unknown: 2 node + xy."""
+    """Springs of the rim's nodes, in the order of the unknowns: 2 node + xy."""
 
     mounted: FloatArray
     stiffness: FloatArray
-    #: of the mounted sheet, which it bears
+    #: force of the mounted sheet, which the spring carries
     pulled: FloatArray
 
     def energy(self, place: FloatArray) -> float:
@@ -271,7 +271,7 @@ def _quadratic(g: FloatArray) -> FloatArray:
 def _newton_move(
     elements: _Elements, b: FloatArray, gradient: FloatArray, free: BoolArray
 ) -> FloatArray:
-    """Return Newton's step; the convex part's where that does not lead down."""
+    """Return Newton's step, or that of the convex part if Newton's step does not descend."""
     move = np.zeros_like(gradient)
     inner = np.flatnonzero(free)
     for whole in (True, False):
@@ -283,23 +283,23 @@ def _newton_move(
 
 
 def _factors(symmetric: sparse.csc_matrix) -> SuperLU:
-    # Ordered as a symmetric matrix: half the time.
+    # An ordering for symmetric matrices takes half the time.
     return splu(symmetric, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
 
 def _along(
     elements: _Elements, place: FloatArray, move: FloatArray, before: tuple[float, FloatArray]
 ) -> tuple[FloatArray, float, FloatArray, FloatArray]:
-    """Return the place after as much of the step as lowers the energy, and what is known there."""
+    """Return the place, energy, gradient and B after a line search along the step."""
     value, gradient = before
     slope, least = float(move @ gradient), _SHRINKS_TO * elements.determinants(place)
     share, step = 1.0, move.reshape(place.shape)
-    # Rounding of the sum is all that is left of the last steps.
+    # In the last steps the decrease is as small as the sum's rounding error.
     slack = 1e-12 * abs(value)
     while share > _LEAST_SHARE:
         moved = place + share * step
-        kept = bool((elements.determinants(moved) > least).all())
-        if kept and elements.value(moved) <= value + 1e-4 * share * slope + slack:
+        admissible = bool((elements.determinants(moved) > least).all())
+        if admissible and elements.value(moved) <= value + 1e-4 * share * slope + slack:
             return moved, *elements.energy(moved)
         share /= 2
     raise FitError("membrane: no step lowers the energy; the relief is too rough: smooth it more")
@@ -308,7 +308,7 @@ def _along(
 def _solved(
     elements: _Elements, metric: SurfaceMetric, place: FloatArray, steps: int
 ) -> MaterialMap:
-    """Return stretch and tension at the elements' middles."""
+    """Return stretch and tension at the middles of the elements."""
     b = elements.gradients(place).mean(axis=0)
     d = b[:, 0] * b[:, 3] - b[:, 1] * b[:, 2]
     g = metric.determinant.ravel()

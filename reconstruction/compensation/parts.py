@@ -1,11 +1,11 @@
-"""What the object is where the sheet lies on it: balls, rods and flat faces, with uncertainty; mm.
+"""Shape of the object in contact: balls, rods and flat faces with their uncertainty; mm.
 
-Each connected part of the contact is taken without its blurred edge and fitted with a sphere, a
-cylinder and a plane; the simplest that leaves no more than a little above the least is its form.
+Each connected part of the contact, without its blurred edge, is fitted with a sphere, a cylinder
+and a plane. Its form is the simplest with residuals not much above the least ones.
 
-Standard uncertainty of a radius (JCGM 100, 5.1.2): noise and texture of the coat by the residuals'
-own variance and correlation area; what is open of the layer, which moves all points of a part
-together; and what the theory leaves out.
+The standard uncertainty of a radius (JCGM 100, 5.1.2) has three shares: noise and texture of the
+coat, from variance and correlation area of the residuals; uncertain values of the layer, which move
+all points of a part together; and the error of the model.
 """
 
 from collections.abc import Callable
@@ -28,13 +28,13 @@ RadiusFit = Callable[[FloatArray], FittedDimension]
 RadiusOf = Callable[[FloatArray], float]
 
 _LEAST_CELLS = 30
-# A form with one parameter more must leave this much less.
+# Largest ratio of the residuals to those of the simpler form for which a form is chosen.
 _MUCH_LESS = 0.7
 _LARGEST_RADIUS_MM = 500.0
 
 
 class Compensated(Protocol):
-    """What is asked of a compensated coat, whatever carried it; arrays (row, col, ...)."""
+    """Compensated coat of any kind of layer; arrays (row, col, ...)."""
 
     @property
     def relief(self) -> Relief:
@@ -43,17 +43,17 @@ class Compensated(Protocol):
 
     @property
     def contact(self) -> BoolArray:
-        """Where the object touches."""
+        """Cells in which the object is in contact."""
         ...
 
     @property
     def sure(self) -> BoolArray:
-        """Where it touches whatever was blurred: what lies there is the object."""
+        """Cells in contact with certainty: without those that the filters may have blurred."""
         ...
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty of each point along the normal by what is bent near it."""
+        """Standard uncertainty of each point along the normal because of edges near it."""
         ...
 
     @property
@@ -68,17 +68,17 @@ class Compensated(Protocol):
 
     @property
     def object_mm(self) -> FloatArray:
-        """Points of the object, where it touches."""
+        """Points of the object, in the contact cells."""
         ...
 
     @property
     def blur_mm(self) -> float:
-        """How far the contact's edge is blurred."""
+        """Width by which the contact's edge is blurred."""
         ...
 
     @property
     def area_mm2(self) -> float:
-        """Area of the contact seen along z."""
+        """Area of the contact projected along z."""
         ...
 
     @property
@@ -102,7 +102,7 @@ class Compensated(Protocol):
         ...
 
     def theory_mm(self, radius_mm: float) -> float:
-        """Return what the theory leaves out of a radius."""
+        """Return the model's error of a radius."""
         ...
 
 
@@ -113,12 +113,12 @@ class ObjectPart:
     Attributes
     ----------
     cells : (row, col) bool, all cells of the contact
-    core : (row, col) bool, those that were fitted
-    middle_mm : (xy) of its cells
-    highest_mm : of the object in its core
-    form : what it was fitted as
+    core : (row, col) bool, cells used in the fit
+    middle_mm : (xy) mean of its cells
+    highest_mm : highest z of the object in its core
+    form : fitted form
     radius_mm, sigma_mm : of a ball or rod with its standard uncertainty; 0 of a flat face
-    noise_mm, layer_mm : shares of that: noise and texture; what is open of the layer
+    noise_mm, layer_mm : shares of that: noise and texture; uncertain values of the layer
     residual_um : RMS from the form
     pressure_kpa : mean over its cells
     """
@@ -136,38 +136,38 @@ class ObjectPart:
     pressure_kpa: float
 
 
-def parts_of(found: Compensated) -> list[ObjectPart]:
-    """Return the parts of the contact from -x to +x; those of too few cells are left out."""
-    labels, count = ndimage.label(found.contact)
-    core = without_blurred_edge(found.contact, found.relief, found.blur_mm)
+def parts_of(compensated: Compensated) -> list[ObjectPart]:
+    """Return the parts of the contact from -x to +x, without those of too few cells."""
+    labels, count = ndimage.label(compensated.contact)
+    core = without_blurred_edge(compensated.contact, compensated.relief, compensated.blur_mm)
     parts = []
     for number in range(1, count + 1):
         cells = labels == number
         own = cells & core
         if own.sum() >= _LEAST_CELLS:
             try:
-                parts.append(_fitted(found, cells, own))
-            except FitError:  # too small, or too strange: it stays in the map
+                parts.append(_fitted(compensated, cells, own))
+            except FitError:  # too small or of no known form: it is in the map only
                 continue
     return sorted(parts, key=lambda part: part.middle_mm)
 
 
 def without_blurred_edge(contact: BoolArray, relief: Relief, blur_mm: float) -> BoolArray:
-    """Return a contact, (row, col), less what a filter blurs at its edge."""
+    """Return a contact, (row, col), without the cells that a filter blurs at its edge."""
     reach = int(np.ceil(blur_mm / min(relief.pitch_mm)))
     return np.asarray(ndimage.binary_erosion(contact, iterations=reach))
 
 
-def _fitted(found: Compensated, cells: BoolArray, core: BoolArray) -> ObjectPart:
-    points, relief = found.object_mm[core], found.relief
+def _fitted(compensated: Compensated, cells: BoolArray, core: BoolArray) -> ObjectPart:
+    points, relief = compensated.object_mm[core], compensated.relief
     form, fit = _form(points)
     residual, radius, noise, layer, theory = fit_plane(points).residuals_mm, 0.0, 0.0, 0.0, 0.0
     if fit is not None:
         estimate = fit(points)
         residual, radius = estimate.residuals_mm[estimate.used], estimate.value
-        noise = _noise_mm(found, core, estimate)
-        layer = _layer_mm(found, core, lambda moved: fit(moved).value)
-        theory = found.theory_mm(radius)
+        noise = _noise_mm(compensated, core, estimate)
+        layer = _layer_mm(compensated, core, lambda moved: fit(moved).value)
+        theory = compensated.theory_mm(radius)
     row, col = np.nonzero(cells)
     return ObjectPart(
         cells=cells,
@@ -180,26 +180,26 @@ def _fitted(found: Compensated, cells: BoolArray, core: BoolArray) -> ObjectPart
         noise_mm=noise,
         layer_mm=layer,
         residual_um=1e3 * rms(residual),
-        pressure_kpa=float(found.pressure_kpa[cells].mean()),
+        pressure_kpa=float(compensated.pressure_kpa[cells].mean()),
     )
 
 
 def _form(points_mm: FloatArray) -> tuple[Form, RadiusFit | None]:
-    """Return the simplest form that fits, and what fits its radius; None of a flat face."""
+    """Return the simplest form that fits, and the function that fits its radius, or None."""
     least = rms(fit_plane(points_mm).residuals_mm)
     directions = np.linalg.svd(points_mm - points_mm.mean(axis=0), full_matrices=False)[2][:2]
     candidates: list[tuple[Form, RadiusFit]] = [("ball", _ball)]
     candidates += [("rod", partial(_rod, axis=axis)) for axis in directions]
-    found: tuple[Form, RadiusFit | None] = ("flat", None)
+    best: tuple[Form, RadiusFit | None] = ("flat", None)
     for form, fit in candidates:
         try:
             estimate = fit(points_mm)
         except FitError:
             continue
-        left = rms(estimate.residuals_mm[estimate.used])
-        if estimate.value < _LARGEST_RADIUS_MM and left < _MUCH_LESS * least:
-            least, found = left, (form, fit)
-    return found
+        residual_mm = rms(estimate.residuals_mm[estimate.used])
+        if estimate.value < _LARGEST_RADIUS_MM and residual_mm < _MUCH_LESS * least:
+            least, best = residual_mm, (form, fit)
+    return best
 
 
 def _ball(points_mm: FloatArray) -> FittedDimension:
@@ -210,26 +210,26 @@ def _rod(points_mm: FloatArray, axis: FloatArray) -> FittedDimension:
     return cylinder_radius(points_mm, axis)[0]
 
 
-def _noise_mm(found: Compensated, core: BoolArray, estimate: FittedDimension) -> float:
-    """Return the standard uncertainty that the coat's noise and texture leave in a radius.
+def _noise_mm(compensated: Compensated, core: BoolArray, estimate: FittedDimension) -> float:
+    """Return the standard uncertainty of a radius from noise and texture of the coat.
 
-    The residuals' variance, along the normal, stands for that of every point along z: where the
-    slope is gentle it is the same.
+    Uses the residuals' variance along the normal as that along z; both are equal at gentle
+    slopes.
     """
-    relief: Relief = found.relief
-    rest, kept = np.zeros(core.shape), np.zeros(core.shape, bool)
-    rest[core], kept[core] = estimate.residuals_mm, estimate.used
-    variance, area = variance_and_area(rest, kept, relief.cell_area_mm2)
+    relief: Relief = compensated.relief
+    rest, used = np.zeros(core.shape), np.zeros(core.shape, bool)
+    rest[core], used[core] = estimate.residuals_mm, estimate.used
+    variance, area = variance_and_area(rest, used, relief.cell_area_mm2)
     spread = np.full(int(core.sum()), np.sqrt(variance))
     return estimate.noise_mm(spread, area / relief.cell_area_mm2)
 
 
-def _layer_mm(found: Compensated, core: BoolArray, radius_of: RadiusOf) -> float:
-    """Return what the layer leaves open: all points move along their normals by its moves."""
-    points = found.object_mm[core]
+def _layer_mm(compensated: Compensated, core: BoolArray, radius_of: RadiusOf) -> float:
+    """Return the uncertainty from the layer: its moves shift all points along their normals."""
+    points = compensated.object_mm[core]
     radius, changes = radius_of(points), [0.0]
-    for move in found.layer_moves_mm:
+    for move in compensated.layer_moves_mm:
         away = move[core]
         if away.any():
-            changes.append(radius_of(points - away[:, None] * found.normal[core]) - radius)
+            changes.append(radius_of(points - away[:, None] * compensated.normal[core]) - radius)
     return float(np.linalg.norm(changes))

@@ -1,4 +1,4 @@
-"""The object behind a coat as a person meets it: in one line, as a table with maps, as arrays."""
+"""Presentation of the object behind a coat: one line, a table with maps, labelled arrays."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -42,7 +42,7 @@ class PresentedObject:
 
         Raises
         ------
-        InputError : nothing was measured
+        InputError : no cell was measured
         """
         return object_drawing(self)
 
@@ -65,7 +65,7 @@ def object_drawing(rigid: "Compensated") -> "Drawing":
 
     Raises
     ------
-    InputError : nothing was measured
+    InputError : no cell was measured
     """
     from reconstruction.drawing import Drawing, draw_cells, draw_section
     from reconstruction.errors import InputError

@@ -1,8 +1,8 @@
-"""The measured coat on a grid over its frame: heights, gaps filled in, slopes and curvature; mm.
+"""The measured coat on a grid over its frame: heights, filled gaps, slopes and curvature; mm.
 
-Cells are square but for rounding, (row, col), x and y growing; world frame. Where nothing was
-measured (shadows, beyond the image) the sheet is taken to hang without curvature between what is
-known and the rim, where the coat is z = 0: only the stretch, an integral, uses that.
+Cells are square except for rounding, (row, col), x and y growing; world frame. In gaps (shadows,
+outside the image) the sheet is assumed to have no curvature between measured cells and the rim,
+where the coat is z = 0. Only the stretch, an integral, uses these heights.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from reconstruction.evaluate.fit import spread
 
 _LEAST_SHARE = 0.2
 _CORRELATED_CELLS = 8
-# The slope of heights that are off their places is a little wrong, too.
+# Passes of the shift to the cells' middles: the slope used is that of heights off the middles.
 _TURNS_TO_MIDDLES = 2
 
 
@@ -33,15 +33,15 @@ class SheetOpening:
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """Heights of the coat over cells.
+    """Heights of the coat on a grid of cells.
 
     Attributes
     ----------
     x_mm, y_mm : (col,), (row,) middles of the cells
-    points_mm : (row, col, xyz) mean of the points in each cell; where there is none the cell's
-        middle at a height filled in
-    heights_mm : (row, col) z at the cells' middles: the mean's, moved there along the slope
-    sigma_mm : (row, col) standard uncertainty of the mean along z; 0 where there is none
+    points_mm : (row, col, xyz) mean of the points in each cell; in a cell without points its
+        middle at an interpolated height
+    heights_mm : (row, col) z at the cells' middles: the mean, moved there along the slope
+    sigma_mm : (row, col) standard uncertainty of the mean along z; 0 in a cell without points
     measured : (row, col) bool
     inside : (row, col) bool, within the frame
     """
@@ -68,58 +68,57 @@ class Relief:
     def smoothed(self, sigma_mm: float) -> FloatArray:
         """Return heights after a Gaussian filter of fourth order, (row, col).
 
-        2 G(s) - G(sqrt(2) s) leaves curvature as it is: a plain Gaussian blunts that of a span by
-        its slope's, 3 % at 0.3 mm. Heights are even about the rim, where the clamp keeps the coat
-        level.
+        2 G(s) - G(sqrt(2) s) preserves curvature: a plain Gaussian reduces that of a span by 3 % at
+        0.3 mm. Heights are mirrored at the rim, because the clamp keeps the coat level there.
         """
         return 2 * self.blurred(sigma_mm) - self.blurred(np.sqrt(2.0) * sigma_mm)
 
     def blurred(self, sigma_mm: float) -> FloatArray:
-        """Return heights after a plain Gaussian filter, (row, col): beside a peak it has no dip."""
+        """Return heights after a plain Gaussian filter, (row, col), without dips next to peaks."""
         sigmas = [sigma_mm / pitch for pitch in self.pitch_mm[::-1]]
         return np.asarray(ndimage.gaussian_filter(self.heights_mm, sigmas, mode="reflect"))
 
     def noise_area_mm2(self, sigma_mm: float) -> tuple[float, float]:
-        """Return (variance, correlation area) of what a filter of `sigma_mm` takes away.
+        """Return (variance, correlation area) of the heights' part that a filter removes.
 
         Noise and texture of the coat: their variance, mm^2, and the area over which neighbours
         share one error, mm^2.
         """
         rest = np.where(self.measured, self.heights_mm - self.smoothed(sigma_mm), 0.0)
         limit = 4 * spread(rest[self.measured])
-        kept = self.measured & (np.abs(rest) <= max(limit, 1e-12))
-        return variance_and_area(rest, kept, self.cell_area_mm2)
+        used = self.measured & (np.abs(rest) <= max(limit, 1e-12))
+        return variance_and_area(rest, used, self.cell_area_mm2)
 
 
 def variance_and_area(
-    rest_mm: FloatArray, kept: BoolArray, cell_area_mm2: float
+    rest_mm: FloatArray, used: BoolArray, cell_area_mm2: float
 ) -> tuple[float, float]:
-    """Return (variance, correlation area) of residuals (row, col) where they are kept.
+    """Return (variance, correlation area) of residuals (row, col) over the `kept` cells.
 
     The area is the sum of the autocorrelation as far as it is positive along both axes, at least
     one cell.
     """
-    count = int(kept.sum())
+    count = int(used.sum())
     if count < 2:
         raise FitError("residuals: fewer than two cells were measured; give another region")
-    values = np.where(kept, rest_mm, 0.0)
+    values = np.where(used, rest_mm, 0.0)
     variance = float(np.sum(values**2)) / count
     if variance == 0.0:
         return 0.0, cell_area_mm2
     width = 1.0
     for axis in range(2):
-        width *= _correlated_cells(values, kept, variance, axis)
+        width *= _correlated_cells(values, used, variance, axis)
     return variance, width * cell_area_mm2
 
 
-def _correlated_cells(values: FloatArray, kept: BoolArray, variance: float, axis: int) -> float:
-    """Return 1 + 2 sum of the autocorrelation along an axis, up to where it falls to zero."""
+def _correlated_cells(values: FloatArray, used: BoolArray, variance: float, axis: int) -> float:
+    """Return 1 + 2 sum of the autocorrelation along an axis, up to its first value below 0."""
     total = 1.0
     for lag in range(1, min(_CORRELATED_CELLS, values.shape[axis] - 1) + 1):
         first = np.take(values, range(values.shape[axis] - lag), axis=axis)
         second = np.take(values, range(lag, values.shape[axis]), axis=axis)
-        both = np.take(kept, range(values.shape[axis] - lag), axis=axis) & np.take(
-            kept, range(lag, values.shape[axis]), axis=axis
+        both = np.take(used, range(values.shape[axis] - lag), axis=axis) & np.take(
+            used, range(lag, values.shape[axis]), axis=axis
         )
         if not both.any():
             break
@@ -137,18 +136,18 @@ def relief_on_frame(
     cells: tuple[int, int],
     least_share: float = _LEAST_SHARE,
 ) -> Relief:
-    """Put measured points on a grid over the frame, and fill its gaps in.
+    """Average measured points on a grid over the frame, and interpolate its gaps.
 
     Parameters
     ----------
     points_mm : (n, xyz) world
-    sigma_z_mm : (n,) standard uncertainty of z; what neighbours share is in `Relief.noise_area_mm2`
+    sigma_z_mm : (n,) standard uncertainty of z; `Relief.noise_area_mm2` gives the correlated part
     cells : columns and rows over the frame
-    least_share : of the frame that must have been measured
+    least_share : least share of the frame with measured points
 
     Raises
     ------
-    FitError : less of the frame was measured
+    FitError : a smaller share of the frame was measured
     """
     cols, rows = cells
     pitch = frame.length_x_mm / cols, frame.length_y_mm / rows
@@ -183,7 +182,7 @@ def relief_on_frame(
 
 
 def filled(z_mm: FloatArray, known: BoolArray, inside: BoolArray) -> FloatArray:
-    """Return heights (row, col) with gaps that solve Laplace's equation; 0 outside and beyond."""
+    """Return heights (row, col) with gaps that solve Laplace's equation; 0 outside."""
     gaps = inside & ~known
     z = np.where(known, z_mm, 0.0)
     if not gaps.any():
@@ -194,10 +193,10 @@ def filled(z_mm: FloatArray, known: BoolArray, inside: BoolArray) -> FloatArray:
     load, rows, cols = np.zeros(len(row)), [], []
     for down, right in ((0, 1), (2, 1), (1, 0), (1, 2)):
         neighbour = number[row + down, col + right]
-        other = neighbour >= 0
-        rows.append(np.flatnonzero(other))
-        cols.append(neighbour[other])
-        load += np.where(other, 0.0, wide[row + down, col + right])
+        is_gap = neighbour >= 0
+        rows.append(np.flatnonzero(is_gap))
+        cols.append(neighbour[is_gap])
+        load += np.where(is_gap, 0.0, wide[row + down, col + right])
     places = np.concatenate(rows), np.concatenate(cols)
     near = sparse.csc_matrix((np.ones(len(places[0])), places), shape=(len(row),) * 2)
     laplace = sparse.csc_matrix(4.0 * sparse.identity(len(row)) - near)
@@ -206,7 +205,7 @@ def filled(z_mm: FloatArray, known: BoolArray, inside: BoolArray) -> FloatArray:
 
 
 def _at_middles(points_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-    """Return z moved along the slope from the means' places to the cells' middles, (row, col)."""
+    """Return z moved along the slope from the mean positions to the cells' middles, (row, col)."""
     z = points_mm[..., 2]
     for _ in range(_TURNS_TO_MIDDLES):
         slope_y, slope_x = np.gradient(ndimage.gaussian_filter(z, 1.0), y_mm, x_mm)
@@ -218,7 +217,7 @@ def _at_middles(points_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> Fl
 def _mirrored(
     z_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray, frame: SheetOpening
 ) -> FloatArray:
-    """Return heights that beyond a round rim are those as far within: the clamp keeps it level."""
+    """Return heights mirrored at a round rim, where the clamp keeps the coat level."""
     if not frame.is_round:
         return z_mm
     radius, rim = np.hypot(x_mm, y_mm[:, None]), frame.length_x_mm / 2

@@ -1,10 +1,10 @@
-"""A rim that gives, for the map of a sheet on its surface: springs of the rim's nodes; mm.
+"""A compliant rim for the map of a sheet on its surface: springs at the rim's nodes; mm.
 
-The edge moves in the frame's plane by u under the tension's part in that plane, k u = N cos t, with
-t the angle at which the sheet leaves the frame and k = 1 / compliance. The map follows the sheet
-round the clamp's bend, so that there N itself pulls, on springs of k / cos t.
+The edge moves in the frame's plane by u under the tension's component in that plane,
+k u = N cos t, with t the angle at which the sheet leaves the frame and k = 1 / compliance. The map
+follows the sheet round the clamp's bend, so that the full N acts there, on springs of k / cos t.
 
-Over the clamp's bend the relief is level; t is what the span beyond tells, extrapolated.
+Over the clamp's bend the relief is level; t is extrapolated from the span next to it.
 """
 
 from dataclasses import replace
@@ -17,17 +17,18 @@ from reconstruction.compensation.membrane import SurfaceMetric
 from reconstruction.compensation.relief import Relief, SheetOpening
 
 _RIM_POINTS, _HANGS = 2048, 1e-3
-# So far within the rim the slope is taken, beyond the clamp's bend; smoothed by as much as normals.
+# Distances inside the rim at which the slope is taken, outside the clamp's bend; filter of the
+# normals.
 _NEAR_MM, _FAR_MM, _SMOOTHED_MM = 0.8, 1.6, 0.1
 _STEEPEST_COSINE = 0.25
-# Stiffer springs only spoil the digits of the map.
+# Stiffer springs only reduce the numerical precision of the map.
 _RIGID_MM = 1e-4
 
 
 def on_springs(
     surface: SurfaceMetric, relief: Relief, frame: SheetOpening, rim_yield_mm: float
 ) -> SurfaceMetric:
-    """Return a surface whose rim gives.
+    """Return a surface with a compliant rim.
 
     Parameters
     ----------
@@ -36,26 +37,26 @@ def on_springs(
     if rim_yield_mm < _RIGID_MM:
         return surface
     free = np.pad(~surface.held, 1)
-    beside = surface.held & ndimage.binary_dilation(free, np.ones((3, 3)))[1:-1, 1:-1]
+    rim_nodes = surface.held & ndimage.binary_dilation(free, np.ones((3, 3)))[1:-1, 1:-1]
     x, y = np.meshgrid(surface.x_mm, surface.y_mm)
-    nodes = np.stack((x[beside], y[beside]), axis=-1)
+    nodes = np.stack((x[rim_nodes], y[rim_nodes]), axis=-1)
     lengths = _nearest_lengths_mm(frame, nodes)
     springs = np.zeros(surface.held.shape)
-    springs[beside] = lengths / (rim_yield_mm * _cosines(relief, frame, nodes))
+    springs[rim_nodes] = lengths / (rim_yield_mm * _cosines(relief, frame, nodes))
     return replace(surface, springs=springs)
 
 
 def _nearest_lengths_mm(frame: SheetOpening, nodes_mm: FloatArray) -> FloatArray:
-    """Return how much of the rim is nearest to each of the nodes (n, xy)."""
+    """Return the length of the rim nearest to each of the nodes (n, xy)."""
     places, perimeter_mm = _along_rim(frame)
     away = (places[:, 0, None] - nodes_mm[:, 0]) ** 2 + (places[:, 1, None] - nodes_mm[:, 1]) ** 2
     count = np.bincount(away.argmin(axis=1), minlength=len(nodes_mm))
-    # A corner of the steps that a round rim makes may be nearest to nothing: it hangs on the rest.
+    # A corner of the stepped round rim may be nearest to no point: it gets a small length instead.
     return np.asarray(perimeter_mm / _RIM_POINTS * np.maximum(count, _HANGS))
 
 
 def _along_rim(frame: SheetOpening) -> tuple[FloatArray, float]:
-    """Return (n, xy) places evenly along the rim, and its length."""
+    """Return (n, xy) points evenly along the rim, and its length."""
     share = (np.arange(_RIM_POINTS) + 0.5) / _RIM_POINTS
     half_x, half_y = frame.length_x_mm / 2, frame.length_y_mm / 2
     if frame.is_round:
@@ -75,11 +76,11 @@ def _cosines(relief: Relief, frame: SheetOpening, nodes_mm: FloatArray) -> Float
     def angle(within_mm: float) -> FloatArray:
         x, y = (nodes_mm - within_mm * outwards).T
         at = [
-            (one - axis[0]) / (axis[1] - axis[0])
-            for one, axis in ((y, relief.y_mm), (x, relief.x_mm))
+            (coordinate - axis[0]) / (axis[1] - axis[0])
+            for coordinate, axis in ((y, relief.y_mm), (x, relief.x_mm))
         ]
         by_y, by_x = (
-            ndimage.map_coordinates(one, at, order=1, mode="nearest") for one in (down, right)
+            ndimage.map_coordinates(slope, at, order=1, mode="nearest") for slope in (down, right)
         )
         return np.asarray(np.arctan(by_x * outwards[:, 0] + by_y * outwards[:, 1]))
 
@@ -90,7 +91,7 @@ def _cosines(relief: Relief, frame: SheetOpening, nodes_mm: FloatArray) -> Float
 
 
 def _outwards(frame: SheetOpening, nodes_mm: FloatArray) -> FloatArray:
-    """Return (n, xy) unit vectors away from the opening."""
+    """Return (n, xy) unit vectors pointing out of the opening."""
     if frame.is_round:
         return np.asarray(nodes_mm / np.linalg.norm(nodes_mm, axis=1, keepdims=True))
     share = np.abs(nodes_mm) * 2 / (frame.length_x_mm, frame.length_y_mm)

@@ -1,18 +1,18 @@
-"""The rigid object under a thin sheet, from the measured coat alone; lengths mm, pressures kPa.
+"""The rigid object under a thin sheet, from the measured coat only; lengths mm, pressures kPa.
 
-World frame, the coat above the object. On the coat's own grid, with its unit normal n:
+World frame, the coat above the object. On the coat's grid, with its unit normal n:
 
-- the sheet is spread on its surface (`membrane`), which tells the local thickness h lambda and the
-  tension N, both of the surface midway between the faces: z - (h lambda / 2) n;
-- along the normal tension, air and contact balance: p_contact = p_air - N : b, b the curvature,
-  positive in a valley. (To first order in h / R this is the pressure on the clear face: by as much
-  as that is smaller, squeezing takes off the tension.) Where it is more than half of the air's the
-  object carries the sheet; where the sheet hangs free it is zero, to within its uncertainty;
-- there the object's surface is the parallel one a local thickness below: r - h lambda n.
+- the map of the sheet on its surface (`membrane`) gives the local thickness h lambda and the
+  tension N, both for the surface midway between the faces: z - (h lambda / 2) n;
+- along the normal, tension, air and contact balance: p_contact = p_air - N : b, b the curvature,
+  positive in a valley. (To first order in h / R this is the pressure on the clear face: squeezing
+  reduces the tension by the ratio of the faces' areas.) A cell is in contact if p_contact exceeds
+  50 % of the air pressure; on the free span it is zero within its uncertainty;
+- in contact the object's surface is the parallel one a local thickness below: r - h lambda n.
 
-Frictionless. A sheet that sticks keeps its place where it first touched; how much it had stretched
-by then is between nothing and what a free one does. Its lambda is taken in the middle between them,
-all of that range as likely; tension and force are those of a free one.
+Frictionless. A sheet that sticks keeps its place where it first touched. Its stretch at that moment
+is between zero and that of a frictionless sheet. Its lambda is therefore the middle of that range,
+with a uniform distribution over it; tension and force are those of a frictionless sheet.
 """
 
 from dataclasses import dataclass
@@ -39,19 +39,21 @@ from reconstruction.compensation.rim import on_springs
 from reconstruction.compensation.sheet_layer import SheetLayer
 from reconstruction.errors import FitError
 
-# Of the membrane: the stretch is smooth, a cell of the relief is a third of one of its elements.
+# Size of the membrane's elements: the stretch is smooth, so an element spans three relief cells.
 _ELEMENT_MM = 0.3
 _CELLS_PER_ELEMENT = 3
 _MOST_ELEMENTS = 12_000
-# Once for all, once with the surface between the faces and the squeeze, once with those anew.
+# First pass on the coat; second on the surface midway between the faces with squeeze; third with
+# updated thinning and squeeze.
 _TURNS = 3
 SHEET_THEORY = 0.07
-"""Error of heights of a thin sheet over h^2 / R, against solid elements."""
+"""Error of a thin sheet's heights over h^2 / R, compared with solid elements."""
 EDGE_THEORY, _EDGE_POWER = 0.25, 1.5
-"""RMS error of points near edges over h, as a power of h times the range of curvature: empirical,
-of balls, ellipsoids, rods, nut, stud and stairs under sheets of 0.15 and 0.25 mm, all together
+"""RMS error of points near edges over h, as a power of h times the range of curvature. Empirical,
+from balls, ellipsoids, rods, nut, stud and stairs under sheets of 0.15 and 0.25 mm
 (docs/compensation.md)."""
-# Force of sheets to 0.3 mm against the one-dimensional solver: tests/compensation.
+# Relative error of the force for sheets to 0.3 mm, from the one-dimensional solver:
+# tests/compensation.
 _FORCE_METHOD = 0.03
 _FLAT = 1 / np.sqrt(12.0)
 
@@ -63,11 +65,11 @@ class CompensatedSheet(PresentedObject):
     Attributes
     ----------
     relief : the measured coat
-    thinning : local thickness over that of the sheet as it was made
+    thinning : local thickness over that of the undeformed sheet
     sigma_thinning : its standard uncertainty
     normal : (row, col, xyz) unit normal of the coat, upwards
-    footing : what lies on the object for sure
-    layer : what it was compensated with
+    footing : cells in certain contact
+    layer : sheet and load used in the compensation
     """
 
     relief: Relief
@@ -80,19 +82,19 @@ class CompensatedSheet(PresentedObject):
 
     @property
     def contact(self) -> BoolArray:
-        """Where the object carries the sheet, (row, col)."""
+        """Cells in which the object carries the sheet, (row, col)."""
         return self.balance.contact
 
     @property
     def sure(self) -> BoolArray:
-        """Where it touches whatever was blurred, (row, col)."""
+        """Cells in contact with certainty, without blurred ones, (row, col)."""
         return self.footing.sure
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty of each point along the normal by edges near it, (row, col).
+        """Standard uncertainty of each point along the normal because of near edges, (row, col).
 
-        On an edge and beside it neither the thin sheet nor its parallel surface is exact.
+        Near an edge neither the thin-sheet model nor the parallel surface is exact.
         """
         bent = self.layer.thickness_mm * self.footing.uneven_per_mm
         return np.asarray(EDGE_THEORY * self.layer.thickness_mm * bent**_EDGE_POWER)
@@ -104,19 +106,20 @@ class CompensatedSheet(PresentedObject):
 
     @property
     def blur_mm(self) -> float:
-        """How far the contact's edge is blurred."""
+        """Width by which the contact's edge is blurred."""
         return CURVATURE_SIGMA_MM
 
     @property
     def area_mm2(self) -> float:
-        """Area of the contact seen along z."""
+        """Area of the contact projected along z."""
         return float(self.balance.upright_mm2[self.contact].sum())
 
     @property
     def layer_moves_mm(self) -> list[FloatArray]:
-        """Return by how much all points of a part may lie off along their normals, each (row, col).
+        """Return possible common shifts of a part's points along their normals, each (row, col).
 
-        How a sheet that sticks thins from a part's middle to its edge is open, too: by as much.
+        For a sheet that sticks, its thinning may also vary from a part's middle to its edge by as
+        much.
         """
         layer = self.layer
         of_stretch = layer.thickness_mm * self.sigma_thinning
@@ -136,21 +139,21 @@ class CompensatedSheet(PresentedObject):
         }
 
     def theory_mm(self, radius_mm: float) -> float:
-        """Return what the theory of thin sheets leaves out of a radius: docs/sheet.md."""
+        """Return the thin-sheet model's error of a radius: docs/sheet.md."""
         return SHEET_THEORY * self.layer.thickness_mm**2 / radius_mm
 
     @property
     def object_mm(self) -> FloatArray:
-        """Points of the clear face, (row, col, xyz); the object's where there is contact.
+        """Points of the clear face, (row, col, xyz); of the object in contact.
 
-        The contact's pressure presses the face in: there the object reaches farther up.
+        The contact pressure compresses the sheet, so that the object is higher by `squeeze_mm`.
         """
         behind = self.layer.thickness_mm * self.thinning - self.squeeze_mm
         return np.asarray(self.relief.points_mm - behind[..., None] * self.normal)
 
     @property
     def squeeze_mm(self) -> FloatArray:
-        """By how much the contact presses the clear face in, (row, col)."""
+        """Indentation of the clear face by the contact pressure, (row, col)."""
         per_made_kpa = np.where(self.contact, self.pressure_kpa, 0.0) / self.thinning
         return np.asarray(self.layer.squeeze_mm_per_kpa * per_made_kpa)
 
@@ -168,9 +171,9 @@ class CompensatedSheet(PresentedObject):
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force: modulus, thickness and air, noise, and the method.
+        """Standard uncertainty of the force: modulus, thickness, air, noise, and the method.
 
-        Tension is in proportion to E h, and so is its share of the force.
+        Tension, and its share of the force, is proportional to E h.
         """
         layer, balance = self.layer, self.balance
         area_mm2 = self.area_mm2
@@ -180,7 +183,7 @@ class CompensatedSheet(PresentedObject):
             layer.sigma_young_modulus_kpa / layer.young_modulus_kpa,
             layer.sigma_thickness_mm / layer.thickness_mm,
         )
-        # Noise is common to some 4 pi s^2 of surface.
+        # Noise is correlated over an area of about 4 pi s^2.
         together = 4 * np.pi * CURVATURE_SIGMA_MM**2
         noise = 1e-3 * balance.sigma_kpa * np.sqrt(area_mm2 * min(together, area_mm2))
         shares = (
@@ -192,22 +195,23 @@ class CompensatedSheet(PresentedObject):
         return float(np.linalg.norm(shares))
 
     def modulus_of_force_kpa(self, force_n: float, sigma_n: float = 0.0) -> tuple[float, float]:
-        """Return the modulus with which the object carries a known force, and its uncertainty.
+        """Return the modulus at which the object carries a known force, and its uncertainty.
 
-        What the air does not press, over the contact and its blurred edge, is the tension's share,
-        in proportion to E h.
+        The force less the air pressure over the contact and its blurred edge is the tension's
+        share, which is proportional to E h.
 
         Raises
         ------
-        FitError : the air alone presses as hard, or a sheet that sticks, whose tension is not known
+        FitError : the tension's share is not positive, or the sheet sticks, so that its tension is
+            unknown
         """
         layer = self.layer
         pressed_mm2 = float(self.balance.upright_mm2[self._grown()].sum())
         of_air = 1e-3 * pressed_mm2 * layer.back_pressure_kpa
-        found, known = self.force_n - of_air, force_n - of_air
-        if layer.sticks or min(found, known) <= 0:
+        tension_n, known_tension_n = self.force_n - of_air, force_n - of_air
+        if layer.sticks or min(tension_n, known_tension_n) <= 0:
             raise FitError("modulus: the tension's share of the force is not known")
-        modulus = layer.young_modulus_kpa * known / found
+        modulus = layer.young_modulus_kpa * known_tension_n / tension_n
         of_force = np.linalg.norm(
             (
                 sigma_n,
@@ -216,7 +220,7 @@ class CompensatedSheet(PresentedObject):
             )
         )
         of_thickness = layer.sigma_thickness_mm / layer.thickness_mm
-        return modulus, modulus * float(np.hypot(of_force / known, of_thickness))
+        return modulus, modulus * float(np.hypot(of_force / known_tension_n, of_thickness))
 
     @property
     def sigma_thickness_mm(self) -> FloatArray:
@@ -227,13 +231,13 @@ class CompensatedSheet(PresentedObject):
         )
 
     def free_span(self) -> BoolArray:
-        """Return the cells that hang free, away from contact, rim and gaps."""
+        """Return the cells of the free span, without those near contact, rim or gaps."""
         return free_span(self.relief, self.contact)
 
     def modulus_of_free_span_kpa(self) -> tuple[float, float] | None:
-        """Return the modulus with which the free span carries the air, and its scatter.
+        """Return the modulus at which the free span carries the air pressure, and its scatter.
 
-        p_air = N : b there, N in proportion to E h. None without air, or where nothing hangs free.
+        There p_air = N : b, and N is proportional to E h. None without air or without a free span.
         """
         free, air = self.free_span(), self.layer.back_pressure_kpa
         if air <= 0 or free.sum() < 50:
@@ -249,7 +253,7 @@ class CompensatedSheet(PresentedObject):
 def compensate_sheet(
     points_mm: FloatArray, sigma_z_mm: FloatArray, layer: SheetLayer
 ) -> CompensatedSheet:
-    """Find contact, pressure and object under a sheet.
+    """Compute contact, pressure and object under a sheet.
 
     Parameters
     ----------
@@ -258,7 +262,7 @@ def compensate_sheet(
 
     Raises
     ------
-    FitError : too little was measured, or the sheet finds no rest on what was
+    FitError : too few points were measured, or the sheet has no equilibrium on the relief
     """
     frame = layer.frame
     element = max(
@@ -298,7 +302,7 @@ def compensate_sheet(
 
 
 def _stretched(relief: Relief, layer: SheetLayer, spread_out: MaterialMap) -> StretchedCoat:
-    """Return what the map tells on the relief's cells."""
+    """Return thinning and tension of a map on the relief's cells."""
     unit_kpa_mm = 1e3 * layer.tension_unit_n_mm
     tension = [_on_cells(spread_out.tension[..., part], relief) for part in range(3)]
     return StretchedCoat(
@@ -307,21 +311,21 @@ def _stretched(relief: Relief, layer: SheetLayer, spread_out: MaterialMap) -> St
 
 
 def _open_of_rim(
-    surface: SurfaceMetric, relief: Relief, layer: SheetLayer, found: MaterialMap | None
+    surface: SurfaceMetric, relief: Relief, layer: SheetLayer, spread_out: MaterialMap | None
 ) -> FloatArray:
-    """Return the standard uncertainty of the thinning by the rim's compliance, (row, col)."""
-    if found is None or not layer.sigma_rim_compliance_mm2_per_n:
+    """Return the thinning's standard uncertainty from the rim's compliance, (row, col)."""
+    if spread_out is None or not layer.sigma_rim_compliance_mm2_per_n:
         return np.zeros(relief.measured.shape)
     softer = on_springs(surface, relief, layer.frame, layer.rim_yield + layer.sigma_rim_yield)
-    moved = material_map(softer, layer.pre_stretch, near=found)
-    return np.abs(_on_cells(moved.thinning - found.thinning, relief))
+    moved = material_map(softer, layer.pre_stretch, near=spread_out)
+    return np.abs(_on_cells(moved.thinning - spread_out.thinning, relief))
 
 
 def _with_sticking(
     layer: SheetLayer, thinning: FloatArray, of_rim: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return thinning and what pre-stretch, rim and sticking leave open of it."""
-    # Stretch multiplies: the mounted sheet's share of the thinning is s^-2.
+    """Return the thinning and its uncertainty from pre-stretch, rim and sticking."""
+    # Stretches multiply: the mounted sheet's share of the thinning is s^-2.
     mounted = layer.pre_stretch**-2
     of_pre_stretch = 2 * thinning / layer.pre_stretch * layer.sigma_pre_stretch
     of_stretch = np.hypot(of_pre_stretch, of_rim)
@@ -347,7 +351,7 @@ def _on_elements(relief: Relief, metric: FloatArray, squeeze: FloatArray) -> Sur
             (relief.x_mm, relief.y_mm), relief.pitch_mm, (cols, rows), strict=True
         )
     ]
-    x, y = (np.linspace(*one) for one in ends)
+    x, y = (np.linspace(*limits) for limits in ends)
     xx, xy, yy = (mean(metric[..., part]) for part in range(3))
     return SurfaceMetric(x, y, xx, xy, yy, mean(squeeze), held)
 

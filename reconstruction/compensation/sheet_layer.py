@@ -1,30 +1,30 @@
-"""A thin sheet and its load, as far as they are known; lengths mm, pressures kPa."""
+"""Known values of a thin sheet and its load; lengths mm, pressures kPa."""
 
 from dataclasses import dataclass
 
 from reconstruction.compensation.relief import SheetOpening
 
 SQUEEZED_SHARE = 0.25
-"""Depth of the sheet that a contact pressure compresses, over its thickness: of solid elements
-(docs/sheet.md), half of what an exact layer on a rigid face gives for long waves."""
+"""Depth of the sheet that a contact pressure compresses, over its thickness: from solid elements
+(docs/sheet.md); half of the value of an exact layer on a rigid face for long waves."""
 # E / (1 - nu^2) over E, of an incompressible solid.
 _PLANE_STRAIN = 4 / 3
 
 
 @dataclass(frozen=True)
 class SheetLayer:
-    """What is known of the mounted sheet and its load; sigma_: standard uncertainties.
+    """Known values of the mounted sheet and its load; sigma_: standard uncertainties.
 
     Attributes
     ----------
-    frame : opening in which it is held
-    thickness_mm : as it was made, before it was stretched into its frame
+    frame : opening in which the sheet is held
+    thickness_mm : undeformed, before the sheet is stretched into its frame
     young_modulus_kpa : of the incompressible silicone
     pre_stretch : of the mounted sheet, equal along x and y
-    rim_compliance_mm2_per_n : by how much its edge gives along the frame per line tension beyond
-        that of the mounted sheet; 0: rigid
+    rim_compliance_mm2_per_n : displacement of its edge along the frame per line tension in excess
+        of the mounted sheet's; 0: rigid
     back_pressure_kpa : of the air on the coat
-    sticks : whether it keeps its place once it has touched
+    sticks : whether the sheet keeps its place after first contact
     """
 
     frame: SheetOpening
@@ -42,7 +42,7 @@ class SheetLayer:
 
     @property
     def squeeze_mm_per_kpa(self) -> float:
-        """Return by how much a pressure on its clear face, per area as made, presses it in."""
+        """Return the indentation of its clear face per pressure, per undeformed area."""
         return SQUEEZED_SHARE * self.thickness_mm / (_PLANE_STRAIN * self.young_modulus_kpa)
 
     @property

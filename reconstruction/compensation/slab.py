@@ -1,15 +1,15 @@
-"""The object under a thick slab, coated on its far face, from the coat: its numbers, no free form.
+"""The object under a thick slab, from its coated far face: numbers of a known form.
 
-What a slab shows of waves much shorter than its thickness is under any noise, so no free form can
-be had. What can is the few numbers of an object whose form is known: of a ball its diameter and
-place. They are those with which the layer's own solution comes nearest to the measured heights z,
+A slab transmits waves much shorter than its thickness with amplitudes below any noise, so the free
+form of an object cannot be measured. The few numbers of an object of known form can: of a ball its
+diameter and place. They minimise the misfit between the layer's solution z(t) and the heights z,
 
     min  sum of ((z - z(t)) / sigma)^2  +  sum of ((t - known) / sigma_t)^2,
 
-t: the object's numbers, the travel, and what of layer, load and frame is known with an uncertainty.
-Where the residuals are larger than their sigma, or shared between neighbours, heights weigh that
-much less beside what is known. The covariance is that of the linearised problem, (J^T W J)^-1; with
-the cells' own sigma, as of white noise, it is the Cramer-Rao bound.
+t: the object's numbers, the travel, and the uncertain values of layer, load and frame.
+If the residuals are larger than sigma or correlated between neighbours, the weight of the heights
+relative to the prior values is reduced accordingly. The covariance is that of the linearised
+problem, (J^T W J)^-1; with the cells' own sigma, as of white noise, it is the Cramer-Rao bound.
 
 Arrays over cells are (row, col); lengths mm, pressures kPa.
 """
@@ -26,15 +26,15 @@ from reconstruction.compensation.presentation import PresentedObject
 from reconstruction.compensation.relief import Relief, variance_and_area
 from reconstruction.errors import FitError
 
-# Of the sum of squares, some ten thousand: a tenth of a standard uncertainty. A contact that counts
-# whole cells leaves steps as small as that undecided.
+# Relative change of the sum of squares, some ten thousand: 0.1 x a standard uncertainty. A contact
+# of whole cells makes smaller steps undecidable.
 _CONVERGED = 2e-7
 _MOST_MODELS = 60
 _MOST_TURNS = 5
 _TOO_FAR = 10.0
-# Of a number's range: so near to an end is at the end.
+# Distance from an end of the range, over the range, that counts as at the end.
 _AT_THE_END = 1e-3
-# Residuals that are as large as their sigma and independent, to this factor of variance.
+# Factor of variance within which residuals agree with independent ones of size sigma.
 _AGREES = 1.3
 
 
@@ -44,8 +44,8 @@ class FittedNumber:
 
     Attributes
     ----------
-    start, low, high : where to begin, and what is allowed
-    known, sigma : what is known of it beforehand and how well; sigma infinite: nothing
+    start, low, high : starting value and allowed range
+    known, sigma : prior value and its standard uncertainty; infinite sigma: no prior
     """
 
     name: str
@@ -66,15 +66,15 @@ class CoatSlopes:
 
 @dataclass(frozen=True, eq=False)
 class SlabCoat:
-    """What a layer's solution says of the coat for one set of numbers.
+    """Coat and force of a layer's solution for one set of numbers.
 
     Attributes
     ----------
     coat_mm : (row, col) heights
     force_n : of the object, along z
-    slopes : their derivatives, found when asked for
-    theory_mm : fields (row, col), each a standard uncertainty of all heights together that the
-        solution's own theory has
+    slopes : function that computes their derivatives
+    theory_mm : fields (row, col), each one a standard uncertainty common to all heights, from the
+        model
     """
 
     coat_mm: FloatArray
@@ -84,12 +84,12 @@ class SlabCoat:
 
 
 SlabModel = Callable[[FloatArray], SlabCoat]
-"""Numbers (n,) to the coat on the relief's cells; FitError where there is no such press."""
+"""Numbers (n,) to the coat on the relief's cells; FitError if there is no such press."""
 
 
 @dataclass(frozen=True)
 class KnownForce:
-    """Force of the object along z that a gauge told, and its standard uncertainty."""
+    """Force of the object along z from a gauge, and its standard uncertainty."""
 
     force_n: float
     sigma_n: float
@@ -102,12 +102,12 @@ class FittedSlab:
     Attributes
     ----------
     values, covariance : (n,) and (n, n), of the unknowns in their order
-    bound : (n, n) covariance by the cells' own sigma alone: the Cramer-Rao bound, if points are
-        independent
-    coat, slopes : by the values found
-    misfit_mm : RMS of measured less modelled heights
+    bound : (n, n) covariance from the cells' own sigma only: the Cramer-Rao bound for independent
+        points
+    coat, slopes : at the fitted values
+    misfit_mm : RMS of measured minus modelled heights
     chi_square : of the heights per degree of freedom
-    shared_cells : over how many cells neighbours share one error
+    shared_cells : number of cells over which errors are correlated
     """
 
     unknowns: tuple[FittedNumber, ...]
@@ -136,12 +136,12 @@ class FittedSlab:
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force by the unknowns."""
+        """Standard uncertainty of the force from the unknowns."""
         slope = self.slopes.force_n
         return float(np.sqrt(slope @ self.covariance @ slope))
 
     def _place(self, name: str) -> int:
-        return [one.name for one in self.unknowns].index(name)
+        return [unknown.name for unknown in self.unknowns].index(name)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,9 +152,9 @@ class CompensatedSlab(PresentedObject):
     ----------
     relief : the measured coat
     contact : bool
-    touched_mm : world z of the touched face: of the object where it touches
-    fitted : the numbers that it was found by
-    force_theory : share of the force that the linear slab may be wrong by
+    touched_mm : world z of the touched face; in contact that of the object
+    fitted : the fitted numbers
+    force_theory : relative error of the force from the linear model
     """
 
     relief: Relief
@@ -166,17 +166,17 @@ class CompensatedSlab(PresentedObject):
 
     @property
     def sure(self) -> BoolArray:
-        """The contact, (row, col): its edge is the solution's own."""
+        """The contact, (row, col): its edge is given by the solution, without blur."""
         return self.contact
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """No sheet is bent over an edge: 0, (row, col)."""
+        """Zero, (row, col): a slab does not bend over an edge."""
         return np.zeros(self.contact.shape)
 
     @property
     def normal(self) -> FloatArray:
-        """Unit normals along which the object lies behind the coat, (row, col, xyz): upwards."""
+        """Unit normals from the object towards the coat, (row, col, xyz): upwards."""
         return np.broadcast_to(np.array([0.0, 0.0, 1.0]), self.relief.points_mm.shape)
 
     @property
@@ -187,12 +187,12 @@ class CompensatedSlab(PresentedObject):
 
     @property
     def blur_mm(self) -> float:
-        """How far the contact's edge is blurred: it is the solution's own."""
+        """Zero: the contact's edge is given by the solution, without blur."""
         return 0.0
 
     @property
     def area_mm2(self) -> float:
-        """Area of the contact seen along z."""
+        """Area of the contact projected along z."""
         return float(self.contact.sum()) * self.relief.cell_area_mm2
 
     @property
@@ -207,11 +207,11 @@ class CompensatedSlab(PresentedObject):
 
     @property
     def layer_moves_mm(self) -> list[FloatArray]:
-        """What of the layer is uncertain is in the numbers' covariance."""
+        """Empty: the covariance of the numbers includes the layer's uncertain values."""
         return []
 
     def theory_mm(self, _: float) -> float:
-        """Return what the theory leaves out of a radius: it is in the numbers' covariance."""
+        """Return 0: the covariance of the numbers includes the model's error."""
         return 0.0
 
 
@@ -221,45 +221,46 @@ def fit_under_slab(
     unknowns: Sequence[FittedNumber],
     force: KnownForce | None = None,
 ) -> FittedSlab:
-    """Find the numbers with which the layer's solution is nearest to the measured heights.
+    """Fit the numbers for which the layer's solution is nearest to the measured heights.
 
     Parameters
     ----------
-    models : from coarse to fine grids, each begun where the one before it ended; by what the last
-        one finds elsewhere than that it counts as uncertain itself
+    models : from coarse to fine grids; each fit starts at the result of the previous one. The
+        difference between the last two results is added to the covariance
 
     Raises
     ------
-    FitError : no press with numbers in their ranges, or numbers that the heights cannot tell apart
+    FitError : no press with numbers in their ranges, or numbers that the heights do not separate
     """
-    values, before = np.array([one.start for one in unknowns]), None
-    # The heights weigh little at first, so that what is known keeps the start from running away.
-    shared = _Weighing(relief, models[0], tuple(unknowns), force, 1.0).apart(values)
+    values, before = np.array([unknown.start for unknown in unknowns]), None
+    # A small weight of the heights at first: prior values keep the numbers near the start.
+    widening = _Weighing(relief, models[0], tuple(unknowns), force, 1.0).widening(values)
     for model in models:
         before = values
         for _ in range(_MOST_TURNS):
-            problem = _Weighing(relief, model, tuple(unknowns), force, shared)
+            problem = _Weighing(relief, model, tuple(unknowns), force, widening)
             values = _settled(problem, values)
-            found_apart = problem.apart(values)
-            if shared / _AGREES <= found_apart <= _AGREES * shared:
+            updated = problem.widening(values)
+            if widening / _AGREES <= updated <= _AGREES * widening:
                 break
-            shared = found_apart
+            widening = updated
     _check_inside(values, unknowns)
-    found = problem.told(values)
+    fitted = problem.result(values)
     if len(models) < 2:
-        return found
+        return fitted
     moved = values - before
-    return replace(found, covariance=found.covariance + np.outer(moved, moved))
+    return replace(fitted, covariance=fitted.covariance + np.outer(moved, moved))
 
 
 def _check_inside(values: FloatArray, unknowns: Sequence[FittedNumber]) -> None:
-    """Refuse a number of which nothing was known and that ran as far as it may."""
-    for one, value in zip(unknowns, values.tolist(), strict=True):
-        room = min(value - one.low, one.high - value)
-        if np.isinf(one.sigma) and room < _AT_THE_END * (one.high - one.low):
+    """Raise FitError if a number without a prior is at an end of its range."""
+    for unknown, value in zip(unknowns, values.tolist(), strict=True):
+        room = min(value - unknown.low, unknown.high - value)
+        if np.isinf(unknown.sigma) and room < _AT_THE_END * (unknown.high - unknown.low):
             raise FitError(
-                f"slab: {one.name} ran to {value:.4g}, allowed {one.low:.4g} to {one.high:.4g}; "
-                "begin nearer to the object, or tell the travel (press.depth_mm, sigma.depth_mm)"
+                f"slab: {unknown.name} ran to {value:.4g}, allowed {unknown.low:.4g} to "
+                f"{unknown.high:.4g}; "
+                "start nearer to the object, or state the travel (press.depth_mm, sigma.depth_mm)"
             )
 
 
@@ -269,18 +270,18 @@ def bound_under_slab(
     unknowns: Sequence[FittedNumber],
     force: KnownForce | None = None,
 ) -> FloatArray:
-    """Return the Cramer-Rao bound of numbers that are where they begin: a covariance (n, n).
+    """Return the Cramer-Rao bound of numbers at their starting values: a covariance (n, n).
 
     Parameters
     ----------
-    relief : its sigmas are of independent points; its heights are not looked at
+    relief : its sigmas are of independent points; its heights are not used
 
     Raises
     ------
-    FitError : no such press, or numbers that the heights cannot tell apart
+    FitError : no such press, or numbers that the heights do not separate
     """
     slopes = _Weighing(relief, model, tuple(unknowns), force, 1.0).slopes(
-        np.array([one.start for one in unknowns])
+        np.array([unknown.start for unknown in unknowns])
     )
     return _inverse(slopes.T @ slopes, tuple(unknowns))
 
@@ -288,7 +289,8 @@ def bound_under_slab(
 def _settled(problem: "_Weighing", start: FloatArray) -> FloatArray:
     """Return the numbers with the least sum of squares, near a start."""
     low, high = (
-        np.array([getattr(one, name) for one in problem.unknowns]) for name in ("low", "high")
+        np.array([getattr(unknown, name) for unknown in problem.unknowns])
+        for name in ("low", "high")
     )
     done = least_squares(
         problem.residuals,
@@ -303,14 +305,14 @@ def _settled(problem: "_Weighing", start: FloatArray) -> FloatArray:
     )
     if not done.success:
         raise FitError(
-            f"slab: not settled within {_MOST_MODELS} presses; tell the travel "
-            "(press.depth_mm, sigma.depth_mm), or begin nearer to the object"
+            f"slab: not converged within {_MOST_MODELS} presses; state the travel "
+            "(press.depth_mm, sigma.depth_mm), or start nearer to the object"
         )
     return np.asarray(done.x)
 
 
 class _Weighing:
-    """Residuals over their sigmas, and their slopes: heights, known numbers, force."""
+    """Residuals over their sigmas, and their derivatives: heights, prior values, force."""
 
     def __init__(
         self,
@@ -318,10 +320,10 @@ class _Weighing:
         model: SlabModel,
         unknowns: tuple[FittedNumber, ...],
         force: KnownForce | None,
-        apart: float,
+        widening: float,
     ) -> None:
         self.relief, self.unknowns, self.force = relief, unknowns, force
-        self._widening = apart
+        self._widening = widening
         self._model, self._at = model, np.full(len(unknowns), np.nan)
         self._coat: SlabCoat | None = None
         self._far: FloatArray | None = None
@@ -336,36 +338,36 @@ class _Weighing:
         except FitError:
             if self._far is None:
                 raise
-            return self._far  # no such press: a step too far
+            return self._far  # no such press: the step was too large
         rows = [self._over_sigma(coat.coat_mm - self.relief.heights_mm)]
         rows.append((values - self._known) / self._sigma)
         if self.force is not None:
             rows.append(np.array([(coat.force_n - self.force.force_n) / self.force.sigma_n]))
-        found = np.concatenate(rows)
+        stacked = np.concatenate(rows)
         if self._far is None:
-            self._far = np.full_like(found, _TOO_FAR * (1 + float(np.abs(found).max())))
-        return found
+            self._far = np.full_like(stacked, _TOO_FAR * (1 + float(np.abs(stacked).max())))
+        return stacked
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        """Return (m, n) their derivatives."""
-        found = self._solved(values).slopes()
-        rows = [np.stack([self._over_sigma(one) for one in found.coat_mm], axis=-1)]
+        """Return the residuals' derivatives, (m, n)."""
+        coat_slopes = self._solved(values).slopes()
+        rows = [np.stack([self._over_sigma(slope) for slope in coat_slopes.coat_mm], axis=-1)]
         rows.append(np.diag(1 / self._sigma))
         if self.force is not None:
-            rows.append(found.force_n[None] / self.force.sigma_n)
+            rows.append(coat_slopes.force_n[None] / self.force.sigma_n)
         return np.concatenate(rows)
 
-    def told(self, values: FloatArray) -> FittedSlab:
-        """Return what was found, with its covariance."""
+    def result(self, values: FloatArray) -> FittedSlab:
+        """Return the fit at given values, with its covariance."""
         coat, slopes = self._solved(values), self.slopes(values)
         cells = int(self._weighted.sum())
         chi_square, shared = self._spread(values)
         heights, known = (part.T @ part for part in (slopes[:cells], slopes[cells:]))
-        found = _inverse(heights + known, self.unknowns)
-        # By the noise that is there, of an estimate with the weights that it was made with.
-        covariance = found @ (heights * chi_square * shared / self._widening + known) @ found
+        inverse = _inverse(heights + known, self.unknowns)
+        # Covariance for the actual noise, of an estimate with the weights used in the fit.
+        covariance = inverse @ (heights * chi_square * shared / self._widening + known) @ inverse
         for field in coat.theory_mm:
-            shift = found @ slopes[:cells].T @ self._over_sigma(field)
+            shift = inverse @ slopes[:cells].T @ self._over_sigma(field)
             covariance = covariance + np.outer(shift, shift)
         misfit = (coat.coat_mm - self.relief.heights_mm)[self._weighted]
         return FittedSlab(
@@ -380,13 +382,13 @@ class _Weighing:
             shared_cells=shared,
         )
 
-    def apart(self, values: FloatArray) -> float:
-        """Return by how much the heights' information is less than their sigma's: a variance."""
+    def widening(self, values: FloatArray) -> float:
+        """Return the variance factor by which the heights' weight is reduced, at least 1."""
         chi_square, shared = self._spread(values)
         return max(chi_square * shared, 1.0)
 
     def _spread(self, values: FloatArray) -> tuple[float, float]:
-        """Return chi-square per degree of freedom, and over how many cells an error is shared."""
+        """Return chi-square per degree of freedom, and the number of cells that share an error."""
         rest = self._on_cells(self._solved(values).coat_mm - self.relief.heights_mm)
         variance, area = variance_and_area(rest, self._weighted, self.relief.cell_area_mm2)
         cells = int(self._weighted.sum())
@@ -395,11 +397,11 @@ class _Weighing:
 
     @cached_property
     def _known(self) -> FloatArray:
-        return np.array([one.known for one in self.unknowns])
+        return np.array([unknown.known for unknown in self.unknowns])
 
     @cached_property
     def _sigma(self) -> FloatArray:
-        return np.array([one.sigma for one in self.unknowns])
+        return np.array([unknown.sigma for unknown in self.unknowns])
 
     def _solved(self, values: FloatArray) -> SlabCoat:
         if self._coat is None or not np.array_equal(values, self._at):
@@ -415,13 +417,13 @@ class _Weighing:
 
 
 def _inverse(normal: FloatArray, unknowns: tuple[FittedNumber, ...]) -> FloatArray:
-    """Invert a normal matrix, whose numbers have different units."""
+    """Invert a normal matrix of numbers with different units."""
     scale = np.sqrt(np.diag(normal))
     if (scale == 0).any():
         blind = unknowns[int(np.argmin(scale))].name
-        raise FitError(f"slab: the coat tells nothing of {blind}; leave it out of what is fitted")
+        raise FitError(f"slab: the coat does not depend on {blind}; remove it from the fit")
     correlation = normal / np.outer(scale, scale)
     if np.linalg.cond(correlation) > 1e10:
-        names = ", ".join(one.name for one in unknowns)
-        raise FitError(f"slab: the coat cannot tell apart {names}; fit fewer, or tell the travel")
+        names = ", ".join(unknown.name for unknown in unknowns)
+        raise FitError(f"slab: the coat does not separate {names}; fit fewer, or state the travel")
     return np.asarray(np.linalg.inv(correlation) / np.outer(scale, scale))

@@ -1,6 +1,6 @@
-"""From camera frames to projector coordinates, their sigma, and why a pixel has none.
+"""Options and result of decoding: projector coordinates, their sigma and a reason per pixel.
 
-What decoding is asked, and what it says about every camera pixel; needs no compiled code.
+Needs no compiled code.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from reconstruction.patterns import AXES, Axis
 )
 @dataclass(frozen=True, eq=False)
 class AxisDecode:
-    """What the frames along one projector axis say, every field (row, col).
+    """Maps that are decoded from the frames along one projector axis, every field (row, col).
 
     coordinate_px, order, sigma_px and bias_share are 0 unless the pixel is valid. phase_rad in
     [0, 2 pi) is also given for masked pixels that have a phase. mean_dn and modulation_dn are
@@ -33,15 +33,15 @@ class AxisDecode:
     are filtered. With a multi-frequency code phase, order, mean and modulation are those of the
     measuring period, while coordinate_px is the weighted mean of all periods.
 
-    residual_dn : RMS of what the fit leaves, with N - 3 degrees of freedom; 0 with three frames
-    order_error : probability that the order is wrong, given wherever there is a phase
-    bias_share : share of sigma_px squared that is relief which the filter may have taken, not noise
+    residual_dn : RMS residual of the fit, with N - 3 degrees of freedom; 0 with three frames
+    order_error : probability that the order is wrong, given for every pixel with a phase
+    bias_share : share of sigma_px squared that is possible bias of relief by the filter, not noise
 
     Notes
     -----
-    The decoder keeps all but coordinate_px in 16 bits: phases in steps of 1e-4 rad, the others in
-    half precision, 0.05 % of the value; shares in steps of 1 / 255. Reading one of them makes a
-    new array, float32 (order: int16): keep it in a variable when it is needed again.
+    The decoder stores all maps but coordinate_px in 16 bits: phases in steps of 1e-4 rad, others in
+    half precision, 0.05 % of the value; shares in steps of 1 / 255. Every access expands the map to
+    a new array, float32 (order: int16): assign it to a variable if it is used again.
     """
 
     coordinate_px: FloatImage
@@ -57,9 +57,9 @@ class AxisDecode:
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """Both projector coordinates of every camera pixel, and why a pixel has none.
+    """Both projector coordinates of every camera pixel, and the reason why a pixel has none.
 
-    axes : those along which something was projected; of the other one all fields are 0
+    axes : axes along which patterns were projected; all fields of a missing axis are 0
     """
 
     column: AxisDecode
@@ -75,20 +75,20 @@ class Decoded:
 
 @dataclass(frozen=True)
 class DecodeOptions:
-    """How to filter and what to mask.
+    """Options of the filter and thresholds of the masks.
 
     Parameters
     ----------
     filter_taps : width of the Gaussian on the coordinate, px; 0 switches it off. An even width is
-        averaged over both anchors (one tap more), so that nothing shifts by half a pixel. What it
-        takes from relief is given back, see `_filter`
+        averaged over both anchors (one tap more), so that the result is not shifted by half a
+        pixel. The relief that the Gaussian removes is restored, see `_filter`
     filter_sigma_px : its standard deviation; the paper states only 8 x 8
-    min_modulation_dn : mask a smaller fringe contrast; None: only the next limit
+    min_modulation_dn : mask a smaller fringe contrast; None: only max_phase_sigma_rad limits it
     max_phase_sigma_rad : mask a larger predicted phase sigma of the single pixel
     dark_sigmas : white must exceed black by this many sigmas of their difference
     gray_sigmas : a Gray level closer to its threshold than this many sigmas is doubtful
-    max_condition : frames of a pixel that are clipped or lost are left out of its fit; mask a
-        larger condition number of what remains (1: all frames are there)
+    max_condition : clipped or lost frames of a pixel are excluded from its fit; mask a larger
+        condition number of the remaining frames (1: all frames are valid)
     max_order_error : mask a larger probability of a wrong fringe order; 1: only certain errors
     """
 

@@ -49,10 +49,10 @@ def _step_sigma(unwrapping: Unwrapping, level: int, ratio: float, sigmas: Any, c
 
 @inlined
 def _wrong_neighbour(off: float, sigma: float) -> float:
-    """Return the probability that a whole number next to the nearest one is the right one."""
+    """Return the probability that a neighbour of the nearest whole number is correct."""
     below, above = (1.0 - 2.0 * off) / (2.0 * sigma**2), (1.0 + 2.0 * off) / (2.0 * sigma**2)
-    other = math.exp(-below) + math.exp(-above)
-    return other / (1.0 + other)
+    wrong = math.exp(-below) + math.exp(-above)
+    return wrong / (1.0 + wrong)
 
 
 @inlined
@@ -88,7 +88,7 @@ def unwrap_row(
     """Write the fused coordinate, its sigma and the chance of a wrong number; 0 without a phase.
 
     phases, sigmas : (set, col), rad
-    doubts : as sigmas, with what is not known of the projector's response; for the numbers
+    doubts : like sigmas, including the uncertainty of the projector's response; for the numbers
     """
     coordinate, sigma_px, error = answer
     for col in range(error.size):

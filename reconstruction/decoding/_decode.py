@@ -72,7 +72,7 @@ class Units(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """All that is the same for every row; pairs are (column, row)."""
+    """Parameters that are the same for every row; pairs are (column, row)."""
 
     layout: Layout
     limits: Limits
@@ -80,8 +80,8 @@ class Plan(NamedTuple):
     units: Units
     unwrappings: tuple[Unwrapping, Unwrapping]
     is_chain: bool
-    threshold_noise: float  # of a bit less its threshold, in sigmas of one frame
-    scale: FloatImage  # (row, col), by which each pixel was multiplied; (0, 0): by 1
+    threshold_noise: float  # of a bit minus its threshold, in sigmas of one frame
+    scale: FloatImage  # (row, col), factor of each pixel; (0, 0): 1
     has_ripple: bool
     ripple_rad: FloatImage  # (axis, set, node), see `ripple`
     ripple_sigma_rad: FloatImage
@@ -103,7 +103,7 @@ class Maps(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Lines that live as long as a band; compiled code makes no arrays."""
+    """Buffers of one band; compiled code allocates no arrays."""
 
     sums: Any  # (6, col): total, real, imag, square, high, low
     fit: Any  # (line, col): mean, variance, noise, excess of one set; total variance, residual
@@ -243,7 +243,7 @@ def _mark_usable(reason: Any, usable: Any) -> None:
 
 @merged
 def find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
-    """Blank phases where there are none, and write the phase sigma of every set of one axis."""
+    """Zero the phases of unusable pixels, and write the phase sigma of every set of one axis."""
     for j in range(plan.layout.sets):
         keep_usable(work.usable, work.phases[axis, j])
         phase_sigma(
@@ -270,7 +270,7 @@ def find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
 def _read_order(
     axis: int, row: int, stack: Any, plan: Plan, scale: Any, work: Work, answer: Numbered
 ) -> None:
-    """Give one axis its fringe numbers by Gray words."""
+    """Write the fringe numbers of one axis, read from Gray words."""
     code, limits, margin = plan.codes[axis], plan.limits, work.fit[2]
     frames = RowFrames(stack, plan.layout.gray_first[axis], row)
     threshold = work.mean[axis]
@@ -304,13 +304,13 @@ def _read_order(
 
 @inlined
 def answer_of(axis: int, work: Work) -> Numbered:
-    """Return the lines of one axis' answer."""
+    """Return the lines of one axis' coordinates."""
     return Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], work.lines[0])
 
 
 @merged
 def settle_axis(axis: int, row: int, plan: Plan, work: Work, maps: Maps) -> None:
-    """Mask the answer of one axis, and write the maps that do not depend on the other axis."""
+    """Mask the coordinates of one axis, and write the maps that depend on this axis only."""
     spare, units, error = work.lines[2], plan.units, work.lines[0]
     length, most = plan.codes[axis].length_px, plan.limits.max_order_error
     settle_row(length, most, answer_of(axis, work), work.usable, maps.reason[row])
@@ -322,7 +322,7 @@ def settle_axis(axis: int, row: int, plan: Plan, work: Work, maps: Maps) -> None
 
 @merged
 def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps) -> None:
-    """Give one row of the band its fringe numbers, and write the result."""
+    """Determine the fringe numbers of one row of the band, and write the result."""
     for axis in range(plan.layout.first_axis, plan.layout.end_axis):
         answer = answer_of(axis, work)
         if plan.layout.steps:

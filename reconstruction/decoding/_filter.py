@@ -1,16 +1,16 @@
-"""The filter on the projector coordinate: a Gaussian that gives back what it takes from relief.
+"""The filter on the projector coordinate: a Gaussian that restores the relief that it removes.
 
-On a plane a Gaussian G changes nothing but the noise. On relief the coordinate x loses the lift
-l = G x - x, of which the coarse part c = G l holds curvature, and the fine part f = l - c texture
-and edges. Both are seen in the data together with noise of known variance n; with E the mean square
-of a part over 17 x 17 pixels, the share w = max(0, 1 - t n / E) of it is relief and is given back
-(a Wiener estimate): x + (1 - w_c) c + (1 - w_f) f. Where nothing stands out of the noise that is
-G x, on strong relief x itself. What stays of the relief, (1 - w)^2 w E, is part of sigma.
+On a plane a Gaussian G reduces the noise without bias. On relief the coordinate x changes by the
+lift l = G x - x. Its coarse part c = G l contains curvature, its fine part f = l - c texture and
+edges. Both parts are measured together with noise of known variance n. With E the mean square of a
+part over 17 x 17 pixels, the share w = max(0, 1 - t n / E) of the part is relief and is restored
+(a Wiener estimate): x + (1 - w_c) c + (1 - w_f) f. If no part exceeds the noise the result is G x;
+on strong relief it is x. The relief that is not restored, (1 - w)^2 w E, is part of sigma.
 
-Compared with a Gaussian on the complex phasor nothing is lost by the turning of the phase within
-the window, and a pixel that is brighter than its neighbours draws the mean to itself no more.
+A Gaussian on the complex phasor would lose contrast because the phase changes within the window,
+and would give brighter pixels more weight than their neighbours. This filter has neither error.
 
-Kernels run over a band of image rows, in patches that stay in the cache.
+Kernels run over a band of image rows, in patches that fit in the cache.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -42,8 +42,8 @@ from reconstruction.decoding._relief import (
     REACH,
     Blocks,
     add_variances,
-    give_back,
     make_blocks,
+    restore_relief,
     sum_blocks,
     weigh_blocks,
     write_root,
@@ -54,12 +54,12 @@ from reconstruction.decoding._sum import DARK, LOW_MODULATION
 
 PATCH_COLS = 512
 VALID, EDGE = np.uint8(Reason.VALID), np.uint8(Reason.EDGE)
-# The value of a pixel without one: no pair with it comes within any limit.
+# Value of a pixel without a coordinate: no pair with it is within any limit.
 NOWHERE = np.float32(1e30)
 
 
 class Unfiltered(NamedTuple):
-    """Maps to smooth, (axis, row, col), and what tells where they hold: reason 0."""
+    """Maps to smooth, (axis, row, col), and the mask: they are valid where the reason is 0."""
 
     coordinate_px: Any
     sigma: Any
@@ -76,13 +76,13 @@ class Smoothed(NamedTuple):
 
 
 class FilterPatch(NamedTuple):
-    """A part of the image, and where in the planes it and the rest of the image lie."""
+    """A part of the image, and the position of the part and of the image in the planes."""
 
     top: int  # image row of plane row 0
     left: int
     rows: int
     cols: int
-    above: int  # plane row and column where the patch begins
+    above: int  # plane row and column of the patch's first pixel
     start: int
     low: int  # plane rows low to high - 1 and columns near to far - 1 are image
     high: int
@@ -182,7 +182,9 @@ def _write(
         value, usable = images[VALUE, row, inside], images[USABLE, row, inside]
         lift, coarse = images[LIFT, row, inside], images[COARSE, row, inside]
         whole, part = spread[0, inside], spread[1, inside]
-        give_back(value, usable, lift, coarse, whole, part, target.coordinate_px[axis, at, out])
+        restore_relief(
+            value, usable, lift, coarse, whole, part, target.coordinate_px[axis, at, out]
+        )
         add_variances(
             images[VARIANCE, row, inside], images[GAIN, row, inside], smoothing.noise[0, 0],
             spread[2, inside], spread[3, inside], spread[4, inside], total,
@@ -217,12 +219,12 @@ def _whole(size: int) -> int:
 def smooth_rows(
     first_row: int, end_row: int, source: Unfiltered, smoothing: Smoothing, target: Smoothed
 ) -> None:
-    """Fill `target` for rows first_row to end_row - 1, in patches that stay in the cache."""
+    """Fill `target` for rows first_row to end_row - 1, in patches that fit in the cache."""
     rows, width = source.reason.shape
     margin, count = _whole(2 * (smoothing.weights.size // 2) + REACH), end_row - first_row
     above = margin + first_row % BLOCK
     top, high = first_row - above, _whole(above + count + margin)
-    # One set for all patches: new memory costs more than the arithmetic.
+    # One set for all patches: allocating new memory costs more than the arithmetic.
     planes = make_planes(high, _whole(min(PATCH_COLS, width)) + 2 * margin)
     blocks = make_blocks(*planes.images.shape[1:])
     low, high = max(-top, 0), min(high, rows - top)
@@ -233,7 +235,7 @@ def smooth_rows(
         _smooth_patch(patch, source, smoothing, planes, blocks, target)
 
 
-# The 20 rows on either side of a band are smoothed twice; fewer bands would leave cores idle.
+# The 20 rows on either side of a band are smoothed twice; with fewer bands cores would be idle.
 BAND_ROWS = 128
 
 
@@ -242,14 +244,14 @@ def smooth(
 ) -> Smoothed:
     """Return the filtered coordinates, their sigmas and the share of bias in the variance.
 
-    A pixel beside one without light may lie half beyond the edge of what is lit: such a one takes
-    no part and is masked EDGE.
+    The footprint of a pixel next to an unlit one may cross the edge of the lit area. Such a pixel
+    is excluded and masked EDGE.
 
     Parameters
     ----------
-    source : what was decoded pixel by pixel
-    taps, sigma_px : the Gaussian
-    limit_px : a pair of pixels whose mean is off by more than half of this is left out
+    source : maps that were decoded pixel by pixel
+    taps, sigma_px : width and standard deviation of the Gaussian
+    limit_px : a pair of pixels with a mean that differs by more than half of this is excluded
     unit_px : of packed sigmas
     """
     target = Smoothed(
@@ -267,7 +269,7 @@ def smooth(
 
 
 def make_smoothing(weights: FloatImage, limit_px: float, unit_px: float) -> Smoothing:
-    """Return the kernel and the noise that it leaves in each part, see `Smoothing`."""
+    """Return the kernel and the remaining noise of each part, see `Smoothing`."""
     gauss = np.outer(weights, weights).astype(np.float64)
     whole = np.pad(gauss, gauss.shape[0] // 2)
     lift = whole.copy()
@@ -287,7 +289,7 @@ def make_smoothing(weights: FloatImage, limit_px: float, unit_px: float) -> Smoo
 
 
 def _convolved(image: FloatArray, kernel: FloatArray) -> FloatArray:
-    """Return the full convolution. SciPy's has the same bytes; to load it takes two seconds."""
+    """Return the full convolution, with the same bytes as SciPy's, which takes 2 s to import."""
     rows, cols = image.shape
     total = np.zeros((rows + kernel.shape[0] - 1, cols + kernel.shape[1] - 1))
     for (row, col), weight in np.ndenumerate(kernel):

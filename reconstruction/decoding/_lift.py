@@ -1,11 +1,11 @@
-"""What a Gaussian adds to the projector coordinate: the lift, and its coarse part.
+"""Change of the projector coordinate by a Gaussian: the lift, and its coarse part.
 
 Symbols: x coordinate, G the Gaussian, lift l = G x - x, coarse part c = G l; see `_filter`.
 
-G acts along rows, then along columns, as second differences x(-k) - 2 x + x(+k) of pixel pairs: a
-pair counts only where both its pixels are measured, so that a plane stays as it is next to holes
-and image borders too. A pair that is off by more than half a period is a wrong fringe order, or
-another body, and says nothing.
+G acts along rows, then along columns, as second differences x(-k) - 2 x + x(+k) of pixel pairs. A
+pair counts only if both its pixels are measured, so that a plane is unchanged also next to holes
+and image borders. A pair that differs by more than half a period is a wrong fringe order or
+another body, and is excluded.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -22,10 +22,10 @@ ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.flo
 
 
 class Smoothing(NamedTuple):
-    """Kernel of G along one direction and what follows from it, see `_filter`.
+    """Kernel of G along one direction and quantities that depend on it, see `_filter`.
 
-    noise: products of the kernels of (G, c, f) summed over the plane: (0, 0) is the variance that
-    G leaves of white noise. centre: their middle weights. limit_px: half a period.
+    noise: products of the kernels of (G, c, f) summed over the plane: (0, 0) is the variance of
+    white noise after G. centre: their middle weights. limit_px: half a period.
     """
 
     weights: FloatImage
@@ -37,7 +37,7 @@ class Smoothing(NamedTuple):
 
 
 # Of `Planes.images`: which pixels count; 1 / sum of weights along rows and columns; the variance
-# that G leaves of the noise of a single pixel; 1 / (G usable); what is filtered.
+# of a single pixel's noise after G; 1 / (G usable); the filtered coordinate.
 USABLE, ALONG_ROWS, ALONG_COLS, GAIN, PER_SUPPORT = 0, 1, 2, 3, 4
 VALUE, VARIANCE, SPARE, LIFT, COARSE = 5, 6, 7, 8, 9
 IMAGES = 10
@@ -50,11 +50,11 @@ class Planes(NamedTuple):
     """
 
     images: Any  # (image, row, col) float32
-    alike: Any  # (row,), how many rows before have the same mask
+    alike: Any  # (row,), number of preceding rows with the same mask
 
 
 class Window(NamedTuple):
-    """Which columns of the planes are filtered: those before it, width, and half the kernel."""
+    """Columns of the planes that are filtered: number before them, width, half the kernel."""
 
     gap: int
     width: int
@@ -139,7 +139,7 @@ def _nine_across(plane: Any, row: int) -> Any:
 def _bend_along(
     line: Any, weights: Any, window: Window, limit: Any, factor: Any, out: Any
 ) -> None:  # fmt: skip
-    """Write what the pairs along a row add to its middle."""
+    """Write the change of the middle pixel by the pairs along a row."""
     gap, end, half = window.gap, window.gap + window.width, window.half
     middle = line[gap:end]
     if half == 4:
@@ -179,7 +179,7 @@ def _scale(line: Any, factor: Any, out: Any) -> None:
 
 @nested
 def _average_along(line: Any, weights: Any, window: Window, out: Any) -> None:
-    """Weigh a row with the plain kernel; pixels that hold no value are 0."""
+    """Average a row with the plain kernel; pixels without a value are 0."""
     gap, end, half = window.gap, window.gap + window.width, window.half
     if half == 4:
         _sum_nine(_nine_along(line, gap, end), weights, out)
@@ -211,41 +211,41 @@ def _is_equal(a: Any, b: Any) -> bool:
 def _weigh_along(row: int, images: Any, weights: Any, window: Window) -> None:
     gap, end, half = window.gap, window.gap + window.width, window.half
     line = images[USABLE, row]
-    total, left = images[ALONG_ROWS, row, gap:end], images[SPARE, row, gap:end]
+    total, remaining = images[ALONG_ROWS, row, gap:end], images[SPARE, row, gap:end]
     fill(total, weights[half])
-    fill(left, weights[half] * weights[half])
+    fill(remaining, weights[half] * weights[half])
     for k in range(1, half + 1):
         u, v, weight = line[gap - k : end - k], line[gap + k : end + k], weights[half + k]
         _add_weight(u, v, TWO * weight, total)
-        _add_weight(u, v, TWO * weight * weight, left)
+        _add_weight(u, v, TWO * weight * weight, remaining)
     _invert(total, line[gap:end])
-    multiply(left, total)
-    multiply(left, total)
+    multiply(remaining, total)
+    multiply(remaining, total)
     _average_along(line, weights, window, images[COARSE, row, gap:end])
 
 
 @merged
 def _weigh_across(row: int, images: Any, weights: Any, half: int) -> None:
     usable, noise, line = images[USABLE], images[SPARE], images[USABLE, row]
-    total, left, support = images[ALONG_COLS, row], images[GAIN, row], images[PER_SUPPORT, row]
+    total, remaining, support = images[ALONG_COLS, row], images[GAIN, row], images[PER_SUPPORT, row]
     fill(total, weights[half])
-    _scale(noise[row], weights[half] * weights[half], left)
+    _scale(noise[row], weights[half] * weights[half], remaining)
     for k in range(1, half + 1):
         u, v, weight = usable[row - k], usable[row + k], weights[half + k]
         _add_weight(u, v, TWO * weight, total)
-        _add_noise(u, v, noise[row - k], noise[row + k], weight * weight, left)
+        _add_noise(u, v, noise[row - k], noise[row + k], weight * weight, remaining)
     _invert(total, line)
-    multiply(left, total)
-    multiply(left, total)
+    multiply(remaining, total)
+    multiply(remaining, total)
     _average_across(images[COARSE], row, weights, half, support)
     _invert(support, line)
 
 
 @merged
 def weigh(images: Any, alike: Any, weights: Any, half: int, window: Window) -> None:
-    """Write what depends on the mask alone: sums of weights, noise, support.
+    """Write the images that depend on the mask only: sums of weights, noise, support.
 
-    Most rows have the mask of the row before.
+    Most rows have the mask of the preceding row.
     """
     rows = images.shape[1]
     alike[0] = 0

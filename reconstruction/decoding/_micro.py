@@ -7,10 +7,10 @@ modulation relative to that of the first period, by lens blur, and the same in t
 N steps of the first period give A, B and its phase, and so the candidates, one per fringe:
 x_m = p_0 (phi / 2 pi + m). Symbols, per candidate and pixel: theta = (A, B, x); r_k image k
 less the candidate; J_k its derivative by theta; v its variance; L the information of the N
-steps on theta. With H = L + sum J J^T / v and g = sum J r / v the candidate is at its best at
-x_m + (H^-1 g)_x and then costs c_m = sum r^2 / v - g^T H^-1 g, a chi-square. Its chance is
-exp(-c_m / 2) among all candidates (equal ones beforehand); where even the best costs more than
-noise explains, the images follow the model less well, and the variance counts as so much larger.
+steps on theta. With H = L + sum J J^T / v and g = sum J r / v the cost of the candidate is least
+at x_m + (H^-1 g)_x, where it is c_m = sum r^2 / v - g^T H^-1 g, a chi-square. Its probability is
+exp(-c_m / 2) among all candidates (equal prior). If even the least cost exceeds the limit for
+noise, the images deviate from the model, and the variance is increased in proportion.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -37,7 +37,7 @@ from reconstruction.decoding._sum import Limits, RowFrames, Shifts, noise_dn2
 
 # Left edge of the projector's image.
 FIRST_PX = -0.5
-# Of a chi-square: a larger one is not explained by noise.
+# Of a chi-square: noise does not explain a larger one.
 MISFIT_SIGMAS = 3.0
 
 
@@ -155,7 +155,7 @@ def _decide(
     phase: float, light: PixelLight, periods: MicroPeriods, values: Any, weights: Any,
     waves: Any, costs: Any,
 ) -> Any:  # fmt: skip
-    """Return coordinate, its variance and the chance that it is another fringe's."""
+    """Return coordinate, its variance and the probability that another fringe is correct."""
     place = phase / TURN * periods.first_px
     place -= periods.first_px if place - periods.first_px >= FIRST_PX else 0.0
     for k in range(periods.further_px.size):
@@ -185,9 +185,9 @@ def number_micro_row(
     frames: RowFrames, periods: MicroPeriods, shifts: Shifts, limits: Limits, scale: Any,
     fitted: FittedRow, spare: MicroWork, answer: Numbered,
 ) -> None:  # fmt: skip
-    """Write the coordinate, its sigma and the chance of a wrong fringe; 0 without a phase.
+    """Write the coordinate, its sigma and the probability of a wrong fringe; 0 without a phase.
 
-    Single images that are clipped or lost are left out.
+    Single images that are clipped or lost are excluded.
     """
     count = periods.further_px.size
     values, weights, waves, costs = spare

@@ -36,7 +36,7 @@ NOTHING, INFINITE = np.float32(0.0), np.float32(np.inf)
 # Left edge of the first projector pixel.
 FIRST = np.float32(-0.5)
 TINY = 1e-12
-# So near to a border, in periods, the phase decides between two plain words.
+# Distance from a border, in periods, within which the phase decides between two plain words.
 BORDER_TURNS = np.float32(1.0 / 8.0)
 MOST_LOG = 700.0
 
@@ -54,7 +54,7 @@ class FringeRow(NamedTuple):
     """Result of the fringes for one row along one axis, lines of (col) float32."""
 
     phase: Any  # rad
-    sigma: Any  # rad, of all that is not known of it
+    sigma: Any  # rad, including all uncertainty of the phase
     modulation: Any  # DN
 
 
@@ -82,8 +82,8 @@ class Code(NamedTuple):
     bits: int
     safety_bits: np.uint32
     length_px: int
-    shown: int  # REFLECTED, BINARY or EXCLUSIVE: how words are shown as bits
-    place: np.uint32  # EXCLUSIVE: the bit, from the last, with which the coarser ones are exchanged
+    shown: int  # REFLECTED, BINARY or EXCLUSIVE: encoding of words as bits
+    place: np.uint32  # EXCLUSIVE: the bit, from the last, that is combined with the coarser ones
     is_word: bool  # there is no phase: the word is the coordinate, a period wide
     first_inverse: int  # of the stack, most significant bit first; -1: none, bits against the mean
 
@@ -217,10 +217,10 @@ def read_word_row(frames: RowFrames, code: Code, read: Word) -> None:
 
 @nested
 def place_words(code: Code, answer: Numbered) -> None:
-    """Move coordinates from the first pixel of each word to its middle; sigma: as likely anywhere.
+    """Move coordinates from the first pixel of each word to its middle; sigma: uniform.
 
-    A stripe is whole pixels or parts of them: its edge is at w p - 1/2, x being whole at the
-    centre of a pixel; p / sqrt(12) is the standard deviation of the uniform distribution. The last
+    The edge of a stripe is at w p - 1/2, because x is whole at the centre of a pixel.
+    p / sqrt(12) is the standard deviation of the uniform distribution. The last
     word may be cut off by the end of the image.
     """
     end = np.float32(code.length_px - 0.5)
@@ -279,12 +279,12 @@ def _distance(code: Code, frames: RowFrames, bit: int, col: int, mean: Any) -> A
 def weigh_near_bits(
     code: Code, frames: RowFrames, gray_sigmas: Any, read: Word, phase: Any, order: Any, error: Any
 ) -> None:
-    """Add the probability that a bit near its threshold was misread, where that matters.
+    """Add the probability that a bit near its threshold was misread, if the order depends on it.
 
-    A bit that matters and is within `gray_sigmas` of its threshold makes the order uncertain.
+    If such a bit is within `gray_sigmas` of its threshold the order is uncertain.
     """
     word, nearest, mean, margin = read
-    # At the border of two words either is half a word off, which sigma includes.
+    # At the border of two words both are half a word off, which sigma includes.
     allowed = STEP if code.is_word else NONE
     is_settled = (code.kind == PLAIN) & (code.shown == REFLECTED) & (not code.is_word)
     for col in range(word.size):
@@ -294,11 +294,11 @@ def weigh_near_bits(
         total = 0.0
         for bit in range(code.bits):
             distance = _distance(code, frames, bit, col, mean[col])
-            if not distance < margin[col]:  # this way round a NaN is not near
+            if not distance < margin[col]:  # in this form a NaN is not near
                 continue
             flipped = reflected(word[col] ^ (BIT << np.uint32(bit)), code)
-            other, _ = _number(flipped, cell, code)
-            off = abs(other - over - order[col])
+            neighbour, _ = _number(flipped, cell, code)
+            off = abs(neighbour - over - order[col])
             # Neighbours at the border of plain words are settled by `settle_borders`.
             if off == STEP and is_settled and min(cell, ONE - cell) < BORDER_TURNS:
                 continue
@@ -320,11 +320,11 @@ def _bit_between(low: Any, code: Code) -> int:
 
 @inlined
 def _misread(far: Any, near: Any, contrast: Any, noise: Any) -> Any:
-    """Return the log of how much likelier the word as read is than its neighbour.
+    """Return the log likelihood ratio of the word as read and its neighbour.
 
     A pixel near the border of two plain words has one bit between its levels: that of this border.
-    As read it is the near one; had the other bit been misread, it would be the far one, and the
-    near one at its full contrast. Profile likelihood: the level is only assumed to be
+    If the word was read correctly it is the near bit. If the second bit was misread it is the far
+    bit, and the near bit has its full contrast. Profile likelihood: the level is only assumed to be
     between the levels of the edge.
 
     far, near : distances of the two bits from their threshold, DN
@@ -339,10 +339,10 @@ def settle_borders(
 ) -> None:
     """Decide by the phase on which side of the border of two plain words a pixel is.
 
-    There the bit that flips and the phase that wraps have noise of their own, and an edge that the
-    projector's response or blur displaced does not even need noise. The levels of the two bits
+    There the bit that flips and the phase that wraps have independent noise, and an edge that the
+    projector's response or blur displaced is misread even without noise. The levels of the two bits
     next to the word determine which border it is. The error probability is that of confusing them
-    and, where neither bit is between its levels, that of noise moving the phase over the border.
+    and, if neither bit is between its levels, that of noise moving the phase over the border.
     """
     mean, margin = read.mean, read.margin
     step_px = np.float32(code.period_px)
@@ -354,7 +354,7 @@ def settle_borders(
         word = order[col] + over
         toward = STEP if cell < HALF else -STEP
         beyond, before = word + toward, word - toward
-        # This way round a NaN is as good as saturated.
+        # In this form a NaN counts as saturated.
         contrast = max(fringe.modulation[col], TINY)
         noise = max(margin[col] / NEAR_SIGMAS, TINY)
         far, near = contrast, contrast
@@ -374,7 +374,7 @@ def settle_borders(
 
 @nested
 def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
-    """Add the probability that noise carried the phase over the end of a plain Gray word."""
+    """Add the probability that noise moved the phase over the end of a plain Gray word."""
     for col in range(error.size):
         cell, _ = _cell(phase[col], code)
         to_border_rad = TURN * min(cell, ONE - cell)
@@ -394,10 +394,10 @@ def settle_row(
         has_phase = usable[col] > 0.0
         is_inside = (coordinate[col] >= FIRST) & (coordinate[col] <= last)
         is_doubtful = (error[col] > most) | (error[col] >= ONE)
-        found = VALID if is_inside else OUTSIDE_PROJECTOR
-        found = ORDER_UNCERTAIN if is_doubtful else found
-        is_lower = has_phase & (found != VALID) & ((code == VALID) | (code > found))
-        reason[col] = found if is_lower else code
+        new_code = VALID if is_inside else OUTSIDE_PROJECTOR
+        new_code = ORDER_UNCERTAIN if is_doubtful else new_code
+        is_lower = has_phase & (new_code != VALID) & ((code == VALID) | (code > new_code))
+        reason[col] = new_code if is_lower else code
         error[col] *= usable[col]
 
 

@@ -1,11 +1,11 @@
-"""Phase of one image row and its sigma; least squares where some frames are bad.
+"""Phase of one image row and its sigma; least squares for pixels with damaged frames.
 
 Symbols: z phasor, phi its phase in [0, 2 pi), B modulation.
 
-Frames that are clipped, lost or not finite are left out of the fit of their pixel. Symbols: g_n =
+Frames that are clipped, lost or not finite are excluded from the fit of their pixel. Symbols: g_n =
 (1, sqrt(2) cos t_n, -sqrt(2) sin t_n), t_n = 2 pi n / N; M = sum g g^T / n over the n good frames,
 the identity when all are good. Condition number: |M| |M^-1| / 3 with the Frobenius norm |.|, 1 when
-all frames are good, and never below a third of the spectral one.
+all frames are good, and at least 1/3 of the spectral condition number.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -27,7 +27,7 @@ from reconstruction.decoding._sum import (
 
 TURN = 2.0 * np.pi
 # atan(t) = t P(t^2) on [0, 1], minimax fit of degree 8: 6e-9 rad, below single precision's 1e-7.
-# The library's arctangent is a call per pixel; this polynomial runs on whole vectors.
+# The library's arctangent is a call per pixel; this polynomial is vectorised.
 ATAN = tuple(
     np.float32(coefficient)
     for coefficient in (
@@ -40,7 +40,7 @@ TINY = np.float32(1e-30)
 HALF, QUARTER = np.float32(0.5), np.float32(0.25)
 STEPS_PER_RAD, ROUNDING = np.float32(65536.0 / TURN), np.float32(0.5)
 ROOT = np.sqrt(2.0)
-# Nodes on both sides of a slope: 8-bit levels make single ones uneven.
+# Nodes on both sides of a slope: single nodes are uneven because of 8-bit levels.
 SPAN = 2
 LARGEST = 1e30
 
@@ -81,7 +81,7 @@ def phase_row(real: Any, imag: Any, phase: Any) -> None:
 
 @nested
 def write_turns(phase: Any, out: Any) -> None:
-    """Write phases as steps of 1 / 65536 turn; what rounds up to a whole turn becomes 0."""
+    """Write phases as steps of 1 / 65536 turn; phases that round up to a whole turn become 0."""
     for col in range(phase.size):
         out[col] = np.uint16(np.int32(phase[col] * STEPS_PER_RAD + ROUNDING))
 
@@ -92,8 +92,8 @@ def phase_sigma(
 ) -> None:  # fmt: skip
     """Write the predicted sigma of the phase, rad; 0 where there is none.
 
-    sigma_phi^2 = (2 / N) sigma_I^2 / B^2 (Surrel 1997); sigma_I at the mean holds for N >= 4,
-    where the modulated part of the shot noise averages out; see `shot_sigma` for the others.
+    sigma_phi^2 = (2 / N) sigma_I^2 / B^2 (Surrel 1997). sigma_I at the mean is valid for N >= 4,
+    for which the modulated part of the shot noise averages out; see `shot_sigma` for N = 3.
     """
     factor = np.float32(np.sqrt(2.0 / steps))
     for col in range(sigma.size):
@@ -106,7 +106,7 @@ def phase_sigma(
 def shot_sigma(
     table: Any, limits: Limits, scale: Any, phase: Any, mean: Any, modulation: Any, sigma: Any
 ) -> None:  # fmt: skip
-    """Give sigma what the light of the single steps, unlike their mean, does to the shot noise.
+    """Correct sigma for shot noise that depends on the light of the single steps, not their mean.
 
     table : (node,) over one turn of the measured phase, see `ripple.Ripple.shot_share`
     """
@@ -117,15 +117,15 @@ def shot_sigma(
         node = min(int(phase[col] * per_rad + HALF), table.size - 1)
         even = noise_dn2(mean[col], scale[col], limits)
         more = scale[col] * limits.gain_dn_per_e * modulation[col] * table[node]
-        # Never below a quarter: a fit of few electrons may have any modulation.
+        # At least 0.25: a fit of few electrons may have any modulation.
         sigma[col] *= np.sqrt(max(even + more, QUARTER * even) / even)
 
 
 @nested
 def straighten_row(table: Any, phase: Any, sigma: Any) -> None:
-    """Take the ripple of the projector's response off the phase; table: (node,) over one turn.
+    """Subtract the ripple of the projector's response from the phase; table: (node,) per turn.
 
-    A phase that turns faster than the true one, by d, has so much more of its noise: sigma (1 - d).
+    A phase that changes faster than the true one, by d, has larger noise by it: sigma (1 - d).
     """
     nodes = table.size - 1
     per_rad = np.float32(nodes / TURN)
@@ -143,7 +143,7 @@ def straighten_row(table: Any, phase: Any, sigma: Any) -> None:
 
 @nested
 def doubt_row(table: Any, phase: Any, sigma: Any, doubt: Any) -> None:
-    """Write the sigma of the phase with what is not known of the ripple; 0 where there is none."""
+    """Write the sigma of the phase including the ripple's uncertainty; 0 without a phase."""
     nodes = table.size - 1
     per_rad = np.float32(nodes / TURN)
     for col in range(phase.size):
@@ -154,14 +154,14 @@ def doubt_row(table: Any, phase: Any, sigma: Any, doubt: Any) -> None:
 
 @nested
 def grow_sigma(excess: Any, sigma: Any) -> None:
-    """Add what fits over fewer frames cost: excess is a share of the variance."""
+    """Increase sigma of fits over fewer frames: excess is a share of the variance."""
     for col in range(sigma.size):
         sigma[col] *= np.sqrt(np.float32(1.0) + excess[col])
 
 
 @inlined
 def _is_good(level: Any, lowest: Any, limit: Any) -> Any:
-    """Tell whether a frame counts; false for NaN."""
+    """Return whether a frame is valid; false for NaN."""
     return lowest < level < limit
 
 
@@ -196,7 +196,7 @@ def _inverse(a: float, b: float, c: float, d: float, e: float, f: float) -> Any:
 def _square_residuals(
     frames: RowFrames, col: int, shifts: Shifts, lowest: Any, limit: Any, cosine: Any
 ) -> float:
-    """Return the sum of squares that the cosine (A, p, q) leaves of the good frames."""
+    """Return the sum of squared residuals of the good frames from the cosine (A, p, q)."""
     total = 0.0
     for step in range(shifts.cosines.size):
         level = np.float64(frames.stack[frames.first + step, frames.row, col])
@@ -212,7 +212,7 @@ def refit_row(
     frames: RowFrames, shifts: Shifts, limits: Limits, scale: Any, damaged: Any, sums: Sums,
     fit: Fit, reason: Any,
 ) -> None:  # fmt: skip
-    """Replace what the damaged frames spoiled, or mark the pixel SATURATED."""
+    """Refit the pixels with damaged frames, or mark them SATURATED."""
     mean, modulation, variance, excess = fit
     steps, lowest, black = shifts.cosines.size, limits.lowest_dn, limits.black_level_dn
     for col in range(damaged.size):

@@ -1,8 +1,8 @@
-"""What of the filter's lift is relief and what is noise, block by block; see `_filter`.
+"""Shares of relief and noise in the filter's lift, block by block; see `_filter`.
 
 Symbols: c share of the coarse part that is relief, f share of the fine part. With the lines of
-`Blocks.values`: sigma^2 = own variance * values[2] + values[3] + excess gain * values[4], of which
-values[5] is bias. Each loop has few arrays: beyond that the compiler gives up on vector code.
+`Blocks.values`: sigma^2 = own variance * values[2] + values[3] + excess gain * values[4], including
+the bias values[5]. Each loop has few arrays: with more the compiler does not vectorise it.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -25,17 +25,17 @@ from reconstruction.decoding._lift import (
 )
 from reconstruction.decoding._rows import add, fill, larger, smaller
 
-# Mean squares are taken over 5 x 5 blocks of 4 x 4 pixels, whatever the patch.
+# Mean squares are averaged over 5 x 5 blocks of 4 x 4 pixels, for any patch.
 BLOCK, AROUND = 4, 2
 REACH = BLOCK * (AROUND + 1)
-# A part counts as relief beyond so many times the noise expected of it, 2.4 sigmas of a mean square
-# of noise; fine relief comes with coarse relief, which takes the extra off.
+# A part counts as relief above this multiple of its expected noise, 2.4 sigmas of a mean square of
+# noise. Coarse relief implies fine relief, so it lowers the threshold of the fine part.
 COARSE_FLOOR, FINE_EXTRA, RELIEF_EXTRA = np.float32(1.8), np.float32(0.2), np.float32(0.3)
 SHARE_STEPS, ROUNDING = np.float32(255.0), np.float32(0.5)
 
 
 class Blocks(NamedTuple):
-    """Sums over blocks, of squares of coarse and fine part, variances, counts; what follows."""
+    """Sums over blocks (squares of coarse and fine part, variances, counts) and their results."""
 
     lines: Any  # (sum, col), over the rows of one block row
     sums: Any  # (sum, block row, block col)
@@ -93,7 +93,7 @@ def _sum_five(a: Any, b: Any, c: Any, d: Any, e: Any, out: Any) -> None:
 
 @nested
 def _sum_around(block: int, blocks: Blocks) -> None:
-    """Write the sums over the 5 x 5 blocks around each one of a block row."""
+    """Write the sums over the 5 x 5 blocks around each block of a block row."""
     for part in range(4):
         s, line, out = blocks.sums[part], blocks.lines[part], blocks.around[part]
         size, end = out.size, out.size - AROUND
@@ -106,14 +106,14 @@ def _sum_around(block: int, blocks: Blocks) -> None:
 
 
 @inlined
-def _excess(expected: Any, found: Any) -> Any:
-    """Return the share by which `found` exceeds what is expected of noise."""
-    return larger(ONE - expected / larger(found, TINY), ZERO)
+def _excess(expected: Any, measured: Any) -> Any:
+    """Return the share by which `measured` exceeds the expected noise."""
+    return larger(ONE - expected / larger(measured, TINY), ZERO)
 
 
 @compiled
 def find_shares(large: Any, small: Any, noise: Any, ratios: Any, c: Any, f: Any) -> None:
-    """Write which share of the coarse and of the fine part is relief."""
+    """Write the shares of the coarse and of the fine part that are relief."""
     of_coarse, of_fine = ratios[1, 1], ratios[2, 2]
     for col in range(c.size):
         coarse = _excess(COARSE_FLOOR * of_coarse * noise[col], large[col])
@@ -123,16 +123,19 @@ def find_shares(large: Any, small: Any, noise: Any, ratios: Any, c: Any, f: Any)
 
 @compiled
 def predict_bias(large: Any, small: Any, c: Any, f: Any, count: Any, out: Any) -> None:
-    """Write the mean square of the relief that is not given back."""
+    """Write the mean square of the relief that is not restored."""
     for col in range(out.size):
-        kept, lost = ONE - c[col], ONE - f[col]
-        bias = kept * kept * c[col] * large[col] + lost * lost * f[col] * small[col]
+        coarse_loss, fine_loss = ONE - c[col], ONE - f[col]
+        bias = (
+            coarse_loss * coarse_loss * c[col] * large[col]
+            + fine_loss * fine_loss * f[col] * small[col]
+        )
         out[col] = bias / larger(count[col], ONE)
 
 
 @compiled
 def weigh_own(c: Any, f: Any, centre: Any, out: Any) -> None:
-    """Write the square of the weight with which a pixel counts itself."""
+    """Write the squared weight of a pixel's own value."""
     g0, c0, f0 = centre[0], centre[1], centre[2]
     for col in range(out.size):
         middle = g0 - c[col] * c0 - f[col] * f0
@@ -140,17 +143,17 @@ def weigh_own(c: Any, f: Any, centre: Any, out: Any) -> None:
 
 
 @compiled
-def weigh_others(
+def weigh_neighbours(
     c: Any, f: Any, own: Any, noise: Any, count: Any, bias: Any, ratios: Any, out: Any
 ) -> None:  # fmt: skip
-    """Write the variance that the pixels around add, with the bias."""
+    """Write the variance that neighbouring pixels add, including the bias."""
     g, gc, gf = ratios[0, 0], ratios[0, 1], ratios[0, 2]
     cc, cf, ff = ratios[1, 1], ratios[1, 2], ratios[2, 2]
     for col in range(out.size):
         x, y = c[col], f[col]
-        left = g - TWO * (x * gc + y * gf) + x * x * cc + TWO * x * y * cf + y * y * ff
+        remaining = g - TWO * (x * gc + y * gf) + x * x * cc + TWO * x * y * cf + y * y * ff
         variance = noise[col] / larger(count[col], ONE)
-        out[col] = larger(left - own[col], ZERO) * variance + bias[col]
+        out[col] = larger(remaining - own[col], ZERO) * variance + bias[col]
 
 
 @compiled
@@ -167,7 +170,7 @@ def _weigh_relief(c: Any, f: Any, all_lift: Any, all_coarse: Any) -> None:
 
 @merged
 def weigh_blocks(block: int, smoothing: Smoothing, blocks: Blocks) -> None:
-    """Write what holds for all pixels of a row of blocks, see `Blocks.values`."""
+    """Write the values that are equal for all pixels of a block, see `Blocks.values`."""
     _sum_around(block, blocks)
     sums, values, ratios = blocks.around, blocks.values, smoothing.noise
     large, small, noise, count = sums[0], sums[1], sums[2], sums[3]
@@ -176,14 +179,14 @@ def weigh_blocks(block: int, smoothing: Smoothing, blocks: Blocks) -> None:
     _weigh_relief(c, f, values[0], values[1])
     weigh_own(c, f, smoothing.centre, values[2])
     predict_bias(large, small, c, f, count, values[5])
-    weigh_others(c, f, values[2], noise, count, values[5], ratios, values[3])
+    weigh_neighbours(c, f, values[2], noise, count, values[5], ratios, values[3])
     weigh_edge(c, f, noise, count, values[4])
     _spread(values, blocks.spread)
 
 
 @nested
 def _spread(values: Any, out: Any) -> None:
-    """Give every pixel the value of its block."""
+    """Write the value of its block to every pixel."""
     for part in range(values.shape[0]):
         line, pixels = values[part], out[part]
         for col in range(line.size):
@@ -192,7 +195,7 @@ def _spread(values: Any, out: Any) -> None:
 
 
 @compiled
-def give_back(
+def restore_relief(
     x: Any, usable: Any, lift: Any, coarse: Any, all_lift: Any, all_coarse: Any, out: Any
 ) -> None:  # fmt: skip
     for col in range(out.size):

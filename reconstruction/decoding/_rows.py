@@ -1,9 +1,9 @@
-"""What many kernels do with an image row: fill, add, multiply; store it in 16 bits, read it back.
+"""Kernels for an image row: fill, add, multiply; pack to 16 bits and unpack.
 
-Non-negative values are stored as 16-bit floats (IEEE 754 binary16). Compiled code knows no float16,
-so its bits are made from those of float32: after a factor of 2^(15 - 127), for the exponents'
-zeros, they are the upper 16 below the sign. What is too small for a full exponent becomes subnormal
-by the same factor.
+Non-negative values are stored as 16-bit floats (IEEE 754 binary16). Compiled code has no float16,
+so its bits are made from those of float32: after a factor of 2^(15 - 127), the difference of the
+exponents' offsets, they are the upper 16 bits below the sign. By the same factor, values that are
+too small for a normal number become subnormal.
 """
 
 from typing import Any
@@ -48,7 +48,7 @@ def multiply(line: Any, factor: Any) -> None:
 
 @nested
 def copy_row(line: Any, out: Any) -> None:
-    # A loop: an assignment of slices compiles text for its errors, three seconds of it.
+    # A loop: an assignment of slices compiles the text of its errors, which takes 3 s.
     for col in range(out.size):
         out[col] = line[col]
 

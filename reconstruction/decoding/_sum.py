@@ -24,7 +24,7 @@ QUANTISATION = np.float32(QUANTISATION_DN2)
 
 
 class Layout(NamedTuple):
-    """Where frames lie in the stack; pairs are (column, row)."""
+    """Positions of frames in the stack; pairs are (column, row)."""
 
     first_axis: int  # those from here to end_axis - 1 are shown: 0 columns, 1 rows
     end_axis: int
@@ -34,7 +34,7 @@ class Layout(NamedTuple):
     gray_bits: tuple[int, int]
     white: int  # -1: there is none
     black: int
-    steps: int  # 0: words alone
+    steps: int  # 0: words only
     sets: int
     cosines: Any  # (axis, set, step) float32, of the shifts
     sines: Any
@@ -67,16 +67,16 @@ class Sums(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """What the fit of one fringe set says of one row, lines of (col) float32."""
+    """Result of the fit of one fringe set for one row, lines of (col) float32."""
 
     mean: Any
     modulation: Any
     variance: Any
-    excess: Any  # how much larger than with all frames the phase variance is, as a share
+    excess: Any  # relative increase of the phase variance compared with all frames
 
 
 class Limits(NamedTuple):
-    """Sensor model and thresholds of the masks, single precision: twice the pixels per vector."""
+    """Sensor model and thresholds of the masks, single precision: more pixels per vector."""
 
     gain_dn_per_e: np.float32
     read_noise_dn: np.float32
@@ -95,7 +95,7 @@ class Limits(NamedTuple):
 def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
     """Return the variance of a pixel that was multiplied by `scale` (above the black level).
 
-    `SensorNoise.variance_dn2` in single precision; a test keeps the two together.
+    `SensorNoise.variance_dn2` in single precision; a test compares the two.
     """
     above = mean - limits.black_level_dn
     shot = limits.gain_dn_per_e * (above if above > ZERO else ZERO)
@@ -107,12 +107,12 @@ def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
 def _add_six(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
     a, b, c, d, e, f = lines
     total, real, imag, square, high, low = sums
-    # Many frames at once: the accumulators, not the frames, are what a row costs.
+    # Many frames at once: access to the accumulators, not to the frames, dominates the time.
     g0, g1, g2, g3, g4, g5 = cosines[0], cosines[1], cosines[2], cosines[3], cosines[4], cosines[5]
     h0, h1, h2, h3, h4, h5 = sines[0], sines[1], sines[2], sines[3], sines[4], sines[5]
     for col in range(a.size):
         # Read before the first write: a store of `old if .. else new` right after reading `old`
-        # is compiled to a masked store, which costs more than all the rest.
+        # is compiled to a masked store, which takes more time than all other instructions.
         top, bottom = high[col], low[col]
         u, v, w = np.float32(a[col]), np.float32(b[col]), np.float32(c[col])
         x, y, z = np.float32(d[col]), np.float32(e[col]), np.float32(f[col])
@@ -192,7 +192,7 @@ def find_damaged(sums: Sums, scale: Any, limits: Limits, damaged: Any) -> Any:
         is_whole = (
             high[col] < black + span * scale[col]
             and low[col] > limits.lowest_dn
-            and abs(total[col]) < INFINITE  # false for NaN, which no comparison above finds
+            and abs(total[col]) < INFINITE  # false for NaN, which no comparison above detects
         )
         damaged[col] = not is_whole
         count += not is_whole
@@ -204,7 +204,7 @@ def finish_sums(steps: int, sums: Sums, fit: Fit) -> None:
     """Turn sums into A, B and the variance of the fit.
 
     sum r^2 = sum I^2 - N A^2 - N B^2 / 2 for equal steps, with N - 3 degrees of freedom. In single
-    precision the rounding of the squares leaves a floor of some 3e-4 of the level.
+    precision the rounding of the squares limits it to some 3e-4 of the level.
     """
     total, real, imag, square = sums.total, sums.real, sums.imag, sums.square
     mean, modulation, variance = fit.mean, fit.modulation, fit.variance
@@ -233,14 +233,14 @@ def find_noise(mean: Any, scale: Any, limits: Limits, noise: Any) -> None:
 def mark_low_modulation(
     steps: int, limits: Limits, modulation: Any, noise: Any, reason: Any
 ) -> None:
-    """Mark pixels whose own phase would be too uncertain, unless they have none at all."""
+    """Mark pixels with a too large phase sigma, unless they have no modulation."""
     # sigma_phi = sqrt(2 / N) sigma_I / B (Surrel 1997), solved for B.
     per_noise = np.float32(np.sqrt(2.0 / steps) / limits.max_phase_sigma_rad)
     least = limits.min_modulation_dn
     for col in range(modulation.size):
         needed = per_noise * noise[col]
         needed = needed if needed > least else least
-        # This way round a NaN has no modulation.
+        # In this form a NaN has no modulation.
         is_kept = modulation[col] >= needed or reason[col] == SATURATED
         reason[col] = reason[col] if is_kept else LOW_MODULATION
 
@@ -254,26 +254,26 @@ def mark_dark(white: Any, black: Any, scale: Any, limits: Limits, reason: Any) -
         bright, dim = np.float32(white[col]), np.float32(black[col])
         variance = noise_dn2(bright, factor, limits) + noise_dn2(dim, factor, limits)
         step = bright - dim
-        # This way round a NaN counts as dark.
+        # In this form a NaN counts as dark.
         is_lit = (step >= ZERO) & (step * step >= square * variance)
         reason[col] = code if is_lit else DARK
 
 
 @nested
 def level_row(
-    frames: RowFrames, other: int, count: int, is_ordered: bool, mean: Any, modulation: Any
+    frames: RowFrames, first_inverse: int, count: int, is_ordered: bool, mean: Any, modulation: Any
 ) -> None:
     """Write level and contrast of pairs of frames, the mean of `count`.
 
-    other : the first of their opposites
-    is_ordered : the first of a pair should be the brighter one, as white is
+    first_inverse : the first inverse frame
+    is_ordered : the first frame of a pair should be the brighter one, as white is
     """
     stack, first, row = frames
     share = np.float32(0.5 / count)
     for col in range(mean.size):
         mean[col], modulation[col] = ZERO, ZERO
     for k in range(count):
-        a, b = stack[first + k, row], stack[other + k, row]
+        a, b = stack[first + k, row], stack[first_inverse + k, row]
         for col in range(mean.size):
             level, opposite = np.float32(a[col]), np.float32(b[col])
             mean[col] += share * (level + opposite)
@@ -283,7 +283,7 @@ def level_row(
 
 @nested
 def mark_faint(modulation: Any, limits: Limits, reason: Any) -> None:
-    """Mark pixels whose contrast is below what was asked for."""
+    """Mark pixels with a contrast below the required minimum."""
     for col in range(modulation.size):
         is_kept = modulation[col] >= limits.min_modulation_dn or reason[col] != 0
         reason[col] = reason[col] if is_kept else LOW_MODULATION

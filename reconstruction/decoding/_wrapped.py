@@ -1,4 +1,4 @@
-"""Wrapped phases of a whole image, and the result of an order that was found outside the kernels.
+"""Wrapped phases of a whole image, and coordinates from an order that numpy code determined.
 
 Used by codes and functions in numpy only: compiled codes never store whole images of phases.
 """
@@ -38,7 +38,7 @@ class WrappedMaps(NamedTuple):
 
 
 class OrderedMaps(NamedTuple):
-    """Coordinates along both axes, px, and the chance of a wrong order; (axis, row, col)."""
+    """Coordinates along both axes, px, and the probability of a wrong order; (axis, row, col)."""
 
     coordinate: Any
     error: Any

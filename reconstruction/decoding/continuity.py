@@ -1,17 +1,17 @@
-"""Do the coordinates of neighbouring pixels agree? A check of fringe orders after decoding.
+"""Check of fringe orders after decoding: whether coordinates of neighbouring pixels agree.
 
-On a continuous surface a coordinate passes from one cell of the projector, S wide, to the next in
+On a continuous surface a coordinate changes from one cell of the projector, S wide, to the next in
 small steps. With Gray frames in a wrong order, or a wrong first shift, it jumps there instead.
-Steps and edges of a real scene jump as well, but seldom at most of the places where a line of the
-image crosses the borders of cells: measured shares are 0 to 0.34 on right decodes of real captures
-with edges of depth, and 0.55 to 1 with two frames exchanged whose stripes are in view and resolved.
+Steps and edges of a real scene jump as well, but rarely at most of the crossings between lines of
+the image and borders of cells. Measured shares are 0 to 0.34 for correct decodes of real captures
+with edges of depth, and 0.55 to 1 with two visible, resolved frames exchanged.
 """
 
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatImage, IntArray
 
-# Lines of the image looked at, along rows and along columns.
+# Lines of the image that are checked, along rows and along columns.
 LINES = 64
 # Width of a cell: in steps from pixel to pixel, and in periods of words without fringes.
 LEAST_STEPS, LEAST_WORDS = 6.0, 4.0
@@ -34,7 +34,7 @@ def jump_share(
 
     Returns
     -------
-    in [0, 1]; 0 where fewer than LEAST_CROSSINGS crossings are in view
+    in [0, 1]; 0 if fewer than LEAST_CROSSINGS crossings are in view
     """
     rows, cols = (_places(length) for length in valid.shape)
     lines = [
@@ -68,7 +68,7 @@ def _share(lines: list[tuple[FloatImage, BoolImage]], cell_px: float) -> float:
         step_px = np.diff(x_px, axis=1)
         is_pair = is_valid[:, 1:] & is_valid[:, :-1]
         is_small = is_pair & (np.abs(step_px) < 0.5 * cell_px)
-        # Between two pieces that are continuous: single wrong pixels do not count.
+        # Only between two continuous pieces: single wrong pixels do not count.
         between = is_pair[:, 1:-1] & is_small[:, :-2] & is_small[:, 2:]
         cell = np.floor(x_px / cell_px)
         crosses = between & (cell[:, 2:-1] != cell[:, 1:-2])

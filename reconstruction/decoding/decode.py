@@ -55,10 +55,10 @@ def decode(
     stack : (frame, row, col) uint8, uint16 or float32, DN, in the order of `patterns.frames`
     sensor : noise model; gives the masks and the predicted sigma
     options : filter and masks; None: the defaults of `DecodeOptions`
-    scale : (row, col) float32, by which each pixel's DN above the black level were multiplied, see
+    scale : (row, col) float32, factor of each pixel's DN above the black level, see
         `merge_exposures`; None: 1
-    response : of the projector; its harmonics are taken off the phase, what is not known of them is
-        part of sigma and of the chance of a wrong order; None: it is linear
+    response : of the projector; its harmonics are subtracted from the phase, their uncertainty is
+        part of sigma and of the probability of a wrong order; None: it is linear
     unwrap : own function that numbers the fringes of one axis, see `codes.Unwrap`; None: the rule
         of the pattern code
 
@@ -66,7 +66,7 @@ def decode(
     ------
     InputError : wrong number of axes, frames or type of the stack, or shape of the scale; a
         response of the projector with a code that cannot correct it; `unwrap` without fringes, or
-        its result has another shape
+        with a result of another shape
     """
     _check(stack, patterns, scale, response)
     frames = np.ascontiguousarray(stack)
@@ -108,8 +108,8 @@ def _check(
     _check_stack(stack, patterns)
     if response is not None and not patterns.kind.takes_response:
         raise InputError(
-            f"response is stated with patterns code {patterns.code!r}, whose single images do not"
-            " determine the fringes' harmonics; leave [response] out, or show several steps of"
+            f"response is stated with patterns code {patterns.code!r}: its single images do not"
+            " determine the fringes' harmonics; remove [response], or show several steps of"
             " every period"
         )
     if scale is not None and (scale.shape != stack.shape[1:] or not np.all(scale > 0.0)):
@@ -130,7 +130,7 @@ def _check_stack(stack: Stack, patterns: PatternSet) -> None:
 
 def _smoothed(maps: Maps, options: DecodeOptions, patterns: PatternSet) -> Smoothed:
     source = Unfiltered(maps.coordinate_px, maps.sigma, maps.reason)
-    # The steps of words alone are no noise from pixel to pixel: no mean takes them away.
+    # Word steps without fringes are no noise between pixels: no mean reduces them.
     if options.filter_taps == 0 or patterns.steps == 0:
         no_bias = np.zeros(source.sigma.shape, np.uint8)
         return Smoothed(source.coordinate_px, source.sigma, no_bias, source.reason)
@@ -144,19 +144,19 @@ def _smoothed(maps: Maps, options: DecodeOptions, patterns: PatternSet) -> Smoot
     for axis in patterns.axes:
         at = slice(AXES.index(axis), AXES.index(axis) + 1)
         limit_px = 0.5 * float(patterns.period_along(axis))
-        one = Unfiltered(maps.coordinate_px[at], maps.sigma[at], maps.reason)
-        found = smooth(one, taps, sigma_px, limit_px, SIGMA_UNIT_PX)
-        for target, part in zip(result[:3], found[:3], strict=True):
+        unfiltered = Unfiltered(maps.coordinate_px[at], maps.sigma[at], maps.reason)
+        filtered = smooth(unfiltered, taps, sigma_px, limit_px, SIGMA_UNIT_PX)
+        for target, part in zip(result[:3], filtered[:3], strict=True):
             target[at] = part
-        result = result._replace(reason=found.reason)
+        result = result._replace(reason=filtered.reason)
     return result
 
 
 def _with_ripple(smoothed: Smoothed, maps: Maps, ripple: Ripple, patterns: PatternSet) -> Smoothed:
-    """Add to sigma what is not known of the ripple: waves of many pixels, which no filter takes.
+    """Add the uncertainty of the ripple to sigma: it spans many pixels and is not filtered.
 
-    That of the measuring period stands for all periods of a weighted mean: an upper bound, as their
-    ripples are not in step.
+    The value of the measuring period is used for all periods of a weighted mean: an upper bound, as
+    their ripples are not in step.
     """
     sigma, share = smoothed.sigma.copy(), smoothed.bias_share.copy()
     for k, axis in enumerate(AXES):
@@ -168,8 +168,10 @@ def _with_ripple(smoothed: Smoothed, maps: Maps, ripple: Ripple, patterns: Patte
         noise_px = Half(smoothed.sigma[k], SIGMA_UNIT_PX).expand()
         whole_px = np.where(noise_px > 0.0, np.hypot(noise_px, doubt_px), np.float32(0.0))
         sigma[k] = Half.of(whole_px, SIGMA_UNIT_PX).bits
-        kept = np.divide(noise_px, whole_px, out=np.ones_like(noise_px), where=whole_px > 0.0)
-        share[k] = np.rint(share[k] * np.square(kept)).astype(np.uint8)
+        noise_share = np.divide(
+            noise_px, whole_px, out=np.ones_like(noise_px), where=whole_px > 0.0
+        )
+        share[k] = np.rint(share[k] * np.square(noise_share)).astype(np.uint8)
     return smoothed._replace(sigma=sigma, bias_share=share)
 
 

@@ -1,14 +1,13 @@
-"""The filter on the coordinate as a linear map: what it makes of noise, and of whose pixels.
+"""The filter on the coordinate as a linear map: propagation of single pixels' noise.
 
-At one relief the filter (see `_filter`) adds to each pixel a share of its lift and of the lift's
-coarse part: e = K n with K = 1 + (1 - f) L + (f - c) P G L, where L is the lift, G the Gaussian, P
-the support and c, f the shares of coarse and fine part that are relief. n, the noise of the single
-pixels, is independent from pixel to pixel; e is not. What is fitted to filtered pixels with the
-derivatives s has the variance sum_j (K^T s)_j^2 var n_j, the covariance of neighbours included.
-
-The shares depend on the data; here they follow from the relief without noise and from the expected
-squares of the noise, so that nothing is drawn. What is left out: that they fluctuate with the
-noise.
+For a given relief the filter (see `_filter`) adds to each pixel a share of its lift and of the
+lift's coarse part: e = K n with K = 1 + (1 - f) L + (f - c) P G L. L is the lift, G the Gaussian, P
+the support; c and f are the shares of coarse and fine part that are relief. n, the noise of the
+single pixels, is independent from pixel to pixel; e is not. A parameter that is fitted to filtered
+pixels with the derivatives s has the variance sum_j (K^T s)_j^2 var n_j, which includes the
+covariance of neighbours. The shares depend on the data. Here they are computed from the relief
+without noise and the expected squares of the noise, without random samples. Fluctuations of the
+shares with the noise are neglected.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,7 +25,7 @@ from reconstruction.decoding._relief import (
     find_shares,
     predict_bias,
     weigh_edge,
-    weigh_others,
+    weigh_neighbours,
     weigh_own,
 )
 
@@ -34,7 +33,7 @@ Maps = Sequence[FloatArray]
 
 
 def without_edges(reason: ReasonImage) -> ReasonImage:
-    """Return the mask as the filter leaves it: `EDGE` beside pixels without light."""
+    """Return the mask after the filter: `EDGE` next to pixels without light."""
     marked = np.zeros_like(reason)
     mark_edges(0, reason.shape[0], np.ascontiguousarray(reason), marked)
     return marked
@@ -75,7 +74,7 @@ class _Bends:
         return cls(axis, weights[half + 1 :], tuple(pairs), usable / factor)
 
     def of_values(self, value: FloatArray) -> FloatArray:
-        """Return what the pairs add to each pixel."""
+        """Return the change of each pixel by its pairs."""
         total = np.zeros_like(value)
         for weight, pair, (inner, before, after) in self._weighted_pairs():
             bend = value[before] + value[after]
@@ -96,7 +95,7 @@ class _Bends:
         return total
 
     def gain(self, variance: FloatArray) -> FloatArray:
-        """Return what the weighted mean leaves of a variance that differs from pixel to pixel."""
+        """Return a pixel-dependent variance after the weighted mean."""
         middle = float(1.0 - 2.0 * self.weights.sum())
         total = middle**2 * variance
         for weight, pair, (inner, before, after) in self._weighted_pairs():
@@ -116,7 +115,7 @@ _Views = tuple[_View, _View, _View]
 
 
 def _pair_views(by: int, axis: int) -> _Views:
-    """Return where the pixels are that have both neighbours `by` away, and where these are."""
+    """Return the pixels with both neighbours at distance `by`, and those neighbours."""
     rest = (slice(None),) * axis
     ends = slice(by, -by), slice(None, -2 * by), slice(2 * by, None)
     inner, before, after = ((*rest, part) for part in ends)
@@ -125,12 +124,12 @@ def _pair_views(by: int, axis: int) -> _Views:
 
 @dataclass(frozen=True, eq=False)
 class FilterNoise:
-    """What the filter does to the noise of one coordinate over one relief.
+    """Effect of the filter on the noise of one coordinate over one relief.
 
     Attributes
     ----------
-    variance_px2 : (row, col) of the filtered coordinate by noise, as the decoder would state it
-    bias_px2 : (row, col) mean square of the relief that the filter may take
+    variance_px2 : (row, col) of the filtered coordinate by noise, as the decoder reports it
+    bias_px2 : (row, col) mean square of the relief that the filter may remove
     """
 
     variance_px2: FloatArray
@@ -179,15 +178,15 @@ def filter_noise(
     sigma_px: float,
     limit_px: float,
 ) -> FilterNoise:
-    """Return what the filter makes of noise on a relief.
+    """Return the effect of the filter on noise, for a relief.
 
     Parameters
     ----------
     coordinate_px : (row, col) without noise
     single_px2 : (row, col) variance of each single pixel's coordinate
-    usable : (row, col) pixels that take part
-    taps, sigma_px : the Gaussian; taps 0: none
-    limit_px : a pair of pixels whose mean is off by more than half of this is left out
+    usable : (row, col) pixels that are filtered
+    taps, sigma_px : width and standard deviation of the Gaussian; taps 0: no filter
+    limit_px : a pair of pixels with a mean that differs by more than half of this is excluded
     """
     value = np.where(usable, coordinate_px, 0.0).astype(np.float64)
     variance = np.where(usable, single_px2, 0.0).astype(np.float64)
@@ -199,10 +198,10 @@ def filter_noise(
     lift = _lift(value, along, across)
     coarse = support * _smoothed(lift, gauss)
     blocks = _block_values(lift, coarse, variance, usable, smoothing)
-    of_lift, of_coarse, own, others, edge, bias = (_per_pixel(b, value.shape) for b in blocks)
+    of_lift, of_coarse, own, neighbours, edge, bias = (_per_pixel(b, value.shape) for b in blocks)
     gain = across.gain(along.gain(usable.astype(np.float64)))
     excess = np.maximum(gain - float(smoothing.noise[0, 0]), 0.0)
-    total = usable * (own * variance + others + excess * edge)
+    total = usable * (own * variance + neighbours + excess * edge)
     return FilterNoise(
         total, usable * bias, variance, along, across, gauss, support, of_lift, of_coarse
     )
@@ -224,10 +223,10 @@ def _block_values(
     lift: FloatArray, coarse: FloatArray, variance: FloatArray, usable: BoolImage,
     smoothing: Smoothing,
 ) -> Maps:  # fmt: skip
-    """Return by block what `_relief` makes of the sums around it.
+    """Return by block the values that `_relief` computes from the sums around it.
 
-    Factors of lift and of coarse part, weight of the own variance, variance of the others, factor
-    of the excess gain, bias.
+    Factors of lift and of coarse part, weight of the own variance, variance of the neighbours,
+    factor of the excess gain, bias.
     """
     noise, count = _around_blocks(variance), _around_blocks(usable.astype(np.float64))
     large = _around_blocks(coarse**2) + smoothing.noise[1, 1] * noise
@@ -235,15 +234,15 @@ def _block_values(
     of_coarse, of_fine, of_noise, number = (
         np.asarray(sums, np.float32).ravel() for sums in (large, small, noise, count)
     )
-    c, f, own, bias, others, edge = np.zeros((6, large.size), np.float32)
+    c, f, own, bias, neighbours, edge = np.zeros((6, large.size), np.float32)
     find_shares(of_coarse, of_fine, of_noise, smoothing.noise, c, f)
     weigh_own(c, f, smoothing.centre, own)
     predict_bias(of_coarse, of_fine, c, f, number, bias)
-    weigh_others(c, f, own, of_noise, number, np.zeros_like(bias), smoothing.noise, others)
+    weigh_neighbours(c, f, own, of_noise, number, np.zeros_like(bias), smoothing.noise, neighbours)
     weigh_edge(c, f, of_noise, number, edge)
     shape = -(-lift.shape[0] // BLOCK), -(-lift.shape[1] // BLOCK)
-    found = (1.0 - f, f - c, own, others, edge, bias)
-    return [np.asarray(values.reshape(shape), np.float64) for values in found]
+    block_values = (1.0 - f, f - c, own, neighbours, edge, bias)
+    return [np.asarray(values.reshape(shape), np.float64) for values in block_values]
 
 
 def _around_blocks(image: FloatArray) -> FloatArray:
@@ -263,10 +262,10 @@ def _per_pixel(blocks: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _around(marked: BoolImage, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns that hold all marked pixels, with a margin."""
-    found = []
+    """Return the rows and columns that contain all marked pixels, with a margin."""
+    slices = []
     for axis, size in ((1, marked.shape[0]), (0, marked.shape[1])):
         places = np.flatnonzero(marked.any(axis=axis))
         first, last = (places[0], places[-1]) if len(places) else (0, 0)
-        found.append(slice(max(0, first - margin), min(size, last + margin + 1)))
-    return found[0], found[1]
+        slices.append(slice(max(0, first - margin), min(size, last + margin + 1)))
+    return slices[0], slices[1]

@@ -1,4 +1,4 @@
-"""The general path: fringe orders by a function in numpy, on whole images.
+"""Fringe orders by a function in numpy, on whole images.
 
 Phases, their noise and the masks come from the compiled kernels; the function numbers the fringes
 of one axis; the kernels then mask and store the result as they do for compiled codes.
@@ -20,7 +20,7 @@ from reconstruction.patterns import AXES, Axis, PatternSet
 def unwrap_maps(
     stack: Stack, patterns: PatternSet, plan: Plan, maps: Maps, unwrap: Unwrap | None
 ) -> None:
-    """Fill `maps` with coordinates that `unwrap`, or else the pattern code's own function, finds.
+    """Fill `maps` with the coordinates of `unwrap`, or of the pattern code's own function.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def _blank(sets: int, rows: int, cols: int) -> WrappedMaps:
 def _ordered(
     wrapped: Wrapped, patterns: PatternSet, unwrap: Unwrap | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return coordinates, px, and the chance that each has a wrong order; 1 where unknown."""
+    """Return coordinates, px, and the probability of a wrong order; 1 where unknown."""
     coordinate_px = np.asarray((unwrap or patterns.kind.unwrap)(wrapped), np.float64)
     if coordinate_px.shape != wrapped.usable.shape:
         raise InputError(
@@ -83,7 +83,7 @@ def _wrapped(
 def _read_words(
     stack: Stack, patterns: PatternSet, plan: Plan, fitted: WrappedMaps, axis: Axis
 ) -> tuple[tuple[IntArray, ...], FloatImage]:
-    """Return the values of all words, and how near a bit comes to its threshold, in sigmas."""
+    """Return the values of all words, and the least threshold distance of a bit, sigmas."""
     k = AXES.index(axis)
     threshold_dn = fitted.mean[k] + np.float32(plan.threshold_share[k]) * fitted.modulation[k]
     noise_dn = np.maximum(plan.threshold_noise * fitted.noise[k], 1e-12)

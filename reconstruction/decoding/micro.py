@@ -1,8 +1,8 @@
-"""What blur has left of the modulation of micro phase shifting's single images.
+"""Loss of modulation by blur in the single images of micro phase shifting.
 
-Blur of a lens takes the more contrast the finer a period is: 2 % between 15.5 and 20.7 px at a blur
-of 0.7 px. Taken for the same, that would be many times the noise. One share per image, over the
-whole capture: that the blur changes over the field is left out.
+Blur of a lens lowers the contrast more for finer periods: by 2 % between 15.5 and 20.7 px at a blur
+of 0.7 px. Neglecting it would cause errors of many times the noise. One share per image for the
+whole capture: variation of the blur over the field is neglected.
 """
 
 import math
@@ -20,7 +20,7 @@ from reconstruction.decoding.plan import blank_maps, make_plan, units_of
 from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
-# Pixels that tell the shares; with fewer than the least all count as one.
+# Pixels from which the shares are estimated; with fewer than the least all shares are 1.
 PIXELS, LEAST_PIXELS = 20_000, 200
 
 
@@ -29,7 +29,7 @@ def micro_periods(
 ) -> tuple[MicroPeriods, MicroPeriods]:
     """Return the periods along columns and rows, with the modulation of their single images.
 
-    From every few pixels, decoded as if blur made no difference.
+    From a subset of the pixels, decoded without a correction for blur.
     """
     even = _even_periods(patterns, AXES[0]), _even_periods(patterns, AXES[1])
     stride = max(1, round(math.sqrt(stack[0].size / PIXELS)))
@@ -44,13 +44,13 @@ def micro_periods(
         return even
     unit_dn, frames = units_of(sensor, some_scale)[0], some[:, usable]
     columns, rows = (
-        _with_shares(one, frames, _steps_of(maps, k, usable, unit_dn)) for k, one in enumerate(even)
+        _with_shares(p, frames, _steps_of(maps, k, usable, unit_dn)) for k, p in enumerate(even)
     )
     return columns, rows
 
 
 class _Steps(NamedTuple):
-    """What the N steps say of some pixels, (pixel,): phase and levels, and a coordinate near by."""
+    """Result of the N steps for some pixels, (pixel,): phase, levels and a coordinate near by."""
 
     near_px: FloatArray
     turns: FloatArray
@@ -60,12 +60,12 @@ class _Steps(NamedTuple):
 
 def _steps_of(maps: Maps, axis: int, usable: BoolImage, unit_dn: float) -> _Steps:
     turns = Turns(maps.turns[axis]).expand() / (2.0 * np.pi)
-    levels = (Half(one[axis], unit_dn).expand() for one in (maps.mean, maps.modulation))
-    return _Steps(*(one[usable] for one in (maps.coordinate_px[axis], turns, *levels)))
+    levels = (Half(image[axis], unit_dn).expand() for image in (maps.mean, maps.modulation))
+    return _Steps(*(image[usable] for image in (maps.coordinate_px[axis], turns, *levels)))
 
 
 def _with_shares(periods: MicroPeriods, frames: FloatArray, steps: _Steps) -> MicroPeriods:
-    """Regress single images on cosines at the coordinate that the N steps alone give.
+    """Regress single images on cosines at the coordinate from the N steps only.
 
     frames : (frame, pixel) DN
     """

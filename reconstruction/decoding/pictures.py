@@ -1,4 +1,4 @@
-"""A picture of decoded projector coordinates: needs Matplotlib, which decoding does not."""
+"""Figure of decoded projector coordinates: needs Matplotlib, which decoding does not."""
 
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,12 @@ from reconstruction.decoding import Decoded
 from reconstruction.drawing import Drawing
 from reconstruction.writing import write_bytes
 
-# Share of the valid pixels whose values span the colour scale.
+# Share of the valid pixels that defines the colour scale.
 _SHOWN = (1.0, 99.0)
 
 
 def draw_decoded(path: Path, decoded: Decoded) -> None:
-    """Draw a row of maps per axis, coordinate, sigma and modulation, and why pixels have none."""
+    """Draw maps per axis (coordinate, sigma, modulation), and the reasons of masked pixels."""
     rows = len(decoded.axes)
     drawing = Drawing(4, rows)
     places = drawing.subplots(rows, 4, squeeze=False)
@@ -36,7 +36,7 @@ def draw_decoded(path: Path, decoded: Decoded) -> None:
 
 
 def _draw_reasons(drawing: Drawing, place: Axes, decoded: Decoded) -> None:
-    """Draw why pixels have no coordinate, with those reasons only that occur."""
+    """Draw the reasons why pixels have no coordinate, only those that occur."""
     reasons = [Reason(code) for code in np.unique(decoded.mask_reason)]
     shown = place.imshow(
         np.searchsorted(reasons, decoded.mask_reason),
@@ -44,7 +44,7 @@ def _draw_reasons(drawing: Drawing, place: Axes, decoded: Decoded) -> None:
         vmin=-0.5,
         vmax=len(reasons) - 0.5,
     )
-    place.set(title="why pixels are left out", xlabel="camera column (px)")
+    place.set(title="reason without coordinate", xlabel="camera column (px)")
     scale = drawing.colorbar(shown, ax=place, ticks=range(len(reasons)))
     scale.ax.set_yticklabels([reason.name.lower().replace("_", " ") for reason in reasons])
 

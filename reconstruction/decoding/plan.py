@@ -1,6 +1,6 @@
-"""What the compiled decoder needs to know of a sequence, a sensor and the options; and blank maps.
+"""Parameters of the compiled decoder from a sequence, a sensor and the options; blank maps.
 
-Everything that is the same for every pixel is worked out here, once.
+Every value that is the same for all pixels is computed here, once.
 """
 
 import math
@@ -28,9 +28,9 @@ from reconstruction.decoding.ripple import Ripple, ripple_of, turned
 from reconstruction.patterns import AXES, XOR_PLACES, Axis, Kind, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
-# Times an order of up to 12 bits, exact in the 24 bits of single precision.
+# Product with an order of up to 12 bits, exact in the 24 bits of single precision.
 HIGH_BITS = 12
-# Half precision reaches from 1e-9 to 1000 px, and from 2e-12 to 1.
+# Half precision spans 1e-9 to 1000 px, and 2e-12 to 1.
 SIGMA_UNIT_PX = 2.0**-6
 CHANCE_UNIT = 2.0**-15
 KERNELS = {
@@ -57,7 +57,7 @@ def make_plan(
     ----------
     displacement : phases are decoded at x + displacement x period, see `place_displaced`
     """
-    known = turned(ripple or ripple_of(patterns, None), displacement)
+    tables = turned(ripple or ripple_of(patterns, None), displacement)
     column, row = AXES
     return Plan(
         layout=_layout(patterns, displacement),
@@ -68,19 +68,19 @@ def make_plan(
         is_chain=patterns.kind.rule is Rule.CHAIN,
         threshold_noise=_threshold_noise(patterns),
         scale=np.ascontiguousarray(np.zeros((0, 0)) if scale is None else scale, np.float32),
-        has_ripple=known.error_rad.size > 0,
-        ripple_rad=known.error_rad,
-        ripple_sigma_rad=known.sigma_rad,
-        shot_share=known.shot_share,
-        threshold_share=known.threshold_share,
+        has_ripple=tables.error_rad.size > 0,
+        ripple_rad=tables.error_rad,
+        ripple_sigma_rad=tables.sigma_rad,
+        shot_share=tables.shot_share,
+        threshold_share=tables.threshold_share,
     )
 
 
 def _threshold_noise(patterns: PatternSet) -> float:
-    """Return the noise of a bit less its threshold, in sigmas of one frame.
+    """Return the noise of a bit minus its threshold, in sigmas of one frame.
 
-    The threshold is the mean of N phase frames, or of white and black; of a pair half the
-    difference is read.
+    The threshold is the mean of N phase frames, or of white and black; for a pair of frames half
+    the difference is used.
     """
     if patterns.inverse:
         return math.sqrt(0.5)
@@ -108,9 +108,9 @@ def _layout(patterns: PatternSet, displacement: float) -> Layout:
 
 
 def _first(patterns: PatternSet, kind: Kind, axis: Axis) -> int:
-    """Return where a kind of frames begins in the stack, -1 where there are none."""
-    found = [i for i, f in enumerate(patterns.frames) if f.kind == kind and f.axis == axis]
-    return found[0] if found else -1
+    """Return the stack index of the first frame of a kind, -1 without such frames."""
+    indices = [i for i, f in enumerate(patterns.frames) if f.kind == kind and f.axis == axis]
+    return indices[0] if indices else -1
 
 
 def _shifts(patterns: PatternSet) -> FloatArray:
@@ -146,17 +146,17 @@ def _limits(
 
 
 def _has_lost_frame(stack: Stack, patterns: PatternSet) -> bool:
-    """Tell whether a phase frame is 0 everywhere; a look at few pixels settles nearly all."""
+    """Return True if a phase frame is 0 everywhere; a few pixels exclude most frames."""
     sparse = np.s_[::61, ::61]
     shown = sum(frame.kind == "phase" for frame in patterns.frames)
     return any(not stack[n][sparse].any() and not stack[n].any() for n in range(shown))
 
 
 def units_of(sensor: SensorNoise, scale: FloatImage | None) -> tuple[float, float, float]:
-    """Return the units in which levels (DN), sigmas (px) and chances are kept in half precision.
+    """Return the units of levels (DN), sigmas (px) and probabilities in half precision.
 
     Powers of two: half precision spans 2^-24 to 2^16 units. Saturation is at most 2^14 of them, as
-    the fit of clipped fringes goes beyond.
+    the fit of clipped fringes exceeds it.
     """
     largest = sensor.saturation_dn * (1.0 if scale is None else float(scale.max()))
     return 2.0 ** (math.frexp(largest)[1] - 14), SIGMA_UNIT_PX, CHANCE_UNIT
@@ -187,8 +187,8 @@ def _code(patterns: PatternSet, axis: Axis, displacement: float) -> Code:
 def place_displaced(maps: Maps, patterns: PatternSet) -> None:
     """Move coordinates and phases that were decoded at x + displacement x period to x.
 
-    Where the bits number as many periods as there are, the end of the image repeats the word
-    before it: neither can be distinguished from the other, and both are uncertain.
+    If the number of periods is a power of two, the end of the image repeats the word before it: the
+    two cannot be distinguished, and both are uncertain.
     """
     displacement = patterns.kind.displacement
     for k, axis in enumerate(AXES):

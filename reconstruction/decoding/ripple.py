@@ -1,10 +1,10 @@
-"""What a projector that is not linear does to the phase, and how well that is known.
+"""Phase error by a projector with a nonlinear response, and its uncertainty.
 
 Symbols: g gamma, N steps, phi phase, B_m the harmonics of a fringe. N steps cancel all harmonics
-but m = k N +- 1; those that stay turn the phase by about (B_(N-1) - B_(N+1)) / B_1 sin(N phi),
-which for N = 3 and 4 exceeds the noise (Zhang and Huang, Opt. Eng. 46, 063601 (2007), correct it by
-a table over the phase, as is done here). Lens blur weakens high harmonics more than the first one:
-the table is made with it, from the very 8-bit levels that were shown.
+except m = k N +- 1. These change the phase by about (B_(N-1) - B_(N+1)) / B_1 sin(N phi), which for
+N = 3 and 4 exceeds the noise. Zhang and Huang, Opt. Eng. 46, 063601 (2007), correct it by a table
+over the phase, as this module does. Lens blur weakens high harmonics more than the first one: the
+table includes it, and is computed from the 8-bit levels that were shown.
 """
 
 from dataclasses import dataclass, replace
@@ -18,30 +18,30 @@ from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.projected_light import GAMMA_RANGE, ProjectorResponse, blurred
 
 NODES = 512
-"""Nodes of a table over one turn, at n / NODES. Each is the mean about it, to which curvature adds
-a twelfth of itself times the square of their distance: 0.2 mrad at N = 3 and gamma 2.2."""
+"""Nodes of a table over one turn, at n / NODES. Each is a local mean, to which a curvature k adds
+k h^2 / 12 at the node distance h: 0.2 mrad at N = 3 and gamma 2.2."""
 
 TURN = 2.0 * np.pi
 _PER_NODE = 2
 _MOST_PERIODS = 24
-# Beyond that many blurs from the end of the image a pixel sees nothing of it.
+# A pixel further from the end of the image than this many blurs is not affected by it.
 _EDGE_BLURS = 4.0
-# Differences for the uncertainty: small against any gamma and blur, large against rounding.
+# Differences for the uncertainty: small compared with gamma and blur, large against rounding.
 _STEP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Ripple:
-    """Tables over the measured phase, at NODES + 1 nodes: the last one is the first again.
+    """Tables over the measured phase, at NODES + 1 nodes: the last node equals the first.
 
     Attributes
     ----------
     error_rad : (axis, set, node) float32, measured minus true phase
-    sigma_rad : (axis, set, node) float32, what is not known of it
-    shot_share : (axis, set, node) float32; of the modulation, by which the light that counts for
-        the phase's shot noise exceeds the mean of the steps
-    threshold_share : of the modulation, by which a Gray level halfway between white and black lies
-        above the mean of the phase frames; (axis,)
+    sigma_rad : (axis, set, node) float32, uncertainty of error_rad
+    shot_share : (axis, set, node) float32; excess of the light that determines the phase's shot
+        noise over the mean of the steps, as a share of the modulation
+    threshold_share : (axis,); difference of a Gray level halfway between white and black and the
+        mean of the phase frames, as a share of the modulation
     """
 
     error_rad: FloatImage
@@ -56,8 +56,8 @@ _EMPTY: FloatImage = np.zeros((2, 0, 0), np.float32)
 def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Ripple:
     """Return the tables of a sequence of fringes for a projector of this response.
 
-    Where there are none the tables have the shape (2, 0, 0): the response is None, and three steps
-    alone have an uneven share of the shot noise, or there are no fringes at all.
+    Missing tables have the shape (2, 0, 0): all tables without fringes; without a response all but
+    the share of the shot noise for three steps, which is uneven.
     """
     if response is None or not patterns.steps:
         shot = _of_three_steps(patterns) if patterns.steps == 3 else _EMPTY
@@ -75,7 +75,7 @@ def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Rippl
 
 
 def turned(ripple: Ripple, share: float) -> Ripple:
-    """Return the tables of a phase that is counted from a share of a turn later."""
+    """Return the tables of a phase with its origin shifted by a share of a turn."""
     if share == 0.0:
         return ripple
 
@@ -125,15 +125,15 @@ def _tables(
     variance = spread**2
     for changed, step, uncertainty in _changes(response):
         if uncertainty > 0.0:
-            other, _ = _table(patterns, axis, fringes, changed)
-            variance = variance + ((other - mean) / step * uncertainty) ** 2
+            perturbed, _ = _table(patterns, axis, fringes, changed)
+            variance = variance + ((perturbed - mean) / step * uncertainty) ** 2
     return mean, np.sqrt(variance)
 
 
 def _changes(
     response: ProjectorResponse,
 ) -> list[tuple[ProjectorResponse, float, float]]:
-    """Return responses a small step off, the step, and the standard uncertainty along it."""
+    """Return responses changed by a small step, the step, and the standard uncertainty along it."""
     up = response.gamma + _STEP <= GAMMA_RANGE[1]
     step = _STEP if up else -_STEP
     steeper = replace(response, gamma=1.0 if response.curve else response.gamma + step)
@@ -150,8 +150,8 @@ def _table(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the mean error of the phase at each node, and its spread over the periods, rad.
 
-    The spread is that of the 8-bit levels, which differ from period to period unless the period is
-    a whole number of pixels.
+    The spread is caused by the 8-bit levels, which differ from period to period unless the period
+    is a whole number of pixels.
     """
     u_px, _, phasor, _ = _frames_at(patterns, axis, fringes, response)
     period_px = patterns.periods_along(axis)[fringes]
@@ -176,9 +176,9 @@ def _over_nodes(values: FloatArray, phase_rad: FloatArray) -> tuple[FloatArray, 
 def _frames_at(
     patterns: PatternSet, axis: Axis, fringes: int, response: ProjectorResponse
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return places on the projector, (place,) px, the light of all steps there, (place, step).
+    """Return positions on the projector, (place,) px, and the light of all steps, (place, step).
 
-    With them the phasor that the decoder measures, (place,) complex, and the shifts, turns.
+    Also the phasor that the decoder measures, (place,) complex, and the shifts, turns.
     """
     first = patterns.index("phase", axis).start + fringes * patterns.steps
     frames = patterns.frames[first : first + patterns.steps]
@@ -194,10 +194,10 @@ def _frames_at(
 
 
 def _filled(total: NDArray[Any], weight: NDArray[Any]) -> FloatArray:
-    """Return means over nodes; where nothing fell, what stands beside."""
-    known = np.flatnonzero(weight > 0.0)
+    """Return means over nodes; nodes without samples are interpolated from their neighbours."""
+    weighted = np.flatnonzero(weight > 0.0)
     nodes = np.arange(NODES)
-    return np.asarray(np.interp(nodes, known, total[known] / weight[known], period=NODES))
+    return np.asarray(np.interp(nodes, weighted, total[weighted] / weight[weighted], period=NODES))
 
 
 def _threshold_share(patterns: PatternSet, axis: Axis, response: ProjectorResponse) -> float:

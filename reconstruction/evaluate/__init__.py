@@ -1,6 +1,6 @@
 """Dimensions of measured surfaces, each with a stated definition and a robust fit; lengths mm.
 
-A module is imported when something of it is asked for: SciPy's optimisers take half a second.
+A module is imported at the first use of one of its names: SciPy's optimisers take half a second.
 """
 
 from importlib import import_module
@@ -40,7 +40,7 @@ __all__ = [
     "step_height",
 ]
 
-_PLACES = {
+_MODULES = {
     "fit_sphere_algebraic": "fit",
     "ArealRoughness": "plane",
     "BarWidth": "plane",
@@ -60,6 +60,6 @@ _PLACES = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

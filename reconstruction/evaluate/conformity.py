@@ -1,7 +1,7 @@
-"""Is a measured value within its tolerance? The decision rule of ISO 14253-1, with guard band U.
+"""Decision whether a value is within its tolerance, by ISO 14253-1 with guard band U.
 
-Conformity is proved when the value lies inside the tolerance by at least the expanded uncertainty
-U, non-conformity when it lies outside by as much; in between nothing is proved.
+Conformity is proved if the value is inside the tolerance by at least the expanded uncertainty U,
+non-conformity if it is outside by as much; in between neither is proved.
 """
 
 from dataclasses import dataclass
@@ -22,11 +22,11 @@ class Tolerance:
     upper: float = inf
 
     def margin(self, value: float, expanded: float) -> float:
-        """Return by how much a value is inside, less U; 0 or more: within tolerance."""
+        """Return the distance to the nearer limit, positive inside, less U; 0 or more: within."""
         return min(value - self.lower, self.upper - value) - expanded
 
     def verdict(self, value: float, expanded: float) -> Decision:
-        """Decide; `expanded` is U, in the unit of the value."""
+        """Return the decision; `expanded` is U, in the unit of the value."""
         if self.margin(value, expanded) >= 0:
             return WITHIN
         outside = max(self.lower - value, value - self.upper)
@@ -41,8 +41,8 @@ class CombinedUncertainty:
     ----------
     noise : of the points, propagated through the fit
     repeatability : of setting up and measuring again
-    calibration : of what the sensor was calibrated with
-    elastomer : of the thickness that is taken off between coat and object
+    calibration : of the reference that the sensor was calibrated with
+    elastomer : of the thickness that is subtracted between coat and object
     """
 
     noise: float

@@ -1,9 +1,9 @@
 """Deviation of points from a known surface, after a stated alignment; lengths mm.
 
 A coordinate metrologist's "best fit": the points are moved, never stretched, so that the sum of
-squared distances is least. `none` leaves them where the sensor put them, `offset` shifts them along
-z, `offset_tilt` tilts them too, `rigid` moves and turns them freely. What the surface cannot tell
-(a ball's turning, a plane's sliding) stays as it is.
+squared distances is least. `none` does not move the points, `offset` shifts them along z,
+`offset_tilt` also tilts them, `rigid` moves and rotates them freely. Degrees of freedom that the
+surface does not constrain (a ball's rotation, a plane's sliding) are zero.
 """
 
 from collections.abc import Callable
@@ -22,10 +22,10 @@ Distance = Callable[[FloatArray], FloatArray]
 """Signed distance (n,) of points (n, xyz) from the surface, positive outside."""
 
 _FREE = {"none": 0, "offset": 1, "offset_tilt": 3, "rigid": 6}
-# The second takes off what the bend of the surface adds to the first; no third is seen.
+# The second pass corrects for the surface's curvature; a third has no effect.
 _TURNS = 2
 _STEP_MM = 1e-4
-# A motion that moves the surface along itself leaves a singular value of rounding and facets.
+# A motion that moves the surface along itself has a singular value of rounding and facets.
 _STIFF = 1e-3
 _DISPERSION = (0.025, 0.975)
 _WINDOW = 0.01
@@ -33,14 +33,14 @@ _WINDOW = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """What is left between points and surface.
+    """Residuals between points and surface after alignment.
 
     Attributes
     ----------
     deviation_mm : (n,) signed, along the surface's normal, positive outside
     points_mm : (n, xyz) the points as aligned
-    offset_mm : by how much they were raised, at their centroid
-    tilt_deg : by how much they were turned
+    offset_mm : shift of the points along z, at their centroid
+    tilt_deg : angle of their rotation
     """
 
     deviation_mm: FloatArray
@@ -57,7 +57,7 @@ class Deviations:
     def form(self, upward: FloatArray) -> FittedDimension:
         """Width of the band that holds the middle 95 % of the deviations (as D95 %, ISO 10360-8).
 
-        A quantile moves as the points next to it do: the percent around it.
+        A quantile moves with the points next to it: 1 % of the points around it.
         """
         low, high = np.quantile(self.deviation_mm, _DISPERSION)
         order = np.argsort(self.deviation_mm)
@@ -87,7 +87,7 @@ def normals_of(points_mm: FloatArray, distance: Distance) -> FloatArray:
 def deviations(
     points_mm: FloatArray, distance: Distance, alignment: Alignment, normals: FloatArray
 ) -> Deviations:
-    """Align points and return what is left of their distances.
+    """Align points and return their remaining distances.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def deviations(
 
     Raises
     ------
-    FitError : fewer points than the alignment has freedoms, and some to spare
+    FitError : fewer points than the alignment's degrees of freedom plus four
     """
     freedoms = _FREE[alignment]
     if len(points_mm) < freedoms + 4:
@@ -107,8 +107,8 @@ def deviations(
     for _ in range(_TURNS if freedoms else 0):
         left = distance(moved)
         columns = _columns(moved - centre, normals)[:, :freedoms]
-        kept = inliers(left)
-        step = np.linalg.pinv(columns[kept], rcond=_STIFF) @ -left[kept]
+        used = inliers(left)
+        step = np.linalg.pinv(columns[used], rcond=_STIFF) @ -left[used]
         motion[:freedoms] += step
         moved = _moved(points_mm - centre, motion) + centre
     turned_deg = float(np.rad2deg(np.linalg.norm(motion[[1, 2, 5]])))

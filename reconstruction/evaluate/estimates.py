@@ -2,8 +2,8 @@
 
 Each fit returns its value and the derivative of the value by each point's height, so that any
 uncertainty of the points can be propagated: u^2 = N sum (dv/dz_i)^2 sigma_i^2 (JCGM 100, 5.1.2).
-N is how many neighbouring points share one error: a Gaussian filter of standard deviation s pixels
-averages the noise of 4 pi s^2 of them, so that many points carry the information of one.
+N is the number of neighbouring points that share one error: a Gaussian filter of standard deviation
+s pixels averages the noise of 4 pi s^2 points, which then carry the information of a single point.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from reconstruction.evaluate.robust import (
 
 _LEAST_POINTS = 5
 _LEAST_IN_FIT = 20
-# Residuals of 0.1 um are no outliers, however exact the other points are.
+# Residuals of 0.1 um are no outliers, for any accuracy of the remaining points.
 _NEVER_OUT_MM = 1e-4
 _SINGULAR = 1e-9
 
@@ -36,10 +36,10 @@ class FittedDimension:
     Attributes
     ----------
     value : mm
-    slope : (n,) derivative of the value by each point's height; 0 for a point left out
-    residuals_mm : (n,) of all points; `used` tells which took part
-    design : (n, k) change of each point's height by the parameters of the shape, 0 for a point
-        left out; None where no shape is fitted
+    slope : (n,) derivative of the value by each point's height; 0 for an unused point
+    residuals_mm : (n,) of all points; `used` marks the fitted points
+    design : (n, k) change of each point's height by the parameters of the shape, 0 for an unused
+        point; None if no shape is fitted
     gradient : (k,) derivative of the value by these parameters
     """
 
@@ -51,14 +51,14 @@ class FittedDimension:
     gradient: FloatArray | None = None
 
     def noise_mm(self, sigma_mm: FloatArray, together: float) -> float:
-        """Return the standard uncertainty that the points' (n,) causes.
+        """Return the standard uncertainty that the points' sigma (n,) causes.
 
         Parameters
         ----------
-        together : how many neighbouring points share one error, at least 1
+        together : number of neighbouring points that share one error, at least 1
         """
         alone = float(np.sum((self.slope * sigma_mm) ** 2))
-        # Sharing cannot do more than move all points by their sigma in one direction.
+        # At most, shared errors move all points by their sigma in one direction.
         all_as_one = float(np.sum(np.abs(self.slope) * sigma_mm)) ** 2
         return float(np.sqrt(min(max(together, 1.0) * alone, all_as_one)))
 
@@ -66,21 +66,21 @@ class FittedDimension:
         """Return the least standard deviation that any unbiased fit of the shape can have.
 
         The Cramer-Rao bound sqrt(g^T F^-1 g), F = sum_i J_i J_i^T / sigma_i^2 the information of
-        points whose errors are independent and normal, J_i `design`, g `gradient`; a fit weighted
-        by 1 / sigma^2 attains it. None where no shape is fitted, or its points do not fix it.
+        independent, normally distributed errors, J_i `design`, g `gradient`; a fit weighted
+        by 1 / sigma^2 attains it. None if no shape is fitted, or its points do not determine it.
 
         Parameters
         ----------
         sigma_mm : (n,) of the heights, above 0 where used
-        points_each : how many measured points each one stands for
+        points_each : number of measured points per point of the fit
         """
         parts = self._bound_parts(sigma_mm)
         return None if parts is None else float(np.sqrt(parts.sum() / points_each))
 
     def bound_shares(self, sigma_mm: FloatArray) -> FloatArray | None:
-        """Return by how much the bound changes with each point's sigma, (n,): d ln b / d ln sigma.
+        """Return the relative change of the bound with each point's sigma, d ln b / d ln sigma.
 
-        They are at least 0 and add up to 1: where the information about the value comes from.
+        (n,), at least 0 and with sum 1: each point's share of the information about the value.
         """
         parts = self._bound_parts(sigma_mm)
         if parts is None:
@@ -100,12 +100,12 @@ class FittedDimension:
         triangle = np.asarray(np.linalg.qr(weighted / size, mode="r"))
         if np.abs(np.diag(triangle)).min() < _SINGULAR:
             return None
-        found = np.linalg.solve(triangle, np.linalg.solve(triangle.T, self.gradient / size))
-        return np.asarray((weighted @ (found / size)) ** 2)
+        solution = np.linalg.solve(triangle, np.linalg.solve(triangle.T, self.gradient / size))
+        return np.asarray((weighted @ (solution / size)) ** 2)
 
 
 def shared_by(filter_sigma_px: float, stride_px: int = 1) -> float:
-    """Return how many of the points (every `stride_px`-th pixel) share one error after a filter.
+    """Return the number of points (every `stride_px`-th pixel) that share one error after a filter.
 
     The squared sum over the sum of squares of a Gaussian's autocorrelation: 4 pi sigma^2.
     """
@@ -117,7 +117,7 @@ def step_between(
 ) -> FittedDimension:
     """Fit two parallel planes z = a + b x + c y + h upper; the value is h.
 
-    ISO 5436-1 type A1 with planes in the place of lines: the caller leaves out the edges.
+    ISO 5436-1 type A1 with planes in the place of lines: the caller excludes the edges.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
 
     Parameters
     ----------
-    s_mm, z_mm : (n,) float, place across the grooves and height
+    s_mm, z_mm : (n,) float, position across the grooves and height
 
     Raises
     ------
@@ -170,8 +170,8 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
     design = np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(s_mm)), s_mm])
     parts = _parameters(design, z_mm, (np.ones(len(z_mm), bool),), count=2)
     size = float(np.hypot(parts[0].value, parts[1].value))
-    slope = sum(one.value / max(size, 1e-12) * one.slope for one in parts)
-    towards = np.array([2 * one.value / max(size, 1e-12) for one in parts] + [0.0, 0.0])
+    slope = sum(part.value / max(size, 1e-12) * part.slope for part in parts)
+    towards = np.array([2 * part.value / max(size, 1e-12) for part in parts] + [0.0, 0.0])
     return FittedDimension(
         2 * size,
         np.asarray(2 * slope),
@@ -184,7 +184,7 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
 
 @dataclass(frozen=True, eq=False)
 class GrooveFit:
-    """A V groove: its depth, its width at the face, and the place of its root."""
+    """A V groove: its depth, its width at the face, and the position of its root."""
 
     depth: FittedDimension
     width: FittedDimension
@@ -197,7 +197,7 @@ def v_groove(s_mm: FloatArray, z_mm: FloatArray, depth_mm: float, width_mm: floa
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-    depth_mm, width_mm : about how deep and wide the groove is; within a factor of two
+    depth_mm, width_mm : approximate depth and width of the groove, within a factor of two
 
     Raises
     ------
@@ -209,24 +209,31 @@ def v_groove(s_mm: FloatArray, z_mm: FloatArray, depth_mm: float, width_mm: floa
     start = np.array([float(np.quantile(z_mm, 0.9)), 0.0, depth_mm, width_mm, middle])
     scale = np.array([depth_mm, depth_mm / width_mm, depth_mm, width_mm, width_mm])
 
-    def residual(found: FloatArray) -> FloatArray:
-        a, b, depth, width, root = found
+    def residual(parameters: FloatArray) -> FloatArray:
+        a, b, depth, width, root = parameters
         fall = np.maximum(0.0, 1.0 - 2.0 * np.abs(s_mm - root) / width)
         return np.asarray(a + b * s_mm - depth * fall - z_mm)
 
-    found = least_squares(residual, start, x_scale=scale, loss="soft_l1", f_scale=0.05 * depth_mm)
-    found = least_squares(residual, found.x, x_scale=scale)
-    if not found.success or min(found.x[2:4]) <= 0:
-        raise FitError(f"groove: the fit does not converge ({found.message})")
-    back = np.linalg.pinv(found.jac)
+    solution = least_squares(
+        residual, start, x_scale=scale, loss="soft_l1", f_scale=0.05 * depth_mm
+    )
+    solution = least_squares(residual, solution.x, x_scale=scale)
+    if not solution.success or min(solution.x[2:4]) <= 0:
+        raise FitError(f"groove: the fit does not converge ({solution.message})")
+    back = np.linalg.pinv(solution.jac)
     used = np.ones(len(z_mm), bool)
     depth, width = (
         FittedDimension(
-            float(found.x[n]), np.asarray(back[n]), -found.fun, used, found.jac, np.eye(5)[n]
+            float(solution.x[n]),
+            np.asarray(back[n]),
+            -solution.fun,
+            used,
+            solution.jac,
+            np.eye(5)[n],
         )
         for n in (2, 3)
     )
-    return GrooveFit(depth, width, float(found.x[4]))
+    return GrooveFit(depth, width, float(solution.x[4]))
 
 
 def ball_radius(points_mm: FloatArray) -> tuple[FittedDimension, BallFit]:
@@ -237,10 +244,10 @@ def ball_radius(points_mm: FloatArray) -> tuple[FittedDimension, BallFit]:
     FitError : too few or coplanar points
     """
     fit = fit_ball(points_mm)
-    kept = points_mm[fit.kept]
-    normals = kept - fit.centre_mm
+    used_mm = points_mm[fit.kept]
+    normals = used_mm - fit.centre_mm
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    design = np.column_stack([np.ones(len(kept)), normals])
+    design = np.column_stack([np.ones(len(used_mm)), normals])
     return _radius(fit.radius_mm, design, normals[:, 2], fit.kept, fit.residuals_mm), fit
 
 
@@ -255,8 +262,8 @@ def ball_radius_of_all(points_mm: FloatArray) -> FittedDimension:
     normals = points_mm - fit.centre_mm
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     design = np.column_stack([np.ones(len(normals)), normals])
-    kept = np.ones(len(normals), bool)
-    return _radius(fit.radius_mm, design, normals[:, 2], kept, fit.residuals_mm)
+    used = np.ones(len(normals), bool)
+    return _radius(fit.radius_mm, design, normals[:, 2], used, fit.residuals_mm)
 
 
 def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDimension, CylinderFit]:
@@ -267,27 +274,27 @@ def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDime
     FitError : too few points, or the fit does not converge
     """
     fit = fit_cylinder(points_mm, axis)
-    kept = points_mm[fit.kept] - fit.point_mm
-    along = kept @ fit.axis
-    normals = kept - np.outer(along, fit.axis)
+    used_mm = points_mm[fit.kept] - fit.point_mm
+    along = used_mm @ fit.axis
+    normals = used_mm - np.outer(along, fit.axis)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     across = np.linalg.svd(fit.axis[None])[2][1:]
     sides = normals @ across.T
-    design = np.column_stack([np.ones(len(kept)), sides, sides * along[:, None]])
+    design = np.column_stack([np.ones(len(used_mm)), sides, sides * along[:, None]])
     return _radius(fit.radius_mm, design, normals[:, 2], fit.kept, fit.residuals_mm), fit
 
 
 def _radius(
-    radius_mm: float, design: FloatArray, upward: FloatArray, kept: BoolImage, residuals: FloatArray
+    radius_mm: float, design: FloatArray, upward: FloatArray, used: BoolImage, residuals: FloatArray
 ) -> FittedDimension:
-    """Return a radius whose points' errors along z count by their share along the normal."""
-    slope, all_residuals = np.zeros(len(kept)), np.zeros(len(kept))
-    slope[kept] = np.linalg.pinv(design)[0] * upward
-    all_residuals[kept] = residuals
-    heights = np.zeros((len(kept), design.shape[1]))
-    heights[kept] = design / upward[:, None]
+    """Return a radius; an error along z counts by its component along the surface normal."""
+    slope, all_residuals = np.zeros(len(used)), np.zeros(len(used))
+    slope[used] = np.linalg.pinv(design)[0] * upward
+    all_residuals[used] = residuals
+    heights = np.zeros((len(used), design.shape[1]))
+    heights[used] = design / upward[:, None]
     first = np.eye(design.shape[1])[0]
-    return FittedDimension(radius_mm, slope, all_residuals, kept, heights, first)
+    return FittedDimension(radius_mm, slope, all_residuals, used, heights, first)
 
 
 def _parameters(
@@ -295,7 +302,7 @@ def _parameters(
 ) -> list[FittedDimension]:
     """Fit by least squares, repeated without outliers; return the first `count` parameters.
 
-    An outlier is one among its own group: a small level must not be one beside a large one.
+    Outliers are determined in each group, so that a large level does not hide or exclude a small.
     """
 
     def good(residuals: FloatArray) -> BoolImage:
@@ -306,11 +313,11 @@ def _parameters(
         return good
 
     fit = fit_heights(design, z_mm, good, first=np.any(groups, axis=0))
-    kept, residuals = fit.inliers, z_mm - design @ fit.shape
+    fitted, residuals = fit.inliers, z_mm - design @ fit.shape
     slopes = np.zeros((design.shape[1], len(z_mm)))
-    slopes[:, kept] = np.linalg.pinv(design[kept])
-    used, unit = design * kept[:, None], np.eye(design.shape[1])
+    slopes[:, fitted] = np.linalg.pinv(design[fitted])
+    used, unit = design * fitted[:, None], np.eye(design.shape[1])
     return [
-        FittedDimension(float(fit.shape[k]), slopes[k], residuals, kept, used, unit[k])
+        FittedDimension(float(fit.shape[k]), slopes[k], residuals, fitted, used, unit[k])
         for k in range(count)
     ]

@@ -15,10 +15,10 @@ from reconstruction.errors import FitError
 DEGENERATE_RATIO = 1e-10
 # 1.4826 MAD estimates the standard deviation of a normal distribution.
 MAD_TO_SIGMA = 1.4826
-# A Gauss-Newton step is a hundredth of the one before it on points that fix a sphere well.
+# A Gauss-Newton step is 0.01 of the last one if the points determine a sphere well.
 _MOST_STEPS, _STEP_OF_ROUNDING = 30, 1e-13
 REJECT_BEYOND_SIGMAS = 4.0
-"""One of 16,000 normal residuals lies beyond."""
+"""One of 16,000 normally distributed residuals is larger."""
 
 Shape = TypeVar("Shape")
 
@@ -98,18 +98,18 @@ def median(values: NDArray[np.floating]) -> float:
 
 
 def quantile(values: NDArray[np.floating], share: float) -> float:
-    """Return what a share of the values (n,), all finite, is not above; linear between two.
+    """Return the quantile at `share` of the values (n,), all finite; linear between two values.
 
-    One partition at one place: numpy's own median and percentile part the values at three places at
-    once, which takes several times as long.
+    One partition at one index: numpy's own median and percentile partition the values at three
+    indices, which takes several times as long.
     """
     at = share * (len(values) - 1)
     low = int(at)
     parted = np.partition(values, low)
-    found = float(parted[low])
+    value = float(parted[low])
     if at > low:
-        found += (at - low) * (float(parted[low + 1 :].min()) - found)
-    return found
+        value += (at - low) * (float(parted[low + 1 :].min()) - value)
+    return value
 
 
 def fit_sphere(points_mm: ArrayLike) -> SphereFit:
@@ -129,10 +129,10 @@ def fit_sphere(points_mm: ArrayLike) -> SphereFit:
 def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
     """Fit the sphere with the least sum of squared differences of squared distances.
 
-    Linear, so it is what short programs use; but noise pulls it towards smaller spheres (Kasa, IEEE
-    Transactions on Instrumentation and Measurement 25, 8-14, 1976). On a cap the radius shrinks to
-    R / (1 + 12 sigma^2 / S^2) for points spread evenly over the plan, with their noise sigma and
-    the cap's height S, both small beside R.
+    Linear, and therefore common in short programs; but noise biases it towards smaller spheres
+    (Kasa, IEEE Transactions on Instrumentation and Measurement 25, 8-14, 1976). On a cap the radius
+    decreases to R / (1 + 12 sigma^2 / S^2) for points spread evenly over the plan, with their noise
+    sigma and the cap's height S, both much less than R.
 
     Parameters
     ----------
@@ -157,39 +157,39 @@ def fit_sphere_both_ways(points_mm: ArrayLike) -> tuple[SphereFit, SphereFit]:
     FitError : too few, coplanar or non-finite points
     """
     points = _checked(points_mm, 4, "sphere")
-    # Centred and scaled: the algebraic start and the iteration then see numbers near one.
+    # Centred and scaled: the algebraic start and the iteration then work with numbers near one.
     local, offset, scale = _centred(points)
     start = _algebraic_sphere(local)
-    found = _gauss_newton(local, start)
-    if found is None:
-        found = least_squares(
+    solution = _gauss_newton(local, start)
+    if solution is None:
+        solution = least_squares(
             radial_mm, start, radial_jacobian, args=(local,), method="lm", xtol=1e-14, ftol=1e-14,
             gtol=1e-14,
         ).x  # fmt: skip
-    return _sphere_of(found, points, offset, scale), _sphere_of(start, points, offset, scale)
+    return _sphere_of(solution, points, offset, scale), _sphere_of(start, points, offset, scale)
 
 
 def _gauss_newton(local: FloatArray, start: FloatArray) -> FloatArray | None:
-    """Return the sphere (centre, radius) with the least radial distances, from the algebraic one.
+    """Return the sphere (centre, radius) of least radial distances, from the algebraic sphere.
 
-    None where steps do not shrink to rounding: of points that hardly fix a sphere.
+    None if the steps do not decrease to rounding: for points that hardly determine a sphere.
     """
-    axes, found, before = np.ascontiguousarray(local.T), start, np.inf
+    axes, sphere, before = np.ascontiguousarray(local.T), start, np.inf
     for _ in range(_MOST_STEPS):
-        toward = found[:3, None] - axes
+        toward = sphere[:3, None] - axes
         distance = np.sqrt(np.einsum("ij,ij->j", toward, toward))
         # A point at the centre has no direction.
         if not distance.all():
             return None
         slopes = np.vstack([toward / distance, np.full_like(distance, -1.0)])
-        normal, downhill = slopes @ slopes.T, slopes @ (found[3] - distance)
+        normal, downhill = slopes @ slopes.T, slopes @ (sphere[3] - distance)
         try:
             step = np.linalg.solve(normal, downhill)
         except np.linalg.LinAlgError:
             return None
-        found, size = found + step, float(np.abs(step).max())
-        if size <= _STEP_OF_ROUNDING * max(1.0, float(np.abs(found).max())):
-            return found
+        sphere, size = sphere + step, float(np.abs(step).max())
+        if size <= _STEP_OF_ROUNDING * max(1.0, float(np.abs(sphere).max())):
+            return sphere
         if size > before:
             return None
         before = size
@@ -197,10 +197,10 @@ def _gauss_newton(local: FloatArray, start: FloatArray) -> FloatArray | None:
 
 
 def _sphere_of(
-    found: FloatArray, points: FloatArray, offset: FloatArray, scale: float
+    sphere: FloatArray, points: FloatArray, offset: FloatArray, scale: float
 ) -> SphereFit:
-    """Return the sphere (centre, radius) found in centred and scaled coordinates, in mm."""
-    centre, radius = found[:3] * scale + offset, abs(float(found[3])) * scale
+    """Return the sphere of a solution (centre, radius) in centred and scaled coordinates, in mm."""
+    centre, radius = sphere[:3] * scale + offset, abs(float(sphere[3])) * scale
     return SphereFit(centre, radius, np.linalg.norm(points - centre, axis=1) - radius)
 
 
@@ -227,7 +227,7 @@ def fit_plane(points_mm: ArrayLike) -> PlaneFit:
     _, singular, axes = np.linalg.svd(points - centroid, full_matrices=False)
     if singular[1] <= DEGENERATE_RATIO * singular[0]:
         raise FitError(
-            f"the {len(points)} points lie on one line; a plane needs a second direction"
+            f"the {len(points)} points are on one line; a plane needs a second direction"
         )
     normal = axes[2] if axes[2, 2] >= 0.0 else -axes[2]
     return PlaneFit(centroid, normal, (points - centroid) @ normal)
@@ -249,7 +249,7 @@ def _algebraic_sphere(local: FloatArray) -> FloatArray:
     system = np.column_stack([2.0 * local, np.ones(len(local))])
     solution, _, _, singular = np.linalg.lstsq(system, np.sum(local**2, axis=1))
     if singular[-1] <= DEGENERATE_RATIO * singular[0]:
-        raise FitError(f"the {len(local)} points lie in one plane; a sphere needs curvature")
+        raise FitError(f"the {len(local)} points are in one plane; a sphere needs curvature")
     centre = solution[:3]
     return np.append(centre, np.sqrt(max(solution[3] + centre @ centre, 0.0)))
 
@@ -264,7 +264,7 @@ def radial_mm(sphere: FloatArray, points_mm: FloatArray) -> FloatArray:
 def radial_jacobian(sphere: FloatArray, points_mm: FloatArray) -> FloatArray:
     """Return the slopes (n, 4) of `radial_mm` by centre and radius."""
     toward = sphere[:3] - points_mm
-    # A point at the centre has no direction; any finite value serves for that one row.
+    # A point at the centre has no direction; any finite value will do for that row.
     distance = np.maximum(np.sqrt(np.einsum("ij,ij->i", toward, toward)), 1e-300)
     return np.column_stack([toward / distance[:, None], -np.ones(len(points_mm))])
 
@@ -276,10 +276,10 @@ def spread(values: NDArray[np.floating]) -> float:
 
 
 def inliers(residuals_mm: FloatArray) -> BoolImage:
-    """Tell which residuals, (n,) mm, lie within four robust standard deviations of their median."""
+    """Return which residuals, (n,) mm, are within four robust standard deviations of the median."""
     limit = REJECT_BEYOND_SIGMAS * max(spread(residuals_mm), 1e-12)
-    kept: BoolImage = np.abs(residuals_mm - median(residuals_mm)) <= limit
-    return kept
+    is_inlier: BoolImage = np.abs(residuals_mm - median(residuals_mm)) <= limit
+    return is_inlier
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +305,7 @@ def fit_inliers(
     judge: Callable[[FloatArray], BoolImage] = inliers,
     most_fits: int = 21,
 ) -> InlierFit[Shape]:
-    """Repeat a fit without the outliers of the fit before, until the same points remain.
+    """Repeat a fit without the outliers of the previous fit, until the same points remain.
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ def fit_inliers(
     residuals_mm : shape to the residuals (n,) of all points
     first : (n,) points of the first fit
     judge : residuals (n,) to the points that are no outliers
-    most_fits : after so many fits the last one is returned
+    most_fits : largest number of fits; the last one is returned
     """
     used, good = first, first
     for _ in range(most_fits):

@@ -24,11 +24,11 @@ class Flatness:
     Attributes
     ----------
     peak_to_valley_mm, rms_mm : float
-        ISO 12781-1's peak-to-valley and RMS flatness deviation, over the points kept.
+        ISO 12781-1's peak-to-valley and RMS flatness deviation, over the inliers.
     kept : (n,) bool
         Points that are no outliers.
     plane : PlaneFit
-        Through the points kept.
+        Through the inliers.
     """
 
     peak_to_valley_mm: float
@@ -38,7 +38,7 @@ class Flatness:
 
 
 def flatness(points_mm: ArrayLike) -> Flatness:
-    """Fit the reference plane (least squares, repeated without outliers) and rate the deviations.
+    """Fit the reference plane (least squares, repeated without outliers); return the deviations.
 
     Parameters
     ----------
@@ -46,16 +46,16 @@ def flatness(points_mm: ArrayLike) -> Flatness:
 
     Raises
     ------
-    FitError : too few points, or they lie on a line
+    FitError : too few points, or all on one line
     """
     points = np.asarray(points_mm, np.float64)
-    found = fit_inliers(
+    fit = fit_inliers(
         lambda used: fit_plane(points[used]),
         lambda plane: distances_mm(points, plane),
         np.ones(len(points), bool),
     )
-    residuals = found.shape.residuals_mm
-    return Flatness(float(np.ptp(residuals)), rms(residuals), found.fitted, found.shape)
+    residuals = fit.shape.residuals_mm
+    return Flatness(float(np.ptp(residuals)), rms(residuals), fit.fitted, fit.shape)
 
 
 def distances_mm(points_mm: FloatArray, plane: PlaneFit) -> FloatArray:
@@ -74,13 +74,13 @@ class ArealRoughness:
 
 
 _LONGEST_NESTING = 10.0
-"""Over the longer side of the field; the Gaussian's memory and time grow with it."""
+"""Over the longer side of the field; the Gaussian's memory and time increase with it."""
 
 
 def areal_roughness(
     z_mm: ArrayLike, valid: ArrayLike, pitch_mm: float, nesting_mm: float
 ) -> ArealRoughness:
-    """Remove the plane, then the waviness (Gaussian L-filter of ISO 16610-61), and rate the rest.
+    """Remove the plane and the waviness (Gaussian L-filter of ISO 16610-61), and rate the rest.
 
     Parameters
     ----------
@@ -91,21 +91,21 @@ def areal_roughness(
     pitch_mm : float
         Distance of the grid's nodes.
     nesting_mm : float
-        Nesting index of the L-filter: half of a wave this long passes into the roughness.
+        Nesting index of the L-filter: of a wave this long 50 % passes into the roughness.
 
     Raises
     ------
     FitError : too few heights, or a nesting index below two pitches or above ten fields
     """
-    z, kept = np.asarray(z_mm, np.float64), np.asarray(valid, bool)
+    z, has_height = np.asarray(z_mm, np.float64), np.asarray(valid, bool)
     longest_mm = _LONGEST_NESTING * max(z.shape) * pitch_mm
     if not 2.0 * pitch_mm <= nesting_mm <= longest_mm:
         raise FitError(
             f"nesting_mm: found {nesting_mm:g}, allowed at least {2 * pitch_mm:g} (two pitches) "
-            f"and at most {longest_mm:g} (ten fields): a longer wave takes nothing off"
+            f"and at most {longest_mm:g} (ten fields): a longer wave has no effect"
         )
     y, x = np.mgrid[: z.shape[0], : z.shape[1]] * pitch_mm
-    plane = flatness(np.column_stack([x[kept], y[kept], z[kept]])).plane
+    plane = flatness(np.column_stack([x[has_height], y[has_height], z[has_height]])).plane
     tilt = (
         plane.centroid_mm[2]
         - (
@@ -114,16 +114,16 @@ def areal_roughness(
         )
         / plane.normal[2]
     )
-    level = np.where(kept, z - tilt, 0.0)
-    rough = _without_waviness(level, kept, _SIGMA_OVER_NESTING * nesting_mm / pitch_mm)
+    level = np.where(has_height, z - tilt, 0.0)
+    rough = _without_waviness(level, has_height, _SIGMA_OVER_NESTING * nesting_mm / pitch_mm)
     return ArealRoughness(float(np.mean(np.abs(rough))), rms(rough), float(np.ptp(rough)))
 
 
-def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> FloatArray:
-    """Heights less their Gaussian mean, where half of the filter's weight lies on heights."""
-    weight = gaussian_filter(kept.astype(np.float64), sigma_px, mode="constant")
+def _without_waviness(level: FloatArray, has_height: FloatArray, sigma_px: float) -> FloatArray:
+    """Heights less their Gaussian mean, where at least 50 % of the filter's weight has heights."""
+    weight = gaussian_filter(has_height.astype(np.float64), sigma_px, mode="constant")
     wave = gaussian_filter(level, sigma_px, mode="constant") / np.maximum(weight, 1e-12)
-    rated = kept & (weight >= _LEAST_SUPPORT)
+    rated = has_height & (weight >= _LEAST_SUPPORT)
     rough: FloatArray = (level - wave)[rated]
     if not rough.size:
         raise FitError("roughness: no height has enough neighbours; take a smaller nesting_mm")
@@ -133,7 +133,7 @@ def _without_waviness(level: FloatArray, kept: FloatArray, sigma_px: float) -> F
 _LEAST_POINTS = 5
 _MOST_LINE_FITS = 10
 _STEPS_PER_SIGMA = 4
-# Of the fastest change of slope on a side: what counts as an edge, and not as texture.
+# Of the fastest change of slope on a side: the least that is an edge, not texture.
 _STRONG = 0.5
 _REACH_STEPS = 4 * _STEPS_PER_SIGMA
 
@@ -176,13 +176,13 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
     """Fit z = a + b s + h d(s) to a profile with a ridge or groove between two edges.
 
     d is 1 over the middle third of the width W between the edges and 0 over the two stretches that
-    begin W / 3 outside of them and are 2 W / 3 long (ISO 5436-1, 7.2); what lies between is left
-    out. Outliers are left out of a second fit.
+    start W / 3 outside of them and are 2 W / 3 long (ISO 5436-1, 7.2); the points between them are
+    not used. Outliers are excluded from a second fit.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-        Positions along the profile and heights; points without height are left out beforehand.
+        Positions along the profile and heights; points without height are removed beforehand.
     left_mm, right_mm : float
         The edges.
 
@@ -200,18 +200,18 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
             raise FitError(f"step height: {part.sum()} points on the {name} stretch, 5 needed")
     used = inside | before | after
     design = np.column_stack([np.ones_like(s), s, inside.astype(np.float64)])[used]
-    found = fit_heights(design, z[used], most_fits=_MOST_LINE_FITS)
-    residuals = z[used] - design @ found.shape
-    return StepHeight(float(found.shape[2]), rms(residuals[found.inliers]))
+    fit = fit_heights(design, z[used], most_fits=_MOST_LINE_FITS)
+    residuals = z[used] - design @ fit.shape
+    return StepHeight(float(fit.shape[2]), rms(residuals[fit.inliers]))
 
 
 def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWidth:
-    """Measure a bar on a level ground: where the profile crosses `fraction` of its height.
+    """Measure a bar on a level ground between its crossings of `fraction` of its height.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-        Positions, growing, and heights.
+        Positions, ascending, and heights.
     fraction : float
         Between 0 and 1; half the height by default.
 
@@ -236,32 +236,32 @@ def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWid
 def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
     """Measure a crest between the breaks of its slope, where it bends most.
 
-    On either side the place in the upper half of the crest at which the downward curvature
-    -z'' / (1 + z'^2)^(3/2) of the profile, smoothed by a Gaussian, is strongest: the upper edge of
+    On either side the position in the upper half of the crest at which the downward curvature
+    -z'' / (1 + z'^2)^(3/2) of the profile, smoothed by a Gaussian, is largest: the upper edge of
     a trapezoid, up to one sigma inside of steep ones. A round crest has no such edge and
     no break width.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-        Positions, growing, and heights.
+        Positions, ascending, and heights.
     sigma_mm : float
         Standard deviation of the Gaussian.
 
     Raises
     ------
-    FitError : the profile does not bend down on both sides of its middle, or its bends are nearer
-        to each other than sigma_mm, as on a round crest
+    FitError : the profile does not bend down on both sides of its middle, or the distance of its
+        bends is less than sigma_mm, as on a round crest
     """
     return _width_between_bends(s_mm, z_mm, sigma_mm, _curvature)
 
 
 def slope_change_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
-    """Measure a crest between the places where its slope changes fastest; as `break_width`.
+    """Measure a crest between the positions where its slope changes fastest; as `break_width`.
 
-    There -z'' of the smoothed profile is strongest: the upper edge of a trapezoid, however steep.
-    Where a sheet hangs over the flanks and falls a second time, the first edge counts: from the
-    middle outward the first summit of -z'' that has at least half of its largest value.
+    There -z'' of the smoothed profile is largest: the upper edge of a trapezoid of any steepness.
+    If a sheet spans free over the flanks and bends a second time, the first edge is used: from the
+    middle outward the first maximum of -z'' that is at least 50 % of its largest value.
     """
     return _width_between_bends(s_mm, z_mm, sigma_mm, _slope_change, _first_strong)
 
@@ -282,7 +282,7 @@ def _width_between_bends(
     ground, top = float(np.median(np.sort(z)[: s.size // 3])), float(z.max())
     upper = heights >= (ground + top) / 2
     down = np.where(upper, -bend(heights, step), 0.0)
-    # The Gaussian sees a level ground beyond both ends, towards which they bend.
+    # The Gaussian continues both ends by a level ground, towards which they bend.
     down[:_REACH_STEPS] = down[-_REACH_STEPS:] = 0.0
     middle = int(np.flatnonzero(upper)[[0, -1]].mean())
     left, right = middle - 1 - pick(down[:middle][::-1]), middle + pick(down[middle:])
@@ -291,14 +291,14 @@ def _width_between_bends(
     ends = _summit(even, down, left), _summit(even, down, right)
     if ends[1] - ends[0] < sigma_mm:
         raise FitError(
-            f"break width: the crest is round: its bends are {max(ends[1] - ends[0], 0.0):.3f} mm "
-            f"apart, which a filter of {sigma_mm:g} mm does not resolve"
+            f"break width: the crest is round: the distance of its bends is "
+            f"{max(ends[1] - ends[0], 0.0):.3f} mm, less than the {sigma_mm:g} mm of the filter"
         )
     return BarWidth(ends[1] - ends[0], top - ground, *ends)
 
 
 def _first_strong(outward: FloatArray) -> int:
-    """Index of the first local maximum that is strong; the largest value's where none is."""
+    """Index of the first local maximum that is strong; of the largest value without such."""
     higher = np.r_[False, outward[1:-1] >= np.maximum(outward[:-2], outward[2:]), False]
     strong = np.flatnonzero(higher & (outward >= _STRONG * outward.max()))
     return int(strong[0]) if strong.size else int(np.argmax(outward))
@@ -326,6 +326,6 @@ def _slope_change(z: FloatArray, step: float) -> FloatArray:
 
 
 def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:
-    """Position between samples `at` and `at + 1` where z takes a level."""
+    """Position between samples `at` and `at + 1` where z crosses a level."""
     share = (level - z[at]) / (z[at + 1] - z[at])
     return float(s[at] + share * (s[at + 1] - s[at]))

@@ -1,4 +1,4 @@
-"""Balls, cylinders and linear shapes through points of which some are outliers; mm."""
+"""Balls, cylinders and linear shapes from points with outliers; mm."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from reconstruction.evaluate.fit import (
     spread,
 )
 
-# The first scale comes from a fit that outliers have pulled off: it is taken anew once.
+# The first scale is from a fit that outliers have biased: it is computed again once.
 _SOFT_TURNS = 2
 _LEAST_POINTS = 20
 
@@ -81,10 +81,10 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
         return radial_mm(np.append(sphere.centre_mm, sphere.radius_mm), points)
 
     first = inliers(radial_mm(parameters, points))
-    found = fit_inliers(lambda used: fit_sphere(points[used]), radial, first)
-    ball, kept = found.shape, found.fitted
-    sigma_mm = _radius_sigma_mm(points[kept], ball.centre_mm, ball.residuals_mm)
-    return BallFit(ball.centre_mm, ball.radius_mm, sigma_mm, ball.residuals_mm, kept)
+    fit = fit_inliers(lambda used: fit_sphere(points[used]), radial, first)
+    ball, fitted = fit.shape, fit.fitted
+    sigma_mm = _radius_sigma_mm(points[fitted], ball.centre_mm, ball.residuals_mm)
+    return BallFit(ball.centre_mm, ball.radius_mm, sigma_mm, ball.residuals_mm, fitted)
 
 
 def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
@@ -92,7 +92,7 @@ def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
     parameters = start
     for _ in range(_SOFT_TURNS):
         scale_mm = max(spread(radial_mm(parameters, points)), 1e-9)
-        found = least_squares(
+        solution = least_squares(
             radial_mm,
             parameters,
             radial_jacobian,
@@ -101,7 +101,7 @@ def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
             f_scale=scale_mm,
             x_scale="jac",
         )
-        parameters = np.asarray(found.x)
+        parameters = np.asarray(solution.x)
     return parameters
 
 
@@ -112,10 +112,10 @@ def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: Fl
         raise FitError(f"ball: {len(points)} points are left without outliers, 5 needed")
     away = points - centre_mm
     normals = away / np.linalg.norm(away, axis=1, keepdims=True)
-    # The radius' variance is what of the ones is not a mixture of the normals' components.
+    # The radius' variance is from the part of the ones orthogonal to the normals' components.
     ones = np.ones(len(points))
-    alone = ones - normals @ np.linalg.lstsq(normals, ones, rcond=None)[0]
-    return float(np.sqrt(residuals_mm @ residuals_mm / freedom / (alone @ alone)))
+    orthogonal = ones - normals @ np.linalg.lstsq(normals, ones, rcond=None)[0]
+    return float(np.sqrt(residuals_mm @ residuals_mm / freedom / (orthogonal @ orthogonal)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,15 +167,15 @@ def fit_cylinder(points_mm: ArrayLike, axis: ArrayLike) -> CylinderFit:
     local = (points - centroid) @ frame.T
     scale = max(spread(local[:, 2] - np.median(local[:, 2])), 1e-6)
     rough = _solve(local, _start(local), "soft_l1", 0.1 * scale)
-    kept = inliers(_from_axis(rough, local))
-    fine = _solve(local[kept], rough, "linear", 1.0)
+    used = inliers(_from_axis(rough, local))
+    fine = _solve(local[used], rough, "linear", 1.0)
     direction, foot = _axis_of(fine)
     return CylinderFit(
         point_mm=centroid + foot @ frame,
         axis=_upright(direction @ frame),
         radius_mm=float(abs(fine[4])),
-        residuals_mm=_from_axis(fine, local[kept]),
-        kept=kept,
+        residuals_mm=_from_axis(fine, local[used]),
+        kept=used,
     )
 
 
@@ -196,10 +196,10 @@ def _start(local: FloatArray) -> FloatArray:
 
 
 def _solve(local: FloatArray, start: FloatArray, loss: str, scale_mm: float) -> FloatArray:
-    found = least_squares(_from_axis, start, args=(local,), loss=loss, f_scale=scale_mm)
-    if not found.success:
-        raise FitError(f"the cylinder fit does not converge ({found.message})")
-    return np.asarray(found.x)
+    solution = least_squares(_from_axis, start, args=(local,), loss=loss, f_scale=scale_mm)
+    if not solution.success:
+        raise FitError(f"the cylinder fit does not converge ({solution.message})")
+    return np.asarray(solution.x)
 
 
 def _axis_of(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -237,7 +237,7 @@ def fit_heights(
     """
     return fit_inliers(
         lambda used: np.asarray(np.linalg.lstsq(design[used], z_mm[used], rcond=None)[0]),
-        lambda found: np.asarray(z_mm - design @ found),
+        lambda parameters: np.asarray(z_mm - design @ parameters),
         np.ones(len(z_mm), bool) if first is None else first,
         judge,
         most_fits,

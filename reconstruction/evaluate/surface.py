@@ -1,7 +1,7 @@
-"""The measured surface as other programs take it: height map on a grid, triangle mesh, files.
+"""The measured surface for further programs: height map on a grid, triangle mesh, files.
 
-A cell's height is the mean world z of the valid points in it; a cell without a point has none. No
-interpolation, so nothing is shown that was not measured.
+A cell's height is the mean world z of the valid points in it; a cell without a point has none.
+There is no interpolation, so every height was measured.
 """
 
 import json
@@ -84,17 +84,17 @@ def _typical_distance_mm(points: PointMap) -> float:
     world, both = points.points_world_mm, points.valid[:, 1:] & points.valid[:, :-1]
     if not both.any():
         raise InputError("height map: no two neighbouring points; give the pitch")
-    apart = (world[:, 1:, :2] - world[:, :-1, :2])[both]
-    return float(np.median(np.hypot(apart[:, 0], apart[:, 1])))
+    difference = (world[:, 1:, :2] - world[:, :-1, :2])[both]
+    return float(np.median(np.hypot(difference[:, 0], difference[:, 1])))
 
 
 def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
     """Write as netCDF-4 with coordinates x and y, mm."""
-    told = {"units": "mm", "long_name": "mean world z of the points in the cell"}
+    height = {"units": "mm", "long_name": "mean world z of the points in the cell"}
     valid = {"units": "1", "long_name": "1 where there is a height"}
     arrays = LabelledArrays(
         {
-            "z_mm": (("y", "x"), heights.z_mm, told),
+            "z_mm": (("y", "x"), heights.z_mm, height),
             "valid": (("y", "x"), heights.valid.astype(np.uint8), valid),
         },
         coords={
@@ -107,7 +107,7 @@ def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
 
 
 def write_height_png(path: Path, heights: HeightGrid) -> None:
-    """Write as 16-bit PNG, and beside it PATH.json with the scale: z = first + step (level - 1)."""
+    """Write as 16-bit PNG, and PATH.json with the scale: z = first + step (level - 1)."""
     z = heights.z_mm[heights.valid].astype(np.float64)
     first, step = float(z.min()), max(float(np.ptp(z)) / (_PNG_LEVELS - 1), 1e-9)
     level = np.rint((heights.z_mm - first) / step) + 1
@@ -189,12 +189,12 @@ def _edges_mm(
     """
     x, y, z = np.ascontiguousarray(np.moveaxis(world_mm, -1, 0))
 
-    def apart(one: Any, other: Any) -> FloatImage:
-        squares = ((values[one] - values[other]) ** 2 for values in (x, y, z))
+    def distance(first: Any, second: Any) -> FloatImage:
+        squares = ((values[first] - values[second]) ** 2 for values in (x, y, z))
         return np.asarray(np.sqrt(sum(squares, start=np.float32(0.0))))
 
-    down, right = apart(np.s_[1:], np.s_[:-1]), apart(np.s_[:, 1:], np.s_[:, :-1])
-    across = apart(np.s_[1:, :-1], np.s_[:-1, 1:])
+    down, right = distance(np.s_[1:], np.s_[:-1]), distance(np.s_[:, 1:], np.s_[:, :-1])
+    across = distance(np.s_[1:, :-1], np.s_[:-1, 1:])
     sides = [
         ((down[:, :-1], across, right[:-1]), upper),
         ((down[:, 1:], across, right[1:]), lower),

@@ -1,4 +1,4 @@
-"""Reference ball presses: where a ball touches, and which colour goes with which slope.
+"""Reference ball presses: contact circle of a ball, and samples of colour and slope.
 
 A ball of radius R pressed into the gel from behind shows the camera h = sqrt(R^2 - r^2) + const
 within the circle of contact: dh/dx = -x / sqrt(R^2 - r^2), x and r measured from its centre.
@@ -18,19 +18,20 @@ from reconstruction.photometric.images import GROWTH_PX, checked_image, find_mar
 SMOOTHING_PX = 5
 SECTORS = 72
 ROUNDS = 3
-# Share of the ring's typical contrast below which a direction shows no edge (no lamp on that side).
+# Share of the ring's typical contrast below which a direction has no edge (no lamp on that side).
 LEAST_CONTRAST = 0.35
-# Directions that miss the fitted circle by more than this many robust sigmas are left out.
+# Directions with a residual of more than this many robust sigmas are excluded.
 OUTLIER_SIGMAS = 2.5
 SIGMA_PER_MAD = 1.4826
-# Left out inside the circle: its radius is uncertain by a few pixels (published practice: 4 px).
+# Margin inside the circle: its radius is uncertain by a few pixels (published practice: 4 px).
 RIM_PX = 4.0
-# Untouched pixels per touched one: enough that untouched gel comes out flat (published practice).
+# Undeformed pixels per pixel in contact: makes undeformed gel flat (published practice).
 UNTOUCHED_SHARE = 0.2
 UNTOUCHED_RADII = 2.5
-# Contact radius over ball radius beyond which a press is refused: slope 2.1, no gel follows that.
+# Largest ratio of contact radius to ball radius: slope 2.1, more than any gel follows.
 LARGEST_SINE = 0.9
-# Below it slopes are under 0.1: no press calibrates, so that ball or pitch has another unit.
+# Least such ratio: below it slopes are under 0.1, too small for a calibration press, so that the
+# ball's diameter or the pitch must be in another unit.
 SMALLEST_SINE = 0.1
 
 Part = tuple[FloatImage, FloatImage, FloatArray, FloatArray]
@@ -38,7 +39,7 @@ Part = tuple[FloatImage, FloatImage, FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class ContactCircle:
-    """Circle in pixels; centres of pixels have whole coordinates."""
+    """Circle in pixels; centres of pixels have integer coordinates."""
 
     row_px: float
     col_px: float
@@ -53,18 +54,18 @@ def find_contact_circle(
     Parameters
     ----------
     image, background : (row, col, 3), 8-bit levels
-    threshold_levels : Euclidean colour difference that tells touched from untouched gel
+    threshold_levels : Euclidean colour difference that separates contact from undeformed gel
 
     Raises
     ------
-    FitError : nothing touched, or no circle
+    FitError : no pixel in contact, or no circle
 
     Notes
     -----
-    The largest region above the threshold, holes closed, gives a first circle; it includes the
-    skirt that the gel forms around the ball. The slope of a ball grows up to the edge of contact
-    and drops beyond it, so in every direction the colour difference peaks there: a circle is
-    fitted to these peaks, outliers left out, until it stays.
+    The largest region above the threshold, with holes closed, gives a first circle; it includes
+    the skirt that the gel forms around the ball. The slope of a ball increases up to the edge of
+    contact and drops outside it, so the colour difference has a peak there in every direction. A
+    circle is fitted to these peaks, without outliers, until it converges.
     """
     difference = cv2.GaussianBlur(
         np.linalg.norm(image.astype(np.float32) - background, axis=2), (0, 0), SMOOTHING_PX / 3.0
@@ -107,24 +108,24 @@ def _refined(difference: FloatImage, circle: ContactCircle) -> ContactCircle:
     rays = cv2.remap(difference, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     peak = np.argmax(rays, axis=1)
     height = rays[np.arange(SECTORS), peak]
-    # A ray without a peak of its own rises to the end: the edge lies elsewhere or outside.
+    # If a ray has its maximum at its end, the edge is elsewhere or outside the image.
     clear = (height > LEAST_CONTRAST * np.median(height)) & (peak > 0) & (peak < len(radii) - 1)
     at = np.arange(SECTORS)[clear], peak[clear]
     return _robust_circle(np.column_stack([rows[at], cols[at]]))
 
 
 def _robust_circle(points: FloatArray) -> ContactCircle:
-    kept = points
+    used = points
     for _ in range(3):
-        if len(kept) < SECTORS // 4:
+        if len(used) < SECTORS // 4:
             raise FitError(
-                f"no contact circle: an edge shows in {len(kept)} of {SECTORS} directions only; "
+                f"no contact circle: {len(used)} of {SECTORS} directions have an edge; "
                 "press one ball, centred in the field"
             )
-        circle = _circle_through(kept)
+        circle = _circle_through(used)
         off_px = np.hypot(points[:, 0] - circle.row_px, points[:, 1] - circle.col_px)
         off_px = np.abs(off_px - circle.radius_px)
-        kept = points[off_px <= OUTLIER_SIGMAS * SIGMA_PER_MAD * np.median(off_px) + 0.5]
+        used = points[off_px <= OUTLIER_SIGMAS * SIGMA_PER_MAD * np.median(off_px) + 0.5]
     return circle
 
 
@@ -152,16 +153,16 @@ class BallPress:
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """How calibration images are read.
+    """Options for reading calibration images.
 
     Parameters
     ----------
-    threshold_levels : colour difference that tells touched from untouched gel
+    threshold_levels : colour difference that separates contact from undeformed gel
     smoothing_px : side of the square over which colours are averaged; odd, 1 for none
-    marker_level : grey level up to which a pixel is a printed dot (70 in the vendor's programs) and
-        left out; 0 where the gel has no dots
-    unreadable_share : share of the images that may lack a contact circle and are left out then, as
-        one would press again; 0: every image must have one
+    marker_level : largest grey level of a printed dot (70 in the vendor's programs), which is
+        excluded; 0 for a gel without dots
+    unreadable_share : share of the images that may have no contact circle; they are excluded.
+        0: every image must have one
 
     Raises
     ------
@@ -189,7 +190,7 @@ class Samples:
     Parameters
     ----------
     levels : (n, 3) float32, smoothed 8-bit levels, red first
-    background : (n, 3) float32, untouched levels at the same pixels
+    background : (n, 3) float32, levels of the undeformed gel at the same pixels
     places_px : (n, 2) float, row and column
     slopes : (n, 2) float, mm/mm, along rows and along columns
     """
@@ -215,19 +216,19 @@ def sample_presses(
     pitch_mm: float,
     options: SampleOptions | None = None,
 ) -> Samples:
-    """Collect the pixels inside the contacts, and some untouched ones with slope 0.
+    """Collect the pixels inside the contacts, and some undeformed ones with slope 0.
 
     Parameters
     ----------
     presses : images of the shape of `background`
-    background : (row, col, 3) float32, mean of untouched images
+    background : (row, col, 3) float32, mean of images of the undeformed gel
     pitch_mm : distance of neighbouring pixels on the surface
 
     Raises
     ------
     InputError : an image of another shape, a number out of range
-    FitError : no circle in an image (its number is named), or none that fits its ball, in more
-        images than `options.unreadable_share` allows
+    FitError : no circle in an image (the message has its number), or none that fits its ball, in
+        more images than `options.unreadable_share` allows
     """
     require_number("pitch_mm", pitch_mm, 0.0, open_low=True)
     how, parts = options or SampleOptions(), list[Part]()
@@ -266,7 +267,7 @@ def _require_fit(contact_mm: float, ball_radius_mm: float) -> None:
 
 
 def _places(circle: ContactCircle, visible: BoolImage) -> tuple[FloatArray, FloatArray]:
-    """Return the pixels inside the contact and a few of the untouched ones, (n, 2) each."""
+    """Return the pixels inside the contact and a few undeformed ones, (n, 2) each."""
     row, col = np.ogrid[: visible.shape[0], : visible.shape[1]]
     distance_px = np.hypot(row - circle.row_px, col - circle.col_px)
     touched = (distance_px <= circle.radius_px - RIM_PX) & visible
@@ -276,9 +277,9 @@ def _places(circle: ContactCircle, visible: BoolImage) -> tuple[FloatArray, Floa
 
 
 def _thinned(places_px: FloatArray, touched: int) -> FloatArray:
-    wanted = round(UNTOUCHED_SHARE * touched)
-    step = max(len(places_px) // wanted, 1) if wanted else len(places_px) + 1
-    return places_px[::step][:wanted]
+    count = round(UNTOUCHED_SHARE * touched)
+    step = max(len(places_px) // count, 1) if count else len(places_px) + 1
+    return places_px[::step][:count]
 
 
 def _part(

@@ -1,4 +1,4 @@
-"""From colour to slope: smooth polynomials, or the classic look-up table.
+"""Maps from colour to slope: smooth polynomials, or the classic look-up table.
 
 Polynomials in colour and place are fitted by ridge regression. With q = level / background - 1 per
 channel (vignetting and albedo cancel) and the tilt t = slope / sqrt(1 + |slope|^2), the horizontal
@@ -7,14 +7,14 @@ part of the unit normal:
     t = sum over a of q^a (sum over b of c_ab place^b),   1 <= |a| <= 3, |b| <= 3
 
 For Lambert's law and linear light the tilt is linear in q (Woodham 1980, Optical Engineering 19,
-139); the higher terms take up display gamma, soft shadows and crosstalk, the place the finite
-distance of the lamps. Without a term |a| = 0 untouched gel is flat whatever the coefficients.
-A closed-form fit: the same samples give the same bytes, and there is nothing to tune.
+139). The higher terms model display gamma, soft shadows and crosstalk; the place models the finite
+distance of the lamps. Without a term |a| = 0 undeformed gel is flat for any coefficients.
+The fit is in closed form: the same samples give the same bytes, without tuning.
 
-The RGB look-up table holds a mean slope for every bin of colour difference. As described for the
+The RGB look-up table has a mean slope for every bin of colour difference. As described for the
 published comparisons: colours minus the background are put in bins, the slopes of calibration
-pixels in a bin are averaged, empty bins take those of the nearest filled one. It knows nothing of
-the place in the image but what the flat-field factor says.
+pixels in a bin are averaged, empty bins get those of the nearest filled bin. The table depends on
+the place in the image only by the flat-field factor.
 """
 
 from collections.abc import Mapping
@@ -33,20 +33,20 @@ from reconstruction.photometric.calibration_ball import Samples
 
 COLOUR_DEGREE = 3
 PLACE_DEGREE = 3
-# Relative to features of unit RMS. Terms of colour alone are penalised far below the noise of 8-bit
-# levels; how they change over the image only as much as the presses show. Chosen on held-out
-# halves of 67 real presses: slope error 0.056 and 0.066, where a perceptron of two hidden layers of
-# 32 leaves 0.058 and 0.067.
+# Relative to features of unit RMS. The penalty of terms in colour only is far below the noise of
+# 8-bit levels. That of their variation over the image is larger, so that only variation shown by
+# the presses is fitted. Chosen on held-out halves of 67 real presses: slope error 0.056 and 0.066;
+# a perceptron with two hidden layers of 32 has 0.058 and 0.067.
 RIDGE = 1e-5
 RIDGE_OF_PLACE = 1e-2
 CHUNK = 8192
-# RMS of what a map leaves of the slopes it was fitted to, over their RMS: 0.02 to 0.15 for shaded
-# balls; 0.6 and more for grey images, which show how steep gel is but not in which direction.
+# Residual of a map for the slopes it was fitted to, over their RMS: 0.02 to 0.15 for shaded
+# balls; 0.6 and more for grey images, which show the steepness of gel but not its direction.
 MOST_UNEXPLAINED = 0.5
-# Colours may leave the calibrated range by this share of it.
+# Margin around the calibrated range of colours, as a share of it.
 SLACK = 0.1
 RANGE_PERCENT = (0.05, 99.95)
-# Horizontal part of a unit normal, at most: slope 3.
+# Largest horizontal part of a unit normal: slope 3.
 LARGEST_TILT = 0.95
 # Published practice: 90 bins per channel over differences of [-90, 90) levels; an empty bin counts
 # as calibrated within a squared distance of 20 bins from a filled one.
@@ -55,12 +55,12 @@ LOWEST_LEVELS = -90.0
 LEVELS_PER_BIN = 2.0
 FILL_DISTANCE = np.sqrt(20.0)
 # Weak background is amplified by 1 + 2 (mean / background - 1), published practice, here with the
-# median, which printed dots do not shift; the bound keeps a dead corner from becoming noise.
+# median, which printed dots do not shift; the limit prevents noise in a dark corner.
 LARGEST_FACTOR = 4.0
 
 
 def _exponents(variables: int, lowest: int, highest: int) -> tuple[tuple[int, ...], ...]:
-    """Return factor lists: (0, 0, 2) stands for q0 q0 q2; each extends an earlier one."""
+    """Return factor lists: (0, 0, 2) means q0 q0 q2; each extends an earlier one."""
     return tuple(
         factors
         for degree in range(lowest, highest + 1)
@@ -101,7 +101,7 @@ class ColourPolynomial:
             raise CaptureError("colour polynomial has an empty range of colours")
 
     def bound_to(self, background: FloatImage) -> "BoundPolynomial":
-        """Return the polynomial with what depends on the background only computed once."""
+        """Return the polynomial with the factors that depend on the background only."""
         rows, cols = background.shape[:2]
         places = np.indices((rows, cols), dtype=np.float64).reshape(2, -1).T
         terms = _products(_scaled(places, (rows, cols)), PLACE_TERMS)
@@ -110,7 +110,7 @@ class ColourPolynomial:
         return BoundPolynomial(self, inverse, maps.reshape(2, -1, rows, cols))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what to store."""
+        """Return the arrays to store."""
         return {
             "coefficients": self.coefficients,
             "lowest": self.lowest,
@@ -174,11 +174,11 @@ def fit_polynomial(samples: Samples, shape: tuple[int, int]) -> ColourPolynomial
 
 
 def _require_explained(slopes: FloatArray, fitted: FloatArray) -> None:
-    """Raise FitError if a map leaves more than half of the slopes (n, 2) it was fitted to."""
-    left, whole = (np.sqrt(np.mean(part**2)) for part in (slopes - fitted, slopes))
-    if not left <= MOST_UNEXPLAINED * whole:
+    """Raise FitError if a map's residual exceeds 50 % of the slopes (n, 2) it was fitted to."""
+    residual, whole = (np.sqrt(np.mean(part**2)) for part in (slopes - fitted, slopes))
+    if not residual <= MOST_UNEXPLAINED * whole:
         raise FitError(
-            f"the colours do not determine the slopes: {left / whole:.0%} of them are left (RMS), "
+            f"the colours do not determine the slopes: {residual / whole:.0%} remain (RMS), "
             f"allowed {MOST_UNEXPLAINED:.0%}; give colour images under lamps of three colours from "
             "three sides, presses of the balls that are named, and the background of this sensor"
         )
@@ -248,11 +248,11 @@ class ColourTable:
             raise CaptureError("colour table holds slopes that are not finite or no flags")
 
     def bound_to(self, background: FloatImage) -> "BoundTable":
-        """Return the table with what depends on the background only computed once."""
+        """Return the table with the factors that depend on the background only."""
         return BoundTable(self, background, _flat_field(background))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what to store."""
+        """Return the arrays to store."""
         return {"slopes": self.slopes, "known": self.known}
 
     @classmethod

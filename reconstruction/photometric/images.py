@@ -11,10 +11,10 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
 
 CHANNELS = ("red", "green", "blue")
-# How far dots are grown where nothing else is said: their rims are half dark.
+# Default growth of dots: their rims are half dark.
 GROWTH_PX = 2
-# Dots are narrower than this, 0.5 mm in radius at 0.0634 mm/px, and so much darker than the gel
-# beside them.
+# Dots are narrower than this, 0.5 mm in radius at 0.0634 mm/px, and darker than the adjacent gel
+# by this.
 WIDEST_PX, DOT_CONTRAST = 25, 0.8
 # Smoothings of filled slopes: enough for dots of 8 px radius (0.5 mm at 0.0634 mm/px), since the
 # nearest neighbours they start from are already right at the rim.
@@ -34,7 +34,7 @@ def checked_image(image: ArrayLike, name: str, shape: tuple[int, ...] | None = N
 
 
 def mean_background(images: ArrayLike) -> FloatImage:
-    """Return the mean of untouched images, (frame, row, col, 3) uint8, as float32 levels.
+    """Return the mean of images of the undeformed gel, (frame, row, col, 3) uint8, as float32.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def mean_background(images: ArrayLike) -> FloatImage:
 
 
 def smoothed(image: Levels | FloatImage, side_px: int) -> FloatImage:
-    """Return float32 levels averaged over a square of odd side; side 1 changes nothing."""
+    """Return float32 levels averaged over a square of odd side; side 1 copies the levels."""
     levels = image.astype(np.float32)
     if side_px == 1:
         return levels
@@ -59,15 +59,15 @@ def smoothed(image: Levels | FloatImage, side_px: int) -> FloatImage:
 def find_markers(
     levels: FloatImage, highest_level: float, grow_px: int, small: bool = False
 ) -> BoolImage:
-    """Return where the grey value is at most `highest_level`, grown by `grow_px`, (row, col).
+    """Return where the grey level is at most `highest_level`, grown by `grow_px`, (row, col).
 
-    Level 0 stands for a gel without dots.
+    Level 0 is for a gel without dots.
 
     Parameters
     ----------
     levels : (row, col, 3) float32, red first; grey = 0.299 R + 0.587 G + 0.114 B
-    small : leave out what is dark over more than a dot, such as the corners of the field, which the
-        lamps hardly reach; the vendor's programs do not
+    small : exclude dark areas larger than a dot, such as the corners of the field, which the
+        lamps hardly reach; the vendor's programs include them
     """
     if highest_level == 0:
         return np.zeros(levels.shape[:2], dtype=np.bool_)
@@ -83,7 +83,7 @@ def find_markers(
 
 
 def fill_nearest(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
-    """Replace hidden slopes by those of about the nearest visible pixel, as the vendor does."""
+    """Replace hidden slopes by approximately those of the nearest visible pixel, as the vendor."""
     if not hidden.any() or hidden.all():
         return slopes
     _, label = cv2.distanceTransformWithLabels(

@@ -1,7 +1,7 @@
-"""Heights from slopes: the correct Poisson solver, and the vendor's with their scale error.
+"""Heights from slopes: an exact Poisson solver, and the vendor's with their scale error.
 
 Height is positive towards the camera (an indentation is positive), row 0 at the top; slopes are
-(2, row, col) mm/mm, along rows (down) and along columns (right). Zero is where each scheme puts it.
+(2, row, col) mm/mm, along rows (down) and along columns (right). Each scheme sets its own zero.
 
 Steps between pixels: Poisson equation, solved exactly, and weighted least squares.
 
@@ -20,9 +20,9 @@ Direct analytical methods for solving Poisson equations in computer vision probl
 With weights: conjugate gradients, preconditioned by the fast solver. They minimise sum over edges
 of w (step of h - measured step)^2. Without weights the preconditioner is the solution. With holes
 (weight 0) the unknowns are the other pixels and the preconditioner is that of the fictitious
-domain: solve on the whole grid, keep the pixels that are there. The number of iterations then
+domain: solve on the whole grid, use the pixels outside the holes. The number of iterations then
 depends on the ratio of the weights and on the shape of the holes, hardly on the number of pixels: a
-height given around a hole continues into it with bounded energy.
+height field around a hole can be continued into it with bounded energy.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ def edge_steps(slopes: FloatArray, pitch_mm: float) -> tuple[FloatArray, FloatAr
 
 
 def sum_of_steps(row_steps: FloatArray, col_steps: FloatArray) -> FloatArray:
-    """Return D^T s, (M, N): steps that lead to a pixel minus steps that leave it."""
+    """Return D^T s, (M, N): steps into a pixel minus steps out of it."""
     rows, cols = col_steps.shape[0], row_steps.shape[1]
     total = np.zeros((rows, cols), dtype=row_steps.dtype)
     total[1:] += row_steps
@@ -121,8 +121,8 @@ class EdgeWeights:
 def edge_weights(weights: FloatArray) -> EdgeWeights:
     """Return the weight of a step from those of both pixels, (M, N).
 
-    A step is the mean of two slopes; with weights 1 / variance its own is proportional to the
-    harmonic mean, which also vanishes where one of the pixels is invalid.
+    A step is the mean of two slopes. With weights 1 / variance its own weight is proportional to
+    the harmonic mean, which is also 0 if one of the pixels is invalid.
     """
     return EdgeWeights(
         _harmonic_mean(weights[1:], weights[:-1]), _harmonic_mean(weights[:, 1:], weights[:, :-1])
@@ -143,7 +143,7 @@ def solve_weighted(
     """Return the heights that fit the steps best, (M, N), in the unit of the steps.
 
     Pixels of weight 0 get height 0. With a free border (neumann) the mean over the other pixels
-    is 0; parts that weight-0 pixels separate have each its own unknown constant.
+    is 0; each part separated by weight-0 pixels has its own unknown constant.
 
     Raises
     ------
@@ -222,16 +222,16 @@ def corrected(
     boundary: Boundary = "neumann",
     weights: ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the heights whose steps fit the slopes best in the (weighted) least-squares sense.
+    """Return the heights with steps nearest to the slopes, in (weighted) least squares.
 
     Parameters
     ----------
     slopes : (2, row, col) float, mm/mm
     pitch_mm : distance of neighbouring pixels on the surface
-    boundary : `neumann` leaves the border free and makes the mean 0; `dirichlet` holds the border
-        pixels at 0, which is right only where the gel is untouched there
+    boundary : `neumann` has a free border and mean 0; `dirichlet` fixes the border pixels at 0,
+        which is right only if the gel is undeformed there
     weights : (row, col) float >= 0, proportional to 1 / variance of the slopes; 0: ignore the
-        pixel, its height is returned as 0. None: all alike
+        pixel, its height is returned as 0. None: equal weights
 
     Returns
     -------
@@ -252,7 +252,7 @@ def corrected(
 
 
 def sdk_faithful(slopes: ArrayLike, pitch_mm: float, form: Form = "2025") -> FloatArray:
-    """Return what the vendor's Poisson step makes of the slopes, its wrong height scale included.
+    """Integrate slopes as the vendor's Poisson step does, including its wrong height scale.
 
     Parameters
     ----------
@@ -271,12 +271,12 @@ def sdk_faithful(slopes: ArrayLike, pitch_mm: float, form: Form = "2025") -> Flo
     Notes
     -----
     Written from the behaviour of the published programs, not from their code. The scheme is that
-    of `corrected` with a free border but for two deviations:
+    of `corrected` with a free border and two deviations:
 
     1. 2024 divides the central difference of the slopes by one pixel instead of two, which doubles
        all heights; 2025 takes a one-sided difference, which halves them again.
-    2. The eigenvalues are those of modes 1..N where modes 0..N-1 belong, and the mean's is not left
-       out: mode k comes out smaller by about (k / (k + 1))^2, so the wider a shape, the flatter.
+    2. The eigenvalues are those of modes 1..N instead of 0..N-1, and the mean's is not excluded:
+       mode k is reduced by about (k / (k + 1))^2, so wider shapes become flatter.
     """
     if form not in FORMS:
         raise InputError(f"form is {form!r}; give one of {', '.join(FORMS)}")
@@ -296,7 +296,7 @@ def _change(along_axis: FloatArray, form: Form) -> FloatArray:
 
 
 def _flow_through_border(along_row: FloatArray, along_col: FloatArray) -> FloatArray:
-    """Outward slope at the border, which an inhomogeneous Neumann condition takes off."""
+    """Return the outward slope at the border, subtracted for an inhomogeneous Neumann condition."""
     flow = np.zeros_like(along_row)
     flow[0] -= along_row[0]
     flow[-1] += along_row[-1]

@@ -1,4 +1,4 @@
-"""A picture of measured presses: needs Matplotlib, which measuring does not."""
+"""A picture of measured presses; requires Matplotlib, which the measurement does not."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,21 +13,21 @@ _ACROSS, _MOST = 4, 24
 
 
 def draw_heights(path: Path, heights: Mapping[str, HeightMap]) -> None:
-    """Draw height maps on one colour scale, mm; of more than 24, as many spread over all."""
+    """Draw height maps on one colour scale, mm; at most 24, evenly selected."""
     names = list(heights)
     if len(names) > _MOST:
         names = [names[k] for k in np.linspace(0, len(names) - 1, _MOST).astype(int)]
     shown = [heights[name] for name in names]
-    low = min(float(np.percentile(one.height_mm, 1.0)) for one in shown)
-    high = max(float(one.height_mm.max()) for one in shown)
+    low = min(float(np.percentile(height_map.height_mm, 1.0)) for height_map in shown)
+    high = max(float(height_map.height_mm.max()) for height_map in shown)
     across = min(_ACROSS, len(names))
     rows = -(-len(names) // across)
     drawing = Drawing(across, rows)
     places = drawing.subplots(rows, across, squeeze=False).ravel()
-    for place, name, one in zip(places, names, shown, strict=False):
-        rows_mm, cols_mm = (count * one.pitch_mm for count in one.height_mm.shape)
+    for place, name, height_map in zip(places, names, shown, strict=False):
+        rows_mm, cols_mm = (count * height_map.pitch_mm for count in height_map.height_mm.shape)
         extent = (-cols_mm / 2, cols_mm / 2, -rows_mm / 2, rows_mm / 2)
-        image = place.imshow(one.height_mm, vmin=low, vmax=high, extent=extent)
+        image = place.imshow(height_map.height_mm, vmin=low, vmax=high, extent=extent)
         place.set(title=name, xlabel="x (mm)", ylabel="y (mm)")
         drawing.colorbar(image, ax=place, label="height (mm)")
     for empty in places[len(names) :]:

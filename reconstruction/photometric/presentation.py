@@ -1,4 +1,4 @@
-"""A height map as a person meets it: as labelled arrays, and in pictures over x and y in mm."""
+"""Presentation of a height map: labelled arrays, and pictures over x and y in mm."""
 
 from typing import TYPE_CHECKING
 

@@ -1,10 +1,10 @@
-"""Presses of a photometric sensor as a small TOML file beside their images.
+"""Presses of a photometric sensor, described by a small TOML file next to their images.
 
     format = "photometric-press"
     version = 1
-    image = "coin.png"                         # what to measure; or images = ["coin_*.png"]
-    background = ["still_0.png", "still_1.png"]  # untouched; may be left out beside `calibration`
-    calibration = "mini.npz"                   # made before; or the table [calibrate]
+    image = "coin.png"                         # the press; or images = ["coin_*.png"]
+    background = ["still_0.png", "still_1.png"]  # undeformed gel; optional with `calibration`
+    calibration = "mini.npz"                   # existing file; or the table [calibrate]
 
     [calibrate]
     pitch_mm = 0.0634
@@ -12,7 +12,7 @@
     diameter_mm = 6.31
     images = ["ball_00.png", "ball_01.png"]
 
-    [frame]                                    # optional: how camera frames become images
+    [frame]                                    # optional: crop and resize of camera frames
     crop_share = 0.15
     width_px = 320
     height_px = 240
@@ -20,7 +20,7 @@
     [options]                                  # optional, see PhotometricOptions
     integration = "corrected"
 
-File names are relative to the folder of the description; `*` and `?` in them stand for any letters.
+File names are relative to the folder of the description; `*` and `?` in them match any letters.
 """
 
 from collections.abc import Mapping
@@ -76,7 +76,7 @@ class Balls:
 
 @dataclass(frozen=True)
 class Calibrate:
-    """What to calibrate on, and how; see `calibrate_sensor`."""
+    """Images and options of a calibration; see `calibrate_sensor`."""
 
     pitch_mm: float
     balls: tuple[Balls, ...]
@@ -102,7 +102,7 @@ class PressDescription:
     """Content of the file.
 
     Exactly one of `image` (a name) and `images` is given, and one of `calibration` (a file name)
-    and `calibrate`. `images` holds the one name, too.
+    and `calibrate`. `images` contains the single name, too.
     """
 
     image: str = ""
@@ -121,7 +121,7 @@ class PressDescription:
         if (self.calibration == "") == (self.calibrate is None):
             raise InputError("give either the key calibration (a file) or the table [calibrate]")
         if self.calibrate is not None and not self.background:
-            raise InputError("background is empty; [calibrate] needs images of the untouched gel")
+            raise InputError("background is empty; [calibrate] needs images of the undeformed gel")
 
 
 def read_press_description(path: Path | str) -> PressDescription:

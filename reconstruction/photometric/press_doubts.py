@@ -1,7 +1,7 @@
-"""What speaks against a calibration: another unit's, or another day's.
+"""Doubts on a calibration: whether it is of another unit or outdated.
 
-A colour map of another unit gives relief that looks plausible and is false by about 1 mm, with not
-one pixel out of its range: nothing in the heights themselves tells.
+A colour map of another unit gives relief that looks plausible but has errors of about 1 mm, with no
+pixel out of its range: the heights themselves do not show it.
 """
 
 import cv2
@@ -13,55 +13,59 @@ from reconstruction.photometric.sensor import HeightMap, UntouchedGel
 
 # Backgrounds of two units differ by some 15 %, of one unit within a session by 0.5 %.
 SAME_UNIT = 0.05
-# On presses of a real sensor untouched gel drifts by 50 to 63 um RMS.
+# On presses of a real sensor undeformed gel drifts by 50 to 63 um RMS.
 LARGEST_DRIFT_MM = 0.2
 _SMOOTHING_PX = 8.0
 
 
 def background_difference(own: FloatImage, given: FloatImage) -> float:
-    """Return how far two backgrounds (row, col, 3) differ, RMS over their mean level.
+    """Return the difference of two backgrounds (row, col, 3), RMS over their mean level.
 
-    Of the light alone: noise and texture are smoothed away.
+    Compares the light only: noise and texture are removed by smoothing.
     """
-    one, other = (cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX) for image in (own, given))
-    return float(np.sqrt(np.mean((one - other) ** 2)) / max(float(one.mean()), 1.0))
+    own_light, given_light = (
+        cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX) for image in (own, given)
+    )
+    return float(
+        np.sqrt(np.mean((own_light - given_light) ** 2)) / max(float(own_light.mean()), 1.0)
+    )
 
 
 def untouched_drift_mm(height_map: HeightMap, untouched: BoolImage) -> float | None:
-    """Return the RMS height of untouched gel, whose true height is 0; None where there is none."""
+    """Return the RMS height of undeformed gel, which should be 0; None without such gel."""
     if untouched.mean() < LEAST_SHARE:
         return None
     return float(np.sqrt(np.mean(height_map.height_mm[untouched].astype(np.float64) ** 2)))
 
 
 def doubts_of_background(own: FloatImage, given: FloatImage) -> tuple[str, ...]:
-    """Tell whether a background may be of another unit than the calibration's own."""
+    """Return a message if a background may be of another unit than the calibration's own."""
     difference = background_difference(own, given)
     if difference <= SAME_UNIT:
         return ()
     return (
-        f"background: differs by {difference:.0%} from the one that the calibration was made with; "
+        f"background: differs by {difference:.0%} from that of the calibration; "
         "another unit's calibration gives false relief: calibrate this unit",
     )
 
 
 def doubts_of_image(height_map: HeightMap, untouched: UntouchedGel) -> tuple[str, ...]:
-    """Tell whether untouched gel is missing, has another light, or shows relief."""
+    """Return messages if undeformed gel is missing, has other light, or has relief."""
     drift_mm = untouched_drift_mm(height_map, untouched.where)
     if drift_mm is None:
         return (
             f"image: {untouched.where.mean():.1%} of it has the colour of the background; heights "
             "have no zero, and background or calibration may be of another unit",
         )
-    found = []
+    doubts = []
     if untouched.light_change > SAME_UNIT:
-        found.append(
+        doubts.append(
             f"image: its light differs by {untouched.light_change:.0%} from the background's, more "
             "than lamps drift; the background may be of another unit"
         )
     if drift_mm > LARGEST_DRIFT_MM:
-        found.append(
-            f"image: untouched gel shows {1e3 * drift_mm:.0f} um of relief (RMS); take a new "
+        doubts.append(
+            f"image: undeformed gel has {1e3 * drift_mm:.0f} um of relief (RMS); take a new "
             "background, or calibrate again"
         )
-    return tuple(found)
+    return tuple(doubts)

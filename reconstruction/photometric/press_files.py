@@ -1,4 +1,4 @@
-"""Measure from files: the presses that a description names (`press_description`), and the results.
+"""Measure from files: the presses of a description (`press_description`), and the results.
 
 One calibration serves all presses of a description.
 """
@@ -40,14 +40,14 @@ from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes
 
 @dataclass(frozen=True, eq=False)
 class PhotometricResult:
-    """One press, measured.
+    """Measurement of one press.
 
     Parameters
     ----------
     image : (row, col, 3), as decoded
-    calibration : it was measured with, to be kept for the next
-    untouched : what it shows of gel that nothing touches
-    doubts : a line each: what speaks against this calibration
+    calibration : used for it, with the current background, for the next presses
+    untouched : the undeformed gel in the image
+    doubts : one line per reason to doubt this calibration
     """
 
     image: Levels
@@ -64,7 +64,7 @@ class DescribedPresses:
     Parameters
     ----------
     files : their images
-    doubts : a line each: what speaks against the calibration, whatever is pressed
+    doubts : one line per reason to doubt the calibration, independent of the presses
     """
 
     files: tuple[Path, ...]
@@ -84,8 +84,8 @@ class DescribedPresses:
             height_map, untouched = self.decoder.decode(image), self.decoder.untouched(image)
         except InputError as error:
             raise CaptureError(f"{file}: {error}") from error
-        found = self.doubts + doubts_of_image(height_map, untouched)
-        return PhotometricResult(image, self.decoder.calibration, height_map, untouched, found)
+        doubts = self.doubts + doubts_of_image(height_map, untouched)
+        return PhotometricResult(image, self.decoder.calibration, height_map, untouched, doubts)
 
 
 def described_presses(description_file: Path | str) -> DescribedPresses:
@@ -93,7 +93,7 @@ def described_presses(description_file: Path | str) -> DescribedPresses:
 
     Raises
     ------
-    InputError : a file is missing or damaged, images that do not fit each other, no contact found
+    InputError : a file is missing or damaged, images that do not fit each other, or no contact
     """
     path = Path(description_file)
     described = read_press_description(path)
@@ -117,11 +117,11 @@ def reconstruct_photometric(description_file: Path | str) -> PhotometricResult:
 
 
 def _files(folder: Path, names: Names) -> list[Path]:
-    """Return the named files; patterns stand for what they match, sorted by name."""
-    found: list[Path] = []
+    """Return the named files; a pattern gives the matching files, sorted by name."""
+    files: list[Path] = []
     for name in names:
         if not set(name) & set("*?"):
-            found.append(folder / name)
+            files.append(folder / name)
             continue
         try:
             matching = sorted(folder.glob(name))
@@ -131,14 +131,14 @@ def _files(folder: Path, names: Names) -> list[Path]:
             raise CaptureError(
                 f"{folder / name}: matches no file; give names of images in {folder}"
             )
-        found += matching
-    return found
+        files += matching
+    return files
 
 
 def _calibration(
     folder: Path, press: PressDescription
 ) -> tuple[SensorCalibration, tuple[str, ...]]:
-    """Return the calibration with the background of the day, and what speaks against it."""
+    """Return the calibration with the current background, and the doubts on it."""
     background = _read_all(folder, press.background, press.frame)
     if press.calibrate is not None:
         return _calibrated(folder, press.calibrate, press.frame, background), ()
@@ -191,14 +191,16 @@ def read_rgb(path: Path, frame: Framing | None = None) -> Levels:
     except (InputError, cv2.error) as error:
         raise CaptureError(f"{path}: cannot be read as an image ({one_line(error)})") from error
     if stored is None or stored.dtype != np.uint8 or stored.ndim != 3 or stored.shape[2] != 3:
-        found = "no image" if stored is None else f"{stored.dtype} {stored.shape}"
-        raise CaptureError(f"{path}: holds {found}; give an 8-bit colour image without alpha")
+        stored_format = "no image" if stored is None else f"{stored.dtype} {stored.shape}"
+        raise CaptureError(
+            f"{path}: holds {stored_format}; give an 8-bit colour image without alpha"
+        )
     levels: Levels = np.ascontiguousarray(stored[..., ::-1])  # OpenCV's order is blue first
     return levels if frame is None else framed(levels, frame)
 
 
 def framed(image: Levels, frame: Framing) -> Levels:
-    """Cut `crop_share` off each side, then average down to the size asked for."""
+    """Cut `crop_share` off each side, then average down to the target size."""
     rows, cols = image.shape[:2]
     top, left = int(rows * frame.crop_share), int(cols * frame.crop_share)
     cut = np.ascontiguousarray(image[top : rows - top, left : cols - left])
@@ -214,17 +216,17 @@ def write_height_map(path: Path | str, height_map: HeightMap) -> None:
 
 
 def read_height_map(path: Path | str) -> HeightMap:
-    """Read what `write_height_map` wrote.
+    """Read a file of `write_height_map`.
 
     Raises
     ------
     CaptureError : missing or damaged file, or a map is missing
     """
-    found = read_maps(path)
+    stored = read_maps(path)
     try:
-        maps = {name: found[name] for name in (*SLOPES, "height_mm", "mask_reason")}
+        maps = {name: stored[name] for name in (*SLOPES, "height_mm", "mask_reason")}
         slopes = np.stack([maps[name] for name in SLOPES])
-        pitch_mm = float(found.attrs["pitch_mm"])
+        pitch_mm = float(stored.attrs["pitch_mm"])
         return HeightMap(maps["height_mm"], slopes, maps["mask_reason"], pitch_mm)
     except KeyError as error:
         raise CaptureError(f"{path}: no height map: {error} is missing") from error

@@ -1,10 +1,10 @@
 """The light of one press against that of the background.
 
-A lamp whose flux has changed multiplies a channel's levels by one factor everywhere (a power law of
-the display keeps it a factor), and a row of LEDs that changed by parts by one that varies slowly
-over the image. Left alone it passes for slope, and integration turns it into relief: on 67 presses
-of a real sensor the height of untouched gel drifts by 50 to 63 um RMS, and by 28 to 35 where each
-channel's factor is fitted over untouched gel by a quadratic of the place.
+If a lamp's flux changes, a channel's levels change by one factor everywhere (also with a power law
+of the display). If some LEDs of a row change, the factor varies slowly over the image. Without
+correction the change is read as slope, and integration converts it to relief: on 67 presses of a
+real sensor the height of undeformed gel drifts by 50 to 63 um RMS. It drifts by 28 to 35 um if each
+channel's factor is fitted over undeformed gel by a quadratic of the place.
 """
 
 import cv2
@@ -12,18 +12,18 @@ import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 
-# Of untouched pixels a sixteenth is enough to know six numbers.
+# 1/16 of the undeformed pixels is enough for six numbers.
 EVERY = 4
-# Beside contact the gel is bent by less than the threshold of touched gel sees, and still tilted.
+# Next to a contact the gel is tilted, but its colour differs by less than the contact threshold.
 SKIRT_PX = 16
-# Regions of touched gel smaller than this are noise, or a speck.
+# Smaller regions above the threshold are noise, or a speck.
 SPECK_PX = 3
-# Below this share of the image untouched gel tells nothing of the rest.
+# Least share of undeformed gel in the image for a fit over the whole image.
 LEAST_SHARE = 0.05
 
 
 def untouched_gel(levels: FloatImage, flat: FloatImage, highest: float) -> BoolImage:
-    """Return where the colour is nearer than `highest` levels to the background's, (row, col)."""
+    """Return where the colour is within `highest` levels of the background's, (row, col)."""
     difference = levels - flat
     distance = np.einsum("rcb,rcb->rc", difference, difference)
     return np.asarray(distance < highest**2)
@@ -34,7 +34,7 @@ def light_over_background(
 ) -> FloatArray | None:
     """Return each channel's light over that of the background, (row, col, 3).
 
-    None where too little gel is untouched to tell.
+    None if the share of undeformed gel is too small.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ def light_over_background(
         Of the image and of the background.
     hidden : (row, col)
         Printed dots.
-    highest : Euclidean colour difference below which gel is untouched, levels
+    highest : Euclidean colour difference below which gel counts as undeformed, levels
     """
-    seen = _far_from_contact(untouched_gel(levels, flat, highest)) & ~hidden
-    if seen.mean() < LEAST_SHARE:
+    undeformed = _far_from_contact(untouched_gel(levels, flat, highest)) & ~hidden
+    if undeformed.mean() < LEAST_SHARE:
         return None
-    thin = np.zeros_like(seen)
-    thin[::EVERY, ::EVERY] = seen[::EVERY, ::EVERY]
-    basis = _quadratic(seen.shape)
+    thin = np.zeros_like(undeformed)
+    thin[::EVERY, ::EVERY] = undeformed[::EVERY, ::EVERY]
+    basis = _quadratic(undeformed.shape)
     return np.stack([_factor(levels, flat, basis, thin, c) for c in range(3)], axis=-1)
 
 
@@ -67,13 +67,15 @@ def _quadratic(shape: tuple[int, int]) -> FloatArray:
 
 
 def _factor(
-    levels: FloatImage, flat: FloatImage, basis: FloatArray, seen: BoolImage, channel: int
+    levels: FloatImage, flat: FloatImage, basis: FloatArray, undeformed: BoolImage, channel: int
 ) -> FloatArray:
-    """Return (row, col) a channel's light over the background's.
+    """Return the factor of a channel's light to that of the background, (row, col).
 
-    Fitted to differences of levels and not to ratios, whose noise is large where it is dark.
+    Fitted to differences of levels and not to ratios, which are noisy in dark areas.
     """
-    background = flat[seen, channel].astype(np.float64)
-    change = np.linalg.lstsq(basis[seen] * background[:, None], levels[seen, channel] - background)
+    background = flat[undeformed, channel].astype(np.float64)
+    change = np.linalg.lstsq(
+        basis[undeformed] * background[:, None], levels[undeformed, channel] - background
+    )
     factor: FloatArray = 1.0 + basis @ change[0]
     return factor

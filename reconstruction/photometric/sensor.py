@@ -1,6 +1,6 @@
-"""A photometric sensor: what it needs before it measures, its file, and from colours to heights.
+"""A photometric sensor: its calibration and file, and the measurement from colours to heights.
 
-Colour map, untouched image and pitch are a NumPy archive (.npz) of plain arrays, no pickle:
+Colour map, background image and pitch are a NumPy archive (.npz) of plain arrays, no pickle:
 `format`, `version`, `kind` and `pitch_mm`, `smoothing_px`, `marker_level`, `background`, and the
 arrays of the map, prefixed by `map_`. A measurement is the difference to the background, slopes,
 integration, zero.
@@ -66,7 +66,7 @@ KINDS: dict[str, type[Any]] = {"polynomial": ColourPolynomial, "table": ColourTa
 FORMAT, VERSION = "photometric-calibration", 1
 PREFIX = "map_"
 LIT_LEVELS = 5.0, 250.0
-"""Median of a background's channel with which pixels can become darker and brighter."""
+"""Range of a background channel's median in which pixels can become darker and brighter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +76,11 @@ class SensorCalibration:
     Parameters
     ----------
     colour_map : from colour (and place) to slope
-    background : (row, col, 3) float32, mean of untouched images, 8-bit levels, red first
+    background : (row, col, 3) float32, mean of images of the undeformed gel, 8-bit levels
     pitch_mm : distance of neighbouring pixels on the surface
     smoothing_px : side of the square over which colours are averaged first; odd
-    marker_level : grey level up to which a pixel is a printed dot (70 in the vendor's programs); 0
-        where the gel has no dots
+    marker_level : largest grey level of a printed dot (70 in the vendor's programs); 0
+        for a gel without dots
 
     Raises
     ------
@@ -101,7 +101,7 @@ class SensorCalibration:
             raise InputError(
                 f"background is {self.background.dtype} {shape}; give (row, col, 3) float32"
             )
-        # This way round NaN is refused as well.
+        # Written so that NaN is rejected as well.
         if not bool(np.all((self.background >= 0.0) & (self.background <= 255.0))):
             raise InputError("background holds levels outside 0 to 255")
 
@@ -118,9 +118,9 @@ def calibrate_sensor(
     Parameters
     ----------
     presses : calibration images
-    background_frames : (frame, row, col, 3) uint8, untouched; about ten
+    background_frames : (frame, row, col, 3) uint8, of the undeformed gel; about ten
     pitch_mm : distance of neighbouring pixels on the surface
-    kind : `polynomial` (smooth, knows the place) or `table` (the classic look-up table)
+    kind : `polynomial` (smooth, depends on the place) or `table` (the classic look-up table)
     options : threshold, smoothing, dots
 
     Raises
@@ -143,7 +143,7 @@ def calibrate_sensor(
 
 
 def _require_lit(background: FloatImage) -> None:
-    """Raise InputError if a channel of the background is dark or saturated nearly everywhere."""
+    """Raise InputError if a channel's median in the background is dark or saturated."""
     low, high = LIT_LEVELS
     for name, level in zip(CHANNELS, np.median(background, axis=(0, 1)).tolist(), strict=True):
         if not low <= level <= high:
@@ -170,7 +170,7 @@ def write_sensor_calibration(path: Path | str, calibration: SensorCalibration) -
 
 
 def read_sensor_calibration(path: Path | str) -> SensorCalibration:
-    """Read what `write_sensor_calibration` wrote.
+    """Read a file of `write_sensor_calibration`.
 
     Raises
     ------
@@ -189,9 +189,9 @@ def read_sensor_calibration(path: Path | str) -> SensorCalibration:
 
 
 def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
-    found = str(arrays["format"]), int(arrays["version"])
-    if found != (FORMAT, VERSION):
-        raise CaptureError(f"format and version are {found}; this program reads {FORMAT, VERSION}")
+    header = str(arrays["format"]), int(arrays["version"])
+    if header != (FORMAT, VERSION):
+        raise CaptureError(f"format and version are {header}; this program reads {FORMAT, VERSION}")
     kind = str(arrays["kind"])
     if kind not in KINDS:
         raise CaptureError(f"map is {kind!r}; this program reads {', '.join(KINDS)}")
@@ -211,16 +211,16 @@ def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
 
 @dataclass(frozen=True)
 class PhotometricOptions:
-    """How to decode.
+    """Options of the decoder.
 
     Parameters
     ----------
     integration : name of a scheme of `SCHEMES`: `corrected`, or the vendor's `sdk_2024`, `sdk_2025`
-    boundary : border of `corrected`: `neumann` (free) or `dirichlet` (held at 0)
+    boundary : border of `corrected`: `neumann` (free) or `dirichlet` (fixed at 0)
     doubtful_weight : weight of pixels with a reason code in `corrected`, 0.001 to 1; below 1 the
         weighted solver runs, several times slower
-    untouched_levels : colour difference below which gel counts as untouched, for light and zero
-    relighting : `corrected` takes a slow change of the lamps' light back, see
+    untouched_levels : colour difference below which gel counts as undeformed, for light and zero
+    relighting : `corrected` compensates a slow change of the lamps' light, see
         `light_over_background`
 
     Raises
@@ -256,9 +256,9 @@ class HeightMap:
 
     Parameters
     ----------
-    height_mm : (row, col) float32, positive towards the camera, 0 where the gel is untouched
+    height_mm : (row, col) float32, positive towards the camera, 0 for undeformed gel
     slopes : (2, row, col) float32, mm/mm, along rows (down) and along columns (right)
-    mask_reason : (row, col) uint8, see `PhotometricReason`; all numbers are finite even so
+    mask_reason : (row, col) uint8, see `PhotometricReason`; all values are finite everywhere
     pitch_mm : distance of neighbouring pixels on the surface
     """
 
@@ -324,13 +324,13 @@ class HeightMap:
 
 @dataclass(frozen=True, eq=False)
 class UntouchedGel:
-    """What an image shows of gel that nothing touches.
+    """Undeformed gel in an image, and its light.
 
     Parameters
     ----------
     where : (row, col), the colour is the background's
-    light_change : RMS over image and channels of the light over the background's, less 1; 0 where
-        it was not taken back
+    light_change : RMS over image and channels of the light over the background's, minus 1; 0
+        without compensation
     """
 
     where: BoolImage
@@ -339,7 +339,7 @@ class UntouchedGel:
 
 @dataclass(frozen=True)
 class PhotometricDecoder:
-    """A calibrated sensor with everything computed that does not depend on the image."""
+    """A calibrated sensor with all precomputed values that do not depend on the image."""
 
     calibration: SensorCalibration
     options: PhotometricOptions = field(default_factory=PhotometricOptions)
@@ -385,7 +385,7 @@ class PhotometricDecoder:
         )
 
     def untouched(self, image: ArrayLike) -> UntouchedGel:
-        """Return what `decode` takes for untouched.
+        """Return the gel that `decode` treats as undeformed.
 
         Raises
         ------
@@ -400,7 +400,7 @@ class PhotometricDecoder:
         return self._markers(raw.astype(np.float32)) | self._hidden_in_background
 
     def _lit_as_background(self, raw: Levels, hidden: BoolImage) -> tuple[FloatImage, float]:
-        """Return smoothed levels in the background's light, and how much that changed them."""
+        """Return smoothed levels in the background's light, and the RMS of the correction."""
         levels = smoothed(raw, self.calibration.smoothing_px)
         if not (self.options.relighting and self.options.scheme.corrects_light):
             return levels, 0.0
@@ -430,7 +430,7 @@ class PhotometricDecoder:
         )
 
     def _zero(self, height: FloatArray, levels: FloatImage, hidden: BoolImage) -> float:
-        """Median height of untouched gel; 0 with a held border or where all is touched."""
+        """Median height of undeformed gel; 0 with a fixed border or without undeformed gel."""
         if self.options.scheme.takes_boundary and self.options.boundary == "dirichlet":
             return 0.0
         untouched = self._untouched(levels, hidden)

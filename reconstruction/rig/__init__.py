@@ -1,1 +1,1 @@
-"""What is known about the devices of a rig: pinholes, their calibration, the camera's noise."""
+"""Known properties of a rig's devices: pinholes, their calibration, the camera's noise."""

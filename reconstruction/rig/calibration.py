@@ -1,4 +1,4 @@
-"""Calibration of camera and projector, and its file: OpenCV YAML, which other tools read as well.
+"""Calibration of camera and projector, and its file: OpenCV YAML, readable by other tools.
 
 Transforms T_a_from_b map points of frame b to frame a; lengths mm.
 """
@@ -23,22 +23,22 @@ __all__ = ["Calibration", "Pinhole", "read_calibration", "write_calibration"]
 DEVICES = ("camera", "projector")
 TRANSFORMS = ("T_world_from_cam", "T_world_from_proj")
 LAYERS = "layers"
-# Nearer to each other than this the devices are at one place, and see no depth.
+# Least distance of the devices: from one place there is no depth information.
 LEAST_BASELINE_MM = 1e-3
 MOST_MM = 1e6
-# A rotation printed with seven digits is still accepted.
+# Accepts a rotation printed with seven digits.
 ROTATION_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Both devices and where they are.
+    """Both devices and their poses.
 
     Parameters
     ----------
     camera, projector : intrinsics
     T_world_from_cam, T_world_from_proj : (4, 4) float, mm, rigid motions
-    layers : clear media, planes z = const of the world, that both look through; None: air alone
+    layers : clear media above the surface, planes z = const of the world; None: air only
 
     Raises
     ------
@@ -62,7 +62,7 @@ class Calibration:
         if not float(np.linalg.norm(baseline)) >= LEAST_BASELINE_MM:
             raise InputError(
                 f"camera and projector are {np.linalg.norm(baseline):g} mm apart; allowed "
-                f"{LEAST_BASELINE_MM:g} or more: from one place they see no depth"
+                f"{LEAST_BASELINE_MM:g} or more: from one place there is no depth information"
             )
         if self.layers is not None:
             self.layers.require_below("camera", float(self.T_world_from_cam[2, 3]))
@@ -99,7 +99,7 @@ def _require_rigid(name: str, matrix: FloatArray) -> None:
 
 
 def write_calibration(path: Path | str, calibration: Calibration) -> None:
-    """Write OpenCV YAML to `path`; read it back with `read_calibration` or cv2.FileStorage."""
+    """Write OpenCV YAML to `path`, for `read_calibration` or cv2.FileStorage."""
     storage = cv2.FileStorage(".yaml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
     for name in DEVICES:
         _write_pinhole(storage, name, getattr(calibration, name))
@@ -178,16 +178,18 @@ def _require_camera_matrix(name: str, matrix: FloatArray) -> None:
         )
 
 
-def _read_layers(found: Any) -> PlaneLayers | None:
-    if found is None:
+def _read_layers(entries: Any) -> PlaneLayers | None:
+    if entries is None:
         return None
-    if not isinstance(found, list):
+    if not isinstance(entries, list):
         raise InputError(f"key {LAYERS} is no list; give one {{ top_mm, ior }} per medium")
     names = ("top_mm", "ior")
-    for number, one in enumerate(found):
-        if not isinstance(one, dict) or sorted(one) != sorted(names):
+    for number, layer in enumerate(entries):
+        if not isinstance(layer, dict) or sorted(layer) != sorted(names):
             raise InputError(f"{LAYERS} {number}: give exactly the keys top_mm and ior")
-    return plane_layers([(_read_number(one, "top_mm"), _read_number(one, "ior")) for one in found])
+    return plane_layers(
+        [(_read_number(layer, "top_mm"), _read_number(layer, "ior")) for layer in entries]
+    )
 
 
 def _read_number(layer: Mapping[str, Any], name: str) -> float:
@@ -196,17 +198,17 @@ def _read_number(layer: Mapping[str, Any], name: str) -> float:
     return float(layer[name])
 
 
-def _read_integer(found: Any, name: str) -> int:
-    if not isinstance(found, int):
+def _read_integer(value: Any, name: str) -> int:
+    if not isinstance(value, int):
         raise InputError(f"key {name} is missing or no whole number")
-    return found
+    return value
 
 
-def _read_matrix(found: Any, name: str, shape: tuple[int, int]) -> FloatArray:
-    if not isinstance(found, np.ndarray):
+def _read_matrix(value: Any, name: str, shape: tuple[int, int]) -> FloatArray:
+    if not isinstance(value, np.ndarray):
         raise InputError(f"key {name} is missing or no matrix")
-    if shape == (1, 5) and found.shape == (5, 1):  # calibrateCamera returns either
-        found = found.reshape(1, 5)
-    if found.shape != shape:
-        raise InputError(f"{name} has shape {found.shape}; it must be {shape}")
-    return np.asarray(found, dtype=np.float64)
+    if shape == (1, 5) and value.shape == (5, 1):  # calibrateCamera returns either
+        value = value.reshape(1, 5)
+    if value.shape != shape:
+        raise InputError(f"{name} has shape {value.shape}; it must be {shape}")
+    return np.asarray(value, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Calibrations that other programs made, as one of ours.
+"""Convert calibrations of other programs.
 
 File formats are kinds of `reconstruction.rig.importers`. Numbers are identified by their names, in
 the same way for all programs: camera matrix, distortion and image size of both devices, and the
@@ -12,11 +12,12 @@ motion from the camera's frame to the projector's.
 | Camera Calibration Toolbox for MATLAB (Bouguet) | Calib_Results_stereo.mat (fc_left, om, ...) |
 | MATLAB's stereo calibrator | s = toStruct(stereoParams); save("x.mat", "-struct", "s", "-v7") |
 
-Pixel (0, 0) is the centre of the first pixel in all of them but MATLAB's calibrator, where it is
-(1, 1), and whose matrices multiply rows from the right.
+Pixel (0, 0) is the centre of the first pixel in all of them except MATLAB's calibrator: there it is
+(1, 1), and matrices multiply row vectors from the right.
 
-Left, first and 1 are the camera, right, second and 2 the projector. World: on the camera's axis,
-where the projector's axis comes nearest to it; x to the right, y up in the image, z to the camera.
+Left, first and 1 are the camera, right, second and 2 the projector. The world's origin is the point
+of the camera's axis nearest to the projector's axis; x to the right, y up in the image, z to the
+camera.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -36,9 +37,9 @@ from reconstruction.rig.pinhole import Pinhole
 from reconstruction.rig.plausibility import Check, require_plausible, rig_checks
 
 MOST_REFIT_PX = 0.05
-"""A lens that our five coefficients follow less well than this is refused."""
+"""Largest error of the fit by our five coefficients; a lens with a larger one is rejected."""
 
-# Lower case without separators, the device's first; what stands before the last "/" counts too.
+# Lower case without separators, the device's first; text before the last "/" counts too.
 _FIRST = ("camera", "cam", "left", "l", "1", "c")
 _SECOND = ("projector", "proj", "prj", "right", "r", "2", "p", "dlp")
 _MATRIX = ("cameramatrix", "intrinsicmatrix", "intrinsics", "int", "matrix", "kk", "k", "m", "a")
@@ -52,20 +53,21 @@ _TO_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 # Grid of the refit, and least distance of two axes' directions from parallel.
 _GRID = (41, 31)
 _LEAST_SINE = 0.02
-# From lenses that touch to a hall; lengths in another unit are outside.
+# From lenses in contact to the size of a hall; lengths in another unit are outside.
 _BASELINES_MM = (1.0, 2e4)
 
 
 @dataclass(frozen=True)
 class Importing:
-    """What a file may leave open.
+    """Options for values that a file may not determine.
 
     Attributes
     ----------
     camera_size, projector_size : (width, height), px; None: in the file
     unit : of the file's lengths
-    projector_first : the file's first device is the projector, and its motion leads to the camera
-    standoff_mm : from the camera to the world's origin; None: where the axes come nearest
+    projector_first : the file's first device is the projector, and its motion is to the camera
+    standoff_mm : from the camera to the world's origin; None: to the axis point
+        nearest to the projector's
     """
 
     camera_size: tuple[int, int] | None = None
@@ -77,12 +79,12 @@ class Importing:
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """A calibration with what was done to it.
+    """A converted calibration, the names used, and the changes of the lenses.
 
     Attributes
     ----------
-    used : by what was wanted, the names in the files
-    refit_px : (camera, projector) largest deviation of the lens from the file's; 0: taken as it is
+    used : the name in the files for each required number
+    refit_px : (camera, projector) largest deviation of the lens from the file's; 0: unchanged
     """
 
     calibration: Calibration
@@ -94,19 +96,19 @@ def import_calibration(
     paths: Sequence[Path],
     options: Importing = Importing(),
 ) -> Imported:
-    """Read a calibration of another program from one file or several.
+    """Read a calibration of another program from one or several files.
 
     Raises
     ------
     CaptureError : a file is missing, damaged or of no known kind; a number is missing, or has
-        another shape; a lens cannot be followed; the rig is implausible
+        another shape; a lens cannot be fitted; the rig is implausible
     """
-    found: dict[str, FloatArray] = {}
+    numbers: dict[str, FloatArray] = {}
     for path in paths:
-        found |= numbers_of(path)
+        numbers |= numbers_of(path)
     where = ", ".join(path.name for path in paths)
     try:
-        return _assembled(_Names(found), options)
+        return _assembled(_Names(numbers), options)
     except InputError as error:
         raise CaptureError(f"{where}: {error}") from error
 
@@ -126,45 +128,50 @@ def _plain(name: str) -> str:
 
 
 class _Names:
-    """Numbers of files, found by any of the names that programs give them."""
+    """Numbers of files, with a search by all names that programs use for them."""
 
-    def __init__(self, found: Mapping[str, FloatArray]) -> None:
-        self.found = found
+    def __init__(self, numbers: Mapping[str, FloatArray]) -> None:
+        self.numbers = numbers
         self.used: dict[str, str] = {}
-        self._by_name = {_plain(name): name for name in found}
+        self._by_name = {_plain(name): name for name in numbers}
 
     def of_device(
         self, device: Sequence[str], names: Sequence[str], sizes: Collection[int]
     ) -> FloatArray | None:
-        """Return what is called by a device and one of some names, in either order.
+        """Return the number called by a device and one of some names, in either order.
 
-        Only of one of some sizes: K1 is a matrix of one program, and a coefficient of another.
+        Its size must be one of `sizes`: K1 is a matrix in one program, a coefficient in another.
         """
-        wanted = [
+        forms = [
             form
             for name in names
-            for one in device
-            for form in (one + name, name + one, f"{one}/{name}", f"cameraparameters{one}/{name}")
+            for prefix in device
+            for form in (
+                prefix + name,
+                name + prefix,
+                f"{prefix}/{name}",
+                f"cameraparameters{prefix}/{name}",
+            )
         ]
-        return self._first(f"{device[0]} {names[0]}", wanted, sizes)
+        return self._first(f"{device[0]} {names[0]}", forms, sizes)
 
-    def alone(self, names: Sequence[str], sizes: Collection[int]) -> FloatArray | None:
-        """Return what has one of some names, and one of some sizes."""
+    def of_any_device(self, names: Sequence[str], sizes: Collection[int]) -> FloatArray | None:
+        """Return the number with one of some names and one of some sizes."""
         return self._first(names[0], names, sizes)
 
-    def _first(
-        self, wanted: str, forms: Sequence[str], sizes: Collection[int]
-    ) -> FloatArray | None:
+    def _first(self, key: str, forms: Sequence[str], sizes: Collection[int]) -> FloatArray | None:
         for form in forms:
             name = self._by_name.get(form)
-            if name is not None and self.found[name].size in sizes:
-                self.used[wanted] = name
-                return self.found[name]
+            if name is not None and self.numbers[name].size in sizes:
+                self.used[key] = name
+                return self.numbers[name]
         return None
 
-    def missing(self, what: str) -> InputError:
-        """Return the error for what no name fits."""
-        return InputError(f"no {what} is found; the file holds {few(sorted(self.found)) or '-'}")
+    def missing(self, quantity: str) -> InputError:
+        """Return the error for a number that is missing under every name."""
+        return InputError(
+            f"no {quantity} is found; the file holds {few(sorted(self.numbers)) or '-'}"
+        )
 
 
 def _assembled(names: _Names, options: Importing) -> Imported:
@@ -176,8 +183,10 @@ def _assembled(names: _Names, options: Importing) -> Imported:
         T_second_from_first = inverse(T_second_from_first)
     pinholes, deviations = zip(
         *(
-            one.pinhole(name, size)
-            for name, one, size in zip(("camera", "projector"), (first, second), sizes, strict=True)
+            lens.pinhole(name, size)
+            for name, lens, size in zip(
+                ("camera", "projector"), (first, second), sizes, strict=True
+            )
         ),
         strict=True,
     )
@@ -194,14 +203,14 @@ def _assembled(names: _Names, options: Importing) -> Imported:
 
 @dataclass(frozen=True, eq=False)
 class _Lens:
-    """A device as the file has it: camera matrix with skew, any of OpenCV's coefficients."""
+    """A device as in the file: camera matrix with skew, any of OpenCV's coefficients."""
 
     matrix: FloatArray
     distortion: FloatArray
     size: tuple[int, int] | None
 
     def pinhole(self, name: str, size: tuple[int, int] | None) -> tuple[Pinhole, float]:
-        """Return it with five coefficients and without skew, and the largest deviation, px."""
+        """Return the pinhole with five coefficients without skew, and the largest deviation, px."""
         size = size or self.size
         if size is None:
             raise InputError(f"the {name}'s image size is not in the file; give --{name}-size")
@@ -231,10 +240,10 @@ def _refitted(name: str, start: Pinhole, lens: _Lens) -> tuple[Pinhole, float]:
     k = lens.matrix
     y = (pixels[:, 1] - k[1, 2]) / k[1, 1]
     x = (pixels[:, 0] - k[0, 2] - k[0, 1] * y) / k[0, 0]
-    one = np.eye(3)
+    eye = np.eye(3)
     enough = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
     places = np.stack((x, y), axis=-1)[:, np.newaxis]
-    rays = cv2.undistortPoints(places, one, lens.distortion, None, one, one, enough)[:, 0]
+    rays = cv2.undistortPoints(places, eye, lens.distortion, None, eye, eye, enough)[:, 0]
     points = np.column_stack((rays, np.ones(len(rays))))
 
     def pinhole(values: FloatArray) -> Pinhole:
@@ -252,27 +261,27 @@ def _refitted(name: str, start: Pinhole, lens: _Lens) -> tuple[Pinhole, float]:
     if not largest <= MOST_REFIT_PX:
         raise InputError(
             f"the {name}'s lens ({lens.distortion.size} coefficients, skew {k[0, 1]:g}) differs by "
-            f"{largest:.2g} px from what k1, k2, p1, p2, k3 without skew can follow; allowed "
+            f"{largest:.2g} px from the best fit of k1, k2, p1, p2, k3 without skew; allowed "
             f"{MOST_REFIT_PX:g}; calibrate with these five"
         )
     return pinhole(solved.x), largest
 
 
 def _device(names: _Names, device: Sequence[str]) -> _Lens:
-    found = names.of_device(device, _MATRIX, {9})
-    from_one = 0.0
-    if found is not None:
-        found = found.reshape(3, 3)
+    stored = names.of_device(device, _MATRIX, {9})
+    first_px = 0.0
+    if stored is not None:
+        stored = stored.reshape(3, 3)
         # MATLAB's calibrator: rows times matrix, and the first pixel's centre is (1, 1).
-        from_one = (
+        first_px = (
             1.0 if "cameraparameters" in _plain(names.used[f"{device[0]} {_MATRIX[0]}"]) else 0.0
         )
-        matrix = found.T if found[2, 0] != 0.0 else found
+        matrix = stored.T if stored[2, 0] != 0.0 else stored
     else:
         matrix = _of_toolbox(names, device)
     if not np.allclose(matrix[[1, 2, 2, 2], [0, 0, 1, 2]], (0.0, 0.0, 0.0, 1.0)):
         raise InputError(f"the camera matrix of the {device[0]} is {matrix.tolist()}")
-    matrix = matrix - np.array([[0, 0, from_one], [0, 0, from_one], [0, 0, 0]])
+    matrix = matrix - np.array([[0, 0, first_px], [0, 0, first_px], [0, 0, 0]])
     return _Lens(matrix, _distortion(names, device), _size(names, device))
 
 
@@ -287,9 +296,9 @@ def _of_toolbox(names: _Names, device: Sequence[str]) -> FloatArray:
 
 
 def _distortion(names: _Names, device: Sequence[str]) -> FloatArray:
-    found = names.of_device(device, _DISTORTION, _COEFFICIENTS)
-    if found is not None:
-        return found.ravel()
+    coefficients = names.of_device(device, _DISTORTION, _COEFFICIENTS)
+    if coefficients is not None:
+        return coefficients.ravel()
     radial = names.of_device(device, ("radialdistortion",), {2, 3})
     tangential = names.of_device(device, ("tangentialdistortion",), {2})
     if radial is None:
@@ -308,18 +317,21 @@ def _size(names: _Names, device: Sequence[str]) -> tuple[int, int] | None:
     if both is None:
         return None
     first, second = (int(value) for value in both.ravel())
-    told = _plain(names.used[f"{device[0]} {_SIZES[0]}"])
-    rows_first = "cameraparameters" in told or told.endswith("shape")
+    name = _plain(names.used[f"{device[0]} {_SIZES[0]}"])
+    rows_first = "cameraparameters" in name or name.endswith("shape")
     return (second, first) if rows_first else (first, second)
 
 
 def _motion(names: _Names, to_mm: float) -> FloatArray:
     """Return the motion from the first device's frame to the second's, (4, 4), mm."""
-    rotation, translation = names.alone(_ROTATION, {3, 9}), names.alone(_TRANSLATION, {3})
-    of_rows = names.alone(("rotationofcamera2",), {9})
+    rotation, translation = (
+        names.of_any_device(_ROTATION, {3, 9}),
+        names.of_any_device(_TRANSLATION, {3}),
+    )
+    of_rows = names.of_any_device(("rotationofcamera2",), {9})
     if rotation is None and of_rows is not None:
         rotation = of_rows.reshape(3, 3).T
-        translation = names.alone(("translationofcamera2",), {3})
+        translation = names.of_any_device(("translationofcamera2",), {3})
     if rotation is None or translation is None:
         raise names.missing("rotation R and translation T from the first device to the second")
     if rotation.size == 3:
@@ -331,7 +343,7 @@ def _motion(names: _Names, to_mm: float) -> FloatArray:
 
 
 def inverse(motion: FloatArray) -> FloatArray:
-    """Return the motion back, (4, 4)."""
+    """Return the inverse motion, (4, 4)."""
     return np.asarray(np.linalg.inv(motion), np.float64)
 
 
@@ -340,7 +352,7 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 
     Raises
     ------
-    InputError : the matrix is none to a thousandth
+    InputError : the matrix differs from a rotation by more than 1e-3
     """
     left, stretch, right = np.linalg.svd(matrix)
     if np.abs(stretch - 1).max() > 1e-3 or np.linalg.det(matrix) < 0:
@@ -358,13 +370,13 @@ def _world(T_proj_from_cam: FloatArray, standoff_mm: float | None) -> FloatArray
 
 
 def _nearest_on_axis_mm(T_cam_from_proj: FloatArray) -> float:
-    """Return how far from the camera its axis comes nearest to the projector's."""
+    """Return the distance from the camera to the point of its axis nearest the projector's."""
     axis, centre = T_cam_from_proj[:3, 2], T_cam_from_proj[:3, 3]
     sine_square = 1.0 - axis[2] ** 2
     if sine_square < _LEAST_SINE**2:
-        raise InputError("both axes are parallel and meet nowhere; give --standoff-mm")
-    # Of z e_z and c + s a, both differences across both directions.
+        raise InputError("the axes are parallel and have no nearest point; give --standoff-mm")
+    # The difference of z e_z and c + s a is perpendicular to both directions.
     along = (centre[2] - axis[2] * float(axis @ centre)) / sine_square
     if along <= 0:
-        raise InputError("both axes come nearest behind the camera; give --standoff-mm")
+        raise InputError("the axes are nearest to each other behind the camera; give --standoff-mm")
     return float(along)

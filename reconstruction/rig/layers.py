@@ -14,7 +14,7 @@ class PlaneLayers:
     Parameters
     ----------
     tops_mm : world z of the interface above each medium, descending
-    iors : index of refraction of each against air, 1 to 3; the last medium holds the surface
+    iors : refractive index of each relative to air, 1 to 3; the last medium contains the surface
 
     Raises
     ------
@@ -41,7 +41,7 @@ class PlaneLayers:
                 )
 
     def require_below(self, device: str, height_mm: float) -> None:
-        """Refuse a device at this world z that does not look down on the layers from the air."""
+        """Raise InputError if a device at this world z is not above the layers, in air."""
         if height_mm <= self.tops_mm[0]:
             raise InputError(
                 f"layers: the topmost ends at z = {self.tops_mm[0]:g} mm, above the {device} at "

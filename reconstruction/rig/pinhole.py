@@ -2,9 +2,9 @@
 
 Pixel (0, 0) is the CENTRE of the first pixel. Normalised coordinates are (x / z, y / z).
 
-A barrel distortion folds the field: beyond some angle the image runs back towards the centre. What
-lies beyond the fold is not seen, and image points outside the fold's image have no ray. The inverse
-by Newton's method is one for numpy, the compiled kernels and the renderer.
+A barrel distortion folds the field: beyond some angle the image runs back towards the centre.
+Points beyond the fold are not visible, and image points outside the fold's image have no ray. One
+inverse by Newton's method serves numpy, the compiled kernels and the renderer.
 """
 
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError, require_integer, require_number
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
-# Newton doubles the digits per step: 1e-12 leaves the returned point far below the 1e-10 promised.
+# Newton doubles the digits per step: a step of 1e-12 gives a point far more exact than 1e-10.
 INVERSE_TOLERANCE = 1e-12
 INVERSE_STEPS = 30
-# A fold a million focal lengths off axis is none.
+# A fold more than a million focal lengths off axis is ignored.
 LEAST_INVERSE = 1e-12
-# Beyond any device; larger numbers overflow on the way to a point.
+# Beyond any device; larger numbers overflow in the calculation.
 LEAST_FOCAL_PX, MOST_PX = 1e-3, 1e9
-# To a 4096th of the way from the image's centre.
+# Precision 1/4096 of the distance from the image's centre.
 CORNER_HALVINGS = 12
 
 
@@ -53,24 +53,24 @@ def distortion_jacobian(x: Any, y: Any, distortion: tuple[float, ...]) -> tuple[
 def newton_step(
     x_residual: Any, y_residual: Any, jacobian: tuple[Any, Any, Any]
 ) -> tuple[Any, Any]:
-    """Return the step in x and y that takes off the residual of `distort`, to first order."""
+    """Return the step in x and y that cancels the residual of `distort`, to first order."""
     xx, xy, yy = jacobian
     scale = 1.0 / (xx * yy - xy * xy)
     return scale * (yy * x_residual - xy * y_residual), scale * (xx * y_residual - xy * x_residual)
 
 
 def is_before_fold(x: Any, y: Any, jacobian: tuple[Any, Any, Any], fold_square: float) -> Any:
-    """Tell whether a direction lies where the image grows outwards, all the way from the centre.
+    """Return True if the image radius increases all the way from the centre to a direction.
 
-    Beyond a fold the Jacobian is not positive definite. Behind a second fold it is so again, but
-    further out than `fold_square`, for which see there.
+    Beyond a fold the Jacobian is not positive definite. Beyond a second fold it is again, but
+    there the radius exceeds `fold_square`.
     """
     xx, xy, yy = jacobian
     return (xx > 0.0) & (xx * yy > xy * xy) & (x * x + y * y < fold_square)
 
 
 def fold_square(distortion: tuple[float, ...]) -> float:
-    """Return the square of the radius at which the radial part first folds; inf: nowhere.
+    """Return the square of the radius at which the radial part first folds; inf: no fold.
 
     The least s > 0 with d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 = 0, solved for 1 / s.
     """
@@ -83,7 +83,7 @@ def fold_square(distortion: tuple[float, ...]) -> float:
 
 @dataclass(frozen=True)
 class Pinhole:
-    """Intrinsics of a camera or of a projector; the principal point may lie off the image.
+    """Intrinsics of a camera or of a projector; the principal point may be outside the image.
 
     Parameters
     ----------
@@ -128,20 +128,20 @@ class Pinhole:
 
         Raises
         ------
-        InputError : a point lies beside or behind the device
+        InputError : a point is not in front of the device
         """
         points = np.asarray(points_dev_mm, dtype=np.float64)
         if points.ndim == 0 or points.shape[-1] != 3:
             raise InputError(f"points to project have shape {points.shape}; give (..., 3)")
         if not bool(np.all(points[..., 2] > 0.0)):
-            raise InputError("a point to project has z <= 0; it must lie in front of the device")
+            raise InputError("a point to project has z <= 0; it must be in front of the device")
         x, y = distort(
             points[..., 0] / points[..., 2], points[..., 1] / points[..., 2], self.distortion
         )
         return np.stack([self.fx_px * x + self.cx_px, self.fy_px * y + self.cy_px], axis=-1)
 
     def unproject(self, pixels_px: ArrayLike) -> FloatArray:
-        """Return the normalised coordinates seen at pixels, the inverse of `project`.
+        """Return the normalised coordinates at pixels, the inverse of `project`.
 
         Parameters
         ----------
@@ -158,8 +158,8 @@ class Pinhole:
         pixels = np.asarray(pixels_px, dtype=np.float64)
         if pixels.ndim == 0 or pixels.shape[-1] != 2:
             raise InputError(f"pixels to unproject have shape {pixels.shape}; give (..., 2)")
-        rays, found = self._rays(pixels)
-        if not found.all():
+        rays, has_ray = self._rays(pixels)
+        if not has_ray.all():
             raise InputError(
                 f"distortion {self.distortion} has no inverse at some of the pixels; "
                 "it folds the image there: fit fewer coefficients or stay inside the calibrated "
@@ -170,7 +170,7 @@ class Pinhole:
     def seen_corners(self) -> FloatArray:
         """Return the normalised coordinates at the image's corners, (4, 2), in turn from (0, 0).
 
-        Of a corner without a ray, those at the last point towards it that has one.
+        For a corner without a ray, those of the last point with a ray on the line to it.
 
         Raises
         ------
@@ -182,16 +182,16 @@ class Pinhole:
         low, high = self._rays(corners)[1].astype(float)[:, np.newaxis], np.ones((4, 1))
         for _ in range(CORNER_HALVINGS):
             middle = (low + high) / 2.0
-            found = self._rays(centre + middle * (corners - centre))[1][:, np.newaxis]
-            low, high = np.where(found, middle, low), np.where(found, high, middle)
+            has_ray = self._rays(centre + middle * (corners - centre))[1][:, np.newaxis]
+            low, high = np.where(has_ray, middle, low), np.where(has_ray, high, middle)
         return self.unproject(centre + low * (corners - centre))
 
     def _rays(self, pixels_px: FloatArray) -> tuple[FloatArray, BoolImage]:
-        """Return normalised coordinates (..., 2), and where there are any (...)."""
+        """Return normalised coordinates (..., 2), and whether they exist (...)."""
         x_target = (pixels_px[..., 0] - self.cx_px) / self.fx_px
         y_target = (pixels_px[..., 1] - self.cy_px) / self.fy_px
         x, y, close = x_target, y_target, np.zeros(x_target.shape, np.bool_)
-        # Beyond a fold the iteration goes anywhere, also to infinity.
+        # Beyond a fold the iteration may diverge, also to infinity.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for _ in range(INVERSE_STEPS):
                 x_now, y_now = distort(x, y, self.distortion)

@@ -1,14 +1,14 @@
-"""Checks whether a calibration can be that of a real rig, with limits that every real rig keeps.
+"""Check whether a calibration can be of a real rig, by limits that hold for every real rig.
 
 A wrong pixel size, a mirrored image or a wrong unit often still gives numbers. They are far outside
-of these limits; a poor calibration is inside. Limits and reasons:
+these limits; a poor calibration is inside. Limits and reasons:
 
 | check | plausible | reason |
 |---|---|---|
 | field of view, diagonal | 0.1 to 170 degrees | rays parallel within the noise; no pinhole |
 | image centre to principal point | to 80 degrees | 100 % offset at throw ratio 0.25: 63 degrees |
 | pixel ratio fy / fx | 0.1 to 10 | chips have 1/2, 1 or 2 |
-| triangulation angle | 0.5 to 150 degrees | no depth; no face that both see |
+| triangulation angle | 0.5 to 150 degrees | no depth; no face visible to both |
 """
 
 import math
@@ -24,7 +24,7 @@ MOST_AXIS_OFFSET_DEG = 80.0
 PIXEL_RATIOS = (0.1, 10.0)
 """Width of a pixel over its height, fy / fx."""
 TRIANGULATION_ANGLES_DEG = (0.5, 150.0)
-# Of a calibration without meaning nearly all checks fail.
+# A calibration without meaning fails nearly all checks.
 MOST_NAMED = 3
 
 
@@ -87,7 +87,7 @@ def implausible(checks: Iterable[Check]) -> str:
 
 
 def require_plausible(checks: Sequence[Check], remedy: str) -> None:
-    """Raise InputError with the checks that fail and what to do."""
+    """Raise InputError with the failed checks and the remedy."""
     failed = implausible(checks)
     if failed:
         raise InputError(f"the calibration is implausible: {failed}; {remedy}")

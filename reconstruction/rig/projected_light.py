@@ -1,10 +1,10 @@
-"""Light that a projector makes of 8-bit levels: response curve, DMD pixel box and lens blur.
+"""Light of a projector for 8-bit levels: response curve, DMD pixel box and lens blur.
 
 Frame: projector pixels along one axis, integer = centre of a pixel. Symbols: g gamma, s standard
 deviation of the lens blur, L relative light, 0 for level 0 and 1 for level 255.
 
-A pixel shows L; the lens spreads it by the DMD's pixel box and a Gaussian. What the projector shows
-of level 0 (its finite contrast) is a constant beside the light of every frame, and no part of L.
+A pixel emits L; the lens spreads it by the DMD's pixel box and a Gaussian. Light of level 0 (finite
+contrast) is a constant in addition to the light of every frame, and is not included in L.
 """
 
 from dataclasses import dataclass
@@ -24,17 +24,17 @@ _REACH_SIGMAS = 6.0
 
 @dataclass(frozen=True)
 class ProjectorResponse:
-    """What is known of how a projector turns levels into light.
+    """Known relation between a projector's levels and its light.
 
     Parameters
     ----------
     gamma : L = (level / 255) ** gamma
     gamma_uncertainty : its standard uncertainty
-    blur_px : standard deviation of the lens blur, projector px, on top of the pixel box
-    blur_uncertainty_px : its standard uncertainty; both are assumed unless given: a lens focused by
+    blur_px : standard deviation of the lens blur, projector px, in addition to the pixel box
+    blur_uncertainty_px : its standard uncertainty; defaults of both are for a lens focused by
         hand
     curve : measured instead of gamma: L at equally spaced levels from 0 to 255, from 0 to 1,
-        rising; (): there is none
+        rising; () if not measured
 
     Raises
     ------
@@ -85,7 +85,7 @@ def relative_light(
 def blurred(light: FloatArray, nodes_px: FloatArray, blur_px: float) -> FloatArray:
     """Convolve pixel values (pixel, frame) with the DMD box and a Gaussian, at the nodes.
 
-    The weight of pixel j at x is the Gaussian's mass over [x - j - 1/2, x - j + 1/2]; beyond the
+    The weight of pixel j at x is the Gaussian's mass over [x - j - 1/2, x - j + 1/2]; outside the
     image there is no light.
     """
     reach = int(np.ceil(0.5 + _REACH_SIGMAS * blur_px))
@@ -102,8 +102,8 @@ def blurred(light: FloatArray, nodes_px: FloatArray, blur_px: float) -> FloatArr
 
 def _mass(offset_px: FloatArray, blur_px: float) -> FloatArray:
     def below(edge_px: FloatArray) -> FloatArray:
-        # The limit of no blur: a node on the border of two pixels belongs half to each, else the
-        # ramp to the node beside it would shift the border by half a node.
+        # The limit of no blur: a node on the border of two pixels belongs to each by 50 %;
+        # otherwise the ramp to the next node would shift the border by half a node.
         return np.sign(edge_px) if blur_px == 0.0 else erf(edge_px / (np.sqrt(2.0) * blur_px))
 
     return np.asarray(0.5 * (below(offset_px + 0.5) - below(offset_px - 0.5)))

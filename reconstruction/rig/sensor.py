@@ -1,4 +1,4 @@
-"""Camera noise as a data sheet states it (EMVA 1288), in digital numbers (DN).
+"""Camera noise as in a data sheet (EMVA 1288), in digital numbers (DN).
 
 Symbols: K `gain_dn_per_e`, sigma_d `read_noise_e`.
 """
@@ -14,8 +14,8 @@ from reconstruction.errors import InputError, require_number
 
 QUANTISATION_DN2 = 1.0 / 12.0
 
-# One full pixel in 1e9 is missed. With 4 sigmas one in 30,000 was, each a phase far beyond its
-# sigma, as a reading of a full pixel may err by any amount.
+# One saturated pixel in 1e9 is missed; with 4 sigmas it was one in 30,000. Each has a phase error
+# far beyond its sigma, because the light of a saturated pixel is unknown.
 CLIP_SIGMAS = 6.0
 
 
@@ -43,13 +43,13 @@ class SensorNoise:
     gain_dn_per_e : system gain K, DN per electron
     read_noise_e : temporal dark noise, electrons
     black_level_dn : DN without light
-    saturation_dn : DN of a full pixel, mostly the largest code; see `clipped_from_dn`
-    dsnu_e : spread of the dark offsets from pixel to pixel, electrons; what a full pixel reads
-        differs by it
+    saturation_dn : DN of a saturated pixel, mostly the largest code; see `clipped_from_dn`
+    dsnu_e : standard deviation of the dark offsets of pixels, electrons; also that of the level
+        of a saturated pixel
 
     Raises
     ------
-    InputError : a number is out of range, or noise leaves no value between black and clipped
+    InputError : a number is out of range, or no value between black and clipped remains
     """
 
     gain_dn_per_e: float
@@ -75,16 +75,16 @@ class SensorNoise:
 
     @property
     def clipped_from_dn(self) -> float:
-        """Least value that a full pixel reads: it counts as clipped from here on.
+        """Least value of a saturated pixel: from this level pixels count as clipped.
 
-        A pixel fills before it is read, so that read noise and dark offset (`CLIP_SIGMAS` of both)
-        and half a level of rounding may leave it below `saturation_dn`.
+        A pixel saturates before it is read, so that read noise and dark offset (`CLIP_SIGMAS` of
+        both) and half a level of rounding may reduce it below `saturation_dn`.
         """
         spread_e = math.hypot(self.read_noise_e, self.dsnu_e)
         return self.saturation_dn - CLIP_SIGMAS * self.gain_dn_per_e * spread_e - 0.5
 
     def variance_dn2(self, mean_dn: float | FloatArray) -> FloatArray:
-        """Return the variance of a pixel whose expected value is `mean_dn`, DN^2."""
+        """Return the variance of a pixel with the expected value `mean_dn`, DN^2."""
         variance = noise_variance_dn2(
             mean_dn, self.gain_dn_per_e, self.read_noise_e, self.black_level_dn
         )

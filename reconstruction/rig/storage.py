@@ -31,7 +31,7 @@ _TAG = f"tag:yaml.org,2002:{MATRIX}"
 _NO_BLANK = re.compile(r':(?=[\[{]|"[^,\]}\s])')
 _WHOLE = re.compile(r"[+-]?\d{1,18}")
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?")
-# Without the C library of PyYAML the same events take ten times as long.
+# Without the C library of PyYAML the same events take 10 x the time.
 _LOADER = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 
 
@@ -40,12 +40,12 @@ def read_storage(path: Path | str, heads: tuple[str, ...] = (YAML,)) -> dict[str
 
     Parameters
     ----------
-    heads : how it may begin
+    heads : allowed starts of the file
 
     Raises
     ------
-    CaptureError : no such file, it is none of OpenCV's or damaged, or longer or deeper than any
-        calibration; with the line
+    CaptureError : no such file, it is not from OpenCV, damaged, or longer or deeper than any
+        calibration; the message has the line
     """
     try:
         text = read_text(path)
@@ -58,11 +58,11 @@ def read_storage(path: Path | str, heads: tuple[str, ...] = (YAML,)) -> dict[str
 
 
 def parse_storage(text: str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]:
-    """Return the content of the text of such a file, as `read_storage`.
+    """Return the content of such a file from its text, as `read_storage`.
 
     Raises
     ------
-    InputError : with the line
+    InputError : as `read_storage`; the message has the line
     """
     if not text.startswith(heads):
         raise InputError(
@@ -74,10 +74,10 @@ def parse_storage(text: str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]
             f"is no calibration: found {len(text)} characters in lines of up to {longest}, "
             f"allowed {MOST_BYTES} and {MOST_LINE}"
         )
-    found = _of_yaml(text) if text.startswith(YAML) else _of_xml(text)
-    if not isinstance(found, dict):
+    content = _of_yaml(text) if text.startswith(YAML) else _of_xml(text)
+    if not isinstance(content, dict):
         raise InputError("is no calibration: found no key")
-    return found
+    return content
 
 
 def numbers_in(path: Path) -> dict[str, FloatArray]:
@@ -117,32 +117,32 @@ class _Nodes:
     """Values from the events of a YAML parser."""
 
     def __init__(self, events: Iterator[Any]) -> None:
-        self._events = (one for one in events if not isinstance(one, yaml.StreamStartEvent))
+        self._events = (event for event in events if not isinstance(event, yaml.StreamStartEvent))
 
     def document(self) -> Any:
         """Return the content of the only document; None if there is none."""
         if isinstance(next(self._events), yaml.StreamEndEvent):
             return None
-        found = self._value(next(self._events), 0)
+        content = self._value(next(self._events), 0)
         next(self._events)
         last = next(self._events)
-        _require(isinstance(last, yaml.StreamEndEvent), last, "a second document begins")
-        return found
+        _require(isinstance(last, yaml.StreamEndEvent), last, "found a second document")
+        return content
 
     def _value(self, event: Any, depth: int) -> Any:
         _require(depth <= MOST_NESTED, event, f"nests deeper than {MOST_NESTED} levels")
         _require(not isinstance(event, yaml.AliasEvent), event, "has an alias; write the value")
-        found: Any
+        value: Any
         if isinstance(event, yaml.SequenceStartEvent):
-            found = [self._value(item, depth + 1) for item in self._until(yaml.SequenceEndEvent)]
+            value = [self._value(item, depth + 1) for item in self._until(yaml.SequenceEndEvent)]
         elif isinstance(event, yaml.MappingStartEvent):
-            found = self._map(depth + 1)
+            value = self._map(depth + 1)
         else:
-            found = event.value if event.style else _plain(event.value) if event.value else None
-        return _matrix(f"line {_line(event)}", found) if event.tag == _TAG else found
+            value = event.value if event.style else _plain(event.value) if event.value else None
+        return _matrix(f"line {_line(event)}", value) if event.tag == _TAG else value
 
     def _map(self, depth: int) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        entries: dict[str, Any] = {}
         for event in self._until(yaml.MappingEndEvent):
             _require(isinstance(event, yaml.ScalarEvent), event, "is no entry KEY: VALUE")
             key, value = event.value, self._value(next(self._events), depth)
@@ -150,9 +150,9 @@ class _Nodes:
             if value is None and not event.style and ":" in key:
                 key, _, rest = key.partition(":")
                 value = _plain(rest)
-            _require(key not in found, event, f"the key {key} is there twice")
-            found[key] = value
-        return found
+            _require(key not in entries, event, f"the key {key} is there twice")
+            entries[key] = value
+        return entries
 
     def _until(self, end: type) -> Iterator[Any]:
         while not isinstance(event := next(self._events), end):
@@ -171,7 +171,7 @@ def _require(holds: bool, event: Any, message: str) -> None:
 def _of_xml(text: str) -> Any:
     try:
         return _element(ElementTree.fromstring(text), 0)
-    # Expat's own limits end entities that grow without end.
+    # Expat's own limits stop the expansion of recursive entities.
     except ElementTree.ParseError as error:
         raise InputError(f"is damaged XML: {one_line(error)}") from None
 
@@ -184,12 +184,12 @@ def _element(element: "ElementTree.Element", depth: int) -> Any:
     if not inner:
         words = [_plain(word) for word in (element.text or "").split()]
         return words[0] if len(words) == 1 else words
-    if all(one.tag == "_" for one in inner):
-        return [_element(one, depth + 1) for one in inner]
-    found = {one.tag: _element(one, depth + 1) for one in inner}
-    if len(found) < len(inner):
+    if all(child.tag == "_" for child in inner):
+        return [_element(child, depth + 1) for child in inner]
+    content = {child.tag: _element(child, depth + 1) for child in inner}
+    if len(content) < len(inner):
         raise InputError(f"{where}: a name is there twice")
-    return _matrix(where, found) if element.get("type_id") == MATRIX else found
+    return _matrix(where, content) if element.get("type_id") == MATRIX else content
 
 
 def _plain(text: str) -> int | float | str:
@@ -202,15 +202,15 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and math.isfinite(value)
 
 
-def _matrix(where: str, found: Any) -> FloatArray:
+def _matrix(where: str, entries: Any) -> FloatArray:
     names = ("rows", "cols", "dt", "data")
-    if not isinstance(found, dict) or sorted(found) != sorted(names):
+    if not isinstance(entries, dict) or sorted(entries) != sorted(names):
         raise InputError(f"{where}: a matrix needs {', '.join(names)}")
-    rows, cols, dt, data = (found[name] for name in names)
+    rows, cols, dt, data = (entries[name] for name in names)
     numbers = data if isinstance(data, list) else [data]
     if not all(map(_is_number, numbers)):
         raise InputError(f"{where}: data of a matrix is no list of finite numbers")
-    whole = dt in _WHOLE_TYPES and all(isinstance(one, int) for one in numbers)
+    whole = dt in _WHOLE_TYPES and all(isinstance(number, int) for number in numbers)
     if dt not in ("d", "f") and not whole:
         raise InputError(f"{where}: a matrix is of dt: {dt}; write d, its numbers are reals")
     if not (isinstance(rows, int) and isinstance(cols, int) and min(rows, cols) > 0):

@@ -1,11 +1,11 @@
-"""From projector coordinates to points: each camera ray meets the projector's plane or ray.
+"""From projector coordinates to points: intersect camera rays with the projector's plane or ray.
 
 Result in the world frame (z up towards the devices), mm. Along a ray there is one unknown, the
 depth; it is found by Gauss-Newton with weights 1 / sigma^2 and its sigma follows from the slope:
 sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2), sigma_xyz = sigma_d |R (x, y, 1)|.
 
-Below plane clear layers (a window, a gel) both rays are bent by Snell's law, see `_layers`; the
-unknown is then the depth below the last interface.
+Below plane clear layers (a window, a gel) both rays are refracted by Snell's law, see `_layers`;
+the unknown is then the depth below the last interface.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason, ReasonImage
-from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, kept
+from reconstruction.compact import Bits, Half, RaySpread, keeps_compact, stored_value
 from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import AxisDecode, Decoded
 from reconstruction.decoding._rows import BIAS
@@ -36,7 +36,7 @@ from reconstruction.triangulation._ray import (
 
 # The first row of a band takes more steps than the others, which start from the row before.
 BAND_ROWS = 48
-# Half precision reaches from 6e-11 to 64 mm.
+# Half precision has the range from 6e-11 to 64 mm.
 SIGMA_UNIT_MM = 2.0**-10
 
 Use = Literal["column", "row", "both"]
@@ -44,10 +44,10 @@ Use = Literal["column", "row", "both"]
 
 @dataclass(frozen=True)
 class EpipolarTolerance:
-    """How far a decoded coordinate may lie from the point found: absolute plus sigmas.
+    """Largest distance of a decoded coordinate from the triangulated point: absolute plus sigmas.
 
-    One projector pixel by default: real calibrations miss by some tenths, wrong fringe orders by a
-    whole period.
+    One projector pixel by default: real calibrations have errors of some 0.1 px, wrong fringe
+    orders a whole period.
     """
 
     absolute_px: float = 1.0
@@ -67,9 +67,9 @@ class PointMap:
     ----------
     points_world_mm : (row, col, xyz) float
     sigma_xyz_mm : (row, col, xyz) float, predicted standard deviations along the world axes from
-        those of the coordinates; the calibration's own uncertainty is not in them. The error of a
-        point lies along its camera ray: its covariance is `covariance_mm2`, of rank 1. Made
-        whenever it is read, from the points and the sigma of their depth
+        those of the coordinates, without the calibration's own uncertainty. The error of a
+        point is along its camera ray: its covariance is `covariance_mm2`, of rank 1. Computed
+        at each access, from the points and the sigma of their depth
     mask_reason : (row, col) Reason
     T_world_from_cam : (4, 4) float, mm
     """
@@ -82,7 +82,7 @@ class PointMap:
     @property
     def sigma_z_mm(self) -> FloatImage:
         """Predicted standard deviation of world z, (row, col)."""
-        sigma = kept(self, "sigma_xyz_mm")
+        sigma = stored_value(self, "sigma_xyz_mm")
         return sigma.component(2) if isinstance(sigma, RaySpread) else self.sigma_xyz_mm[..., 2]
 
     @cached_property
@@ -101,7 +101,7 @@ class PointMap:
 
     @property
     def valid(self) -> BoolImage:
-        """Where there is a point, (row, col) bool."""
+        """Pixels with a point, (row, col) bool."""
         return np.equal(self.mask_reason, Reason.VALID)
 
 
@@ -111,15 +111,15 @@ def triangulate(
     use: Use = "column",
     tolerance: EpipolarTolerance | None = None,
 ) -> PointMap:
-    """Return the points that the decoded coordinates stand for.
+    """Triangulate the points of the decoded coordinates.
 
     Parameters
     ----------
     decoded : both projector coordinates of every camera pixel
     calibration : devices, at the camera's image size
-    use : coordinate that determines the depth; the other one only checks it. Where one axis alone
-        was decoded, it is that one, and nothing is checked
-    tolerance : beyond it a pixel is masked EPIPOLAR_MISMATCH
+    use : coordinate that determines the depth; the second is only compared with it. If only one
+        axis was decoded, it is that axis, without a comparison
+    tolerance : pixels with a larger difference are masked EPIPOLAR_MISMATCH
 
     Raises
     ------
@@ -127,7 +127,7 @@ def triangulate(
     """
     _check(decoded, calibration, use)
     limits = tolerance or EpipolarTolerance()
-    # Without the other coordinate there is no epipolar test.
+    # With one coordinate only there is no epipolar test.
     allowed_px = float(limits.absolute_px) if len(decoded.axes) == 2 else np.inf
     match = Match(use != "row", use != "column", allowed_px, float(limits.sigmas))
     if calibration.layers is None:
@@ -141,7 +141,7 @@ def _in_air(decoded: Decoded, calibration: Calibration, match: Match) -> PointMa
     sigma_depth = Half(np.zeros(shape, np.uint16), SIGMA_UNIT_MM)
     reason = decoded.mask_reason.copy()
     unit = np.float32(BIAS / SIGMA_UNIT_MM)
-    found = PointRows(points.reshape(shape[0], -1), sigma_depth.bits, unit, reason)
+    output = PointRows(points.reshape(shape[0], -1), sigma_depth.bits, unit, reason)
     rig = LensPair(
         lens_of(calibration.camera),
         lens_of(calibration.projector),
@@ -149,7 +149,7 @@ def _in_air(decoded: Decoded, calibration: Calibration, match: Match) -> PointMa
         _motion(calibration.T_world_from_cam),
     )
     fringe = _fringe(decoded)
-    run_over_rows(meet_rows, shape[0], fringe, match, rig, found, band_rows=BAND_ROWS)
+    run_over_rows(meet_rows, shape[0], fringe, match, rig, output, band_rows=BAND_ROWS)
     T_world_from_cam = calibration.T_world_from_cam
     spread: Any = RaySpread(points, sigma_depth, T_world_from_cam)
     return PointMap(points, spread, reason, T_world_from_cam)
@@ -162,7 +162,7 @@ def _below(
     points, spread = np.zeros((2, *shape, 3), np.float32)
     reason = decoded.mask_reason.copy()
     x_mm, y_mm, z_mm = (float(value) for value in calibration.T_world_from_proj[:3, 3])
-    found = SpreadRows(points.reshape(shape[0], -1), spread.reshape(shape[0], -1), reason)
+    output = SpreadRows(points.reshape(shape[0], -1), spread.reshape(shape[0], -1), reason)
     rig = LayeredRig(
         lens_of(calibration.camera),
         lens_of(calibration.projector),
@@ -173,7 +173,7 @@ def _below(
         np.array(layers.iors),
     )
     fringe = _fringe(decoded)
-    run_over_rows(meet_rows_below, shape[0], fringe, match, rig, found, band_rows=BAND_ROWS)
+    run_over_rows(meet_rows_below, shape[0], fringe, match, rig, output, band_rows=BAND_ROWS)
     return PointMap(points, spread, reason, calibration.T_world_from_cam)
 
 
@@ -187,7 +187,7 @@ def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
     if use not in get_args(Use):
         raise InputError(f"use is {use!r}; allowed are 'column', 'row' and 'both'")
     if use not in decoded.axes and len(decoded.axes) == 1:
-        raise InputError(f"use is {use!r}; decoded was {decoded.axes[0]!r} alone")
+        raise InputError(f"use is {use!r}; only {decoded.axes[0]!r} was decoded")
     rows, cols = decoded.mask_reason.shape
     camera = calibration.camera
     if (rows, cols) != (camera.height_px, camera.width_px):
@@ -198,7 +198,7 @@ def _check(decoded: Decoded, calibration: Calibration, use: str) -> None:
 
 
 def _packed_sigma(axis: AxisDecode) -> Bits:
-    sigma = kept(axis, "sigma_px")
+    sigma = stored_value(axis, "sigma_px")
     if isinstance(sigma, Half) and sigma.unit == SIGMA_UNIT_PX:
         return sigma.bits
     return Half.of(axis.sigma_px, SIGMA_UNIT_PX).bits

@@ -1,19 +1,20 @@
-"""Camera rays below plane clear layers, and where they meet the decoded projector coordinate.
+"""Intersect camera rays below plane clear layers with the decoded projector coordinate.
 
-World frame, z up; air above medium 1, the surface in medium m. With w_i the vertical way in medium
+World frame, z up; air above medium 1, the surface in medium m. With w_i the vertical path in medium
 i (air is 0) and t the tangent of the angle to the vertical IN AIR, Snell's law gives the horizontal
-way
+path
 
     r(t) = sum_i w_i t / q_i,   q_i = sqrt(n_i^2 + (n_i^2 - 1) t^2),
     dr/dt = sum_i w_i n_i^2 / q_i^3,
 
 and the tangent t / q_m in the last medium. A camera ray of known t enters that medium at a known
-point A with the direction G = (h / q_m, -1), h its horizontal way in air per mm of height. On
-X = A + s G the unknown is s, the depth below the last interface. The projector sees X along the t
-that solves r(t) = |X - P| horizontally: concave and growing, so that Newton's method from the left
-of the root never overshoots. Its image then moves with s by the implicit function theorem.
+point A with the direction G = (h / q_m, -1), h its horizontal path in air per mm of height. On
+X = A + s G the unknown is s, the depth below the last interface. The projector's ray to X has the t
+that solves r(t) = |X - P| horizontally. r is concave and increasing, so that Newton's method from
+the left of the root never overshoots. The derivative of its image by s is from the implicit
+function theorem.
 
-Light thrown back between the interfaces is no measured light: it is left out.
+Light reflected between the interfaces is neglected.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -43,12 +44,12 @@ from reconstruction.triangulation._ray import (
     weights,
 )
 
-# A gel behind a window needs two turns from the straight line, thick layers of index 3 five.
+# A gel behind a window needs two iterations from the straight line, thick layers of index 3 five.
 MAX_TURNS = 20
 TANGENT_TOLERANCE = 1e-12
-# The error left after such a step is that step times the next contraction, below 1e-3.
+# The remaining error is that step times the next contraction, below 1e-3.
 STEP_TOLERANCE_MM = 1e-5
-# Rays flatter than this in air (89.9 degrees) see nothing.
+# Rays flatter than this in air (89.9 degrees) have no point.
 FLATTEST = 1e-3
 
 
@@ -77,7 +78,7 @@ class SpreadRows(NamedTuple):
 
 
 class LayerEntry(NamedTuple):
-    """Lines of one row: where each camera ray enters the last medium, and its direction there.
+    """Lines of one row: point at which each camera ray enters the last medium, and its direction.
 
     The direction has -1 as its z. depth: of the point below the last interface.
     """
@@ -95,11 +96,11 @@ def _reach(t_square: float, air_mm: float, last_mm: float, rig: LayeredRig) -> A
     tops, iors = rig.tops_mm, rig.iors
     reach, slope, q = air_mm, air_mm, 1.0
     for i in range(tops.size):
-        way = tops[i] - tops[i + 1] if i + 1 < tops.size else last_mm
+        thickness_mm = tops[i] - tops[i + 1] if i + 1 < tops.size else last_mm
         square = iors[i] * iors[i]
         q = np.sqrt(square + (square - 1.0) * t_square)
-        reach += way / q
-        slope += way * square / (q * q * q)
+        reach += thickness_mm / q
+        slope += thickness_mm * square / (q * q * q)
     return reach, slope, q
 
 
@@ -110,7 +111,7 @@ def _enter_row(rays: Rays, rig: LayeredRig, entry: LayerEntry, reason: Any) -> N
     for col in range(reason.size):
         x, y = rays.x[col], rays.y[col]
         down = -(T[2][0] * x + T[2][1] * y + T[2][2])
-        is_ray = rays.found[col] and down > FLATTEST * np.sqrt(x * x + y * y + 1.0)
+        is_ray = rays.is_valid[col] and down > FLATTEST * np.sqrt(x * x + y * y + 1.0)
         if reason[col] == 0 and not is_ray:
             reason[col] = NO_POINT
         down = down if is_ray else 1.0
@@ -125,13 +126,13 @@ def _enter_row(rays: Rays, rig: LayeredRig, entry: LayerEntry, reason: Any) -> N
 def _towards(x: float, y: float, depth: float, tangent: float, rig: LayeredRig) -> Any:
     """Return the tangent in air of the projector's ray to a place, and r / t, dr / dt, q there.
 
-    x, y : horizontal way from the projector; tangent : not above the one sought
+    x, y : horizontal distance from the projector; tangent : not above the solution
     """
-    way = np.sqrt(x * x + y * y)
+    distance = np.sqrt(x * x + y * y)
     air_mm = rig.projector_mm[2] - rig.tops_mm[0]
     reach, slope, q = _reach(tangent * tangent, air_mm, depth, rig)
     for _ in range(MAX_TURNS):
-        step = (way - reach * tangent) / slope
+        step = (distance - reach * tangent) / slope
         tangent += step
         reach, slope, q = _reach(tangent * tangent, air_mm, depth, rig)
         if abs(step) <= TANGENT_TOLERANCE * (1.0 + tangent):
@@ -140,22 +141,24 @@ def _towards(x: float, y: float, depth: float, tangent: float, rig: LayeredRig) 
 
 
 @inlined
-def _seen(x: float, y: float, x_slope: float, y_slope: float, depth: float, rig: LayeredRig) -> Any:
-    """Return the projector's ray to a place, (x, y, z) in its frame, and its change with depth.
+def _projector_ray(
+    x: float, y: float, x_slope: float, y_slope: float, depth: float, rig: LayeredRig
+) -> Any:
+    """Return the projector's ray to a place, (x, y, z) in its frame, and its derivative by depth.
 
-    x, y : horizontal way from the projector; x_slope, y_slope : its change with depth
+    x, y : horizontal distance from the projector; x_slope, y_slope : its derivative by depth
     """
     air_mm = rig.projector_mm[2] - rig.tops_mm[0]
     height = air_mm + rig.tops_mm[0] - rig.tops_mm[-1] + depth
-    way = np.sqrt(x * x + y * y)
-    tangent, reach, slope, q = _towards(x, y, depth, way / height, rig)
-    scale = 1.0 / way if way > 0.0 else 0.0
+    distance = np.sqrt(x * x + y * y)
+    tangent, reach, slope, q = _towards(x, y, depth, distance / height, rig)
+    scale = 1.0 / distance if distance > 0.0 else 0.0
     ex, ey = x * scale, y * scale
     outwards = ex * x_slope + ey * y_slope
-    grows = (outwards - tangent / q) / slope
+    tangent_slope = (outwards - tangent / q) / slope
     hx, hy = x / reach, y / reach
-    hx_slope = grows * ex + (x_slope - ex * outwards) / reach
-    hy_slope = grows * ey + (y_slope - ey * outwards) / reach
+    hx_slope = tangent_slope * ex + (x_slope - ex * outwards) / reach
+    hy_slope = tangent_slope * ey + (y_slope - ey * outwards) / reach
     R = rig.T_proj_from_world
     ray = (
         R[0][0] * hx + R[0][1] * hy - R[0][2],
@@ -172,7 +175,7 @@ def _seen(x: float, y: float, x_slope: float, y_slope: float, depth: float, rig:
 
 @inlined
 def _image(ray: Any, turn: Any, lens: Lens) -> Any:
-    """Return the pixel of a ray, its change with depth, and whether the lens shows it."""
+    """Return the pixel of a ray, its derivative by depth, and whether it is in the lens's field."""
     inverse = 1.0 / ray[2]
     px, py = ray[0] * inverse, ray[1] * inverse
     px_slope, py_slope = (turn[0] - px * turn[2]) * inverse, (turn[1] - py * turn[2]) * inverse
@@ -206,11 +209,11 @@ def _meet_row(
         for _ in range(MAX_STEPS):
             x = entry.x[col] + depth * x_slope - place[0]
             y = entry.y[col] + depth * y_slope - place[1]
-            ray, turn = _seen(x, y, x_slope, y_slope, depth, rig)
+            ray, turn = _projector_ray(x, y, x_slope, y_slope, depth, rig)
             u, v, us, vs, is_shown = _image(ray, turn, lens)
             du, dv = pixels.u[col] - u, pixels.v[col] - v
             step = (wu * us * du + wv * vs * dv) / (wu * us * us + wv * vs * vs)
-            # A surface above the last interface is none; a NaN is not there either.
+            # A point above the last interface is invalid; a NaN counts as not converged.
             is_there = is_shown & (abs(step) <= STEP_TOLERANCE_MM)
             depth = max(depth + step, 0.0)
             if is_there:

@@ -1,4 +1,4 @@
-"""Camera rays of one image row, and where they meet the decoded projector coordinate.
+"""Intersect the camera rays of one image row with the decoded projector coordinate.
 
 In double precision; the inverse of the lens distortion takes a whole row per step.
 
@@ -28,7 +28,7 @@ from reconstruction.rig.pinhole import (
     newton_step,
 )
 
-# Newton squares the error: a step below 1e-7 leaves far less than 1e-12.
+# Newton squares the error: after a step below 1e-7 it is far below 1e-12.
 RAY_TOLERANCE = 1e-7
 
 distort_inlined = inlined(distort)
@@ -39,10 +39,10 @@ EPIPOLAR_MISMATCH = np.uint8(Reason.EPIPOLAR_MISMATCH)
 NO_POINT = np.uint8(Reason.NO_POINT)
 VALID = np.uint8(Reason.VALID)
 MAX_STEPS = 20
-# Relative depth step that ends the iteration. The error left after it is smaller by the next
+# Relative depth step that ends the iteration. The remaining error is this step times the next
 # contraction, below 1e-3: at most 2e-6 mm at 200 mm.
 DEPTH_TOLERANCE = 1e-5
-# A caller's zero sigma must not become an infinite weight.
+# Prevents an infinite weight for a sigma of zero.
 SMALLEST_SIGMA_PX = np.float32(1e-9)
 ZERO = np.float32(0.0)
 
@@ -63,7 +63,7 @@ class Lens(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """What a band of rows is worked out in; compiled code makes no arrays."""
+    """Work arrays for a band of rows, because compiled code does not allocate any."""
 
     long: Any  # (line, col) float64
     short: Any  # (line, col) float32
@@ -71,21 +71,21 @@ class Lines(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """Lines of one row: the rays (x, y, 1) in the camera frame, and where there is one.
+    """Lines of one row: the rays (x, y, 1) in the camera frame, and whether they exist.
 
-    x_bend, y_bend : how far the lens bends each ray; those of the row before are a good start, as
-        neighbours bend alike: one step is enough in all but the first row
+    x_bend, y_bend : displacement of each ray by the lens; those of the row before are a good
+        start, as neighbours are similar: one step is enough in all but the first row
     """
 
     x: Any
     y: Any
     x_bend: Any
     y_bend: Any
-    found: Any
+    is_valid: Any
 
 
 def lens_of(device: Pinhole) -> Lens:
-    """Return the intrinsics of a device as the kernels take them."""
+    """Return the intrinsics of a device in the form that the kernels use."""
     k1, k2, p1, p2, k3 = (float(value) for value in device.distortion)
     return Lens(
         float(device.fx_px),
@@ -101,7 +101,7 @@ def lens_of(device: Pinhole) -> Lens:
 @nested
 def _newton_row(row: int, camera: Lens, rays: Rays) -> Any:
     """Improve the rays of a row by one Newton step; return how many have not converged."""
-    x, y, x_bend, y_bend, found = rays
+    x, y, x_bend, y_bend, is_valid = rays
     x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
     pending = 0
     for col in range(x.size):
@@ -114,24 +114,24 @@ def _newton_row(row: int, camera: Lens, rays: Rays) -> Any:
         x_bend[col], y_bend[col] = x_bend[col] + dx, y_bend[col] + dy
         is_close = abs(dx) + abs(dy) < RAY_TOLERANCE
         is_before = is_before_fold_inlined(x_old, y_old, jacobian, camera.fold_square)
-        found[col] = is_close & is_before
+        is_valid[col] = is_close & is_before
         pending += not is_close
     return pending
 
 
 @nested
 def _ideal_row(row: int, camera: Lens, rays: Rays) -> None:
-    x, y, found = rays.x, rays.y, rays.found
+    x, y, is_valid = rays.x, rays.y, rays.is_valid
     x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
     for col in range(x.size):
-        x[col], y[col], found[col] = (col - camera.cx) * x_scale, y_target, True
+        x[col], y[col], is_valid[col] = (col - camera.cx) * x_scale, y_target, True
 
 
 @nested
-def _forget_lost(found: Any, x_bend: Any, y_bend: Any) -> None:
-    for col in range(found.size):
-        x_bend[col] = x_bend[col] if found[col] else 0.0
-        y_bend[col] = y_bend[col] if found[col] else 0.0
+def _reset_invalid(is_valid: Any, x_bend: Any, y_bend: Any) -> None:
+    for col in range(is_valid.size):
+        x_bend[col] = x_bend[col] if is_valid[col] else 0.0
+        y_bend[col] = y_bend[col] if is_valid[col] else 0.0
 
 
 @compiled
@@ -143,11 +143,11 @@ def ray_row(row: int, camera: Lens, rays: Rays) -> None:
     for _ in range(INVERSE_STEPS):
         if _newton_row(row, camera, rays) == 0:
             break
-    _forget_lost(rays.found, rays.x_bend, rays.y_bend)
+    _reset_invalid(rays.is_valid, rays.x_bend, rays.y_bend)
 
 
 class Match(NamedTuple):
-    """Which coordinates determine the depth, and how far the other may be off."""
+    """Coordinates that determine the depth, and the tolerance of the second coordinate."""
 
     use_column: bool
     use_row: bool
@@ -199,11 +199,11 @@ class Pixels(NamedTuple):
 
 
 class ProjectorView(NamedTuple):
-    """Lines of one row: what the projector sees of each point.
+    """Lines of one row: projection of each point into the projector.
 
     Reprojection residual (decoded minus projected pixel) and the pixel's change per mm of depth,
-    single precision; how far the lens moves it, double precision: that of the row before is a good
-    start.
+    single precision; displacement by the lens, double precision: that of the row before is a
+    good start.
     """
 
     u_residual: Any
@@ -225,7 +225,7 @@ def _rotate(T: Motion, x: float, y: float) -> Any:
 
 @inlined
 def weights(su: Any, sv: Any, match: Match) -> Any:
-    """Weights of both coordinates up to a common factor: alone, one needs no division."""
+    """Return the weights of both coordinates up to a common factor, without division for one."""
     if match.use_column and match.use_row:
         su, sv = max(su, SMALLEST_SIGMA_PX), max(sv, SMALLEST_SIGMA_PX)
         return sv * sv, su * su
@@ -242,8 +242,8 @@ def _start_row(
     view: ProjectorView,
     reason: Any,
 ) -> None:
-    """Write the depth for a lens that bends as in the row before: weighted planes."""
-    x, y, found, u_bend, v_bend = rays.x, rays.y, rays.found, view.u_bend, view.v_bend
+    """Write the depth with the lens displacement of the row before: weighted planes."""
+    x, y, is_valid, u_bend, v_bend = rays.x, rays.y, rays.is_valid, view.u_bend, view.v_bend
     u, v, su, sv = pixels
     lens, T = rig.projector, rig.T_proj_from_cam
     bx, by, bz = T[0][3], T[1][3], T[2][3]
@@ -254,7 +254,7 @@ def _start_row(
         au, bu = lens.fx * ax - uc * az, uc * bz - lens.fx * bx
         av, bv = lens.fy * ay - vc * az, vc * bz - lens.fy * by
         depth[col] = (wu * au * bu + wv * av * bv) / (wu * au * au + wv * av * av)
-        reason[col] = NO_POINT if (reason[col] == 0) & (not found[col]) else reason[col]
+        reason[col] = NO_POINT if (reason[col] == 0) & (not is_valid[col]) else reason[col]
 
 
 @nested
@@ -262,7 +262,7 @@ def _step_row(
     rays: Rays, pixels: Pixels, match: Match, rig: LensPair, is_last: bool, depth: Any,
     view: ProjectorView, reason: Any,
 ) -> Any:  # fmt: skip
-    """Take one Gauss-Newton step on the weighted residuals; return how many are not there yet."""
+    """Take one Gauss-Newton step on the weighted residuals; return how many have not converged."""
     x, y = rays.x, rays.y
     u, v, su, sv = pixels
     lens, T = rig.projector, rig.T_proj_from_cam
@@ -286,7 +286,7 @@ def _step_row(
         wu, wv = weights(su[col], sv[col], match)
         step = (wu * us * du + wv * vs * dv) / (wu * us * us + wv * vs * vs)
         is_ahead = (d > 0.0) & (z > 0.0)
-        # A NaN counts as ahead of nothing and as not there.
+        # A NaN counts as behind the device and as not converged.
         is_there = abs(step) <= DEPTH_TOLERANCE * d
         is_folded = is_there & (not is_before_fold_inlined(px, py, jacobian, lens.fold_square))
         is_lost = (not is_ahead) | (is_last & (not is_there)) | is_folded
@@ -304,7 +304,7 @@ def _step_row(
 
 @nested
 def judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, reason: Any) -> None:
-    """Write the sigma of the depth, and mark coordinates that contradict the point."""
+    """Write the sigma of the depth, and mask coordinates that contradict the point."""
     su, sv = pixels.u_sigma, pixels.v_sigma
     u_residual, v_residual, u_slope, v_slope, _, _ = view
     tolerance = np.float32(match.tolerance_px)

@@ -1,4 +1,4 @@
-"""`twin adopt` on the worked example of docs/real_rig.md, whose rig is known."""
+"""`twin adopt` on the worked example of docs/real_rig.md with its known rig."""
 
 import json
 import re
@@ -24,11 +24,11 @@ def adopted(tmp_path_factory):
     return out
 
 
-def test_the_example_tells_its_rig(adopted):
+def test_the_example_gives_its_rig(adopted):
     """docs/make_example_capture.py: gamma 1, blur 0.7 px, gain 6.22e-4 DN/e- of binned pixels.
 
-    8 bits: a level is 1,600 electrons, rounding hides the read noise, and the gain is as good as
-    the pixel noise of some tenths of a level lets it.
+    8 bits: a level is 1,600 electrons, so rounding hides the read noise. The gain is as accurate
+    as a pixel noise of some 0.1 levels permits.
     """
     metrics = json.loads((adopted / "result.json").read_text())["metrics"]
     assert (
@@ -53,11 +53,11 @@ def test_files_are_a_contract(adopted):
 
 
 def test_the_response_is_taken_by_a_capture(adopted, tmp_path, capsys):
-    """response.toml, put behind capture.toml, is what the decoder then uses."""
+    """response.toml, appended to capture.toml, is the response that the decoder uses."""
     capture = tmp_path / "capture"
     shutil.copytree(EXAMPLE, capture)
-    told = (capture / "capture.toml").read_text() + (adopted / "response.toml").read_text()
-    (capture / "capture.toml").write_text(told)
+    text = (capture / "capture.toml").read_text() + (adopted / "response.toml").read_text()
+    (capture / "capture.toml").write_text(text)
     assert run(["decode", str(capture), "-o", str(tmp_path / "with")]) == 0
     assert run(["decode", str(EXAMPLE), "-o", str(tmp_path / "without")]) == 0
     digests = {
@@ -65,7 +65,7 @@ def test_the_response_is_taken_by_a_capture(adopted, tmp_path, capsys):
         for name in ("with", "without")
     }
     assert len(digests) == 2
-    broken = told.replace("gamma =", "gama =")
+    broken = text.replace("gamma =", "gama =")
     (capture / "capture.toml").write_text(broken)
     capsys.readouterr()
     assert run(["decode", str(capture), "-o", str(tmp_path / "no")]) == 2
@@ -85,16 +85,16 @@ def test_the_response_is_taken_by_a_capture(adopted, tmp_path, capsys):
         ([str(EXAMPLE), "--ball-diameter-mm", "-1"], "give all three"),
     ],
 )
-def test_bad_input_is_one_line(tmp_path, capsys, arguments, message):
+def test_bad_input_gives_a_single_line(tmp_path, capsys, arguments, message):
     out = tmp_path / "out"
     assert run(["adopt", *arguments, "-o", str(out), "--no-report"]) == 2
-    told = capsys.readouterr().err.strip().splitlines()[-1]
-    assert message in told
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in line
     assert not out.exists()
 
 
-def test_dark_frames_that_are_lit_are_one_line(tmp_path, capsys):
-    """The white frame as dark frame: a black level of half the scale would leave no light."""
+def test_lit_dark_frames_give_a_single_line(tmp_path, capsys):
+    """The white frame as dark frame: a black level of half the scale would exclude all light."""
     dark = tmp_path / "dark"
     dark.mkdir()
     white = sorted(EXAMPLE.glob("*white*"))[0]
@@ -110,7 +110,7 @@ def test_dark_frames_that_are_lit_are_one_line(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("albedo", [-0.1, 0.0, 1.0, 1.7, float("nan")])
-def test_an_albedo_that_no_coat_has_is_refused(albedo):
+def test_an_impossible_albedo_is_rejected(albedo):
     with pytest.raises(InputError, match=r"allowed 0 to 1, with a reference of 0\.5; record both"):
         _require_albedo(albedo, 0.5)
 
@@ -127,10 +127,10 @@ back_pressure_kpa = 0.03
 """
 
 
-def test_a_pressed_ball_tells_the_elastomer(tmp_path):
-    """Hidden: 0.2 mm and 413 kPa, as `examples/wrapped_balls` has them; believed: 0.21 mm.
+def test_a_pressed_ball_gives_the_elastomer(tmp_path):
+    """True: 0.2 mm and 413 kPa, as in `examples/wrapped_balls`; given: 0.21 mm.
 
-    One capture is both the rig's and the press; its pixels are read with the noise found in it.
+    One capture is both the rig's and the press; its pixels have the noise estimated from it.
     """
     rendered, rig, layer = tmp_path / "press", tmp_path / "rig", tmp_path / "layer.toml"
     layer.write_text(LAYER)
@@ -146,14 +146,14 @@ def test_a_pressed_ball_tells_the_elastomer(tmp_path):
     assert run(["render", "examples/wrapped_balls", *small]) == 0
     ball = ["--ball", str(rendered), "--ball-diameter-mm", "8", "--layer", str(layer)]
     assert run(["adopt", str(rendered), *ball, "-o", str(rig), "--no-report"]) == 0
-    found = tomllib.loads((rig / "rig.toml").read_text())["elastomer"]
-    low, high = found["thickness_mm"]["range"]
+    elastomer = tomllib.loads((rig / "rig.toml").read_text())["elastomer"]
+    low, high = elastomer["thickness_mm"]["range"]
     assert low < 0.2 < high < 0.21
     assert high - low < 0.006
-    low, high = found["young_modulus_kpa"]["range"]
+    low, high = elastomer["young_modulus_kpa"]["range"]
     assert low < 412.7 < high
-    assert "shore_a" not in found
-    assert found["length_x_mm"]["source"] == "stated: layer.toml"
+    assert "shore_a" not in elastomer
+    assert elastomer["length_x_mm"]["source"] == "stated: layer.toml"
     adopted = load_experiment(rig / "experiment.toml")
     assert adopted.elastomer.thickness_mm == pytest.approx(0.2, abs=0.003)
     layer.write_text(LAYER.replace("0.21", "4.0"))
@@ -161,12 +161,16 @@ def test_a_pressed_ball_tells_the_elastomer(tmp_path):
     assert run(again) == 2
 
 
-def test_the_public_function_finds_the_same(adopted):
+def test_the_public_function_returns_the_same(adopted):
     """As fields with sources, in one line, with the points of the capture."""
-    found = twin.adopt(EXAMPLE)
+    adopted_rig = twin.adopt(EXAMPLE)
     written = json.loads((adopted / "result.json").read_text())["metrics"]
-    assert found.fields["projector.blur_px"].value == written["projector_blur_px"]
-    measured = [one for one in found.fields.values() if one.source.startswith("measured")]
-    assert repr(found).startswith(f"<Adopted: {len(found.fields)} fields, {len(measured)} measured")
-    assert found.to_xarray()["z_mm"].dims == ("row", "col")
-    assert "projector.blur_px" in found._repr_html_()
+    assert adopted_rig.fields["projector.blur_px"].value == written["projector_blur_px"]
+    measured = [
+        field for field in adopted_rig.fields.values() if field.source.startswith("measured")
+    ]
+    assert repr(adopted_rig).startswith(
+        f"<Adopted: {len(adopted_rig.fields)} fields, {len(measured)} measured"
+    )
+    assert adopted_rig.to_xarray()["z_mm"].dims == ("row", "col")
+    assert "projector.blur_px" in adopted_rig._repr_html_()

@@ -1,4 +1,4 @@
-"""Calibrations in the words of a rig: those of rigs come back, others tell what is left out."""
+"""Calibrations as fields of a rig: those of rigs are reproduced, others have a misfit."""
 
 from dataclasses import replace
 
@@ -22,24 +22,24 @@ from twin.optics.rig import true_calibration
     ],
     ids=["paper", "tilted", "rolled", "distorted"],
 )
-def test_a_rig_comes_back(changes):
+def test_a_rig_is_reproduced(changes):
     """Expected: every number of both poses to 1e-6, and a misfit below 1e-4 px."""
     experiment = load_experiment("examples/slab_ball", {"camera.binning": 4, **changes})
-    found = place(true_calibration(experiment))
-    assert max(found.misfit_px) < 1e-4
-    assert found.is_close
+    placed = place(true_calibration(experiment))
+    assert max(placed.misfit_px) < 1e-4
+    assert placed.is_close
     for pose, device in (
-        (found.camera_pose, experiment.camera),
-        (found.projector_pose, experiment.projector),
+        (placed.camera_pose, experiment.camera),
+        (placed.projector_pose, experiment.projector),
     ):
         assert pose.standoff_mm == pytest.approx(device.pose.standoff_mm, rel=1e-6)
         assert pose.polar_deg == pytest.approx(device.pose.polar_deg, abs=1e-4)
-    assert found.projector_focal_px == pytest.approx(1.2 * 1280, rel=1e-6)
-    np.testing.assert_allclose(found.origin_mm, 0.0, atol=1e-5)
+    assert placed.projector_focal_px == pytest.approx(1.2 * 1280, rel=1e-6)
+    np.testing.assert_allclose(placed.origin_mm, 0.0, atol=1e-5)
 
 
-def test_another_origin_is_found():
-    """The world frame moved by (3, -2) mm in its plane: the rig is the same one."""
+def test_a_moved_origin_is_the_same_rig():
+    """The world frame moved by (3, -2) mm in its plane: the rig is the same."""
     experiment = load_experiment("examples/slab_ball", {"camera.binning": 4})
     true = true_calibration(experiment)
     shift = np.eye(4)
@@ -47,22 +47,22 @@ def test_another_origin_is_found():
     moved = Calibration(
         true.camera, true.projector, shift @ true.T_world_from_cam, shift @ true.T_world_from_proj
     )
-    found = place(moved)
-    np.testing.assert_allclose(found.origin_mm, (3.0, -2.0, 0.0), atol=1e-5)
-    assert found.camera_pose.standoff_mm == pytest.approx(experiment.camera.pose.standoff_mm)
+    placed = place(moved)
+    np.testing.assert_allclose(placed.origin_mm, (3.0, -2.0, 0.0), atol=1e-5)
+    assert placed.camera_pose.standoff_mm == pytest.approx(experiment.camera.pose.standoff_mm)
 
 
-def test_what_a_rig_cannot_say_is_misfit():
-    """A projector whose axis is 40 px aside looks elsewhere: some px stay, and are told."""
+def test_properties_outside_the_rig_model_are_misfit():
+    """A projector with an axis 40 px aside has another aim: a misfit of some px is reported."""
     true = true_calibration(load_experiment("examples/slab_ball", {"camera.binning": 4}))
     aside = replace(true, projector=replace(true.projector, fy_px=1.02 * true.projector.fx_px))
-    found = place(aside)
-    assert found.misfit_px[1] > 0.5
-    assert not found.is_close
+    placed = place(aside)
+    assert placed.misfit_px[1] > 0.5
+    assert not placed.is_close
 
 
 def test_pixels_that_are_not_square_are_refused():
-    """Setup: a diamond chip, whose columns are counted at half their number."""
+    """Setup: a diamond chip, with columns counted at half their number."""
     true = true_calibration(load_experiment("examples/slab_ball", {"camera.binning": 4}))
     p = true.projector
     halved = replace(p, width_px=p.width_px // 2, fx_px=p.fx_px / 2, cx_px=(p.cx_px - 0.5) / 2)

@@ -43,7 +43,7 @@ def test_dark_frames_at_binning_four():
         read_noise_e=known(6.2), full_well_e=known(1000.0), black_level_dn=100.0,
     )  # fmt: skip
     stack = expose(dark, [np.zeros(SHAPE, np.float32)] * 40, 0).stack.astype(float)
-    # 40,000 pixels know a spread to 0.35 %, their mean to 0.075 DN.
+    # 40,000 pixels determine a spread to 0.35 %, their mean to 0.075 DN.
     assert stack.mean() == pytest.approx(139.95, abs=0.3)
     assert np.sqrt(stack.var(axis=0, ddof=1).mean()) == pytest.approx(6.957, rel=0.005)
     pattern = stack.mean(axis=0).var(ddof=1) - 6.957**2 / 40
@@ -70,7 +70,7 @@ def test_dark_current_fills_the_well_too():
     }
     quiet = {"read_noise_e": known(0.0)}
     for noise in (False, True):
-        one = experiment_with(noise=noise, **settings, **quiet)
-        rate = 1000.0 * electrons_per_ms(one.camera, one.projector.wavelength_nm)
-        stack = expose(one, [np.full((20, 20), 300.0 / rate, np.float32)], 0).stack
+        experiment = experiment_with(noise=noise, **settings, **quiet)
+        rate = 1000.0 * electrons_per_ms(experiment.camera, experiment.projector.wavelength_nm)
+        stack = expose(experiment, [np.full((20, 20), 300.0 / rate, np.float32)], 0).stack
         assert (stack == 4095).all()

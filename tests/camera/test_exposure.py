@@ -24,7 +24,7 @@ def experiment_with(**changes):
 
 
 def uniform(experiment, electrons):
-    """Frames whose mean is the given number of electrons per pixel."""
+    """Frames with the given mean number of electrons per pixel."""
     rate = electrons_per_ms(experiment.camera, experiment.projector.wavelength_nm)
     return [np.full(SHAPE, e / (rate * 10.0), np.float32) for e in electrons]
 
@@ -42,7 +42,7 @@ def test_photon_transfer_slope_is_the_gain():
     assert intercept == pytest.approx(gain**2 * dark_e2 + 1 / 12, rel=0.05)
 
 
-def test_the_decoder_knows_the_same_variance():
+def test_the_decoder_has_the_same_variance():
     experiment = experiment_with()
     stack = expose(experiment, uniform(experiment, [5000.0]), 0).stack
     predicted = noise_model(experiment.camera).variance_dn2(float(stack.mean()))
@@ -82,7 +82,7 @@ def test_binning_keeps_the_dn_and_improves_the_signal_to_noise(binning):
     [({"prnu_percent": 1.0}, 10000.0, 100.0), ({"dsnu_e": 15.0}, 100.0, 15.0)],
 )
 def test_prnu_and_dsnu_are_fixed_over_frames_and_trials(pattern, electrons, spread_e):
-    """Each alone: what two trials share, to 1 %; 40,000 pixels know it to half of that."""
+    """One at a time: the common pattern of two trials, to 1 %; 40,000 pixels resolve 0.5 %."""
     experiment = experiment_with(**pattern)
     frames = uniform(experiment, [electrons] * 12)
     first, second = (
@@ -105,7 +105,7 @@ def test_automatic_exposure_reaches_its_level():
     assert level == pytest.approx(experiment.camera.auto_level, rel=0.02)
 
 
-def test_automatic_exposure_in_the_dark_says_so():
+def test_automatic_exposure_in_the_dark_is_an_error():
     with pytest.raises(ValueError, match="white frame is black"):
         expose(load_experiment("examples/slab_balls"), [np.zeros(SHAPE, np.float32)], 0)
 
@@ -114,7 +114,7 @@ def test_automatic_exposure_in_the_dark_says_so():
     ("radiance", "remedy"), [(1e-30, "use more light"), (1e30, "use less light")]
 )
 def test_automatic_exposure_no_camera_has_is_refused(radiance, remedy):
-    """A rig without light was exposed for 1e16 ms."""
+    """Without the check, a rig without light was exposed for 1e16 ms."""
     white = np.full(SHAPE, radiance, np.float32)
     with pytest.raises(InputError, match=r"needs .* ms, allowed 0\.0001 to 1e\+06") as caught:
         choose_exposure_ms(load_experiment("examples/slab_balls"), white)
@@ -136,18 +136,19 @@ def test_same_seed_same_bytes_and_noise_free_is_the_expectation():
 
 
 def test_frames_are_the_same_in_any_order_and_on_any_number_of_threads(monkeypatch):
-    """Each frame alone, last frame first, gives what all of them give on one and on two threads."""
+    """Frames recorded singly, last first, equal those recorded together on one or two threads."""
     experiment = experiment_with(prnu_percent=1.0)
     frames = uniform(experiment, [0.0, 5.0, 150.0, 9000.0])
-    found = []
+    stacks = []
     for count in ("1", "2"):
         monkeypatch.setenv("NUMBA_NUM_THREADS", count)
-        found.append(expose(experiment, frames, 0).stack)
-    assert np.array_equal(*found)
+        stacks.append(expose(experiment, frames, 0).stack)
+    assert np.array_equal(*stacks)
     backwards = experiment_with(prnu_percent=1.0)
-    alone = [expose(backwards, frames[: end + 1], 0).stack[end] for end in (3, 1, 2, 0)]
+    separate = [expose(backwards, frames[: end + 1], 0).stack[end] for end in (3, 1, 2, 0)]
     assert all(
-        np.array_equal(found[0][end], one) for end, one in zip((3, 1, 2, 0), alone, strict=True)
+        np.array_equal(stacks[0][end], single)
+        for end, single in zip((3, 1, 2, 0), separate, strict=True)
     )
 
 

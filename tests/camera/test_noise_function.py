@@ -55,11 +55,11 @@ def test_random_numbers_follow_experiment_trial_and_frame():
     def gaussian(mean_e, rng):
         return mean_e + rng.normal(0.0, 30.0, mean_e.shape)
 
-    first, again, other = (
+    first, again, reseeded = (
         expose(case, frames(case), 3, trial=trial, noise=gaussian).stack for trial in (0, 0, 1)
     )
     np.testing.assert_array_equal(first, again)
-    assert (first != other).mean() > 0.3
+    assert (first != reseeded).mean() > 0.3
     assert (first[2] - first[2].mean() != first[3] - first[3].mean()).any()
 
 

@@ -1,4 +1,4 @@
-"""Readings of full pixels are told from good ones, though they carry read noise below the top."""
+"""Readings of full pixels are detected, although read noise moves them below the largest code."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def experiment_with(**changes):
 
 
 def coordinates_px():
-    """Projector column and row that each camera pixel sees."""
+    """Projector column and row of each camera pixel."""
     row, col = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     return 6.0 + 116.0 * col / SHAPE[1] + 0.013 * row, 6.0 + 116.0 * row / SHAPE[0] + 0.017 * col
 
@@ -67,9 +67,9 @@ def most_beyond_five_sigma(errors):
 
 @pytest.mark.parametrize("binning", BINNINGS)
 def test_clipped_readings_do_not_pass_for_good_ones(binning):
-    """Setup: fringes that peak at 1.5 of the full well; what is clipped is told by the same photons
-    without read noise. Expected: at most 1e-5 of it unflagged, 0.5 % of the rest flagged, no error
-    beyond what is normal.
+    """Setup: fringes that peak at 1.5 of the full well; clipped readings are known from the
+    same photons without read noise. Expected: at most 1e-5 of them unflagged, 0.5 % of the
+    rest flagged, no error beyond those of a normal distribution.
     """
     experiment = experiment_with(binning=binning)
     radiance = fringes(experiment, 1.5)
@@ -93,8 +93,8 @@ def test_dark_offsets_do_not_hide_clipped_readings():
 
 
 @pytest.mark.parametrize("binning", BINNINGS)
-def test_what_stays_below_the_full_well_is_kept(binning):
-    """Setup: white at 0.95 of the full well. Expected: nothing flagged, sigma is the error."""
+def test_readings_below_the_full_well_are_valid(binning):
+    """Setup: white at 0.95 of the full well. Expected: no flags, sigma is the error."""
     experiment = experiment_with(binning=binning, prnu_percent=0.0)
     stack = expose(experiment, fringes(experiment, 0.95), WHITE).stack
     assert not is_flagged(stack, experiment).any()
@@ -103,10 +103,10 @@ def test_what_stays_below_the_full_well_is_kept(binning):
 
 @pytest.mark.parametrize("binning", [2, 4])
 def test_cells_of_which_some_wells_are_full_do_no_harm(binning):
-    """Setup: every well of a binned cell clips by itself, where the twin clips their sum.
+    """Setup: every well of a binned cell clips separately, while the twin clips their sum.
 
-    Expected: no error beyond what is normal. Why: a cell with full and other wells lies within a
-    few of its shot noise's sigmas below the top, and so does its error.
+    Expected: no error beyond those of a normal distribution. Why: a cell with some full wells is
+    within a few sigmas of its shot noise below full scale, and so is its error.
     """
     experiment = experiment_with(binning=binning)
     camera, sensor = experiment.camera, noise_model(experiment.camera)

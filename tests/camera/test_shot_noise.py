@@ -41,16 +41,16 @@ PI = (
 def test_words_are_those_of_threefry(words, expected):
     """Known answers of Random123, the authors' own library, for Threefry 4x32-20."""
     words = tuple(np.uint32(word) for word in words)
-    found = threefry(words[:4], words[4:])
-    assert " ".join(f"{word:08x}" for word in found) == expected
+    random_words = threefry(words[:4], words[4:])
+    assert " ".join(f"{word:08x}" for word in random_words) == expected
 
 
 @numba.njit
 def _pairs(words):
-    found = np.zeros(words.shape, np.float32)
+    numbers = np.zeros(words.shape, np.float32)
     for i in range(len(words)):
-        found[i] = normal_pair(words[i, 0], words[i, 1])
-    return found
+        numbers[i] = normal_pair(words[i, 0], words[i, 1])
+    return numbers
 
 
 def test_pairs_are_the_transform_of_box_and_muller():
@@ -63,12 +63,12 @@ def test_pairs_are_the_transform_of_box_and_muller():
     pairs = [(a, b) for a in ends for b in ends]
     words = np.array(pairs + rng.integers(0, 2**32, (5000, 2)).tolist(), np.uint32)
     radius = np.sqrt(-2.0 * np.log((words[:, 0] + 0.5) / 2.0**32))
-    # The two highest bits name the quarter turn, which begins an eighth before its axis.
+    # The two highest bits select the quarter turn, which starts 1/8 turn before its axis.
     within = (words[:, 1] & 0x3FFFFFFF).astype(float)
     within -= np.where(within >= 2**29, 2**30, 0)
     angle = np.pi / 2 * ((words[:, 1] >> 30) + within / 2**30)
     expected = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    # Beside 1 a float32 has steps of 2^-24, and the square of a small radius is twice that coarse.
+    # Near 1 a float32 has steps of 2^-24; those of the square of a small radius are twice as large.
     limit = np.where(radius > 0.1, 4e-6, 3e-4)[:, None]
     assert (np.abs(_pairs(words) - expected) < limit).all()
 
@@ -87,9 +87,9 @@ def _counts(mean, normal):
 
 @pytest.mark.parametrize(("mean", "limit"), [(FROM_NORMAL, 2e-5), (1000.0, 1e-6), (40000.0, 1e-7)])
 def test_all_probabilities_are_the_poisson_ones(mean, limit):
-    """Setup: the normal number at which each count begins, by bisection in float64.
+    """Setup: the normal number at which each count starts, by bisection in float64.
 
-    Expected: total variation from the Poisson law below the limit; the counts never fall.
+    Expected: total variation from the Poisson law below the limit; the counts never decrease.
     """
     low, high = (int(stats.poisson.ppf(share, mean)) for share in (1e-12, 1.0 - 1e-12))
     count = np.arange(low, high)
@@ -98,9 +98,9 @@ def test_all_probabilities_are_the_poisson_ones(mean, limit):
         middle = (left + right) / 2
         above = _counts(float(mean), middle) > count
         left, right = np.where(above, left, middle), np.where(above, middle, right)
-    found = np.diff(stats.norm.cdf(left))
+    probabilities = np.diff(stats.norm.cdf(left))
     assert (np.diff(left) > 0).all()
-    assert 0.5 * np.abs(found - stats.poisson.pmf(count[1:], mean)).sum() < limit
+    assert 0.5 * np.abs(probabilities - stats.poisson.pmf(count[1:], mean)).sum() < limit
 
 
 def test_single_precision_moves_few_counts():
@@ -113,7 +113,7 @@ def test_single_precision_moves_few_counts():
 
 
 def test_tables_of_small_counts_are_the_poisson_law():
-    """Total variation of every table from the Poisson law of its mean: what 32 bits leave."""
+    """Total variation of every table from the Poisson law of its mean: rounding to 32 bits."""
     shares = np.diff(small_counts().ends.astype(float), axis=1, prepend=0.0) / 2.0**32
     steps, counts = shares.shape
     mean = np.linspace(0.0, FROM_NORMAL, steps)[:, None]
@@ -143,8 +143,8 @@ def test_drawn_counts_follow_the_poisson_law(mean):
         return
     ends = np.unique(stats.poisson.ppf(np.linspace(0.05, 0.95, 19), mean))
     expected = np.diff(np.r_[0.0, stats.poisson.cdf(ends, mean), 1.0]) * drawn.size
-    found = np.diff(np.r_[0, np.searchsorted(np.sort(drawn), ends, side="right"), drawn.size])
-    assert stats.chisquare(found, expected).pvalue > 1e-3
+    frequencies = np.diff(np.r_[0, np.searchsorted(np.sort(drawn), ends, side="right"), drawn.size])
+    assert stats.chisquare(frequencies, expected).pvalue > 1e-3
 
 
 def test_five_electrons_are_as_skewed_as_poisson_numbers_are():
@@ -163,21 +163,23 @@ def test_both_regimes_live_in_one_frame():
 
 
 @pytest.mark.parametrize("mean", [5.0, 5000.0])
-def test_no_pixel_tells_of_another(mean):
+def test_pixels_are_independent(mean):
     """Correlation between neighbours, between columns that share a block, and between rows, frames
     and keys: none beyond four standard errors.
     """
-    shape, other = (300, 401), tuple(np.array([11, 22, 33, 45], np.uint32))
+    shape, another_key = (300, 401), tuple(np.array([11, 22, 33, 45], np.uint32))
     means = np.full(shape, mean, np.float32)
-    one = poisson_counts(means, KEY) - mean
-    next_frame, other_key = (poisson_counts(means, *which) - mean for which in ((KEY, 1), (other,)))
+    deviations = poisson_counts(means, KEY) - mean
+    next_frame, other_key = (
+        poisson_counts(means, *which) - mean for which in ((KEY, 1), (another_key,))
+    )
     pairs = [
-        (one[:, 1:], one[:, :-1]),
-        (one[1:], one[:-1]),
-        (one[:, 201:], one[:, :200]),
-        (one, next_frame),
-        (one[1:], next_frame[:-1]),
-        (one, other_key),
+        (deviations[:, 1:], deviations[:, :-1]),
+        (deviations[1:], deviations[:-1]),
+        (deviations[:, 201:], deviations[:, :200]),
+        (deviations, next_frame),
+        (deviations[1:], next_frame[:-1]),
+        (deviations, other_key),
     ]
     for a, b in pairs:
         assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 4 / np.sqrt(a.size)

@@ -4,8 +4,8 @@
 
 HOW is `new` (no earlier result), `replaced` or `added`. A child of this process, which has one
 thread, ends itself by SIGKILL just before its n-th renaming, removal, opening for writing or new
-folder, for n from 1 until it comes to its end. Prints a JSON line for each: what lay in the folder,
-what lies there after the next reader, and what the next run leaves beside its result.
+folder, for n from 1 until it ends without being killed. Prints a JSON line for each n: the files in
+the folder, the files after the next reader, and additional files after the next run.
 """
 
 import json
@@ -47,14 +47,14 @@ def add(out: Path) -> None:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Every file that is not hidden, the manifest apart."""
-    found = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    named = {str(path.relative_to(folder)): path for path in found if path.name != MANIFEST_FILE}
+    """Return every file that is not hidden, except the manifest."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    named = {str(path.relative_to(folder)): path for path in files if path.name != MANIFEST_FILE}
     return {name: path.read_text() for name, path in named.items() if not name.startswith(".")}
 
 
 def is_killed_at(number: int, work: Callable[[], None]) -> bool:
-    """Run in a child that kills itself before its operation of that number; tell whether it did."""
+    """Run in a child that kills itself before its n-th operation; True if it was killed."""
     child = os.fork()
     if child == 0:
         left = number
@@ -78,7 +78,7 @@ def is_killed_at(number: int, work: Callable[[], None]) -> bool:
 
 
 def main(how: str, place: Path) -> None:
-    """Kill, read and run again until a run comes to its end."""
+    """Kill, read and run again until a run is not killed."""
     out = place / "out"
     for number in count(1):
         shutil.rmtree(place, ignore_errors=True)
@@ -91,8 +91,8 @@ def main(how: str, place: Path) -> None:
         end_exchange(out)
         read = contents(out)
         write(out, NEXT)
-        beside = {str(path.relative_to(place)) for path in place.rglob("*")}
-        left = sorted(beside - {"out", *(f"out/{name}" for name in (*NEXT, "result.json"))})
+        paths = {str(path.relative_to(place)) for path in place.rglob("*")}
+        left = sorted(paths - {"out", *(f"out/{name}" for name in (*NEXT, "result.json"))})
         print(json.dumps({"at_once": at_once, "read": read, "left": left}))
 
 

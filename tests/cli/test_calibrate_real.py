@@ -1,4 +1,4 @@
-"""twin calibrate on real captures by a projector whose columns are counted by halves.
+"""twin calibrate on real captures by a projector with columns counted in steps of 0.5.
 
 The captures are public ones of jakobwilm/slstudio, reduced in size; they are not part of this
 repository, so that these tests run only where a folder holds them.

@@ -1,4 +1,4 @@
-"""The command line: what it writes, what it refuses, and that nothing is left half-written."""
+"""The command line: output, rejected input, and no incomplete files after an error."""
 
 import json
 import os
@@ -156,7 +156,7 @@ def test_press_by_force(tmp_path):
 
 
 def test_press_reports_the_contact_transfer(tmp_path):
-    """Half the relief is kept at a pitch of 2.40 thicknesses, a tenth at 1.32."""
+    """The relief is 50 % at a pitch of 2.40 thicknesses, 10 % at 1.32."""
     out = tmp_path / "pressed"
     coarse = ["-s", "press.relief_pitch_mm=0.05"]
     line = ["press", "examples/slab_balls", "--transfer", "--solid", "-o", str(out), *coarse]
@@ -184,7 +184,7 @@ THIN = [
 
 
 def test_press_of_a_thin_sheet(tmp_path):
-    """The solid keeps the sheet's volume; pressure says what of a ridge the coat shows."""
+    """The solid has the sheet's volume; the pressure gives the relief of a ridge in the coat."""
     import imageio.v3 as imageio
 
     out = tmp_path / "pressed"
@@ -228,7 +228,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("arguments", "message"), REFUSED)
-def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, capsys, arguments, message):
+def test_bad_input_gives_one_line_and_no_files(tmp_path, capsys, arguments, message):
     out = tmp_path / "out"
     assert run([*arguments, "-o", str(out)]) == 2
     assert message in error_of(capsys)

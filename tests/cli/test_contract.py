@@ -1,4 +1,4 @@
-"""What every result folder of a command holds: result.json with a digest, and its settings."""
+"""Content of every result folder of a command: result.json with a digest, and its settings."""
 
 import json
 import shutil
@@ -23,7 +23,7 @@ CAPTURE = Path(__file__).parents[2] / "docs" / "example_capture"
 
 
 def arguments_of(command: str, folder: Path) -> list[str]:
-    """Return a command line whose inputs lie in a folder."""
+    """Return a command line with its inputs in a folder."""
     if command == "photometric":
         make_colours(folder / "colours")
         return ["reconstruct", "--photometric", str(folder / "colours" / "press.toml")]
@@ -60,9 +60,9 @@ def test_one_pixel_is_another_digest(tmp_path: Path) -> None:
     for number, out in enumerate((tmp_path / "before", tmp_path / "after")):
         if number:
             image = sorted(capture.glob("*.png"))[0]
-            changed = imageio.imread(image)
-            changed[0, 0] += 1
-            imageio.imwrite(image, changed)
+            bits = imageio.imread(image)
+            bits[0, 0] += 1
+            imageio.imwrite(image, bits)
         assert run(["decode", str(capture), "-o", str(out)]) == 0
     before, after = (
         json.loads((tmp_path / name / "result.json").read_text())["digest"]
@@ -73,8 +73,16 @@ def test_one_pixel_is_another_digest(tmp_path: Path) -> None:
 
 def test_arrays_are_named_by_type_shape_and_content() -> None:
     zeros = np.zeros((2, 3), np.uint8)
-    one = zeros.copy()
-    one[0, 0] = 1
-    several = [zeros, one, zeros.T, zeros.astype(np.uint16), (zeros, one), "text", ("text", zeros)]
+    bits = zeros.copy()
+    bits[0, 0] = 1
+    several = [
+        zeros,
+        bits,
+        zeros.T,
+        zeros.astype(np.uint16),
+        (zeros, bits),
+        "text",
+        ("text", zeros),
+    ]
     assert len({content_digest(part) for part in several}) == len(several)
     assert content_digest(zeros) == content_digest(zeros.copy())

@@ -1,4 +1,4 @@
-"""twin patterns, a camera whose pixels are those of the projector, twin decode on foreign files.
+"""twin patterns, a camera with the pixels of the projector, twin decode on foreign files.
 
 Oracle: the coordinate of camera pixel (row, col) is (col, row).
 """
@@ -128,14 +128,14 @@ def write_npy(path, image, scale):
 
 
 def write_colour(path, image, scale):
-    """The green channel holds the image, the others what must not be read."""
+    """The green channel has the image, red and blue must not be read."""
     imageio.imwrite(path.with_suffix(".png"), np.stack([image // 2, image, 255 - image], axis=-1))
     return f"{path.name}.png"
 
 
 def coordinates(out):
-    found = read_arrays(out / "decoded.nc")
-    return {name: np.asarray(found[name]) for name in found.variables}
+    result = read_arrays(out / "decoded.nc")
+    return {name: np.asarray(result[name]) for name in result.variables}
 
 
 @pytest.mark.parametrize(
@@ -182,7 +182,7 @@ def refused(tmp_path, capsys, folder):
 
 
 def plain(tmp_path, groups=None, order=None, steps=3):
-    """Return a capture of 3 (or so many) steps and plain Gray along columns, mistaken as told."""
+    """Return a capture of `steps` steps and plain Gray along columns, with a given mistake."""
     keys, kinds, stated = SETS["3 steps + plain Gray, columns"]
     images = project(tmp_path, keys.replace("steps = 3", f"steps = {steps}"))
     folder = record(tmp_path, images, kinds, groups or stated, write_png)
@@ -197,8 +197,8 @@ PHASE_16, GRAY_16 = SETS["3 steps + plain Gray, columns"][2]
 
 def test_inverted_shift_is_noticed(tmp_path, capsys):
     folder = plain(tmp_path, [PHASE_16 + "sign = -1\n", GRAY_16])
-    told = refused(tmp_path, capsys, folder)
-    assert "the phase falls; correct their order, or the sign of their shifts" in told
+    message = refused(tmp_path, capsys, folder)
+    assert "the phase decreases with the Gray word; correct their order, or the sign" in message
 
 
 def test_wrong_first_shift_is_noticed(tmp_path, capsys):
@@ -208,13 +208,13 @@ def test_wrong_first_shift_is_noticed(tmp_path, capsys):
 
 def test_exchanged_images_are_named_by_their_files(tmp_path, capsys):
     folder = plain(tmp_path, order={2: 3, 3: 2}, steps=8)
-    told = refused(tmp_path, capsys, folder)
-    assert "frames 2 (phase_column_02: img2.png) and 3 (phase_column_03: img3.png)" in told
+    message = refused(tmp_path, capsys, folder)
+    assert "frames 2 (phase_column_02: img2.png) and 3 (phase_column_03: img3.png)" in message
 
 
 def test_exchanged_bits_are_named_by_their_files(tmp_path, capsys):
-    told = refused(tmp_path, capsys, plain(tmp_path, order={3: 5, 5: 3}))
-    assert "(gray_column_00: img3.png) and 5 (gray_column_02: img5.png) look exchanged" in told
+    message = refused(tmp_path, capsys, plain(tmp_path, order={3: 5, 5: 3}))
+    assert "(gray_column_00: img3.png) and 5 (gray_column_02: img5.png) look exchanged" in message
 
 
 def test_images_of_another_size_and_colour_are_refused(tmp_path, capsys):
@@ -228,7 +228,7 @@ def test_images_of_another_size_and_colour_are_refused(tmp_path, capsys):
 
 
 def test_exchanged_axes_are_noticed(tmp_path, capsys):
-    """Fringes of columns listed as rows beside Gray frames of rows."""
+    """Fringes of columns listed as rows, together with Gray frames of rows."""
     keys, kinds, _ = SETS["inverse pairs, no fringes"]
     keys = 'steps = 4\nperiod_px = 12\ncode = "complementary_gray"\nuniform = false\n'
     kinds = ["phase_column", "phase_row", "gray_column", "gray_row"]
@@ -256,14 +256,14 @@ def test_no_coordinate_is_an_error_with_its_likely_reason(tmp_path, capsys):
     text = (folder / "capture.toml").read_text()
     clipped = text.replace("saturation_dn = 255.0", "saturation_dn = 20.0")
     (folder / "capture.toml").write_text(clipped)
-    told = refused(tmp_path, capsys, folder)
-    assert "no pixel gives a point (saturated 100%); phase frames are clipped or lost" in told
+    message = refused(tmp_path, capsys, folder)
+    assert "no pixel gives a point (saturated 100%); phase frames are clipped or lost" in message
     for path in folder.glob("*.png"):
         imageio.imwrite(path, imageio.imread(path) // 40)
     noisy = text.replace("read_noise_e = 500", "read_noise_e = 9000")
     (folder / "capture.toml").write_text(noisy)
-    told = refused(tmp_path, capsys, folder)
-    assert "(low modulation 100%); the fringe contrast is too small for its noise" in told
+    message = refused(tmp_path, capsys, folder)
+    assert "(low modulation 100%); the fringe contrast is too small for its noise" in message
 
 
 def test_reconstruct_without_a_point_is_an_error(tmp_path, capsys):
@@ -297,8 +297,8 @@ def test_one_gray_word_displaced_by_half_a_period(tmp_path, capsys, is_listed):
     groups = [SHIFTED[0], SHIFTED[1] + "shifted = true\n" * is_listed]
     folder = record(tmp_path, images, ["phase_column", "gray_column"], groups, write_png)
     if not is_listed:
-        told = refused(tmp_path, capsys, folder)
-        assert "correct the first shift, or list the Gray frames with shifted = true" in told
+        message = refused(tmp_path, capsys, folder)
+        assert "correct the first shift, or list the Gray frames with shifted = true" in message
         return
     out = tmp_path / "out"
     assert run(["decode", str(folder), "-o", str(out), "--filter-taps", "0"]) == 0

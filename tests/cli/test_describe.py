@@ -1,6 +1,6 @@
 """twin describe: foreign folders are described so that twin decode reads them.
 
-Oracle: a camera whose pixels are those of the projector, times a coat that varies by a factor of
+Oracle: a camera with the pixels of the projector, times a coat that varies by a factor of
 four, plus ambient light and noise: coordinates are the pixels.
 """
 
@@ -49,7 +49,7 @@ def camera_images(patterns, seed=0):
 
 
 def write_set(folder, patterns, order=None):
-    """Write images img_1.bmp ... that tell nothing by their names."""
+    """Write images img_1.bmp ... with names without information."""
     folder.mkdir()
     images = list(camera_images(patterns))
     for number, k in enumerate(order or range(len(images))):
@@ -68,13 +68,17 @@ def test_described_sets_are_decoded(tmp_path, capsys, name):
     patterns = SETS[name]
     folder = write_set(tmp_path / "set", patterns)
     assert described(folder, patterns) == 0
-    found = read_listed(folder / "capture.toml").recorded(folder).patterns
-    assert (found.axes, found.steps, found.word) == (patterns.axes, patterns.steps, patterns.word)
-    assert (found.inverse, found.uniform) == (patterns.inverse, patterns.uniform)
-    assert found.code == patterns.code
+    result = read_listed(folder / "capture.toml").recorded(folder).patterns
+    assert (result.axes, result.steps, result.word) == (
+        patterns.axes,
+        patterns.steps,
+        patterns.word,
+    )
+    assert (result.inverse, result.uniform) == (patterns.inverse, patterns.uniform)
+    assert result.code == patterns.code
     for axis in patterns.axes:
         # Of several frequencies the ratio is measured: the coarsest is taken as the whole image.
-        assert found.periods_along(axis) == pytest.approx(patterns.periods_along(axis), rel=0.01)
+        assert result.periods_along(axis) == pytest.approx(patterns.periods_along(axis), rel=0.01)
     text = (folder / "capture.toml").read_text()
     assert "# unsure" in text
     if name == "three frequencies":
@@ -93,7 +97,7 @@ def test_described_sets_are_decoded(tmp_path, capsys, name):
 
 @pytest.mark.parametrize("code", ["gray", "complementary_gray"])
 @pytest.mark.parametrize("is_mirrored", [False, True])
-def test_bits_tell_the_first_shift_and_the_sign(tmp_path, code, is_mirrored):
+def test_bits_determine_the_first_shift_and_the_sign(tmp_path, code, is_mirrored):
     """Setup: steps from -120 degrees on, seen by a camera that may look through a mirror.
 
     Expected: the pixels come back, through a mirror from the other side.
@@ -104,8 +108,8 @@ def test_bits_tell_the_first_shift_and_the_sign(tmp_path, code, is_mirrored):
     for path in folder.glob("*.bmp") if is_mirrored else ():
         imageio.imwrite(path, imageio.imread(path)[:, ::-1])
     assert described(folder, patterns) == 0
-    found = read_listed(folder / "capture.toml").recorded(folder)
-    assert found.patterns.period_px == 32.0
+    result = read_listed(folder / "capture.toml").recorded(folder)
+    assert result.patterns.period_px == 32.0
     assert f"sign = {-1 if is_mirrored else 1}\n" in (folder / "capture.toml").read_text()
     assert run(["decode", str(folder), "-o", str(tmp_path / "out"), "--filter-taps", "0"]) == 0
     maps = read_arrays(tmp_path / "out" / "decoded.nc")
@@ -116,8 +120,8 @@ def test_bits_tell_the_first_shift_and_the_sign(tmp_path, code, is_mirrored):
     assert np.mean(error > 1.5) < 0.002
 
 
-def test_steps_in_another_order_are_told_by_their_phase(tmp_path):
-    """Recorded backwards from the third: the shifts stand beside the files, true by the bits."""
+def test_steps_in_another_order_are_detected_by_their_phase(tmp_path):
+    """Recorded backwards from the third: shifts are listed with the files, correct by the bits."""
     patterns = PatternSet(**SIZE, period_px=32, steps=4, code="gray", **COLUMN, **BARE)
     order = [2, 1, 0, 3, *range(4, len(patterns.frames))]
     folder = write_set(tmp_path / "set", patterns, order)
@@ -125,7 +129,7 @@ def test_steps_in_another_order_are_told_by_their_phase(tmp_path):
     assert "shift_deg = [180.0, 90.0, 0.0, 270.0]" in (folder / "capture.toml").read_text()
 
 
-def test_names_that_say_otherwise_and_other_sizes_are_told(tmp_path, capsys):
+def test_contradicting_names_and_other_sizes_are_reported(tmp_path, capsys):
     folder = write_set(tmp_path / "set", SETS["4 steps + half-period Gray"])
     (folder / "img_1.bmp").rename(folder / "row_1.bmp")
     imageio.imwrite(folder / "scene.png", np.zeros((20, 30), np.uint8))
@@ -141,10 +145,10 @@ def test_names_that_say_otherwise_and_other_sizes_are_told(tmp_path, capsys):
 
 @pytest.mark.parametrize("is_renamed", [False, True])
 def test_a_camera_that_sees_a_part_of_the_projector(tmp_path, is_renamed):
-    """Setup: the documents' example, whose coarse bits do not change within the view.
+    """Setup: the documents' example, with coarse bits that do not change within the view.
 
-    Expected: all frames are told apart, by names or by their order; with the period put right, as
-    no image tells it, the coordinates are those of its own description.
+    Expected: all frames are identified, by names or by their order; with the correct period, which
+    images do not contain, the coordinates are those of its own description.
     """
     folder = tmp_path / "set"
     folder.mkdir()

@@ -42,8 +42,8 @@ def test_rows_of_a_chessboard_are_in_the_order_of_their_names(tmp_path):
         ("white", None, [40]),
         ("black", None, [41]),
     ]
-    found = [(one["kind"], one.get("axis"), one["files"]) for one in frames]
-    assert found == [(kind, axis, numbered(name, some)) for kind, axis, some in expected]
+    result = [(item["kind"], item.get("axis"), item["files"]) for item in frames]
+    assert result == [(kind, axis, numbered(name, some)) for kind, axis, some in expected]
     assert any(
         "graycode_38.png" not in li and "graycode_20.png: bit or inverse" in li for li in doubts
     )
@@ -52,7 +52,7 @@ def test_rows_of_a_chessboard_are_in_the_order_of_their_names(tmp_path):
 def test_bits_of_a_skull_with_one_that_is_lit_everywhere(tmp_path, capsys):
     """The second coarsest bit has no stripes, the finest is not resolved."""
     frames, doubts = described(tmp_path, "02_slstudio_skull_gray", 1824, 1140)
-    assert [one["kind"] for one in frames] == ["gray", "white", "black"]
+    assert [item["kind"] for item in frames] == ["gray", "white", "black"]
     assert frames[0]["files"] == numbered("frameSeq_{:02d}.png", range(2, 12))
     assert frames[0]["period_px"] == 2.0
     assert any("frameSeq_11.png: stripes hardly resolved" in line for line in doubts)
@@ -62,19 +62,19 @@ def test_bits_of_a_skull_with_one_that_is_lit_everywhere(tmp_path, capsys):
 def test_a_fringe_over_the_whole_projector_is_no_gray_code(tmp_path):
     """The view shows a quarter of it, as a dark and two bright images."""
     frames, _ = described(tmp_path, "03_slstudio_skull_2x3", 1824, 1140)
-    assert [(one["kind"], one["axis"], one["period_px"]) for one in frames] == [
+    assert [(item["kind"], item["axis"], item["period_px"]) for item in frames] == [
         ("phase", "column", 114.0),
         ("phase", "column", 1824.0),
     ]
     assert frames[0]["shift_deg"] == frames[1]["shift_deg"] == [0.0, 240.0, 120.0]
 
 
-def test_fringes_of_little_contrast_beside_bright_bits(tmp_path):
+def test_fringes_of_little_contrast_next_to_bright_bits(tmp_path):
     frames, _ = described(tmp_path, "04_slmaster_monocular", 1920, 1080)
-    assert [one["files"] for one in frames] == [
+    assert [item["files"] for item in frames] == [
         numbered("{}.png", range(12)), numbered("{}.png", range(12, 18))
     ]  # fmt: skip
-    assert [one["kind"] for one in frames] == ["phase", "gray"]
+    assert [item["kind"] for item in frames] == ["phase", "gray"]
     assert frames[0]["period_px"] == 60.0
     assert frames[0]["shift_deg"] == [(180.0 + 30.0 * step) % 360.0 for step in range(12)]
 
@@ -95,9 +95,9 @@ def test_wrong_fringe_orders_are_warned_about(tmp_path, capsys):
     folder = with_frames(tmp_path, "01_kamino_capture_0", text)
     assert run(["decode", str(folder), "-o", str(tmp_path / "right")]) == 0
     assert "warning" not in capsys.readouterr().err
-    for one, other in (("24", "26"), ("25", "27")):
-        text = text.replace(f"_{one}.png", "_X").replace(f"_{other}.png", f"_{one}.png")
-        text = text.replace("_X", f"_{other}.png")
+    for item, second in (("24", "26"), ("25", "27")):
+        text = text.replace(f"_{item}.png", "_X").replace(f"_{second}.png", f"_{item}.png")
+        text = text.replace("_X", f"_{second}.png")
     (folder / "capture.toml").write_text(text)
     assert run(["decode", str(folder), "-o", str(tmp_path / "wrong")]) == 0
     assert "warning: the row coordinate jumps at 82% of" in capsys.readouterr().err
@@ -116,5 +116,5 @@ def test_words_that_are_displaced_by_half_a_period(tmp_path, capsys):
     column_px = np.asarray(read_arrays(out / "decoded.nc")["column_px"])
     # The centre of that pixel is at (114.6, 162.9) of these.
     row, col = (460 + 0.5) / 4 - 0.5, (653 + 0.5) / 4 - 0.5
-    found = ndimage.map_coordinates(column_px, [[row], [col]], order=1)[0]
-    assert found == pytest.approx(990.74, abs=1.0)
+    result = ndimage.map_coordinates(column_px, [[row], [col]], order=1)[0]
+    assert result == pytest.approx(990.74, abs=1.0)

@@ -1,4 +1,4 @@
-"""The examples of docs/evaluation.md, run as they stand on the result that they name."""
+"""The examples of docs/evaluation.md, run unchanged on the result that they name."""
 
 import contextlib
 import io
@@ -23,7 +23,7 @@ def text():
 
 @pytest.fixture(scope="module")
 def executed(mi, text, tmp_path_factory):
-    """Return the variables of the document's code blocks, what these print, and the result."""
+    """Return the variables of the document's code blocks, their output, and the result."""
     folder = tmp_path_factory.mktemp("document")
     script = folder / "blocks.py"
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
@@ -44,22 +44,23 @@ def test_gauges_have_their_size(executed):
 
     Radii to 5 um: noise of 1.5 um on a thousand points and more, facets 0.3 um below the round
     shape, and camera pixels of 0.06 mm, which lower a crest of radius R by 0.06^2 / (24 R). The
-    bar's edges lie within a cell (0.09 mm) of where half of the band's rows reach over the rim.
+    bar's edges are within a cell (0.09 mm) of the position where 50 % of the band's rows exceed the
+    rim.
     """
-    found = executed[0]
-    assert found["ball"].radius_mm == pytest.approx(2.0, abs=5e-3)
-    assert found["rod"].radius_mm == pytest.approx(1.0, abs=5e-3)
-    np.testing.assert_allclose(found["rod"].axis, [0.0, 1.0, 0.0], atol=1e-3)
-    assert found["bar"].width_mm == pytest.approx(2 * np.sqrt(2.0**2 - 0.25**2), abs=0.09)
-    # The disc's foot is the ball's; the stage lies 0.02 mm lower.
-    assert found["step"].height_mm == pytest.approx(0.52, abs=1e-3)
+    variables = executed[0]
+    assert variables["ball"].radius_mm == pytest.approx(2.0, abs=5e-3)
+    assert variables["rod"].radius_mm == pytest.approx(1.0, abs=5e-3)
+    np.testing.assert_allclose(variables["rod"].axis, [0.0, 1.0, 0.0], atol=1e-3)
+    assert variables["bar"].width_mm == pytest.approx(2 * np.sqrt(2.0**2 - 0.25**2), abs=0.09)
+    # The disc's foot is the ball's; the stage is 0.02 mm lower.
+    assert variables["step"].height_mm == pytest.approx(0.52, abs=1e-3)
     # The highest of noisy heights.
-    assert found["bar"].height_mm == pytest.approx(0.52, abs=5e-3)
-    assert found["disc"].rms_mm < 2.5e-3
+    assert variables["bar"].height_mm == pytest.approx(0.52, abs=5e-3)
+    assert variables["disc"].rms_mm < 2.5e-3
 
 
 def test_figures_of_the_document(executed, text):
-    """Expected: what is printed is what stands behind each #, by a fifth or 2 um more or less."""
+    """Expected: the output is the value in the comment of each line, within 20 % or 2 um."""
     stated = re.findall(r"^print\(.*\)  # (.*)$", text, re.MULTILINE)
     printed = executed[1].splitlines()
     assert len(stated) == len(printed) == 6
@@ -79,7 +80,7 @@ PARTS = {
 
 
 @pytest.mark.parametrize("shape", PARTS)
-def test_the_command_tells_the_gauges_sizes(executed, capsys, shape):
+def test_the_command_prints_the_gauges_sizes(executed, capsys, shape):
     """Expected: sizes as above; the perfectly smooth disc and stage show the noise of 1.5 um."""
     part, figure, (low, high) = PARTS[shape]
     assert low < dimensions(executed[2], shape, part)[figure] < high

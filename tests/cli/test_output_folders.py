@@ -1,4 +1,4 @@
-"""Folders that commands write into: nothing of others is removed, nothing is left by half."""
+"""Output folders of commands: no file of the user is removed, no incomplete file remains."""
 
 import errno
 import hashlib
@@ -67,21 +67,21 @@ def started(out):
 
 def refusal(capsys, *arguments):
     assert run([str(argument) for argument in arguments]) == 2
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 1  # no stage was begun
-    return told[0]
+    message = capsys.readouterr().err.strip().splitlines()
+    assert len(message) == 1  # no stage was begun
+    return message[0]
 
 
-def test_a_folder_with_foreign_files_stays(tmp_path, capsys):
-    """The issue's own command: a result.json alone makes no folder ours."""
+def test_a_folder_with_foreign_files_is_kept(tmp_path, capsys):
+    """The issue's own command: result.json without a manifest makes no folder ours."""
     out = tmp_path / "B"
     (out / "src" / ".git").mkdir(parents=True)
     (out / "thesis.tex").write_text("x")
     (out / "result.json").write_text("{}")
     before = contents(tmp_path)
-    told = refusal(capsys, "reconstruct", CAPTURE, "-o", out)
-    assert "no twin-manifest.txt; found result.json" in told
-    assert "choose another -o DIR" in told
+    message = refusal(capsys, "reconstruct", CAPTURE, "-o", out)
+    assert "no twin-manifest.txt; found result.json" in message
+    assert "choose another -o DIR" in message
     assert contents(tmp_path) == before
 
 
@@ -107,7 +107,7 @@ def test_an_own_folder_is_replaced_only_while_it_is_all_ours(tmp_path, harm):
     assert contents(out) == before
 
 
-def test_what_appears_meanwhile_is_not_overwritten(tmp_path):
+def test_files_that_appear_meanwhile_are_not_overwritten(tmp_path):
     out = tmp_path / "out"
     write(out, report="first")
     (out.parent / "mine").write_text("mine")
@@ -132,12 +132,12 @@ def test_an_input_is_no_place_for_output(tmp_path, capsys, place):
         out = tmp_path / "link"
         out.symlink_to(capture)
     before = contents(tmp_path)
-    told = refusal(capsys, "reconstruct", capture, "-o", out)
-    assert f"the input {capture}; choose another -o DIR" in told
+    message = refusal(capsys, "reconstruct", capture, "-o", out)
+    assert f"the input {capture}; choose another -o DIR" in message
     assert contents(tmp_path) == before
 
 
-def test_a_result_is_not_replaced_by_what_is_made_from_it(tmp_path):
+def test_a_result_is_not_replaced_by_a_result_made_from_it(tmp_path):
     out = tmp_path / "out"
     write(out, **{"experiment.toml": "name = 'e'"})
     with pytest.raises(InputError, match="holds the input"):
@@ -197,20 +197,20 @@ def test_a_mount_point_is_a_target_until_it_is_full(small_disk):
     before = contents(small_disk)
     assert before["report"] == b"second"
     child = start(TWIN, small_disk)
-    told = child.communicate()[1].strip().splitlines()
+    message = child.communicate()[1].strip().splitlines()
     assert child.returncode == 1
-    assert told[-1].startswith(f"twin: {small_disk}: no room left (No space left on device); ")
+    assert message[-1].startswith(f"twin: {small_disk}: no room left (No space left on device); ")
     assert contents(small_disk) == before
 
 
-def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path):
+def test_a_full_disk_gives_one_line_and_no_files(tmp_path):
     """No file may be longer than 400 kB: netCDF ended in a segmentation fault then."""
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000)); "
     child = start(limit + TWIN, tmp_path / "new" / "deep" / "out")
-    told = child.communicate()[1].strip().splitlines()
-    assert child.returncode == 1, told
-    assert told[-1].startswith(f"twin: {tmp_path / 'new' / 'deep' / 'out'}: no room left")
-    assert [line for line in told if not line.endswith("...")] == told[-1:]
+    message = child.communicate()[1].strip().splitlines()
+    assert child.returncode == 1, message
+    assert message[-1].startswith(f"twin: {tmp_path / 'new' / 'deep' / 'out'}: no room left")
+    assert [line for line in message if not line.endswith("...")] == message[-1:]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -218,8 +218,8 @@ SECOND = {"report": "second", "data": "second"}
 
 
 def texts_of(out):
-    found = (path for path in out.iterdir() if path.is_file() and path.name not in OURS)
-    return {path.name: path.read_text() for path in found}
+    result = (path for path in out.iterdir() if path.is_file() and path.name not in OURS)
+    return {path.name: path.read_text() for path in result}
 
 
 def failing_at(number, error, monkeypatch):
@@ -282,7 +282,7 @@ def test_a_working_folder_that_was_removed_is_one_line(tmp_path):
         with removed, output_folder(tmp_path / name) as folder:
             shutil.rmtree(folder.parent)
             write_json(folder / "result.json", {})
-    assert set(contents(tmp_path)) == {"there", *(f"there/{one}" for one in ("report", *OURS))}
+    assert set(contents(tmp_path)) == {"there", *(f"there/{item}" for item in ("report", *OURS))}
 
 
 def test_an_error_of_the_disk_is_one_line(tmp_path, monkeypatch):
@@ -308,35 +308,35 @@ def test_a_signal_cleans_up(tmp_path, name):
     number = signal.Signals[name]
     child = started(tmp_path / "out")
     child.send_signal(number)
-    told = child.communicate()[1].strip().splitlines()
+    message = child.communicate()[1].strip().splitlines()
     assert child.returncode == 128 + number
-    assert told[-1] == f"twin: ended by {name}; nothing is left half-written"
+    assert message[-1] == f"twin: ended by {name}; no incomplete files remain"
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("there", [False, True])
-def test_the_next_run_removes_what_a_killed_one_left(tmp_path, there):
-    """And nothing of one that lives: its lock says so, and that it came first."""
+def test_the_next_run_removes_leftovers_of_a_killed_run(tmp_path, there):
+    """And no file of a running process, by its lock; the lock also has the time of its start."""
     out = tmp_path / "out"
     if there:
         write(out, report="earlier")
     lives = started(out)
-    (beside,) = list(tmp_path.rglob("*.part"))
+    (neighbours,) = list(tmp_path.rglob("*.part"))
     try:
         with pytest.raises(
             InputError, match=r"out: another twin is writing there; wait for it, or"
         ):
             write(out, report="meanwhile")
         write(tmp_path / "other", report="meanwhile")
-        assert (beside / "new").is_dir()
+        assert (neighbours / "new").is_dir()
     finally:
         lives.kill()
         lives.communicate()
-    assert beside.is_dir()
+    assert neighbours.is_dir()
     (tmp_path / ".out.twin-notes.part").mkdir()
     (tmp_path / ".out.twin-notes.part" / "lock").write_text("my own lock")
     write(out, report="next")
-    assert not beside.exists()
+    assert not neighbours.exists()
     assert set(contents(out)) == {"report", "result.json", "twin-manifest.txt"}
     assert (tmp_path / ".out.twin-notes.part" / "lock").read_text() == "my own lock"
 
@@ -408,14 +408,14 @@ def test_paper_leaves_a_folder_with_a_work_of_others(tmp_path, capsys):
     mine = tmp_path / "P" / "work" / "cases" / "nut" / ".hidden"
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
-    told = refusal(capsys, "paper", "-o", tmp_path / "P", "--only", "hardness", "--trials", "2")
-    assert "is no earlier run of twin paper (no twin-manifest.txt; found work)" in told
+    message = refusal(capsys, "paper", "-o", tmp_path / "P", "--only", "hardness", "--trials", "2")
+    assert "is no earlier run of twin paper (no twin-manifest.txt; found work)" in message
     assert set(contents(tmp_path / "P")) == {
         "work", "work/cases", "work/cases/nut", "work/cases/nut/.hidden"
     }  # fmt: skip
 
 
-def test_folders_that_grow_keep_what_others_put_there(tmp_path):
+def test_folders_of_several_runs_keep_foreign_files(tmp_path):
     from twin.output import adding, claim
 
     out = tmp_path / "out"
@@ -439,8 +439,8 @@ def test_folders_that_grow_keep_what_others_put_there(tmp_path):
     assert (out / "notes").read_text() == "mine"
 
 
-def test_a_report_drawn_anew_belongs_to_the_result(tmp_path):
-    """What is added later is in the manifest too, so the folder can still be replaced."""
+def test_a_report_drawn_again_belongs_to_the_result(tmp_path):
+    """Files that are added later are in the manifest too, so the folder can still be replaced."""
     from twin.output import adding
 
     out = tmp_path / "out"
@@ -454,7 +454,7 @@ def test_a_report_drawn_anew_belongs_to_the_result(tmp_path):
     assert set(contents(out)) == {"data", "result.json", "twin-manifest.txt"}
 
 
-def test_the_manifest_is_what_sha256sum_checks(tmp_path):
+def test_the_manifest_has_the_format_of_sha256sum(tmp_path):
     if shutil.which("sha256sum") is None:
         pytest.skip("no sha256sum")
     write(tmp_path / "out", report="text")
@@ -502,26 +502,26 @@ def test_killed_at_each_operation_on_files(tmp_path, how):
     command = [sys.executable, "-m", "tests.cli.killed", how, str(tmp_path / "place")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    found = [json.loads(line) for line in done.stdout.splitlines()]
+    result = [json.loads(line) for line in done.stdout.splitlines()]
     earlier = {} if how == "new" else whole(EARLIER)
     later = earlier | LATER if how == "added" else whole(LATER)
-    assert [one["read"] for one in found if one["read"] not in (earlier, later)] == []
-    assert {tuple(one["left"]) for one in found} == {("out/twin-manifest.txt",)}
-    assert [one for one in found if one["read"] == earlier]
-    assert [one for one in found if one["read"] == later]
+    assert [item["read"] for item in result if item["read"] not in (earlier, later)] == []
+    assert {tuple(item["left"]) for item in result} == {("out/twin-manifest.txt",)}
+    assert [item for item in result if item["read"] == earlier]
+    assert [item for item in result if item["read"] == later]
     # Between both there are instants at which only the plan makes it whole.
-    mixed = [one for one in found if one["at_once"] != one["read"]]
+    mixed = [item for item in result if item["at_once"] != item["read"]]
     assert bool(mixed) == (how != "new")
 
 
 @pytest.mark.parametrize("away", ["../other.txt", "{root}/other.txt"])
-def test_a_manifest_that_names_files_beside_its_folder_removes_none(tmp_path, away):
-    other, target = tmp_path / "other.txt", tmp_path / "out"
-    other.write_text("of somebody else")
+def test_a_manifest_with_files_outside_its_folder_removes_none(tmp_path, away):
+    further, target = tmp_path / "other.txt", tmp_path / "out"
+    further.write_text("of somebody else")
     write(target, first="ours")
-    digest = hashlib.sha256(other.read_bytes()).hexdigest()
+    digest = hashlib.sha256(further.read_bytes()).hexdigest()
     with (target / "twin-manifest.txt").open("a") as manifest:
         manifest.write(f"{digest}  {away.format(root=tmp_path)}\n")
     write(target, second="ours")
-    assert other.read_text() == "of somebody else"
+    assert further.read_text() == "of somebody else"
     assert not (target / "first").exists()

@@ -6,7 +6,7 @@ from twin.cli import run
 
 
 def test_patterns_for_a_real_projector(tmp_path, capsys):
-    """Expected: the manifest is the sequence asked for, and an image is what it says."""
+    """Expected: the manifest is the requested sequence, and each image agrees with it."""
     out = tmp_path / "patterns"
     settings = ["patterns.steps=4", 'patterns.code="shifted_gray"', "projector.width_px=640"]
     arguments = [word for setting in settings for word in ("-s", setting)]
@@ -18,7 +18,7 @@ def test_patterns_for_a_real_projector(tmp_path, capsys):
     np.testing.assert_array_equal(image, patterns.image(patterns.frames[3]))
 
 
-def test_impossible_sequence_is_one_line_and_writes_nothing(tmp_path, capsys):
+def test_impossible_sequence_gives_one_line_and_no_files(tmp_path, capsys):
     out = tmp_path / "patterns"
     assert run(["patterns", "-o", str(out), "-s", 'patterns.code="heterodyne"']) == 2
     error = capsys.readouterr().err.strip().splitlines()

@@ -79,7 +79,7 @@ def test_example_is_small_and_its_files_are_the_frames_projected():
     assert len(list(EXAMPLE.glob("*.png"))) == len(capture.patterns.frames)
 
 
-def test_exchanged_images_are_one_line_and_write_nothing(tmp_path, capsys):
+def test_exchanged_images_give_one_line_and_no_files(tmp_path, capsys):
     """Setup: two camera images of the example change their names."""
     folder, out = tmp_path / "capture", tmp_path / "out"
     shutil.copytree(EXAMPLE, folder)
@@ -109,7 +109,7 @@ def test_a_board_needs_both_axes(tmp_path):
         read_board_capture(listed_example(tmp_path))
 
 
-def test_listed_columns_alone_give_the_heights_of_the_example(tmp_path):
+def test_listed_columns_only_give_the_heights_of_the_example(tmp_path):
     """Expected: the points that all frames give, as the epipolar test moves none; and their
     coordinates, exactly: the other axis has no part in them.
     """

@@ -1,4 +1,4 @@
-"""What a command says: version, keys, completion, progress; quiet and verbose; and its end."""
+"""Messages of a command: version, keys, completion, progress; quiet and verbose; and its end."""
 
 import re
 import signal
@@ -47,7 +47,7 @@ def test_keys_are_wrapped_and_never_cut(capsys, monkeypatch, columns):
     assert "elastomer.tack_j_m2" in lines
     assert all(len(line) <= max(columns, 40) for line in lines if line.startswith(" "))
     text = " ".join(" ".join(lines).split())
-    assert "between clear face and specimen; stick: no slip once touched" in text
+    assert "between clear face and specimen; stick: no slip after contact" in text
     assert "..." not in text
     assert "…" not in text
 
@@ -71,13 +71,13 @@ def test_keys_hold_every_word(capsys):
 
 def test_no_key_is_one_line_with_the_nearest(capsys):
     assert run(["keys", "thicknes_mm_"]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "thickness_mm" in told
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "thickness_mm" in message
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_knows_commands_and_options(capsys, shell):
+def test_completion_has_commands_and_options(capsys, shell):
     assert run(["completion", shell]) == 0
     script = capsys.readouterr().out
     for word in ("measure", "sweep", "uncertainty", "set"):
@@ -88,9 +88,9 @@ def test_bash_takes_the_completion(capsys, tmp_path):
     run(["completion", "bash"])
     script = tmp_path / "completion.bash"
     script.write_text(capsys.readouterr().out)
-    asked = f"source {script}; complete -p twin"
-    told = subprocess.run(["bash", "-c", asked], capture_output=True, text=True, check=True)
-    assert told.stdout.rstrip().endswith("twin")
+    command = f"source {script}; complete -p twin"
+    completed = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+    assert completed.stdout.rstrip().endswith("twin")
 
 
 def test_options_on_talk_may_stand_anywhere():
@@ -103,7 +103,7 @@ def test_options_on_talk_may_stand_anywhere():
     ("option", "expected"),
     [("-q", ""), ("", "press ...\n"), ("-v", "press ...\npress took N s\n")],
 )
-def test_progress_is_told_as_asked(capsys, option, expected):
+def test_progress_has_the_requested_verbosity(capsys, option, expected):
     choose_level([option])
     try:
         with progress_bars() as watch:
@@ -114,24 +114,24 @@ def test_progress_is_told_as_asked(capsys, option, expected):
     assert re.sub(r"\d+\.\d+", "N", capsys.readouterr().err) == expected
 
 
-def test_a_terminal_shows_percent_and_what_is_left(capsys, monkeypatch):
+def test_a_terminal_shows_percent_and_remaining_time(capsys, monkeypatch):
     """Rich takes this for a terminal."""
     for name, value in (("FORCE_COLOR", "1"), ("TERM", "xterm"), ("COLUMNS", "120")):
         monkeypatch.setenv(name, value)
     with progress_bars() as watch:
         for tenth in range(11):
             watch("render", tenth / 10)
-    told = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
-    assert re.search(r"render .*100% +\d:\d\d:\d\d left +\d:\d\d:\d\d", told)
+    message = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+    assert re.search(r"render .*100% +\d:\d\d:\d\d left +\d:\d\d:\d\d", message)
 
 
-def test_verbose_says_where_a_failure_came_from(capsys):
+def test_verbose_prints_the_traceback_of_a_failure(capsys):
     assert run(["measure", "no/such/experiment", "-o", "out"]) == 2
     assert "Traceback" not in capsys.readouterr().err
     assert run(["measure", "no/such/experiment", "-o", "out", "-v"]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("fringe-twin ")
-    assert "Traceback" in told
+    message = capsys.readouterr().err
+    assert message.startswith("fringe-twin ")
+    assert "Traceback" in message
     choose_level([])
 
 
@@ -150,7 +150,7 @@ def test_who_stops_reading_is_no_failure():
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_signal_ends_a_command_that_is_in_a_long_call(tmp_path, name):
-    """The call would take many minutes; one line, the code of the signal, nothing left."""
+    """The call would take many minutes; one line, the code of the signal, no files left."""
     child = subprocess.Popen(
         [sys.executable, "-c", BUSY, str(tmp_path / "out")],
         cwd=ROOT,
@@ -162,9 +162,9 @@ def test_a_signal_ends_a_command_that_is_in_a_long_call(tmp_path, name):
     assert child.stdout.readline() == "busy\n"
     child.send_signal(signal.Signals[name])
     try:
-        _, told = child.communicate(timeout=60)
+        _, message = child.communicate(timeout=60)
     finally:
         child.kill()
-    assert told == f"twin: ended by {name}; nothing is left half-written\n"
+    assert message == f"twin: ended by {name}; no incomplete files remain\n"
     assert child.returncode == 128 + signal.Signals[name]
     assert list(tmp_path.iterdir()) == []

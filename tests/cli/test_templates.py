@@ -30,14 +30,14 @@ MEASURED = {
 }
 
 
-def test_every_template_is_listed_with_what_it_is(capsys):
+def test_every_template_is_listed_with_its_description(capsys):
     assert run(["init", "--list"]) == 0
     shown = capsys.readouterr().out
-    assert {one.name for one in templates()} == {*MEASURED, "study"}
-    for one in templates():
-        assert one.name in shown
-        assert len(one.description) > 20
-        comments = [line for line in read_template(one.name).splitlines() if "#" in line]
+    assert {item.name for item in templates()} == {*MEASURED, "study"}
+    for item in templates():
+        assert item.name in shown
+        assert len(item.description) > 20
+        comments = [line for line in read_template(item.name).splitlines() if "#" in line]
         assert len(comments) >= 6
 
 
@@ -58,7 +58,7 @@ def test_each_template_measures_its_object(mi, name, tmp_path, capsys):
     """From `init` to a verdict, small and coarse; the reports of two open with it."""
     file, out = tmp_path / "experiment.toml", tmp_path / "out"
     assert run(["init", str(file), "--template", name]) == 0
-    settings = [part for one in MEASURED[name] for part in ("-s", one)]
+    settings = [part for item in MEASURED[name] for part in ("-s", item)]
     pages = [] if name in ("gel", "gelsight") else ["--no-report"]
     assert run(["measure", str(file), "-o", str(out), *settings, *pages]) == 0
     figures = read_json(out / "result.json")["metrics"]
@@ -81,5 +81,5 @@ def test_the_study_is_valid_and_ranks_by_the_object(tmp_path):
     file = tmp_path / "study.toml"
     assert run(["init", str(file), "--template", "study"]) == 0
     study, base = load_study(file)
-    assert [one.metric for one in study.objectives] == ["least_margin_um"]
+    assert [item.metric for item in study.objectives] == ["least_margin_um"]
     assert len(StudyRecord(study, base).cases().unique()) == 9

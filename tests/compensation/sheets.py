@@ -27,7 +27,7 @@ def pressed_ball(
 def layer_of(
     thickness_mm: float, pressure_kpa: float, rim_mm: float = RIM_MM, **known: float | bool
 ) -> SheetLayer:
-    """Return what is known of that sheet."""
+    """Return the known values of that sheet."""
     return SheetLayer(
         SheetOpening(2 * rim_mm, 2 * rim_mm, is_round=True), thickness_mm, YOUNG_KPA,
         back_pressure_kpa=pressure_kpa, **known,

@@ -28,7 +28,7 @@ def slab(
 
 
 def layer_of(elastomer: Elastomer, air_kpa: float = 0.0, **sigma: float) -> SensorLayer:
-    """Return what is known of a slab, its modulus exactly unless told otherwise."""
+    """Return the known values of a slab; its modulus is exact unless a sigma is given."""
     return SensorLayer(
         elastomer=elastomer,
         press=MeasuredLoad(back_pressure_kpa=air_kpa),
@@ -37,7 +37,7 @@ def layer_of(elastomer: Elastomer, air_kpa: float = 0.0, **sigma: float) -> Sens
 
 
 def with_load(layer: SensorLayer, sigma: dict[str, float], **load: float) -> SensorLayer:
-    """Return a layer with what stage or gauge told of the press, and how well."""
+    """Return a layer with the travel or force of the press and their uncertainty."""
     changed = {"press": layer.press.model_copy(update=load)}
     return layer.model_copy(update=changed | {"sigma": layer.sigma.model_copy(update=sigma)})
 

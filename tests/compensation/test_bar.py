@@ -48,17 +48,17 @@ def tail_mm(thickness_mm: float, local_mm: float) -> float:
 def test_offset_on_an_edge_is_the_bent_blocks(
     radius_mm: float, thickness_mm: float, across: float
 ) -> None:
-    """Rivlin's block of any thickness, and the energy that a sheet keeps as it slides on it."""
+    """Rivlin's block of any thickness, and the energy of a sheet that slides on it."""
     block = tension_distance(radius_mm, thickness_mm, across)
     middle, tail = radius_mm + block.local_mm / 2, tail_mm(thickness_mm, block.local_mm)
     offset = bending_offset_mm(middle, tail, np.pi / 2)
-    # Where the sheet bends around less than its tail, a block of one curvature is no solution.
+    # If the bend radius is below the tail, a block of one curvature is no solution.
     assert tail < middle * 2 * np.sin(np.pi / 8)
     assert offset == pytest.approx(block.distance_mm - middle, abs=5e-4)
 
 
-def test_offset_grows_evenly_as_a_line_becomes_an_edge() -> None:
-    """Touching along a line and lying on the edge are one curve; a sharp edge: 2 l sin(turn/4)."""
+def test_offset_is_continuous_from_line_to_edge_contact() -> None:
+    """Line contact and contact along the edge are one curve; a sharp edge: 2 l sin(turn/4)."""
     turn = 1.0
     limit = 0.1 / (2 * np.sin(turn / 4))
     below, above = (bending_offset_mm(limit * share, 0.1, turn) for share in (1 - 1e-6, 1 + 1e-6))
@@ -68,11 +68,11 @@ def test_offset_grows_evenly_as_a_line_becomes_an_edge() -> None:
 
 @pytest.mark.parametrize("case", SOLIDS.values(), ids=SOLIDS.keys())
 def test_offset_is_the_solids_within_its_uncertainty(case: dict[str, Any]) -> None:
-    """Both lines of tension, above the bar and beside it, pass an edge as the sheet's theory says.
+    """Both lines of tension, above and next to the bar, pass an edge at the model's distance.
 
-    Solids find 13 to 21 % less where the sheet lies on the edge, and 21 to 46 % where a sheet twice
-    as thick as the edge is round touches it along a line: shear and squeezing, which the theory
-    leaves out. It never errs to the other side.
+    Solids have 13 to 21 % less for contact along the edge, and 21 to 46 % for a sheet of twice
+    the edge's radius in contact along a line: shear and squeezing, which the model neglects. The
+    model's error always has the same sign.
     """
     for solid in case["travels"]:
         radius = case["edge_mm"] + solid["local_mm"] / 2
@@ -102,27 +102,27 @@ def pressed_bar(pressure_kpa: float, thickness_mm: float = 0.08) -> CompensatedS
 @pytest.mark.parametrize("pressure_kpa", [1.0, 2.0])
 @pytest.mark.parametrize("guess_mm", [-0.3, 0.3])
 def test_width_of_a_bar_is_the_oracles(pressure_kpa: float, guess_mm: float) -> None:
-    """The coat is 0.1 mm wider and has no edge; where one looks first is no matter."""
+    """The coat is 0.1 mm wider and has no edge; the starting width has no effect."""
     bar = replace(BAR, width_mm=WIDTH_MM + guess_mm, sigma_edge_radius_mm=0.0)
-    told = bar_under_sheet(pressed_bar(pressure_kpa), bar)
-    assert told.on_edge
-    assert told.width_mm == pytest.approx(WIDTH_MM, abs=0.012)
-    assert abs(told.width_mm - WIDTH_MM) < 2 * told.sigma_mm
-    assert told.turn_deg[0] == pytest.approx(told.turn_deg[1], abs=0.1)
+    measured = bar_under_sheet(pressed_bar(pressure_kpa), bar)
+    assert measured.on_edge
+    assert measured.width_mm == pytest.approx(WIDTH_MM, abs=0.012)
+    assert abs(measured.width_mm - WIDTH_MM) < 2 * measured.sigma_mm
+    assert measured.turn_deg[0] == pytest.approx(measured.turn_deg[1], abs=0.1)
 
 
 @pytest.mark.parametrize(
     "off", [{"x_mm": 0.5}, {"along_deg": 4.0}, {"x_mm": -0.4, "along_deg": -3}]
 )
-def test_a_bar_is_found_where_it_lies(off: dict[str, float]) -> None:
-    """Believed half a millimetre beside itself, or turned: the width is the same."""
-    found = pressed_bar(1.0)
-    told = bar_under_sheet(found, replace(BAR, **off))
-    assert told.width_mm == pytest.approx(bar_under_sheet(found, BAR).width_mm, abs=3e-3)
+def test_width_does_not_depend_on_the_stated_place(off: dict[str, float]) -> None:
+    """A stated place 0.5 mm off, or turned, gives the same width."""
+    sheet = pressed_bar(1.0)
+    measured = bar_under_sheet(sheet, replace(BAR, **off))
+    assert measured.width_mm == pytest.approx(bar_under_sheet(sheet, BAR).width_mm, abs=3e-3)
 
 
-def test_a_thicker_sheet_tells_less() -> None:
-    """It touches the edge along a line, and the theory's share of the uncertainty says so."""
+def test_a_thicker_sheet_has_a_larger_uncertainty() -> None:
+    """It touches the edge along a line, so that the model's share of the uncertainty is larger."""
     thin, thick = (bar_under_sheet(pressed_bar(1.0, h), BAR) for h in (0.08, 0.12))
     assert not thick.on_edge
     assert thick.theory_mm > 3 * thin.theory_mm
@@ -133,20 +133,22 @@ def test_a_thicker_sheet_tells_less() -> None:
     ("share", "name", "step"),
     [("edge_mm", "sigma_edge_radius_mm", 0.02), ("layer_mm", "thickness_mm", 2e-3)],
 )
-def test_width_moves_as_its_uncertainty_says(share: str, name: str, step: float) -> None:
-    """By an edge's radius and by the sheet's thickness that are off by a standard uncertainty."""
-    found = pressed_bar(1.0)
+def test_width_changes_by_its_uncertainty(share: str, name: str, step: float) -> None:
+    """The edge's radius and the sheet's thickness are off by one standard uncertainty."""
+    sheet = pressed_bar(1.0)
     layer = replace(
-        found.layer, sigma_thickness_mm=2e-3 if name == "thickness_mm" else 0.0,
+        sheet.layer, sigma_thickness_mm=2e-3 if name == "thickness_mm" else 0.0,
         sigma_young_modulus_kpa=0.0, sigma_back_pressure_kpa=0.0,
     )  # fmt: skip
-    told = bar_under_sheet(replace(found, layer=layer, sigma_thinning=0 * found.thinning), BAR)
+    measured = bar_under_sheet(replace(sheet, layer=layer, sigma_thinning=0 * sheet.thinning), BAR)
     if name == "thickness_mm":
-        off = replace(found, layer=replace(layer, thickness_mm=layer.thickness_mm + step))
+        off = replace(sheet, layer=replace(layer, thickness_mm=layer.thickness_mm + step))
         moved = bar_under_sheet(off, BAR)
     else:
-        moved = bar_under_sheet(found, replace(BAR, edge_radius_mm=EDGE_MM + step))
-    assert getattr(told, share) == pytest.approx(abs(moved.width_mm - told.width_mm), rel=0.05)
+        moved = bar_under_sheet(sheet, replace(BAR, edge_radius_mm=EDGE_MM + step))
+    assert getattr(measured, share) == pytest.approx(
+        abs(moved.width_mm - measured.width_mm), rel=0.05
+    )
 
 
 def test_a_turned_bar_has_the_same_width() -> None:
@@ -155,39 +157,39 @@ def test_a_turned_bar_has_the_same_width() -> None:
     points = profile.relief.points_mm.reshape(-1, 3)
     turned = np.stack((-points[:, 1], points[:, 0], points[:, 2]), axis=-1)
     frame = SheetOpening(LAYER.frame.length_y_mm, LAYER.frame.length_x_mm)
-    found = compensate_sheet(
+    sheet = compensate_sheet(
         turned, np.full(len(turned), 1e-4), replace(profile.layer, frame=frame)
     )
-    told = bar_under_sheet(found, replace(BAR, along_deg=90.0))
-    assert told.width_mm == pytest.approx(bar_under_sheet(profile, BAR).width_mm, abs=2e-3)
+    measured = bar_under_sheet(sheet, replace(BAR, along_deg=90.0))
+    assert measured.width_mm == pytest.approx(bar_under_sheet(profile, BAR).width_mm, abs=2e-3)
 
 
-def test_noise_is_what_its_uncertainty_says() -> None:
+def test_noise_agrees_with_its_uncertainty() -> None:
     """20 um of white noise per point of the coat, eight times: spread as predicted."""
     relief, layer = pressed_bar(1.0).relief, pressed_bar(1.0).layer
     points = relief.points_mm.reshape(-1, 3)
     rng, widths, noise = np.random.default_rng(4), [], []
     for _ in range(8):
         shaken = points + [0, 0, 1] * rng.normal(scale=0.02, size=(len(points), 1))
-        told = bar_under_sheet(compensate_sheet(shaken, np.full(len(points), 0.02), layer), BAR)
-        widths.append(told.width_mm)
-        noise.append(told.noise_mm)
+        measured = bar_under_sheet(compensate_sheet(shaken, np.full(len(points), 0.02), layer), BAR)
+        widths.append(measured.width_mm)
+        noise.append(measured.noise_mm)
     assert 0.5 < np.std(widths, ddof=1) / np.mean(noise) < 1.8
 
 
 @pytest.mark.parametrize(
     ("known", "bar", "why"),
     [
-        ({"back_pressure_kpa": 0.0}, {}, "without air"),
+        ({"back_pressure_kpa": 0.0}, {}, "air must press"),
         ({"sticks": True}, {}, "sticks"),
         ({}, {"width_mm": 1.5}, "width:"),
         ({}, {"x_mm": 6.0}, "width:"),
-        ({}, {"width_mm": 0.4}, "does not fall from its top"),
+        ({}, {"width_mm": 0.4}, "is not below the bar's top"),
     ],
 )
-def test_what_tells_no_width_is_refused(
+def test_presses_without_a_width_are_rejected(
     known: dict[str, Any], bar: dict[str, float], why: str
 ) -> None:
-    found = pressed_bar(1.0)
+    sheet = pressed_bar(1.0)
     with pytest.raises(FitError, match=why):
-        bar_under_sheet(replace(found, layer=replace(found.layer, **known)), replace(BAR, **bar))
+        bar_under_sheet(replace(sheet, layer=replace(sheet.layer, **known)), replace(BAR, **bar))

@@ -1,4 +1,4 @@
-"""One press of a known ball tells thickness and modulus, which other presses then use."""
+"""One press of a known ball determines thickness and modulus for other presses."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,28 +12,31 @@ from reconstruction.errors import FitError, InputError
 from tests.compensation.sheets import YOUNG_KPA, coat_points, layer_of, pressed_ball
 
 
-def test_ball_tells_thickness_and_modulus_for_another_press() -> None:
-    """Believed 10 % too thick and 20 % too soft; afterwards R of a press with more air to 2 um."""
-    believed = replace(
+def test_ball_calibrates_thickness_and_modulus_for_another_press() -> None:
+    """Start 10 % too thick and 20 % too soft; then R of a press with more air to 2 um."""
+    prior = replace(
         layer_of(0.22, 2.0, sigma_back_pressure_kpa=0.02), young_modulus_kpa=0.8 * YOUNG_KPA
     )
-    found = calibrate_sheet(*coat_points(pressed_ball(0.2, 2.0), 5e-4), believed, 4.0)
-    assert found.balls == 1
-    assert found.radius_before_mm < 3.99
-    assert abs(found.layer.thickness_mm - 0.2) < 3 * found.layer.sigma_thickness_mm < 5e-3
-    modulus, sigma = found.layer.young_modulus_kpa, found.layer.sigma_young_modulus_kpa
+    calibrated = calibrate_sheet(*coat_points(pressed_ball(0.2, 2.0), 5e-4), prior, 4.0)
+    assert calibrated.balls == 1
+    assert calibrated.radius_before_mm < 3.99
+    assert abs(calibrated.layer.thickness_mm - 0.2) < 3 * calibrated.layer.sigma_thickness_mm < 5e-3
+    modulus, sigma = calibrated.layer.young_modulus_kpa, calibrated.layer.sigma_young_modulus_kpa
     assert abs(modulus - YOUNG_KPA) < 2 * sigma < 0.1 * YOUNG_KPA
-    other = pressed_ball(0.2, 3.0, travel_mm=0.7)
-    points, kept = coat_points(other, 5e-4, seed=1), replace(found.layer, back_pressure_kpa=3.0)
+    second = pressed_ball(0.2, 3.0, travel_mm=0.7)
+    points, updated = (
+        coat_points(second, 5e-4, seed=1),
+        replace(calibrated.layer, back_pressure_kpa=3.0),
+    )
     (before,), (after,) = (
         parts_of(compensate_sheet(*points, layer))
-        for layer in (replace(believed, back_pressure_kpa=3.0), kept)
+        for layer in (replace(prior, back_pressure_kpa=3.0), updated)
     )
     assert abs(before.radius_mm - 4.0) > 0.015
     assert abs(after.radius_mm - 4.0) < 2e-3
 
 
-def test_a_ball_that_no_sheet_explains_is_refused() -> None:
+def test_a_ball_that_fits_no_sheet_is_rejected() -> None:
     points = coat_points(pressed_ball(0.2, 2.0))
     with pytest.raises(FitError, match="check the ball"):
         calibrate_sheet(*points, layer_of(0.2, 2.0), 3.0)
@@ -43,7 +46,7 @@ def test_a_ball_that_no_sheet_explains_is_refused() -> None:
 
 MISTAKES = {
     "pressure in mbar": (layer_of(0.2, 20.0), 4.0, r"back_pressure_kpa = 20 of the layer"),
-    "a tenth of the pressure": (
+    "10 % of the pressure": (
         layer_of(0.2, 0.2),
         4.0,
         r"modulus of 28\.5 kPa, allowed 100 to 900; check .*back_pressure_kpa = 0\.2",
@@ -82,7 +85,7 @@ def test_balls_of_different_radii_are_no_calibration(monkeypatch: pytest.MonkeyP
 
 
 def test_an_iteration_that_does_not_end_is_no_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One step only, begun 10 % too thick: what is left is more than the uncertainty."""
+    """One step only, from 10 % too thick: the remaining error exceeds the uncertainty."""
     monkeypatch.setattr(known_ball, "_MOST_TURNS", 1)
     points = coat_points(pressed_ball(0.2, 2.0), pitch_mm=0.08)
     with pytest.raises(FitError, match=r"after 1 steps the thickness still changes by 0\.0"):
@@ -90,7 +93,7 @@ def test_an_iteration_that_does_not_end_is_no_calibration(monkeypatch: pytest.Mo
 
 
 def test_a_flat_press_has_no_ball() -> None:
-    """Nothing touches a sheet that lies flat without air."""
+    """A flat sheet without air has no contact."""
     x, y = np.meshgrid(np.linspace(-5.9, 5.9, 100), np.linspace(-5.9, 5.9, 100))
     points = np.stack((x, y, 0 * x), axis=-1).reshape(-1, 3)
     with pytest.raises(FitError, match="no part"):

@@ -52,12 +52,12 @@ def pressed(specimen: Specimen, travel_mm: float) -> tuple[Press, PressedElastom
     return load, press_with(Mechanics(model="sheet"), specimen, SHEET, load)
 
 
-def coat_of(load: Press, found: PressedElastomer, texture: Texture | None) -> PointMap:
-    """Return the coat as a camera sees it from above, with white noise."""
+def coat_of(load: Press, pressing: PressedElastomer, texture: Texture | None) -> PointMap:
+    """Return the coat as measured by a camera above it, with white noise."""
     if texture:
-        found = textured(found, SHEET, load, texture, seed=3)
+        pressing = textured(pressing, SHEET, load, texture, seed=3)
     places = np.arange(-SPAN_MM / 2 + PITCH_MM / 2, SPAN_MM / 2, PITCH_MM)
-    face = RectBivariateSpline(found.face_y_mm, found.face_x_mm, found.face_z_mm)
+    face = RectBivariateSpline(pressing.face_y_mm, pressing.face_x_mm, pressing.face_z_mm)
     z = face(places, places) + np.random.default_rng(2).normal(
         scale=NOISE_MM, size=(len(places),) * 2
     )
@@ -72,23 +72,23 @@ def errors_mm(
     specimen: Specimen, travel_mm: float, texture: Texture | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the distance of the object's points from the true object, and their sigma."""
-    load, found = pressed(specimen, travel_mm)
-    coat, rms_mm = coat_of(load, found, texture), 1e-3 * texture.rms_um if texture else 0.0
+    load, pressing = pressed(specimen, travel_mm)
+    coat, rms_mm = coat_of(load, pressing, texture), 1e-3 * texture.rms_um if texture else 0.0
     layer = SensorLayer(
         elastomer=SHEET,
         press=MeasuredLoad(back_pressure_kpa=AIR_KPA),
         sigma=LayerSigma(texture_mm=rms_mm),
     )
     points = object_points(coat, compensate_points(coat, layer), layer.sigma.texture_mm)
-    kept = points.points_world_mm[points.valid].astype(np.float64)
-    true = TrueSurface(shape_of(specimen), found.depth_mm + SHEET.touched_plane_mm)
+    measured_mm = points.points_world_mm[points.valid].astype(np.float64)
+    true = TrueSurface(shape_of(specimen), pressing.depth_mm + SHEET.touched_plane_mm)
     sigma = np.linalg.norm(points.sigma_xyz_mm[points.valid].astype(np.float64), axis=-1)
-    return true.distance_mm(kept), sigma
+    return true.distance_mm(measured_mm), sigma
 
 
 @pytest.fixture(scope="module")
 def ellipsoid(tmp_path_factory: pytest.TempPathFactory) -> MeshFile:
-    """One with principal radii of 3.4 and 2.6 mm on top."""
+    """Ellipsoid with principal radii of 3.4 and 2.6 mm on top."""
     body = trimesh.creation.icosphere(subdivisions=5)
     body.vertices *= [3.2, 2.8, 3.0]
     return _written(body, tmp_path_factory.mktemp("body") / "ellipsoid.stl")
@@ -118,7 +118,7 @@ def _one_body(boxes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
         for i, j in ((i, (i + 1) % count) for i in range(count))
         for face in ((i, j, count + j), (i, count + j, count + i))
     ]
-    # From the foot of the highest step all of the outline is seen.
+    # From the foot of the highest step the whole outline is visible.
     caps = [(count - 1, i + 1, i) for i in range(count - 2)]
     caps += [(2 * count - 1, count + i, count + i + 1) for i in range(count - 2)]
     return trimesh.Trimesh(corners, [*sides, *caps])
@@ -135,14 +135,14 @@ def rms(values: FloatArray) -> float:
 
 @pytest.mark.parametrize("texture", [None, TEXTURE])
 def test_texture_of_the_coat_is_in_the_sigma_of_the_object(texture: Texture | None) -> None:
-    """Tilted cylinder with edges at its ends: points err by what they say (30 times before)."""
+    """Tilted cylinder with edges at its ends: errors agree with the sigma (30 times before)."""
     error, sigma = errors_mm(CYLINDER, 0.4, texture)
     assert len(error) > 1000
     assert 0.85 < rms(error / sigma) < 1.15
 
 
-def test_a_smooth_ellipsoid_is_found_as_well_as_its_points_say(ellipsoid: MeshFile) -> None:
-    """The contact squeezes the sheet by a micrometre, which is given back."""
+def test_a_smooth_ellipsoid_agrees_with_its_sigma(ellipsoid: MeshFile) -> None:
+    """The contact squeezes the sheet by a micrometre, which is corrected."""
     error, sigma = errors_mm(ellipsoid, 0.4, None)
     assert len(error) > 1000
     assert abs(error.mean()) < 3e-4
@@ -150,17 +150,17 @@ def test_a_smooth_ellipsoid_is_found_as_well_as_its_points_say(ellipsoid: MeshFi
 
 
 @pytest.mark.parametrize("texture", [None, TEXTURE])
-def test_spans_beside_steps_are_no_object(stairs: MeshFile, texture: Texture | None) -> None:
-    """The sheet hangs free from edge to edge, up to 200 um above the treads."""
+def test_spans_next_to_steps_are_no_object(stairs: MeshFile, texture: Texture | None) -> None:
+    """The sheet spans free from edge to edge, up to 200 um above the treads."""
     error, _ = errors_mm(stairs, 0.5, texture)
-    assert len(error) > 100  # of the highest tread, on which the sheet lies
+    assert len(error) > 100  # of the highest tread, which carries the sheet
     assert np.abs(error).max() < 0.03
 
 
 def test_unknown_texture_is_taken_from_the_coat() -> None:
-    """A coat that scatters by 5 um, of which nobody says why, makes points that uncertain."""
-    load, found = pressed(CYLINDER, 0.4)
-    coat = coat_of(load, found, TEXTURE)
+    """A coat with 5 um of scatter of unknown cause gives points of that uncertainty."""
+    load, pressing = pressed(CYLINDER, 0.4)
+    coat = coat_of(load, pressing, TEXTURE)
     layer = SensorLayer(elastomer=SHEET, press=MeasuredLoad(back_pressure_kpa=AIR_KPA))
     points = object_points(coat, compensate_points(coat, layer))
     sigma = np.linalg.norm(points.sigma_xyz_mm[points.valid], axis=-1)
@@ -168,7 +168,7 @@ def test_unknown_texture_is_taken_from_the_coat() -> None:
 
 
 def test_a_ball_of_the_one_dimensional_oracle() -> None:
-    """Pressed by other code; texture as white as the noise is told, or taken from the coat."""
+    """Pressed by other code; white texture is stated as noise, or estimated from the coat."""
     texture_mm = 0.004
     layer = SensorLayer(
         elastomer=Elastomer(
@@ -183,9 +183,9 @@ def test_a_ball_of_the_one_dimensional_oracle() -> None:
     points_mm[..., 2] += np.where(coat.valid, rough, 0.0)
     sigma = np.where(coat.valid[..., None], np.float32([0.0, 0.0, NOISE_MM]), np.float32(0.0))
     coat = replace(coat, points_world_mm=points_mm, sigma_xyz_mm=sigma)
-    found = compensate_points(coat, layer)
-    for told in (texture_mm, None):
-        points = object_points(coat, found, told)
+    compensated = compensate_points(coat, layer)
+    for stated_mm in (texture_mm, None):
+        points = object_points(coat, compensated, stated_mm)
         away = points.points_world_mm[points.valid] - np.array([0.0, 0.0, 0.6 - 0.2 - 4.0])
         error = np.linalg.norm(away, axis=-1) - 4.0
         sigma = np.linalg.norm(points.sigma_xyz_mm[points.valid], axis=-1)

@@ -26,7 +26,7 @@ def test_points_and_a_layer_file_give_the_object(result):
     assert result.figures["part_1_radius_mm"] == pytest.approx(4.0, abs=3e-3)
 
 
-def test_both_results_are_one_line(result):
+def test_both_results_have_a_short_text(result):
     force = rf"force {result.found.force_n:.3g} N \(standard uncertainty .* N\)"
     shown = rf"contact {result.found.area_mm2:.3g} mm\^2, {force}, highest pressure .* kPa"
     assert re.fullmatch(
@@ -49,18 +49,18 @@ def test_arrays_are_over_x_and_y_in_mm(result):
 
 
 def test_the_figure_has_a_coat_a_pressure_and_a_section(result):
-    for one in (result, result.found):
-        drawing = one.plot()
+    for shown in (result, result.found):
+        drawing = shown.plot()
         assert isinstance(drawing, Drawing)
         assert [axes.get_xlabel() for axes in drawing.axes[:3]] == ["x (mm)"] * 3
         assert [axes.get_ylabel() for axes in drawing.axes[3:]] == ["z (mm)", "pressure (kPa)"]
-        assert "data:image/png;base64," in one._repr_html_()
+        assert "data:image/png;base64," in shown._repr_html_()
     section = {line.get_label(): line.get_xydata() for line in drawing.axes[2].lines}
     tip_mm = np.nanmax(section["object, in contact"][:, 1])
     assert 0.1 < section["coat"][:, 1].max() - tip_mm < 0.2
 
 
-def test_what_is_missing_is_one_line():
+def test_missing_input_is_named():
     with pytest.raises(InputError, match="layer: found none"):
         twin.compensate(coat_map())
     with pytest.raises(InputError, match="measured is 3, of type int"):

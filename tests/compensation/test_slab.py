@@ -45,9 +45,9 @@ def differences(press: Pressed, step: float) -> CoatMove:
     return CoatMove(coat / (2 * step), force / (2 * step))
 
 
-def agrees(found: CoatMove, expected: CoatMove, share: float) -> None:
+def agrees(move: CoatMove, expected: CoatMove, share: float) -> None:
     scale = float(np.abs(expected.coat_mm).max())
-    assert np.abs(found.coat_mm - expected.coat_mm).max() < share * scale
+    assert np.abs(move.coat_mm - expected.coat_mm).max() < share * scale
 
 
 @pytest.mark.parametrize("air_kpa", [0.0, AIR_KPA])
@@ -60,21 +60,21 @@ def test_derivatives_are_those_of_whole_presses(air_kpa: float) -> None:
         differences(lambda by: pressed(BALL, elastomer, depth + by, air_kpa), 0.01),
         2e-3,
     )
-    beside = [
+    neighbours = [
         (elastomer.model_copy(update={"thickness_mm": 3.0 + by}), rest.load) for by in (-1e-3, 1e-3)
     ]
     agrees(
-        rest.moved_by_layer(beside[0], beside[1], 1e-3),
+        rest.moved_by_layer(neighbours[0], neighbours[1], 1e-3),
         differences(lambda by: pressed(BALL, slab(3.0 + by), depth, air_kpa), 0.02),
         4e-3,
     )
     softer = [(with_modulus(elastomer, 400.0 + by), rest.load) for by in (-0.01, 0.01)]
     by_modulus = rest.moved_by_layer(softer[0], softer[1], 0.01)
     if air_kpa:
-        other = differences(lambda by: pressed(BALL, slab(3.0, 400.0 + by), depth, air_kpa), 4.0)
-        agrees(by_modulus, other, 4e-3)
+        expected = differences(lambda by: pressed(BALL, slab(3.0, 400.0 + by), depth, air_kpa), 4.0)
+        agrees(by_modulus, expected, 4e-3)
     else:
-        assert np.abs(by_modulus.coat_mm).max() < 1e-12  # the shape needs no modulus
+        assert np.abs(by_modulus.coat_mm).max() < 1e-12  # the shape does not depend on the modulus
 
 
 @pytest.mark.parametrize(("path", "share"), [("diameter_mm", 1e-2), ("x_mm", 5e-3)])
@@ -89,11 +89,11 @@ def test_the_coat_moves_with_the_ball(path: str, share: float) -> None:
         )
         for by in (-step, step)
     ]
-    found = rest.moved_by((behind[0] - behind[1]) / (2 * step))
+    move = rest.moved_by((behind[0] - behind[1]) / (2 * step))
     by_pressing = differences(
         lambda by: pressed(with_value(BALL, path, value_of(BALL, path) + by), elastomer, depth), 0.1
     )
-    agrees(found, by_pressing, share)
+    agrees(move, by_pressing, share)
 
 
 @pytest.mark.parametrize(
@@ -108,13 +108,13 @@ def test_the_coat_moves_with_the_ball(path: str, share: float) -> None:
          Bar(width_mm=4.4, length_mm=9.0), "width_mm", 0.006),
     ],
 )  # fmt: skip
-def test_numbers_are_found_from_a_poor_start(true, begun, path: str, within_mm: float) -> None:
-    """Under air, of another grid's coat; the travel is not told."""
+def test_numbers_converge_from_a_poor_start(true, begun, path: str, within_mm: float) -> None:
+    """With air, a coat from another grid; the travel is unknown."""
     span_mm = WIDE_MM if true.kind == "two_balls" else SPAN_MM
     elastomer = slab(span_mm=span_mm)
     coat = pressed(true, elastomer, 0.7, AIR_KPA).coat_mm
-    asked = replace(slab_object(layer_of(elastomer, AIR_KPA), begun), theory=False)
-    fitted = fit_slab(*coat_points(coat, NOISE_MM, span_mm=span_mm), asked).fitted
+    request = replace(slab_object(layer_of(elastomer, AIR_KPA), begun), theory=False)
+    fitted = fit_slab(*coat_points(coat, NOISE_MM, span_mm=span_mm), request).fitted
     assert fitted.value(f"specimen.{path}") == pytest.approx(value_of(true, path), abs=within_mm)
     assert fitted.value("press.depth_mm") == pytest.approx(0.7, abs=1e-3)
     assert fitted.chi_square == pytest.approx(1.0, abs=0.05)
@@ -123,31 +123,31 @@ def test_numbers_are_found_from_a_poor_start(true, begun, path: str, within_mm: 
 
 
 def test_travel_and_force_are_data() -> None:
-    """Without air the coat hardly tells a larger ball pressed less from a smaller one."""
+    """Without air the coat hardly separates a ball's diameter from its travel."""
     rest = pressed(BALL, slab(), 0.7)
     points, bare = coat_points(rest.coat_mm, NOISE_MM), layer_of(slab())
 
-    def sigma(layer, **ways) -> float:
-        asked = replace(slab_object(layer, Ball(diameter_mm=7.5)), theory=False)
-        fitted = fit_slab(*points, asked).fitted
-        found = fitted.value("specimen.diameter_mm")
+    def sigma(layer, **known) -> float:
+        request = replace(slab_object(layer, Ball(diameter_mm=7.5)), theory=False)
+        fitted = fit_slab(*points, request).fitted
+        diameter_mm = fitted.value("specimen.diameter_mm")
         u = fitted.sigma("specimen.diameter_mm")
-        assert found == pytest.approx(8.0, abs=3.5 * u)
+        assert diameter_mm == pytest.approx(8.0, abs=3.5 * u)
         return u
 
-    alone = sigma(bare)
-    told = sigma(with_load(bare, {"depth_mm": 0.002}, depth_mm=0.7))
+    free = sigma(bare)
+    with_travel = sigma(with_load(bare, {"depth_mm": 0.002}, depth_mm=0.7))
     exact = sigma(with_load(bare, {"depth_mm": 0.0}, depth_mm=0.7))
     force = 1e-3 * 400.0 * rest.force_mm2
     weighed = sigma(with_load(bare, {"force_n": 0.0}, force_n=force))
-    assert exact < 0.3 * told < 0.3 * alone
-    assert weighed < alone
+    assert exact < 0.3 * with_travel < 0.3 * free
+    assert weighed < free
 
 
-def test_uncertainty_holds_what_large_strain_changes() -> None:
+def test_uncertainty_covers_large_strain() -> None:
     """A linear slab against neo-Hookean solids, which are 2 % lower in the middle.
 
-    The solids' round rim is not ours: what large strain changes of their coat is laid on ours.
+    The solids' round rim differs from ours: the change by large strain is added to our coat.
     """
     case = json.loads(SOLIDS.read_text(encoding="utf-8"))["free_r4_h4_d1"]
     span = 2 * case["slab"]["outer_radius_mm"]
@@ -170,79 +170,79 @@ def test_uncertainty_holds_what_large_strain_changes() -> None:
     error, u = fitted.value("specimen.diameter_mm") - 8.0, fitted.sigma("specimen.diameter_mm")
     assert abs(error) < 2 * u < 0.08 * 8.0
     assert -2.0 < fitted.value("theory.large_strain") < -0.5
-    linear_alone = replace(slab_object(exact, Ball(diameter_mm=8.0)), theory=False)
-    without = fit_slab(*points, linear_alone).fitted
+    linear_only = replace(slab_object(exact, Ball(diameter_mm=8.0)), theory=False)
+    without = fit_slab(*points, linear_only).fitted
     assert without.value("specimen.diameter_mm") - 8.0 < -3 * without.sigma("specimen.diameter_mm")
-    assert fitted.misfit_mm > 3 * 5e-4  # the coat itself shows that the theory is short of it
+    assert fitted.misfit_mm > 3 * 5e-4  # the coat itself shows the model's error
 
 
 def test_thickness_is_calibrated_on_a_known_ball() -> None:
-    """1 % of thickness: another ball reads wrong before, and right with what the first one told."""
-    true, believed = slab(3.03), slab(3.0)
-    layer = with_load(layer_of(believed), {"depth_mm": 0.0}, depth_mm=0.7)
-    known, other = Ball(diameter_mm=8.0), Ball(diameter_mm=6.0)
+    """1 % of thickness: another ball has an error before the calibration, and none after it."""
+    true, nominal = slab(3.03), slab(3.0)
+    layer = with_load(layer_of(nominal), {"depth_mm": 0.0}, depth_mm=0.7)
+    known, second_ball = Ball(diameter_mm=8.0), Ball(diameter_mm=6.0)
     first, second = (
-        coat_points(pressed(one, true, 0.7).coat_mm, NOISE_MM, seed)
-        for seed, one in enumerate((known, other))
+        coat_points(pressed(ball, true, 0.7).coat_mm, NOISE_MM, seed)
+        for seed, ball in enumerate((known, second_ball))
     )
 
     def error_mm(layer) -> float:
-        asked = replace(slab_object(layer, Ball(diameter_mm=6.3)), theory=False)
-        return fit_slab(*second, asked).fitted.value("specimen.diameter_mm") - 6.0
+        request = replace(slab_object(layer, Ball(diameter_mm=6.3)), theory=False)
+        return fit_slab(*second, request).fitted.value("specimen.diameter_mm") - 6.0
 
     before = error_mm(layer)
-    found, figures = calibrate_slab(*first, slab_object(layer, Ball(diameter_mm=7.0)), 8.0)
-    after = error_mm(found)
+    calibrated, figures = calibrate_slab(*first, slab_object(layer, Ball(diameter_mm=7.0)), 8.0)
+    after = error_mm(calibrated)
     assert abs(before) > 0.03
     assert abs(after) < 0.1 * abs(before)
     u = figures["calibrated_thickness_sigma_um"]
     assert figures["calibrated_thickness_mm"] == pytest.approx(3.03, abs=3.5e-3 * u)
-    assert found.sigma.thickness_mm == pytest.approx(1e-3 * u)
+    assert calibrated.sigma.thickness_mm == pytest.approx(1e-3 * u)
     assert abs(figures["radius_before_calibration_mm"] - 4.0) > 0.02
-    assert figures["calibrated_modulus_kpa"] is None  # nothing weighed it
+    assert figures["calibrated_modulus_kpa"] is None  # no load determines it
 
 
-def test_air_tells_the_modulus_too() -> None:
+def test_air_determines_the_modulus_too() -> None:
     true = slab(3.0, 440.0)
     coat = pressed(Ball(diameter_mm=8.0), true, 0.7, AIR_KPA).coat_mm
     layer = layer_of(slab(3.0, 400.0), AIR_KPA)
-    found, figures = calibrate_slab(
+    calibrated, figures = calibrate_slab(
         *coat_points(coat, NOISE_MM), slab_object(layer, Ball(diameter_mm=7.0)), 8.0
     )
     u = figures["calibrated_modulus_sigma_kpa"]
     assert figures["calibrated_modulus_kpa"] == pytest.approx(440.0, abs=max(3.5 * u, 0.5))
-    assert found.elastomer.young_modulus_kpa == figures["calibrated_modulus_kpa"]
+    assert calibrated.elastomer.young_modulus_kpa == figures["calibrated_modulus_kpa"]
 
 
 def test_the_plane_of_the_points_may_be_off() -> None:
-    """A frame that is 5 um off and tilted: wrong as exact, right as uncertain."""
+    """A frame 5 um off and tilted: wrong if it is taken as exact, right if uncertain."""
     coat = pressed(BALL, slab(), 0.7, AIR_KPA).coat_mm
     points, sigma = coat_points(coat, NOISE_MM)
     points[:, 2] += 0.005 + 0.008 * points[:, 0] / (SPAN_MM / 2)
-    found = []
+    fits = []
     for plane_mm in (0.0, 0.01):
         layer = layer_of(slab(), AIR_KPA, plane_mm=plane_mm)
-        asked = replace(slab_object(layer, BALL), theory=False)
-        found.append(fit_slab(points, sigma, asked).fitted)
-    errors = [abs(one.value("specimen.diameter_mm") - 8.0) for one in found]
-    assert errors[1] < 3.5 * found[1].sigma("specimen.diameter_mm")
+        request = replace(slab_object(layer, BALL), theory=False)
+        fits.append(fit_slab(points, sigma, request).fitted)
+    errors = [abs(ball.value("specimen.diameter_mm") - 8.0) for ball in fits]
+    assert errors[1] < 3.5 * fits[1].sigma("specimen.diameter_mm")
     assert errors[1] < 0.3 * errors[0]
-    assert found[1].value("plane.lift_x_mm") == pytest.approx(0.008, abs=5e-4)
+    assert fits[1].value("plane.lift_x_mm") == pytest.approx(0.008, abs=5e-4)
 
 
 def test_contact_and_force_are_those_of_the_press() -> None:
     rest = pressed(BALL, slab(), 0.7, AIR_KPA)
-    asked = replace(slab_object(layer_of(slab(), AIR_KPA), BALL), theory=False)
-    found = fit_slab(*coat_points(rest.coat_mm, NOISE_MM), asked)
-    assert found.force_n == pytest.approx(0.4 * rest.force_mm2, rel=2e-3)
+    request = replace(slab_object(layer_of(slab(), AIR_KPA), BALL), theory=False)
+    result = fit_slab(*coat_points(rest.coat_mm, NOISE_MM), request)
+    assert result.force_n == pytest.approx(0.4 * rest.force_mm2, rel=2e-3)
     area = float(rest.touching.sum()) * rest.layer.cell_area_mm2
-    assert found.area_mm2 == pytest.approx(area, rel=0.03)
-    touched = found.object_mm[found.contact]
+    assert result.area_mm2 == pytest.approx(area, rel=0.03)
+    touched = result.object_mm[result.contact]
     away = np.linalg.norm(touched - [0.13, -0.07, 0.7 - 3.0 - 4.0], axis=-1)
     assert away == pytest.approx(4.0, abs=2e-3)  # on the ball
-    edge = ndimage.binary_dilation(found.contact) & ~found.contact
-    behind = np.linalg.norm(found.object_mm[edge] - [0.13, -0.07, 0.7 - 3.0 - 4.0], axis=-1) - 4.0
-    assert np.abs(behind).max() < 0.04  # and near it beside it, to half a cell
+    edge = ndimage.binary_dilation(result.contact) & ~result.contact
+    behind = np.linalg.norm(result.object_mm[edge] - [0.13, -0.07, 0.7 - 3.0 - 4.0], axis=-1) - 4.0
+    assert np.abs(behind).max() < 0.04  # and close to it near the edge, to half a cell
 
 
 @pytest.mark.parametrize(
@@ -254,29 +254,31 @@ def test_contact_and_force_are_those_of_the_press() -> None:
         (BALL, ("kind",), "found 'kind', allowed numbers"),
     ],
 )
-def test_bad_input_is_one_clear_line(specimen, fitted: tuple[str, ...], message: str) -> None:
+def test_bad_input_gives_a_single_clear_line(
+    specimen, fitted: tuple[str, ...], message: str
+) -> None:
     layer = layer_of(slab()).model_copy(update={"fitted": fitted})
     with pytest.raises(InputError, match=message.replace("[", r"\[")):
         slab_object(layer, specimen)
 
 
 def test_only_a_ball_calibrates() -> None:
-    asked = slab_object(layer_of(slab()), Bar())
+    request = slab_object(layer_of(slab()), Bar())
     with pytest.raises(InputError, match="kind = 'bar', allowed a ball"):
-        calibrate_slab(*coat_points(np.zeros((160, 160)), NOISE_MM), asked, 8.0)
+        calibrate_slab(*coat_points(np.zeros((160, 160)), NOISE_MM), request, 8.0)
 
 
 def test_a_number_that_runs_to_its_end_is_no_result() -> None:
-    """Begun at 1.9 mm, a diameter may become 7.6 mm; the ball has 8 mm."""
+    """Started at 1.9 mm, a diameter may reach 7.6 mm; the ball has 8 mm."""
     coat = pressed(BALL, slab(), 0.7, AIR_KPA).coat_mm
-    asked = replace(slab_object(layer_of(slab(), AIR_KPA), Ball(diameter_mm=1.9)), theory=False)
+    request = replace(slab_object(layer_of(slab(), AIR_KPA), Ball(diameter_mm=1.9)), theory=False)
     with pytest.raises(FitError, match=r"specimen\.diameter_mm ran to 7\.6"):
-        fit_slab(*coat_points(coat, NOISE_MM), asked)
+        fit_slab(*coat_points(coat, NOISE_MM), request)
 
 
-def test_numbers_that_cannot_be_told_apart_are_named() -> None:
-    """Of a ball, its height in a group changes nothing: the travel counts from first touch."""
+def test_inseparable_numbers_are_named() -> None:
+    """A ball's height in a group has no effect: the travel counts from first contact."""
     coat = pressed(BALL, slab(), 0.7).coat_mm
     layer = layer_of(slab()).model_copy(update={"fitted": ("diameter_mm", "yaw_deg")})
-    with pytest.raises(FitError, match=r"tells nothing of specimen\.yaw_deg"):
+    with pytest.raises(FitError, match=r"does not depend on specimen\.yaw_deg"):
         fit_slab(*coat_points(coat, NOISE_MM), slab_object(layer, BALL))

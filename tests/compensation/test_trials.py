@@ -1,4 +1,4 @@
-"""The object behind the coat in studies: asked for by name, and found by the nominal sheet."""
+"""The object behind the coat in studies: requested by name, computed with the nominal sheet."""
 
 import pytest
 
@@ -26,7 +26,7 @@ def wrapped():
 
 
 def test_trials_take_the_nominal_sheet_for_all(wrapped):
-    """A trial's own thickness is what its user does not know; a slab tells no object."""
+    """A trial's own thickness is unknown to its user; a slab gives no object."""
     cases = record_of(wrapped, {"thickness": THICKNESS}, 3, budget=True).cases().run
     thicknesses = {case.experiment.elastomer.thickness_mm for case in cases}
     assert len(thicknesses) > 4
@@ -37,22 +37,22 @@ def test_trials_take_the_nominal_sheet_for_all(wrapped):
 
 
 def test_a_study_that_names_the_object_has_it(wrapped):
-    """By each case's own sheet: what is compared are designs, all of them known."""
+    """With each case's own sheet: a study compares designs, which are known."""
     axis = {"path": "elastomer.thickness_mm", "values": [0.15, 0.2]}
     given = {"name": "thin", "base": "examples/wrapped_balls", "axis": [axis]}
     named = Study.model_validate(given | {"metrics": ["compensated_sphere_1_radius_mm"]})
-    found = [case.conditions.layer for case in cases_of(named, wrapped).run]
-    assert [layer.elastomer.thickness_mm for layer in found] == [0.15, 0.2]
+    layers = [case.conditions.layer for case in cases_of(named, wrapped).run]
+    assert [layer.elastomer.thickness_mm for layer in layers] == [0.15, 0.2]
     plain = Study.model_validate(given | {"metrics": ["sphere_1_radius_mm"]})
     assert {case.conditions.layer for case in cases_of(plain, wrapped).run} == {None}
 
 
-def test_a_wrong_belief_shows_in_the_object(mi, wrapped):
-    """Sheet of 0.2 mm, believed 0.2 and 0.21: the second ball is smaller by about 0.01 mm."""
+def test_a_wrong_thickness_changes_the_object(mi, wrapped):
+    """Sheet of 0.2 mm, taken as 0.2 and 0.21: the second ball is smaller by about 0.01 mm."""
     measurer, radii = CaseMeasurer(), []
     for thickness_mm in (0.2, 0.21):
-        believed = vary(wrapped, {"elastomer.thickness_mm": thickness_mm})
-        figures = measurer(wrapped, Conditions(layer=sensor_layer_of(believed))).figures
+        assumed = vary(wrapped, {"elastomer.thickness_mm": thickness_mm})
+        figures = measurer(wrapped, Conditions(layer=sensor_layer_of(assumed))).figures
         assert compensated_names(wrapped) <= set(figures)
         radii.append(figures["compensated_sphere_1_radius_mm"])
     assert radii[0] == pytest.approx(4.0, abs=0.03)

@@ -1,4 +1,4 @@
-"""Ranges that physics gives: every number of every document has both ends, and says why."""
+"""Physical ranges: every number of every document has two limits with a reason."""
 
 import pytest
 
@@ -17,7 +17,7 @@ OTHERS = (Input, Lamp, BoardFile)
 
 
 def test_every_number_has_both_ends() -> None:
-    """No number may be 1e300: what it does then, no one has ever seen."""
+    """No number may be 1e300, for which the models were never tested."""
     keys = [*experiment_keys()]
     for document in (*DOCUMENTS, *OTHERS):
         keys += list_keys(document)
@@ -40,7 +40,7 @@ def test_every_number_has_both_ends() -> None:
         ("elastomer.rim_compliance_mm2_per_n", 1e-9, "allowed 0 or at least 0.001"),
         ("camera.exposure_ms", 1e16, "allowed >= 0.0001, <= 1e+06 (100 ns"),
         ("camera.black_level_dn", 4095, "allowed less than 4095, the largest code of bit_depth"),
-        ("camera.focal_length_mm", 300, "allowed more than focal_length_mm, 300: a lens images"),
+        ("camera.focal_length_mm", 300, "allowed more than focal_length_mm, 300: a lens forms"),
         ("camera.distortion", [1e300, 0, 0, 0, 0], "allowed >= -1e+06, <= 1e+06"),
         ("projector.flux_mw", 1e-300, "allowed >= 1e-12, <= 1e+06 (1 fW"),
         ("render.photons", 10**9, "allowed >= 1000, <= 1e+08 (each takes 50 bytes of memory"),
@@ -69,7 +69,7 @@ def test_the_reason_is_in_the_list_of_keys() -> None:
 
 
 def test_hints_are_only_for_the_keys_that_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hint compares with every known key: for a hundred thousand typos that took minutes."""
+    """A hint compares a key with every known key: 100 000 typos took minutes."""
     looked_up: list[str] = []
     monkeypatch.setattr("twin.config.schema._closest", lambda key, *_: looked_up.append(key))
     with pytest.raises(ConfigError) as caught:

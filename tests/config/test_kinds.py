@@ -52,9 +52,9 @@ def problem(check: Callable[[], object], document: type[BaseModel]) -> str:
 def test_a_table_is_checked_by_the_model_of_its_kind() -> None:
     _, document = house()
     tree = {"body": {"kind": "heap", "parts": {"a": {"kind": "cube", "edge_mm": 2.0}}}}
-    found = document.model_validate(tree)
-    assert found.body.parts["a"].edge_mm == 2.0  # type: ignore[attr-defined]
-    assert document.model_validate(found.model_dump()) == found
+    loaded = document.model_validate(tree)
+    assert loaded.body.parts["a"].edge_mm == 2.0  # type: ignore[attr-defined]
+    assert document.model_validate(loaded.model_dump()) == loaded
     choices = document.model_json_schema()["properties"]["body"]["discriminator"]["mapping"]
     assert set(choices) == {"cube", "heap"}
 
@@ -82,8 +82,8 @@ def test_a_kind_registered_later_is_known_in_documents_and_within_other_kinds() 
         kind: Literal["cone"] = "cone"
         height_mm: float = 1.0
 
-    found = document.model_validate({"body": {"kind": "heap", "parts": {"a": {"kind": "cone"}}}})
-    assert type(found.body.parts["a"]) is Cone  # type: ignore[attr-defined]
+    loaded = document.model_validate({"body": {"kind": "heap", "parts": {"a": {"kind": "cone"}}}})
+    assert type(loaded.body.parts["a"]) is Cone  # type: ignore[attr-defined]
     assert type(document.model_validate({"body": {"kind": "cone"}}).body) is Cone  # type: ignore[attr-defined]
     assert "body(cone).height_mm" in {key.path for key in list_keys(document)}
 

@@ -1,4 +1,4 @@
-"""Layers as data: order, gaps of air, and what is refused in one line."""
+"""Layers as data: order, gaps of air, and one-line errors."""
 
 import pytest
 
@@ -27,7 +27,7 @@ def test_gaps_are_air():
     assert holding_layer(layers) is None
 
 
-def test_a_layer_that_begins_below_the_coat_holds_it():
+def test_a_layer_that_starts_below_the_coat_contains_it():
     layers = {"gel": layer(-1.0, 5.0)}
     assert seen_through(layers) == [(4.0, 1.5)]
     assert holding_layer(layers) is layers["gel"]
@@ -48,10 +48,13 @@ def test_an_experiment_with_layers_loads_back(tmp_path):
 
 
 REFUSED = [
-    ({"layers.window.bottom_mm": 3.5}, "gel ends at 4 mm, window begins below that, at 3.5 mm"),
+    ({"layers.window.bottom_mm": 3.5}, "gel ends at 4 mm, window starts below that, at 3.5 mm"),
     ({"layers.gel.bottom_mm": -5.0}, "below the opaque coat"),
     ({"layers.gel.thickness_mm": 3.0}, "thickness_mm = 4 as elastomer.thickness_mm"),
-    ({"layers.gel.bottom_mm": 0.5, "layers.gel.thickness_mm": 3.5}, "none holds the coat"),
+    (
+        {"layers.gel.bottom_mm": 0.5, "layers.gel.thickness_mm": 3.5},
+        "found no layer round the coat",
+    ),
     (
         {
             "layers.window.thickness_mm": 9.0,
@@ -69,8 +72,8 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("changes", "message"), REFUSED)
-def test_what_does_not_fit_is_refused_in_one_line(changes, message):
-    # ranges of the data files would speak first
+def test_contradictions_are_rejected_in_one_line(changes, message):
+    # otherwise the ranges of the data files cause the error
     values = {
         key: {"value": v, "source": "test"} if "mm" in key else v for key, v in changes.items()
     }

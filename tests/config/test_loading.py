@@ -75,12 +75,12 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "found", "allowed"), MISTAKES)
-def test_every_mistake_is_one_line(changes, found, allowed):
+@pytest.mark.parametrize(("changes", "value", "allowed"), MISTAKES)
+def test_every_mistake_is_one_line(changes, value, allowed):
     with pytest.raises(ConfigError) as caught:
         load_experiment("examples/slab_balls", changes)
     message = str(caught.value)
-    assert found in message
+    assert value in message
     assert allowed in message
     assert "\n" not in message
 
@@ -97,7 +97,7 @@ def test_every_mistake_is_one_line(changes, found, allowed):
     ],
 )
 def test_paths_are_those_of_the_file(experiment, specimen, line):
-    """No union tag in them, and a part's own name stays even if it is a kind's."""
+    """Paths have no union tag; a part's name that equals a kind remains in the path."""
     tree = experiment.model_dump(mode="json") | {"specimen": specimen}
     with pytest.raises(ConfigError) as caught:
         validate_experiment(tree)
@@ -138,7 +138,7 @@ def test_files_that_use_each_other_in_a_circle(tmp_path, monkeypatch):
     (folder / "a.toml").write_text('use = "scenes/b"', encoding="utf-8")
     (folder / "b.toml").write_text('use = "scenes/a"', encoding="utf-8")
     monkeypatch.setenv("TWIN_ASSETS", str(tmp_path))
-    with pytest.raises(ConfigError, match="leads back to itself"):
+    with pytest.raises(ConfigError, match="is cyclic"):
         load_experiment("a")
 
 
@@ -156,9 +156,9 @@ DATA = [("materials", name) for name in list_assets("materials")] + [
 
 @pytest.mark.parametrize(("collection", "name"), DATA)
 def test_every_number_in_a_data_file_has_a_source(collection, name):
-    """The house rule: value, source and, where it is assumed, its plausible range."""
+    """Expected: value, source and, for an assumed value, its plausible range."""
     values, origins = quantities_of(name, collection)
-    # A link says itself where its number comes from.
+    # A link needs no source.
     flat = {path: value for path, value in leaves(values) if not str(value).startswith("= ")}
     words = {"description", "use", "kind"}
     assert {path for path in flat if path.rsplit(".", 1)[-1] not in words} == set(origins)

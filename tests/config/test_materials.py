@@ -1,4 +1,4 @@
-"""Material files: all of them load, say where their numbers come from, and guard their ranges."""
+"""Material files: all load, state the sources of their numbers, and enforce their ranges."""
 
 import tomllib
 
@@ -23,7 +23,7 @@ SCENES = [
 
 
 def ball_of(name, tmp_path, extra=""):
-    """Write the ball's scene with another material, and with keys laid over that."""
+    """Write the ball's scene with another material, and with keys that override it."""
     text = asset_path("scenes", "examples/slab_ball").read_text(encoding="utf-8")
     text = text.replace("metals/steel", name).replace("[press]", f"{extra}\n\n[press]")
     file = tmp_path / "experiment.toml"
@@ -100,7 +100,7 @@ def test_value_out_of_the_files_range_is_refused_in_one_line(name, key, value, t
     ],
 )
 def test_complex_index_gives_the_metals_known_reflectance(name, reflectance):
-    """Normal incidence, ((n - 1)^2 + k^2) / ((n + 1)^2 + k^2): a swapped or misread index shows.
+    """Normal incidence, ((n - 1)^2 + k^2) / ((n + 1)^2 + k^2): detects a swapped or misread index.
     Expected: the mean of the two table rows on either side of 525 nm in each source."""
     values, _ = quantities(f"metals/{name}")
     index = values["ior"] + 1j * values["extinction"]
@@ -142,7 +142,7 @@ def test_two_balls_are_steel():
 
 @pytest.mark.parametrize("name", ["nut", "balls", "bars", "brick", "fingerprint", "group"])
 def test_wrapped_scenes_are_thin_sheets_that_may_be_thick(name):
-    """Both ends of the range are allowed, and its source says why; the press is one of a sheet."""
+    """Both limits of the range are allowed; its source gives the reason; the model is a sheet."""
     scene = load_experiment(f"examples/wrapped_{name}")
     data = scene.mechanics, scene.specimen, scene.elastomer, scene.press
     assert select_model(PressInput(*data)).wraps

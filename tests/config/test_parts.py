@@ -1,4 +1,4 @@
-"""Own parts: files found from the one that names them, links between keys, keys taken away."""
+"""User files: paths relative to the file that names them, links between keys, removed keys."""
 
 import pytest
 
@@ -25,7 +25,7 @@ def gel(tmp_path):
     return load_experiment(file)
 
 
-def test_a_link_takes_the_value_and_says_so(gel):
+def test_a_link_takes_the_value_and_states_it_as_source(gel):
     assert gel.layers["gel"].thickness_mm == gel.layers["window"].bottom_mm == 3.0
     assert gel.provenance["layers.gel.thickness_mm"].source == "as elastomer.thickness_mm"
 
@@ -68,20 +68,20 @@ def test_a_link_may_name_a_linked_key(gel):
 
 
 @pytest.mark.parametrize(
-    ("target", "told"),
+    ("target", "message"),
     [
         ("elastomer.thicknes_mm", "found no value there"),
         ("elastomer", "found a table there"),
-        ("layers.gel.thickness_mm", "lead back to themselves"),
+        ("layers.gel.thickness_mm", "found a cycle of links"),
     ],
 )
-def test_a_link_to_nowhere_is_one_line(gel, target, told):
-    with pytest.raises(ConfigError, match=told) as caught:
+def test_a_link_to_nowhere_is_one_line(gel, target, message):
+    with pytest.raises(ConfigError, match=message) as caught:
         vary(gel, {"layers.gel.thickness_mm": f"= {target}"})
     assert "\n" not in str(caught.value)
 
 
-def test_own_files_are_found_from_the_file_that_names_them(tmp_path):
+def test_paths_of_user_files_are_relative_to_the_file_that_names_them(tmp_path):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts/coat.toml").write_text("base_albedo = 0.31\n", encoding="utf-8")
     (tmp_path / "parts/more.toml").write_text('[coating]\nuse = "./coat.toml"\n', encoding="utf-8")
@@ -105,16 +105,16 @@ def test_a_missing_own_file_names_its_neighbour(tmp_path):
         load_experiment(tmp_path / "mine.toml")
 
 
-def test_own_files_that_lead_back_are_one_line_however_spelt(tmp_path):
+def test_cyclic_user_files_are_one_line_however_spelt(tmp_path):
     (tmp_path / "inner").mkdir()
     mine = tmp_path / "inner/mine.toml"
     mine.write_text('name = "mine"\nuse = "../inner/mine.toml"\n', encoding="utf-8")
-    with pytest.raises(ConfigError, match="leads back to itself"):
+    with pytest.raises(ConfigError, match="is cyclic"):
         load_experiment(mine)
 
 
 def test_files_that_use_two_files_each_are_counted(tmp_path):
-    """2^30 tables, were they laid down."""
+    """Without a limit: 2^30 tables."""
     for i in range(30):
         used = f'use = "./{i + 1}.toml"\n'
         (tmp_path / f"{i}.toml").write_text(f"[left]\n{used}[right]\n{used}")
@@ -132,16 +132,16 @@ def test_a_long_chain_of_files_is_counted(tmp_path):
 
 
 def test_absent_takes_a_key_away():
-    found = load_experiment("paper/two_balls", {"decode.filter_taps": "absent"})
-    assert found.decode.filter_taps == type(found.decode)().filter_taps
+    experiment = load_experiment("paper/two_balls", {"decode.filter_taps": "absent"})
+    assert experiment.decode.filter_taps == type(experiment.decode)().filter_taps
     with pytest.raises(ConfigError, match=r"camera.f_number: missing"):
         load_experiment("paper/two_balls", {"camera.f_number": "absent"})
 
 
-def test_a_range_is_told_with_the_line_that_widens_it(tmp_path):
+def test_a_range_error_states_the_line_that_widens_it(tmp_path):
     with pytest.raises(ConfigError) as caught:
         load_experiment("examples/slab_balls", {"elastomer.thickness_mm": 9.0})
-    line = 'thickness_mm = { value = 9, range = [1, 9], source = "why" }'
+    line = 'thickness_mm = { value = 9, range = [1, 9], source = "reason" }'
     assert line in str(caught.value)
     mine = tmp_path / "mine.toml"
     text = f'name = "mine"\nuse = "scenes/examples/slab_balls"\n[elastomer]\n{line}\n'

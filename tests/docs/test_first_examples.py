@@ -1,4 +1,4 @@
-"""What a new user copies first reads its object: the promise of the README, judged."""
+"""The first examples of the README measure their object: its statements as assertions."""
 
 import re
 from pathlib import Path
@@ -15,8 +15,8 @@ PROMISED_UM = 20.0
 
 
 def minimal_experiment() -> str:
-    (found,) = re.findall(r"^```toml\n(.*?)^```$", README.read_text("utf-8"), re.DOTALL | re.M)
-    return found
+    (result,) = re.findall(r"^```toml\n(.*?)^```$", README.read_text("utf-8"), re.DOTALL | re.M)
+    return result
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def test_the_minimal_experiment_of_the_readme_reads_its_ball(mi, minimal, tmp_pa
     """Setup: as printed, on a sixteenth of the pixels.
 
     Expected: the radius of the object, 3 mm, within the 20 um that the README promises, in
-    result.json and as the first figure on the terminal, before what the coat shows.
+    result.json and as the first figure on the terminal, before the figures of the coat.
     """
     out = tmp_path / "out"
     command = ["measure", str(minimal), "-o", str(out), "-s", "camera.binning=4", "--no-report"]

@@ -1,4 +1,4 @@
-"""The gallery shows what is shipped, all of it and nothing else."""
+"""The gallery shows exactly the shipped examples."""
 
 import re
 import tomllib
@@ -37,7 +37,7 @@ def test_pictures_are_small():
     assert sum(sizes) < 1_000_000
 
 
-def test_the_front_page_says_where_to_begin():
+def test_the_front_page_links_the_first_steps():
     """README and the site's first page lead to the same beginnings."""
     for page in (ROOT / "README.md", ROOT / "docs" / "index.md"):
         targets = re.findall(r"\]\((?:docs/)?(\w+)\.md\)", page.read_text(encoding="utf-8"))

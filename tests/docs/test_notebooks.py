@@ -31,15 +31,17 @@ def run_cell(source: str, variables: dict[str, Any]) -> Any:
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(mi, monkeypatch, notebook):
-    """What ends a cell shows itself: as a picture with a table, or as a short text."""
+    """The last value of a cell is displayed: as a picture with a table, or as a short text."""
     monkeypatch.chdir(notebook.parent)
     variables: dict[str, Any] = {}
     shown = [run_cell("".join(cell["source"]), variables) for cell in code_cells(notebook)]
-    results = [one for one in shown if type(one).__module__.startswith(("twin", "reconstruction"))]
+    results = [
+        item for item in shown if type(item).__module__.startswith(("twin", "reconstruction"))
+    ]
     assert results
-    for one in results:
-        assert "data:image/png;base64," in one._repr_html_()
-        assert len(repr(one)) < 200
+    for item in results:
+        assert "data:image/png;base64," in item._repr_html_()
+        assert len(repr(item)) < 200
 
 
 def test_notebooks_are_kept_without_outputs():

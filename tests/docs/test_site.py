@@ -18,7 +18,7 @@ ELSEWHERE = {"https://github.com/pradyunsg/furo"}
 
 
 class Links(HTMLParser):
-    """Where a page points to, what it loads, and what can be pointed to."""
+    """Links of a page, files that it loads, and its link targets."""
 
     def __init__(self, page: Path) -> None:
         super().__init__()
@@ -28,12 +28,12 @@ class Links(HTMLParser):
         self.feed(page.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        told = {key: value for key, value in attrs if value is not None}
-        self.names |= {told[key] for key in ("id", "name") if key in told}
-        if tag == "a" and "href" in told:
-            self.targets.append(told["href"])
+        attributes = {key: value for key, value in attrs if value is not None}
+        self.names |= {attributes[key] for key in ("id", "name") if key in attributes}
+        if tag == "a" and "href" in attributes:
+            self.targets.append(attributes["href"])
         else:
-            self.loads += [told[key] for key in ("src", "href") if key in told]
+            self.loads += [attributes[key] for key in ("src", "href") if key in attributes]
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_no_link_is_dead(pages):
 
 
 def arrives(page: Path, address: str, pages: dict[Path, Links]) -> bool:
-    """Tell whether an address leads somewhere."""
+    """Return True if the target of an address exists."""
     parts = urlsplit(address)
     if parts.scheme in ("http", "https"):
         return address in ELSEWHERE
@@ -87,14 +87,14 @@ def arrives(page: Path, address: str, pages: dict[Path, Links]) -> bool:
     return not name or target not in pages or name in pages[target].names
 
 
-def test_pages_name_nothing_that_is_elsewhere(site, pages):
-    """No script, style, font or picture comes from another host."""
-    loads = [one for links in pages.values() for one in links.loads]
+def test_pages_load_no_file_of_other_hosts(site, pages):
+    """No script, style, font or picture is loaded from another host."""
+    loads = [item for links in pages.values() for item in links.loads]
     assert loads
-    assert [one for one in loads if urlsplit(one).netloc] == []
+    assert [item for item in loads if urlsplit(item).netloc] == []
     for style in site.rglob("*.css"):
         text = style.read_text(encoding="utf-8")
-        assert not [one for one in ("url(http", "url(//", "@import") if one in text], style
+        assert not [item for item in ("url(http", "url(//", "@import") if item in text], style
 
 
 @pytest.fixture(scope="module")
@@ -105,11 +105,11 @@ def tab(tmp_path_factory) -> Iterator[Browser]:
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_a_browser_opens_every_page(site, pages, tab, width):
-    """No error, no request to another host, nothing that sticks out sideways."""
+    """No error, no request to another host, no element wider than the window."""
     for page in pages:
         tab.open(page.as_uri(), width)
-        assert tab.seen.errors == [], page
-        assert {urlsplit(one).scheme for one in tab.seen.requests} <= {"file", "data"}, page
+        assert tab.activity.errors == [], page
+        assert {urlsplit(item).scheme for item in tab.activity.requests} <= {"file", "data"}, page
         assert tab.overflow() == [], f"{page.relative_to(site)} at {width}"
 
 

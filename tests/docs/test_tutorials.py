@@ -1,4 +1,4 @@
-"""The tutorials: every command and every block of code, run in order as they stand on the page."""
+"""The tutorials: every command and every block of code, run unchanged in the order of the page."""
 
 import contextlib
 import io
@@ -22,7 +22,7 @@ def blocks(page: str) -> list[tuple[str, str, str]]:
 
 
 def follow(page: str) -> None:
-    """Do in the current folder what the page says."""
+    """Run the commands and code of the page in the current folder."""
     variables: dict[str, object] = {}
     for language, caption, text in blocks(page):
         if language == "toml" and caption:
@@ -42,14 +42,14 @@ def follow(page: str) -> None:
 
 
 def said(text: str) -> list[str]:
-    """Return what a block says that it prints: comments behind a print, or below the block."""
+    """Return the expected output of a block: comments after a print, or below the block."""
     below = [line.removeprefix("# ") for line in text.splitlines() if re.match(r"# [\d.]", line)]
     behind = re.findall(r"print\(.*\)  # (.*)$", text, re.MULTILINE)
     return below or behind
 
 
 @pytest.mark.parametrize("page", ["getting_started.md", "tutorial_design.md"])
-def test_a_tutorial_does_what_it_says(mi, tmp_path, monkeypatch, page):
+def test_a_tutorial_runs_with_the_printed_output(mi, tmp_path, monkeypatch, page):
     monkeypatch.chdir(tmp_path)
     follow(page)
     assert (tmp_path / "out" / "report.html").is_file()

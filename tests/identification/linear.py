@@ -1,4 +1,4 @@
-"""Linear normal problems, whose posterior has a closed form."""
+"""Linear normal problems, which have a closed-form posterior."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +12,7 @@ NORMAL = {"low": -6.0, "high": 6.0, "prior": "normal", "mean": 0.0, "sd": 1.0}
 
 
 class Exact:
-    """A figure that is known everywhere to `sd`, for an emulator; takes values, not shares."""
+    """Emulator of a figure with standard deviation `sd` everywhere; takes values, not shares."""
 
     def __init__(self, figure: Callable[[FloatArray], FloatArray], sd: float = 0.0) -> None:
         self.figure, self.sd = figure, sd

@@ -10,7 +10,7 @@ from tests.identification.sensors import NOISE_MM, Formula
 from twin.config import ConfigError
 from twin.config.problem import load_problem
 from twin.identification.record import experiments_at_best, figures_of
-from twin.identification.run import _places_again, identify, infer
+from twin.identification.run import _refined_places, identify, infer
 from twin.identification.simulations import record_of, simulate, variants_of
 from twin.study.table import read_table
 from twin.study.workers import lasting, local_workers
@@ -51,9 +51,9 @@ def _load(tmp_path: Path, text: str = PROBLEM):
 
 def _identify(tmp_path: Path, text: str = PROBLEM, workers: int = 1):
     problem, experiments = _load(tmp_path, text)
-    with lasting(local_workers(workers)) as kept:  # one start of the processes serves all stages
-        found = identify(problem, experiments, tmp_path / "out", kept, make_measurer=Formula)
-    return found, experiments
+    with lasting(local_workers(workers)) as pool:  # the processes are started once for all stages
+        result = identify(problem, experiments, tmp_path / "out", pool, make_measurer=Formula)
+    return result, experiments
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def identified(tmp_path_factory):
     return _identify(tmp_path_factory.mktemp("identified"))
 
 
-def test_values_are_found_with_the_rows_uncertainty(identified):
+def test_fields_have_the_rows_uncertainty(identified):
     fields = identified[0].intervals()
     assert fields["thickness"].mean == pytest.approx(0.3, abs=0.004)
     assert fields["thickness"].sd == pytest.approx(0.01, rel=0.15)
@@ -70,14 +70,14 @@ def test_values_are_found_with_the_rows_uncertainty(identified):
     assert fields["depth"].sd == pytest.approx(np.hypot(0.01 * exact, 0.01 * np.exp(0.3)), rel=0.15)
 
 
-def test_the_best_experiments_have_the_found_values(identified):
-    found, experiments = identified
-    best = experiments_at_best(found, experiments)["ball"]
+def test_the_best_experiments_have_the_identified_values(identified):
+    result, experiments = identified
+    best = experiments_at_best(result, experiments)["ball"]
     assert best.elastomer.thickness_mm == pytest.approx(0.3, abs=0.01)
     assert best.press.depth_mm == pytest.approx(0.54, abs=0.02)
-    told = best.provenance["elastomer.thickness_mm"]
-    assert told.source.startswith("identified: sensor, from the rows radius, height")
-    low, high = told.range
+    origin = best.provenance["elastomer.thickness_mm"]
+    assert origin.source.startswith("identified: sensor, from the rows radius, height")
+    low, high = origin.range
     assert high - low == pytest.approx(4 * 0.01, rel=0.2)  # 95 % of a normal: 3.92 SD
     assert low <= best.elastomer.thickness_mm <= high
 
@@ -96,17 +96,17 @@ def test_intervals_cover_the_hidden_values_of_eight_sensors(tmp_path):
             name: row.model_copy(update={"value": true[name] + row.sd * rng.normal()})
             for name, row in problem.rows.items()
         }
-        found = infer(problem.model_copy(update={"rows": read}), simulated).intervals()
+        intervals = infer(problem.model_copy(update={"rows": read}), simulated).intervals()
         for name, value in (("thickness", thickness), ("depth", depth)):
-            one = found[name]
-            within_68.append(one.low_68 <= value <= one.high_68)
-            within_95.append(one.low_95 <= value <= one.high_95)
+            interval = intervals[name]
+            within_68.append(interval.low_68 <= value <= interval.high_68)
+            within_95.append(interval.low_95 <= value <= interval.high_95)
     # Binomial, 16 intervals, three standard deviations; forty sensors: `./run bench identify`.
-    assert np.mean(within_68) > 0.33  # from above 16 intervals bound nothing: the bench does
+    assert np.mean(within_68) > 0.33  # 16 intervals give no useful upper bound: see the benchmark
     assert np.mean(within_95) > 0.78
 
 
-def test_a_product_alone_is_told_as_a_ridge(tmp_path):
+def test_a_measured_product_is_reported_as_a_ridge(tmp_path):
     text = (
         PROBLEM.split("[rows.radius]")[0]
         + """
@@ -117,10 +117,10 @@ value = 0.12
 sd = 0.001
 """
     )
-    found, _ = _identify(tmp_path, text)
-    assert [set(one.share) for one in found.ridges()] == [{"thickness", "depth"}]
-    shares = list(found.ridges()[0].share.values())
-    assert shares[0] * shares[1] > 0  # a product: both up is across, one up and one down along
+    result, _ = _identify(tmp_path, text)
+    assert [set(ridge.share) for ridge in result.ridges()] == [{"thickness", "depth"}]
+    shares = list(result.ridges()[0].share.values())
+    assert shares[0] * shares[1] > 0  # across the ridge of a product both fields increase
 
 
 CHOICES = (
@@ -143,25 +143,25 @@ sd = 0.005
 
 def test_choices_are_judged_and_only_those_that_change_it_are_simulated(tmp_path):
     problem, _ = _load(tmp_path, CHOICES)
-    assert [one.name for one in variants_of(problem)] == ["ball-free", "ball-window"]
-    found, _ = _identify(tmp_path, CHOICES)
-    # thickness 0.3 and depth 0.54 give 0.162: twice that is the window's.
-    assert found.best.combination == {"fit": "near", "layout": "window"}
-    assert found.best.probability > 0.95
-    assert sum(one.probability for one in found.models) == pytest.approx(1.0)
+    assert [model.name for model in variants_of(problem)] == ["ball-free", "ball-window"]
+    result, _ = _identify(tmp_path, CHOICES)
+    # Thickness 0.3 and depth 0.54 give 0.162; the window doubles the product.
+    assert result.best.combination == {"fit": "near", "layout": "window"}
+    assert result.best.probability > 0.95
+    assert sum(model.probability for model in result.models) == pytest.approx(1.0)
 
 
 def test_a_row_held_out_is_not_fitted_and_rotated_ones_are_predicted(tmp_path):
     text = PROBLEM.replace("value = 0.4\n", "value = 0.9\nheld_out = true\n")
-    found, _ = _identify(tmp_path, text)
-    row = {one.row: one for one in found.best.predictions}["height"]
+    result, _ = _identify(tmp_path, text)
+    row = {prediction.row: prediction for prediction in result.best.predictions}["height"]
     assert not row.fitted
     assert row.deviation > 2.0
-    assert "depth" in found.undetermined()
+    assert "depth" in result.undetermined()
 
 
-def test_a_field_among_the_figures_costs_no_simulation(tmp_path):
-    """The reach is thickness times region: 0.3 mm by the radius and 0.6 by the reach are 2 mm."""
+def test_a_field_among_the_figures_needs_no_further_simulation(tmp_path):
+    """Reach = thickness x region: thickness 0.3 mm and reach 0.6 give a region of 2 mm."""
     region = """
 [free.region]
 path = "score.roi_radius_mm"
@@ -181,13 +181,13 @@ metric = "{region}"
 value = 0.0
 sd = 0.1
 """
-    found, _ = _identify(tmp_path, PROBLEM + region)
+    result, _ = _identify(tmp_path, PROBLEM + region)
     studies = list((tmp_path / "out" / "studies").iterdir())
-    assert [len(list((one / "cases").iterdir())) for one in studies] == [64]
-    known = found.intervals()["region"]
+    assert [len(list((study / "cases").iterdir())) for study in studies] == [64]
+    known = result.intervals()["region"]
     assert known.mean == pytest.approx(2.0, abs=0.02)
     assert known.sd == pytest.approx(2.0 * np.hypot(0.01 / 0.3, 0.003 / 0.6), rel=0.15)
-    (worth,) = found.worth()
+    (worth,) = result.worth()
     left = 1 / (1 + (known.sd / 0.1) ** 2)
     assert worth.shrink["region"] == pytest.approx(left, rel=0.15)
 
@@ -195,11 +195,11 @@ sd = 0.1
 CURVED = PROBLEM.replace('"height_mm"', '"wave_mm"').replace("count = 64", "count = 20")
 
 
-def test_further_simulations_lie_where_the_rows_lead_and_are_learned_from(tmp_path):
-    """The wave has a period of 0.25 mm in depth: 20 points over 0.5 mm do not tell its shape."""
+def test_further_simulations_are_near_the_posterior_and_improve_the_emulator(tmp_path):
+    """The wave has a period of 0.25 mm in depth: 20 points over 0.5 mm do not resolve it."""
     (tmp_path / "coarse").mkdir()
     (tmp_path / "refined").mkdir()
-    short = CURVED.replace("= 20", "= 20\nlongest = 1000")  # short chains will do
+    short = CURVED.replace("= 20", "= 20\nlongest = 1000")  # short chains suffice
     coarse, _ = _identify(tmp_path / "coarse", short)
     refined, _ = _identify(tmp_path / "refined", short.replace("= 20", "= 20\nrefine = 16"))
     table = read_table(tmp_path / "refined" / "out" / "studies" / "ball_refined")
@@ -210,31 +210,31 @@ def test_further_simulations_lie_where_the_rows_lead_and_are_learned_from(tmp_pa
     for row in table.rows:
         assert row["depth"] == pytest.approx(0.45, abs=0.26)
     at = refined.best.posterior.places
-    errors = [one.best.emulators["height"].predict(at)[1].mean() for one in (coarse, refined)]
+    errors = [result.best.emulators["height"].predict(at)[1].mean() for result in (coarse, refined)]
     assert errors[1] < 0.7 * errors[0]
     assert refined.best.emulators["radius"].known.shape[0] == 36
 
 
 def test_no_more_places_are_drawn_than_there_are_samples(identified):
-    found = identified[0]
-    setup = found.problem.experiments["ball"].model_copy(update={"refine": 100_000})
-    asked = found.problem.model_copy(update={"experiments": {"ball": setup}})
-    (drawn,) = _places_again(replace(found, problem=asked)).values()
-    assert drawn.shape == found.best.posterior.places.shape
+    result = identified[0]
+    setup = result.problem.experiments["ball"].model_copy(update={"refine": 100_000})
+    problem = result.problem.model_copy(update={"experiments": {"ball": setup}})
+    (drawn,) = _refined_places(replace(result, problem=problem)).values()
+    assert drawn.shape == result.best.posterior.places.shape
 
 
 def test_same_results_after_a_resume_and_with_two_workers(tmp_path):
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
-    text = CURVED.replace("= 20", "= 12\nrefine = 4\nlongest = 1000")  # short chains will do
+    text = CURVED.replace("= 20", "= 12\nrefine = 4\nlongest = 1000")  # short chains suffice
     first, _ = _identify(tmp_path / "one", text)
     again, _ = _identify(tmp_path / "one", text)
-    beside, _ = _identify(tmp_path / "two", text, workers=2)
-    assert figures_of(first) == figures_of(again) == figures_of(beside)
+    parallel, _ = _identify(tmp_path / "two", text, workers=2)
+    assert figures_of(first) == figures_of(again) == figures_of(parallel)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ('experiment = "ball"', 'experiment = "bal"', "rows.radius: found 'bal', allowed ball"),
         ("sd = 0.01", "sd = 0", "sd"),
@@ -244,13 +244,13 @@ def test_same_results_after_a_resume_and_with_two_workers(tmp_path):
         ("count = 64", "count = 4", "count"),
     ],
 )
-def test_a_faulty_problem_is_refused_in_one_line(tmp_path, old, new, said):
-    with pytest.raises(ConfigError, match=said) as error:
+def test_a_faulty_problem_is_an_error_of_one_line(tmp_path, old, new, message):
+    with pytest.raises(ConfigError, match=message) as error:
         _load(tmp_path, PROBLEM.replace(old, new, 1))
     assert "\n" not in str(error.value)
 
 
-def test_an_unknown_figure_names_those_that_there_are(tmp_path):
+def test_an_unknown_figure_is_an_error_with_the_simulated_names(tmp_path):
     with pytest.raises(Exception, match="radius_m: found in no simulation, allowed height_mm"):
         _identify(tmp_path, PROBLEM.replace('"radius_mm"', '"radius_m"'))
 
@@ -270,15 +270,15 @@ def test_shipped_problems_are_valid():
 
 
 def test_an_identification_in_one_line_in_pictures_and_as_labelled_arrays(identified):
-    found = identified[0]
-    text = repr(found)
-    assert text.startswith(f"<Identified: {found.problem.name}, {len(found.models)} model")
-    for name, one in found.intervals().items():
-        assert f"{name} {one.mean:.4g} ({one.low_95:.4g} to {one.high_95:.4g})" in text
-    data = found.to_xarray()
+    result = identified[0]
+    text = repr(result)
+    assert text.startswith(f"<Identified: {result.problem.name}, {len(result.models)} model")
+    for name, field in result.intervals().items():
+        assert f"{name} {field.mean:.4g} ({field.low_95:.4g} to {field.high_95:.4g})" in text
+    data = result.to_xarray()
     assert data["thickness"].dims == ("model", "sample")
-    assert data["thickness"].attrs["long_name"] == found.problem.free["thickness"].path
-    drawing = found.plot()
+    assert data["thickness"].attrs["long_name"] == result.problem.free["thickness"].path
+    drawing = result.plot()
     shown = [axes.get_xlabel() for axes in drawing.axes if axes.axison]
-    assert shown == [free.path for free in found.problem.free.values()]
-    assert "data:image/png;base64," in found._repr_html_()
+    assert shown == [free.path for free in result.problem.free.values()]
+    assert "data:image/png;base64," in result._repr_html_()

@@ -1,4 +1,4 @@
-"""Figures known from one side alone, against closed forms."""
+"""Limits, which bound a figure from one side, against closed forms."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from twin.identification.posterior import (
 
 
 def _limited(**side: float) -> tuple[SensorProblem, Posterior]:
-    """One field under a limit and a row that says nothing."""
+    """One field with a limit and an uninformative row (standard deviation 100)."""
     limit = {"edge": {"experiment": "one", "metric": "edge", "sd": 0.4} | side}
     problem = linear_problem({"none": {"value": 0.0, "sd": 100.0}}, fields=1, limits=limit)
     emulators = linear_emulators(np.array([[1.0]]), ["none"])
@@ -25,14 +25,14 @@ def _limited(**side: float) -> tuple[SensorProblem, Posterior]:
     return problem, sample(likelihood_of(problem, problem.rows, emulators), seed=3)
 
 
-def test_a_limit_leaves_the_closed_forms_mean_and_evidence() -> None:
+def test_a_limit_gives_the_closed_forms_mean_and_evidence() -> None:
     """A standard normal times Phi((x - a) / s): skew normal of Azzalini 1985, extended."""
-    found = _limited(at_least=0.8)[1]
+    posterior = _limited(at_least=0.8)[1]
     t = -0.8 / np.sqrt(1.0 + 0.4**2 + 0.3**2)
     mean = norm.pdf(t) / norm.cdf(t) / np.sqrt(1.0 + 0.4**2 + 0.3**2)
-    assert found.values.mean() == pytest.approx(mean, abs=0.05)
+    assert posterior.values.mean() == pytest.approx(mean, abs=0.05)
     row = norm.logpdf(0.0, scale=np.hypot(100.0, 1.0))
-    assert found.log_evidence == pytest.approx(norm.logcdf(t) + row, abs=0.1)
+    assert posterior.log_evidence == pytest.approx(norm.logcdf(t) + row, abs=0.1)
 
 
 def test_a_limit_from_above_is_the_mirror_image() -> None:
@@ -40,7 +40,7 @@ def test_a_limit_from_above_is_the_mirror_image() -> None:
     assert high.values.mean() == pytest.approx(-low.values.mean(), abs=0.06)
 
 
-def test_how_probably_a_limit_is_met_before_and_after() -> None:
+def test_probability_of_a_limit_over_prior_and_posterior() -> None:
     (met,) = limits_met(_limited(at_least=0.8)[1], seed=1)
     width = np.sqrt(1.0 + 0.4**2 + 0.3**2)
     assert met.before == pytest.approx(norm.cdf(-0.8 / width), abs=0.02)

@@ -40,7 +40,7 @@ sd = 0.001
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """What `twin identify` leaves, with a sensor of formulas."""
+    """Folder of `twin identify` with a sensor of formulas."""
     home = tmp_path_factory.mktemp("identify")
     (home / "problem.toml").write_text(CHOICES.replace('name = "sensor"', _NAMED) + ROWS)
     with pytest.MonkeyPatch.context() as patched:
@@ -61,15 +61,15 @@ def test_a_browser_opens_it(folder, tmp_path):
 
 
 def test_the_folder_holds_figures_samples_and_experiments(folder):
-    found = json.loads((folder / "result.json").read_text())["metrics"]
-    assert found["fields"]["thickness"]["path"] == "elastomer.thickness_mm"
-    assert found["fields"]["thickness"]["mean"] == pytest.approx(0.3, abs=0.01)
-    assert found["rows"]["held"]["fitted"] is False
-    assert set(found["rotated"]) == {"radius"}
-    assert {(one["field"], one["towards"]) for one in found["priors"]} == {
-        (name, end) for name in found["fields"] for end in ("low", "high")
+    figures = json.loads((folder / "result.json").read_text())["metrics"]
+    assert figures["fields"]["thickness"]["path"] == "elastomer.thickness_mm"
+    assert figures["fields"]["thickness"]["mean"] == pytest.approx(0.3, abs=0.01)
+    assert figures["rows"]["held"]["fitted"] is False
+    assert set(figures["rotated"]) == {"radius"}
+    assert {(shift["field"], shift["towards"]) for shift in figures["priors"]} == {
+        (name, end) for name in figures["fields"] for end in ("low", "high")
     }
-    assert sum(one["probability"] for one in found["models"]) == pytest.approx(1.0)
+    assert sum(model["probability"] for model in figures["models"]) == pytest.approx(1.0)
     with xarray.open_dataset(folder / "posterior.nc") as samples:
         assert samples["thickness"].dims == ("model", "sample")
         best = int(np.argmax(samples["probability"].data))
@@ -80,21 +80,21 @@ def test_the_folder_holds_figures_samples_and_experiments(folder):
 
 
 def test_the_summary_holds_rows_worth_and_joint_draws(folder):
-    """Both fields of one place come from one sample: one product, so more of one, less of other."""
-    found = tomllib.loads((folder / "identified.toml").read_text())
-    assert found["rows"]["held"]["fitted"] is False
-    assert found["rows"]["held"]["steps"] > 2.0
-    assert found["models"][0]["probability"] > 0.5
-    assert set(found["worth"]["depth"]) == {"thickness", "depth"}
-    thickness, depth = (np.array(found["draws"][name]) for name in ("thickness", "depth"))
+    """Both fields of one index are from one sample: with a known product they anticorrelate."""
+    summary = tomllib.loads((folder / "identified.toml").read_text())
+    assert summary["rows"]["held"]["fitted"] is False
+    assert summary["rows"]["held"]["steps"] > 2.0
+    assert summary["models"][0]["probability"] > 0.5
+    assert set(summary["worth"]["depth"]) == {"thickness", "depth"}
+    thickness, depth = (np.array(summary["draws"][name]) for name in ("thickness", "depth"))
     assert thickness.shape == depth.shape == (64,)
     assert np.corrcoef(thickness, depth)[0, 1] < -0.3
-    told = found["fields"]["thickness"]
-    assert told["range"][0] <= told["value"] <= told["range"][1]
-    assert told["source"].startswith("identified: ")
+    field = summary["fields"]["thickness"]
+    assert field["range"][0] <= field["value"] <= field["range"][1]
+    assert field["source"].startswith("identified: ")
 
 
-def test_the_page_tells_what_is_unexplained_and_what_would_help(folder):
+def test_the_page_lists_unexplained_rows_and_useful_measurements(folder):
     text = (folder / "report.html").read_text()
     assert "held: unexplained, +" in text
     assert "Expected gain of one more measurement" in text
@@ -102,7 +102,7 @@ def test_the_page_tells_what_is_unexplained_and_what_would_help(folder):
     assert (folder / "figures" / "corner.png").stat().st_size > 0
 
 
-def test_it_goes_on_in_its_own_folder_and_not_in_anothers(folder, tmp_path, capsys):
+def test_a_folder_with_foreign_files_is_an_error(folder, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine")
     problem = folder.parent / "problem.toml"
     assert command(["identify", str(problem), "-o", str(tmp_path)]) == 2
@@ -110,7 +110,7 @@ def test_it_goes_on_in_its_own_folder_and_not_in_anothers(folder, tmp_path, caps
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_a_ridge_is_told_in_words():
+def test_a_ridge_in_words():
     product = Ridge({"thickness": 0.7, "travel": 0.7}, 1e-3, 0.4)
     ratio = Ridge({"thickness": 0.7, "travel": -0.7}, 1e-3, 0.4)
     assert ridge_words(product) == "thickness up with travel down changes no row"

@@ -1,4 +1,4 @@
-"""The paper as a problem: what is fitted and what is held out, and why its press has one scale."""
+"""The paper as a problem: fitted and held-out rows, and the pressure scale of its press."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_every_design_point_is_a_valid_experiment(loaded):
         assert len(cases) == (setup.count or problem.design.count) * setup.repeats
 
 
-def test_the_rows_asked_for_are_held_out(loaded):
+def test_the_listed_rows_are_held_out(loaded):
     problem, _ = loaded
     assert set(problem.fitted) == {"rod_a", "rod_c", "radius_1", "radius_2", "rmse_1", "rmse_2"}
     held = [name for name, row in problem.rows.items() if row.held_out]
@@ -63,9 +63,9 @@ def test_the_round_form_measures_the_rows_on_round_rods(loaded):
 
 @pytest.mark.parametrize("thickness_mm", [0.3, 0.8])
 def test_shape_depends_on_pressure_over_modulus(loaded, thickness_mm):
-    """Twice the modulus under twice the pressure: at a set travel the same face, twice the force.
+    """Doubled modulus and pressure at a set travel: the same face, and a doubled force.
 
-    Dimensions say so: without weight and tack nothing else has a unit of force.
+    By dimensional analysis: without weight and tack only these two have a unit of force.
     """
     base = vary(
         loaded[1]["balls"],
@@ -80,7 +80,7 @@ def test_shape_depends_on_pressure_over_modulus(loaded, thickness_mm):
         },
     )
     twice = vary(base, {"elastomer.young_modulus_kpa": 400.0, "press.back_pressure_kpa": 2.0})
-    soft, hard = (press_smooth(one) for one in (base, twice))
+    soft, hard = (press_smooth(experiment) for experiment in (base, twice))
     np.testing.assert_allclose(hard.face_z_mm, soft.face_z_mm, atol=2e-5)
     assert hard.force_n == pytest.approx(2 * soft.force_n, rel=1e-3)
 
@@ -96,12 +96,12 @@ def test_scatter_is_pooled_over_figures():
 
 
 def test_the_paper_is_reproduced_on_the_cells_it_was_identified_on(loaded):
-    found = {one.name: one.press.cell_mm for one in loaded[1].values() if one.press.cell_mm}
-    assert found == {name: COARSE.cells_mm[name] for name in found}
-    assert {"two_balls", "nut", "bars_a", "rods_c"} <= set(found)
+    cells = {e.name: e.press.cell_mm for e in loaded[1].values() if e.press.cell_mm}
+    assert cells == {name: COARSE.cells_mm[name] for name in cells}
+    assert {"two_balls", "nut", "bars_a", "rods_c"} <= set(cells)
 
 
-def test_a_quick_look_simulates_enough_to_learn_from(loaded):
+def test_the_quick_problem_has_enough_simulations_for_its_emulators(loaded):
     problem = loaded[0].quick()
     for name, setup in problem.experiments.items():
         fields = len(problem.simulated_in(name))

@@ -31,5 +31,5 @@ def slab() -> SlabBuilder:
 
 @pytest.fixture(scope="session")
 def reference_press() -> PressedElastomer:
-    """A 4 mm ball 1 mm deep in the 20 x 20 x 4 mm slab: the case that finite elements solved."""
+    """A 4 mm ball 1 mm deep in the 20 x 20 x 4 mm slab: a finite-element solution exists for it."""
     return press(Ball(), build_slab(), Press(control="depth", depth_mm=1.0))

@@ -18,7 +18,7 @@ from twin.mechanics.sheet.splines import SplineLine, graded_line
 from twin.specimens.distance import BallDistance, BoxDistance, CylinderDistance, plate
 
 YOUNG_KPA = 300.0
-# Rounding alone leaves some 1e-4 kPa on cells of 0.05 mm.
+# Rounding causes some 1e-4 kPa on cells of 0.05 mm.
 EXACT = Accuracy(step_mm=1e-7, residual_kpa=1e-3)
 FINE = Accuracy(residual_kpa=2e-3)
 NOTHING = Bodies((plate(-50.0),))
@@ -47,7 +47,7 @@ def pressed(
 
 
 def laws(thickness_mm: float, **changes: float) -> Laws:
-    """Return the model's laws: half a thickness yields to contact, a whole one to friction."""
+    """Return the model's laws: contact compresses half a thickness, friction shears a whole one."""
     h, e = thickness_mm, YOUNG_KPA
     made = Laws(h, e / 3, e / 0.75 / (0.25 * h), e / 3 / (0.5 * h), 0.0, 0.08, 0.0, 0.0)
     return made._replace(**changes)
@@ -60,7 +60,7 @@ def round_sheet(
     sticks: bool = False,
     **frame: object,
 ) -> Sheet:
-    """Return a round sheet whose parameter lines both are `line`."""
+    """Return a round sheet with `line` as both parameter lines."""
     diameter = float(line.edges[-1] - line.edges[0])
     held = Frame(diameter, diameter, "round", **frame)
     return Sheet(sheet_grid(held, line, line), law, bodies, -law.thickness_mm / 2, sticks)

@@ -22,7 +22,7 @@ SEEN_MM = 0.2
 
 @dataclass(frozen=True)
 class SpaceCase:
-    """A thickness, how far it is pressed and how far sheet and solids may be apart."""
+    """A thickness, its travels, and the allowed differences of sheet and solids."""
 
     name: str
     thickness_mm: float
@@ -39,20 +39,20 @@ CASES = (
 
 
 def bar() -> Bodies:
-    """Return what touches at travel 0."""
+    """Return the bodies that touch at travel 0."""
     middle = np.array([0.0, 0.0, -HALF_MM[2]])
     return Bodies((BoxDistance(middle, np.eye(3), np.array(HALF_MM), EDGE_MM),))
 
 
 def seen_at() -> tuple[np.ndarray, np.ndarray]:
-    """Return the places (row, col) of one quarter where faces are compared."""
+    """Return the points (row, col) of one quarter where faces are compared."""
     along = np.arange(0, FRAME_MM / 2 - 1e-9, SEEN_MM)
     x, y = np.meshgrid(along, along)
     return x, y
 
 
 def wrapped(case: SpaceCase, travel_mm: float, cell_mm: float) -> tuple[Sheet, SheetState]:
-    """Press the sheet: the product's way, coarse cells first."""
+    """Press the sheet as the product does, coarse cells first."""
     half = FRAME_MM / 2
     coarse = _sheet(case, line(half, 3.2, 0.4))
     there = follow(coarse, Loads(travel_mm), Accuracy(step_mm=1e-3, residual_kpa=0.1))

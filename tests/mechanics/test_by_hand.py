@@ -49,9 +49,9 @@ def test_weight_and_back_pressure_of_a_free_slab():
     assert weight_kpa(heavy, load(gravity_deg=60.0)) == pytest.approx(-0.0196133 / 2)
     assert weight_kpa(heavy, load(gravity_deg=180.0)) == pytest.approx(0.0196133)
     assert weight_kpa(heavy, load()) == 0.0
-    found = preload_of(heavy, load(gravity_deg=0.0, back_pressure_kpa=2.0), 100.0)
-    assert found.touched == pytest.approx(-0.0098067e-2, rel=1e-5)
-    assert found.coated == pytest.approx(-2.0098067e-2, rel=1e-6)
+    result = preload_of(heavy, load(gravity_deg=0.0, back_pressure_kpa=2.0), 100.0)
+    assert result.touched == pytest.approx(-0.0098067e-2, rel=1e-5)
+    assert result.coated == pytest.approx(-2.0098067e-2, rel=1e-6)
     assert not preload_of(slab(), load(), 100.0)
     with pytest.raises(PressError, match="density"):
         weight_kpa(slab(), load(gravity_deg=0.0))
@@ -60,8 +60,8 @@ def test_weight_and_back_pressure_of_a_free_slab():
 def test_a_film_relative_to_its_slab():
     """Shear moduli 2800 / (2 * 1.4) and 100 / (2 * 1.25) kPa: ratio 25; 0.05 of 2 mm: 0.025."""
     film = Film(thickness_mm=0.05, young_modulus_kpa=2800.0, poisson_ratio=0.4)
-    found = coat_film(slab(film=film), 100.0)
-    assert (found.share, found.shear_ratio) == (pytest.approx(0.025), pytest.approx(25.0))
+    result = coat_film(slab(film=film), 100.0)
+    assert (result.share, result.shear_ratio) == (pytest.approx(0.025), pytest.approx(25.0))
     assert coat_film(slab(film=film), 200.0).shear_ratio == pytest.approx(12.5)
     assert coat_film(slab(), 100.0) is None
 
@@ -89,9 +89,9 @@ def test_back_pressure_bends_slab_and_film_as_a_plate(film, bending):
     layer = FreeSlab(16, 16, 120.0, 120.0, 1.0, 0.49, film)
     expected_mm = 0.0040624 * 1e-9 * 120.0**4 * (1 - 0.49**2) / bending
     for preload in (Preload(coated=1e-9), Preload(touched=1e-9)):
-        found = preload.deflection(layer)
-        assert found[7:9, 7:9].max() < expected_mm
-        assert found[7:9, 7:9].mean() == pytest.approx(expected_mm, rel=8e-3)
+        result = preload.deflection(layer)
+        assert result[7:9, 7:9].max() < expected_mm
+        assert result[7:9, 7:9].mean() == pytest.approx(expected_mm, rel=8e-3)
     both = Preload(touched=1e-9, coated=-1e-9).deflection(layer)
     assert np.abs(both).max() < 2e-3 * expected_mm
     node = layer.opposite_at_nodes(np.zeros((16, 16)), 16, 16, uniform_load=1e-9)
@@ -102,8 +102,8 @@ def test_back_pressure_bends_slab_and_film_as_a_plate(film, bending):
 def test_a_coat_film_thins_by_its_own_modulus():
     """nu 0: an oedometer modulus of E. A quarter is film, twice as stiff: 3/4 + 1/8 = 0.875."""
     layer = BondedLayer(16, 16, 9.0, 9.0, 2.0, 0.0, CoatFilm(0.25, 2.0, 0.0))
-    found = layer.deflect(np.full((16, 16), 0.01))
-    np.testing.assert_allclose(found, 0.01 * 2.0 * 0.875, rtol=1e-9)
+    result = layer.deflect(np.full((16, 16), 0.01))
+    np.testing.assert_allclose(result, 0.01 * 2.0 * 0.875, rtol=1e-9)
 
 
 def test_nodes_of_a_face():
@@ -114,7 +114,7 @@ def test_nodes_of_a_face():
 
 
 def test_fields_go_on_beyond_both_rims():
-    """Periodic: what leaves on one side enters on the other. Odd: mirrored with the other sign."""
+    """Periodic: the values of one side continue on the opposite side. Odd: with changed sign."""
     field = np.arange(1.0, 31.0).reshape(5, 6)
     wide, (y, x) = wrapped(field, (np.arange(5.0), 0.5 * np.arange(6.0)))
     assert wide.shape == (13, 14)
@@ -139,29 +139,29 @@ def test_between_cells_a_face_is_interpolated_but_never_below_the_specimen():
     plane = 0.1 * cells[None, :] - 0.02 * cells[:, None]
     nodes = np.linspace(-3.0, 3.0, 5)
     below = np.full((5, 5), -np.inf)
-    found = touched_at_nodes(plane, (cells, cells), (nodes, nodes), below)
-    np.testing.assert_allclose(found, 0.1 * nodes[None, :] - 0.02 * nodes[:, None], atol=1e-12)
+    result = touched_at_nodes(plane, (cells, cells), (nodes, nodes), below)
+    np.testing.assert_allclose(result, 0.1 * nodes[None, :] - 0.02 * nodes[:, None], atol=1e-12)
     below[2, 3], below[0, 0] = 0.9, -0.9
-    found = touched_at_nodes(plane, (cells, cells), (nodes, nodes), below)
-    assert (found[2, 3], found[0, 0]) == (0.9, pytest.approx(-0.24))
+    result = touched_at_nodes(plane, (cells, cells), (nodes, nodes), below)
+    assert (result[2, 3], result[0, 0]) == (0.9, pytest.approx(-0.24))
 
 
 def test_a_coarse_cell_lies_between_four_fine_ones():
     """Rows and columns 1 and 2 of every four: of eight columns (9 + 10 + 17 + 18) / 4 = 13.5."""
-    found = _between_cells(np.arange(32.0).reshape(4, 8))
-    assert found.tolist() == [[13.5, 17.5]]
+    result = _between_cells(np.arange(32.0).reshape(4, 8))
+    assert result.tolist() == [[13.5, 17.5]]
 
 
 def test_the_touched_coat_is_the_ball_at_its_nodes():
-    """Gel on a window: within the contact the coat lies on the ball at every node, to 0.6 um."""
+    """Gel on a window: within the contact the coat is on the ball at every node, to 0.6 um."""
     gel = slab(layout="contact_face", thickness_mm=3.0, poisson_ratio=0.45)
     pressing = load(depth_mm=0.3, solver_pitch_mm=0.25, relief_pitch_mm=0.05)
     ball = Ball(diameter_mm=8.0)
-    found = press(ball, gel, pressing)
-    height = shape_of(ball).height_above_lowest(found.face_x_mm, found.face_y_mm)
-    residual = found.face_z_mm - (found.depth_mm - height)
-    x, y = np.meshgrid(found.face_x_mm, found.face_y_mm)
-    radius_mm = np.sqrt(found.contact.sum() * 0.25**2 / np.pi)
+    result = press(ball, gel, pressing)
+    height = shape_of(ball).height_above_lowest(result.face_x_mm, result.face_y_mm)
+    residual = result.face_z_mm - (result.depth_mm - height)
+    x, y = np.meshgrid(result.face_x_mm, result.face_y_mm)
+    radius_mm = np.sqrt(result.contact.sum() * 0.25**2 / np.pi)
     inside = np.hypot(x, y) < 0.7 * radius_mm
     assert inside.sum() > 50
     assert residual.min() >= 0.0
@@ -179,12 +179,12 @@ def test_the_size_of_facets():
 
 def test_how_many_tetrahedra_fill_a_cube():
     """Regular ones of edge 2 mm have 8 / (6 sqrt 2) = 0.94281 mm^3: 1728 mm^3 hold 1832.8."""
-    found = count_estimate(trimesh.creation.box([12.0] * 3), lambda at: np.full(len(at), 2.0))
-    assert found == pytest.approx(1832.8, rel=1e-4)
+    result = count_estimate(trimesh.creation.box([12.0] * 3), lambda at: np.full(len(at), 2.0))
+    assert result == pytest.approx(1832.8, rel=1e-4)
 
 
 def test_cells_grow_away_from_a_zone():
     """0.2 mm at the zone, 0.35 mm more per mm: 0.9 mm at 2 mm; 1 mm at most."""
     sizing = graded_towards(np.zeros((1, 3)), 0.2, 1.0)
-    found = sizing(np.array([[0.0, 0.0, 0.0], [0.0, 1.2, 1.6], [0.0, 0.0, 99.0]]))
-    np.testing.assert_allclose(found, [0.2, 0.9, 1.0])
+    result = sizing(np.array([[0.0, 0.0, 0.0], [0.0, 1.2, 1.6], [0.0, 0.0, 99.0]]))
+    np.testing.assert_allclose(result, [0.2, 0.9, 1.0])

@@ -1,4 +1,4 @@
-"""The model that the experiment asks for is the one that presses; all agree where they overlap."""
+"""The model of the experiment is used for the press; all models agree where they overlap."""
 
 from importlib import import_module
 
@@ -34,22 +34,22 @@ def test_fem_and_spectral_agree_on_the_papers_slab():
 
 
 def test_a_domed_pad_from_an_experiment_file():
-    """End to end from STL: the coat lies on the ball in the middle and on the dome outside."""
-    found = pressed("examples/domed_pad", mechanics__tetrahedra=800)
-    row = np.abs(found.face_y_mm).argmin()
-    middle, edge = (np.interp(x, found.face_x_mm, found.face_z_mm[row]) for x in (0.0, 5.5))
+    """End to end from STL: the coat is on the ball in the middle and on the dome outside."""
+    result = pressed("examples/domed_pad", mechanics__tetrahedra=800)
+    row = np.abs(result.face_y_mm).argmin()
+    middle, edge = (np.interp(x, result.face_x_mm, result.face_z_mm[row]) for x in (0.0, 5.5))
     assert middle == pytest.approx(0.5, abs=0.02)
     assert edge == pytest.approx(16 - np.sqrt(16**2 - 5.5**2), abs=0.05)
-    assert found.force_n > 0
+    assert result.force_n > 0
 
 
 def test_a_rectangle_beyond_a_round_pad_is_refused_before_it_is_solved():
     """Cap 4 mm high of a ball of 16 mm: a circle of 21.1 mm, in which a square of 14.9 mm fits."""
     wide = {"elastomer.length_x_mm": 30.0, "elastomer.length_y_mm": 30.0}
-    one = load_experiment("examples/domed_pad", wide)
-    found = r"found 30 x 30 mm, which reaches beyond .* about 14\.7 x 14\.7 mm"
-    with pytest.raises(PressError, match=found):
-        check_press(one.mechanics, one.specimen, one.elastomer, one.press)
+    case = load_experiment("examples/domed_pad", wide)
+    message = r"found 30 x 30 mm, which reaches beyond .* about 14\.7 x 14\.7 mm"
+    with pytest.raises(PressError, match=message):
+        check_press(case.mechanics, case.specimen, case.elastomer, case.press)
     fits = load_experiment("examples/domed_pad", dict.fromkeys(wide, 14.7))
     check_press(fits.mechanics, fits.specimen, fits.elastomer, fits.press)
 
@@ -74,7 +74,7 @@ def case(ball_mm=8.0, depth_mm=0.2, pressure_kpa=0.0, gravity_deg=None, **sheet)
         ({"thickness_mm": 1.0, "depth_mm": 0.9, "ball_mm": 7.0}, "sheet"),
         # Too thick a sheet for a ball of R 2.5: 0.33.
         ({"thickness_mm": 1.0, "depth_mm": 0.9, "ball_mm": 5.0}, "neo_hookean"),
-        # Solid elements know neither weight nor back pressure.
+        # Solid elements have neither weight nor back pressure.
         (
             {"thickness_mm": 1.2, "depth_mm": 1.0, "density_kg_m3": 1e3, "gravity_deg": 0.0},
             "spectral",
@@ -119,9 +119,9 @@ def test_some_cases_are_the_sheets_before_anything_is_solved(keys, wraps, monkey
 def test_auto_presses_thin_sheets_as_sheets(keys):
     """Deeper than it is thick, and less deep but bent by more than 0.4 thicknesses."""
     small = {"length_x_mm": 10.0, "length_y_mm": 10.0}
-    found = press_with(Mechanics(), *case(**keys, **small))
-    assert found.model == "sheet"
-    assert found.sheet is not None
+    result = press_with(Mechanics(), *case(**keys, **small))
+    assert result.model == "sheet"
+    assert result.sheet is not None
 
 
 @pytest.mark.parametrize(

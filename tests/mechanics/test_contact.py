@@ -57,8 +57,8 @@ class HalfPlane:
         self.spectrum = np.divide(2, k, out=np.zeros_like(k), where=k > 0)
 
     def deflect(self, pressure: Field) -> Field:
-        found: Field = fft.irfft(fft.rfft(pressure) * self.spectrum, n=pressure.shape[1])
-        return found
+        result: Field = fft.irfft(fft.rfft(pressure) * self.spectrum, n=pressure.shape[1])
+        return result
 
 
 CELLS, WIDTH, RADIUS = 128, 3.0, 10.0
@@ -153,24 +153,24 @@ def test_two_grids_find_what_the_plain_solver_finds(by: str) -> None:
     plain = solve_contact(layer.deflect, height, DepthControl(0.4), 1e-7)
     force = plain.pressure.sum() * layer.cell_area_mm2
     control = DepthControl(0.4) if by == "depth" else ForceControl(force, layer.cell_area_mm2)
-    found = solve_on_layer(layer, height, control, 1e-7)
-    np.testing.assert_allclose(found.pressure, plain.pressure, atol=1e-4 * plain.pressure.max())
-    assert found.depth_mm == pytest.approx(0.4, rel=1e-6)
-    assert found.iterations < plain.iterations / 2
+    result = solve_on_layer(layer, height, control, 1e-7)
+    np.testing.assert_allclose(result.pressure, plain.pressure, atol=1e-4 * plain.pressure.max())
+    assert result.depth_mm == pytest.approx(0.4, rel=1e-6)
+    assert result.iterations < plain.iterations / 2
 
 
 def test_contacts_far_apart_and_outside_the_first_patch_are_found() -> None:
-    """A small ball that only a deep press reaches, and a plate that the pile-up comes up to."""
+    """A small ball that only a deep press reaches, and a plate that the pile-up touches."""
     layer = BondedLayer(160, 160, 32.0, 32.0, 2.0, 0.4999)
     ball = height_above_lowest(Ball(x_mm=-6), layer.x_mm, layer.y_mm)
     x, y = np.meshgrid(layer.x_mm, layer.y_mm)
-    # The pile-up round the ball is about 0.05 mm high: a plate just out of the press' own reach.
+    # The pile-up round the ball is about 0.05 mm high: a plate slightly beyond the press' reach.
     plate = np.where((np.abs(x - 2) < 3) & (np.abs(y) < 2), 0.61, np.inf)
     height = np.minimum(ball, plate)
-    found = solve_on_layer(layer, height, DepthControl(0.6))
-    gap = found.deflection_mm + height - 0.6
+    result = solve_on_layer(layer, height, DepthControl(0.6))
+    gap = result.deflection_mm + height - 0.6
     assert gap.min() >= -1e-4 * 0.6
-    assert (found.pressure[x > -1] > 0).any()
+    assert (result.pressure[x > -1] > 0).any()
 
 
 def test_running_out_of_passes_is_one_line() -> None:
@@ -181,9 +181,9 @@ def test_running_out_of_passes_is_one_line() -> None:
 
 
 def test_a_tilted_rod_under_a_draped_slab_is_found_without_rebounds() -> None:
-    """Cells that join at once throw a bending slab off: the brake keeps it below 200 passes.
+    """Cells that join at once open the contact of a bending slab: a line search prevents that.
 
-    Without it the passes hang on the last digits: over 1000 on one processor, 339 on another.
+    Below 200 passes with it; without it over 1000 on one processor, 339 on a second one.
     """
     changes = {
         "specimen.x_mm": -0.2429829074759053, "specimen.y_mm": -0.041928252421451234,
@@ -195,10 +195,10 @@ def test_a_tilted_rod_under_a_draped_slab_is_found_without_rebounds() -> None:
     assert press_specimen(experiment).iterations < 200
 
 
-def test_the_brake_steps_to_the_least_energy_on_the_way():
+def test_the_brake_steps_to_the_least_energy_of_the_pass():
     """Energy 1 + slope t + curvature t^2 / 2 has its least at -slope / curvature."""
     brake = _Brake()
     assert brake.share(1.0, -1.0, 100.0) == 1.0  # the first pass is free
     assert brake.share(1.0, -1.0, 4.0) == 0.25
     assert brake.share(0.0, -1.0, 2.0 + 1e-9) == 1.0  # rises, but not above the last passes
-    assert brake.share(1.0, 1.0, 4.0) == 1.0  # no way down: left to the search
+    assert brake.share(1.0, 1.0, 4.0) == 1.0  # no descent: left to the search

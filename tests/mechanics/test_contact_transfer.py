@@ -1,4 +1,4 @@
-"""What the coat keeps of a groove: closed form, the solver's operators, and a pressed grating."""
+"""Share of a groove on the coat: closed form, the solver's operators, and a pressed grating."""
 
 import numpy as np
 import pytest
@@ -20,22 +20,22 @@ def slab(**changes: object) -> Elastomer:
 
 
 def test_half_is_kept_at_2_40_thicknesses_and_a_tenth_at_1_32() -> None:
-    found = contact_transfer(slab())
-    assert found.half_pitch_mm / 2 == pytest.approx(2.40, abs=0.005)
-    assert found.tenth_pitch_mm / 2 == pytest.approx(1.32, abs=0.006)
-    assert np.interp(found.half_pitch_mm, found.pitch_mm, found.closed_form) == pytest.approx(
+    result = contact_transfer(slab())
+    assert result.half_pitch_mm / 2 == pytest.approx(2.40, abs=0.005)
+    assert result.tenth_pitch_mm / 2 == pytest.approx(1.32, abs=0.006)
+    assert np.interp(result.half_pitch_mm, result.pitch_mm, result.closed_form) == pytest.approx(
         0.5, abs=0.005
     )
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.4999])
 def test_the_solver_computes_the_closed_form(nu: float) -> None:
-    found = contact_transfer(slab(poisson_ratio=nu))
-    np.testing.assert_allclose(found.computed, found.closed_form, rtol=1e-6)
-    assert found.rows()[3] == (
-        found.pitch_mm[3],
-        found.closed_form[3],
-        found.computed[3],
+    result = contact_transfer(slab(poisson_ratio=nu))
+    np.testing.assert_allclose(result.computed, result.closed_form, rtol=1e-6)
+    assert result.rows()[3] == (
+        result.pitch_mm[3],
+        result.closed_form[3],
+        result.computed[3],
     )
 
 
@@ -63,16 +63,16 @@ def test_a_pressed_grating_shows_what_the_closed_form_says(pitch_mm: float) -> N
     x = pressed.face_x_mm[near]
     basis = np.stack((np.cos(2 * np.pi * x / pitch_mm), np.ones_like(x), x, x**2), axis=-1)
     amplitude = np.linalg.lstsq(basis, change[near], rcond=None)[0][0]
-    kept = contact_transfer(thick, np.array([pitch_mm])).closed_form[0]
-    assert 2 * amplitude / 0.004 == pytest.approx(kept, rel=0.02)
+    transferred = contact_transfer(thick, np.array([pitch_mm])).closed_form[0]
+    assert 2 * amplitude / 0.004 == pytest.approx(transferred, rel=0.02)
 
 
 def test_a_coat_on_the_touched_face_loses_nothing() -> None:
-    found = contact_transfer(slab(layout="contact_face"), np.array([0.5, 5.0]))
-    assert found.computed.tolist() == found.closed_form.tolist() == [1.0, 1.0]
-    assert found.half_pitch_mm == 0
+    result = contact_transfer(slab(layout="contact_face"), np.array([0.5, 5.0]))
+    assert result.computed.tolist() == result.closed_form.tolist() == [1.0, 1.0]
+    assert result.half_pitch_mm == 0
 
 
-def test_a_pitch_of_nothing_is_refused() -> None:
+def test_a_pitch_of_zero_is_rejected() -> None:
     with pytest.raises(PressError, match="allowed: more than 0"):
         contact_transfer(slab(), np.array([1.0, 0.0]))

@@ -56,10 +56,10 @@ def plate_on_layer(q: np.ndarray, nu: float, film: CoatFilm) -> np.ndarray:
 
 def test_a_thin_stiff_film_is_a_plate_and_a_membrane() -> None:
     film, q = CoatFilm(share=0.002, shear_ratio=2e4, poisson_ratio=0.3), np.geomspace(0.05, 20, 60)
-    found = solve_coated(q, 0.49, "bonded", film).normal_t
-    assert found[-1] < 0.9  # a half-space would have 1
-    # Half the film's thickness lies between its middle and the interface.
-    np.testing.assert_allclose(found, plate_on_layer(q, 0.49, film), rtol=2e-3)
+    result = solve_coated(q, 0.49, "bonded", film).normal_t
+    assert result[-1] < 0.9  # a half-space would have 1
+    # Half the film's thickness is between its middle and the interface.
+    np.testing.assert_allclose(result, plate_on_layer(q, 0.49, film), rtol=2e-3)
 
 
 def test_a_stiff_film_bends_the_free_slab_as_a_composite_plate() -> None:
@@ -72,14 +72,14 @@ def test_a_stiff_film_bends_the_free_slab_as_a_composite_plate() -> None:
     bending = (moduli @ np.diff((edges - neutral) ** 3)) / 3
     # u = p / (D k^4) = 2 Phi p / (E* k)
     for base in ("free", "free_turned"):
-        found = solve_coated(q, 0.49, base, film)
-        assert found.normal_t[0] * 2 * bending * q[0] ** 3 == pytest.approx(1, rel=1e-3)
+        result = solve_coated(q, 0.49, base, film)
+        assert result.normal_t[0] * 2 * bending * q[0] ** 3 == pytest.approx(1, rel=1e-3)
 
 
 def test_loading_either_side_obeys_maxwell_and_betti() -> None:
     film = CoatFilm(share=0.05, shear_ratio=20.0, poisson_ratio=0.4)
-    one, turned = (solve_coated(Q, 0.49, base, film) for base in ("free", "free_turned"))
-    np.testing.assert_allclose(one.normal_b, turned.normal_b, rtol=1e-6, atol=1e-12)
+    upright, turned = (solve_coated(Q, 0.49, base, film) for base in ("free", "free_turned"))
+    np.testing.assert_allclose(upright.normal_b, turned.normal_b, rtol=1e-6, atol=1e-12)
 
 
 def slab(layout: str, film: Film | None) -> Elastomer:
@@ -109,5 +109,5 @@ def test_a_film_of_the_slab_itself_changes_no_press(layout: str) -> None:
 
 def test_a_stiff_film_smooths_what_the_coat_shows() -> None:
     film = Film(thickness_mm=0.1, young_modulus_kpa=300_000.0)
-    found = contact_transfer(slab("opposite_face", film), np.array([3.0]))
-    assert found.computed[0] < 0.9 * found.closed_form[0]
+    result = contact_transfer(slab("opposite_face", film), np.array([3.0]))
+    assert result.computed[0] < 0.9 * result.closed_form[0]

@@ -76,7 +76,7 @@ def test_shore_00_is_sneddons_sphere(shore_00: int, kpa: int) -> None:
 
 
 def test_shore_00_range_holds_the_data_sheets() -> None:
-    # Ecoflex 00-30 and 00-50, 3 / 1.75 of the 100 % modulus: the second lies below.
+    # Ecoflex 00-30 and 00-50, 3 / 1.75 of the 100 % modulus: the second is below.
     estimate = estimate_modulus_00(30)
     assert estimate.low_kpa < 118 < estimate.high_kpa
     assert estimate.low_kpa < estimate.best_kpa < estimate.high_kpa
@@ -114,9 +114,9 @@ def test_one_press_calibrates_the_modulus() -> None:
     assert guessed.young_modulus_kpa == pytest.approx(121, abs=1)
     actual = slab.model_copy(update={"young_modulus_kpa": 205.0})
     measured = press(Ball(), actual, load).force_n
-    found = calibrate_modulus(measured, guessed)
-    assert found.best_kpa == pytest.approx(205, rel=1e-6)
-    assert 0.85 * 205 < found.low_kpa < found.best_kpa < found.high_kpa < 1.15 * 205
+    result = calibrate_modulus(measured, guessed)
+    assert result.best_kpa == pytest.approx(205, rel=1e-6)
+    assert 0.85 * 205 < result.low_kpa < result.best_kpa < result.high_kpa < 1.15 * 205
     with pytest.raises(InputError, match="allowed: more than 0"):
         calibrate_modulus(0.0, guessed)
 

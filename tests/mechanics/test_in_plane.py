@@ -25,7 +25,7 @@ def test_a_plate_turns_its_fibres() -> None:
 
 
 def test_a_plate_is_bent_alike_from_either_side() -> None:
-    """In a plate 100 times as long as thick shear and squeezing vanish beside bending."""
+    """In a plate 100 times as long as thick, shear and squeezing are negligible to bending."""
     slab = FreeSlab(64, 64, 200.0, 200.0, 2.0, 0.3)
     nothing, uniform = np.zeros((64, 64)), np.full((64, 64), 1e-6)
     expected, _ = slab.opposite_in_plane_at_nodes(uniform, 64, 64)

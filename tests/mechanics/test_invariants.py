@@ -1,4 +1,4 @@
-"""What any press obeys, whatever is pressed, into either layout, by depth or by force."""
+"""Conditions that any press fulfils, for any specimen, in both layouts, by depth or by force."""
 
 import numpy as np
 import pytest

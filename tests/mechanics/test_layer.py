@@ -28,13 +28,15 @@ def test_a_sine_mode_of_the_free_slab_keeps_its_shape() -> None:
     compliance = 2 * (1 - 0.49**2) / K * (even + odd) / 2
     wave = mode(SLAB.x_mm, SLAB.y_mm)
     np.testing.assert_allclose(SLAB.deflect(wave), compliance * wave, atol=1e-6 * compliance)
-    kept = compliance * opposite_transfer(np.array([q]))[0]
-    np.testing.assert_allclose(SLAB.deflect_opposite(wave), kept * wave, atol=1e-6 * kept)
+    transferred = compliance * opposite_transfer(np.array([q]))[0]
+    np.testing.assert_allclose(
+        SLAB.deflect_opposite(wave), transferred * wave, atol=1e-6 * transferred
+    )
     # Nodes: finer than the cells, and coarser.
     for rows, cols in ((100, 90), (20, 24)):
         x, y = np.linspace(-7.5, 7.5, cols + 1), np.linspace(-6, 6, rows + 1)
         nodes = SLAB.opposite_at_nodes(wave, rows, cols)
-        np.testing.assert_allclose(nodes, kept * mode(x, y), atol=1e-6 * kept)
+        np.testing.assert_allclose(nodes, transferred * mode(x, y), atol=1e-6 * transferred)
 
 
 @pytest.mark.parametrize("layer", [SLAB, LAYER])
@@ -47,7 +49,7 @@ def test_operator_is_symmetric_and_positive(layer: FreeSlab | BondedLayer) -> No
 
 def test_nodes_on_the_rim_stay_at_zero_and_pass_through_the_cell_values() -> None:
     pressure = np.random.default_rng(2).uniform(size=(48, 60))
-    # Twice the cells: every second node from the first lies at a cell centre.
+    # Twice the cells: every second node from the first is at a cell centre.
     nodes = SLAB.opposite_at_nodes(pressure, 96, 120)
     np.testing.assert_allclose(nodes[1::2, 1::2], SLAB.deflect_opposite(pressure), atol=1e-12)
     for rim in (nodes[0], nodes[-1], nodes[:, 0], nodes[:, -1]):
@@ -62,7 +64,7 @@ def test_uniform_pressure_compresses_the_bonded_layer_by_its_oedometer_modulus()
 
 
 def test_back_pressure_and_press_mirror_each_other() -> None:
-    # The free slab has no up and down: equal pressures on both faces thin it symmetrically.
+    # Both faces of the free slab are alike: equal pressures on both thin it symmetrically.
     uniform = np.full((48, 60), 0.01)
     touched = SLAB.deflect(uniform) - SLAB.deflect_opposite(uniform)
     coated = SLAB.opposite_at_nodes(uniform, 96, 120, uniform_load=-0.01)

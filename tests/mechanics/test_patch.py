@@ -1,4 +1,4 @@
-"""A patch answers exactly as the whole grid does, and its scaling is a symmetric inverse."""
+"""A patch responds exactly as the whole grid does, and its scaling is a symmetric inverse."""
 
 import numpy as np
 import pytest
@@ -25,8 +25,8 @@ def test_a_patch_deflects_as_the_whole_grid(
     pressure = np.zeros((48, 60))
     pressure[patch.cells] = np.random.default_rng(0).normal(size=(rows.count, cols.count))
     whole = layer.deflect(pressure)[patch.cells]
-    found = patch.deflect(pressure[patch.cells])
-    np.testing.assert_allclose(found, whole, atol=1e-12 * np.abs(layer.deflect(pressure)).max())
+    result = patch.deflect(pressure[patch.cells])
+    np.testing.assert_allclose(result, whole, atol=1e-12 * np.abs(layer.deflect(pressure)).max())
 
 
 @pytest.mark.parametrize("layer", [SLAB, LAYER])
@@ -41,7 +41,7 @@ def test_scaling_is_symmetric_positive_and_near_the_inverse(
     single = np.zeros((30, 40))
     single[12, 17] = 1.0
     assert patch.apply(single)[12, 17] == pytest.approx(patch.cell, rel=1e-12)
-    # Away from the patch's edge the two undo one another: a smooth bump comes back.
+    # Away from the patch's edge the two are inverse: a smooth bump is recovered.
     y, x = np.mgrid[-1:1:30j, -1:1:40j]
     bump = np.exp(-12 * (x**2 + y**2))
     back = patch.apply(patch.deflect(bump))

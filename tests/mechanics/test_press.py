@@ -66,11 +66,11 @@ def test_the_bulge_lies_where_the_ball_is(slab: SlabBuilder, x_mm: float, y_mm: 
 
 
 def test_mirrored_specimens_give_mirrored_faces(slab: SlabBuilder) -> None:
-    one, other = (
+    first, mirrored = (
         press(TwoBalls(yaw_deg=yaw, tilt_deg=tilt), slab(), to_depth(0.8, **COARSE))
         for yaw, tilt in ((30.0, 3.0), (150.0, 3.0))
     )
-    np.testing.assert_allclose(one.face_z_mm, other.face_z_mm[:, ::-1], atol=1e-5)
+    np.testing.assert_allclose(first.face_z_mm, mirrored.face_z_mm[:, ::-1], atol=1e-5)
 
 
 def test_the_lifted_ball_presses_harder(slab: SlabBuilder) -> None:

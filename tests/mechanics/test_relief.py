@@ -65,7 +65,7 @@ def test_the_relief_has_no_ripples(reference_press: PressedElastomer) -> None:
 def test_the_mesh_is_made_without_a_loop_over_its_vertices(
     reference_press: PressedElastomer,
 ) -> None:
-    """Some 600 lines of Python, whatever the number of vertices."""
+    """Some 600 lines of Python, for any number of vertices."""
     assert reference_press.face_z_mm.size > 250_000
     assert lines_run(lambda: face_mesh(reference_press)) < 5_000
 
@@ -106,6 +106,6 @@ def test_a_coated_face_at_25_um_has_no_ripples() -> None:
         for pitch in (0.025, 0.04)
     )
     assert np.diff(fine.face_x_mm).max() <= 0.025 + 1e-12
-    # Third differences fall with the pitch cubed: (25 / 40)^3 of those at 40 um.
+    # Third differences decrease with the pitch cubed: (25 / 40)^3 of those at 40 um.
     at_25, at_40 = (np.abs(np.diff(p.face_z_mm, n=3, axis=1)).max() for p in (fine, coarse))
     assert at_25 < 1.1 * at_40 * (0.025 / 0.04) ** 3

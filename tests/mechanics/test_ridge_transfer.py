@@ -1,4 +1,4 @@
-"""What a thin sheet shows of ridges: line contact and full contact in closed form, and between."""
+"""Ridges on the coat of a thin sheet: line contact and full contact in closed form, and between."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def shown_um(thickness_mm: float, pressure_kpa: float, ridge_mm: float = 0.07) -
 
 
 def on_crests_um(thickness_mm: float, pressure_kpa: float) -> float:
-    """Sheet that touches the crests in lines: the layer's answer to a comb of forces."""
+    """Sheet that touches the crests in lines: the layer's response to a comb of forces."""
     wave = 2 * np.pi / PITCH_MM * np.arange(1, 200, 2)
     compliance = solve_transfer(wave * thickness_mm, 0.4999, "free").normal_b
     return float(1e3 * 4 * (2 * (1 - 0.4999**2) * compliance / wave).sum() * pressure_kpa / 300.0)
@@ -39,18 +39,18 @@ def on_crests_um(thickness_mm: float, pressure_kpa: float) -> float:
 @pytest.mark.parametrize("thickness_mm", [0.1, 0.2, 0.3])
 def test_faint_pressure_lets_it_stand_on_the_crests(thickness_mm: float) -> None:
     """Lines of contact: 1.3, 0.23, 0.07 um of 70 at 0.3 kPa."""
-    found = shown_um(thickness_mm, 0.3)
-    assert found == pytest.approx(on_crests_um(thickness_mm, 0.3), rel=0.01)
-    assert found < on_crests_um(thickness_mm, 0.3)
+    result = shown_um(thickness_mm, 0.3)
+    assert result == pytest.approx(on_crests_um(thickness_mm, 0.3), rel=0.01)
+    assert result < on_crests_um(thickness_mm, 0.3)
 
 
 def test_a_thin_sheet_bends_as_a_plate_over_a_long_pitch() -> None:
     """Sag p P^4 / (384 D), D = E h^3 / 9, which shear through the thickness adds 1 % to."""
     pressure_kpa, h, pitch = 1e-3, 0.05, 2.0
-    found = Ridges(sheet(h), pressure_kpa, 0.3).shown(pitch)
+    result = Ridges(sheet(h), pressure_kpa, 0.3).shown(pitch)
     stiffness = 300.0 * h**3 / (12 * (1 - 0.4999**2))
     plate = pressure_kpa * pitch**4 / (384 * stiffness)
-    assert 0.3 * found == pytest.approx(plate, rel=0.02)
+    assert 0.3 * result == pytest.approx(plate, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -62,15 +62,15 @@ def test_a_fingerprint_needs_a_thin_sheet_and_pressure(
 ) -> None:
     """Estimates with lines of contact up to T of the ridge: contact of some width shows less."""
     for pressure_kpa, estimate_um in ((3.0, three_kpa), (10.0, ten_kpa), (30.0, thirty_kpa)):
-        found = shown_um(thickness_mm, pressure_kpa)
-        assert 0.8 * estimate_um < found < 1.01 * estimate_um
+        result = shown_um(thickness_mm, pressure_kpa)
+        assert 0.8 * estimate_um < result < 1.01 * estimate_um
 
 
 def test_full_contact_keeps_what_the_slab_keeps() -> None:
-    found = ridge_transfer(sheet(0.2), 1e4)
-    filled = found.pitch_mm > 0.4
-    np.testing.assert_allclose(found.computed[filled], found.closed_form[filled], atol=1e-4)
-    assert found.half_pitch_mm / 0.2 == pytest.approx(2.40, abs=0.01)
+    result = ridge_transfer(sheet(0.2), 1e4)
+    filled = result.pitch_mm > 0.4
+    np.testing.assert_allclose(result.computed[filled], result.closed_form[filled], atol=1e-4)
+    assert result.half_pitch_mm / 0.2 == pytest.approx(2.40, abs=0.01)
 
 
 def test_softer_means_as_much_as_more_pressure() -> None:

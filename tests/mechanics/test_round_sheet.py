@@ -1,4 +1,4 @@
-"""The oracle of the sheet, itself held against closed forms and stored solids."""
+"""The oracle of the sheet, itself compared with closed forms and stored solids."""
 
 import json
 from dataclasses import replace
@@ -44,9 +44,9 @@ def test_gradient_and_tangent_are_the_energys_derivatives(plane_strain: bool) ->
         rod_section(4.0, plate_mm=1.5), 0.3, 1.0, 10.0, plane_strain, stick=True,
         tack_n_mm=G_N_MM, pitch_mm=0.4, tack_range_mm=0.3,
     )  # fmt: skip
-    found = follow(sheet, rest(sheet), Load(1.0), 5)
+    result = follow(sheet, rest(sheet), Load(1.0), 5)
     random = np.random.default_rng(3)
-    off, way = random.normal(scale=1e-3, size=(2, *found.coefficients_mm.shape))
+    off, way = random.normal(scale=1e-3, size=(2, *result.coefficients_mm.shape))
     n = sheet.line.points_mm.size
     for change in (off, way):
         change.ravel()[sheet.unknowns < 0] = 0
@@ -57,7 +57,7 @@ def test_gradient_and_tangent_are_the_energys_derivatives(plane_strain: bool) ->
     )
 
     def at(step: float) -> Assembled:
-        moved = found.coefficients_mm + off + step * way
+        moved = result.coefficients_mm + off + step * way
         return assemble(sheet, Load(1.0, 2e-3), moved, anchors)
 
     def derivative(name: str) -> np.ndarray:
@@ -84,8 +84,8 @@ def test_gradient_and_tangent_are_the_energys_derivatives(plane_strain: bool) ->
 def test_a_little_pressure_bends_the_sheet_as_a_plate(clamped: bool, factor: float) -> None:
     rigidity = 0.5**3 / 9
     pressure = 1e-4 * 64 * rigidity / 10.0**4
-    _, found = unsupported(pressure, thickness_mm=0.5, clamped=clamped)
-    assert -found.coefficients_mm[0, 1] == pytest.approx(1e-4 * factor, rel=2e-3)
+    _, result = unsupported(pressure, thickness_mm=0.5, clamped=clamped)
+    assert -result.coefficients_mm[0, 1] == pytest.approx(1e-4 * factor, rel=2e-3)
 
 
 @pytest.mark.parametrize("pressure_mpa", [3e-4, -1e-3])
@@ -99,8 +99,8 @@ def test_an_inflated_strip_is_an_arc_of_a_neo_hookean_membrane(pressure_mpa: flo
 
     angle = brentq(tension_left, 1e-3, 3.0)
     rise = 10.0 * np.tan(angle / 2)
-    _, found = unsupported(pressure_mpa, thickness_mm=h, plane_strain=True, clamped=False)
-    assert found.coefficients_mm[0, 1] == pytest.approx(-np.sign(pressure_mpa) * rise, rel=1e-3)
+    _, result = unsupported(pressure_mpa, thickness_mm=h, plane_strain=True, clamped=False)
+    assert result.coefficients_mm[0, 1] == pytest.approx(-np.sign(pressure_mpa) * rise, rel=1e-3)
 
 
 def test_a_little_inflated_round_membrane_is_henckys() -> None:
@@ -120,9 +120,9 @@ def test_a_little_inflated_round_membrane_is_henckys() -> None:
     r = (1 + node) / 2
     rise = weight @ (r / np.polynomial.polynomial.polyval(r**2, b))
     h, pressure = 0.01, 1e-7
-    _, found = unsupported(pressure, thickness_mm=h, clamped=False)
+    _, result = unsupported(pressure, thickness_mm=h, clamped=False)
     henckys = 10.0 * rise * np.cbrt(pressure * 10.0 / h)
-    assert -found.coefficients_mm[0, 1] == pytest.approx(henckys, rel=0.01)
+    assert -result.coefficients_mm[0, 1] == pytest.approx(henckys, rel=0.01)
 
 
 def test_peeling_a_tape_at_right_angles_takes_its_adhesion() -> None:
@@ -131,12 +131,12 @@ def test_peeling_a_tape_at_right_angles_takes_its_adhesion() -> None:
         flat_section(), 0.1, 1.0, 12.0, plane_strain=True, lifted_end=True, tack_n_mm=G_N_MM,
         fine_mm=8.0, pitch_mm=0.04,
     )  # fmt: skip
-    found = follow(sheet, rest(sheet), Load(lift_mm=3.0), 30)
-    upright = np.diff(found.coefficients_mm[:3], axis=0)
+    result = follow(sheet, rest(sheet), Load(lift_mm=3.0), 30)
+    upright = np.diff(result.coefficients_mm[:3], axis=0)
     assert np.abs(upright[:, 0]).max() < 0.1 * np.abs(upright[:, 1]).min()
     for lift in (3.3, 3.6):
-        found = follow(sheet, found, Load(lift_mm=lift), 3)
-        assert found.lift_force == pytest.approx(G_N_MM, rel=0.02)
+        result = follow(sheet, result, Load(lift_mm=lift), 3)
+        assert result.lift_force == pytest.approx(G_N_MM, rel=0.02)
 
 
 @pytest.mark.parametrize("options", [{}, {"tack_n_mm": G_N_MM}, {"stick": True}])
@@ -153,20 +153,20 @@ def test_tack_without_stick_keeps_no_memory() -> None:
     back = follow(sheet, follow(sheet, there, Load(1.0, 5e-4), 2), Load(1.0), 2)
     np.testing.assert_allclose(back.coefficients_mm, there.coefficients_mm, atol=1e-6)
     free = follow(replace(sheet, tack_n_mm=0.0), rest(sheet), Load(1.0), 10)
-    wide, narrow = (profile(sheet, found).contact_radius_mm for found in (there, free))
+    wide, narrow = (profile(sheet, result).contact_radius_mm for result in (there, free))
     assert wide > 2 * narrow
 
 
 def test_under_pressure_the_sheet_wraps_the_ball() -> None:
-    found = round_sheet_profile(4.0, 0.2, 300.0, 10.0, 1.0, pressure_kpa=1.0)
-    near = found.radius_mm < 2.0
+    result = round_sheet_profile(4.0, 0.2, 300.0, 10.0, 1.0, pressure_kpa=1.0)
+    near = result.radius_mm < 2.0
     depth = 4.0 - 1.0
-    over = np.hypot(found.radius_mm, found.upper_z_mm + 0.2 + depth)[near]
-    under = np.hypot(found.lower_r_mm, found.lower_z_mm + depth)[near]
+    over = np.hypot(result.radius_mm, result.upper_z_mm + 0.2 + depth)[near]
+    under = np.hypot(result.lower_r_mm, result.lower_z_mm + depth)[near]
     # It sinks in by its own compliance: 1 kPa over 8 MPa/mm, more by its tension.
     np.testing.assert_allclose(under, 4.0, atol=3e-3)
-    np.testing.assert_allclose(over - under, 0.2 * found.thickness_stretch[near], atol=1e-4)
-    assert 2.4 < found.contact_radius_mm < 3.0
+    np.testing.assert_allclose(over - under, 0.2 * result.thickness_stretch[near], atol=1e-4)
+    assert 2.4 < result.contact_radius_mm < 3.0
 
 
 def test_past_the_limit_pressure_there_is_no_equilibrium() -> None:
@@ -175,14 +175,14 @@ def test_past_the_limit_pressure_there_is_no_equilibrium() -> None:
 
 
 def test_a_bar_is_covered_and_its_plate_is_met() -> None:
-    found = strip_sheet_profile(
+    result = strip_sheet_profile(
         bar_section(4.81, 0.1, 1.5), 0.1, 300.0, 10.0, 1.0, pressure_kpa=3.0
     )
-    assert found.lower_z_mm[0] == pytest.approx(1.0, abs=2e-3)
-    assert found.lower_z_mm[np.abs(found.lower_r_mm - 5.5).argmin()] == pytest.approx(
+    assert result.lower_z_mm[0] == pytest.approx(1.0, abs=2e-3)
+    assert result.lower_z_mm[np.abs(result.lower_r_mm - 5.5).argmin()] == pytest.approx(
         -0.5, abs=2e-3
     )
-    assert np.abs(found.lower_r_mm[found.lower_z_mm > 0.7].max() - 4.81 / 2) < 0.05
+    assert np.abs(result.lower_r_mm[result.lower_z_mm > 0.7].max() - 4.81 / 2) < 0.05
 
 
 @pytest.mark.parametrize("section", [rod_section(4.0), bar_section(4.81, 0.1)])
@@ -191,8 +191,8 @@ def test_halving_the_pitch_changes_nothing_that_matters(section: tuple) -> None:
         strip_sheet_profile(section, 0.2, 300.0, 10.0, 1.0, pitch_mm=pitch)
         for pitch in (0.05, 0.025)
     )
-    seen = CubicSpline(fine.radius_mm, fine.upper_z_mm)(coarse.radius_mm)
-    np.testing.assert_allclose(coarse.upper_z_mm, seen, atol=1e-3)
+    interpolated = CubicSpline(fine.radius_mm, fine.upper_z_mm)(coarse.radius_mm)
+    np.testing.assert_allclose(coarse.upper_z_mm, interpolated, atol=1e-3)
     assert coarse.force_n == pytest.approx(fine.force_n, rel=5e-3)
 
 
@@ -209,7 +209,7 @@ def limits(thickness_mm: float, kind: str, travel_mm: float) -> tuple[float, flo
     if kind == "stick" and thickness_mm == 0.5 and travel_mm > 1:
         return 0.008, 0.01
     if kind == "bar" and travel_mm > 1:
-        # Shear, which such a sheet leaves out, at a clamp that pulls at 14 degrees.
+        # Shear, which such a sheet neglects, at a clamp that pulls at 14 degrees.
         return 0.022 * thickness_mm, 0.01
     for upto, face_mm, force in ((0.3, 0.003, 0.01), (0.5, 0.007, 0.015), (1.0, 0.020, 0.04)):
         if thickness_mm <= upto:
@@ -224,15 +224,17 @@ def test_the_sheet_is_the_solid(name: str) -> None:
     h, bar, stick = case["thickness_mm"], case["kind"] == "bar", case["kind"] == "stick"
     section = bar_section(4.0, 0.3) if bar else rod_section(4.0)
     sheet = RoundSheet(section, h, 1.0, 10.0, plane_strain=bar, stick=stick)
-    found = rest(sheet)
+    result = rest(sheet)
     for solid in case["travels"]:
         travel = solid["travel_mm"]
-        steps = round((travel - found.load.travel_mm) / (0.05 if stick else 0.1))
-        found = follow(sheet, found, Load(travel), steps)
-        seen = profile(sheet, found)
+        steps = round((travel - result.load.travel_mm) / (0.05 if stick else 0.1))
+        result = follow(sheet, result, Load(travel), steps)
+        sheet_profile = profile(sheet, result)
         r = np.arange(len(solid["upper_z_mm"])) * 0.1
         face_mm, force = limits(h, case["kind"], travel)
-        error = CubicSpline(seen.radius_mm, seen.upper_z_mm)(r) - solid["upper_z_mm"]
+        error = (
+            CubicSpline(sheet_profile.radius_mm, sheet_profile.upper_z_mm)(r) - solid["upper_z_mm"]
+        )
         assert np.abs(error).max() < face_mm
-        assert found.force == pytest.approx(solid["force"], rel=force)
-        assert seen.contact_radius_mm == pytest.approx(solid["contact_radius_mm"], abs=0.1)
+        assert result.force == pytest.approx(solid["force"], rel=force)
+        assert sheet_profile.contact_radius_mm == pytest.approx(solid["contact_radius_mm"], abs=0.1)

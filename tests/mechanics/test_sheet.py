@@ -55,7 +55,7 @@ def everything_at_once(**frame: float) -> tuple[Sheet, SheetState]:
     """A round, pre-stretched, heavy sheet under pressure on a tacky ball, half of it stuck."""
     law = laws(0.3, tack=0.2, tack_range_mm=0.3, weight_kpa=0.05)
     sheet = round_sheet(law, ball(), line(5.0, 1.5, 0.5), pre_stretch=1.1, **frame)
-    found = follow(sheet, Loads(0.6, 1.0), EXACT)
+    result = follow(sheet, Loads(0.6, 1.0), EXACT)
     random = np.random.default_rng(3)
     points = sheet.grid.rest.area_mm2.shape
     normal = random.normal(size=(*points, 3))
@@ -64,11 +64,11 @@ def everything_at_once(**frame: float) -> tuple[Sheet, SheetState]:
         random.normal(size=(*points, 3)),
         normal / np.linalg.norm(normal, axis=-1, keepdims=True),
     )
-    return sheet, replace(found, grip=grip)
+    return sheet, replace(result, grip=grip)
 
 
 def times_tangent(sheet: Sheet, along: np.ndarray) -> np.ndarray:
-    """Multiply by the tangent of the last evaluation, whose upper half alone is kept."""
+    """Multiply by the tangent of the last evaluation, of which only the upper half is stored."""
     rows, cols = along.shape[:2]
     product = np.zeros((rows + 4, cols + 4, 3))
     wide = np.pad(along, ((2, 2), (2, 2), (0, 0)))
@@ -162,8 +162,8 @@ def test_a_little_pressure_bends_a_round_sheet_as_a_plate(rim: str, factor: floa
     """p a^4 / (64 D), and (5 + nu) / (1 + nu) of it on a simple rim."""
     sheet = round_sheet(laws(0.5), NOTHING, finer_at_the_rim(line(5.0, 2.5, 0.5), 0.05), rim=rim)
     pressure = 1e-3 * 64 * (YOUNG_KPA * 0.5**3 / 9) / 5.0**4
-    found = settle(sheet, replace(mounted(sheet.grid), pressure_kpa=pressure), EXACT)
-    middle = sheet.grid.evaluate(found.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
+    result = settle(sheet, replace(mounted(sheet.grid), pressure_kpa=pressure), EXACT)
+    middle = sheet.grid.evaluate(result.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
     assert -middle == pytest.approx(1e-3 * factor, rel=0.01)
 
 
@@ -173,13 +173,13 @@ def test_a_little_pressure_bends_a_square_sheet_as_a_plate(rim: str, coefficient
     places = finer_at_the_rim(line(5.0, 2.5, 0.5), 0.05)
     sheet = Sheet(sheet_grid(Frame(10.0, 10.0, rim=rim), places, places), laws(0.5), NOTHING, -0.25)
     pressure = 1e-3 * (YOUNG_KPA * 0.5**3 / 9) / 10.0**4 / coefficient
-    found = settle(sheet, replace(mounted(sheet.grid), pressure_kpa=pressure), EXACT)
-    middle = sheet.grid.evaluate(found.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
+    result = settle(sheet, replace(mounted(sheet.grid), pressure_kpa=pressure), EXACT)
+    middle = sheet.grid.evaluate(result.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
     assert -middle == pytest.approx(1e-3, rel=0.01)
 
 
 def test_a_light_touch_bends_it_as_the_spectral_plate() -> None:
-    """Travel h / 100. Where the ball sits the two yield differently: faces per force."""
+    """Travel h / 100. At the ball the two yield differently: faces per force."""
     elastomer, light = build_sheet(poisson_ratio=0.4999), {"depth_mm": 0.003}
     sheet = pressed(Ball(), elastomer, "simple", **light)
     load = Press(control="depth", relief_pitch_mm=0.05, solver_pitch_mm=0.02, **light)
@@ -201,15 +201,15 @@ def test_an_inflated_strip_is_an_arc_of_a_neo_hookean_membrane(pressure_kpa: flo
     rise = 10.0 * np.tan(brentq(tension_left, 1e-3, 3.0) / 2)
     sheet = strip(laws(h), NOTHING, line(10.0, 8.0, 0.5), rim="simple")
     start = mounted(sheet.grid)
-    found, _ = advance(sheet, start, start, Loads(0.0, pressure_kpa), EXACT)
-    middle = sheet.grid.evaluate(found.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
+    result, _ = advance(sheet, start, start, Loads(0.0, pressure_kpa), EXACT)
+    middle = sheet.grid.evaluate(result.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
     assert middle == pytest.approx(-np.sign(pressure_kpa) * rise, rel=1e-3)
 
 
 def test_tack_wraps_a_rod_to_the_least_energy() -> None:
     """G as the peeling edge shows it, within 3 %: least energy of a frictionless membrane.
 
-    Of its half length `rim`, `held` (undeformed) lies on the rod from the crest to the angle a;
+    Of its half length `rim`, `held` (undeformed) is on the rod from the crest to the angle a;
     the rest is straight. Adhesion counts per undeformed area, so that the held part is the less
     stretched one: T1 = T2 cos at the edge. G follows from the stretch of the straight part.
     """
@@ -226,12 +226,14 @@ def test_tack_wraps_a_rod_to_the_least_energy() -> None:
 
     def stretched_by(adhesion: float) -> float:
         tight = {"xatol": 1e-8, "fatol": 1e-12}
-        found = minimize(energy, (0.4, 1.55), args=(adhesion,), method="Nelder-Mead", options=tight)
-        return stretches(*found.x)[1]
+        result = minimize(
+            energy, (0.4, 1.55), args=(adhesion,), method="Nelder-Mead", options=tight
+        )
+        return stretches(*result.x)[1]
 
     sheet = strip(laws(h, tack=G, tack_range_mm=0.08), rod(4.0), line(rim, 2.5, 0.04))
-    found = follow(sheet, Loads(rise), FINE)
-    flat = sample(sheet, found, 0.1)
+    state = follow(sheet, Loads(rise), FINE)
+    flat = sample(sheet, state, 0.1)
     straight = (np.abs(flat.middle_mm[3, :, 0]) > 3.5) & (np.abs(flat.middle_mm[3, :, 0]) < 5.0)
     measured = flat.stretch[3, straight, 0]
     assert np.ptp(measured) < 2e-4
@@ -251,7 +253,7 @@ def test_the_force_is_what_the_path_adds_to_the_energy(options: dict) -> None:
     ends = []
     for step in (-1e-4, 1e-4):
         moved = settle(sheet, replace(middle, travel_mm=0.6 + step), EXACT)
-        moved = replace(moved, grip=middle.grip)  # what has left since has lost its energy
+        moved = replace(moved, grip=middle.grip)  # points released since have lost their energy
         ends.append(sheet.evaluate(moved.control_mm, moved, tangent=False).energy)
     assert 1e3 * force == pytest.approx((ends[1] - ends[0]) / 2e-4, rel=1e-3)
 
@@ -263,8 +265,8 @@ def test_a_round_sheet_has_the_discs_area() -> None:
 
 def test_a_mounted_sheet_is_as_stretched_as_its_frame_says() -> None:
     sheet = round_sheet(laws(0.3), NOTHING, line(4.0, 2.0, 0.5), pre_stretch=1.25)
-    found = settle(sheet, mounted(sheet.grid), EXACT)
-    flat = sample(sheet, found, 0.2)
+    result = settle(sheet, mounted(sheet.grid), EXACT)
+    flat = sample(sheet, result, 0.2)
     inside = np.s_[1:-1, 1:-1]  # the disc's map is singular in the square's corners
     np.testing.assert_allclose(flat.stretch[inside], 1.25, rtol=1e-7)
     np.testing.assert_allclose(flat.thickness_mm[inside], 0.3 / 1.25**2, rtol=1e-7)
@@ -274,13 +276,13 @@ def test_a_mounted_sheet_is_as_stretched_as_its_frame_says() -> None:
 
 @pytest.mark.parametrize(("gravity_deg", "way"), [(0.0, -1), (180.0, 1)])
 def test_weight_hangs_down(gravity_deg: float, way: int) -> None:
-    """0: the camera is above and the coat falls away from it, by that of a clamped plate."""
+    """0: the camera is above and the coat sags away from it, by that of a clamped plate."""
     elastomer = build_sheet(density_kg_m3=1000.0, thickness_mm=1.0, outline="round")
     load = Press(control="depth", depth_mm=0.1, gravity_deg=gravity_deg)
     case = sheet_case(Ball(), elastomer, load, Mechanics(model="sheet"))
     sheet = round_sheet(case.laws, NOTHING, finer_at_the_rim(line(10.0, 5.0, 1.0), 0.1))
-    found = settle(sheet, mounted(sheet.grid), EXACT)
-    middle = sheet.grid.evaluate(found.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
+    result = settle(sheet, mounted(sheet.grid), EXACT)
+    middle = sheet.grid.evaluate(result.control_mm, np.zeros(1), np.zeros(1))[0][0, 0, 2]
     plate = 1e-6 * 1000 * 9.80665 * 1.0 * 10.0**4 / (64 * YOUNG_KPA / 9)
     assert middle == pytest.approx(way * plate, rel=0.01)
 
@@ -291,7 +293,7 @@ def test_weight_hangs_down(gravity_deg: float, way: int) -> None:
 def off_the_profile_um(sheet: Sheet, state: SheetState, along: Profile, half_mm: float) -> float:
     """Return the upper face's largest distance in z from its twin's."""
     upper = sample(sheet, state, 0.05).upper_mm
-    # The parameter square's corners lie on the round rim, where its map is singular.
+    # The parameter square's corners are on the round rim, where its map is singular.
     across = upper[1:-1, 1:-1] if sheet.grid.frame.outline == "round" else upper[3:4]
     r = np.hypot(across[..., 0], across[..., 1] if sheet.grid.frame.outline == "round" else 0.0)
     twin = CubicSpline(along.radius_mm, along.upper_z_mm)(r) + sheet.laws.thickness_mm / 2
@@ -301,25 +303,25 @@ def off_the_profile_um(sheet: Sheet, state: SheetState, along: Profile, half_mm:
 @pytest.mark.parametrize(("pressure_kpa", "stick"), [(0.0, False), (0.0, True), (1.0, False)])
 def test_the_round_sheet_is_its_axisymmetric_twin(pressure_kpa: float, stick: bool) -> None:
     sheet = round_sheet(laws(0.3), ball(), finer_at_the_rim(line(3.0, 3.0, 0.2), 0.05), stick)
-    found = follow(sheet, Loads(0.4, pressure_kpa), FINE)
+    result = follow(sheet, Loads(0.4, pressure_kpa), FINE)
     twin = round_sheet_profile(
         4.0, 0.3, YOUNG_KPA, 3.0, 0.4, pressure_kpa=pressure_kpa, stick=stick, fine_mm=3.0,
         pitch_mm=0.025, step_mm=0.2,
     )  # fmt: skip
-    assert off_the_profile_um(sheet, found, twin, 3.0) < 0.5
+    assert off_the_profile_um(sheet, result, twin, 3.0) < 0.5
     held = 1e-3 * pressure_kpa * np.pi * 3.0**2
-    assert contact_force_n(sheet, found) == pytest.approx(twin.force_n, rel=5e-3, abs=5e-3 * held)
+    assert contact_force_n(sheet, result) == pytest.approx(twin.force_n, rel=5e-3, abs=5e-3 * held)
 
 
 @pytest.mark.parametrize(("pressure_kpa", "stick"), [(0.0, False), (0.0, True), (1.0, False)])
 def test_the_strip_is_its_plane_strain_twin(pressure_kpa: float, stick: bool) -> None:
     sheet = strip(laws(0.2), bar(4.0, 0.3), finer_at_the_rim(line(10.0, 10.0, 0.05), 0.03), stick)
-    found = follow(sheet, Loads(1.0, pressure_kpa), EXACT)
+    result = follow(sheet, Loads(1.0, pressure_kpa), EXACT)
     twin = strip_sheet_profile(
         bar_section(4.0, 0.3), 0.2, YOUNG_KPA, 10.0, 1.0, pressure_kpa=pressure_kpa, stick=stick,
         pitch_mm=0.025, fine_mm=10.0, step_mm=0.2,
     )  # fmt: skip
-    assert off_the_profile_um(sheet, found, twin, 10.0) < 0.5
+    assert off_the_profile_um(sheet, result, twin, 10.0) < 0.5
 
 
 # ---- solids ----------------------------------------------------------------------------------
@@ -348,14 +350,14 @@ def test_the_sheet_is_the_solid(name: str) -> None:
         r, tabled = np.hypot(upper[..., 0], upper[..., 1]), 0.1 * np.arange(100)
         true = CubicSpline(tabled, solid["upper_z_mm"])(r) + law.thickness_mm / 2
         assert 1e3 * np.abs(upper[..., 2] - true)[r < tabled[-1]].max() < face_um
-        found = contact_force_n(sheet, state) / (1e-3 * YOUNG_KPA)
-        assert found == pytest.approx(solid["force"], rel=force)
+        result = contact_force_n(sheet, state) / (1e-3 * YOUNG_KPA)
+        assert result == pytest.approx(solid["force"], rel=force)
 
 
 def clamp_shear_um(case: dict, travel_mm: float, force: float) -> float:
-    """Return how much lower a sheet without shear lies beside its clamp.
+    """Return how much lower a sheet without shear is next to its clamp.
 
-    A strip under tension T whose flank rises at the slope s turns into it over l = sqrt(B / T),
+    A strip under tension T with a flank of slope s turns into it over l = sqrt(B / T),
     B = mu h^3 / 3, and its flank starts by s l beyond the clamp. With shear, stiffness S = 5/6 mu h
     (Timoshenko), by s l sqrt(S / (S + T)).
     """
@@ -384,5 +386,5 @@ def test_the_strip_is_the_solid(name: str) -> None:
         assert np.abs(error_um)[from_middle < 5.0].max() < limit_um
         beside_um = max(limit_um, clamp_shear_um(case, travel, solid["force"]))
         assert np.abs(error_um)[from_middle < 9.9].max() < beside_um
-        found = contact_force_n(sheet, state) / 3000.0 / (1e-3 * YOUNG_KPA)
-        assert found == pytest.approx(solid["force"], rel=force)
+        result = contact_force_n(sheet, state) / 3000.0 / (1e-3 * YOUNG_KPA)
+        assert result == pytest.approx(solid["force"], rel=force)

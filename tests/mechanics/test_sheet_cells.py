@@ -1,4 +1,4 @@
-"""Where a sheet's cells may be wider than the pitch, and what that leaves of the result."""
+"""Where a sheet's cells may be wider than the pitch, and the effect on the result."""
 
 import numpy as np
 import pytest
@@ -20,8 +20,8 @@ SMALL = {"length_x_mm": 12.0, "length_y_mm": 12.0}
 def test_widths_are_rungs_of_a_ladder_and_grow_by_a_fifth_of_the_distance():
     """1, sqrt 2, 2, 2 sqrt 2 and 4 pitches; away from a place of one pitch 0.2 mm more per mm."""
     allowed = Widths(np.array([0.0, 1.0, 5.0, 9.0]), np.array([0.01, 7.0, 0.29, 7.0]))
-    found = allowed.at(np.array([0.0, 0.5, 1.0, 5.0, 9.0]), 0.1)
-    np.testing.assert_allclose(found, [0.1, 0.2, 0.3, 0.2 * 2**0.5, 0.4])
+    result = allowed.at(np.array([0.0, 0.5, 1.0, 5.0, 9.0]), 0.1)
+    np.testing.assert_allclose(result, [0.1, 0.2, 0.3, 0.2 * 2**0.5, 0.4])
 
 
 def test_a_last_digit_moves_no_cell():
@@ -36,7 +36,7 @@ def test_a_last_digit_moves_no_cell():
 
 def test_cells_within_the_box_are_wider_where_they_may():
     """From 0.1 mm at both ends of 8 mm to 0.4 mm: 5 ln 4 = 6.93 cells over 1.5 mm, twice, and 5 mm
-    of 0.4 mm, 12.5: 26.36 in all, so 27. Nowhere wider allowed is as nothing said."""
+    of 0.4 mm, 12.5: 26.36 in all, so 27. An allowance that is nowhere wider has no effect."""
     places = np.linspace(-4.0, 4.0, 801)
     ends = Widths(places, np.where(np.abs(places) > 3.999, 0.1, 9.0))
     line = graded_line((-4.0, 4.0), (-4.0, 4.0), 0.1, 0.1, 1.0, allowed=ends)
@@ -44,34 +44,34 @@ def test_cells_within_the_box_are_wider_where_they_may():
     assert (line.edges[0], line.edges[-1]) == (-4.0, 4.0)
     np.testing.assert_allclose(line.edges, -line.edges[::-1], atol=1e-9)
     alike = Widths(np.linspace(-4.0, 4.0, 9), np.full(9, 0.12))
-    found = graded_line((-5.0, 5.0), (-4.0, 4.0), 0.1, 0.1, 1.0, allowed=alike)
+    result = graded_line((-5.0, 5.0), (-4.0, 4.0), 0.1, 0.1, 1.0, allowed=alike)
     plain = graded_line((-5.0, 5.0), (-4.0, 4.0), 0.1, 0.1, 1.0)
-    np.testing.assert_array_equal(found.edges, plain.edges)
+    np.testing.assert_array_equal(result.edges, plain.edges)
 
 
 def finest(
     monkeypatch: pytest.MonkeyPatch, specimen: Specimen, elastomer: Elastomer, **load: object
 ) -> tuple[PressedElastomer, Sheet]:
-    """Return what a press found, and the sheet that it was found on."""
+    """Return the result of a press, and its sheet."""
     made: list[Sheet] = []
     make = SheetCase.sheet
 
-    def seen(case: SheetCase, asked: cells.Cells) -> Sheet:
-        made.append(make(case, asked))
+    def recorded(case: SheetCase, requested: cells.Cells) -> Sheet:
+        made.append(make(case, requested))
         return made[-1]
 
     press.forget_paths()
     with monkeypatch.context() as patch:
-        patch.setattr(SheetCase, "sheet", seen)
-        found = pressed(specimen, elastomer, **load)
-    return found, made[-1]
+        patch.setattr(SheetCase, "sheet", recorded)
+        result = pressed(specimen, elastomer, **load)
+    return result, made[-1]
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 2.0])
 def test_along_a_bar_cells_are_wider_and_the_face_is_the_same(
     monkeypatch: pytest.MonkeyPatch, yaw_deg: float
 ):
-    """As even cells have it, within what even cells of 0.11 mm change: 0.5 to 0.6 um (SD)."""
+    """As with even cells, within the effect of even cells of 0.11 mm: 0.5 to 0.6 um (SD)."""
     bar = Bar(width_mm=2.0, height_mm=1.5, length_mm=8.0, yaw_deg=yaw_deg)
     load = {"depth_mm": 0.5, "back_pressure_kpa": 1.0, "cell_mm": 0.15}
     graded, fewer = finest(monkeypatch, bar, build_sheet(**SMALL), **load)
@@ -88,7 +88,7 @@ def test_along_a_bar_cells_are_wider_and_the_face_is_the_same(
 
 
 def test_ridges_that_coarse_cells_do_not_follow_keep_cells_narrow(monkeypatch: pytest.MonkeyPatch):
-    """Ridges of 0.03 mm, 0.5 mm apart: cells of 0.4 mm see next to nothing of them.
+    """Ridges of 0.03 mm at a pitch of 0.5 mm: cells of 0.4 mm hardly resolve them.
 
     Where a flank turns from hollow to round it is straight, and a cell may be a little wider.
     """
@@ -115,10 +115,10 @@ def test_a_sheet_that_sticks_has_even_cells(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_touch_between_two_samples_is_pressed(monkeypatch: pytest.MonkeyPatch):
-    """A contact that is smaller than the cells at whose centres it is looked for: no failure."""
-    found, sheet = finest(
+    """A contact smaller than the cells, and between the sampled cell centres: no failure."""
+    result, sheet = finest(
         monkeypatch, Ball(), build_sheet(**SMALL), depth_mm=0.01, cell_mm=0.2, solver_pitch_mm=0.2
     )
-    assert found.force_n > 0.0
-    assert not found.contact.any()
+    assert result.force_n > 0.0
+    assert not result.contact.any()
     assert np.diff(sheet.grid.x.edges)[np.abs(sheet.grid.x.points).max(axis=1) < 1.0].max() < 0.21

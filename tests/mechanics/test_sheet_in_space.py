@@ -21,7 +21,7 @@ SOLIDS = json.loads((Path(__file__).parent / "reference/solid_in_space.json").re
 def test_a_short_bar_is_the_solids(case: SpaceCase) -> None:
     """The solids' two meshes differ by 1.1 um and 0.3 %: `coarser_um`, `coarser_force`.
 
-    The sheet has no shear, which counts where it bends sharply: at the bar's corners of 0.5 mm
+    The sheet has no shear, which matters where it bends sharply: at the bar's corners of 0.5 mm
     (h = 0.5 at 0.5 mm of travel), and at a clamp only 2.5 mm away that pulls at 22 degrees.
     """
     for solid, limit_um in zip(SOLIDS[case.name], case.limits_um, strict=True):
@@ -31,8 +31,8 @@ def test_a_short_bar_is_the_solids(case: SpaceCase) -> None:
         face = CloughTocher2DInterpolator(quarter[:, :2], quarter[:, 2] - case.thickness_mm / 2)
         error_um = 1e3 * np.abs(face(*seen_at()) - solid["upper_z_mm"])
         assert error_um.max() < limit_um
-        found = contact_force_n(sheet, state) / (1e-3 * YOUNG_KPA)
-        assert found == pytest.approx(solid["force"], rel=case.force_limit)
+        result = contact_force_n(sheet, state) / (1e-3 * YOUNG_KPA)
+        assert result == pytest.approx(solid["force"], rel=case.force_limit)
 
 
 def test_half_the_cells_move_the_face_by_less_than_a_micrometre() -> None:
@@ -57,5 +57,5 @@ def test_half_the_cells_move_the_face_by_less_than_a_micrometre() -> None:
     moved_um = 1e3 * np.abs(coarse.face_z_mm - fine.face_z_mm)
     assert moved_um[np.hypot(x, y) < contact_mm].max() < 1.0
     near = np.hypot(x, y) < 1.5
-    radii = [fit_sphere(np.stack((x, y, one.face_z_mm), -1)[near]) for one in (coarse, fine)]
+    radii = [fit_sphere(np.stack((x, y, press.face_z_mm), -1)[near]) for press in (coarse, fine)]
     assert radii[0].radius_mm == pytest.approx(radii[1].radius_mm, rel=0.01)

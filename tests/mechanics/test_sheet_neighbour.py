@@ -1,4 +1,4 @@
-"""Derivatives of a pressed sheet against presses settled anew on its cells, and scaling laws."""
+"""Derivatives of a pressed sheet compared with new presses on its cells, and scaling laws."""
 
 from copy import copy
 from dataclasses import replace
@@ -49,15 +49,15 @@ def settled(**changes: object) -> SettledSheet:
 
 
 @pytest.fixture(scope="module")
-def beside() -> Neighbourhood:
+def neighbourhood() -> Neighbourhood:
     return Neighbourhood(settled())
 
 
-def derivative(beside: Neighbourhood, name: str, **base: object) -> tuple[np.ndarray, float]:
-    """Return those of face and force by a number."""
+def derivative(neighbourhood: Neighbourhood, name: str, **base: object) -> tuple[np.ndarray, float]:
+    """Return the derivatives of face and force by a parameter."""
     value = float((NOMINAL | base)[name])
     step = 1e-6 * value
-    low, high = (beside.press(*data(**base | {name: value + by})) for by in (-step, step))
+    low, high = (neighbourhood.press(*data(**base | {name: value + by})) for by in (-step, step))
     return (
         (high.face_z_mm - low.face_z_mm) / (2 * step),
         (high.force_n - low.force_n) / (2 * step),
@@ -73,16 +73,16 @@ def own_factors(sheet: Sheet) -> Sheet:
 
 @pytest.mark.parametrize("name", ["thickness_mm", "back_pressure_kpa", "depth_mm", "x_mm"])
 def test_derivatives_are_differences_of_presses_on_the_same_cells(
-    beside: Neighbourhood, name: str
+    neighbourhood: Neighbourhood, name: str
 ) -> None:
-    """Presses 0.4 % apart: points that begin to touch between them leave some 1e-3."""
+    """Presses that differ by 0.4 %: points that start to touch between them cause some 1e-3."""
     step = 2e-3 * NOMINAL[name]
     ends = []
     for by in (-step, step):
-        near = beside.neighbour(*data(**{name: NOMINAL[name] + by}))
+        near = neighbourhood.neighbour(*data(**{name: NOMINAL[name] + by}))
         state = settle(own_factors(near.sheet), near.state, EXACT)
         ends.append(replace(near, state=state).result())
-    face, force = derivative(beside, name)
+    face, force = derivative(neighbourhood, name)
     true = (ends[1].face_z_mm - ends[0].face_z_mm) / (2 * step)
     assert np.sqrt(np.mean((face - true) ** 2)) < 2e-3 * np.sqrt(np.mean(true**2))
     scale_n = ends[0].force_n / NOMINAL["depth_mm"]
@@ -91,31 +91,31 @@ def test_derivatives_are_differences_of_presses_on_the_same_cells(
     )
 
 
-def test_only_pressure_over_modulus_counts(beside: Neighbourhood) -> None:
+def test_only_pressure_over_modulus_counts(neighbourhood: Neighbourhood) -> None:
     """The shape is of degree 0 in both together, the force of degree 1 (Euler)."""
-    parts = [derivative(beside, name) for name in ("young_modulus_kpa", "back_pressure_kpa")]
+    parts = [derivative(neighbourhood, name) for name in ("young_modulus_kpa", "back_pressure_kpa")]
     values = NOMINAL["young_modulus_kpa"], NOMINAL["back_pressure_kpa"]
     faces = [value * face for value, (face, _) in zip(values, parts, strict=True)]
     assert np.abs(faces[0] + faces[1]).max() < 1e-5 * np.abs(faces[0]).max()
     force_n = sum(value * force for value, (_, force) in zip(values, parts, strict=True))
-    assert force_n == pytest.approx(beside.rest.result().force_n, rel=1e-5)
+    assert force_n == pytest.approx(neighbourhood.rest.result().force_n, rel=1e-5)
 
 
-def test_under_a_set_force_the_travel_goes_along(beside: Neighbourhood) -> None:
+def test_under_a_set_force_the_travel_goes_along(neighbourhood: Neighbourhood) -> None:
     """By the force: the derivative by the travel over the sheet's stiffness."""
-    face, stiffness = derivative(beside, "depth_mm")
-    force_n = beside.rest.result().force_n
+    face, stiffness = derivative(neighbourhood, "depth_mm")
+    force_n = neighbourhood.rest.result().force_n
     base = {"force_n": force_n}
-    by_force, unit = derivative(beside, "force_n", **base)
+    by_force, unit = derivative(neighbourhood, "force_n", **base)
     assert unit == pytest.approx(1.0, rel=1e-4)
     assert np.abs(by_force * stiffness - face).max() < 1e-3 * np.abs(face).max()
-    _, unchanged = derivative(beside, "thickness_mm", **base)
+    _, unchanged = derivative(neighbourhood, "thickness_mm", **base)
     assert unchanged == pytest.approx(0.0, abs=1e-4 * force_n / NOMINAL["thickness_mm"])
 
 
-def test_what_lays_the_sheet_out_anew_is_refused(beside: Neighbourhood) -> None:
-    with pytest.raises(PressError, match="lay the sheet out anew"):
-        beside.press(*data(pre_stretch=1.05))
+def test_a_change_of_the_grid_is_rejected(neighbourhood: Neighbourhood) -> None:
+    with pytest.raises(PressError, match="needs a new grid"):
+        neighbourhood.press(*data(pre_stretch=1.05))
 
 
 def test_a_sheet_that_sticks_has_no_derivative() -> None:

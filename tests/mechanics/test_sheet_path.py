@@ -1,4 +1,4 @@
-"""The way to a press: what its stops may cost, which cells it goes through, where it ends."""
+"""Load stepping of a press: Newton steps per load step, its cells, and its end."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,7 +44,7 @@ def slack_strip() -> Sheet:
     return strip(laws(0.06), bar(4.0, 0.05), SplineLine(np.linspace(-10.0, 10.0, 81)))
 
 
-def test_stops_on_the_way_take_few_steps_and_the_end_is_an_equilibrium() -> None:
+def test_load_steps_take_few_steps_and_the_end_is_an_equilibrium() -> None:
     sheet, stops = slack_strip(), list[SheetState]()
     end = follow(sheet, Loads(1.0), EXACT, stops)
     taken = np.diff([0, *(stop.steps for stop in stops)])
@@ -54,7 +54,7 @@ def test_stops_on_the_way_take_few_steps_and_the_end_is_an_equilibrium() -> None
     assert np.abs(sheet.forces()).max() < 1e-3
 
 
-def test_what_is_still_going_down_is_refused_or_taken() -> None:
+def test_an_unfinished_descent_is_rejected_or_accepted() -> None:
     sheet = slack_strip()
     start = follow(sheet, Loads(0.2), Accuracy())
     moved = SheetState(start.control_mm, start.grip, travel_mm=0.6)
@@ -81,7 +81,7 @@ def test_a_step_that_is_far_too_short_is_made_longer() -> None:
 
 
 class ToAndFro:
-    """A sheet of one point, whose whole step leads to as much force on the other side."""
+    """A sheet of one point, for which the whole step leads to as much force on the other side."""
 
     def __init__(self, force: Callable[[float], float]) -> None:
         self.grid = SimpleNamespace(free=np.ones((1, 1, 3), bool))
@@ -109,8 +109,8 @@ def test_a_step_between_two_sides_is_cut(force: Callable[[float], float], share:
     state = SheetState(np.zeros((1, 1, 3)), Grip(*(np.zeros(0) for _ in range(3))))
     descent = _Descent(sheet, state, Accuracy())  # type: ignore[arg-type]
     step = np.array([[[0.0, 0.0, 1.0]]])
-    found, new = _searched(descent, step, slope=-1e-9)
-    assert found == share
+    result, new = _searched(descent, step, slope=-1e-9)
+    assert result == share
     assert new.control_mm[0, 0, 2] == share
 
 
@@ -131,15 +131,15 @@ def test_what_a_window_gains_the_sheet_gains() -> None:
     part = replace(
         state,
         control_mm=state.control_mm[inside],
-        grip=Grip(*(one[rows, cols] for one in state.grip)),
+        grip=Grip(*(item[rows, cols] for item in state.grip)),
     )
     settled = settle(window, part, FINE)
     moved = state.control_mm.copy()
     moved[inside] = settled.control_mm
     gains = [
-        one.evaluate(before, state, tangent=False).energy
-        - one.evaluate(after, state, tangent=False).energy
-        for one, before, after in (
+        item.evaluate(before, state, tangent=False).energy
+        - item.evaluate(after, state, tangent=False).energy
+        for item, before, after in (
             (window, part.control_mm, settled.control_mm),
             (sheet, state.control_mm, moved),
         )
@@ -168,13 +168,13 @@ def test_spots_are_where_the_sheet_is_farthest_from_rest() -> None:
 def test_spots_do_not_change_the_equilibrium() -> None:
     sheet, state = small_round_sheet()
     close = Accuracy(step_mm=1e-6, residual_kpa=1e-3)
-    found = [_settled(_Descent(sheet, state, close, spots=spots)) for spots in (False, True)]
-    off_um = 1e3 * np.abs(found[0].control_mm - found[1].control_mm)
+    result = [_settled(_Descent(sheet, state, close, spots=spots)) for spots in (False, True)]
+    off_um = 1e3 * np.abs(result[0].control_mm - result[1].control_mm)
     assert off_um.max() < 0.01
 
 
-def test_anchors_told_early_move_a_stuck_sheet_by_little() -> None:
-    """Of a path that itself, at half its steps, differs by more."""
+def test_anchors_updated_early_move_a_stuck_sheet_by_little() -> None:
+    """Compared with the path itself, which differs by more with half its steps."""
     faces = []
     for anchors_from_mm in (0.0, 0.03):
         sheet = round_sheet(laws(0.2), ball(2.0), SplineLine(np.linspace(-6.0, 6.0, 41)), True)
@@ -189,9 +189,9 @@ def test_anchors_told_early_move_a_stuck_sheet_by_little() -> None:
     ("thickness_mm", "asked_mm", "most_cells", "pitches_mm"),
     [
         (0.2, None, 36_000, [0.4, 0.15]),
-        # More than three times finer than the coarse ones: some between them.
+        # More than three times finer than the coarse cells: some of intermediate width.
         (0.1, None, 36_000, [0.4, (0.4 * 0.075) ** 0.5, 0.075]),
-        # A large contact has wider cells, unless they are asked for.
+        # A large contact has wider cells, unless they are specified.
         (0.2, None, 400, [0.4, None]),
         (0.2, 0.3, 400, [0.4, 0.3]),
         (0.1, 0.2, 36_000, [0.4, 0.28284, 0.2]),
@@ -204,29 +204,31 @@ def test_cells_follow_from_thickness_and_contact(
     most_cells: int,
     pitches_mm: list[float | None],
 ) -> None:
-    found: list[float] = []
+    result: list[float] = []
     boxes: list[Box] = []
     made: list[Sheet] = []
     make = SheetCase.sheet
 
-    def seen(case: SheetCase, asked: Cells) -> Sheet:
-        found.append(asked.pitch_mm)
-        boxes.append(asked.box_mm)
-        made.append(make(case, asked))
+    def recorded(case: SheetCase, requested: Cells) -> Sheet:
+        result.append(requested.pitch_mm)
+        boxes.append(requested.box_mm)
+        made.append(make(case, requested))
         return made[-1]
 
-    monkeypatch.setattr(SheetCase, "sheet", seen)
+    monkeypatch.setattr(SheetCase, "sheet", recorded)
     monkeypatch.setattr(cells, "_MOST_CELLS", most_cells)
     press.forget_paths()
     sheet = build_sheet(thickness_mm=thickness_mm, length_x_mm=8.0, length_y_mm=8.0)
     pressed(Ball(diameter_mm=4.0), sheet, depth_mm=0.2, cell_mm=asked_mm)
     west, east, south, north = boxes[-1]
     widest = np.sqrt((east - west) * (north - south) / most_cells)
-    assert found == pytest.approx([widest if one is None else one for one in pitches_mm], rel=1e-4)
+    assert result == pytest.approx(
+        [widest if value is None else value for value in pitches_mm], rel=1e-4
+    )
     stiffness = 300.0 / 0.75 / (0.25 * thickness_mm)
     assert made[-1].laws.contact_stiffness == pytest.approx(stiffness)
-    on_the_way = [300.0 / 0.75 / (0.5 * pitch) for pitch in found[:-1]]
-    assert [one.laws.contact_stiffness for one in made[:-1]] == pytest.approx(on_the_way)
+    on_the_way = [300.0 / 0.75 / (0.5 * pitch) for pitch in result[:-1]]
+    assert [value.laws.contact_stiffness for value in made[:-1]] == pytest.approx(on_the_way)
 
 
 def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,13 +237,13 @@ def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyP
     widths: list[float] = []
     make = SheetCase.sheet
 
-    def seen(case: SheetCase, asked: Cells) -> Sheet:
-        sheet = make(case, asked)
+    def recorded(case: SheetCase, requested: Cells) -> Sheet:
+        sheet = make(case, requested)
         sizes.append(sheet.grid.x.size * sheet.grid.y.size)
-        widths.append(asked.pitch_mm)
+        widths.append(requested.pitch_mm)
         return sheet
 
-    monkeypatch.setattr(SheetCase, "sheet", seen)
+    monkeypatch.setattr(SheetCase, "sheet", recorded)
     ball, sheet = Ball(diameter_mm=4.0), build_sheet(length_x_mm=8.0, length_y_mm=8.0)
     finest = []
     for most, asked_mm in ((10_000, None), (2_000, None), (2_000, 0.15)):
@@ -249,11 +251,11 @@ def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyP
         press.forget_paths()
         pressed(ball, sheet, depth_mm=0.2, cell_mm=asked_mm)
         finest.append((sizes[-1], widths[-1]))
-    (free, pitch), (kept, wider), (given, _) = finest
+    (free, pitch), (limited, wider), (given, _) = finest
     assert free > 2_000, "the limit bites"
-    assert 0.8 * 2_000 < kept <= 2_000
+    assert 0.8 * 2_000 < limited <= 2_000
     assert wider > pitch == pytest.approx(0.15)
-    assert given == free, "cells that are asked for are given"
+    assert given == free, "specified cells are used"
 
 
 @pytest.mark.parametrize(
@@ -263,7 +265,7 @@ def test_cells_are_wider_where_the_rim_adds_too_many(monkeypatch: pytest.MonkeyP
 def test_what_folds_on_cells_between_goes_on_from_the_coarse_ones(
     monkeypatch: pytest.MonkeyPatch, friction: str, pressure_kpa: float, converges: bool
 ) -> None:
-    """Only where it sticks, and no limit pressure is told by the failure."""
+    """Only if it sticks, and the failure reports no limit pressure."""
 
     def folded(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
         raise SolverError("sheet: no direction lowers its energy")

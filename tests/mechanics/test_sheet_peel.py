@@ -1,4 +1,4 @@
-"""Taking a tacky sheet off a plate: the force that it takes is the adhesion energy."""
+"""Peeling a tacky sheet off a plate: the required force is the adhesion energy."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ from twin.specimens.distance import plate
 
 THICKNESS_MM, ADHESION_J_M2, WIDTH_MM = 0.2, 0.2, 3000.0
 CELL_MM = 0.05
-# The arm hangs on a distributed load of nothing: a residual of 1e-3 kPa along it is 2 % of G.
+# The arm has no distributed load: a residual of 1e-3 kPa along it is 2 % of G.
 CLOSE = Accuracy(step_mm=1e-6, residual_kpa=1e-4)
 
 
@@ -49,18 +49,18 @@ def lifting_force(sheet: Sheet, state: SheetState, lift_mm: float) -> tuple[floa
     """Settle with the end at a height; return its force per width, N/m, and the new state."""
     control = state.control_mm.copy()
     control[:, 0, 2] = lift_mm
-    found = settle(sheet, replace(state, control_mm=control), CLOSE)
-    sheet.evaluate(found.control_mm, found, tangent=False)
+    result = settle(sheet, replace(state, control_mm=control), CLOSE)
+    sheet.evaluate(result.control_mm, result, tangent=False)
     held = np.zeros(control.shape[:2])
     held[~sheet.grid.free[..., 2]] = sheet.reactions()
-    return float(held[:, 0].sum()) / WIDTH_MM, found
+    return float(held[:, 0].sum()) / WIDTH_MM, result
 
 
 def upright_force(law: Laws) -> float:
     """Return the force per width F of a steady peel at right angles.
 
-    Lifting by one undeformed length of strip does the work F (s - cos 90 deg) and leaves w(s)
-    stored in the upright arm of stretch s: F s - w = G, with F = dw/ds and in plane strain
+    Lifting by one undeformed length of strip does the work F (s - cos 90 deg) and stores w(s)
+    in the upright arm of stretch s: F s - w = G, with F = dw/ds and in plane strain
     w = mu h / 2 (s^2 + s^-2 - 2).
     """
     stiff = law.shear_modulus_kpa * law.thickness_mm

@@ -1,4 +1,4 @@
-"""The sheet model as the experiment sees it: poses, loads, limits, what comes out."""
+"""The sheet model through the experiment's interface: poses, loads, limits, results."""
 
 import re
 from dataclasses import fields, replace
@@ -49,7 +49,7 @@ def test_a_stretched_sheet_lies_at_zero_and_is_touched_at_once() -> None:
 
 
 def test_where_it_wraps_the_lower_face_is_the_ball(wrapped: PressedElastomer) -> None:
-    """And the coat lies one local thickness above it."""
+    """And the coat is one local thickness above it."""
     x, y = np.meshgrid(wrapped.x_mm, wrapped.y_mm)
     near = np.hypot(x, y) < 1.2
     assert wrapped.contact[near].all()
@@ -62,7 +62,7 @@ def test_where_it_wraps_the_lower_face_is_the_ball(wrapped: PressedElastomer) ->
     sheet = wrapped.sheet
     assert sheet is not None
     np.testing.assert_allclose(over[middle], 4.0 + sheet.thickness_mm[middle], atol=4e-3)
-    # Incompressible: the thickness is what the stretches leave.
+    # Incompressible: the thickness is 1 over the product of the stretches.
     product = sheet.thickness_mm * sheet.stretch.prod(axis=-1)
     np.testing.assert_allclose(product, 0.3, rtol=2e-5)
 
@@ -74,7 +74,7 @@ def force_of_pressure_n(pressed: PressedElastomer) -> float:
 
 
 def test_the_pressure_on_the_touched_face_is_the_force(wrapped: PressedElastomer) -> None:
-    """And on the ball, whose weight the air and the tension press alike, it is even."""
+    """And on the ball it is even, because air and tension press uniformly on it."""
     assert force_of_pressure_n(wrapped) == pytest.approx(wrapped.force_n, rel=1e-3)
     x, y = np.meshgrid(wrapped.x_mm, wrapped.y_mm)
     inner = wrapped.pressure_kpa[np.hypot(x, y) < 1.0]
@@ -93,17 +93,19 @@ def test_pressure_along_an_edge_is_no_less_than_the_force() -> None:
 def test_a_centred_ball_gives_a_symmetric_sheet(wrapped: PressedElastomer) -> None:
     # Near the rim the face is steep, and the triangles between its samples are not symmetric.
     face = wrapped.face_z_mm[30:-30, 30:-30]
-    for other in (face[::-1], face[:, ::-1], face.T):
-        np.testing.assert_allclose(face, other, atol=5e-4)
+    for mirrored in (face[::-1], face[:, ::-1], face.T):
+        np.testing.assert_allclose(face, mirrored, atol=5e-4)
     sheet = wrapped.sheet
     assert sheet is not None
-    at_x, at_y = (one[30:-30, 30:-30] for one in (sheet.material_x_mm, sheet.material_y_mm))
+    at_x, at_y = (
+        positions[30:-30, 30:-30] for positions in (sheet.material_x_mm, sheet.material_y_mm)
+    )
     np.testing.assert_allclose(at_x, -at_x[:, ::-1], atol=1e-4)
     np.testing.assert_allclose(at_x, at_y.T, atol=1e-4)
 
 
 def test_a_turned_specimen_gives_the_turned_face() -> None:
-    """A bar off the middle; by 90 deg about z the place (x, y) goes to (-y, x)."""
+    """A bar off the middle; a turn by 90 deg about z moves the point (x, y) to (-y, x)."""
     size = {"width_mm": 2.0, "length_mm": 4.0, "edge_radius_mm": 0.3}
     straight, turned = (
         pressed(
@@ -127,9 +129,9 @@ def test_the_modulus_only_scales_the_force() -> None:
 def test_a_force_finds_its_travel() -> None:
     elastomer = build_sheet(**TINY)
     deep = pressed(MARBLE, elastomer, depth_mm=0.35)
-    found = pressed(MARBLE, elastomer, force_n=deep.force_n)
-    assert found.depth_mm == pytest.approx(0.35, rel=2e-3)
-    assert found.force_n == pytest.approx(deep.force_n, rel=1e-3)
+    result = pressed(MARBLE, elastomer, force_n=deep.force_n)
+    assert result.depth_mm == pytest.approx(0.35, rel=2e-3)
+    assert result.force_n == pytest.approx(deep.force_n, rel=1e-3)
 
 
 def test_a_clamp_holds_the_slope_at_the_rim() -> None:
@@ -137,27 +139,27 @@ def test_a_clamp_holds_the_slope_at_the_rim() -> None:
         pressed(MARBLE, build_sheet(**TINY), support, depth_mm=0.3)
         for support in ("clamped", "simple")
     )
-    rise = [one.face_z_mm[60, 1] - one.face_z_mm[60, 0] for one in (clamped, simple)]
+    rise = [press.face_z_mm[60, 1] - press.face_z_mm[60, 0] for press in (clamped, simple)]
     assert 0 < rise[0] < 0.5 * rise[1]
     assert clamped.force_n > simple.force_n
 
 
-def test_past_the_limit_pressure_the_one_that_holds_is_named() -> None:
+def test_above_the_limit_pressure_the_largest_stable_pressure_is_named() -> None:
     elastomer = build_sheet(young_modulus_kpa=30.0, **TINY)
-    with pytest.raises(PressError, match=r"^press\.back_pressure_kpa: the sheet holds ") as caught:
+    with pytest.raises(PressError, match=r"^press\.back_pressure_kpa: the sheet is ") as caught:
         pressed(MARBLE, elastomer, depth_mm=0.4, back_pressure_kpa=25.0)
     assert "\n" not in str(caught.value)
-    holds = float(re.findall(r"holds ([0-9.]+) kPa", str(caught.value))[0])
-    assert 0 < holds < 25
-    found = pressed(MARBLE, elastomer, depth_mm=0.4, back_pressure_kpa=holds)
-    assert found.face_z_mm.max() < 0.4
+    stable_kpa = float(re.findall(r"stable up to ([0-9.]+) kPa", str(caught.value))[0])
+    assert 0 < stable_kpa < 25
+    result = pressed(MARBLE, elastomer, depth_mm=0.4, back_pressure_kpa=stable_kpa)
+    assert result.face_z_mm.max() < 0.4
 
 
 @pytest.mark.parametrize(("holding_kpa", "named_kpa"), [(0.3, 0.25), (0.2, 0.1), (0.05, 0.0)])
-def test_low_pressures_are_tried_where_the_way_has_none(
+def test_low_pressures_are_tried_if_no_load_step_is_stable(
     monkeypatch: pytest.MonkeyPatch, holding_kpa: float, named_kpa: float
 ) -> None:
-    """Setup: a sheet that counts as too thin above a pressure below the way's first, 0.5 kPa."""
+    """Setup: a sheet that is too thin above a pressure below the first load step of 0.5 kPa."""
     load = Press(control="depth", depth_mm=0.4, back_pressure_kpa=2.0)
     path = press._path(MARBLE, build_sheet(), load, Mechanics(model="sheet"))
 
@@ -184,13 +186,13 @@ def test_tack_widens_the_contact() -> None:
         for keys in ({}, {"tack_j_m2": 0.2})
     )
 
-    def covered(one: PressedElastomer) -> float:
-        x, y = np.meshgrid(one.x_mm, one.y_mm)
-        centre = one.depth_mm - 0.15 - 2.0
-        return float(np.mean(np.sqrt(x**2 + y**2 + (one.touched_face_mm - centre) ** 2) < 2.02))
+    def covered(press: PressedElastomer) -> float:
+        x, y = np.meshgrid(press.x_mm, press.y_mm)
+        centre = press.depth_mm - 0.15 - 2.0
+        return float(np.mean(np.sqrt(x**2 + y**2 + (press.touched_face_mm - centre) ** 2) < 2.02))
 
     assert covered(tacky) > 1.3 * covered(dry)
-    # Its rim is pulled, and what sticks carries a share along the face.
+    # Its rim is pulled, and the part that sticks carries a share along the face.
     assert tacky.pressure_kpa.min() < 0
     assert force_of_pressure_n(tacky) == pytest.approx(tacky.force_n, rel=0.01)
 
@@ -198,13 +200,15 @@ def test_tack_widens_the_contact() -> None:
 @pytest.mark.parametrize("friction", ["none", "stick"])
 def test_the_same_press_gives_the_same_bytes(friction: str) -> None:
     elastomer = build_sheet(friction=friction, length_x_mm=6.0, length_y_mm=7.0)
-    one, two = (pressed(Ball(diameter_mm=4.0, x_mm=0.7), elastomer, depth_mm=0.4) for _ in range(2))
-    for name, value in arrays_of(one).items():
-        assert value.tobytes() == getattr(two, name).tobytes(), name
-    assert one.sheet is not None
-    for name, value in arrays_of(one.sheet).items():
-        assert value.tobytes() == getattr(two.sheet, name).tobytes(), name
-    assert one.force_n == two.force_n
+    first, second = (
+        pressed(Ball(diameter_mm=4.0, x_mm=0.7), elastomer, depth_mm=0.4) for _ in range(2)
+    )
+    for name, value in arrays_of(first).items():
+        assert value.tobytes() == getattr(second, name).tobytes(), name
+    assert first.sheet is not None
+    for name, value in arrays_of(first.sheet).items():
+        assert value.tobytes() == getattr(second.sheet, name).tobytes(), name
+    assert first.force_n == second.force_n
 
 
 def test_a_sheet_comes_back_whole(wrapped: PressedElastomer, tmp_path: Path) -> None:
@@ -213,19 +217,19 @@ def test_a_sheet_comes_back_whole(wrapped: PressedElastomer, tmp_path: Path) -> 
     assert (back.model, back.validity, back.force_n) == ("sheet", wrapped.validity, wrapped.force_n)
     assert wrapped.sheet is not None
     for name, value in (arrays_of(wrapped) | arrays_of(wrapped.sheet)).items():
-        found = getattr(back if hasattr(back, name) else back.sheet, name)
-        np.testing.assert_array_equal(found, value, strict=True)
+        result = getattr(back if hasattr(back, name) else back.sheet, name)
+        np.testing.assert_array_equal(result, value, strict=True)
 
 
 def test_texture_moves_with_the_sheet(wrapped: PressedElastomer) -> None:
-    """The coat's height at a node is that of the flat coat at the material which lies there."""
+    """The coat's height at a node is that of the flat coat at the material point there."""
     elastomer, load = build_sheet(**SMALL), Press(control="depth", depth_mm=0.8)
     texture = Texture(rms_um=10.0, correlation_mm=0.4)
     assert wrapped.sheet is not None
     X, Y = np.meshgrid(wrapped.face_x_mm, wrapped.face_y_mm)
     here = replace(wrapped.sheet, material_x_mm=X, material_y_mm=Y)
     flat = replace(wrapped, face_z_mm=np.zeros_like(X), sheet=here)
-    added = [textured(one, elastomer, load, texture, 7).texture_mm for one in (flat, wrapped)]
+    added = [textured(press, elastomer, load, texture, 7).texture_mm for press in (flat, wrapped)]
     places = np.stack((wrapped.sheet.material_y_mm, wrapped.sheet.material_x_mm), axis=-1)
     table = RegularGridInterpolator(
         (wrapped.face_y_mm, wrapped.face_x_mm), added[0], "cubic", bounds_error=False
@@ -275,14 +279,14 @@ def test_what_a_sheet_cannot_be_is_one_line(changes: dict, load: dict, message: 
     ],
 )
 def test_a_force_that_no_travel_gives_is_refused(force_n: float, message: str) -> None:
-    """The first was looked for in 40 steps; the second was to be lowered still more."""
+    """The first was searched for in 40 steps; the second was to be lowered still more."""
     with pytest.raises(PressError, match=rf"^press\.force_n: {message}") as caught:
         pressed(MARBLE, build_sheet(**TINY), force_n=force_n, back_pressure_kpa=1.0)
     assert "\n" not in str(caught.value)
 
 
 def test_progress_goes_on_from_the_first_load_step_to_the_last() -> None:
-    """Also while the travel for a force is looked for."""
+    """Also during the search of the travel for a force."""
     shares: list[float] = []
     press.press_sheet(
         MARBLE,
@@ -330,33 +334,33 @@ def test_solutions_have_the_same_bytes_with_any_number_of_threads(
     matrix = sparse.csr_matrix(sparse.triu(near @ near))
     matrix.sort_indices()
     right = np.random.default_rng(6).normal(size=matrix.shape[0])
-    found = set()
+    result = set()
     for count in (1, 2, 3):
         monkeypatch.setattr("twin.mechanics.sheet.linear_solver.threads", lambda n=count: n)
         solver = Pardiso(matrix.indptr, matrix.indices)
         assert solver.factorise(matrix.data.copy())
-        found.add(solver.solve(right).tobytes())
-    assert len(found) == 1
+        result.add(solver.solve(right).tobytes())
+    assert len(result) == 1
 
 
 @pytest.mark.skipif(len(SOLVERS) < 2, reason="one solver is installed")
 def test_the_press_does_not_depend_on_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = []
+    result = []
     for kind in SOLVERS:
         monkeypatch.setattr("twin.mechanics.sheet.energy.linear_solver", kind)
-        found.append(pressed(MARBLE, build_sheet(**TINY), depth_mm=0.4))
-    np.testing.assert_allclose(found[0].face_z_mm, found[1].face_z_mm, atol=1e-6)
+        result.append(pressed(MARBLE, build_sheet(**TINY), depth_mm=0.4))
+    np.testing.assert_allclose(result[0].face_z_mm, result[1].face_z_mm, atol=1e-6)
 
 
 def test_a_round_frame_is_as_wide_all_round() -> None:
-    found = pressed(Ball(), build_sheet(outline="round", **SMALL), depth_mm=0.4)
-    x, y = np.meshgrid(found.face_x_mm, found.face_y_mm)
+    result = pressed(Ball(), build_sheet(outline="round", **SMALL), depth_mm=0.4)
+    x, y = np.meshgrid(result.face_x_mm, result.face_y_mm)
     r = np.hypot(x, y)
     ring = (r > 3.975) & (r < 4.025)
-    # The slope there is about 0.1: heights differ by what the ring is wide.
-    expected = np.polynomial.Polynomial.fit(r[ring], found.face_z_mm[ring], 2)(r[ring])
-    assert np.abs(found.face_z_mm[ring] - expected).max() < 5e-4
-    assert (found.face_z_mm[r > 5.0] == 0).all()
+    # The slope there is about 0.1: heights differ by the width of the ring.
+    expected = np.polynomial.Polynomial.fit(r[ring], result.face_z_mm[ring], 2)(r[ring])
+    assert np.abs(result.face_z_mm[ring] - expected).max() < 5e-4
+    assert (result.face_z_mm[r > 5.0] == 0).all()
 
 
 def test_elastomers_round_or_stretched_are_checked() -> None:
@@ -366,10 +370,10 @@ def test_elastomers_round_or_stretched_are_checked() -> None:
 
 
 @pytest.mark.parametrize(("pitch_mm", "warned"), [(0.9, True), (1.1, False)])
-def test_ridges_finer_than_five_thicknesses_are_told(pitch_mm: float, warned: bool) -> None:
+def test_ridges_finer_than_five_thicknesses_are_reported(pitch_mm: float, warned: bool) -> None:
     grating = Grating(pitch_mm=pitch_mm, groove_mm=0.01, length_x_mm=3.0, length_y_mm=3.0)
     group = Group(parts={"ball": Ball(x_mm=5.0), "grating": grating})
     assert group.finest_pitch_mm == pitch_mm
     assert Ball().finest_pitch_mm is None
-    found = pressed(grating, build_sheet(thickness_mm=0.2, **TINY), depth_mm=0.1)
-    assert any("--transfer" in text for text in found.validity.warnings) is warned
+    result = pressed(grating, build_sheet(thickness_mm=0.2, **TINY), depth_mm=0.1)
+    assert any("--transfer" in text for text in result.validity.warnings) is warned

@@ -1,4 +1,4 @@
-"""A rim that gives: closed forms of a sheet that relaxes and of a strip that is blown up."""
+"""A compliant rim: closed forms of a sheet that relaxes and of a strip that is inflated."""
 
 from dataclasses import replace
 
@@ -34,8 +34,8 @@ def test_a_stretched_sheet_is_at_rest_on_its_springs() -> None:
     sheet = round_sheet(
         laws(0.3), NOTHING, line(4.0, 2.0, 0.5), pre_stretch=1.25, rim_compliance_mm2_per_n=20.0
     )
-    found = settle(sheet, mounted(sheet.grid), EXACT)
-    assert np.abs(found.control_mm - sheet.grid.mounted_mm).max() < 1e-5
+    result = settle(sheet, mounted(sheet.grid), EXACT)
+    assert np.abs(result.control_mm - sheet.grid.mounted_mm).max() < 1e-5
 
 
 def test_a_round_sheet_relaxes_until_its_springs_bear_its_tension() -> None:
@@ -44,8 +44,10 @@ def test_a_round_sheet_relaxes_until_its_springs_bear_its_tension() -> None:
     sheet = round_sheet(
         laws(h), NOTHING, line(4.0, 2.0, 0.5), pre_stretch=s, rim_compliance_mm2_per_n=c
     )
-    sheet.rim = tuple(replace(one, tension=np.zeros_like(one.tension)) for one in sheet.rim)
-    found = settle(sheet, mounted(sheet.grid), EXACT)
+    sheet.rim = tuple(
+        replace(spring, tension=np.zeros_like(spring.tension)) for spring in sheet.rim
+    )
+    result = settle(sheet, mounted(sheet.grid), EXACT)
 
     def left(stretch: float) -> float:
         pulls_n_mm = 1e-3 * MU_KPA * h * (1 - stretch**-6) * stretch / s
@@ -54,7 +56,7 @@ def test_a_round_sheet_relaxes_until_its_springs_bear_its_tension() -> None:
     expected = brentq(left, 1.0, s)
     inside = np.s_[2:-2, 2:-2]  # the disc's map is singular in the square's corners
     assert expected < 1.2
-    np.testing.assert_allclose(sample(sheet, found, 0.2).stretch[inside], expected, rtol=2e-5)
+    np.testing.assert_allclose(sample(sheet, result, 0.2).stretch[inside], expected, rtol=2e-5)
 
 
 def test_an_inflated_strip_pulls_its_rim_in() -> None:
@@ -78,15 +80,15 @@ def test_an_inflated_strip_pulls_its_rim_in() -> None:
     chord = b - drawn_in(angle)
     sheet = _strip_on_springs(h, c)
     start = mounted(sheet.grid)
-    found, _ = advance(sheet, start, start, Loads(0.0, pressure_kpa), EXACT)
-    place = sheet.grid.evaluate(found.control_mm, np.array([0.0, b]), np.zeros(1))[0][0]
+    result, _ = advance(sheet, start, start, Loads(0.0, pressure_kpa), EXACT)
+    place = sheet.grid.evaluate(result.control_mm, np.array([0.0, b]), np.zeros(1))[0][0]
     assert drawn_in(angle) > 0.1
     assert place[1, 0] == pytest.approx(chord, abs=2e-3)
     assert -place[0, 2] == pytest.approx(chord * np.tan(angle / 2), rel=1e-3)
 
 
 def _strip_on_springs(thickness_mm: float, compliance: float) -> Sheet:
-    """Return a strip along y, vastly long, on springs along its west and east edges alone."""
+    """Return a strip along y, vastly long, on springs only along its west and east edges."""
     frame = Frame(20.0, 3000.0, rim="simple", rim_compliance_mm2_per_n=compliance)
     grid = sheet_grid(frame, line(10.0, 8.0, 0.5), SplineLine(np.linspace(-1500.0, 1500.0, 4)))
     free = np.zeros_like(grid.free)

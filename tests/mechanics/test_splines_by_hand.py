@@ -15,12 +15,12 @@ def test_a_quadratic_spline_in_the_middle_of_a_cell():
     """1/8, 3/4, 1/8 of the functions 2, 3, 4; slopes -1/2, 0, 1/2; bends 1, -2, 1."""
     place = np.array([2.5])
     for derivative, known in enumerate(([0.125, 0.75, 0.125], [-0.5, 0.0, 0.5], [1.0, -2.0, 1.0])):
-        found = LINE.matrix(place, derivative)
-        np.testing.assert_allclose(found, [[0.0, 0.0, *known, 0.0, 0.0]], atol=1e-12)
+        result = LINE.matrix(place, derivative)
+        np.testing.assert_allclose(result, [[0.0, 0.0, *known, 0.0, 0.0]], atol=1e-12)
 
 
 def test_a_spline_at_its_ends_and_on_wider_cells():
-    """Open ends: the first function alone is 1 at 0. At the knot 1 of widths 1 and 2 the two that
+    """Open ends: only the first function is 1 at 0. At the knot 1 of widths 1 and 2 the two that
     meet have the shares 2/3 and 1/3 (knots 0 0 0 1 3 4: (3 - 1) / (3 - 0)).
     """
     np.testing.assert_allclose(GRADED.matrix(np.array([0.0, 4.0]))[:, [0, -1]], np.eye(2))
@@ -43,14 +43,14 @@ def test_two_gauss_points_a_cell_integrate_cubics():
 
 
 def test_a_spline_through_anothers_values():
-    """A straight line stays one, whatever the cells."""
-    found = LINE.interpolated_from(SplineLine(np.array([0.0, 2.0, 5.0])))
-    np.testing.assert_allclose(found @ [0.0, 1.0, 3.5, 5.0], LINE.greville, atol=1e-12)
+    """A straight line remains straight, on any cells."""
+    result = LINE.interpolated_from(SplineLine(np.array([0.0, 2.0, 5.0])))
+    np.testing.assert_allclose(result @ [0.0, 1.0, 3.5, 5.0], LINE.greville, atol=1e-12)
 
 
 def test_cells_are_parted_evenly():
-    found = subdivided(np.array([0.0, 1.0, 3.0]), np.array([2, 4]))
-    np.testing.assert_allclose(found, [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
+    result = subdivided(np.array([0.0, 1.0, 3.0]), np.array([2, 4]))
+    np.testing.assert_allclose(result, [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
 
 
 def test_cells_grow_by_a_fifth_of_the_distance():
@@ -59,9 +59,9 @@ def test_cells_grow_by_a_fifth_of_the_distance():
     Over 4.0 mm 10.99, so 11 a side; over 4.02 mm 11.01, so 12. Where rim and widest cell are as
     narrow as the middle, all are alike.
     """
-    for end_mm, beside in ((5.0, 11), (5.02, 12)):
+    for end_mm, per_side in ((5.0, 11), (5.02, 12)):
         line = graded_line((-end_mm, end_mm), (-1.0, 1.0), 0.1, 2.0, 2.0)
-        assert line.cells == 20 + 2 * beside
+        assert line.cells == 20 + 2 * per_side
         np.testing.assert_allclose(line.edges, -line.edges[::-1], atol=1e-12)
         assert (line.edges[0], line.edges[-1]) == pytest.approx((-end_mm, end_mm))
     even = graded_line((-2.0, 2.0), (-1.0, 1.0), 0.1, 0.1, 0.1)
@@ -88,7 +88,7 @@ def test_principal_stretches():
 
 
 def test_slopes_within_a_contact():
-    """0.1 mm up per 0.2 mm: 26.565 degrees; beside the outline, where a height field ends, 90."""
+    """0.1 mm up per 0.2 mm: 26.565 degrees; outside the outline, where a height field ends, 90."""
     height = 0.1 * np.arange(6.0) * np.ones((4, 1))
     contact = np.zeros((4, 6), bool)
     contact[1:3, 2:4] = True
@@ -107,13 +107,13 @@ def sheet(thickness_mm, bend_1_mm, **more):
 
 def test_the_validity_of_a_sheet():
     """0.2 mm bent to 4 mm: 0.05 of its radius; 1 mm travel is 5 thicknesses, a quarter of R."""
-    found = sheet(0.2, 0.25)
-    assert found.depth_over_thickness == pytest.approx(5.0)
-    assert found.depth_over_radius == pytest.approx(0.25)
-    assert found.deflection_over_thickness == pytest.approx(2.5)
-    assert found.height_error_mm == sheet_height_error_mm(0.2, 0.25)
+    result = sheet(0.2, 0.25)
+    assert result.depth_over_thickness == pytest.approx(5.0)
+    assert result.depth_over_radius == pytest.approx(0.25)
+    assert result.deflection_over_thickness == pytest.approx(2.5)
+    assert result.height_error_mm == sheet_height_error_mm(0.2, 0.25)
     assert sheet_height_error_mm(0.4, 0.25) == pytest.approx(4 * sheet_height_error_mm(0.2, 0.25))
-    assert found.warnings == ()
+    assert result.warnings == ()
     thick = sheet(0.6, 0.5).warnings
     assert len(thick) == 1
     assert thick[0].startswith("the sheet is 0.30 of its radius of bending thick")

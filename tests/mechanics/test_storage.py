@@ -1,4 +1,4 @@
-"""What is written comes back, and what is not ours is refused in one line."""
+"""A written press is read back unchanged, and foreign files are rejected in one line."""
 
 import resource
 import signal
@@ -31,12 +31,12 @@ def test_a_press_comes_back_whole(reference_press: PressedElastomer, tmp_path: P
     write_press(tmp_path / "press.nc", warned)
     back = read_press(tmp_path / "press.nc")
     for field in fields(PressedElastomer):
-        stored, found = getattr(warned, field.name), getattr(back, field.name)
-        assert type(found) is type(stored)
+        stored, result = getattr(warned, field.name), getattr(back, field.name)
+        assert type(result) is type(stored)
         if isinstance(stored, np.ndarray):
-            np.testing.assert_array_equal(found, stored, strict=True)
+            np.testing.assert_array_equal(result, stored, strict=True)
         else:
-            assert found == stored
+            assert result == stored
     assert [path.name for path in tmp_path.iterdir()] == ["press.nc"]
 
 
@@ -64,8 +64,8 @@ def test_a_file_without_coordinates_is_still_read(
     axes = {"x": "x_mm", "y": "y_mm", "face_x": "face_x_mm", "face_y": "face_y_mm"}
     now = press_arrays(reference_press)
     before = {axes[name]: values for name, values in now.coords.items()}
-    told = {**now.attrs, "schema": "fringe-twin press 2"}
-    write_arrays(path, LabelledArrays({**now.variables, **before}, attrs=told))
+    attributes = {**now.attrs, "schema": "fringe-twin press 2"}
+    write_arrays(path, LabelledArrays({**now.variables, **before}, attrs=attributes))
     back = read_press(path)
     np.testing.assert_array_equal(back.face_x_mm, reference_press.face_x_mm)
     np.testing.assert_array_equal(back.face_z_mm, reference_press.face_z_mm)
@@ -135,7 +135,7 @@ def test_truncated_and_other_netcdf_files_are_refused(
 def test_a_full_disk_is_an_ordinary_error_and_leaves_nothing(
     reference_press: PressedElastomer, tmp_path: Path
 ) -> None:
-    """No file may be longer than 4 kB: HDF5 is not told, and the first failure is raised."""
+    """No file may be longer than 4 kB: HDF5 gets no failed write, and the failure is raised."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))

@@ -1,4 +1,4 @@
-"""The coat's texture: covariance exactly, statistics over seeds, and where it lies on the sheet."""
+"""The coat's texture: covariance exactly, statistics over seeds, and its position on the sheet."""
 
 from dataclasses import fields, replace
 from math import exp
@@ -72,7 +72,7 @@ def test_covariance_is_the_same_everywhere(spot):
 def test_statistics_over_seeds(of):
     """Mean over 60 coats within 4 standard errors, which come from the scatter of the coats.
 
-    Expected: RMS, skewness and kurtosis as asked for; the correlation 1/e at the length along both
+    Expected: RMS, skewness and kurtosis as specified; the correlation 1/e at the length along both
     axes; the mean size of a height that of its distribution.
     """
     coats = np.array([sampled(of, seed) for seed in range(60)]) / of.rms_um
@@ -82,8 +82,8 @@ def test_statistics_over_seeds(of):
         np.mean(coats[:, 4:] * coats[:, :-4], axis=(1, 2)),
     ]
     power = [np.mean(coats**n, axis=(1, axis)) for n in (1, 2, 3, 4)]
-    wanted = [0.0, 1.0, of.skewness, 3 + of.excess_kurtosis, exp(-1), exp(-1)]
-    for figure, expected in zip([*power, *at_length], wanted, strict=True):
+    expected_figures = [0.0, 1.0, of.skewness, 3 + of.excess_kurtosis, exp(-1), exp(-1)]
+    for figure, expected in zip([*power, *at_length], expected_figures, strict=True):
         error = figure.std() / np.sqrt(figure.size)
         assert abs(figure.mean() - expected) < 4 * error
         assert error < 0.04 * max(1.0, abs(expected))
@@ -140,7 +140,7 @@ def test_heights_count_along_the_normal(slab):
 
 
 def test_a_grain_moves_with_its_material(slab):
-    """What was at X before the press is at X + u after it: there the height is that of X."""
+    """A material point at X before the press is at X + u after it: its height is that of X."""
     from scipy.interpolate import RegularGridInterpolator
 
     load = LOAD.model_copy(update={"relief_pitch_mm": 0.025, "depth_mm": 0.9})
@@ -156,20 +156,20 @@ def test_a_grain_moves_with_its_material(slab):
         now = X + np.column_stack((u_y(now), u_x(now)))
     slope = np.gradient(smooth.face_z_mm, *nodes)
     height = coated.texture_mm / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
-    found = RegularGridInterpolator(nodes, height, method="cubic")
+    result = RegularGridInterpolator(nodes, height, method="cubic")
     before = texture_field(NORMAL, 1, (-5, 5, -5, 5)).height_mm(X[:, 1], X[:, 0])
     assert np.abs(now - X).max() > 0.05
-    np.testing.assert_allclose(found(now), before, atol=1e-4)
-    assert np.std(found(X) - before) > 2e-3
+    np.testing.assert_allclose(result(now), before, atol=1e-4)
+    assert np.std(result(X) - before) > 2e-3
 
 
 def test_figures_tell_rms_and_correlation_length(slab):
     """8 x 8 mm hold some 300 patches: RMS and length come back to 5 and 10 %."""
     smooth = press(Ball(), slab(), LOAD)
     assert texture_figures(smooth) == {}
-    found = press_metrics(textured(smooth, slab(), LOAD, TAILED, seed=1))
-    assert found["texture_rms_um"] == pytest.approx(12, rel=0.05)
-    assert found["texture_correlation_mm"] == pytest.approx(0.2, rel=0.1)
+    result = press_metrics(textured(smooth, slab(), LOAD, TAILED, seed=1))
+    assert result["texture_rms_um"] == pytest.approx(12, rel=0.05)
+    assert result["texture_correlation_mm"] == pytest.approx(0.2, rel=0.1)
 
 
 def test_it_is_stored_and_read_back(slab, tmp_path):
@@ -196,46 +196,46 @@ def test_a_smooth_coat_keeps_its_bytes_and_digest():
     plain = press_with(
         experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press
     )
-    seen = press_specimen(experiment)
-    assert seen.face_z_mm.tobytes() == plain.face_z_mm.tobytes()
-    assert "texture_rms_um" not in press_metrics(seen)
+    pressed = press_specimen(experiment)
+    assert pressed.face_z_mm.tobytes() == plain.face_z_mm.tobytes()
+    assert "texture_rms_um" not in press_metrics(pressed)
 
 
 @pytest.mark.parametrize("model", ["spectral", "neo_hookean", "fem"])
 def test_every_model_gets_it_from_the_experiments_seed(model, monkeypatch):
-    """What a model pressed stands in for the slow ones: one place lays the texture on them all."""
+    """A quick press replaces the slow models: one function adds the texture for all of them."""
     experiment = load_experiment(
         "examples/slab_balls", SMALL | {"coating.texture": NORMAL.model_dump()}
     )
     smooth = replace(press_smooth(experiment), model=model)
     monkeypatch.setattr("twin.pipeline.press.press_with", lambda *_: smooth)
-    one, again, other = (
+    first, again, second_seed = (
         press_specimen(vary(experiment, {"seed": seed})).face_z_mm for seed in (1, 1, 2)
     )
-    assert one.tobytes() == again.tobytes()
-    assert 0.8 * 12e-3 * np.sqrt(2) < np.std(one - other) < 1.2 * 12e-3 * np.sqrt(2)
+    assert first.tobytes() == again.tobytes()
+    assert 0.8 * 12e-3 * np.sqrt(2) < np.std(first - second_seed) < 1.2 * 12e-3 * np.sqrt(2)
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"skewness": 1.0, "excess_kurtosis": 1.0}, "excess_kurtosis: found 1, allowed at least"),
         ({"correlation_mm": 0.08}, "press.relief_pitch_mm: found 0.05, allowed up to 0.04"),
         ({"rms_um": 0.0}, "coating.texture.rms_um: found 0.0, should be greater than 0"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(changes, told):
+def test_what_cannot_be_is_refused_in_one_line(changes, message):
     with pytest.raises(ConfigError) as caught:
         load_experiment(
             "examples/slab_balls", SMALL | {"coating.texture": NORMAL.model_dump() | changes}
         )
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(("rms_um", "shades"), [(12.0, False), (90.0, True)])
 def test_a_gentle_texture_is_proven_not_to_shade_itself(slab, rms_um, shades):
-    """Slopes of 12 um over 0.2 mm stay below a tenth; of 90 um they reach the light's climb."""
+    """Slopes of 12 um over 0.2 mm are below 0.1; of 90 um they reach the light's elevation."""
     of = NORMAL.model_copy(update={"rms_um": rms_um})
     coated = textured(press(Ball(), slab(), LOAD), slab(), LOAD, of, seed=1)
     source_mm = np.array([200.0, 0.0, 230.0])

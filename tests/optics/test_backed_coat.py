@@ -1,4 +1,4 @@
-"""What shines through a thin coat: limits of the closed form, and a contact in a rendered image."""
+"""Objects behind a translucent coat: limits of the closed form, and a contact in an image."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def ink(albedo, transmittance):
 @pytest.mark.parametrize("albedo", [0.1, 0.5, 0.8])
 @pytest.mark.parametrize("passed", [0.05, 0.1, 0.2])
 def test_light_to_and_fro_is_summed_up(albedo, passed):
-    """Expected: R + T r T + T r R r T + ..., 200 passes; below what R and T leave; 1e-12."""
+    """Expected: R + T r T + T r R r T + ..., 200 passes; at most R + T; 1e-12."""
     passes = sum(passed**2 * WHITE * (albedo * WHITE) ** k for k in range(200))
     touched = ink(albedo, passed).albedo_over(WHITE)
     assert touched == pytest.approx(albedo + passes, rel=1e-12)
@@ -54,7 +54,7 @@ def test_metals_and_glass_reflect_by_fresnel():
     assert glass.normal_reflectance == pytest.approx(2 * 0.04 / 1.04)
 
 
-def test_a_contact_shines_brighter_by_what_the_object_throws_back(mi):
+def test_a_contact_is_brighter_by_the_reflectance_of_the_object(mi):
     """Setup: a pressed ball in the light of the lamps, with an opaque coat and a thin one.
 
     Expected: radiance in the ratio of the albedos within the contact, the same beyond it; to 1e-5
@@ -85,7 +85,7 @@ def test_a_contact_shines_brighter_by_what_the_object_throws_back(mi):
     assert ink_albedo(opaque, pressed) is None
 
 
-def test_a_specimen_of_another_material_shines_by_its_own():
+def test_a_specimen_of_another_material_has_its_own_reflectance():
     dark = load_experiment(
         "examples/gelsight_ball", {"specimen.material": {"kind": "diffuse", "albedo": 0.0}}
     )

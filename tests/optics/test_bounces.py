@@ -14,7 +14,7 @@ RUNS = 12
 
 @pytest.fixture(scope="module")
 def corner(grid_face):
-    """Return a floor with a wall of 6 mm: light goes to and fro in the corner."""
+    """Return a floor with a wall of 6 mm: light is reflected repeatedly in the corner."""
     floor = grid_face(lambda x, _: 0.0 * x, lambda x, _: (0.0 * x, 0.0 * x), pitch_mm=1.0)
     wall = trimesh.creation.box(extents=[1.0, 20.0, 6.0])
     wall.apply_translation([-3.0, 0.0, 3.0])
@@ -82,7 +82,7 @@ def test_bounces_equal_the_stock_path_tracer(mi, experiment, corner, most):
     assert (ours.mean() - direct.mean()) > 0.02 * direct.mean()  # there is light to compare
     both_errors = np.hypot(stats.sem(ours, axis=0), stats.sem(theirs, axis=0))
     # Our direct part has no jitter noise, but 16 x 16 points miss up to 1/32 of a pixel on edges,
-    # which 5 % of the pixels are: up to 1.6e-3 of the mean if all erred the same way.
+    # which 5 % of the pixels are: up to 1.6e-3 of the mean if all errors had the same sign.
     t = (ours.mean(axis=0) - theirs.mean(axis=0)) / np.hypot(both_errors, 1e-3 * theirs.mean())
     assert np.mean(np.abs(t) > stats.t.ppf(0.995, RUNS - 1)) < 0.025
     error = np.sqrt(np.sum(both_errors**2)) / both_errors.size
@@ -99,5 +99,5 @@ def test_a_plane_reflects_nothing_onto_itself(mi, experiment, plane):
     tables = light_tables(experiment.projector, patterns)
     direct = trace_stack(scene, rig, tables, 4)
     with_bounces = trace_stack(scene, rig, tables, 4, bounces=Bounces(4, paths=4, seed=1))
-    for one, other in zip(direct, with_bounces, strict=True):
-        np.testing.assert_array_equal(one, other)
+    for without, bounced in zip(direct, with_bounces, strict=True):
+        np.testing.assert_array_equal(without, bounced)

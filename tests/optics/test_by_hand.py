@@ -25,7 +25,7 @@ def known(value):
 
 @pytest.fixture(scope="module")
 def experiment():
-    """50 mm at 250 mm: the image lies 62.5 mm behind the lens, at a quarter of the size."""
+    """50 mm at 250 mm: the image is 62.5 mm behind the lens, with magnification 0.25."""
     return load_experiment(
         "examples/slab_balls",
         {
@@ -39,10 +39,10 @@ def experiment():
 
 def test_a_camera_focused_near(experiment):
     """Pixels of 10 um 62.5 mm behind the lens: 6250 px; 200 x 150 of them, centre (99.5, 74.5)."""
-    found = camera_pinhole(experiment.camera)
-    assert (found.width_px, found.height_px) == (200, 150)
-    assert (found.fx_px, found.fy_px) == pytest.approx((6250.0, 6250.0))
-    assert (found.cx_px, found.cy_px) == (99.5, 74.5)
+    pinhole = camera_pinhole(experiment.camera)
+    assert (pinhole.width_px, pinhole.height_px) == (200, 150)
+    assert (pinhole.fx_px, pinhole.fy_px) == pytest.approx((6250.0, 6250.0))
+    assert (pinhole.cx_px, pinhole.cy_px) == (99.5, 74.5)
 
 
 def test_a_pupil_and_its_focus(experiment):
@@ -68,14 +68,16 @@ def test_a_projectors_light(experiment):
     """
     shape = {"width_px": 160, "height_px": 100, "throw_ratio": 2.0, "flux_mw": 100.0}
     for offset_percent, row_px in ((100.0, 99.5), (50.0, 74.5), (0.0, 49.5)):
-        one = experiment.projector.model_copy(update=shape | {"offset_percent": offset_percent})
-        pinhole = projector_pinhole(one)
+        projector = experiment.projector.model_copy(
+            update=shape | {"offset_percent": offset_percent}
+        )
+        pinhole = projector_pinhole(projector)
         assert (pinhole.cx_px, pinhole.cy_px) == (79.5, row_px)
-        assert irradiance_at_1mm(one, pinhole) == pytest.approx(640.0)
+        assert irradiance_at_1mm(projector, pinhole) == pytest.approx(640.0)
 
 
 def test_light_of_8_bit_levels(experiment):
-    """Contrast 100: black 0.01, level 51 of 255 a fifth of the rest, 0.208, or squared 0.0496."""
+    """Contrast 100: black 0.01, level 51 of 255 is 0.2 of the rest, 0.208, or squared 0.0496."""
     projector = experiment.projector.model_copy(update={"contrast": 100.0})
     levels = np.array([0, 51, 255], np.uint8)
     np.testing.assert_allclose(response(levels, projector), [0.01, 0.208, 1.0])
@@ -89,25 +91,25 @@ def test_a_board_has_two_texels_a_pixel(experiment):
 
 
 def test_corners_of_a_plate():
-    """8 x 6 mm, moved by (1, 2, 3), turned a quarter: the lower left corner comes to the right."""
+    """8 x 6 mm, moved by (1, 2, 3), rotated by 90 degrees: the lower left corner is then right."""
     T = np.eye(4)
     T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     T[:3, 3] = 1.0, 2.0, 3.0
-    found = _corners_world_mm(SimpleNamespace(width_mm=8.0, height_mm=6.0), T)
-    assert found.tolist() == [[4, -2, 3], [4, 6, 3], [-2, 6, 3], [-2, -2, 3]]
+    corners = _corners_world_mm(SimpleNamespace(width_mm=8.0, height_mm=6.0), T)
+    assert corners.tolist() == [[4, -2, 3], [4, 6, 3], [-2, 6, 3], [-2, -2, 3]]
 
 
 def test_ink_on_white_print():
     """Half ink: the mean of 0.8 and 0.1; the plate holds whole texels."""
     plate = SimpleNamespace(width_mm=1.0, height_mm=0.5, white_albedo=0.8, ink_albedo=0.1)
     board = SimpleNamespace(ink=lambda x, y, _: 0.5 * (x > 0) + 0.5 * (y[:, None] > 0.1))
-    found = albedo_image(board, plate, 0.26)
-    assert found.shape == (2, 4)
-    np.testing.assert_allclose(found, [[0.45, 0.45, 0.1, 0.1], [0.8, 0.8, 0.45, 0.45]], rtol=1e-6)
+    albedo = albedo_image(board, plate, 0.26)
+    assert albedo.shape == (2, 4)
+    np.testing.assert_allclose(albedo, [[0.45, 0.45, 0.1, 0.1], [0.8, 0.8, 0.45, 0.45]], rtol=1e-6)
 
 
 def test_the_stage_lies_just_below_the_specimen():
-    """A gap of 20 um keeps the two surfaces apart."""
+    """A gap of 20 um separates the two surfaces."""
     stage, *parts = solids(load_experiment("paper/ball", {"modality": "direct_fpp"}))
     lowest = min(part.mesh.bounds[0, 2] for part in parts)
     np.testing.assert_allclose(stage.mesh.bounds[:, 2], lowest - 0.02)

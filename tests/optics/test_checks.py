@@ -1,4 +1,4 @@
-"""What is refused before anything is pressed or traced."""
+"""Errors before the press and the trace."""
 
 import pytest
 
@@ -10,14 +10,14 @@ from twin.pipeline import measure
 LARGE = {"camera.width_px": 16384, "camera.height_px": 16384}
 
 
-def test_a_stack_that_no_machine_holds_is_refused_before_the_press() -> None:
-    """16384 x 16384 pixels in 53 frames: 6 bytes x 14.2e9, and the process was killed."""
+def test_a_stack_beyond_memory_is_rejected_before_the_press() -> None:
+    """16384 x 16384 pixels in 53 frames: 6 bytes x 14.2e9, for which the process was killed."""
     with pytest.raises(
         InputError, match=r"found 2\.68e\+08 pixels in 53 frames, 85\.4 GB, "
-    ) as told:
+    ) as caught:
         measure(load_experiment("examples/slab_ball", LARGE))
-    assert str(told.value).startswith("camera.width_px, height_px, binning: ")
-    assert "\n" not in str(told.value)
+    assert str(caught.value).startswith("camera.width_px, height_px, binning: ")
+    assert "\n" not in str(caught.value)
 
 
 def test_binning_makes_it_smaller() -> None:

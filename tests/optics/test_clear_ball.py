@@ -1,8 +1,9 @@
-"""The stage as seen through a clear ball, against Snell and Fresnel alone.
+"""The image of the stage through a clear ball, against Snell and Fresnel only.
 
-A pinhole on the axis of a ball lights the stage behind it evenly round the axis: the light between
-two angles goes, refracted twice, to the ring between two radii. What a camera ray sees of it
-follows from the same two refractions. Mitsuba's sphere on its plane stage; z = 0 is the ball's top.
+A pinhole on the axis of a ball lights the stage behind it symmetrically about the axis: light
+between two angles is refracted twice and is incident on the ring between two radii. The radiance of
+a camera ray follows from the same two refractions. Mitsuba's sphere on its plane stage; z = 0 is
+the ball's top.
 """
 
 import numpy as np
@@ -15,7 +16,7 @@ from twin.config import load_experiment
 IOR, RADIUS_MM, LAMP_Z_MM = 1.5, HEIGHT_MM / 2, 60.0
 CENTRE_MM = np.array([0.0, 0.0, -RADIUS_MM])
 STAGE_Z_MM = -HEIGHT_MM - GAP_MM
-# What the photons' grid and the interpolation between its nodes blur by (twin.optics.photons).
+# Blur by the photons' grid and the interpolation between its nodes (twin.optics.photons).
 BLUR_MM = 0.06
 SUB_PIXELS = 6
 
@@ -53,7 +54,7 @@ def through_the_ball(start_mm, ray):
 
 
 def bare_irradiance(radius_mm):
-    """Return what an even field leaves on the bare stage: the cosines cancel."""
+    """Return the irradiance of a uniform field on the bare stage: the cosines cancel."""
     return np.full_like(radius_mm, 1.0 / (LAMP_Z_MM - STAGE_Z_MM) ** 2)
 
 
@@ -63,12 +64,12 @@ def stage_irradiance():
     angle = (np.arange(1_000_000) + 0.5) / 1e6 * edge
     ray = np.stack([np.sin(angle), 0.0 * angle, -np.cos(angle)], axis=-1)
     place, share, _ = through_the_ball(np.array([0.0, 0.0, LAMP_Z_MM]), ray)
-    # Even over the plane: its intensity grows as 1 / cos^3.
+    # Uniform over the plane: its intensity is proportional to 1 / cos^3.
     flux = np.cos(angle) ** -3 * share * np.sin(angle) * 2.0 * np.pi * (angle[1] - angle[0])
     rings = np.linspace(0.0, 8.0, 801)
-    found, _ = np.histogram(np.abs(place[:, 0]), rings, weights=flux)
+    flux_by_ring, _ = np.histogram(np.abs(place[:, 0]), rings, weights=flux)
     middle = (rings[1:] + rings[:-1]) / 2
-    density = found / (np.pi * (rings[1:] ** 2 - rings[:-1] ** 2))
+    density = flux_by_ring / (np.pi * (rings[1:] ** 2 - rings[:-1] ** 2))
     shadow_mm = (LAMP_Z_MM - STAGE_Z_MM) * np.tan(edge)
     density += np.where(middle > shadow_mm, bare_irradiance(middle), 0.0)
     axis = np.linspace(-6.0, 6.0, 1201)
@@ -76,7 +77,7 @@ def stage_irradiance():
     return gaussian_filter(plane, BLUR_MM / (axis[1] - axis[0])), axis
 
 
-def seen_through_the_ball(experiment):
+def image_through_the_ball(experiment):
     """Return the image over that of the bare stage, and the rays' distances from the middle, mm."""
     from scipy.interpolate import RegularGridInterpolator
 
@@ -97,29 +98,29 @@ def seen_through_the_ball(experiment):
         place, share, closest = through_the_ball(start, ray)
     irradiance, axis = stage_irradiance()
     at = RegularGridInterpolator((axis, axis), irradiance, bounds_error=False, fill_value=0.0)
-    seen = np.nan_to_num(share) * at(np.nan_to_num(place[..., 1::-1]))
+    through = np.nan_to_num(share) * at(np.nan_to_num(place[..., 1::-1]))
     shape = (lens.height_px, SUB_PIXELS, lens.width_px, SUB_PIXELS)
-    means = (one.reshape(shape).mean(axis=(1, 3)) for one in (seen, closest))
+    means = (grid.reshape(shape).mean(axis=(1, 3)) for grid in (through, closest))
     image, distance_mm = means
     return image / bare_irradiance(image), distance_mm
 
 
 @pytest.mark.parametrize("polar_deg", [5.0, 8.0])
-def test_the_stage_through_a_ball_is_what_snell_and_fresnel_say(mi, polar_deg):
+def test_the_stage_through_a_ball_follows_snell_and_fresnel(mi, polar_deg):
     """Setup: the camera looks through the ball's middle, into the caustic behind it.
 
     Expected: the mean over the rays within half the radius agrees to 2 %, medians of rings to
     4 %: photon noise, light reflected inside the ball and by the stage (1 % each), and the blur,
-    which at the caustic's edge is worth 10 % and is put into the reference.
+    which changes the caustic's edge by 10 % and is applied to the reference.
     """
     tilt = {"value": polar_deg, "source": "test", "range": [0.0, 20.0]}
     experiment = load_experiment("examples/slab_balls", NEAR | {"camera.pose.polar_deg": tilt})
     ours, bare = white_with_and_without(mi, experiment)
-    expected, distance_mm = seen_through_the_ball(experiment)
-    found = ours / bare
+    expected, distance_mm = image_through_the_ball(experiment)
+    ratio = ours / bare
     middle = distance_mm < RADIUS_MM / 2
     assert expected[middle].mean() > 5.0  # the caustic, not its shadow
-    assert found[middle].mean() == pytest.approx(expected[middle].mean(), rel=0.02)
+    assert ratio[middle].mean() == pytest.approx(expected[middle].mean(), rel=0.02)
     for low_mm in (0.0, 0.5, 1.0):
         ring = (distance_mm >= low_mm) & (distance_mm < low_mm + 0.5)
-        assert np.median(found[ring] / expected[ring]) == pytest.approx(1.0, abs=0.04)
+        assert np.median(ratio[ring] / expected[ring]) == pytest.approx(1.0, abs=0.04)

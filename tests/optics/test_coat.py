@@ -65,7 +65,7 @@ def square(side):
 
 
 def seen_at(mi, angles, points):
-    """Hits whose camera direction leans by each angle, `points` times."""
+    """Hits with the camera direction tilted by each angle, `points` times."""
     hit, angle = mi.SurfaceInteraction3f(), np.repeat(angles, points)
     hit.wi = mi.Vector3f(np.sin(angle), 0.0 * angle, np.cos(angle))
     return hit
@@ -98,7 +98,7 @@ def fresnel(cos_angle, ior):
 
 
 def saunderson(albedo, ior, angles):
-    """Light that enters a smooth binder, and leaves it after any number of turns at the pigment.
+    """Reflectance of pigment under a smooth binder, with all internal reflections.
 
     Saunderson (1942): (1 - F(angle)) (1 - F_in) albedo / (1 - albedo F_in), where the diffuse
     internal reflectance follows from the external one by 1 - F_in = (1 - F_out) / ior^2.
@@ -114,7 +114,7 @@ def test_the_coat_reflects_no_more_than_it_receives(mi, coated, binder):
     """White furnace over the whole range; 2e-3 is the noise of 9216 samples of the lobe's choice.
 
     Expected besides: a matte coat without flakes reflects its albedo at every angle, and one under
-    a binder less than with a perfectly smooth one would leave it, plus what Fresnel reflects.
+    a binder less than Saunderson's value for a smooth binder plus the Fresnel reflectance.
     """
     corners = product([0.05, 0.5, 0.9], [0.0, 0.5], [0.02, 0.3], [0.05, 1.0])
     for albedo, flakes, roughness, flake_roughness in corners:
@@ -128,7 +128,7 @@ def test_the_coat_reflects_no_more_than_it_receives(mi, coated, binder):
             np.testing.assert_allclose(reflectance, albedo, rtol=1e-5)
 
 
-def test_what_a_rough_binder_loses_is_as_documented(mi, coated):
+def test_the_loss_of_a_rough_binder_is_as_documented(mi, coated):
     """White furnace on a white pigment, index 1.5, at `ANGLES`: the table of docs/coatings.md.
 
     0.9 %: rounding to whole per cents, and the noise of 9216 samples of the lobe's choice.
@@ -151,12 +151,12 @@ def test_a_smooth_binder_darkens_the_pigment_by_saundersons_law(mi, coated, albe
     """
     angles = ANGLES[:3]
     expected = saunderson(albedo, binder, angles)
-    found = [
+    reflectance = [
         diffuse_reflectance(mi, bsdf_of(mi, coated(albedo, 0.0, binder, roughness)), angles)
         for roughness in (0.02, 0.1, 0.3)
     ]
-    np.testing.assert_allclose(found[0], expected, rtol=0.025)
-    assert np.all(np.array(found) <= 1.005 * expected)
+    np.testing.assert_allclose(reflectance[0], expected, rtol=0.025)
+    assert np.all(np.array(reflectance) <= 1.005 * expected)
 
 
 @pytest.mark.parametrize("binder", [MATTE, *BINDERS])
@@ -198,8 +198,8 @@ def test_a_sweep_on_one_scene_equals_fresh_scenes(mi, experiment, coated, bump):
         swept = trace.light(changed, geometry, view, traced, lambda _: None)
         scene, rig = coated_scene(changed, bump), coated_rig(changed, bump)
         fresh = trace_stack(scene, rig, tables, experiment.render.samples)
-        for one, other in zip(swept.frames, fresh, strict=True):
-            assert one.tobytes() == other.tobytes()
+        for frame, expected in zip(swept.frames, fresh, strict=True):
+            assert frame.tobytes() == expected.tobytes()
     truth = trace_truth(scene, rig)
     assert view.truth.points_world_mm.tobytes() == truth.points_world_mm.tobytes()
     assert view.truth.lit.tobytes() == truth.lit.tobytes()
@@ -207,10 +207,10 @@ def test_a_sweep_on_one_scene_equals_fresh_scenes(mi, experiment, coated, bump):
 
 @pytest.mark.parametrize("binder", [MATTE, 1.4])
 def test_another_coating_needs_neither_geometry_nor_kernel(mi, experiment, coated, bump, binder):
-    """Four coatings load nothing anew and do not have four kernels.
+    """Four coatings cause no new scene and no four kernels.
 
     Two kernels are allowed: a kernel calls every BSDF that is alive, and those of other tests may
-    go midway. Coatings compiled in as literals would give four.
+    be deleted meanwhile. Coatings compiled in as literals would give four.
     """
     import drjit as dr
 
@@ -218,7 +218,7 @@ def test_another_coating_needs_neither_geometry_nor_kernel(mi, experiment, coate
     from twin.optics.scene import rig_of
 
     tables = tables_of(experiment)
-    gc.collect()  # a scene of another test that dies meanwhile would change the kernels
+    gc.collect()  # deleting a scene of another test meanwhile would change the kernels
     scene = coated_scene(
         experiment.model_copy(update={"coating": coated(0.3, binder=binder)}), bump
     )
@@ -227,7 +227,7 @@ def test_another_coating_needs_neither_geometry_nor_kernel(mi, experiment, coate
     for albedo, flakes in ((0.3, 0.15), (0.05, 0.0), (0.7, 0.5), (0.9, 0.1)):
         coating = coated(albedo, flakes, binder, flake_roughness=0.1 + flakes)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(mi, "load_dict", None)  # nothing can be loaded
+            patch.setattr(mi, "load_dict", None)  # loading raises an error
             scene.set_coating(coating)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
@@ -256,7 +256,7 @@ def test_export_writes_the_same_coat(mi, experiment, coated, plane, tmp_path):
 
 
 def test_a_binder_in_a_gel_is_at_least_as_dense(mi, experiment, coated):
-    """In a gel of index 1.4 a binder of 1.4 has no face, one of 1.3 is refused, matte stays."""
+    """In a gel of index 1.4: binder 1.4 has no interface, 1.3 is rejected, matte is unchanged."""
     from twin.config.layers import Layer
     from twin.optics.scene import coating_in_layer
 

@@ -60,23 +60,23 @@ def frames_of(experiment, face, coating):
     from twin.optics.one_trace import trace_stack
     from twin.optics.scene import coated_rig
 
-    seen = experiment.model_copy(update={"coating": coating})
-    tables = light_tables(seen.projector, pattern_set(seen.projector, seen.patterns))
-    return np.stack(trace_stack(coated_scene(seen, face), coated_rig(seen, face), tables, 4))
+    coated = experiment.model_copy(update={"coating": coating})
+    tables = light_tables(coated.projector, pattern_set(coated.projector, coated.patterns))
+    return np.stack(trace_stack(coated_scene(coated, face), coated_rig(coated, face), tables, 4))
 
 
 def write_table(path, **fields):
     """Write arrays as the RGL material database does."""
     kinds = {np.dtype("u1"): 1, np.dtype("f4"): 10}
-    start = 18 + sum(13 + len(name) + 8 * one.ndim for name, one in fields.items())
+    start = 18 + sum(13 + len(name) + 8 * array.ndim for name, array in fields.items())
     head = b"tensor_file\0" + bytes([1, 0]) + struct.pack("<I", len(fields))
     body = b""
-    for name, one in fields.items():
+    for name, array in fields.items():
         body += bytes(-(start + len(body)) % 8)
         head += struct.pack("<H", len(name)) + name.encode()
-        head += struct.pack("<HBQ", one.ndim, kinds[one.dtype], start + len(body))
-        head += struct.pack(f"<{one.ndim}Q", *one.shape)
-        body += one.tobytes()
+        head += struct.pack("<HBQ", array.ndim, kinds[array.dtype], start + len(body))
+        head += struct.pack(f"<{array.ndim}Q", *array.shape)
+        body += array.tobytes()
     path.write_bytes(head + body)
     return path
 
@@ -88,8 +88,8 @@ def matte_table(path):
     azimuth, polar = np.meshgrid((2 * u - 1) * np.pi, u**2 * np.pi / 2, indexing="ij")
     half = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth)])
     half = np.concatenate([half, np.cos(polar)[None]])
-    seen = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=-1)
-    cosine = 2 * np.tensordot(seen, half, 1) * half[2] - seen[:, 2, None, None]
+    outgoing = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=-1)
+    cosine = 2 * np.tensordot(outgoing, half, 1) * half[2] - outgoing[:, 2, None, None]
     scale = np.array([1.0, 3.0])[None, None, :, None, None]
     reflected = ALBEDO / np.pi * np.clip(cosine, 0, None)[None, :, None] * scale
     even = np.ones((1, ANGLES, RADII, RADII))
@@ -103,9 +103,9 @@ def matte_table(path):
 
 
 def table_fields(theta, phi, wavelengths, spectra, lobe):
-    found = {"theta_i": theta, "phi_i": phi, "wavelengths": wavelengths, "spectra": spectra}
-    found |= {"vndf": lobe, "luminance": lobe}
-    fields = {name: np.asarray(one, "f4") for name, one in found.items()}
+    arrays = {"theta_i": theta, "phi_i": phi, "wavelengths": wavelengths, "spectra": spectra}
+    arrays |= {"vndf": lobe, "luminance": lobe}
+    fields = {name: np.asarray(array, "f4") for name, array in arrays.items()}
     return {"description": np.frombuffer(b"test", "u1"), **fields}
 
 
@@ -130,11 +130,11 @@ def test_a_matte_coat_equals_ink_without_flakes(mi, experiment, bump):
     """Reflectance albedo cos / pi in closed form, and every frame as rendered; 1e-6."""
     matte, pairs = Matte(base_albedo=ALBEDO), directions(500)
     for coating in (matte, flakeless()):
-        found = values(mi, mi.load_dict(coating.bsdf()), pairs)
-        np.testing.assert_allclose(found, ALBEDO / np.pi * pairs[1, 2], rtol=1e-6)
+        evaluated = values(mi, mi.load_dict(coating.bsdf()), pairs)
+        np.testing.assert_allclose(evaluated, ALBEDO / np.pi * pairs[1, 2], rtol=1e-6)
         assert coating.is_matte
-    own, other = (frames_of(experiment, bump, one) for one in (matte, flakeless()))
-    np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-6 * other.max())
+    own, ink_frames = (frames_of(experiment, bump, kind) for kind in (matte, flakeless()))
+    np.testing.assert_allclose(own, ink_frames, rtol=1e-6, atol=1e-6 * ink_frames.max())
 
 
 def test_coats_of_several_kinds_in_turn_equal_fresh_scenes(mi, experiment, bump):
@@ -187,7 +187,7 @@ def test_a_measured_matte_table_is_matte(mi, tmp_path, experiment, bump):
     reflectance = np.array(weight[0]).reshape(4, -1).mean(axis=1)
     np.testing.assert_allclose(reflectance, 2 * ALBEDO, rtol=0.01)
     own, matte = (
-        frames_of(experiment, bump, one) for one in (table, Matte(base_albedo=2 * ALBEDO))
+        frames_of(experiment, bump, kind) for kind in (table, Matte(base_albedo=2 * ALBEDO))
     )
     np.testing.assert_allclose(own, matte, atol=0.01 * matte.max())
 
@@ -198,11 +198,11 @@ def test_another_wavelength_or_file_is_another_bsdf(mi, tmp_path, experiment, bu
     file = str(matte_table(tmp_path / "matte.bsdf"))
     scene = CoatedScene(bump, Measured(file=file, wavelength_nm=500.0).bsdf())
     (face,) = scene.shapes()
-    pairs, found = directions(50), []
+    pairs, evaluated = directions(50), []
     for wavelength_nm in (500.0, 600.0):
         scene.set_coating(Measured(file=file, wavelength_nm=wavelength_nm))
-        found.append(values(mi, face.bsdf(), pairs))
-    np.testing.assert_allclose(found[1], 3 * found[0], rtol=1e-5)
+        evaluated.append(values(mi, face.bsdf(), pairs))
+    np.testing.assert_allclose(evaluated[1], 3 * evaluated[0], rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -233,8 +233,8 @@ def test_a_measured_table_is_not_exported(mi, tmp_path, experiment, bump):
         export_stock(experiment.model_copy(update={"coating": table}), bump, tmp_path)
 
 
-def test_every_kind_says_what_it_is():
-    """Its numbers have descriptions, and what it names of itself is there."""
+def test_every_kind_is_documented():
+    """Its numbers have descriptions, and the numbers that its class variables name exist."""
     for kinds in (COATINGS, MATERIALS):
         for name, kind in kinds.items():
             assert kind.__doc__, name

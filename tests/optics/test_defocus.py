@@ -1,4 +1,4 @@
-"""Projector blur that grows with the distance from the focal plane."""
+"""Projector blur that increases with the distance from the focal plane."""
 
 import numpy as np
 import pytest
@@ -73,15 +73,15 @@ def test_light_between_two_blur_levels_is_the_light_of_that_blur(mi, experiment,
     rng = np.random.default_rng(4)
     column_px = rng.uniform(-3.0, 323.0, 400)
     axial_mm = rng.uniform(NEAR_MM, FAR_MM, 400)
-    found = found_at(mi, tables, column_px, axial_mm)
+    interpolated = found_at(mi, tables, column_px, axial_mm)
     light = response(column_levels(patterns, tables["column"]), experiment.projector)
     variance_px2 = Defocus.of(experiment.projector).variance_px2(axial_mm)
     wanted = [
         blurred(light, np.array([x]), sigma)[0]
         for x, sigma in zip(column_px, np.sqrt(variance_px2), strict=True)
     ]
-    np.testing.assert_allclose(found, wanted, atol=1e-3)
-    assert np.ptp(variance_px2) > 2.0  # the test sees strong defocus
+    np.testing.assert_allclose(interpolated, wanted, atol=1e-3)
+    assert np.ptp(variance_px2) > 2.0  # the test includes strong defocus
 
 
 def test_the_levels_hold_every_blur_of_the_range(experiment):
@@ -97,10 +97,10 @@ def test_the_levels_hold_every_blur_of_the_range(experiment):
 def test_defocus_is_the_light_of_all_pupil_points(mi, experiment, patterns):
     """Brute force: many pinholes over the pupil, their images made to coincide in the focal plane.
 
-    Expected: fringes differ by what the transfer functions 2 J1(x) / x and exp(-x^2 / 8) of disc
+    Expected: fringes differ as the transfer functions 2 J1(x) / x and exp(-x^2 / 8) of disc
     and Gaussian differ, x^4 / 384 with x = pi c / period; Gray edges by less than 3 % of white at a
     circle of 6 px: total kurtosis -0.67 / 24 times max |u^3 - 3 u| phi(u) = 0.55 gives 1.5 %, and a
-    stripe has two edges. Leaving the defocus out would err by more than 10 %.
+    stripe has two edges. Without defocus the error would exceed 10 %.
     """
     projector, pinhole = experiment.projector, projector_pinhole(experiment.projector)
     tables = light_tables(projector, patterns, (NEAR_MM, FAR_MM))
@@ -182,7 +182,7 @@ def test_stock_engine_and_export_say_that_they_cannot(plane):
 
 
 def test_nodes_are_finer_than_the_least_blur():
-    """Blur below 0.1 px is taken as 0.1 px: two nodes per standard deviation need 1/16 px."""
+    """Blur below 0.1 px is set to 0.1 px: two nodes per standard deviation need 1/16 px."""
     from twin.optics.light import LEAST_VARIANCE_PX2
 
     assert np.sqrt(LEAST_VARIANCE_PX2) > 1.0 / OVERSAMPLING

@@ -44,7 +44,7 @@ def test_ray_and_projection_are_inverse(mi, device):
 
 @pytest.mark.parametrize("k1", [-0.25, -0.1, 0.1, 0.2])
 def test_every_ray_of_a_wide_lens_meets_its_pixel(mi, k1):
-    """Setup: image to 0.72 of the focal length, 0.94 of what k1 = -0.25 can show.
+    """Setup: image to 0.72 of the focal length, 0.94 of the largest image with k1 = -0.25.
 
     Expected: the ray, distorted in double precision, is back on its pixel within 1e-4 px.
     """
@@ -59,7 +59,7 @@ def test_every_ray_of_a_wide_lens_meets_its_pixel(mi, k1):
 
 
 FOLDING = (-0.5, 0.1, 0.0, 0.0, 0.0)
-"""r (1 - 0.5 r^2 + 0.1 r^4) grows to 0.6 at r = 1, falls, and grows again from r = 1.41 on."""
+"""r (1 - 0.5 r^2 + 0.1 r^4) increases to 0.6 at r = 1, decreases, and increases from r = 1.41."""
 
 
 def test_pixels_beyond_the_fold_have_no_ray(mi):
@@ -73,7 +73,7 @@ def test_pixels_beyond_the_fold_have_no_ray(mi):
     assert np.isfinite(np.array(ray.d)).all()
 
 
-def test_what_lies_beyond_the_fold_is_on_no_image(mi):
+def test_points_beyond_the_fold_are_on_no_image(mi):
     """Setup: directions up to r = 2; those from 1 on would fold back onto the image."""
     from twin.optics.devices import Device
 
@@ -90,7 +90,7 @@ def test_what_lies_beyond_the_fold_is_on_no_image(mi):
 def test_beyond_the_fold_there_is_no_light(mi, plane, device):
     """Setup: devices so near and wide that their lens r (1 - 0.5 r^2) folds on the coat.
 
-    Expected: pixels that see beyond the fold of either lens are dark, all others lit.
+    Expected: pixels beyond the fold of either lens are dark, all others lit.
     """
     from dataclasses import replace
 

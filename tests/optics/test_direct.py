@@ -1,4 +1,4 @@
-"""The bare specimen on its stage: metal balls against stock Mitsuba, and what may be asked for."""
+"""The bare specimen on its stage: metal balls against stock Mitsuba, and invalid requests."""
 
 import numpy as np
 import pytest
@@ -29,8 +29,8 @@ def direct(roughness=0.4, **settings):
 def test_metal_balls_on_a_stage_equal_the_stock_path_tracer(mi, roughness):
     """Setup: two joined steel balls on a matte stage, one phase frame, 8 runs of each renderer.
 
-    `rough` metal is connected to the projector, light off `polished` metal comes by photons. Stock
-    counts every reflection: enough of them are allowed there, and the stage's albedo is 0.35.
+    `rough` metal is connected to the projector, light off `polished` metal is traced as photons.
+    Stock counts every reflection: its limit is high enough, and the stage's albedo is 0.35.
     Expected: Welch's t per pixel exceeds its 1 % quantile on 1 % of the pixels, the means agree
     within 4 standard errors and 0.2 %.
     """
@@ -88,7 +88,7 @@ def test_bright_end_is_stable_between_seeds(mi):
     assert first == pytest.approx(second, rel=0.1)
 
 
-def test_truth_tells_specimen_from_stage(mi):
+def test_truth_distinguishes_specimen_and_stage(mi):
     from twin.optics.direct import AIR_GAP_MM
     from twin.pipeline import render_bare
 
@@ -105,8 +105,8 @@ def test_same_seed_same_bytes(mi):
 
     experiment = direct(0.1, **{"render.photons": 50_000})
     first, second = (render_bare(experiment).frames for _ in range(2))
-    for one, other in zip(first, second, strict=True):
-        np.testing.assert_array_equal(one, other)
+    for frame, repeated in zip(first, second, strict=True):
+        np.testing.assert_array_equal(frame, repeated)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_same_seed_same_bytes(mi):
         ("paper/brick", {"projector.aperture_mm": 4.0}, "projector.aperture_mm: found 4"),
     ],
 )
-def test_what_cannot_be_seen_is_refused(mi, name, settings, message):
+def test_unsupported_specimens_are_rejected(mi, name, settings, message):
     from twin.pipeline import render_bare
 
     with pytest.raises(InputError, match=message):

@@ -1,4 +1,4 @@
-"""An exported scene, loaded by stock Mitsuba from its files, renders what the twin renders."""
+"""An exported scene, loaded by stock Mitsuba from its files, renders the twin's images."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_exported_scene_renders_the_same_frame(mi, plane, tmp_path, emitter):
     assert stock[bright].mean() == pytest.approx(ours[bright].mean(), rel=1e-3)
 
 
-def test_what_stock_cannot_express_is_named():
+def test_gaps_of_the_export_are_listed():
     distorted = load_experiment(
         "examples/slab_balls", {"camera.distortion": [-0.1, 0.0, 0.0, 0.0, 0.0]}
     )
@@ -65,7 +65,7 @@ def test_exported_specimen_renders_as_ours(mi, tmp_path):
 
 @pytest.mark.parametrize(("kind", "warned"), [("diffuse", False), ("dielectric", True)])
 def test_only_clear_and_polished_bodies_are_warned_of(kind, warned):
-    """A matte body throws no light that a stock integrator would miss."""
+    """Stock integrators render all light from a matte body."""
     material = {
         "diffuse": {"kind": "diffuse", "albedo": 0.5},
         "dielectric": {"kind": "dielectric", "ior": 1.5},

@@ -1,4 +1,4 @@
-"""Rays over heights: every answer against all facets in double precision, and Mitsuba's tree."""
+"""Rays over heights: every hit against all facets in double precision, and Mitsuba's tree."""
 
 from dataclasses import replace
 
@@ -32,12 +32,12 @@ def plane(x, y):
 
 RELIEFS = {"spike": spike, "terraces": terraces, "rough": rough, "plane": plane}
 LEAST_SHARE = {"spike": 0.5, "terraces": 0.4, "rough": 0.3, "plane": 0.999}
-"""Of the rays, that are decided at once: those beside steep places are walked."""
+"""Least share of rays with a certain Newton hit; rays near steep facets are marched."""
 
 
 @pytest.fixture(scope="module", params=RELIEFS)
 def sheet(mi, request, grid_face):
-    """Return a face, its heights and the scene of it alone."""
+    """Return a face, its heights and a scene of this face only."""
     from twin.optics.heights import MarchedHeights
     from twin.optics.scene import CoatedScene
 
@@ -48,25 +48,29 @@ def sheet(mi, request, grid_face):
     return request.param, face, MarchedHeights.of_grid(height_grid(face)), scene
 
 
-def way_to_facets_mm(face, start_mm, direction):
-    """Way to the nearest facet of all, infinite where there is none: Moller and Trumbore 1997."""
+def distance_to_facets_mm(face, start_mm, direction):
+    """Distance to the nearest of all facets, infinite without a hit: Moller and Trumbore 1997."""
     corners = face.vertices.astype(np.float32).astype(np.float64)[face.faces]
-    first, one, other = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    found = np.full(len(start_mm), np.inf)
+    first, u_side, v_side = (
+        corners[:, 0],
+        corners[:, 1] - corners[:, 0],
+        corners[:, 2] - corners[:, 0],
+    )
+    nearest_mm = np.full(len(start_mm), np.inf)
     for k, (start, way) in enumerate(zip(start_mm, direction, strict=True)):
-        across, offset = np.cross(way, other), start - first
-        volume = np.sum(one * across, axis=-1)
+        across, offset = np.cross(way, v_side), start - first
+        volume = np.sum(u_side * across, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             u = np.sum(offset * across, axis=-1) / volume
-            beside = np.cross(offset, one)
-            v, t = beside @ way / volume, np.sum(other * beside, axis=-1) / volume
+            offset_cross_u = np.cross(offset, u_side)
+            v, t = offset_cross_u @ way / volume, np.sum(v_side * offset_cross_u, axis=-1) / volume
             inside = (np.minimum(u, v) >= -1e-9) & (u + v <= 1.0 + 1e-9) & (t > 1e-4)
-        found[k] = t[inside].min(initial=np.inf)
-    return found
+        nearest_mm[k] = t[inside].min(initial=np.inf)
+    return nearest_mm
 
 
 def rays_from_above():
-    """Rays (ray, xyz) towards places on the sheet and beside it, from 10 mm above, most oblique."""
+    """Rays (ray, xyz) towards points on and outside the sheet, from 10 mm above, most oblique."""
     rng = np.random.default_rng(1)
     direction = rng.normal(size=(RAYS, 3))
     direction[:, 2] = -0.3 - 2.0 * np.abs(direction[:, 2])
@@ -79,31 +83,31 @@ def rays_from_above():
 def test_the_first_hit_is_that_of_all_facets(mi, sheet):
     """Rays at 1 to 82 degrees off the vertical, some past the border.
 
-    Expected: what a search of all facets in double precision finds, to float32's resolution of the
-    way; what is met at once is nothing else.
+    Expected: the nearest of all facets in double precision, to float32's resolution of the
+    distance; certain Newton hits agree with it.
     """
     name, face, heights, scene = sheet
     start, direction = rays_from_above()
-    expected = way_to_facets_mm(face, start, direction)
+    expected = distance_to_facets_mm(face, start, direction)
     ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(direction.T))
-    seen = np.isfinite(expected)
-    assert 0.5 * RAYS < seen.sum() < 0.95 * RAYS
+    has_hit = np.isfinite(expected)
+    assert 0.5 * RAYS < has_hit.sum() < 0.95 * RAYS
     hit = heights.first_hit(scene.shape, ray)
-    np.testing.assert_array_equal(hit.is_valid().numpy(), seen)
-    np.testing.assert_allclose(hit.t.numpy()[seen], expected[seen], atol=3e-5)
-    point = hit.compute_surface_interaction(ray).p.numpy().T[seen]
-    np.testing.assert_allclose(point, (start + expected[:, None] * direction)[seen], atol=3e-5)
-    met, at_once = heights.met_at_once(ray)
+    np.testing.assert_array_equal(hit.is_valid().numpy(), has_hit)
+    np.testing.assert_allclose(hit.t.numpy()[has_hit], expected[has_hit], atol=3e-5)
+    point = hit.compute_surface_interaction(ray).p.numpy().T[has_hit]
+    np.testing.assert_allclose(point, (start + expected[:, None] * direction)[has_hit], atol=3e-5)
+    met, at_once = heights.newton_hit(ray)
     sure = at_once.numpy()
-    assert not (sure & ~seen).any()
+    assert not (sure & ~has_hit).any()
     np.testing.assert_allclose(met.t.numpy()[sure], expected[sure], atol=3e-5)
-    assert sure.sum() > LEAST_SHARE[name] * seen.sum()
+    assert sure.sum() > LEAST_SHARE[name] * has_hit.sum()
 
 
-def test_a_free_way_meets_no_facet(mi, sheet):
+def test_a_free_ray_meets_no_facet(mi, sheet):
     """From points of the sheet, upward at 1 to 82 degrees off the vertical.
 
-    Expected: no way that is called free meets a facet.
+    Expected: no ray that `is_free` returns intersects a facet.
     """
     name, face, heights, scene = sheet
     start, direction = rays_from_above()
@@ -113,7 +117,7 @@ def test_a_free_way_meets_no_facet(mi, sheet):
     up = direction[::-1] * [1.0, 1.0, -1.0]
     free = heights.is_free(hit.p, mi.Vector3f(up.T), valid).numpy()
     start = hit.p.numpy().T.astype(np.float64) + 1e-5 * np.array([0.0, 0.0, 1.0])
-    assert np.isinf(way_to_facets_mm(face, start[free], up[free])).all()
+    assert np.isinf(distance_to_facets_mm(face, start[free], up[free])).all()
     assert free.sum() > LEAST_SHARE[name] * valid.numpy().sum()
 
 
@@ -128,27 +132,27 @@ def rays_from_anywhere():
 
 
 def test_rays_from_anywhere_meet_the_sheet_where_its_facets_are(mi, sheet):
-    """From above, below and beside it, along its axes and nearly level; none is decided at once.
+    """From above, below and the sides, along its axes and nearly horizontal; all are marched.
 
-    Expected: what a search of all facets finds. Along the plane and within rounding of an edge of
-    the border either answer is right: rays that end within 1e-3 mm of it are left out.
+    Expected: the nearest of all facets. Along the plane and within rounding of an edge of the
+    border both results are correct: rays that end within 1e-3 mm of it are left out.
     """
     _, face, heights, scene = sheet
     start, direction = rays_from_anywhere()
-    expected = way_to_facets_mm(face, start, direction)
+    expected = distance_to_facets_mm(face, start, direction)
     place = start + np.where(np.isfinite(expected), expected, 0.0)[:, None] * direction
     clear = np.abs(np.abs(place[:, :2]) - HALF_MM).min(axis=1) > 1e-3
     ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(direction.T))
-    assert not heights.met_at_once(ray)[1].numpy()[expected == np.inf].any()
+    assert not heights.newton_hit(ray)[1].numpy()[expected == np.inf].any()
     hit, crossed = heights.first_hit(scene.shape, ray), heights.is_crossed(ray, mi.Bool(True))
-    seen = np.isfinite(expected)
-    assert seen.sum() > 0.1 * RAYS
-    np.testing.assert_array_equal(hit.is_valid().numpy()[clear], seen[clear])
-    np.testing.assert_array_equal(crossed.numpy()[clear], seen[clear])
-    both = seen & clear
+    has_hit = np.isfinite(expected)
+    assert has_hit.sum() > 0.1 * RAYS
+    np.testing.assert_array_equal(hit.is_valid().numpy()[clear], has_hit[clear])
+    np.testing.assert_array_equal(crossed.numpy()[clear], has_hit[clear])
+    both = has_hit & clear
     np.testing.assert_allclose(hit.t.numpy()[both], expected[both], rtol=1e-4, atol=1e-4)
     tree = scene.ray_test(ray).numpy()
-    assert (tree != seen)[clear].sum() <= 1
+    assert (tree != has_hit)[clear].sum() <= 1
 
 
 def test_a_ray_that_ends_before_the_sheet_meets_nothing(mi, sheet):
@@ -165,7 +169,7 @@ def test_a_ray_that_ends_before_the_sheet_meets_nothing(mi, sheet):
 
 
 def test_an_uneven_grid_has_no_heights(mi, plane):
-    """Lines half a cell off, on a grid all the same: the tree is used."""
+    """Grid lines with an offset of half a cell: the tree is used."""
     from twin.optics.heights import MarchedHeights
 
     moved = plane.copy()
@@ -197,7 +201,7 @@ def experiment():
 def test_traced_by_heights_as_by_the_tree(mi, experiment, grid_face, name):
     """A spike of 75 degrees and walls that cast shadows on the sheet, with the paper's rig.
 
-    Expected: where light arrives, and how much, is the same; positions agree to 1e-3 px of the
+    Expected: the lit pixels and their radiance are the same; positions agree to 1e-3 px of the
     projector. A ray in a million slips between two facets of the tree.
     """
     from twin.optics.one_trace import maps_of, trace_patches
@@ -213,8 +217,8 @@ def test_traced_by_heights_as_by_the_tree(mi, experiment, grid_face, name):
     assert rig.shadows
     assert rig.heights is not None
     marched, traced, unshaded = (
-        maps_of(trace_patches(scene, one, 4).evaluate(), rig.camera.pinhole)
-        for one in (rig, replace(rig, heights=None), replace(rig, shadows=False))
+        maps_of(trace_patches(scene, variant, 4).evaluate(), rig.camera.pinhole)
+        for variant in (rig, replace(rig, heights=None), replace(rig, shadows=False))
     )
     assert (unshaded.weight > 1.1 * traced.weight).sum() > 50
     np.testing.assert_array_equal(marched.lit, traced.lit)

@@ -1,4 +1,4 @@
-"""Lamps beside the gel: closed forms of their light, and where it comes from in the image."""
+"""Lamps at the sides of the gel: closed forms of their light, and its direction in the image."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def look(mi):
     gel = LayerStack((Medium(GEL_MM, N_GEL, ABSORPTION),))
 
     def render(face, *lamps, layers=gel, outer=OUTER, samples=1, **rest):
-        rows = {str(number): one for number, one in enumerate(lamps)}
+        rows = {str(number): lamp_ for number, lamp_ in enumerate(lamps)}
         emitters = emitters_of(rows, face=None if layers is None else outer)
         camera = Device(PINHOLE, T_WORLD_FROM_CAM)
         rig = LampRig(camera, emitters, layers, **rest)
@@ -54,7 +54,7 @@ def look(mi):
 
 
 def seen_share(points_mm):
-    """Radiance in air over that in the gel, and the way in the gel: Fresnel, Snell, Beer."""
+    """Ratio of radiance in air and in the gel, and path length in the gel: Fresnel, Snell, Beer."""
     row, col = np.mgrid[:48, :64]
     tangent = np.hypot((col - 31.5) / 100, (row - 23.5) / 100)
     outside = np.arctan(tangent)
@@ -82,7 +82,7 @@ def test_flat_coat_under_one_led_is_lambert_in_closed_form(look, plane):
     Expected: L = rho / pi I0 cos^m cos(incidence) exp(-a r) / r^2 T exp(-a s) / n^2 with
     I0 = (m + 1) flux / 2 pi, and as much from its image, by Fresnel; float32 rays: 2e-4.
     """
-    found, points = look(plane, lamp(exponent=3.0))
+    rendered, points = look(plane, lamp(exponent=3.0))
 
     def irradiance(height_mm, down_deg):
         way = np.array([14.0, 2.0, height_mm]) - points
@@ -95,11 +95,11 @@ def test_flat_coat_under_one_led_is_lambert_in_closed_form(look, plane):
     both = straight + image * fresnel_within(cosine)
     assert image[24, 0] * fresnel_within(cosine)[24, 0] > 0.1 * straight[24, 0]
     expected = ALBEDO / np.pi * both * seen_share(points)
-    np.testing.assert_allclose(found[..., 0], expected, rtol=2e-4)
-    assert found[..., 1:].max() == 0.0
+    np.testing.assert_allclose(rendered[..., 0], expected, rtol=2e-4)
+    assert rendered[..., 1:].max() == 0.0
 
 
-def test_bump_in_air_is_what_stock_mitsuba_renders(mi, look, bump):
+def test_bump_in_air_equals_stock_mitsuba(mi, look, bump):
     """Setup: no gel, one even LED; stock `point` emitter of the same intensity, 256 paths a pixel.
 
     Expected: the same image. The bump is steeper than the light, so shadows are in it; pixels on
@@ -109,38 +109,40 @@ def test_bump_in_air_is_what_stock_mitsuba_renders(mi, look, bump):
     from twin.optics.rig import perspective_sensor
 
     led = lamp(height_mm=3.0)
-    found = look(bump, led, layers=None, samples=64)[0][..., 0]
+    image = look(bump, led, layers=None, samples=64)[0][..., 0]
     light = {"type": "point", "position": [14.0, 2.0, 3.0]}
     light["intensity"] = {"type": "spectrum", "value": led.flux_mw / (2 * np.pi)}
     scene = {"type": "scene", "coated_face": coated_mesh(bump, MATTE), "light": light}
     scene["sensor"] = perspective_sensor(PINHOLE, T_WORLD_FROM_CAM, 256)
     scene["integrator"] = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
     stock = np.asarray(mi.render(mi.load_dict(scene, optimize=False)))[..., 0]
-    differs = np.abs(found - stock) > 0.02 * stock + 1e-7
+    differs = np.abs(image - stock) > 0.02 * stock + 1e-7
     assert differs.mean() <= 0.01
-    assert found.sum() == pytest.approx(stock.sum(), rel=2e-3)
+    assert image.sum() == pytest.approx(stock.sum(), rel=2e-3)
     assert (stock < 1e-7).any()
 
 
-def test_marched_rays_show_what_the_tree_shows(look, bump):
+def test_marched_rays_equal_the_tree(look, bump):
     """Setup: a bump steeper than the light, in the gel, by its heights and by the scene's tree.
 
     Expected: the same light and shadow but for rounding: 1e-4 of the brightest, on all pixels but
-    those whose ray to the light grazes the relief.
+    those with a ray to the light that grazes the relief.
     """
     from twin.optics.scene import heights_of
 
     leds = lamp(height_mm=3.0), lamp(channel="blue", x_mm=-3.0, y_mm=11.0, aim_azimuth_deg=-90.0)
     heights = heights_of(bump)
-    (marched, points), (plain, at) = (look(bump, *leds, heights=one) for one in (heights, None))
+    (marched, points), (plain, at) = (
+        look(bump, *leds, heights=source) for source in (heights, None)
+    )
     differs = np.abs(marched - plain) > 1e-4 * plain.max()
     assert (plain[..., 0] < 1e-3 * plain[..., 0].max()).mean() > 0.01  # in the shadow of the bump
     assert differs.any(axis=-1).mean() <= 1e-3
     np.testing.assert_allclose(points, at, atol=3e-5)
 
 
-def test_a_face_put_into_a_scene_is_seen_by_its_own_heights(mi, grid_face):
-    """Expected: pixel by pixel what a scene that was loaded with the face shows."""
+def test_a_replaced_face_is_traced_by_its_own_heights(mi, grid_face):
+    """Expected: the image of a scene that was loaded with the face, pixel by pixel."""
     from twin.optics.colour_trace import ColourScene
 
     plane, bump = (
@@ -155,9 +157,9 @@ def test_a_face_put_into_a_scene_is_seen_by_its_own_heights(mi, grid_face):
     reloaded, fresh = ColourScene(experiment, plane), ColourScene(experiment, bump)
     before = reloaded.render(PINHOLE, T_WORLD_FROM_CAM)
     reloaded.put(bump)
-    found = reloaded.render(PINHOLE, T_WORLD_FROM_CAM)
-    np.testing.assert_array_equal(found, fresh.render(PINHOLE, T_WORLD_FROM_CAM))
-    assert np.abs(found - before).max() > 0.03 * found.max()
+    image = reloaded.render(PINHOLE, T_WORLD_FROM_CAM)
+    np.testing.assert_array_equal(image, fresh.render(PINHOLE, T_WORLD_FROM_CAM))
+    assert np.abs(image - before).max() > 0.03 * image.max()
 
 
 def test_light_falls_with_the_square_of_the_distance():
@@ -168,8 +170,8 @@ def test_light_falls_with_the_square_of_the_distance():
     facing = np.array([[0.0, 0.0, 1.0]])
     for distance_mm in (1.0, 2.0, 8.0):
         led = lamp(x_mm=0.0, y_mm=0.0, height_mm=distance_mm, aim_down_deg=90.0)
-        found = emitters_of({"one": led}).irradiance(np.zeros((1, 3)), facing)
-        assert found[0, 0] == pytest.approx(2.0 / (2 * np.pi) / distance_mm**2)
+        irradiance = emitters_of({"one": led}).irradiance(np.zeros((1, 3)), facing)
+        assert irradiance[0, 0] == pytest.approx(2.0 / (2 * np.pi) / distance_mm**2)
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 17.5])
@@ -189,7 +191,7 @@ def test_the_lobe_carries_the_stated_flux(exponent):
     assert np.sum(light * ring) == pytest.approx(2.0, rel=1e-4)
 
 
-def test_the_outer_face_reflects_as_stock_mitsuba_says(mi):
+def test_the_outer_face_reflects_as_in_stock_mitsuba(mi):
     """Expected: `mi.fresnel` from inside, float32; 1 beyond the critical angle."""
     cosines = np.linspace(0.02, 1.0, 50)
     stock = np.array(mi.fresnel(mi.Float(cosines), 1.0 / N_GEL)[0])
@@ -197,7 +199,7 @@ def test_the_outer_face_reflects_as_stock_mitsuba_says(mi):
     assert (reflected_within(np.cos(np.deg2rad([45.5, 60.0, 89.0])), N_GEL) == 1.0).all()
 
 
-def test_what_an_led_sends_up_lands_on_the_coat_by_its_reflectance():
+def test_upward_light_of_an_led_is_reflected_onto_the_coat():
     """Setup: an even LED aimed straight up, 4 mm above the coat, below the outer face at 12 mm.
 
     Expected: all light on the coat's plane is flux times the mean of Fresnel's reflectance over the
@@ -209,11 +211,11 @@ def test_what_an_led_sends_up_lands_on_the_coat_by_its_reflectance():
     radius = (edges[1:] + edges[:-1]) / 2
     points = np.column_stack([14.0 + radius, np.full_like(radius, 2.0), 0 * radius])
     light = emitters.irradiance(points, np.broadcast_to([0.0, 0, 1], points.shape))[:, 0]
-    found = np.sum(light * np.pi * np.diff(edges**2))
+    flux = np.sum(light * np.pi * np.diff(edges**2))
     cosines = (np.arange(4000) + 0.5) / 4000
     share = fresnel_within(cosines).mean()
     assert 0.7 < share < 0.8
-    assert found == pytest.approx(2.0 * share, rel=3e-3)
+    assert flux == pytest.approx(2.0 * share, rel=3e-3)
 
 
 @pytest.mark.parametrize(
@@ -226,18 +228,18 @@ def test_what_an_led_sends_up_lands_on_the_coat_by_its_reflectance():
     ],
 )
 def test_light_comes_back_from_where_the_layers_that_touch_end(layers, face):
-    """Expected: the top of what touches the coat's layer; None where the coat lies in air."""
-    found = {
+    """Expected: the top of the layers in contact with the coat's; None if the coat is in air."""
+    outer = {
         name: Layer(bottom_mm=low, thickness_mm=thick, ior=ior)
         for name, (low, thick, ior) in layers.items()
     }
-    assert outer_face(found) == face
+    assert outer_face(outer) == face
 
 
-def test_a_matte_coat_is_what_its_bsdf_says(look, bump):
+def test_a_matte_coat_equals_its_bsdf(look, bump):
     """Setup: a bump with its BSDF read once, and for every LED. Expected: the same, to float32."""
-    one, every = (look(bump, lamp(exponent=3.0), matte=matte)[0] for matte in (True, False))
-    np.testing.assert_allclose(one, every, rtol=1e-5, atol=1e-9)
+    once, every = (look(bump, lamp(exponent=3.0), matte=matte)[0] for matte in (True, False))
+    np.testing.assert_allclose(once, every, rtol=1e-5, atol=1e-9)
 
 
 def test_a_row_spreads_evenly_along_its_direction():
@@ -248,7 +250,7 @@ def test_a_row_spreads_evenly_along_its_direction():
 
 
 def test_channels_are_linear_and_do_not_mix(look, bump):
-    """Setup: red alone, green alone at twice the flux, both.
+    """Setup: only red, only green with a factor of two in flux, both.
 
     Expected: both = red + green, to float32: light is linear.
     """
@@ -261,18 +263,18 @@ def test_channels_are_linear_and_do_not_mix(look, bump):
 
 
 def test_fill_comes_from_beyond_the_critical_angle(look, bump):
-    """Setup: fill next to nothing of direct light, on a bump with 25 degree flanks, in the gel.
+    """Setup: fill with negligible direct light, on a bump with 25 degree flanks, in the gel.
 
-    Expected: on its way out rho / pi E ((1 + n_z) / 2 - n_z / n^2) / (1 - 1 / n^2), within 2e-3
-    (facets are shaded smoothly): hardly less than on the untouched coat.
+    Expected: in the gel rho / pi E ((1 + n_z) / 2 - n_z / n^2) / (1 - 1 / n^2), within 2e-3
+    (facets are shaded smoothly): nearly the value on the undeformed coat.
     """
-    found, points = look(bump, lamp(flux_mw=1e-6, fill_mw_per_mm2=0.3))
+    image, points = look(bump, lamp(flux_mw=1e-6, fill_mw_per_mm2=0.3))
     x, y = points[..., 0], points[..., 1]
     slope = points[..., 2] * np.hypot(x, y) / 2
     n_z = 1 / np.sqrt(1 + slope**2)
     sky = ((1 + n_z) / 2 - n_z / N_GEL**2) / (1 - 1 / N_GEL**2)
     expected = ALBEDO / np.pi * 0.3 * sky * seen_share(points)
-    np.testing.assert_allclose(found[..., 0], expected, rtol=2e-3)
+    np.testing.assert_allclose(image[..., 0], expected, rtol=2e-3)
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 15.0, 30.0, 44.0])
@@ -307,7 +309,7 @@ def test_a_tapered_row_is_darker_at_its_ends():
 
 
 def test_a_tall_row_shines_from_all_heights_in_every_stretch():
-    """Expected: eight even heights over 4 mm, amid 5 mm; each half of the row has both halves."""
+    """Expected: eight even heights over 4 mm about 5 mm; low and high LEDs in both halves."""
     places = emitters_of(
         {"one": lamp(height_mm=5.0, tall_mm=4.0, length_mm=8.0, emitters=8)}
     ).positions_mm
@@ -328,20 +330,20 @@ def test_a_ridge_casts_a_shadow_as_long_as_rays_are_straight(look, grid_face):
         return 0.5 * np.exp(-(x**2) / 0.02)
 
     face = grid_face(height, lambda x, y: (-x / 0.01 * height(x, y), 0 * y))
-    found, points = look(face, lamp(y_mm=0.0, height_mm=2.6), outer=None)
-    middle, x = found[24, :, 0], points[24, :, 0]
+    image, points = look(face, lamp(y_mm=0.0, height_mm=2.6), outer=None)
+    middle, x = image[24, :, 0], points[24, :, 0]
     assert middle[(x > -2.9) & (x < -0.6)].max() == 0.0
     assert middle[x < -3.7].min() > 0.0
     assert middle[x > 0.6].min() > 0.0
 
 
 def test_dots_darken_the_coat_where_they_are_printed(look, plane):
-    """Setup: dots of a tenth of the coat's albedo. Expected: so dark inside, unchanged outside."""
+    """Setup: dots with 0.1 x the coat's albedo. Expected: this factor inside, 1 outside."""
     dots = Markers(pitch_x_mm=4.0, pitch_y_mm=3.0, radius_mm=1.2, relative_albedo=0.1)
-    (found, points), bare = look(plane, lamp(), markers=dots), look(plane, lamp())[0]
+    (image, points), bare = look(plane, lamp(), markers=dots), look(plane, lamp())[0]
     x, y = (points[..., i] - p * np.round(points[..., i] / p) for i, p in ((0, 4.0), (1, 3.0)))
     r = np.hypot(x, y)
-    ratio = found[..., 0] / bare[..., 0]
+    ratio = image[..., 0] / bare[..., 0]
     np.testing.assert_allclose(ratio[r < 1.19], 0.1, rtol=1e-4)
     np.testing.assert_allclose(ratio[r > 1.21], 1.0, rtol=1e-4)
 
@@ -366,14 +368,20 @@ def test_shipped_lamps_stand_on_their_sides(look, bump):
     assert image[bottom, 2].mean() > 1.5 * image[top, 2].mean()
 
 
-def test_emitters_know_half_spaces():
-    """Nothing behind an LED, nothing on the side of a facet that faces away."""
-    one = Emitters(np.array([[0.0, 0, 2]]), np.array([[1.0, 0, 0]]), np.ones(1), np.ones((1, 3)),
-                   np.zeros(3), np.zeros(1, bool))  # fmt: skip
+def test_emitters_are_limited_to_half_spaces():
+    """No light behind an LED, and none on a facet that faces away."""
+    emitters = Emitters(
+        np.array([[0.0, 0, 2]]),
+        np.array([[1.0, 0, 0]]),
+        np.ones(1),
+        np.ones((1, 3)),
+        np.zeros(3),
+        np.zeros(1, bool),
+    )
     up = np.array([[0.0, 0, 1]])
-    assert one.irradiance(np.array([[-1.0, 0, 0]]), up).max() == 0.0
-    assert one.irradiance(np.array([[1.0, 0, 0]]), -up).max() == 0.0
-    assert one.irradiance(np.array([[1.0, 0, 0]]), up).min() > 0.0
+    assert emitters.irradiance(np.array([[-1.0, 0, 0]]), up).max() == 0.0
+    assert emitters.irradiance(np.array([[1.0, 0, 0]]), -up).max() == 0.0
+    assert emitters.irradiance(np.array([[1.0, 0, 0]]), up).min() > 0.0
 
 
 @pytest.mark.parametrize(
@@ -387,7 +395,7 @@ def test_emitters_know_half_spaces():
         ({"photometric.presses.shallowest": 0.4}, "must not exceed"),
     ],
 )
-def test_lamps_that_do_not_fit_are_refused(changes, message):
+def test_inconsistent_lamps_are_rejected(changes, message):
     with pytest.raises(ConfigError, match=message):
         load_experiment("examples/gelsight_ball", changes)
 
@@ -403,8 +411,8 @@ def test_flux_of_leds_scales_their_light():
     usual = emitters_of({"one": row}).irradiance(points, up)[:, 0]
     np.testing.assert_allclose(light(1.0, 1.0, 1.0, 1.0), usual, rtol=1e-12)
     np.testing.assert_allclose(light(1.02, 1.02, 1.02, 1.02), 1.02 * usual, rtol=1e-12)
-    alone = sum(light(*one) for one in np.eye(4))
-    np.testing.assert_allclose(alone, usual, rtol=1e-12)
+    total = sum(light(*unit) for unit in np.eye(4))
+    np.testing.assert_allclose(total, usual, rtol=1e-12)
 
 
 def test_drift_of_lamps_has_the_stated_spread():
@@ -417,7 +425,7 @@ def test_drift_of_lamps_has_the_stated_spread():
     drawn = np.array([drifted_flux(rows, rng) for _ in range(4000)])
     assert (drawn[:, 8:] == 1.0).all()
     row_factor = drawn[:, :8].mean(axis=1)
-    # 4000 draws tell a SD to 1.1 %.
+    # 4000 draws determine an SD to 1.1 %.
     assert row_factor.std() == pytest.approx(0.02, rel=0.05)
     assert (drawn[:, :8] - row_factor[:, None]).std() == pytest.approx(0.01, rel=0.03)
     assert drifted_flux({"b": rows["b"]}, rng) is None

@@ -50,13 +50,13 @@ def stack_of(media):
 
 
 def ways_mm(media, source_mm, z_mm):
-    """Return the vertical way in air and in every medium."""
+    """Return the vertical distance in air and in every medium."""
     tops = [medium.top_mm for medium in media]
     return [source_mm - tops[0], *-np.diff(tops), tops[-1] - z_mm]
 
 
 def tangent_in_air(media, ways, r_mm):
-    """Bisect Snell's law along the whole way for the angle in air; float64."""
+    """Bisect Snell's law along the whole path for the angle in air; float64."""
     low, high = np.zeros_like(r_mm), np.full_like(r_mm, 1e4)
     for _ in range(100):
         tangent = (low + high) / 2
@@ -101,7 +101,7 @@ def points_seen(rig, count=4000):
 
 
 @pytest.mark.parametrize("media", STACKS)
-def test_radiance_straight_up_loses_what_fresnel_says(mi, rig, media):
+def test_radiance_straight_up_is_reduced_by_fresnel(mi, rig, media):
     """Normal incidence: T = prod 4 n m / (n + m)^2, and 1 / n^2 from the wider cone in air."""
     indices = [1.0, *(medium.ior for medium in media)]
     fresnel = np.prod([4 * n * m / (n + m) ** 2 for n, m in pairwise(indices)])
@@ -110,7 +110,9 @@ def test_radiance_straight_up_loses_what_fresnel_says(mi, rig, media):
     )
     sight = stack_of(media).refract(camera_rays(mi, rig, [0.0]))
     expected = fresnel * np.exp(-depth) / media[-1].ior ** 2
-    assert np.array(sight.seen(mi.Float(media[-1].top_mm)))[0] == pytest.approx(expected, rel=1e-6)
+    assert np.array(sight.transmission(mi.Float(media[-1].top_mm)))[0] == pytest.approx(
+        expected, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("media", STACKS)
@@ -120,26 +122,26 @@ def test_oblique_rays_follow_snell_and_fresnel(mi, rig, media):
     sine = np.sin(np.deg2rad(angles))
     sight = stack_of(media).refract(camera_rays(mi, rig, angles))
     way_mm = sight.ray.o.z / -sight.ray.d.z
-    found = np.array(sight.ray(way_mm))
+    points = np.array(sight.ray(way_mm))
     ways = ways_mm(media, 200.0, 0.0)
     indices = [1.0, *(medium.ior for medium in media)]
     reach = sum(d * np.tan(np.arcsin(sine / n)) for d, n in zip(ways, indices, strict=True))
-    np.testing.assert_allclose(found[0], reach, rtol=2e-6, atol=1e-5)
-    np.testing.assert_allclose(found[2], 0.0, atol=1e-5)
+    np.testing.assert_allclose(points[0], reach, rtol=2e-6, atol=1e-5)
+    np.testing.assert_allclose(points[2], 0.0, atol=1e-5)
     np.testing.assert_allclose(np.array(sight.ray.d)[0], sine / indices[-1], atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(np.array(sight.ray.d), axis=0), 1.0, atol=1e-6)
     expected = transmittance(media, ways, sine) / indices[-1] ** 2
-    np.testing.assert_allclose(np.array(sight.seen(way_mm)), expected, rtol=2e-5)
+    np.testing.assert_allclose(np.array(sight.transmission(way_mm)), expected, rtol=2e-5)
 
 
 def test_a_window_shifts_the_ray_sideways(mi, rig):
-    """One slab of thickness d in air: the ray goes on parallel, d (tan i - tan j) short."""
+    """One slab of thickness d in air: the ray remains parallel, offset by d (tan i - tan j)."""
     media, angle = WINDOW_OVER_AIR, np.deg2rad(35.0)
     sight = stack_of(media).refract(camera_rays(mi, rig, [35.0]))
-    found = np.array(sight.ray(sight.ray.o.z / -sight.ray.d.z))[0, 0]
+    point = np.array(sight.ray(sight.ray.o.z / -sight.ray.d.z))[0, 0]
     inside = np.arcsin(np.sin(angle) / 1.6)
     shift_mm = 3.0 * (np.tan(angle) - np.tan(inside))
-    assert 200.0 * np.tan(angle) - found == pytest.approx(shift_mm, abs=3e-5)
+    assert 200.0 * np.tan(angle) - point == pytest.approx(shift_mm, abs=3e-5)
     assert np.array(sight.ray.d)[0, 0] == pytest.approx(np.sin(angle), abs=1e-6)
 
 
@@ -151,9 +153,9 @@ def test_one_interface_transmits_as_mitsubas_own_fresnel(mi, rig):
     np.testing.assert_allclose(np.array(sight.transmittance), expected, rtol=1e-5)
 
 
-def test_rays_that_look_up_see_nothing(mi, rig):
+def test_upward_rays_have_no_hit(mi, rig):
     sight = stack_of(GEL_AND_WINDOW).refract(camera_rays(mi, rig, [90.0, 120.0]))
-    np.testing.assert_array_equal(np.array(sight.seen(mi.Float(10.0))), 0.0)
+    np.testing.assert_array_equal(np.array(sight.transmission(mi.Float(10.0))), 0.0)
 
 
 @pytest.mark.parametrize("media", STACKS)
@@ -169,15 +171,15 @@ def test_projector_pixels_are_those_of_snells_law(mi, rig, media):
     sideways = offset / np.maximum(r_mm, 1e-12) * tangent
     in_air = np.stack([*sideways, -np.ones_like(tangent)], axis=-1) @ pose[:3, :3]
     expected = rig.projector.pinhole.project(in_air)
-    found = np.stack([np.array(arrival.column_px), np.array(arrival.row_px)], axis=-1)
-    assert np.abs(found - expected).max() < 1e-3
+    pixels = np.stack([np.array(arrival.column_px), np.array(arrival.row_px)], axis=-1)
+    assert np.abs(pixels - expected).max() < 1e-3
     sine = np.sin(np.arctan(tangent)) / media[-1].ior
     np.testing.assert_allclose(np.array(arrival.direction)[2], np.sqrt(1 - sine**2), atol=1e-6)
 
 
 @pytest.mark.parametrize("media", STACKS)
-def test_light_goes_back_the_way_it_came(mi, rig, media):
-    """A pixel's ray hits a point; light sent from that pinhole to the point leaves that pixel.
+def test_light_paths_are_reversible(mi, rig, media):
+    """A pixel's ray hits a point; the light from that pinhole to the point has that pixel.
 
     Reciprocity: opposite directions, and the same transmittance both ways. Irradiance over that
     of the undisturbed formula E1 (r / t)^2 / (axial^3 r'(t) cos) is the transmittance.
@@ -192,7 +194,7 @@ def test_light_goes_back_the_way_it_came(mi, rig, media):
     np.testing.assert_allclose(np.array(arrival.direction), -np.array(sight.ray.d), atol=2e-6)
     clear = stack_of(tuple(Medium(m.top_mm, m.ior, 0.0) for m in media))
     lossless = clear.refract(rig.camera.ray(mi.Float(x_px), mi.Float(y_px)))
-    absorbed = np.array(sight.seen(way_mm)) / np.array(lossless.seen(way_mm))
+    absorbed = np.array(sight.transmission(way_mm)) / np.array(lossless.transmission(way_mm))
     without = np.array(clear.arrive(rig.camera, 1.0, sight.ray(way_mm)).irradiance)
     np.testing.assert_allclose(np.array(arrival.irradiance) / without, absorbed, rtol=1e-5)
 
@@ -201,8 +203,8 @@ def test_light_goes_back_the_way_it_came(mi, rig, media):
 def test_the_flux_through_the_layers_is_conserved(mi, rig, experiment, media):
     """Setup: irradiance of the coat's plane, integrated with a window smooth in projector pixels.
 
-    Expected: each projector pixel sends the same flux (a DLP fills a flat screen); what arrives is
-    that flux times its transmittance, summed with the same window: 0.1 %.
+    Expected: each projector pixel sends the same flux (a DLP fills a flat screen); incident is that
+    flux times its transmittance, summed with the same window: 0.1 %.
     Why: the geometry factor (r / t)^2 / r'(t) / cos is right for all angles or the sum is not.
     """
     step_mm = 0.5
@@ -260,10 +262,10 @@ def test_a_plane_in_a_gel_has_the_radiance_of_the_closed_form(mi, experiment, ri
     from twin.optics.scene import rig_of
 
     layers = {"gel": Layer(bottom_mm=0.0, thickness_mm=4.0, ior=1.41, absorption_per_mm=0.03)}
-    seen = experiment.model_copy(update={"layers": layers})
-    media, scene = media_of(layers), coated_scene(seen, plane)
-    hit, path = see(scene, rig_of(seen), rig.camera.ray(mi.Float(59.5), mi.Float(45.5)))
-    point, found = np.array(hit.p)[:, 0].astype(float), np.array(path.weight)[0]
+    layered = experiment.model_copy(update={"layers": layers})
+    media, scene = media_of(layers), coated_scene(layered, plane)
+    hit, path = see(scene, rig_of(layered), rig.camera.ray(mi.Float(59.5), mi.Float(45.5)))
+    point, radiance = np.array(hit.p)[:, 0].astype(float), np.array(path.weight)[0]
     pose = rig.projector.T_world_from_device
     ways, offset = ways_mm(media, pose[2, 3], point[2]), point[:2] - pose[:2, 3]
     r_mm = np.hypot(*offset)
@@ -282,11 +284,11 @@ def test_a_plane_in_a_gel_has_the_radiance_of_the_closed_form(mi, experiment, ri
     irradiance *= transmittance(media, ways, np.sin(angle))
     upwards = transmittance(media, ways_mm(media, 214.0, point[2]), np.array(0.0)) / 1.41**2
     expected = experiment.coating.base_albedo / np.pi * irradiance * upwards
-    assert found == pytest.approx(expected, rel=2e-4)
+    assert radiance == pytest.approx(expected, rel=2e-4)
 
 
 def test_the_shadow_in_a_gel_falls_along_the_refracted_light(mi, experiment, rig, plane):
-    """A wall of 3 mm inside the gel: its shadow is as long as the angle in the gel says.
+    """A wall of 3 mm inside the gel: the length of its shadow follows from the angle in the gel.
 
     In air it would be 0.4 mm longer; a camera pixel is 0.24 mm.
     """
@@ -298,8 +300,8 @@ def test_the_shadow_in_a_gel_falls_along_the_refracted_light(mi, experiment, rig
     both = trimesh.util.concatenate([plane, wall])
     both.vertex_normals = np.concatenate([plane.vertex_normals, wall.vertex_normals])
     layers = {"gel": Layer(bottom_mm=0.0, thickness_mm=4.0, ior=1.41)}
-    seen = experiment.model_copy(update={"layers": layers})
-    truth = trace_truth(coated_scene(seen, both), rig_of(seen))
+    layered = experiment.model_copy(update={"layers": layers})
+    truth = trace_truth(coated_scene(layered, both), rig_of(layered))
     media, edge = media_of(layers), np.array([5.75, 0.0, 3.0])
     pose = rig.projector.T_world_from_device
     r_mm = np.array(pose[0, 3] - edge[0])
@@ -313,7 +315,7 @@ def test_the_shadow_in_a_gel_falls_along_the_refracted_light(mi, experiment, rig
 
 
 def test_truth_is_the_surface_behind_the_layers(mi, experiment, rig, bump):
-    """Points lie on the bump although the rays that see them are bent; depth is the point's own."""
+    """Points are on the bump although camera rays are refracted; depth is that of the point."""
     from twin.optics.one_trace import trace_truth
 
     window = stack_of((Medium(12.0, 1.7, 0.0), Medium(2.0, 1.0, 0.0)))
@@ -327,7 +329,7 @@ def test_truth_is_the_surface_behind_the_layers(mi, experiment, rig, bump):
     assert x[46, 0] - edge == pytest.approx(shift_mm, rel=0.02)
 
 
-def test_a_face_that_reaches_into_a_layer_is_refused(mi, experiment, bump):
+def test_a_face_that_reaches_into_a_layer_is_rejected(mi, experiment, bump):
 
     layers = {"window": Layer(bottom_mm=0.5, thickness_mm=1.0, ior=1.5)}
     with pytest.raises(InputError, match=r"reaches z = 0\.8 mm, allowed below 0\.5 mm"):

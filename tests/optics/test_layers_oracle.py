@@ -1,11 +1,11 @@
 """Stock Mitsuba as oracle for light through plane layers, both ways.
 
 Setup: a bump in a gel below a window: two real `dielectric` interfaces, rough flakes and ink. Stock
-Mitsuba finds no way from the coat to a point light, so a small Lambertian area light stands in for
-the projector and `path` hits it by chance. Paths of six segments hold exactly one passage down and
-one up: every path with a reflection at an interface that still reaches coat and light is longer.
+Mitsuba cannot connect the coat to a point light. A small Lambertian area light therefore replaces
+the projector, and `path` hits it by chance. Paths of six segments contain one passage down and one
+up: every path with a reflection at an interface that still reaches coat and light is longer.
 The one-trace renderer lights the same bump from 3 x 3 Gauss points of that light (an error of
-1e-5), whose radiant intensity L dA cos(axis) it is given through its projector's E1 / cos^3(axis).
+1e-5); their radiant intensity L dA cos(axis) is set through its projector's E1 / cos^3(axis).
 Expected: per pixel and per patch of 6 x 6 pixels the differences follow Student's t of the 12 runs;
 the mean differs by less than 4 standard errors, 0.7 %. (40 runs of 8192 samples: 0.03 %, error
 0.06 %.)
@@ -106,7 +106,7 @@ def own_image(mi, scene, rig):
 
     @dataclass(frozen=True)
     class PointsOfLight(Device):
-        """A device whose pinhole is somewhere else in every lane."""
+        """A device with a different pinhole in every lane."""
 
         points_mm: Any = None
 

@@ -1,4 +1,4 @@
-"""Thin lens of the camera: places on the pupil, closed-form blur circle."""
+"""Thin lens of the camera: positions on the pupil, closed-form blur circle."""
 
 import numpy as np
 import pytest
@@ -64,18 +64,18 @@ def test_rays_through_the_rim_span_the_circle_of_confusion(mi):
     lens, pinhole = camera.lens, camera.pinhole
     x_px, y_px = mi.Float([192.0, 1.0]), mi.Float([48.0, 90.0])
     for axial_mm in (190.0, lens.focus_mm, 230.0):
-        seen = []
+        images = []
         for place in (-1.0, 1.0):
             ray = camera.lens_ray(lens, x_px, y_px, (mi.Float(place), mi.Float(0.0)))
             way = axial_mm - camera.project(ray.o + 1e-3 * ray.d)[2] + 1e-3
             slope = camera.project(ray(1.0))[2] - camera.project(ray.o)[2]
-            seen.append(np.array(camera.project(ray(way / slope))[0], np.float64))
+            images.append(np.array(camera.project(ray(way / slope))[0], np.float64))
         wanted = 2 * lens.radius_mm * pinhole.fx_px * abs(1 / axial_mm - 1 / lens.focus_mm)
-        np.testing.assert_allclose(np.abs(seen[1] - seen[0]), wanted, atol=0.02)
+        np.testing.assert_allclose(np.abs(images[1] - images[0]), wanted, atol=0.02)
 
 
 def test_lens_and_distortion_compose(mi):
-    """In the focal plane every place on the lens sees the point that the pinhole sees."""
+    """In the focal plane, rays through all points of the lens meet the ray of the pinhole."""
     from twin.optics.scene import rig_of
 
     distorted = OPEN | {"camera.distortion": [-0.1, 0.02, 1e-3, -1e-3, 0.0]}
@@ -84,9 +84,9 @@ def test_lens_and_distortion_compose(mi):
     for place in ((0.0, 0.0), (0.9, 0.1), (-0.5, 0.7)):
         ray = camera.lens_ray(camera.lens, x_px, y_px, tuple(map(mi.Float, place)))
         at_focus = ray(-ray.o.z / ray.d.z)  # the camera looks straight down at z = 0
-        found = camera.project(at_focus)
-        np.testing.assert_allclose(np.array(found[0]), np.array(x_px), atol=5e-3)
-        np.testing.assert_allclose(np.array(found[1]), np.array(y_px), atol=5e-3)
+        pixels = camera.project(at_focus)
+        np.testing.assert_allclose(np.array(pixels[0]), np.array(x_px), atol=5e-3)
+        np.testing.assert_allclose(np.array(pixels[1]), np.array(y_px), atol=5e-3)
 
 
 def test_an_edge_out_of_focus_has_the_discs_second_moment(mi, grid_face):

@@ -1,12 +1,12 @@
 """Stock Mitsuba's `thinlens` as oracle of the depth of field.
 
 Setup: a fringed plane in the focal plane and, 8 mm above it, the oblique edge of a second sheet,
-before the plane in one half of the image and before nothing in the other: blur circles of 6 px,
+before the plane in one half of the image and before no surface in the other: blur circles of 6 px,
 occlusion within the lens, fringes out of focus.
 Stock Mitsuba renders frames with `thinlens` and `direct`, 24 independent runs of 16 samples.
 Expected: per pixel, (one-trace - mean of runs) / standard error follows Student's t with 23 degrees
 of freedom; fitted to the runs, the radius of the lens is the stated one within its own error.
-Why: the oracle draws places on its lens at random, ours are a fixed set: a set that is unevenly
+Why: the oracle draws points on its lens at random, the twin has a fixed set: a set that is unevenly
 spread, correlated with the sub-pixel grid, or a wrong radius or focus moves the t values.
 """
 

@@ -21,8 +21,8 @@ def test_blur_is_box_then_gaussian():
     staircase = np.repeat(light[:, 0], fine)
     wanted = gaussian_filter1d(staircase, 0.7 * fine, truncate=8, mode="constant")
     at_px = (np.arange(len(staircase)) + 0.5) / fine - 0.5
-    found = blurred(light, at_px, 0.7)[:, 0]
-    np.testing.assert_allclose(found, wanted, atol=2e-6)
+    profile = blurred(light, at_px, 0.7)[:, 0]
+    np.testing.assert_allclose(profile, wanted, atol=2e-6)
 
 
 def test_without_blur_every_point_belongs_to_one_pixel():
@@ -118,7 +118,7 @@ def test_a_fine_table_of_a_power_law_is_the_power_law(experiment):
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
-        ({"response": [0.0, 0.5, 0.4, 1.0]}, "never fall"),
+        ({"response": [0.0, 0.5, 0.4, 1.0]}, "never decrease"),
         ({"response": [0.0, 0.9]}, "the last 1"),
         ({"response": [1.0]}, "two or more"),
         ({"response": [0.0, 1.0], "gamma": 1.5}, "gamma = 1"),

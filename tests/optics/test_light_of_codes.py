@@ -1,7 +1,7 @@
-"""Every sequence that the decoder reads can be shown: frames from light tables are decoded again.
+"""Every sequence of the decoder can be projected: frames from light tables are decoded again.
 
-Setup: camera pixels at known projector coordinates, whose light is that of the tables, gamma 1.
-Oracle: the coordinate itself. 8-bit levels err by 0.3 of 190 levels, blur by less.
+Setup: camera pixels at known projector coordinates with the light of the tables, gamma 1.
+Oracle: the coordinate itself. the error of 8-bit levels is 0.3 of 190 levels, that of blur is less.
 """
 
 from dataclasses import fields
@@ -43,7 +43,7 @@ OF_GRAY = [
 
 
 def fitting(code, extra):
-    """Return an extra field for all periods of a code; None where the code has no such field."""
+    """Return an extra field for all periods of a code; None if the code has no such field."""
     periods = FRINGES.get(code, {"period_px": 16.0})
     count = 1 + len(periods.get("further_periods_px", []))
     if "inverse" in extra and count > 1:
@@ -71,7 +71,7 @@ def projector():
     return load_experiment("examples/slab_balls", size | sharp).projector
 
 
-def seen(patterns, projector, column_px, row_px):
+def frames_at(patterns, projector, column_px, row_px):
     """Return frames (frame, row, col) float32 DN of pixels at (row, col) coordinates."""
     tables = light_tables(projector, patterns)
     stack = np.zeros((len(patterns.frames), row_px.size, column_px.size), np.float32)
@@ -86,14 +86,14 @@ def seen(patterns, projector, column_px, row_px):
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case.values())))
-def test_what_is_shown_is_decoded(projector, case):
+def test_projected_codes_are_decoded(projector, case):
     table = {"period_px": 16.0} | case
     patterns = pattern_set(projector, validated(Patterns, table))
     column_px, row_px = np.linspace(1.2, 158.1, 500), np.linspace(1.3, 98.2, 300)
-    stack = seen(patterns, projector, column_px, row_px)
+    stack = frames_at(patterns, projector, column_px, row_px)
     options = DecodeOptions(filter_taps=0, max_order_error=0.5)
     decoded = decode(stack, patterns, SensorNoise(0.01, 0.0, 0.0, 255.0), options)
-    # A word displaced by half a period in as few bits as possible leaves its ends undecided.
+    # A word displaced by half a period in as few bits as possible has undecided ends.
     assert decoded.valid.mean() > 0.8
     width_px = 0.5 * patterns.period_px + 0.5 if patterns.steps == 0 else 0.05
     for axis, truth_px in (("column", column_px[None, :]), ("row", row_px[:, None])):
@@ -104,7 +104,7 @@ def test_what_is_shown_is_decoded(projector, case):
 
 def test_configuration_and_decoder_have_the_same_fields():
     """Size is that of the projector; all other defaults and names are one."""
-    of_set = {one.name: one.default for one in fields(PatternSet)}
+    of_set = {item.name: item.default for item in fields(PatternSet)}
     of_set.pop("width_px"), of_set.pop("height_px")
     of_model = {name: field.default for name, field in Patterns.model_fields.items()}
     assert of_model.keys() == of_set.keys()

@@ -82,7 +82,7 @@ def test_truth_lies_on_the_surface_and_projects_to_its_pixel(mi, experiment, bum
 
 
 def test_an_occluder_casts_the_geometric_shadow(mi, experiment, plane):
-    """A wall beside the field, projector at 25 deg: shadow length = height * tan(angle at edge)."""
+    """A wall at the field, projector at 25 deg: shadow length = height * tan(angle at edge)."""
     wall = trimesh.creation.box(extents=[0.5, 40.0, 6.0])
     wall.apply_translation([8.0, 0.0, 3.0])
     both = trimesh.util.concatenate([plane, wall])
@@ -117,9 +117,9 @@ def test_light_is_linear_in_the_pattern(mi, experiment, bump):
 
 
 def test_one_look_up_per_smooth_pixel_is_as_good_as_one_per_sample(mi, bump):
-    """Both ways on the paper's rig at demo resolution: frames to 0.4 % of white, phase to 1e-4 px.
+    """Both methods, paper's rig at demo resolution: frames to 0.4 % of white, phase to 1e-4 px.
 
-    A bump with an occluding wall, so that mixed pixels (per-sample way) occur as well.
+    A bump with an occluding wall, so that mixed pixels (one look-up per sample) occur as well.
     """
     from reconstruction.decoding.decode import DecodeOptions, decode
     from reconstruction.rig.sensor import SensorNoise

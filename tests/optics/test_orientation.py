@@ -1,4 +1,4 @@
-"""Which way is up, and how light falls off: rendered images against closed forms."""
+"""Orientation of images, and irradiance against distance and angle, in closed form."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_right_is_right_and_up_is_up(mi, plane):
     experiment, stack = rendered(both)
     rows, columns = np.nonzero(stack.truth.points_world_mm[..., 2] > 0.9)
     camera = true_calibration(experiment).camera
-    # The tile's top is 213 mm away; its centre is seen where a pinhole sees it, to half a pixel.
+    # The tile's top is 213 mm away; its centre is at its pinhole projection, within 0.5 px.
     wanted = camera.project([8.0, -5.0, experiment.camera.pose.standoff_mm - 1.0])
     np.testing.assert_allclose([columns.mean(), rows.mean()], wanted, atol=0.5)
     assert columns.min() > 30
@@ -46,7 +46,7 @@ def test_right_is_right_and_up_is_up(mi, plane):
 
 
 def test_projector_columns_grow_to_the_right_and_rows_downwards(mi, plane):
-    """Projector at azimuth 0 without roll: its image lies on the coat as the camera's does."""
+    """Projector at azimuth 0 without roll: its image on the coat is oriented as the camera's."""
     truth = rendered(plane)[1].truth
     assert np.all(np.diff(truth.column_px, axis=1)[truth.lit[:, 1:]] > 0)
     assert np.all(np.diff(truth.row_px, axis=0)[truth.lit[1:]] > 0)
@@ -71,11 +71,11 @@ def test_light_falls_with_the_square_of_the_distance_and_the_cosine(
     cos_plane, cos_axis = -ray[..., 2] / distance_mm, axial_mm / distance_mm
     white = irradiance_at_1mm(experiment.projector, calibration.projector) / axial_mm**2
     expected = experiment.coating.base_albedo / np.pi * white * cos_plane / cos_axis
-    found = white_frame(experiment, stack)
-    inside = stack.truth.lit & (found > 0.0)
+    radiance = white_frame(experiment, stack)
+    inside = stack.truth.lit & (radiance > 0.0)
     inside &= (np.abs(stack.truth.column_px - 639.5) < 600) & (
         np.abs(stack.truth.row_px - 359.5) < 330
     )
     assert inside.sum() > 500
     assert np.ptp(expected[inside]) > 0.05 * expected[inside].mean()
-    np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-3)
+    np.testing.assert_allclose(radiance[inside], expected[inside], rtol=1e-3)

@@ -75,38 +75,40 @@ def ball(roughness=0.0):
 
 @pytest.mark.parametrize("shape", ["block", "ball", "rough ball"])
 def test_flux_is_conserved(mi, rig, shape):
-    """Clear and lossless: nothing is absorbed, all that is sent is deposited, escapes or is cut.
+    """Clear and lossless: `absorbed` is 0, the sent flux is deposited, escapes or is cut.
 
-    `absorbed` adds up what each event takes. Sampling a rough surface loses what its microfacets
-    shade: a few per cent.
+    `absorbed` is the sum of the losses of all events. Sampling a rough surface loses the light that
+    its microfacets shade: a few per cent.
     """
     from twin.optics.photons import trace_photons
 
     body = {"block": block(mi), "ball": ball(), "rough ball": ball(0.1)}[shape]
     scene, surfaces = clear_scene(mi, body)
-    found = trace_photons(scene, surfaces, rig, count=100_000, seed=1).balance
-    parts = found.absorbed + found.deposited + found.escaped + found.lost + found.cut
-    assert parts == pytest.approx(found.sent, rel=1e-6)
-    assert abs(found.absorbed) < (0.03 if shape == "rough ball" else 1e-5) * found.sent
-    assert found.cut < 0.01 * found.sent
-    assert found.lost == 0.0
+    balance = trace_photons(scene, surfaces, rig, count=100_000, seed=1).balance
+    parts = balance.absorbed + balance.deposited + balance.escaped + balance.lost + balance.cut
+    assert parts == pytest.approx(balance.sent, rel=1e-6)
+    assert abs(balance.absorbed) < (0.03 if shape == "rough ball" else 1e-5) * balance.sent
+    assert balance.cut < 0.01 * balance.sent
+    assert balance.lost == 0.0
 
 
 @pytest.mark.parametrize("events", [1, 2])
 def test_flux_is_conserved_within_a_body_too(mi, rig, monkeypatch, events):
     """Setup: photons are cut after one and after two surfaces, most of them in the block.
 
-    Expected: all that is sent is still under way. In the other transport mode 1 / n^2 of it is: on
-    leaving the body that comes back, so that no balance of whole ways could tell.
+    Expected: `cut` equals the sent flux. In the other transport mode it would be 1 / n^2 of it; at
+    the exit from the body this factor cancels, so that no balance of complete paths detects it.
     """
     from twin.optics import photons
 
     monkeypatch.setattr(photons, "MOST_EVENTS", events)
     scene, surfaces = clear_scene(mi, block(mi))
-    found = photons.trace_photons(scene, surfaces, rig, count=20_000, seed=1).balance
-    assert found.cut + found.escaped + found.deposited == pytest.approx(found.sent, rel=1e-5)
-    assert found.cut > 0.9 * found.sent
-    assert abs(found.absorbed) < 1e-5 * found.sent
+    balance = photons.trace_photons(scene, surfaces, rig, count=20_000, seed=1).balance
+    assert balance.cut + balance.escaped + balance.deposited == pytest.approx(
+        balance.sent, rel=1e-5
+    )
+    assert balance.cut > 0.9 * balance.sent
+    assert abs(balance.absorbed) < 1e-5 * balance.sent
 
 
 def test_flux_sent_is_that_of_the_solid_angle(mi, rig):
@@ -114,7 +116,7 @@ def test_flux_sent_is_that_of_the_solid_angle(mi, rig):
     from twin.optics.photons import trace_photons
 
     scene, surfaces = clear_scene(mi, ball())
-    found = trace_photons(scene, surfaces, rig, count=400_000, seed=2).balance
+    balance = trace_photons(scene, surfaces, rig, count=400_000, seed=2).balance
     eye, axis = (rig.projector.T_world_from_device[:3, k] for k in (3, 2))
     towards = np.array([0.0, 0.0, -HEIGHT_MM / 2]) - eye
     distance = np.linalg.norm(towards)
@@ -127,18 +129,18 @@ def test_flux_sent_is_that_of_the_solid_angle(mi, rig):
     rays = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1) @ basis
     intensity = rig.irradiance_at_1mm / (rays @ axis) ** 3
     flux = np.sum(intensity * np.sin(t)) * (opening / 400) * (2 * np.pi / 64)
-    assert found.sent == pytest.approx(flux, rel=1e-3)
+    assert balance.sent == pytest.approx(flux, rel=1e-3)
 
 
 def test_absorption_follows_beer_and_lambert(mi, rig):
-    """A block on the way down: what is deposited falls by exp(-a d / cos), to first order."""
+    """A block above the stage: deposited flux is reduced by exp(-a d / cos), to first order."""
     from twin.optics.photons import trace_photons
 
     clear, dark = (
         trace_photons(*clear_scene(mi, block(mi), a), rig, count=200_000, seed=3).balance
         for a in (0.0, 0.02)
     )
-    # Rays tilt by 16 degrees inside (25 outside); side walls lengthen the way of a few.
+    # Rays tilt by 16 degrees inside (25 outside); side walls lengthen a few paths.
     expected = np.exp(-0.02 * HEIGHT_MM / np.cos(np.arcsin(np.sin(np.deg2rad(25)) / 1.5)))
     assert dark.deposited / clear.deposited == pytest.approx(expected, abs=0.01)
     assert dark.absorbed > 0.9 * (1 - expected) * dark.sent
@@ -148,23 +150,23 @@ def test_map_holds_the_photons_flux(mi, rig, experiment, tables):
     from twin.optics.photons import map_photons, trace_photons
 
     photons = trace_photons(*clear_scene(mi, block(mi)), rig, count=100_000, seed=4)
-    found = map_photons(photons, tables)
+    irradiance = map_photons(photons, tables)
     patterns = pattern_set(experiment.projector, experiment.patterns)
     order = [*tables["column"].frames, *tables["row"].frames]
     white = order.index(patterns.index("white").start)
-    assert found.flux_mw(white) == pytest.approx(photons.balance.deposited, rel=2e-3)
+    assert irradiance.flux_mw(white) == pytest.approx(photons.balance.deposited, rel=2e-3)
 
 
 def test_same_seed_same_photons(mi, rig):
     from twin.optics.photons import trace_photons
 
     scene, surfaces = clear_scene(mi, ball())
-    first, second, other = (
+    first, second, reseeded = (
         trace_photons(scene, surfaces, rig, count=20_000, seed=seed) for seed in (5, 5, 6)
     )
     np.testing.assert_array_equal(first.x_mm, second.x_mm)
     np.testing.assert_array_equal(first.flux_mw, second.flux_mw)
-    assert not np.array_equal(first.x_mm, other.x_mm)
+    assert not np.array_equal(first.x_mm, reseeded.x_mm)
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +202,7 @@ def test_fringes_behind_a_block_lie_where_snell_puts_them(through_block, experim
     """Photons and paths against the deterministic connection, phase by phase.
 
     Expected: the decoded phase agrees to 0.002 px in the mean and 0.03 px per pixel; the white
-    frame lies 0.3 % higher, by two more reflections inside the block; the map's blur adds nothing.
+    frame is 0.3 % higher, due to two more reflections in the block; the map's blur has no effect.
     """
     patterns = pattern_set(experiment.projector, experiment.patterns)
     sampled, solved = through_block
@@ -218,7 +220,7 @@ def test_fringes_behind_a_block_lie_where_snell_puts_them(through_block, experim
 
 
 def test_no_ring_where_block_and_stage_meet(through_block, experiment):
-    """Setup: the block stands 0.02 mm above the stage, everything behind it is evenly lit.
+    """Setup: the block is 0.02 mm above the stage; the stage behind it is uniformly lit.
 
     Expected: 3 % of photon noise, no pixel beyond five times that, and rows and columns, the means
     of 40 and 32 pixels, even to 0.8 %: a self-intersection makes rings and stripes.
@@ -235,8 +237,8 @@ def test_no_ring_where_block_and_stage_meet(through_block, experiment):
 def test_light_through_a_ball_equals_stock_with_a_small_lamp(mi):
     """Setup: a clear ball on the stage. Stock `path` reaches a disc lamp of 3 mm radius 60 mm away.
 
-    The lamp's own mirror images in the ball, which a pinhole has no width for, are rendered by
-    themselves on a black stage and taken off.
+    The lamp's own mirror images in the ball, which a pinhole has no width for, are rendered
+    separately on a black stage and subtracted.
     Expected: the image divided by that of the bare stage agrees in blocks of 10 x 10 pixels (2.4
     mm) within Student's t at 0.1 % over 6 runs of stock, plus 3 % of the caustic (the lamp's cosine
     against the projector's even field, the lamp's size, light reflected twice by the stage).
@@ -245,13 +247,13 @@ def test_light_through_a_ball_equals_stock_with_a_small_lamp(mi):
     near = load_experiment("examples/slab_balls", NEAR)
     ours, bare_ours = white_with_and_without(mi, near)
     theirs, bare_theirs = lamp_with_and_without(mi, near, runs=6)
-    seen = tiles(ours / bare_ours)
+    relative = tiles(ours / bare_ours)
     runs = np.stack([tiles(image / bare_theirs) for image in theirs])
     mean = runs.mean(axis=0)
     error = np.hypot(stats.sem(runs, axis=0), 0.03 * mean.max() / stats.t.ppf(1 - 0.0005, 5))
     assert mean.max() > 5  # there is a caustic
     assert mean.min() < 0.4  # and a shadow
-    assert np.abs((seen - mean) / error).max() < stats.t.ppf(1 - 0.0005, 5)
+    assert np.abs((relative - mean) / error).max() < stats.t.ppf(1 - 0.0005, 5)
 
 
 NEAR = {
@@ -294,7 +296,7 @@ def white_with_and_without(mi, experiment):
 
 
 def lamp_with_and_without(mi, experiment, runs):
-    """Images of stock with the ball, its mirror images of the lamp taken off, and without it."""
+    """Images of stock with the ball, its mirror images of the lamp subtracted, and without it."""
     from twin.optics.rig import perspective_sensor
     from twin.optics.scene import rig_of
 

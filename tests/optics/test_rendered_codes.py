@@ -1,4 +1,4 @@
-"""Every way to number the fringes is rendered and decoded: one definition for both."""
+"""Every code of the fringe order is rendered and decoded with one definition."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ SMALL = {
 def test_rendered_code_gives_the_true_projector_coordinate(mi, plane, change):
     """Setup: flat face, noise-free. Expected: the coordinate of each point, within 0.1 px.
 
-    Why 0.1: one value stands for the four rays of a pixel that covers 2 to 3 projector pixels.
+    Why 0.1: one value is decoded from four rays of a pixel that covers 2 to 3 projector pixels.
     """
     experiment = load_experiment("examples/slab_balls", SMALL | change)
     patterns = pattern_set(experiment.projector, experiment.patterns)

@@ -43,7 +43,7 @@ def test_projector_columns_grow_along_world_x(rig):
 
 
 def test_image_centre_hits_the_origin_although_the_axis_is_offset(rig):
-    """100 % offset: the principal point lies on the image's lower edge, the aim stays."""
+    """100 % offset: the principal point is on the image's lower edge, the aim is unchanged."""
     assert rig.projector.cy_px == pytest.approx(720 - 0.5)
     aim = project(rig.projector, rig.T_world_from_proj, [0.0, 0.0, 0.0])
     np.testing.assert_allclose(aim, [(1280 - 1) / 2, (720 - 1) / 2], atol=1e-9)

@@ -1,4 +1,4 @@
-"""Shadows: none where a relief is proven to cast none, and those that it casts."""
+"""Shadows: no shadow rays for a relief that provably casts no shadow; shadows of steep reliefs."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def spike(x, y):
 
 @pytest.fixture(scope="module")
 def steep(grid_face):
-    """Return a spike with flanks of up to 75 degrees; the projector stands at 65 degrees."""
+    """Return a spike with flanks of up to 75 degrees; the projector is at 65 degrees."""
     return grid_face(spike, lambda x, y: (-x * spike(x, y), -y * spike(x, y)), pitch_mm=0.04)
 
 
@@ -66,12 +66,12 @@ def test_a_gentle_face_needs_no_shadow_rays(mi, experiment, bump):
     proven = trace_stack(scene, rig, tables, 4)
     traced = trace_stack(scene, replace(rig, shadows=True), tables, 4)
     assert max(frame.max() for frame in traced) > 0.0
-    for one, other in zip(proven, traced, strict=True):
-        assert one.tobytes() == other.tobytes()
+    for unshadowed, expected in zip(proven, traced, strict=True):
+        assert unshadowed.tobytes() == expected.tobytes()
 
 
 def test_a_steep_face_keeps_its_shadow(mi, experiment, steep, source_mm):
-    """Against a march on the formula, 8 mm along the way to the projector in steps of 30 um.
+    """Against a march on the formula, 8 mm towards the projector in steps of 30 um.
 
     Expected: the same pixels are dark, but for the one-pixel rim of the shadow: where light grazes
     the flank, the march's steps and the facets' chords of 1 um decide.
@@ -110,7 +110,7 @@ def test_the_bound_is_sharp(grid_face):
 
 
 def test_one_steep_facet_is_found(plane, source_mm):
-    """A vertex raised by five times its cell is found, whichever facets of the cell it tilts."""
+    """A vertex raised by five cells is detected, whichever facets of the cell it tilts."""
     assert not may_shade(plane, source_mm)
     cell_mm = 0.5
     for corner in ([0, 0], [1, 1], [0, 1]):
@@ -121,7 +121,7 @@ def test_one_steep_facet_is_found(plane, source_mm):
 
 
 def test_only_height_grids_are_proven(plane, source_mm):
-    """Another body beside the sheet, a hole, a turned facet, a source below: shadows are traced."""
+    """A further body, a hole, a turned facet, a source below: shadows are traced."""
     wall = trimesh.creation.box(extents=[0.5, 40.0, 6.0])
     turned, hole, skewed = plane.copy(), plane.copy(), plane.copy()
     turned.faces[7] = turned.faces[7][::-1]
@@ -148,8 +148,8 @@ IN_GEL = np.tan(np.arcsin(np.sin(np.deg2rad(65.0)) / 1.41))
 def test_the_shadow_of_a_step_of_30_um(mi, grid_face, name, tangent):
     """Setup: light from +x, 65 degrees off the vertical; a plateau 30 um high at x > 0.
 
-    Expected: dark behind it over 30 um tan 65 = 64 um in air; below a gel of 1.41 the light comes
-    at asin(sin 65 / 1.41) = 40 degrees, 25 um. Pixels are 3.3 um apart, the riser is 2 um wide.
+    Expected: dark behind it over 30 um tan 65 = 64 um in air; below a gel of 1.41 the light has the
+    angle asin(sin 65 / 1.41) = 40 degrees, 25 um. Pixel pitch 3.3 um, width of the riser 2 um.
     """
     from twin.optics.one_trace import trace_truth
     from twin.optics.scene import coated_rig

@@ -22,17 +22,17 @@ from twin.mechanics.reference.newton import Equilibrium, NewtonOptions, Problem,
 
 Support = Literal["bonded", "simple", "clamped", "ledge"]
 
-# Penetration stays below a micrometre after the augmentations.
+# Penetration remains below a micrometre after the augmentations.
 _PENALTY_OVER_SHEAR = 60.0
 _FINE_SHARE = 0.6
 
 
 @dataclass(frozen=True)
 class RoundSlab:
-    """An undeformed round slab and what holds it; lengths in mm."""
+    """An undeformed round slab and its support; lengths in mm."""
 
     thickness_mm: float
-    #: 7 thicknesses stand for an unbounded bonded layer
+    #: 7 thicknesses represent an unbounded bonded layer
     outer_radius_mm: float
     poisson_ratio: float
     #: far face bonded, or rim: no deflection, no displacement, or an annulus of the far face fixed
@@ -43,7 +43,7 @@ class RoundSlab:
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely to solve; the default takes half a minute for 1 mm by a ball of R 4."""
+    """Sizes of elements and steps; the default takes half a minute for 1 mm by a ball of R 4."""
 
     radial: int = 44
     axial: int = 12
@@ -58,7 +58,7 @@ class AxisymmetricPress:
 
     depth_mm: float
     force_over_modulus_mm2: float
-    #: (step,) the way there
+    #: (step,) the load steps
     path_depth_mm: FloatArray
     path_force_over_modulus_mm2: FloatArray
     #: (node,) undeformed radii of the nodes of both faces
@@ -73,19 +73,19 @@ class AxisymmetricPress:
 
     @property
     def contact_radius_mm(self) -> float:
-        """Outermost point of contact, good to a fifth of an element."""
+        """Outermost point of contact, good to 0.2 of an element."""
         return float(self.contact_r_mm.max(initial=0.0))
 
     def touched_face_mm(self, r_mm: FloatArray) -> FloatArray:
-        """Return the touched face's deflection along the press, seen at deformed radii (...)."""
+        """Return the touched face's deflection along the press, at deformed radii (...)."""
         return self._seen(self.touched_mm, r_mm)
 
     def far_face_mm(self, r_mm: FloatArray) -> FloatArray:
-        """Return the far face's deflection along the press, seen at deformed radii (...)."""
+        """Return the far face's deflection along the press, at deformed radii (...)."""
         return self._seen(self.far_mm, r_mm)
 
     def _seen(self, moved: FloatArray, r_mm: FloatArray) -> FloatArray:
-        # At small strain the sheet's points do not wander: that is the linear slab's convention.
+        # At small strain the sheet's points do not move sideways: the linear slab's convention.
         at = self.r_mm if self.linear else self.r_mm + moved[:, 0]
         curve = CubicSpline(at, moved[:, 1], bc_type=((1, np.zeros(())), "natural"))
         face: FloatArray = curve(np.minimum(r_mm, at[-1]))
@@ -106,7 +106,7 @@ def press_axisymmetric(
     Parameters
     ----------
     slab : RoundSlab
-        What is pressed.
+        The slab.
     radius_mm, depth_mm : float, mm
         Ball, and its travel after first touch.
     friction : float
@@ -114,7 +114,7 @@ def press_axisymmetric(
     linear : bool
         Small strain and contact on the undeformed face.
     resolution : Resolution, optional
-        How finely.
+        Sizes of elements and steps.
 
     Returns
     -------
@@ -124,9 +124,9 @@ def press_axisymmetric(
     Raises
     ------
     PressError
-        Lengths or friction that make no sense.
+        Lengths or friction out of range.
     SolverError
-        No equilibrium was found, or only one with a hole in the contact.
+        No equilibrium, or only one with a hole in the contact.
     """
     _check(slab, radius_mm, depth_mm, friction, linear)
     fineness = resolution or Resolution()
@@ -152,7 +152,7 @@ def _check(
 ) -> None:
     if not 0 < depth_mm < slab.thickness_mm and slab.support == "bonded":
         raise PressError(
-            f"axisymmetric press: depth {depth_mm:g} mm must lie between 0 and the thickness of "
+            f"axisymmetric press: depth {depth_mm:g} mm must be between 0 and the thickness of "
             f"{slab.thickness_mm:g} mm"
         )
     if not 0 < radius_mm < slab.outer_radius_mm or not 0 < slab.poisson_ratio < 0.5:
@@ -185,11 +185,11 @@ def _grid(
 
 
 def _bent_contact_mm(slab: RoundSlab, radius_mm: float, depth_mm: float) -> float:
-    """Return a generous contact radius of a slab that yields by bending, inf when bonded.
+    """Return an upper bound of the contact radius of a slab that bends, inf when bonded.
 
     Force of a plate on a simple rim under a point load (clamped: 2.3 times it; stretching adds
     as much again at a deflection of one thickness), then Hertz; a thin sheet touches the ball in a
-    small spot however deep the press.
+    small spot for any depth of the press.
     """
     if slab.support == "bonded":
         return np.inf
@@ -202,7 +202,7 @@ def _bent_contact_mm(slab: RoundSlab, radius_mm: float, depth_mm: float) -> floa
 
 
 def _free(body: MixedBody, slab: RoundSlab) -> IntArray:
-    """Return the unknowns that the support leaves free."""
+    """Return the unknowns that are free of the support."""
     r, z = body.grid.nodes_mm.T
     near = 1e-9 * slab.outer_radius_mm
     far, rim = z > slab.thickness_mm - near, r > slab.outer_radius_mm - near
@@ -230,8 +230,8 @@ def _result(
     return AxisymmetricPress(
         depth_mm=path[-1].depth_mm,
         force_over_modulus_mm2=path[-1].pushed.along,
-        path_depth_mm=np.array([found.depth_mm for found in path]),
-        path_force_over_modulus_mm2=np.array([found.pushed.along for found in path]),
+        path_depth_mm=np.array([result.depth_mm for result in path]),
+        path_force_over_modulus_mm2=np.array([result.pushed.along for result in path]),
         r_mm=lines[0],
         touched_mm=moved[:, 0],
         far_mm=moved[:, -1],

@@ -1,6 +1,6 @@
 """Contact of a rigid ball with the deformed face, axisymmetric: frictionless to full stick.
 
-Axes r, z with z along the press; the ball comes from z < 0 and its foremost point is at z = d.
+Axes r, z with z along the press; the ball is at z < 0 and its foremost point is at z = d.
 Augmented Lagrangian penalty at integration points in the current configuration (stress per
 undeformed area). Symbols: v from the ball's centre to the point, n = v / |v|, penetration
 R - |v|, lambda the carried pressure, eps the penalty, theta the polar angle of v, so that the
@@ -66,7 +66,7 @@ class BallContact:
         distance = np.linalg.norm(v, axis=1)
         n = v / distance[:, None]
         raw = self.carried + self.penalty * (self.radius_mm - distance)
-        # Far outside, the face may lie below the ball's equator plane: no contact there.
+        # Far outside, the face may be below the ball's equator plane: no contact there.
         touching = ((raw > 0) & (n[:, 1] > 0)) if active is None else active
         pressure = np.where(touching, raw, 0.0)
         tau = np.stack((n[:, 1], -n[:, 0]), axis=1)
@@ -92,15 +92,15 @@ class BallContact:
         return replace(self, angle_before=self._angle(moved_mm, depth_mm), drag_before=drag)
 
     def carry(self, pressure: FloatArray) -> "BallContact":
-        """Return the contact with another carried pressure."""
+        """Return the contact with a new carried pressure."""
         return replace(self, carried=pressure)
 
     def is_spurious(self, moved_mm: FloatArray, depth_mm: float) -> bool:
-        """Tell whether the face leaves the ball anywhere within the contact's outer radius."""
+        """Return True if the face has a gap to the ball within the contact's outer radius."""
         touching = self.evaluate(moved_mm, depth_mm, None).active
         within = np.arange(touching.size) < np.flatnonzero(touching).max(initial=0)
         gap = self._behind(moved_mm) - depth_mm if self.linear else self._gap(moved_mm, depth_mm)
-        # The carried pressure ripples a little between the points: such gaps mean nothing.
+        # The carried pressure ripples slightly between the points: such gaps are ignored.
         return bool((gap[within] > _HARMLESS_GAP * self.radius_mm).any())
 
     def _drag(
@@ -139,7 +139,7 @@ class BallContact:
         return gap
 
     def _behind(self, moved_mm: FloatArray) -> FloatArray:
-        """Return the gap along the press at depth 0, seen at the undeformed radius."""
+        """Return the gap along the press at depth 0, at the undeformed radius."""
         r = self.surface.trace @ self.nodes_mm[:, 0]
         fall = self.radius_mm - np.sqrt(np.maximum(self.radius_mm**2 - r**2, 0.0))
         behind: FloatArray = self.surface.trace @ moved_mm[:, 1] + fall
@@ -149,8 +149,8 @@ class BallContact:
         self, moved_mm: FloatArray, depth_mm: float, active: BoolArray | None
     ) -> Pushed:
         raw = self.carried - self.penalty * (self._behind(moved_mm) - depth_mm)
-        beside = self.surface.trace @ self.nodes_mm[:, 0] >= self.radius_mm
-        touching = ((raw > 0) & ~beside) if active is None else active
+        outside = self.surface.trace @ self.nodes_mm[:, 0] >= self.radius_mm
+        touching = ((raw > 0) & ~outside) if active is None else active
         pressure = np.where(touching, raw, 0.0)
         along = np.array([0.0, 1.0])
         stiffness = np.where(touching, self.penalty, 0.0)[:, None, None] * np.outer(along, along)

@@ -1,10 +1,10 @@
 """A stretched block bent around a frictionless cylinder: neo-Hookean, any thickness, exact.
 
 Rivlin (Proceedings of the Royal Society A 195, 463-473, 1949): in plane strain an incompressible
-block bends into a sector whose fibres lie on circles, at r with the stretch w r. The bent block
-goes on as a flat one that hangs in its tension alone; both slide freely, so that per undeformed
-length each keeps the same energy less tension times stretch (the material's own force). Shear
-modulus 1.
+block bends into a sector with fibres on circles, at r with the stretch w r. The bent block
+continues as a flat one that is loaded only by its tension; both slide freely, so that per
+undeformed length each has the same energy less tension times stretch (the material's own force).
+Shear modulus 1.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from scipy.optimize import brentq
 
 @dataclass(frozen=True)
 class HangingBlock:
-    """What the flat part hangs by."""
+    """Line of tension, tension and thickness of the flat part."""
 
-    #: of its line of tension from the cylinder's axis
+    #: distance of its line of tension from the cylinder's axis
     distance_mm: float
     #: per width, over the shear modulus
     tension_over_shear: float
@@ -26,7 +26,7 @@ class HangingBlock:
 
 
 def tension_distance(radius_mm: float, thickness_mm: float, across: float) -> HangingBlock:
-    """Return how a block hangs from a cylinder; `across`: stretch of its flat part."""
+    """Return the tension of a block bent round a cylinder; `across`: stretch of its flat part."""
     thinned = 1 / across
     flat = (across**2 + thinned**2 - 2) / 2 - (across**2 - thinned**2)
 

@@ -9,7 +9,7 @@ Int. J. Eng. Sci. 3, 47-57), frictionless, at unit Young's modulus:
 
 Symbols: a contact radius, d depth, h thickness, E* = E / (1 - nu^2), g(s) = s^2 / R (paraboloid)
 or s artanh(s / R) (sphere), q wavenumber times thickness, Phi the layer's compliance over that of
-the half-space. Phi comes from closed forms, so that nothing is shared with `transfer`.
+the half-space. Phi is from closed forms, so that the oracle shares no code with `transfer`.
 """
 
 from collections.abc import Callable
@@ -46,7 +46,7 @@ def layer_compliance(q: FloatArray, poisson_ratio: float, base: LayerBase) -> Fl
     base : {"bonded", "slip", "half_space"}
         Far face: no displacement; no normal displacement and no friction; infinitely far away.
     """
-    # Numerator and denominator times 2 exp(-2 q) or so, so that nothing overflows.
+    # Numerator and denominator times about 2 exp(-2 q), to avoid overflow.
     kappa, fade = 3 - 4 * poisson_ratio, np.exp(-2 * q)
     if base == "half_space":
         return np.ones_like(q)
@@ -131,7 +131,7 @@ def press_ball(
     poisson_ratio : float
         0 < nu <= 0.5.
     base : {"bonded", "slip", "half_space"}
-        What holds the far face; the half-space ignores its thickness.
+        Support of the far face; the half-space ignores its thickness.
     profile : {"sphere", "paraboloid"}
         The true ball, or the parabola of Hertz's theory.
 

@@ -1,6 +1,6 @@
-"""Values with their first and second derivatives, carried forward through plain arithmetic.
+"""Values with their first and second derivatives, propagated through plain arithmetic.
 
-An oracle writes its energy once, as the formula stands in the book, and gets the exact tangent.
+An oracle writes its energy once, as the formula in the book, and gets the exact tangent.
 """
 
 from dataclasses import dataclass
@@ -25,28 +25,30 @@ class Jet:
         outer = self.slope[:, None] * self.slope
         return Jet(value, first * self.slope, first * self.bend + second * outer)
 
-    def __add__(self, other):
-        if isinstance(other, Jet):
-            return Jet(self.value + other.value, self.slope + other.slope, self.bend + other.bend)
-        return Jet(self.value + other, self.slope, self.bend)
+    def __add__(self, operand):
+        if isinstance(operand, Jet):
+            return Jet(
+                self.value + operand.value, self.slope + operand.slope, self.bend + operand.bend
+            )
+        return Jet(self.value + operand, self.slope, self.bend)
 
     def __neg__(self):
         return Jet(-self.value, -self.slope, -self.bend)
 
-    def __sub__(self, other):
-        return self + (-other)
+    def __sub__(self, operand):
+        return self + (-operand)
 
-    def __rsub__(self, other):
-        return other + (-self)
+    def __rsub__(self, operand):
+        return operand + (-self)
 
-    def __mul__(self, other):
-        if not isinstance(other, Jet):
-            return Jet(self.value * other, self.slope * other, self.bend * other)
-        mixed = self.slope[:, None] * other.slope
+    def __mul__(self, operand):
+        if not isinstance(operand, Jet):
+            return Jet(self.value * operand, self.slope * operand, self.bend * operand)
+        mixed = self.slope[:, None] * operand.slope
         return Jet(
-            self.value * other.value,
-            self.value * other.slope + other.value * self.slope,
-            self.value * other.bend + other.value * self.bend + mixed + mixed.swapaxes(0, 1),
+            self.value * operand.value,
+            self.value * operand.slope + operand.value * self.slope,
+            self.value * operand.bend + operand.value * self.bend + mixed + mixed.swapaxes(0, 1),
         )
 
     def __pow__(self, power):
@@ -55,8 +57,8 @@ class Jet:
             x**power, power * x ** (power - 1), power * (power - 1) * x ** (power - 2)
         )
 
-    def __truediv__(self, other):
-        return self * (other**-1)
+    def __truediv__(self, operand):
+        return self * (operand**-1)
 
     __radd__, __rmul__ = __add__, __mul__
 

@@ -106,7 +106,7 @@ def _touched(sheet: RoundSheet, y: list[Jet], travel_mm: float, anchors: Anchors
 
 
 def _composed(near: Nearest, x: Jet, z: Jet) -> Jet:
-    """Return a signed distance as a function of what x and z depend on."""
+    """Return a signed distance as a function of the variables of x and z."""
     nx, nz, k = near.normal_x, near.normal_z, near.curvature_per_mm
     along = nz * x.slope - nx * z.slope
     return Jet(

@@ -41,7 +41,7 @@ class RoundGrid(ElementGrid):
         return np.concatenate((slopes, hoop), axis=2)
 
     def surface(self, gauss: int) -> Surface:
-        """Return the touched face, whose points stand for rings."""
+        """Return the touched face; each point represents a ring."""
         plane = super().surface(gauss)
         around_mm = 2 * np.pi * (plane.trace @ self.nodes_mm[:, 0])
         return replace(plane, weight_mm2=plane.weight_mm2 * around_mm)

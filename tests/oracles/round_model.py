@@ -1,4 +1,4 @@
-"""What the one-dimensional sheet consists of: splines, sheet, loads. See `round_sheet`."""
+"""Parts of the one-dimensional sheet: splines, sheet, loads. See `round_sheet`."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -55,7 +55,7 @@ class Line:
 
     @cached_property
     def local(self) -> FloatArray:
-        """(point, derivative, function): the three splines that live at each Gauss point."""
+        """(point, derivative, function): the three splines that are not 0 at each Gauss point."""
         cell = np.repeat(np.arange(self.size - 2), 2)[:, None] + np.arange(3)
         return np.stack(
             [np.take_along_axis(self.table(self.points_mm, d), cell, 1) for d in range(3)], axis=1
@@ -68,7 +68,7 @@ class Line:
 
 @dataclass(frozen=True)
 class RoundSheet:
-    """A sheet, what holds it and what it meets."""
+    """A sheet, its support and its specimen."""
 
     section: Section
     thickness_mm: float
@@ -130,7 +130,7 @@ class Anchors:
 
 @dataclass(frozen=True)
 class Load:
-    """What is prescribed."""
+    """The prescribed travel, pressure and lift."""
 
     travel_mm: float = 0.0
     #: on the upper face, along -z on the flat sheet, following the surface
@@ -138,7 +138,7 @@ class Load:
     #: of the lifted end
     lift_mm: float = 0.0
 
-    def towards(self, other: "Load", share: float) -> "Load":
+    def towards(self, goal: "Load", share: float) -> "Load":
         """Return the load a share of the way to another."""
-        here, there = (np.array(list(vars(load).values())) for load in (self, other))
+        here, there = (np.array(list(vars(load).values())) for load in (self, goal))
         return Load(*(here + share * (there - here)).tolist())

@@ -4,8 +4,8 @@ An oracle of `twin.mechanics.sheet` that shares no code with it. Incompressible 
 Kirchhoff-Love sheet of finite rotation and stretch; the unknown r(S) is the surface midway between
 the DEFORMED faces, in quadratic B-splines of the undeformed radius (strip: half width) S.
 
-Frame: r (strip: x) and z along the press; z = 0 is the undeformed mid plane. The specimen comes
-from below and first touches the lower face at travel 0. Units mm, N, MPa; a strip is 1 mm long.
+Frame: r (strip: x) and z along the press; z = 0 is the undeformed mid plane. The specimen is below
+and first touches the lower face at travel 0. Units mm, N, MPa; a strip is 1 mm long.
 
 Symbols: l1, l2 principal stretches (meridian, hoop; strip: l2 = 1), l3 = 1 / (l1 l2) that of the
 thickness h, k1, k2 principal curvatures. With t = k1 + k2, q = k1^2 + k2^2 and
@@ -13,8 +13,8 @@ v = l1^2 k1^2 + l2^2 k2^2 the energy per undeformed area is
 
     W / mu = h/2 (l1^2 + l2^2 + l3^2 - 3) + h^3/24 [(2 t^2 + q) l3^2 + v] l3^2
 
-The faces lie at r +- (h/2) l3 n; the gap to a rigid part of signed distance phi is
-g = phi(r) - (h/2) l3. Touching costs eps g^2 / 2 per undeformed area, eps = E* / (0.25 h).
+The faces are at r +- (h/2) l3 n; the gap to a rigid part of signed distance phi is
+g = phi(r) - (h/2) l3. Contact costs eps g^2 / 2 per undeformed area, eps = E* / (0.25 h).
 """
 
 from dataclasses import dataclass, replace
@@ -54,7 +54,7 @@ class Equilibrium:
 
 @dataclass(frozen=True)
 class Profile:
-    """Both faces along the section, axis to rim, and what holds them up."""
+    """Both faces along the section, axis to rim, and the contact force."""
 
     radius_mm: FloatArray
     #: above the undeformed upper face
@@ -103,7 +103,7 @@ def strip_sheet_profile(
     pressure_kpa, tack_j_m2, stick, clamped
         Back pressure (ramped after the travel), adhesion, no slip once touched, kind of rim.
     step_mm, pitch_mm, fine_mm, tack_range_mm
-        How finely to solve.
+        Sizes of steps and cells.
     """
     return _pressed_profile(
         section, thickness_mm, young_modulus_kpa, rim_mm, travel_mm, plane_strain=True, **options
@@ -130,10 +130,10 @@ def _pressed_profile(
         tack_n_mm=tack_j_m2 * 1e-3,
         **options,
     )
-    found = follow(sheet, rest(sheet), Load(travel_mm), round(np.ceil(travel_mm / step_mm - 1e-9)))
+    result = follow(sheet, rest(sheet), Load(travel_mm), round(np.ceil(travel_mm / step_mm - 1e-9)))
     if pressure_kpa:
-        found = follow(sheet, found, Load(travel_mm, pressure_kpa * 1e-3), 4)
-    return profile(sheet, found)
+        result = follow(sheet, result, Load(travel_mm, pressure_kpa * 1e-3), 4)
+    return profile(sheet, result)
 
 
 def rest(sheet: RoundSheet) -> Equilibrium:
@@ -145,7 +145,7 @@ def rest(sheet: RoundSheet) -> Equilibrium:
 
 
 def follow(sheet: RoundSheet, start: Equilibrium, aim: Load, steps: int) -> Equilibrium:
-    """Go from an equilibrium to a load in so many steps, shorter ones where one fails.
+    """Solve from an equilibrium to a load in a number of steps, shorter ones where one fails.
 
     Raises
     ------
@@ -160,38 +160,38 @@ def follow(sheet: RoundSheet, start: Equilibrium, aim: Load, steps: int) -> Equi
         guess = at.coefficients_mm
         if before is not None:
             guess = guess + (guess - before[0]) * stride / before[1]
-        found = _solved(sheet, load, guess, at)
-        if found is None:
+        result = _solved(sheet, load, guess, at)
+        if result is None:
             before, stride = None, stride / 2
             if stride < shortest:
                 raise NoEquilibriumError(f"no equilibrium between {at.load} and {load}")
             continue
         before = (at.coefficients_mm, stride)
-        at, done = _grip(sheet, found), done + stride
+        at, done = _grip(sheet, result), done + stride
     return at
 
 
-def profile(sheet: RoundSheet, found: Equilibrium) -> Profile:
+def profile(sheet: RoundSheet, result: Equilibrium) -> Profile:
     """Return both faces at the cells' edges and middles."""
     edges, half = sheet.line.edges_mm, sheet.thickness_mm / 2
     at = np.interp(np.arange(2 * edges.size - 1) / 2, np.arange(edges.size), edges)
     at[0] = 1e-6 * sheet.rim_mm  # no hoop on the axis itself
-    upper, lower, thin = _faces(sheet, found, at)
-    touching = _faces(sheet, found, sheet.line.points_mm)[1][found.gap_mm < 0, 0]
+    upper, lower, thin = _faces(sheet, result, at)
+    touching = _faces(sheet, result, sheet.line.points_mm)[1][result.gap_mm < 0, 0]
     return Profile(
         radius_mm=upper[:, 0],
         upper_z_mm=upper[:, 1] - half,
         lower_r_mm=lower[:, 0],
         lower_z_mm=lower[:, 1] + half,
-        force_n=found.force,
+        force_n=result.force,
         contact_radius_mm=float(touching.max(initial=0.0)),
         thickness_stretch=thin,
     )
 
 
-def _faces(sheet: RoundSheet, found: Equilibrium, at_mm: FloatArray):
+def _faces(sheet: RoundSheet, result: Equilibrium, at_mm: FloatArray):
     """Return upper and lower face (point, [r, z]) and the stretch of the thickness (point,)."""
-    middle, along = (sheet.line.table(at_mm, d) @ found.coefficients_mm for d in (0, 1))
+    middle, along = (sheet.line.table(at_mm, d) @ result.coefficients_mm for d in (0, 1))
     j = np.hypot(*along.T)
     thin = 1 / j if sheet.plane_strain else at_mm / (j * middle[:, 0])
     up = (
@@ -203,7 +203,7 @@ def _faces(sheet: RoundSheet, found: Equilibrium, at_mm: FloatArray):
 def _solved(
     sheet: RoundSheet, load: Load, guess: FloatArray, start: Equilibrium
 ) -> Equilibrium | None:
-    """Minimise the energy from a guess; None where Newton's method does not get there."""
+    """Minimise the energy from a guess; None if Newton's method does not converge."""
     at = guess.copy()
     if sheet.lifted_end:
         at[0, 1] = load.lift_mm
@@ -226,13 +226,13 @@ def _solved(
 
 
 def _noise(sheet: RoundSheet) -> float:
-    """Return what rounding makes of the energy's differences: the membrane's sum less 3."""
+    """Return the rounding error of the energy's differences: the membrane's sum less 3."""
     stiffness = sheet.shear_modulus_mpa * sheet.thickness_mm
     return float(8 * np.finfo(float).eps * stiffness * sheet.weights_mm2.sum())
 
 
 def _newton_move(sheet: RoundSheet, here: Assembled):
-    """Return the move of the coefficients (n, 2) and how fast the energy falls along it."""
+    """Return the move of the coefficients (n, 2) and the slope of the energy along it."""
     unknowns = sheet.unknowns
     free = unknowns >= 0
     slope = np.bincount(unknowns[free], here.gradient[free], unknowns.max() + 1)
@@ -256,31 +256,31 @@ def _factor(sheet: RoundSheet, bend: FloatArray) -> FloatArray:
 def balanced(
     sheet: RoundSheet, load: Load, coefficients: FloatArray, anchors: Anchors
 ) -> Equilibrium:
-    """Return what acts at coefficients (function, [r, z]) that are in equilibrium."""
-    found = assemble(sheet, load, coefficients, anchors)
+    """Return the forces at coefficients (function, [r, z]) that are in equilibrium."""
+    result = assemble(sheet, load, coefficients, anchors)
     return Equilibrium(
-        load, coefficients, anchors, found.gap_mm, found.force, found.gradient[1], found.energy
+        load, coefficients, anchors, result.gap_mm, result.force, result.gradient[1], result.energy
     )
 
 
-def _grip(sheet: RoundSheet, found: Equilibrium) -> Equilibrium:
-    """Anchor what has newly touched at its nearest point, release what has left.
+def _grip(sheet: RoundSheet, result: Equilibrium) -> Equilibrium:
+    """Anchor points that newly touch at their nearest point, release points that have left.
 
-    A new anchor has neither energy nor force: the sheet stays in balance.
+    A new anchor has neither energy nor force: the sheet remains in equilibrium.
     """
     if not sheet.stick:
-        return found
+        return result
     reach = sheet.tack_range_mm if sheet.tack_n_mm else 0.0
-    x, z = spread(sheet, found.coefficients_mm)[[0, 3]]
-    raised = z + sheet.thickness_mm / 2 - found.load.travel_mm
+    x, z = spread(sheet, result.coefficients_mm)[[0, 3]]
+    raised = z + sheet.thickness_mm / 2 - result.load.travel_mm
     near = [part(x, raised) for part in sheet.section]
     nearest = np.argmin([part.distance_mm for part in near], axis=0)
     nx, nz, distance = (
         np.choose(nearest, [getattr(part, name) for part in near])
         for name in ("normal_x", "normal_z", "distance_mm")
     )
-    old, new = found.anchors, ~found.anchors.held & (found.gap_mm < 0.5 * reach)
-    held = new | (old.held & (found.gap_mm < reach))
+    old, new = result.anchors, ~result.anchors.held & (result.gap_mm < 0.5 * reach)
+    held = new | (old.held & (result.gap_mm < reach))
     anchors = Anchors(
         held,
         np.where(new, x - distance * nx, old.x_mm),
@@ -288,4 +288,4 @@ def _grip(sheet: RoundSheet, found: Equilibrium) -> Equilibrium:
         np.where(new, nz, old.tangent_x),
         np.where(new, -nx, old.tangent_z),
     )
-    return replace(found, anchors=anchors)
+    return replace(result, anchors=anchors)

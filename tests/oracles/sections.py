@@ -1,6 +1,6 @@
 """Sections of rigid specimens as signed distances in a half plane (x or r >= 0, z).
 
-z counts from the specimen's highest point, material lies below. A section is a tuple of parts:
+z counts from the specimen's highest point, material is below. A section is a tuple of parts:
 their contact potentials add, so that no distance has a kink where two parts meet.
 """
 
@@ -14,7 +14,7 @@ from reconstruction.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Nearest:
-    """Where points (point,) lie relative to a part."""
+    """Position of points (point,) relative to a part."""
 
     #: positive outside
     distance_mm: FloatArray
@@ -64,13 +64,13 @@ def _rounded(width_mm: float, edge_mm: float, below_mm: float) -> Part:
         # From the centre of the rounded edge.
         x, z = x_mm - (width_mm / 2 - edge_mm), z_mm + below_mm + edge_mm
         corner = (x > 0) & (z > 0)
-        beside = ~corner & (x > z)
+        at_side = ~corner & (x > z)
         away = np.where(corner, np.hypot(x, z), np.maximum(x, z))
         safe = np.where(corner, away, 1.0)
         return Nearest(
             away - edge_mm,
-            np.where(corner, x / safe, beside),
-            np.where(corner, z / safe, ~beside),
+            np.where(corner, x / safe, at_side),
+            np.where(corner, z / safe, ~at_side),
             np.where(corner, 1 / safe, 0.0),
         )
 

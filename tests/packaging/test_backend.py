@@ -1,4 +1,4 @@
-"""The backend is proved in a child process; what does not work there never reaches this one."""
+"""The backend is tested in a child process: a crash there does not affect this process."""
 
 import _ctypes
 import os
@@ -82,14 +82,14 @@ def test_child_that_hangs_is_a_refusal(monkeypatch, tmp_path):
     assert probe(LLVM_VARIANT, "/any", timeout_s=1.0).reason == "no answer within 1 s"
 
 
-def test_missing_system_library_is_told(monkeypatch, tmp_path):
+def test_missing_system_library_is_reported(monkeypatch, tmp_path):
     words = "libatomic.so.1: cannot open shared object file: No such file or directory"
     replace_drjit(monkeypatch, tmp_path, f"raise ImportError({words!r})")
     with pytest.raises(MissingBackend, match=r"libatomic\.so\.1 is missing: .*libatomic1"):
         probe(LLVM_VARIANT, "/any")
 
 
-def test_missing_backend_says_what_to_install(llvm_only):
+def test_missing_backend_names_the_package_to_install(llvm_only):
     llvm_only.setattr(backend, "llvm_candidates", list)
     with pytest.raises(MissingBackend) as caught:
         find_backend()
@@ -187,8 +187,8 @@ def test_newest_library_comes_first(monkeypatch, tmp_path):
     (tmp_path / "libLLVM.so").symlink_to("libLLVM.so.19.1")
     monkeypatch.setattr(backend, "_LIBRARY_FOLDERS", (str(tmp_path),))
     monkeypatch.setattr(backend, "_linker_cache", lambda: iter(()))
-    found = [path.name for path in backend.llvm_candidates() if path.parent == tmp_path]
-    assert found == ["libLLVM.so.19.1", "libLLVM-18.so.1", "libLLVM-15.so.1", "libLLVM.so.9"]
+    result = [path.name for path in backend.llvm_candidates() if path.parent == tmp_path]
+    assert result == ["libLLVM.so.19.1", "libLLVM-18.so.1", "libLLVM-15.so.1", "libLLVM.so.9"]
 
 
 def test_activate_is_idempotent(mi):

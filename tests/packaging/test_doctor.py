@@ -1,4 +1,4 @@
-"""The diagnosis survives whatever is broken."""
+"""The diagnosis runs to its end, independent of the broken part."""
 
 import importlib.metadata
 import sys
@@ -55,7 +55,7 @@ def test_broken_check_is_a_finding(monkeypatch):
     assert [finding.ok for finding in doctor._safely(broken)] == [False]
 
 
-def test_unwritable_numba_cache_is_told(monkeypatch):
+def test_unwritable_numba_cache_is_reported(monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/numba")
     finding = by_name()["numba cache"]
     assert not finding.ok

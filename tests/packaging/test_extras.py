@@ -1,4 +1,4 @@
-"""What a user is advised to install: it must be there to be installed."""
+"""Install advice to a user: the named extras and packages must exist."""
 
 import re
 import shlex
@@ -37,7 +37,7 @@ def test_the_command_installs_this_checkout_into_this_python(extra):
     assert str(error).count("\n") == 0
 
 
-def test_without_a_checkout_it_says_where_to_run(monkeypatch):
+def test_without_a_checkout_the_advice_names_one(monkeypatch):
     monkeypatch.setattr("twin.extras._checkout", lambda: None)
     assert install("view") == (
         f"in a checkout of fringe-twin: {shlex.quote(sys.executable)} -m pip install '.[view]'"

@@ -1,4 +1,4 @@
-"""Who may import what, read from the sources."""
+"""Allowed imports of each package, read from the sources."""
 
 import ast
 from collections.abc import Iterator
@@ -34,9 +34,9 @@ def importers(folders: tuple[str, ...], modules: set[str]) -> list[str]:
 
 
 def test_renderer_is_imported_under_optics_only():
-    found = importers(SHIPPED, {"mitsuba", "drjit"})
-    assert found
-    assert [path for path in found if not path.startswith("twin/optics/")] == []
+    result = importers(SHIPPED, {"mitsuba", "drjit"})
+    assert result
+    assert [path for path in result if not path.startswith("twin/optics/")] == []
 
 
 def test_reconstruction_does_not_know_the_twin():
@@ -55,7 +55,7 @@ def test_data_folders_hold_no_code(folder):
 def test_no_modules_import_each_other():
     """Also inside functions; types that only the checker reads do not count."""
     graph = grimp.build_graph(*SHIPPED, exclude_type_checking_imports=True, cache_dir=None)
-    imports = {one: graph.find_modules_directly_imported_by(one) for one in graph.modules}
+    imports = {item: graph.find_modules_directly_imported_by(item) for item in graph.modules}
     circle: list[str] = []
     try:
         TopologicalSorter(imports).prepare()

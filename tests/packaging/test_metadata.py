@@ -1,4 +1,4 @@
-"""What the package says of itself: one version, known classifiers, no licence that nobody chose."""
+"""Metadata of the package: one version, known classifiers, no licence without a decision."""
 
 import tomllib
 from importlib import metadata
@@ -25,10 +25,10 @@ def test_classifiers_exist():
 
 
 def test_no_licence_is_invented():
-    """The owner has chosen none: README says so, and nothing else names one."""
+    """The owner has chosen none: README states that, and no other file names a licence."""
     assert "license" not in PROJECT
     assert "license" not in CITATION
-    assert not any(one.startswith("License") for one in PROJECT["classifiers"])
+    assert not any(item.startswith("License") for item in PROJECT["classifiers"])
     assert "**Licence: none has been chosen by the owner yet.**" in (ROOT / "README.md").read_text()
     assert not list(ROOT.glob("LICEN[CS]E*"))
 
@@ -39,4 +39,4 @@ def test_the_paper_is_cited_by_its_title():
     comment = (ROOT / "scenes" / "paper" / "targets.toml").read_text(encoding="utf-8")
     words = " ".join(line.removeprefix("#").strip() for line in comment.splitlines()[:3])
     assert paper["title"] in words
-    assert f"({', '.join(one['family-names'] for one in paper['authors'])})" in words
+    assert f"({', '.join(item['family-names'] for item in paper['authors'])})" in words

@@ -1,4 +1,4 @@
-"""Without what only POSIX systems have, everything is imported and the quick way works.
+"""Without the modules of POSIX systems, all modules are imported and a short run works.
 
 On Linux, with those modules and functions hidden (`windows`): no test ran on Windows or macOS.
 """
@@ -33,7 +33,7 @@ values = [0.5, 0.6]
 
 
 def elsewhere(folder: Path, *arguments: str) -> str:
-    """Run `windows` in a folder; returns what it prints."""
+    """Run `windows` in a folder; return its output."""
     done = subprocess.run(
         [sys.executable, "-m", "tests.packaging.windows", *arguments],
         cwd=folder,
@@ -72,7 +72,7 @@ def test_a_sweep_in_one_process(tmp_path):
 
 
 def outer_imports(tree: ast.AST) -> Iterator[str]:
-    """Yield the modules that are imported when a file is, in whatever block outside functions."""
+    """Yield the modules that the import of a file imports, in any block outside functions."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -82,15 +82,15 @@ def outer_imports(tree: ast.AST) -> Iterator[str]:
             yield from outer_imports(node)
 
 
-def test_no_module_imports_what_only_posix_has():
-    found = {
+def test_no_module_imports_posix_modules():
+    result = {
         path.relative_to(ROOT).as_posix(): name
         for package in ("twin", "reconstruction")
         for path in (ROOT / package).rglob("*.py")
         for name in outer_imports(ast.parse(path.read_text(encoding="utf-8")))
         if name in MODULES
     }
-    assert found == {}
+    assert result == {}
 
 
 LOCKING = """
@@ -129,7 +129,7 @@ def test_a_byte_is_locked_for_other_processes(tmp_path, monkeypatch, system):
         os.close(handle)
 
 
-def test_a_platform_without_locks_says_so(tmp_path, monkeypatch):
+def test_a_platform_without_locks_raises(tmp_path, monkeypatch):
     """OSError, as of a file system without locks, which every caller is ready for."""
     monkeypatch.setattr(locks, "_FCNTL", None)
     monkeypatch.setattr(locks, "_MSVCRT", None)

@@ -1,4 +1,4 @@
-"""`import twin` gives the public names, and costs nothing before one is used."""
+"""`import twin` gives the public names, and loads no module before a name is used."""
 
 import ast
 import inspect
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 HEAVY = ("mitsuba", "drjit", "numba", "scipy", "numpy", "trimesh", "pydantic", "matplotlib")
 
 
-def test_import_alone_loads_nothing() -> None:
+def test_import_loads_no_module() -> None:
     code = f"""
 import sys, twin
 assert set(twin.__all__) <= set(dir(twin))
@@ -30,18 +30,18 @@ print(loaded + [name for name in {HEAVY} if name in sys.modules])
 
 @pytest.mark.parametrize("name", twin.__all__)
 def test_every_public_name_is_there_and_documented(name: str) -> None:
-    found = getattr(twin, name)
-    assert found.__doc__
+    result = getattr(twin, name)
+    assert result.__doc__
     assert f"`{name}`" in str(twin.__doc__)
 
 
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(AttributeError, match="'measurement'"):
-        twin.measurement  # noqa: B018 - the access is what is tested
+        twin.measurement  # noqa: B018 - the access is tested
 
 
 def test_type_checkers_read_the_same_names() -> None:
-    """What they cannot read from a table stands in a block for them: same names and modules."""
+    """A block for type checkers, which cannot read a table, has the same names and modules."""
     tree = ast.parse((ROOT / "twin/__init__.py").read_text(encoding="utf-8"))
     block = next(node for node in tree.body if isinstance(node, ast.If)).body
     imported = {
@@ -60,7 +60,7 @@ def test_type_checkers_read_the_same_names() -> None:
 
 
 @pytest.mark.parametrize("name", ["uncertainty", "adopt", "compensate", "calibrate"])
-def test_verbs_are_functions_whatever_was_imported(name: str) -> None:
+def test_verbs_are_functions_after_any_import(name: str) -> None:
     import twin.adoption.adopt
     import twin.propagation.trials
 

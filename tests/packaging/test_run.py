@@ -1,4 +1,4 @@
-"""The front door `./run`, with a stand-in for Python so that nothing is downloaded."""
+"""The front door `./run`, with a replacement of Python, so that there is no download."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-# Notes each call; `-m venv` makes an environment whose Python is this same script.
+# Notes each call; `-m venv` makes an environment with this script as Python.
 STAND_IN = """#!/bin/sh
 printf '%s\\n' "$*" >>"$CALLS"
 case $* in
@@ -111,7 +111,7 @@ def test_failed_set_up_is_one_line_and_not_taken_for_finished(checkout):
 
 def test_interrupted_set_up_is_not_taken_for_finished(checkout):
     process = checkout.start("setup", SLOW="3")
-    # The stand-in's own note, not what `run` says: it says so just before it starts pip.
+    # The note of the replacement, not the message of `run`, which is printed before pip starts.
     wait_until(lambda: checkout.count("requirements.lock") == 1)
     process.terminate()
     process.communicate(timeout=60)
@@ -171,7 +171,7 @@ def test_checks_come_before_pytest_which_gets_the_arguments(checkout):
     ]
 
 
-def test_quick_is_told(checkout):
+def test_quick_is_passed_on(checkout):
     assert "--quick" in checkout.run("help").stdout.split("  test ")[1].split("  bench ")[0]
 
 
@@ -200,7 +200,7 @@ def test_help_needs_no_set_up(checkout):
     assert not checkout.calls_file.exists()
 
 
-def test_python_that_does_not_work_is_told(checkout):
+def test_python_that_does_not_work_is_reported(checkout):
     ended = checkout.run("demo", TWIN_PYTHON="/absent/python")
     assert ended.returncode == 3
     assert "no Python 3.11 or newer found at TWIN_PYTHON=/absent/python" in ended.stderr

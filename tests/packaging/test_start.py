@@ -1,4 +1,4 @@
-"""The command line starts fast: what a command alone needs is imported inside it."""
+"""The command line starts fast: modules that only one command needs are imported inside it."""
 
 import subprocess
 import sys
@@ -28,13 +28,13 @@ def test_help_imports_few_modules():
     assert sum(name.partition(".")[0] in ("twin", "reconstruction") for name in modules) < 20
 
 
-def test_help_imports_nothing_heavy():
+def test_help_imports_no_heavy_module():
     code = f"{SHOW_HELP}\nprint('heavy:', [name for name in {HEAVY} if name in sys.modules])"
     assert run_python(code).stdout.splitlines()[-1] == "heavy: []"
 
 
-def test_a_dry_run_imports_nothing_that_it_does_not_need(tmp_path):
-    """A third of its time was statistics that a grid of two cases never asks for."""
+def test_a_dry_run_imports_only_needed_modules(tmp_path):
+    """33 % of its time was the import of statistics, which a grid of two cases does not use."""
     (tmp_path / "study.toml").write_text(
         'name = "two"\nbase = "examples/slab_ball"\n'
         '[[axis]]\npath = "coating.base_albedo"\nvalues = [0.3, 0.5]\n'
@@ -50,8 +50,8 @@ def test_a_dry_run_imports_nothing_that_it_does_not_need(tmp_path):
     assert modules.isdisjoint(heavy), modules & set(heavy)
 
 
-def test_a_reconstruction_imports_nothing_that_it_does_not_need():
-    """Half of its start was what presses, fits and draws."""
+def test_a_reconstruction_imports_only_needed_modules():
+    """50 % of its start time was the import of modules that press, fit and draw."""
     ended = run_python("import sys\nimport twin.pipeline.captures\nprint(*sys.modules)")
     assert ended.returncode == 0, ended.stderr
     modules = set(ended.stdout.split())

@@ -1,4 +1,4 @@
-"""The suite itself: what `--quick` leaves out, and that no test judges by the clock."""
+"""The suite itself: the tests that `--quick` excludes, and no test depends on the clock."""
 
 import re
 from collections import Counter

@@ -30,12 +30,12 @@ print(len(list_assets("scenes")), len(list_assets("materials")))
 
 
 def run(*command: str | Path, cwd: Path) -> str:
-    kept = {
+    env = {
         name: value
         for name, value in os.environ.items()
         if name not in ("PYTHONPATH", "TWIN_ASSETS")
     }
-    ended = subprocess.run(command, cwd=cwd, env=kept, capture_output=True, text=True, check=False)
+    ended = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     return ended.stdout
 

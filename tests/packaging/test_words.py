@@ -37,7 +37,7 @@ def written() -> Iterator[tuple[str, str]]:
         yield path.name, path.read_text(encoding="utf-8")
 
 
-def told() -> Iterator[tuple[str, str]]:
+def help_texts() -> Iterator[tuple[str, str]]:
     """Help of every command."""
     for command in ([], *([name] for name in COMMANDS), ["sweep", "table"], ["sweep", "best"]):
         shown = io.StringIO()
@@ -56,12 +56,12 @@ def captioned() -> Iterator[tuple[str, str]]:
             yield path.name, "\n".join(text for text in texts if isinstance(text, str))
 
 
-@pytest.mark.parametrize("texts", [written, told, captioned])
+@pytest.mark.parametrize("texts", [written, help_texts, captioned])
 def test_users_read_the_words_of_the_field(texts):
     for name, text in texts():
         for banned, better in INSTEAD.items():
-            found = re.search(banned, text, re.IGNORECASE)
-            assert found is None, f"{name}: '{found.group()}'; say {better}"
+            result = re.search(banned, text, re.IGNORECASE)
+            assert result is None, f"{name}: '{result.group()}'; say {better}"
 
 
 def test_no_class_name_is_defined_twice():
@@ -76,7 +76,7 @@ def test_no_class_name_is_defined_twice():
 
 
 def test_names_are_words_of_the_field_too():
-    """Classes are called what they are called elsewhere."""
+    """Class names are those in common use."""
     banned = {"Watcher", "Thing", "Observer", "Wish", "Opponent", "Ladder"}
     for folder in ("twin", "reconstruction", "benchmarks"):
         for path in (ROOT / folder).rglob("*.py"):

@@ -1,4 +1,4 @@
-"""Take from this process what Windows does not have, then run a command of `twin` or import all.
+"""Remove the modules that Windows lacks from this process, then run a command or import all.
 
     python -m tests.packaging.windows import
     python -m tests.packaging.windows twin ARGUMENTS
@@ -60,13 +60,13 @@ def imitated() -> types.ModuleType:
 
 def import_all() -> int:
     """Import every module of both packages; return how many."""
-    found = 0
+    count = 0
     for package in ("twin", "reconstruction"):
-        for one in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
-            if not one.name.startswith(OPTIONAL):
-                importlib.import_module(one.name)
-                found += 1
-    return found
+        for item in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+            if not item.name.startswith(OPTIONAL):
+                importlib.import_module(item.name)
+                count += 1
+    return count
 
 
 if __name__ == "__main__":

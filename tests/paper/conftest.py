@@ -30,7 +30,7 @@ RADIUS_MM, APEX_MM = 4.0, 0.75
 
 @pytest.fixture(scope="package")
 def small_photographs():
-    """Photographs of 40 x 30 pixels: their content is another test's."""
+    """Photographs of 40 x 30 pixels; another test checks their content."""
     from twin.paper import photographs
 
     with pytest.MonkeyPatch.context() as patch:
@@ -51,7 +51,7 @@ def rod(measured_rod, small_photographs, tmp_path_factory):
     """Folder of a measured rod with panels. Not to be changed by tests."""
     folder = tmp_path_factory.mktemp("cases") / RODS[0] / "contact_fpp"
     folder.mkdir(parents=True)
-    keep(folder, measured_rod)
+    write_case(folder, measured_rod)
     return folder
 
 
@@ -63,16 +63,16 @@ def ball(mi, small_photographs, tmp_path_factory):
     sensor = load_experiment("paper/gelsight_two_balls")
     specimen = load_experiment("paper/ball").specimen
     carried = {"name": "ball", "specimen": specimen, "provenance": {}}
-    keep(folder, perfect_cap(sensor.model_copy(update=carried)))
+    write_case(folder, perfect_cap(sensor.model_copy(update=carried)))
     return folder
 
 
-def keep(folder, seen):
-    """Write what a case keeps, without its completeness."""
+def write_case(folder, measured):
+    """Write the files of a case, without its completeness."""
     from twin.paper.panels import panel_data_of, write_panel_data
 
-    write_result(folder, "paper", seen.experiment, seen.metrics)
-    write_panel_data(folder / "panels", panel_data_of(seen))
+    write_result(folder, "paper", measured.experiment, measured.metrics)
+    write_panel_data(folder / "panels", panel_data_of(measured))
 
 
 def perfect_cap(experiment, pitch_mm=0.1, shape=(120, 160)):

@@ -38,7 +38,7 @@ def test_bad_input_is_one_line(tmp_path, capsys, arguments, message):
     assert not out.exists()
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
+def test_a_folder_with_foreign_files_is_not_changed(tmp_path, capsys):
     (tmp_path / "diary.txt").write_text("mine")
     assert run(["paper", "-o", str(tmp_path), "--only", "hardness"]) == 2
     assert "is no earlier run of twin paper" in capsys.readouterr().err

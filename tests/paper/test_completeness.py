@@ -1,4 +1,4 @@
-"""Completeness against relief and specimen, on a press whose coat is known everywhere."""
+"""Completeness against relief and specimen, on a press with a known coat."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ PITCH_MM = 0.05
 
 
 @pytest.fixture(scope="module")
-def seen():
-    """An 8 mm ball 0.5 mm deep in a coat that touches it, seen by 241 x 241 pixels."""
+def scene():
+    """An 8 mm ball 0.5 mm deep in a coat that touches it, imaged by 241 x 241 pixels."""
     experiment = load_experiment(
         "examples/slab_ball",
         {
@@ -37,15 +37,15 @@ def seen():
     return experiment, pressed, truth, points
 
 
-def test_perfect_points_show_the_whole_contact(seen):
-    experiment, pressed, truth, points = seen
-    found = completeness_of(experiment, truth, points, truth.lit, pressed)
-    assert found.contact == found.contact_points == found.specimen_points == 1.0
+def test_perfect_points_cover_the_whole_contact(scene):
+    experiment, pressed, truth, points = scene
+    measured = completeness_of(experiment, truth, points, truth.lit, pressed)
+    assert measured.contact == measured.contact_points == measured.specimen_points == 1.0
 
 
-def test_missing_and_wrong_points_count_as_such(seen):
-    """Left half without points: half of a round contact. All points 60 um off: none within 50."""
-    experiment, pressed, truth, points = seen
+def test_missing_and_wrong_points_reduce_the_shares(scene):
+    """No points on x < 0: 50 % of a round contact. All points with 60 um error: none within 50."""
+    experiment, pressed, truth, points = scene
     right = truth.lit & (points[..., 0] > 0)
     half = completeness_of(experiment, truth, points, right, pressed)
     assert half.contact == pytest.approx(0.5, abs=0.03)
@@ -56,21 +56,21 @@ def test_missing_and_wrong_points_count_as_such(seen):
     assert wrong.contact_points == 1.0
 
 
-def test_against_the_specimen_only_what_it_touches_counts(seen):
-    """Inside the contact the coat is the ball: the share is contact over outline, and a rim.
+def test_share_of_the_specimen_is_that_of_its_contact(scene):
+    """Inside the contact the coat coincides with the ball: share = (contact + rim) / outline.
 
-    The rim is where the coat leaves the ball by less than 50 um. The contact's radius a is measured
-    on the pressure; a rim of 0.25 a at most bounds the share from above.
+    In the rim the distance of coat and ball is less than 50 um. The contact's radius a is that of
+    the pressure; a rim of at most 0.25 a bounds the share from above.
     """
-    experiment, pressed, truth, points = seen
-    found = completeness_of(experiment, truth, points, truth.lit, pressed)
+    experiment, pressed, truth, points = scene
+    measured = completeness_of(experiment, truth, points, truth.lit, pressed)
     cell = float(np.diff(pressed.x_mm)[0]) ** 2
     contact = pressed.contact.sum() * cell / (np.pi * 4.0**2)
-    assert contact * 0.97 < found.specimen < contact * 1.25**2
+    assert contact * 0.97 < measured.specimen < contact * 1.25**2
 
 
-def test_the_specimens_face_is_the_ball(seen):
-    experiment, pressed, _, points = seen
+def test_the_specimens_face_is_the_ball(scene):
+    experiment, pressed, _, points = scene
     z_mm = specimen_height_mm(experiment, pressed.depth_mm, points)
     r = np.hypot(points[..., 0], points[..., 1])
     near = r < 3.0
@@ -79,8 +79,8 @@ def test_the_specimens_face_is_the_ball(seen):
     assert not np.isfinite(z_mm[r > 4.2]).any()
 
 
-def test_direct_is_judged_against_the_specimen_alone(seen):
-    experiment, _, truth, points = seen
-    found = completeness_of(experiment, truth, points, truth.lit, None)
-    assert found.contact is None
-    assert found.specimen == 1.0
+def test_direct_is_compared_with_the_specimen_only(scene):
+    experiment, _, truth, points = scene
+    measured = completeness_of(experiment, truth, points, truth.lit, None)
+    assert measured.contact is None
+    assert measured.specimen == 1.0

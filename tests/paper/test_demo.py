@@ -1,11 +1,11 @@
-"""The paper's balls, nut and brick by its sensor as identified: one page, drawn again the same."""
+"""The paper's balls, nut and brick by the identified sensor: one page, redrawn with equal bytes."""
 
 import pytest
 
 from reconstruction.reading import read_json
 from tests.browser import assert_readable
 from twin.cli import run
-from twin.paper.demo import BESIDE, is_demo, paper_table
+from twin.paper.demo import FURTHER, is_demo, paper_table
 from twin.paper.plan import COARSE, Resolution
 from twin.results.folder import read_measurement
 
@@ -29,21 +29,21 @@ def folder(tmp_path_factory):
         return out
 
 
-def test_it_holds_all_measurements_and_their_page(folder):
+def test_the_folder_has_all_measurements_and_their_page(folder):
     assert is_demo(folder)
-    assert not is_demo(folder / BESIDE[0])
+    assert not is_demo(folder / FURTHER[0])
     assert read_json(folder / "result.json")["command"] == "demo"
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "True object, paper and twin" in page
-    for name in BESIDE:
+    for name in FURTHER:
         assert (folder / "figures" / f"{name}_relief.png").is_file()
 
 
-def test_true_object_paper_and_twin_stand_side_by_side(folder):
+def test_the_table_compares_true_object_paper_and_twin(folder):
     balls = read_measurement(folder)
-    beside = [read_measurement(folder / name) for name in BESIDE]
-    rows = {row["quantity"]: row for row in paper_table(balls, beside).rows}
-    # What a person reads first is the object, with its uncertainty.
+    further = [read_measurement(folder / name) for name in FURTHER]
+    rows = {row["quantity"]: row for row in paper_table(balls, further).rows}
+    # The first row is the radius of the object, with its uncertainty.
     assert next(iter(rows)) == "ball 1: radius of the object, ± U (k = 2)"
     first = rows["ball 1: radius of the coat, as the paper evaluates"]
     # Table of repeated fits: 3.835 mm, SD 0.052; the balls are 8 mm wide.
@@ -52,9 +52,9 @@ def test_true_object_paper_and_twin_stand_side_by_side(folder):
     assert first["twin"] == balls.metrics["sphere_1_algebraic_radius_mm"]
     assert rows["ball 2: RMSE of the fit's residuals"]["paper"] == "12.0"
     assert rows["ball 2: P95 of the fit's residuals"]["paper"] == "20.9"
-    for one in beside:
-        row = rows[f"{one.experiment.name}: deviation where the sheet touches it, RMS"]
-        assert row["twin"] == one.metrics["object_rms_um"] > 0.0
+    for measured in further:
+        row = rows[f"{measured.experiment.name}: deviation where the sheet touches it, RMS"]
+        assert row["twin"] == measured.metrics["object_rms_um"] > 0.0
 
 
 def test_the_report_command_draws_the_same_page(folder):

@@ -1,4 +1,4 @@
-"""Explanations: their notes follow from their rows."""
+"""Tables on the differences to the paper: their notes agree with their rows."""
 
 import pytest
 
@@ -22,8 +22,8 @@ def test_scaled_heights_against_the_curvature_at_the_apex():
         assert row["radius"] == pytest.approx(4.0 / scale, rel=2e-3)
 
 
-def test_the_region_changes_both_fits_as_the_texture_says(balls):
-    """Texture shrinks the algebraic fit as 12 sigma^2 / S^2: most within 0.8, not within 4 mm."""
+def test_the_region_changes_both_fits_by_the_texture(balls):
+    """Texture reduces the algebraic radius by 12 sigma^2 / S^2: within 0.8 mm, not within 4 mm."""
     gaps = []
     for texture in (None, {"rms_um": 13.0, "correlation_mm": 0.2}):
         table = region_table(vary(balls, {"coating.texture": texture}))
@@ -31,7 +31,7 @@ def test_the_region_changes_both_fits_as_the_texture_says(balls):
     added = [rough - smooth for smooth, rough in zip(*gaps, strict=True)]
     assert added[0] > 2 * added[2] > 0
     assert abs(added[-1]) < 0.05 * added[0]
-    note = f"reads {gaps[1][0]:.2f} mm less within 0.8 mm"
+    note = f"{gaps[1][0]:.2f} mm smaller within 0.8 mm"
     assert note in table.notes[0]
 
 
@@ -46,11 +46,11 @@ def test_decoders_are_averaged_over_balls_and_trials():
     assert row["decoder"] == "look-up table, sdk_2024"
     assert row["rmse_um"] == pytest.approx(20.0)
     assert table.notes[0].endswith(
-        "the paper reports 139 um: no decoder comes within a factor of two."
+        "the paper reports 139 um: no decoder is within a factor of two."
     )
 
 
-def test_the_nut_says_what_it_shows_by_the_cameras_tilt():
+def test_the_note_on_the_nut_lists_shares_by_the_cameras_tilt():
     shares = {(0.0, 0.05): [0.8, 0.9], (0.0, 0.2): [0.9, 0.9], (12.5, 0.05): [0.4, 0.5]}
     table = nut_table(shares)
     assert "80% to 90% at 0 deg; 40% to 40% at 12.5 deg" in table.notes[0]

@@ -1,4 +1,4 @@
-"""The paper's figures from folders of cases: every one is drawn, gaps are marked, errors told."""
+"""The paper's figures from folders of cases: files, panels without a measurement, errors."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from twin.paper.plan import RODS
 
 @pytest.fixture(scope="module")
 def cases(rod, ball, tmp_path_factory):
-    """A folder of cases in which one rod and one ball were measured, and nothing else."""
+    """A folder of cases in which only one rod and one ball were measured."""
     folder = tmp_path_factory.mktemp("all") / "cases"
     for measured, name, method in (
         (rod, RODS[0], "contact_fpp"),
@@ -49,8 +49,8 @@ def test_every_figure_is_drawn_as_png_and_pdf(name, cases, quick, tmp_path):
         assert np.asarray(image.convert("L")).std() > 10
 
 
-def test_figures_draw_without_any_case(quick, tmp_path, mi):
-    """An interrupted or partly failed run still shows what it has: nothing here."""
+def test_figures_are_drawn_without_any_case(quick, tmp_path, mi):
+    """An interrupted or partly failed run draws figures with the cases it has: here none."""
     from twin.paper.figures import draw_figure
 
     draw_figure("sphere_fit", tmp_path / "none", tmp_path)
@@ -73,14 +73,14 @@ def test_the_registry_covers_the_papers_figures_and_names_their_cases(mi):
             assert method in ("direct_fpp", "contact_fpp", "photometric_stereo")
 
 
-def test_an_unknown_figure_names_the_known_ones(tmp_path, mi):
+def test_an_unknown_figure_is_an_error_with_the_known_names(tmp_path, mi):
     from twin.paper.figures import draw_figure
 
     with pytest.raises(InputError, match=r"found 'rod', allowed: concept, .*sphere_fit"):
         draw_figure("rod", tmp_path, tmp_path)
 
 
-def test_a_case_without_panels_says_what_to_do(tmp_path, mi):
+def test_a_case_without_panels_is_an_error_with_the_remedy(tmp_path, mi):
     from twin.paper.figure_panels import panels_of
 
     (tmp_path / "nut" / "direct_fpp").mkdir(parents=True)
@@ -89,7 +89,7 @@ def test_a_case_without_panels_says_what_to_do(tmp_path, mi):
 
 
 def test_hardness_is_that_of_the_materials(mi):
-    """The paper states Shore A 20 at 1 : 1; the rest is assumed and says so."""
+    """The paper states Shore A 20 at 1 : 1; the source of the others states that it is assumed."""
     from twin.paper.hardness import mixes
 
     first, second, third = mixes()
@@ -104,7 +104,7 @@ def test_hardness_is_that_of_the_materials(mi):
         assert mix.modulus.low_kpa < mix.modulus.best_kpa < mix.modulus.high_kpa
 
 
-def test_letters_run_along_the_rows(mi, tmp_path):
+def test_panel_letters_increase_along_the_rows(mi, tmp_path):
     from twin.paper.figure_panels import Grid
     from twin.report.canvas import printing
 

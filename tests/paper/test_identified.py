@@ -1,4 +1,4 @@
-"""What was identified stands once: in scenes, trials and tables alike."""
+"""The identified values are equal in scenes, trials and tables."""
 
 from dataclasses import replace
 
@@ -32,9 +32,9 @@ def test_every_scene_has_the_identified_values(name):
         if shared and (name in RODS or not field["path"].startswith("specimen.")):
             assert field_of(experiment, field["path"]) == pytest.approx(field["value"])
     if of_sheet:
-        told = experiment.provenance["elastomer.thickness_mm"]
-        assert told.source == fields["thickness_mm"]["source"]
-        assert list(told.range) == pytest.approx(fields["thickness_mm"]["range"])
+        origin = experiment.provenance["elastomer.thickness_mm"]
+        assert origin.source == fields["thickness_mm"]["source"]
+        assert list(origin.range) == pytest.approx(fields["thickness_mm"]["range"])
 
 
 def test_trials_draw_joint_samples_and_placement():
@@ -42,16 +42,16 @@ def test_trials_draw_joint_samples_and_placement():
     draws = identified()["draws"]
     samples = list(zip(draws["thickness_mm"], draws["back_pressure_kpa"], strict=True))
     drawn = [draw(experiment, given.inputs, given.seed, trial) for trial in range(1, 12)]
-    for one in drawn:
-        pair = one.elastomer.thickness_mm, one.press.back_pressure_kpa
+    for trial_experiment in drawn:
+        pair = trial_experiment.elastomer.thickness_mm, trial_experiment.press.back_pressure_kpa
         assert any(np.allclose(pair, sample) for sample in samples)
-    assert len({one.specimen.x_mm for one in drawn}) == 11
+    assert len({trial_experiment.specimen.x_mm for trial_experiment in drawn}) == 11
 
 
-def test_rows_stand_beside_their_trials():
+def test_rows_have_the_mean_and_sd_of_their_trials():
     """Balls of 3.8 and 4.0 mm in two trials: mean 3.9, SD 0.1414 pooled over the balls."""
     figures = [{f"sphere_{ball}_{FIT}radius_mm": value for ball in (1, 2)} for value in (3.8, 4.0)]
-    trials = [Trial(0, {}), *(Trial(k, one) for k, one in enumerate(figures, 1))]
+    trials = [Trial(0, {}), *(Trial(k, measured) for k, measured in enumerate(figures, 1))]
     table = identified_rows_table({"balls": [*trials, Trial(3, {REFUSED: "too thin"})]})
     row = table.row(row="radius_1")
     assert row["use"] == "fitted"
@@ -64,7 +64,7 @@ def test_rows_stand_beside_their_trials():
         assert abs(row["steps"]) <= within[row["within"]]
 
 
-def test_tables_hold_every_field_choice_and_measurement():
+def test_tables_have_every_field_choice_and_measurement():
     assert len(fields_table().rows) == len(problem().free)
     assert {"caliper"} <= set(identified()["worth"])
     assert len(worth_table().rows) == len(identified()["worth"])
@@ -82,7 +82,7 @@ def test_ridges_are_drawn(tmp_path):
 
 
 @pytest.mark.parametrize(("share", "met"), [(0.9, True), (0.1, False), (None, False)])
-def test_a_picture_stands_beside_the_case_that_shows_it(tmp_path, share, met):
+def test_a_limit_from_a_picture_is_compared_with_its_case(tmp_path, share, met):
     folder = tmp_path / "nut" / "contact_fpp"
     folder.mkdir(parents=True)
     figures = {} if share is None else {"nut_hexagon_share": share}
@@ -93,12 +93,12 @@ def test_a_picture_stands_beside_the_case_that_shows_it(tmp_path, share, met):
     assert row["measured"] == share
     assert row["before"] < row["probability"]
     (claim,) = claims_of({"pictures": table})
-    assert (claim.met, claim.found) == (met, share)
+    assert (claim.met, claim.value) == (met, share)
     assert bool(claim.why) != met
 
 
-def test_mean_radii_are_judged_on_the_coat_that_the_balls_met():
-    """Setup: one row 0.05 and one 0.15 mm beside the paper. Expected: met within 0.10 mm alone."""
+def test_mean_radii_are_judged_given_their_common_coat():
+    """Setup: deviations of 0.05 and 0.15 mm from the paper. Expected: only the first is met."""
     table = identified_rows_table({})
     radii = ("radius_1", "radius_2")
     moved = dict(zip(radii, (0.05, -0.15), strict=True))
@@ -109,4 +109,4 @@ def test_mean_radii_are_judged_on_the_coat_that_the_balls_met():
     assert (near.met, far.met) == (True, False)
     assert far.why
     assert not near.why
-    assert [one.met for one in claims_of({"identified": table})] == [True, True]
+    assert [claim.met for claim in claims_of({"identified": table})] == [True, True]

@@ -1,4 +1,4 @@
-"""The page of the reproduction: whole, self-contained, and readable in a browser."""
+"""The page of the reproduction: complete, self-contained, and readable in a browser."""
 
 import re
 import shutil
@@ -38,21 +38,21 @@ def page(tmp_path_factory) -> Path:
     return write_paper_page(folder, contents)
 
 
-def test_the_page_needs_nothing_from_outside(page):
+def test_the_page_is_self_contained(page):
     text = page.read_text(encoding="utf-8")
     assert not re.findall(r'(?:src|href)="(?!data:|#)', text)
     assert "url(" not in text
     assert "<script" not in text
 
 
-def test_numbers_stand_beside_the_papers(page):
+def test_the_page_has_the_papers_and_the_twins_numbers(page):
     """Mean radius of the paper's contact-FPP, ball 1, and of five known trials (4.002)."""
     text = page.read_text(encoding="utf-8")
     assert "3.835" in text
     assert "4.002" in text
 
 
-def test_a_missed_target_is_told_in_words_too(page):
+def test_a_missed_target_is_reported_in_words(page):
     """Not by the colour of its card only."""
     assert "<li>missed: GelSight: RMSE of the sphere fit" in page.read_text(encoding="utf-8")
 
@@ -65,8 +65,8 @@ def test_assumptions_are_marked_with_their_source(page):
     assert "placed by hand against a mark on the stage" in text
 
 
-def test_every_part_has_a_place():
-    """No table of a complete run may be left off the page."""
+def test_every_table_has_one_section():
+    """Every table of a complete run is on the page."""
     placed = [name for section in SECTIONS for name in section.tables]
     assert len(placed) == len(set(placed))
     assert {"claims", "rods", "sphere_fit", "repeated_fit", "uncertainty"} <= set(placed)
@@ -105,5 +105,5 @@ def test_a_browser_opens_and_prints_it(page, tmp_path, browse, width):
     assert pdf.read_bytes()[:5] == b"%PDF-"
 
 
-def test_nothing_sticks_out_at_any_width(page, tmp_path):
+def test_no_element_exceeds_the_page_at_any_width(page, tmp_path):
     assert_readable(page, tmp_path)

@@ -1,4 +1,4 @@
-"""Panels of one measurement: they show what was measured, gaps included, and stay small."""
+"""Panels of one measurement: they equal the measured data, gaps included, with small files."""
 
 import json
 import shutil
@@ -24,7 +24,7 @@ def test_panels_of_fringes_are_the_measured_points(rod, measured_rod):
 
 
 def test_the_width_of_a_rod_is_that_of_its_section(rod):
-    """Where the profile crosses half height is where the panel draws its arrow."""
+    """The panel's arrow ends where the profile crosses 50 % of its height."""
     from twin.paper.panels import read_panel_data
 
     data = read_panel_data(rod / "panels")
@@ -46,7 +46,8 @@ def test_fig_7_has_a_section_of_round_and_of_rectangular_rods(name):
     from twin.paper.panels import _section, _width
 
     experiment = load_experiment(f"paper/{name}")
-    x, y = (one.ravel() for one in np.meshgrid(np.arange(-4, 4.01, 0.025), np.arange(-1, 1, 0.1)))
+    grid = np.meshgrid(np.arange(-4, 4.01, 0.025), np.arange(-1, 1, 0.1))
+    x, y = (axis.ravel() for axis in grid)
     z = np.clip(2.0 * (1.25 - np.abs(x)), 0.0, 1.0)
     width = _width(experiment, _section(experiment, np.column_stack([x, y, z])))
     assert width is not None
@@ -90,10 +91,11 @@ def test_reliefs_that_are_compared_share_scale_and_size(rod, ball):
     from twin.paper.panels import read_panel_data
     from twin.paper.relief_views import stage_for
 
-    one, other = read_panel_data(rod / "panels"), read_panel_data(ball / "panels")
-    stage = stage_for(one, other)
-    assert stage.scale_mm[0] == min(one.numbers.scale_mm[0], other.numbers.scale_mm[0])
-    assert stage.scale_mm[1] == max(one.numbers.scale_mm[1], other.numbers.scale_mm[1])
+    folders = rod / "panels", ball / "panels"
+    scales = [data.numbers.scale_mm for data in map(read_panel_data, folders)]
+    stage = stage_for(*map(read_panel_data, folders))
+    assert stage.scale_mm[0] == min(low for low, _ in scales)
+    assert stage.scale_mm[1] == max(high for _, high in scales)
 
 
 def test_a_perfect_cap_has_no_residual(ball):
@@ -126,17 +128,17 @@ def test_the_same_result_gives_the_same_bytes(rod, measured_rod, tmp_path):
         assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes(), path.name
 
 
-def test_a_case_keeps_the_figures_of_twin_measure_and_stays_small(rod, measured_rod, tmp_path):
+def test_a_case_has_the_figures_of_twin_measure_and_small_files(rod, measured_rod, tmp_path):
     from twin.results.folder import write_measurement
 
     write_measurement(tmp_path, "measure", measured_rod)
     whole = json.loads((tmp_path / "result.json").read_text())
-    kept = json.loads((rod / "result.json").read_text())
-    assert {**whole, "command": "paper"} == kept
+    stored = json.loads((rod / "result.json").read_text())
+    assert {**whole, "command": "paper"} == stored
     assert sum(path.stat().st_size for path in rod.rglob("*") if path.is_file()) < 5e6
 
 
-def test_damaged_panels_are_told_in_one_line(rod, tmp_path):
+def test_damaged_panels_are_an_error_of_one_line(rod, tmp_path):
     from twin.paper.panels import read_panel_data
 
     folder = tmp_path / "panels"

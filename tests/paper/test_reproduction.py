@@ -1,4 +1,4 @@
-"""A reproduction measures what is asked for, each thing once, in stores of the study."""
+"""A reproduction runs each requested measurement once, in stores of the study."""
 
 from collections import Counter
 from dataclasses import replace
@@ -16,45 +16,45 @@ from twin.paper.statistics import values_of
 from twin.paper.trials import REFUSED
 from twin.propagation.results import is_uncertainty
 from twin.study import sweep as sweeping
-from twin.study.measuring import AS_IT_IS, Answer, RigCovariance
+from twin.study.measuring import NOMINAL_CONDITIONS, CaseResult, RigCovariance
 
 measured = Counter()
 
 
 class Fake:
-    """Answers every figure that tables ask for from the experiment's numbers."""
+    """Measurer that computes every figure of the tables from the experiment's numbers."""
 
     def __init__(self, keep=()):
         pass
 
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         measured[experiment.name, experiment.modality] += 1
         value = 4.0 + experiment.specimen.x_mm + 1e-3 * conditions.trial
         figures = {"sphere_1_radius_mm": value, WIDTH: value}
         if conditions.board:
             figures["true_rig_sphere_1_radius_mm"] = value - 0.01
         figures |= {"share_specimen": 0.7, "share_specimen_points": 0.8}
-        return Answer(figures, lambda folder: (folder / COMPLETENESS_FILE).touch())
+        return CaseResult(figures, lambda folder: (folder / COMPLETENESS_FILE).touch())
 
     def reads(self):
         return ()
 
 
 class Refusing(Fake):
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         if conditions.trial == 2:
             raise InputError("specimen: too large")
         return super().__call__(experiment, conditions)
 
 
 class RefusingAll(Fake):
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         raise InputError("specimen: too large")
 
 
 @pytest.fixture
 def run_of(tmp_path, monkeypatch):
-    """Return a reproduction that measures by a stand-in."""
+    """Return a reproduction with a replaced measurer."""
 
     def make(fake=Fake, trials=3):
         monkeypatch.setattr(
@@ -73,15 +73,15 @@ def run_of(tmp_path, monkeypatch):
     return make
 
 
-def test_trials_are_a_study_that_others_can_read(run_of, tmp_path):
+def test_trials_are_stored_as_a_study(run_of, tmp_path):
     run = run_of()
-    found = run.fringe_trials(RODS[0])
-    assert [one.number for one in found] == [0, 1, 2, 3]
-    assert "true_rig_sphere_1_radius_mm" in found[1].figures
+    trials = run.fringe_trials(RODS[0])
+    assert [trial.number for trial in trials] == [0, 1, 2, 3]
+    assert "true_rig_sphere_1_radius_mm" in trials[1].figures
     assert is_uncertainty(tmp_path / "work/trials" / RODS[0])
     assert measured == {(RODS[0], "contact_fpp"): 4}
-    assert run.fringe_trials(RODS[0]) == found
-    assert run_of(trials=4).fringe_trials(RODS[0])[:4] == found
+    assert run.fringe_trials(RODS[0]) == trials
+    assert run_of(trials=4).fringe_trials(RODS[0])[:4] == trials
     assert sum(measured.values()) == 1
 
 
@@ -89,12 +89,12 @@ def test_the_nominal_press_under_every_calibration(run_of):
     colours = run_of().ball_trials()["GelSight"]
     redone = [name for name in colours[0].figures if name.startswith("calibration_")]
     assert redone == [f"calibration_{number}_sphere_1_radius_mm" for number in range(5)]
-    assert [one.number for one in colours] == [0, 1, 2, 3]
+    assert [trial.number for trial in colours] == [0, 1, 2, 3]
     assert not any(name.startswith("calibration_") for name in colours[1].figures)
 
 
 def test_budget_of_a_model(run_of):
-    """radius = 4 + x: u = u(x) = 0.2 mm, nothing else; joint samples are no part of it."""
+    """radius = 4 + x: only u(x) = 0.2 mm contributes; joint samples are no part of the budget."""
     run = run_of()
     parts = {part.name: part.u for part in run.budget(BALLS)}
     assert parts.pop("place_x") == pytest.approx(0.2)
@@ -103,26 +103,26 @@ def test_budget_of_a_model(run_of):
     assert "thickness_mm" not in {part.name for part in run.budget(BALLS)}
 
 
-def test_figures_find_their_cases_by_name(run_of, tmp_path):
+def test_cases_of_figures_are_linked_by_name(run_of, tmp_path):
     cases = run_of().all_cases()
-    asked = {(name, method) for names, methods in CASES for name in names for method in methods}
-    for name, method in asked:
+    pairs = {(name, method) for names, methods in CASES for name in names for method in methods}
+    for name, method in pairs:
         assert (cases / name / method / "result.json").is_file()
-    assert sum(measured.values()) == len(asked)
+    assert sum(measured.values()) == len(pairs)
 
 
 def test_nominal_trials_are_the_figures_cases(run_of, tmp_path):
-    """Expected: one measurement for both; made anew where the figures' files are missing."""
+    """Expected: one measurement for both, repeated if the figures' files are missing."""
     run = run_of()
     cases = run.all_cases()
     nominal = run.fringe_trials(RODS[0])[0]
     assert measured[RODS[0], "contact_fpp"] == 4
-    seen = (cases / RODS[0] / "contact_fpp").resolve()
-    assert seen.parent.parent == tmp_path / "work/trials" / RODS[0]
-    assert read_json(seen / "result.json")["metrics"] == nominal.figures
-    (seen / COMPLETENESS_FILE).unlink()
+    case = (cases / RODS[0] / "contact_fpp").resolve()
+    assert case.parent.parent == tmp_path / "work/trials" / RODS[0]
+    assert read_json(case / "result.json")["metrics"] == nominal.figures
+    (case / COMPLETENESS_FILE).unlink()
     run_of().all_cases()
-    assert (seen / COMPLETENESS_FILE).is_file()
+    assert (case / COMPLETENESS_FILE).is_file()
 
 
 def test_the_bare_nut_by_tilt_and_roughness(run_of):
@@ -135,27 +135,27 @@ def test_the_projector_keeps_its_angle_to_the_camera(run_of):
     nominal = experiment_of("nut")
     assert nominal.camera.pose.polar_deg == CAMERA_TILT_DEG[-1]
     for tilt in CAMERA_TILT_DEG:
-        seen = run_of()._nut_seen(tilt, 0.2)
-        assert seen.camera.pose.polar_deg == tilt
-        between = seen.camera.pose.polar_deg + seen.projector.pose.polar_deg
+        tilted = run_of()._bare_nut_at(tilt, 0.2)
+        assert tilted.camera.pose.polar_deg == tilt
+        between = tilted.camera.pose.polar_deg + tilted.projector.pose.polar_deg
         assert between == nominal.camera.pose.polar_deg + nominal.projector.pose.polar_deg
 
 
-def test_a_refused_trial_is_left_out_and_told(run_of):
-    """A drawn sheet may hold less than its drawn pressure; the other trials count."""
-    found = run_of(Refusing).fringe_trials(RODS[0])
-    assert [REFUSED in one.figures for one in found] == [False, False, True, False]
-    assert found[2].figures[REFUSED] == "specimen: too large"
-    assert values_of(found[1:], WIDTH).size == 2
+def test_a_failed_trial_is_omitted_with_its_reason(run_of):
+    """A drawn sheet may have no equilibrium at the drawn pressure; the other trials count."""
+    trials = run_of(Refusing).fringe_trials(RODS[0])
+    assert [REFUSED in trial.figures for trial in trials] == [False, False, True, False]
+    assert trials[2].figures[REFUSED] == "specimen: too large"
+    assert values_of(trials[1:], WIDTH).size == 2
 
 
-def test_a_refused_case_that_is_no_repetition_ends_the_run(run_of):
+def test_a_failed_case_that_is_no_repetition_ends_the_run(run_of):
     with pytest.raises(InputError, match="specimen: too large"):
         run_of(RefusingAll).bare_nut()
 
 
 def test_all_groups_of_a_request_are_measured_together(run_of):
-    """Expected: afterwards tables and figures find everything, and measure nothing more."""
+    """Expected: tables and figures then need no further measurement."""
     run = run_of()
     run.measure(Request(trials=3).measured)
     before = sum(measured.values())
@@ -164,14 +164,14 @@ def test_all_groups_of_a_request_are_measured_together(run_of):
     assert sum(measured.values()) == before
 
 
-def test_what_a_request_needs():
+def test_measurements_of_a_request():
     assert Request(trials=3).measured == set(GROUPS)
     assert Request(trials=3, only=("hardness",)).measured == set()
     assert Request(trials=3, only=("differences",)).measured == {"nut"}
     assert Request(trials=3, only=("rods",)).measured == {*reproduction.TRIALS_OF_RODS, "measured"}
 
 
-def test_nothing_of_somebody_else_is_replaced_by_a_link(tmp_path):
+def test_a_foreign_folder_is_not_replaced_by_a_link(tmp_path):
     (tmp_path / "theirs").mkdir()
-    with pytest.raises(InputError, match="is in the way"):
+    with pytest.raises(InputError, match="found a file or folder, allowed a link"):
         link(tmp_path / "theirs", tmp_path / "target")

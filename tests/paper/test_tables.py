@@ -27,7 +27,7 @@ RADII = [4.0, 3.9, 4.1, 4.05, 3.95, 4.2]
 
 
 def fringe_trials(rmse=0.012):
-    """Trial 0 and as many others as RADII; the drawn rig adds 2 um to every radius."""
+    """Trial 0 and one trial per radius of RADII; the drawn rig adds 2 um to every radius."""
     made = []
     for number, radius in enumerate([4.0, *RADII]):
         figures = {}
@@ -42,7 +42,7 @@ def fringe_trials(rmse=0.012):
 
 
 def colour_trials(rmse=0.09):
-    """As fringe trials, but without a drawn rig; over the footprint ten times the RMSE."""
+    """As fringe trials without a drawn rig; over the footprint the RMSE is 10 x larger."""
     trials = fringe_trials(rmse / 10)
     for trial in trials:
         for ball in (1, 2):
@@ -93,14 +93,14 @@ RATIO = "RMSE, GelSight over contact-FPP, each with its region"
 
 def test_claims_are_judged_by_the_tables():
     both = {CONTACT_FPP: fringe_trials(0.012), GELSIGHT: colour_trials(0.09)}
-    claims = {one.name: one for one in claims_of({"repeated_fit": repeated_fit_table(both)})}
+    claims = {c.name: c for c in claims_of({"repeated_fit": repeated_fit_table(both)})}
     assert claims[CONTACT_RMSE].met
     assert claims[
         "GelSight: RMSE of the sphere fit, region the balls' footprint"
-    ].found == pytest.approx(0.09)
-    assert claims[RATIO].found == pytest.approx(7.5)
+    ].value == pytest.approx(0.09)
+    assert claims[RATIO].value == pytest.approx(7.5)
     worse = {CONTACT_FPP: fringe_trials(0.03), GELSIGHT: colour_trials(0.09)}
-    missed = {one.name: one for one in claims_of({"repeated_fit": repeated_fit_table(worse)})}
+    missed = {c.name: c for c in claims_of({"repeated_fit": repeated_fit_table(worse)})}
     assert not missed[CONTACT_RMSE].met
     assert missed[CONTACT_RMSE].why
     assert not missed[RATIO].met
@@ -117,7 +117,7 @@ def test_gelsight_is_read_with_both_regions():
     ]
 
 
-def test_rods_that_show_no_crest_are_counted():
+def test_rods_without_a_crest_are_counted():
     trials = [Trial(k, {WIDTH: 2.0 + 0.1 * k}) for k in range(5)]
     trials.append(Trial(5, {"rod_failure": "no crest"}))
     row = rods_table({"A": trials}).row(rod="A", source="twin")
@@ -132,17 +132,17 @@ def test_tables_as_json_and_markdown():
     assert json.loads(json.dumps(table.as_json()))["rows"][0]["b"] == 1.234
 
 
-def test_the_mean_rmse_rests_on_all_trials_once():
+def test_the_mean_rmse_is_of_all_trials_once():
     """Five trials of 10 um and one of 40: the mean over six is 15 um, not that of both subsets."""
     trials = fringe_trials(0.010)
     for ball in (1, 2):
         trials[-1].figures[f"sphere_{ball}_{FIT}rmse_mm"] = 0.040
     claims = claims_of({"repeated_fit": repeated_fit_table({CONTACT_FPP: trials})})
-    assert claims[0].found == pytest.approx(0.015)
+    assert claims[0].value == pytest.approx(0.015)
 
 
-def test_five_trials_that_lie_elsewhere_are_told():
-    """Setup: five radii shifted by 1.2 SD among a hundred. Expected: told, in closed form."""
+def test_five_shifted_trials_are_a_missed_claim():
+    """Setup: five of 100 radii shifted by 1.2 SD. Expected: a missed claim, in closed form."""
     rng = np.random.default_rng(3)
     radii = np.concatenate(
         [4.0 + 0.01 * (rng.standard_normal(5) - 1.2), 4.0 + 0.01 * rng.standard_normal(95)]
@@ -153,16 +153,16 @@ def test_five_trials_that_lie_elsewhere_are_told():
     ]
     spread, mean = claims_of({"repeated_fit": repeated_fit_table({CONTACT_FPP: trials})})[1:3]
     assert spread.name.endswith("SD of 5 trials over SD of all")
-    assert spread.found == pytest.approx(radii[:5].std(ddof=1) / radii.std(ddof=1))
-    apart = abs(radii[:5].mean() - radii.mean())
-    expected = apart / (radii.std(ddof=1) * np.sqrt(1 / 5 - 1 / 100))
-    assert mean.found == pytest.approx(expected)
+    assert spread.value == pytest.approx(radii[:5].std(ddof=1) / radii.std(ddof=1))
+    difference = abs(radii[:5].mean() - radii.mean())
+    expected = difference / (radii.std(ddof=1) * np.sqrt(1 / 5 - 1 / 100))
+    assert mean.value == pytest.approx(expected)
     assert mean.met == (expected <= 2.0)
     assert not mean.met
 
 
-def test_trials_of_another_sensor_are_not_taken_for_these(monkeypatch):
-    """A change of the photometric rig alone must not reuse what the former one measured."""
+def test_trials_of_another_sensor_are_not_reused(monkeypatch):
+    """After a change of only the photometric rig, the stored cases must not be reused."""
     experiment = load_experiment("paper/two_balls", {"press.solver_pitch_mm": 0.4})
     before = [case.digest for case in colour_cases(experiment, 1)]
     monkeypatch.setitem(trials.PAPER_DECODER, "photometric.gamma", 2.0)
@@ -173,7 +173,7 @@ def test_trials_of_another_sensor_are_not_taken_for_these(monkeypatch):
 def test_the_budget_of_a_radius_in_quadrature():
     """Trials: face 4 + 0.3 s, true rig 0.05 t more, drawn rig 0.02 more, with s, t of deviation 1.
 
-    Optics explain 0.03 of the 0.05, so noise is 0.04; every trial but the nominal one counts.
+    The optics contribute 0.03 of the 0.05, so noise is 0.04; all trials but the nominal one count.
     """
     rng = np.random.default_rng(1)
     s, t, r = ((v - v.mean()) / v.std(ddof=1) for v in rng.normal(size=(3, 50)))
@@ -186,11 +186,11 @@ def test_the_budget_of_a_radius_in_quadrature():
         many.append(Trial(k + 1, figures))
     parts = [Part("thickness", "elastomer", "k", 0.3), Part("focus", "optics", "k", 0.03)]
     table = budget_table("two_balls", parts, many)
-    names = ["thickness", "noise and decoding", "focus", "calibration", "all, each alone"]
+    names = ["thickness", "noise and decoding", "focus", "calibration", "all, in quadrature"]
     assert [row["input"] for row in table.rows[:5]] == names
-    found = [row["u"] for row in table.rows[:5]]
-    assert found == pytest.approx([0.3, 0.04, 0.03, 0.02, np.sqrt(0.09 + 0.0025 + 0.0004)])
-    radii = [one.figures["sphere_1_radius_mm"] for one in many[1:]]
+    parts_mm = [row["u"] for row in table.rows[:5]]
+    assert parts_mm == pytest.approx([0.3, 0.04, 0.03, 0.02, np.sqrt(0.09 + 0.0025 + 0.0004)])
+    radii = [trial.figures["sphere_1_radius_mm"] for trial in many[1:]]
     assert table.rows[5]["u"] == pytest.approx(np.std(radii, ddof=1))
     low, high = np.percentile(radii, (2.5, 97.5))
     assert f"between {low:.3f} and {high:.3f} mm" in table.notes[-1]
@@ -198,7 +198,7 @@ def test_the_budget_of_a_radius_in_quadrature():
 
 
 def test_the_nominal_trial_has_no_part_in_u_cal():
-    """Its rig is the true one: a zero among the changes would make u_cal too small."""
+    """Its rig is the true one; its change of 0 would make u_cal too small."""
     some = fringe_trials()
     for name in list(some[0].figures):
         if name.startswith("true_rig_"):

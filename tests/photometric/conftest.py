@@ -43,8 +43,8 @@ def grid_mm(row_px, col_px, shape=SHAPE):
 def ball_surface(press: Press):
     """Return height mm and slopes: a spherical cap, and around it a skirt that dies off.
 
-    The skirt continues the slope at the edge of contact and decays exponentially: a stand-in for
-    the gel's own shape, not a contact solution.
+    The skirt continues the slope at the edge of contact and decays exponentially: it replaces
+    the gel's own shape and is no contact solution.
     """
     y, x = grid_mm(press.row_px, press.col_px)
     r, a, R = np.hypot(y, x), press.contact_px * PITCH_MM, press.ball_diameter_mm / 2.0

@@ -33,10 +33,10 @@ def test_a_term_of_colour_and_place():
 
     Tilt along rows 0.6 q = 0.3, a slope of 0.3 / sqrt(0.91); along columns 0.8 q^2 x = +-0.2.
     """
-    found = polynomial(t0_0_=0.6, t1_00_1=0.8).bound_to(np.full((3, 5, 3), 100.0, np.float32))
+    bound = polynomial(t0_0_=0.6, t1_00_1=0.8).bound_to(np.full((3, 5, 3), 100.0, np.float32))
     levels = np.full((3, 5, 3), 100.0, np.float32)
     levels[..., 0] = 150.0
-    slopes, known = found.slopes(levels)
+    slopes, known = bound.slopes(levels)
     assert known.all()
     for col, along in ((0, -0.2), (2, 0.0), (4, 0.2)):
         length = np.sqrt(1.0 - 0.09 - along**2)
@@ -44,12 +44,12 @@ def test_a_term_of_colour_and_place():
 
 
 def test_rows_count_from_minus_one_at_the_top():
-    found = polynomial(t0_1_0=0.5).bound_to(np.full((5, 3, 3), 50.0, np.float32))
+    bound = polynomial(t0_1_0=0.5).bound_to(np.full((5, 3, 3), 50.0, np.float32))
     levels = np.full((5, 3, 3), 50.0, np.float32)
     levels[..., 1] = 75.0
     tilts = np.array([-0.25, -0.125, 0.0, 0.125, 0.25])
     expected = tilts / np.sqrt(1.0 - tilts**2)
-    np.testing.assert_allclose(found.slopes(levels)[0][0, :, 1], expected, atol=1e-6)
+    np.testing.assert_allclose(bound.slopes(levels)[0][0, :, 1], expected, atol=1e-6)
 
 
 def samples_of(q, tilt, background=100.0):
@@ -61,16 +61,16 @@ def samples_of(q, tilt, background=100.0):
 
 
 def test_lamberts_law_is_linear_in_the_colour():
-    """Tilts (0.5 r - 0.2 b, 0.3 g) of colours in -0.2 to 0.4: found to 1e-3.
+    """Tilts (0.5 r - 0.2 b, 0.3 g) of colours in -0.2 to 0.4 are fitted to 1e-3.
 
-    The range of known colours is theirs and a tenth of its width on either side: -0.26 to 0.46.
+    The range of known colours is theirs plus 10 % of its width on either side: -0.26 to 0.46.
     """
     q = np.random.default_rng(2).uniform(-0.2, 0.4, (20_000, 3))
     tilt = np.column_stack([0.5 * q[:, 0] - 0.2 * q[:, 2], 0.3 * q[:, 1]])
-    found = fit_polynomial(samples_of(q, tilt), (240, 320))
-    np.testing.assert_allclose(found.lowest, -0.26, atol=2e-3)
-    np.testing.assert_allclose(found.highest, 0.46, atol=2e-3)
-    bound = found.bound_to(np.full((240, 320, 3), 100.0, np.float32))
+    fitted = fit_polynomial(samples_of(q, tilt), (240, 320))
+    np.testing.assert_allclose(fitted.lowest, -0.26, atol=2e-3)
+    np.testing.assert_allclose(fitted.highest, 0.46, atol=2e-3)
+    bound = fitted.bound_to(np.full((240, 320, 3), 100.0, np.float32))
     levels = np.full((240, 320, 3), [130.0, 110.0, 90.0], np.float32)
     slopes, _ = bound.slopes(levels)
     length = np.sqrt(1 - 0.17**2 - 0.03**2)
@@ -80,7 +80,7 @@ def test_lamberts_law_is_linear_in_the_colour():
 
 def test_bins_are_two_levels_wide():
     """Differences of 0, 1.9 and 2 levels are the bins 45, 45 and 46; -90 is the first, 89.9 the
-    last, and what is beyond either end belongs to it. The bin's number tells the colour back.
+    last, and values beyond either end belong to it. The bin's number gives the colour.
     """
     slopes = np.zeros((BINS, BINS, BINS, 2), np.float32)
     slopes[..., 0] = np.arange(BINS)[:, None, None]
@@ -89,21 +89,21 @@ def test_bins_are_two_levels_wide():
     background = np.full((1, 7, 3), 120.0, np.float32)
     red = np.array([0.0, 1.9, 2.0, -90.0, 89.9, -120.0, 130.0])
     levels = background + np.stack([red, 0 * red + 20.0, 0 * red - 40.0], axis=-1)[None]
-    found, _ = table.bound_to(background).slopes(levels.astype(np.float32))
-    assert found[0, 0].tolist() == [45, 45, 46, 0, 89, 0, 89]
-    np.testing.assert_allclose(found[1], 55.25, rtol=1e-6)  # green 55, blue 25
+    measured, _ = table.bound_to(background).slopes(levels.astype(np.float32))
+    assert measured[0, 0].tolist() == [45, 45, 46, 0, 89, 0, 89]
+    np.testing.assert_allclose(measured[1], 55.25, rtol=1e-6)  # green 55, blue 25
 
 
 def test_a_dim_corner_is_amplified():
-    """Typical 100: differences count 3 times on 50, once on 100, a quarter on 200 (bounded)."""
+    """Typical 100: differences count 3 times on 50, once on 100, 0.25 times on 200 (bounded)."""
     slopes = np.zeros((BINS, BINS, BINS, 2), np.float32)
     slopes[..., 0] = np.arange(BINS)[:, None, None]
     background = np.full((3, 5, 3), 100.0, np.float32)
     background[0, 0], background[0, 1], background[0, 2] = 50.0, 200.0, 10.0
     table = ColourTable(slopes, np.ones((BINS,) * 3, bool))
-    found, _ = table.bound_to(background).slopes(background + np.float32(10.5))
+    measured, _ = table.bound_to(background).slopes(background + np.float32(10.5))
     # 31.5, 2.6, 42 (bounded by 4) and 10.5 levels above the middle of the table.
-    assert found[0, 0, :4].tolist() == [60, 46, 66, 50]
+    assert measured[0, 0, :4].tolist() == [60, 46, 66, 50]
 
 
 def test_a_bin_holds_the_mean_and_its_surroundings_the_nearest():
@@ -121,7 +121,7 @@ def test_a_bin_holds_the_mean_and_its_surroundings_the_nearest():
 
 
 @pytest.mark.parametrize(("scheme", "side"), [("sdk_2025", 7), ("sdk_2024", 11)])
-def test_a_dot_hides_what_its_scheme_grows_it_by(scheme, side):
+def test_a_dot_is_grown_by_its_scheme(scheme, side):
     """A dark square of 7 x 7 pixels: the vendor's later form hides it, the former 2 px more."""
     colours = polynomial(t0_0_=0.5)
     calibration = SensorCalibration(
@@ -129,8 +129,10 @@ def test_a_dot_hides_what_its_scheme_grows_it_by(scheme, side):
     )
     image = np.full((40, 50, 3), 100, np.uint8)
     image[10:17, 20:27] = 20
-    found = PhotometricDecoder(calibration, PhotometricOptions(integration=scheme)).decode(image)
-    rows, cols = np.nonzero(found.mask_reason == 1)
+    height_map = PhotometricDecoder(calibration, PhotometricOptions(integration=scheme)).decode(
+        image
+    )
+    rows, cols = np.nonzero(height_map.mask_reason == 1)
     assert len(rows) == side**2
     assert (rows.mean(), cols.mean()) == (13.0, 23.0)
 
@@ -140,4 +142,4 @@ def test_grey_of_a_colour():
     levels = np.zeros((1, 3, 3), np.float32)
     levels[0, np.arange(3), np.arange(3)] = 100.0
     for limit, dark in ((11.0, [0, 0, 0]), (12.0, [0, 0, 1]), (30.0, [1, 0, 1]), (59.0, [1, 1, 1])):
-        assert find_markers(levels, limit, 0)[0].tolist() == [bool(one) for one in dark]
+        assert find_markers(levels, limit, 0)[0].tolist() == [bool(is_dark) for is_dark in dark]

@@ -24,14 +24,14 @@ def background(background_frames):
 def test_circle_of_contact(ball_presses, presses, background):
     """Centres enter every slope, so they must be right to a fraction of a pixel.
 
-    Smoothing rounds the drop of the colour beyond the edge: the radius comes out about a pixel
-    small, which the rim that is left out anyway covers.
+    Smoothing rounds the drop of the colour beyond the edge: the radius is about one pixel too
+    small, which the excluded rim covers.
     """
-    found = [find_contact_circle(smoothed(press.image, 3), background) for press in ball_presses]
+    circles = [find_contact_circle(smoothed(press.image, 3), background) for press in ball_presses]
     centre = [
-        (f.row_px - p.row_px, f.col_px - p.col_px) for f, p in zip(found, presses, strict=True)
+        (f.row_px - p.row_px, f.col_px - p.col_px) for f, p in zip(circles, presses, strict=True)
     ]
-    radius = [f.radius_px - p.contact_px for f, p in zip(found, presses, strict=True)]
+    radius = [f.radius_px - p.contact_px for f, p in zip(circles, presses, strict=True)]
     assert np.abs(centre).max() < 0.3
     assert np.abs(np.mean(centre, axis=0)).max() < 0.05
     assert min(radius) > -1.6
@@ -39,7 +39,7 @@ def test_circle_of_contact(ball_presses, presses, background):
 
 
 def test_slopes_are_those_of_the_sphere():
-    """Central differences of the sphere itself, 1e-4 px apart."""
+    """Central differences of the sphere itself, with a step of 1e-4 px."""
     circle, radius_mm, step = ContactCircle(20.3, 30.8, 15.0), 3.0, 1e-4
     places = np.random.default_rng(3).uniform((10.0, 20.0), (30.0, 40.0), (50, 2))
 
@@ -51,8 +51,8 @@ def test_slopes_are_those_of_the_sphere():
         (height_mm(places + step * axis) - height_mm(places - step * axis)) / (2 * step * PITCH_MM)
         for axis in np.eye(2)
     ]
-    found = ball_slopes(circle, radius_mm, PITCH_MM, places)
-    np.testing.assert_allclose(found.T, expected, atol=1e-8)
+    slopes = ball_slopes(circle, radius_mm, PITCH_MM, places)
+    np.testing.assert_allclose(slopes.T, expected, atol=1e-8)
 
 
 def test_samples_leave_out_dots(ball_presses, background):
@@ -68,7 +68,7 @@ def test_samples_leave_out_dots(ball_presses, background):
     assert 0 < len(without.slopes) < len(plain.slopes)
 
 
-def test_untouched_gel_is_no_contact(background_frames, background):
+def test_undeformed_gel_is_no_contact(background_frames, background):
     press = BallPress(background_frames[0], 6.0)
     with pytest.raises(FitError, match=r"calibration image 0: no contact.*threshold 15"):
         sample_presses([press], background, PITCH_MM)
@@ -82,7 +82,7 @@ def test_ball_that_does_not_fit(ball_presses, background):
 
 @pytest.mark.parametrize(("diameter_factor", "pitch_factor"), [(10.0, 1.0), (1.0, 1e-3)])
 def test_a_ball_or_a_pitch_in_another_unit(ball_presses, background, diameter_factor, pitch_factor):
-    """A diameter in units of 0.1 mm, a pitch in m: slopes of 0.06 and less would be learned."""
+    """A diameter in units of 0.1 mm, a pitch in m: the samples would have slopes below 0.06."""
     press = BallPress(ball_presses[0].image, diameter_factor * ball_presses[0].ball_diameter_mm)
     with pytest.raises(FitError, match=r"allowed 0\.1 to 0\.9 times that; check the ball's"):
         sample_presses([press], background, pitch_factor * PITCH_MM)
@@ -102,7 +102,7 @@ def overexposed(images):
 
 
 MISTAKES = {
-    "grey images": (as_grey, FitError, r"\d\d% of them are left \(RMS\), allowed 50%; give"),
+    "grey images": (as_grey, FitError, r"\d\d% remain \(RMS\), allowed 50%; give"),
     "one lamp": (in_red_light, InputError, r"green channel has a median of 0 levels, allowed 5"),
     "overexposed": (overexposed, InputError, r"red channel has a median of 255 levels.*exposure"),
 }
@@ -112,7 +112,7 @@ MISTAKES = {
 @pytest.mark.parametrize("name", MISTAKES)
 def test_images_that_do_not_determine_slopes(name, kind, ball_presses, background_frames):
     change, error, message = MISTAKES[name]
-    presses = [BallPress(change(one.image), one.ball_diameter_mm) for one in ball_presses[:8]]
+    presses = [BallPress(change(press.image), press.ball_diameter_mm) for press in ball_presses[:8]]
     with pytest.raises(error, match=message) as caught:
         calibrate_sensor(presses, change(background_frames), PITCH_MM, kind)
     assert "\n" not in str(caught.value)
@@ -142,14 +142,14 @@ def test_bad_input_is_named(background):
         SampleOptions(smoothing_px=4)
 
 
-def test_unreadable_presses_may_be_left_out(ball_presses, background):
-    """One image without a contact among the others: left out when allowed, else named."""
+def test_unreadable_presses_may_be_excluded(ball_presses, background):
+    """One image without a contact: excluded if allowed, otherwise named in the error."""
     still = BallPress(background.round().astype(np.uint8), 6.0)
     spoilt = [*ball_presses[:2], still, *ball_presses[2:]]
     lenient = SampleOptions(unreadable_share=1.5 / len(spoilt))
-    found = sample_presses(spoilt, background, PITCH_MM, lenient)
+    samples = sample_presses(spoilt, background, PITCH_MM, lenient)
     expected = sample_presses(ball_presses, background, PITCH_MM)
-    np.testing.assert_array_equal(found.slopes, expected.slopes)
+    np.testing.assert_array_equal(samples.slopes, expected.slopes)
     with pytest.raises(FitError, match="calibration image 2"):
         sample_presses(spoilt, background, PITCH_MM)
     with pytest.raises(FitError, match="calibration image 0"):

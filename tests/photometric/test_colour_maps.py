@@ -19,19 +19,19 @@ def bound(calibration):
 
 
 def slope_rms(calibration, render, make_surface, press):
-    """RMS error of the slope vector inside the contact, rim left out."""
+    """RMS error of the slope vector inside the contact, without the rim."""
     _, slopes = make_surface(press)
-    found, _ = bound(calibration).slopes(smoothed(render(slopes, 4000), 3))
+    measured, _ = bound(calibration).slopes(smoothed(render(slopes, 4000), 3))
     row, col = np.indices(slopes.shape[1:])
     inside = np.hypot(row - press.row_px, col - press.col_px) < press.contact_px - 4.0
-    return np.sqrt(np.sum((found - slopes) ** 2, axis=0)[inside].mean())
+    return np.sqrt(np.sum((measured - slopes) ** 2, axis=0)[inside].mean())
 
 
 @pytest.mark.parametrize("number", [3, 17])
 def test_slopes_inside_a_contact(calibrations, render, make_surface, presses, number):
-    """A slope error of 0.007 is what a grey level of noise leaves; slopes reach 0.6.
+    """One grey level of noise gives a slope error of 0.007; slopes are up to 0.6.
 
-    The table knows no place in the image and has bins of two levels: it may be off by more.
+    The table does not depend on the place and has bins of two levels: its limit is larger.
     """
     errors = {
         kind: slope_rms(calibration, render, make_surface, presses[number])
@@ -41,7 +41,7 @@ def test_slopes_inside_a_contact(calibrations, render, make_surface, presses, nu
     assert errors["polynomial"] < errors["table"] < 0.03
 
 
-def test_untouched_gel_is_flat(calibrations):
+def test_undeformed_gel_is_flat(calibrations):
     """Exactly for the polynomial, which has no constant term; to the noise for the table."""
     for kind, limit in (("polynomial", 1e-6), ("table", 0.01)):
         calibration = calibrations[kind]
@@ -51,7 +51,7 @@ def test_untouched_gel_is_flat(calibrations):
 
 
 @pytest.mark.parametrize("kind", ["polynomial", "table"])
-def test_colours_never_seen_are_told(calibrations, kind):
+def test_uncalibrated_colours_are_masked(calibrations, kind):
     calibration = calibrations[kind]
     levels = smoothed(calibration.background, 3)
     levels[100:110, 100:110] += (60.0, 60.0, 60.0)
@@ -62,15 +62,15 @@ def test_colours_never_seen_are_told(calibrations, kind):
 
 
 @pytest.mark.parametrize("kind", ["polynomial", "table"])
-def test_file_comes_back(calibrations, tmp_path, kind):
+def test_file_is_reproduced(calibrations, tmp_path, kind):
     first, second = tmp_path / "a.npz", tmp_path / "b.npz"
     write_sensor_calibration(first, calibrations[kind])
-    found = read_sensor_calibration(first)
-    write_sensor_calibration(second, found)
+    stored = read_sensor_calibration(first)
+    write_sensor_calibration(second, stored)
     assert first.read_bytes() == second.read_bytes()
     for name, values in calibrations[kind].colour_map.arrays().items():
-        np.testing.assert_array_equal(found.colour_map.arrays()[name], values)
-    assert (found.pitch_mm, found.smoothing_px) == (PITCH_MM, 3)
+        np.testing.assert_array_equal(stored.colour_map.arrays()[name], values)
+    assert (stored.pitch_mm, stored.smoothing_px) == (PITCH_MM, 3)
 
 
 def test_same_presses_same_bytes(ball_presses, background_frames):
@@ -156,7 +156,7 @@ def test_too_few_pixels(ball_presses, background_frames):
 
 
 def _pasted(press, flat):
-    """A contact of 10 px radius: dark and bright sides of a small disc on untouched gel."""
+    """A contact of 10 px radius: dark and bright sides of a small disc on undeformed gel."""
     image = flat.astype(float)
     row, col = np.indices(flat.shape[:2]) - 60.0
     inside = np.hypot(row, col) < 10.0

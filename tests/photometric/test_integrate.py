@@ -33,54 +33,54 @@ def pit(sigma_mm, shape=SHAPE, pitch_mm=PITCH_MM):
     return height, np.stack([-y, -x]) / sigma_mm**2 * height
 
 
-def scale(found, true):
-    return np.ptp(found) / np.ptp(true)
+def scale(result, true):
+    return np.ptp(result) / np.ptp(true)
 
 
 @pytest.mark.parametrize("sigma_mm", SIGMAS_MM)
 def test_corrected_peak(sigma_mm):
     """The smallest pit has a sigma of 4 px: the trapezoid rule loses (px / sigma)^2 / 8 there."""
     height, slopes = pit(sigma_mm)
-    found = corrected(slopes, PITCH_MM)
-    assert scale(found, height) == pytest.approx(1.0, abs=0.01)
-    assert abs(found.mean()) < 1e-12
-    np.testing.assert_allclose(found - found.min(), height - height.min(), atol=0.009)
+    result = corrected(slopes, PITCH_MM)
+    assert scale(result, height) == pytest.approx(1.0, abs=0.01)
+    assert abs(result.mean()) < 1e-12
+    np.testing.assert_allclose(result - result.min(), height - height.min(), atol=0.009)
 
 
 @pytest.mark.parametrize("form", ["2025", "2024"])
 @pytest.mark.parametrize("number", range(len(SIGMAS_MM)))
 def test_vendor_forms_follow_the_measured_table(form, number):
     height, slopes = pit(SIGMAS_MM[number])
-    found = scale(sdk_faithful(slopes, PITCH_MM, form), height)
-    assert found == pytest.approx(MEASURED[form][number], rel=0.03)
+    result = scale(sdk_faithful(slopes, PITCH_MM, form), height)
+    assert result == pytest.approx(MEASURED[form][number], rel=0.03)
 
 
 def test_vendor_forms_flatten_a_tilt():
-    """Measured: a constant tilt comes back at 0.18 of its slope, correlation 0.97."""
+    """Measured: a constant tilt is returned with 0.18 of its slope, correlation 0.97."""
     col_mm = np.indices(SHAPE)[1] * PITCH_MM
     slopes = np.stack([np.zeros(SHAPE), np.full(SHAPE, 0.1)])
     for form in ("2024", "2025"):
-        found = sdk_faithful(slopes, PITCH_MM, form)
-        assert np.polyfit(col_mm.ravel(), found.ravel(), 1)[0] == pytest.approx(0.018, rel=0.03)
-        assert np.corrcoef(col_mm.ravel(), found.ravel())[0, 1] == pytest.approx(0.97, abs=0.005)
+        result = sdk_faithful(slopes, PITCH_MM, form)
+        assert np.polyfit(col_mm.ravel(), result.ravel(), 1)[0] == pytest.approx(0.018, rel=0.03)
+        assert np.corrcoef(col_mm.ravel(), result.ravel())[0, 1] == pytest.approx(0.97, abs=0.005)
 
 
 def test_corrected_keeps_a_tilt_exactly():
     row, col = np.indices(SHAPE) * PITCH_MM
     slopes = np.stack([np.full(SHAPE, -0.2), np.full(SHAPE, 0.1)])
     expected = -0.2 * row + 0.1 * col
-    found = corrected(slopes, PITCH_MM)
-    np.testing.assert_allclose(found, expected - expected.mean(), atol=1e-11)
+    result = corrected(slopes, PITCH_MM)
+    np.testing.assert_allclose(result, expected - expected.mean(), atol=1e-11)
 
 
 def test_held_border_pulls_wide_shapes_down():
     """Measured on a published sine-transform solver: 1 % up to 2.5 mm, 0.94 at 3.8 mm."""
     for sigma_mm in SIGMAS_MM[:-1]:
         assert corrected(pit(sigma_mm)[1], PITCH_MM, "dirichlet").max() == pytest.approx(1.0, 0.01)
-    found = corrected(pit(3.8)[1], PITCH_MM, "dirichlet")
-    assert found.max() == pytest.approx(0.94, abs=0.015)
-    assert not found[[0, -1]].any()
-    assert not found[:, [0, -1]].any()
+    result = corrected(pit(3.8)[1], PITCH_MM, "dirichlet")
+    assert result.max() == pytest.approx(0.94, abs=0.015)
+    assert not result[[0, -1]].any()
+    assert not result[:, [0, -1]].any()
 
 
 def test_second_order():
@@ -88,8 +88,8 @@ def test_second_order():
     errors = []
     for factor in (1, 2):
         height, slopes = pit(0.5, (60 * factor + 1, 80 * factor + 1), 0.12 / factor)
-        found = corrected(slopes, 0.12 / factor)
-        errors.append(np.abs(found - found[0, 0] - height + height[0, 0]).max())
+        result = corrected(slopes, 0.12 / factor)
+        errors.append(np.abs(result - result[0, 0] - height + height[0, 0]).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
 
 
@@ -124,7 +124,7 @@ def dense_solution(row_steps, col_steps, weights, unknown):
 
 @pytest.mark.parametrize("boundary", ["neumann", "dirichlet"])
 def test_weighted_solver_equals_dense_least_squares(boundary):
-    """Steps that fit no surface, weights over a decade, holes: the normal equations decide."""
+    """Steps that fit no surface, weights over a decade, holes, compared with normal equations."""
     random = np.random.default_rng(2)
     row_steps, col_steps = random.normal(size=(11, 14)), random.normal(size=(12, 13))
     weights = random.uniform(0.1, 1.0, (12, 14))
@@ -133,23 +133,25 @@ def test_weighted_solver_equals_dense_least_squares(boundary):
     if boundary == "dirichlet":
         unknown[[0, -1]] = unknown[:, [0, -1]] = False
     expected = dense_solution(row_steps, col_steps, weights, unknown)
-    found = solve_weighted(row_steps, col_steps, weights, boundary)
+    result = solve_weighted(row_steps, col_steps, weights, boundary)
     if boundary == "neumann":
         expected[unknown] -= expected[unknown].mean()
-    np.testing.assert_allclose(found, expected, atol=1e-3 * np.ptp(expected))
+    np.testing.assert_allclose(result, expected, atol=1e-3 * np.ptp(expected))
 
 
 def test_invalid_pixels_do_not_matter():
-    """Garbage under weight 0 changes no other pixel; the pit around it stays right."""
+    """Invalid values of weight 0 change no other pixel; the pit around them is right."""
     height, slopes = pit(0.8, (96, 128))
     row, col = np.indices((96, 128))
     hole = (row // 8 % 3 == 1) & (col // 8 % 3 == 1)
     broken = np.where(hole, 50.0, slopes)
-    found = corrected(broken, PITCH_MM, weights=~hole)
-    np.testing.assert_allclose(found, corrected(slopes, PITCH_MM, weights=~hole), atol=1e-12 * 50.0)
-    error = (found - height)[~hole]
+    result = corrected(broken, PITCH_MM, weights=~hole)
+    np.testing.assert_allclose(
+        result, corrected(slopes, PITCH_MM, weights=~hole), atol=1e-12 * 50.0
+    )
+    error = (result - height)[~hole]
     assert np.ptp(error) < 0.005
-    assert not found[hole].any()
+    assert not result[hole].any()
 
 
 def test_iterations_do_not_grow_with_the_grid(monkeypatch):
@@ -177,8 +179,8 @@ def counting(calls):
 
 def test_equal_weights_are_no_weights():
     _, slopes = pit(0.8, (48, 64))
-    found = corrected(slopes, PITCH_MM, weights=np.full((48, 64), 0.3))
-    np.testing.assert_allclose(found, corrected(slopes, PITCH_MM), atol=1e-12)
+    result = corrected(slopes, PITCH_MM, weights=np.full((48, 64), 0.3))
+    np.testing.assert_allclose(result, corrected(slopes, PITCH_MM), atol=1e-12)
 
 
 def test_named_schemes():

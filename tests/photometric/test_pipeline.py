@@ -51,21 +51,21 @@ def test_height_of_a_ball(calibrations, image, surface, press, integration):
     The vendor's scale depends on the size of the contact: 26 px, as in the real presses.
     """
     decoder = PhotometricDecoder(calibrations["polynomial"], PhotometricOptions(integration))
-    found = decoder.decode(image)
+    height_map = decoder.decode(image)
     expected, tolerance = REAL_SCALE[integration]
-    ratio = cap_mm(found.height_mm, press) / cap_mm(surface[0], press)
+    ratio = cap_mm(height_map.height_mm, press) / cap_mm(surface[0], press)
     assert ratio == pytest.approx(expected, abs=tolerance)
-    assert found.valid.all()
+    assert height_map.valid.all()
 
 
 def test_heights_are_metric(calibrations, image, surface, press):
-    """Zero lies on untouched gel; points on the contact fit a sphere of the ball's radius."""
-    found = PhotometricDecoder(calibrations["polynomial"]).decode(image)
-    error_mm = found.height_mm - surface[0]
+    """Zero is at undeformed gel; points on the contact fit a sphere of the ball's radius."""
+    height_map = PhotometricDecoder(calibrations["polynomial"]).decode(image)
+    error_mm = height_map.height_mm - surface[0]
     assert abs(np.median(error_mm)) < 0.001
     assert np.sqrt(np.mean(error_mm**2)) < 0.003
     inside = distance_px(press, error_mm.shape) < CONTACT_PX - 2.0
-    points = found.points_mm()[inside.ravel()]
+    points = height_map.points_mm()[inside.ravel()]
     fit = fit_sphere(points)
     assert fit.radius_mm == pytest.approx(DIAMETER_MM / 2.0, rel=0.01)
     assert fit.centre_mm[0] == pytest.approx((press.col_px - 159.5) * PITCH_MM, abs=0.02)
@@ -74,7 +74,7 @@ def test_heights_are_metric(calibrations, image, surface, press):
 
 
 def test_look_up_table_is_close(calibrations, image, surface, press):
-    """The paper's own map: no more than 4 % off, and not as good as the polynomial."""
+    """The paper's own map: at most 4 % off, and less accurate than the polynomial."""
     scales = {
         kind: cap_mm(PhotometricDecoder(calibration).decode(image).height_mm, press)
         / cap_mm(surface[0], press)
@@ -99,22 +99,22 @@ def test_dots_are_filled(calibrations, image, surface, press, weight):
     background, dots = with_dots(plain.background)
     calibration = SensorCalibration(plain.colour_map, background, PITCH_MM, marker_level=40)
     decoder = PhotometricDecoder(calibration, PhotometricOptions(doubtful_weight=weight))
-    found = decoder.decode(with_dots(image)[0])
-    assert np.all(found.mask_reason[dots] == PhotometricReason.MARKER)
-    assert np.isfinite(found.height_mm).all()
-    error_mm = found.height_mm - surface[0]
+    height_map = decoder.decode(with_dots(image)[0])
+    assert np.all(height_map.mask_reason[dots] == PhotometricReason.MARKER)
+    assert np.isfinite(height_map.height_mm).all()
+    error_mm = height_map.height_mm - surface[0]
     inside = distance_px(press, error_mm.shape) < CONTACT_PX
     assert np.sqrt(np.mean(error_mm[inside] ** 2)) < 0.01
-    assert cap_mm(found.height_mm, press) / cap_mm(surface[0], press) == pytest.approx(
+    assert cap_mm(height_map.height_mm, press) / cap_mm(surface[0], press) == pytest.approx(
         1.0, abs=0.02
     )
 
 
 def test_dark_corners_are_no_dots(calibrations):
-    """Setup: dots on untouched gel that falls to half in the corners, below the level of a dot.
+    """Setup: dots on undeformed gel with half of its level in the corners, darker than a dot.
 
-    Expected: `corrected` hides the dots and their rims alone; the vendor's forms lose the corners
-    as well, as their programs do.
+    Expected: `corrected` hides only the dots and their rims; the vendor's forms hide the corners
+    as well, like their programs.
     """
     plain = calibrations["polynomial"]
     row, col = np.indices(plain.background.shape[:2])
@@ -125,38 +125,38 @@ def test_dark_corners_are_no_dots(calibrations):
     hidden = {}
     for integration in ("corrected", "sdk_2025"):
         decoder = PhotometricDecoder(calibration, PhotometricOptions(integration))
-        found = decoder.decode(background.astype(np.uint8))
-        hidden[integration] = found.mask_reason == PhotometricReason.MARKER
+        height_map = decoder.decode(background.astype(np.uint8))
+        hidden[integration] = height_map.mask_reason == PhotometricReason.MARKER
         assert hidden[integration][dots].all()
     near_dots = cv2.dilate(dots.astype(np.uint8), np.ones((7, 7), np.uint8)).astype(bool)
     assert not hidden["corrected"][~near_dots].any()
     assert hidden["sdk_2025"][~near_dots].mean() > 0.01
 
 
-def test_dots_left_in_spoil_the_map(calibrations, image, surface, press):
-    """Without masking the moving dots pass for slopes: the masking above does something."""
+def test_unmasked_dots_distort_the_map(calibrations, image, surface, press):
+    """Without masking the moving dots are read as slopes: the masking has an effect."""
     shifted = image.copy()
     shifted[with_dots(image)[1]] = 20
-    found = PhotometricDecoder(calibrations["polynomial"]).decode(shifted)
-    assert np.sqrt(np.mean((found.height_mm - surface[0]) ** 2)) > 0.02
+    height_map = PhotometricDecoder(calibrations["polynomial"]).decode(shifted)
+    assert np.sqrt(np.mean((height_map.height_mm - surface[0]) ** 2)) > 0.02
 
 
 def test_reasons(calibrations, image):
     damaged = image.copy()
     damaged[5:8, 5:9] = (255, 128, 128)
     damaged[20:29, 30:39] = (90, 250, 90)
-    found = PhotometricDecoder(calibrations["polynomial"]).decode(damaged)
-    assert np.all(found.mask_reason[5:8, 5:9] == PhotometricReason.CLIPPED)
-    assert np.all(found.mask_reason[21:28, 31:38] == PhotometricReason.UNCALIBRATED)
-    assert found.valid.sum() >= image[..., 0].size - 5 * 6 - 11 * 11
-    assert np.isfinite(found.slopes).all()
+    height_map = PhotometricDecoder(calibrations["polynomial"]).decode(damaged)
+    assert np.all(height_map.mask_reason[5:8, 5:9] == PhotometricReason.CLIPPED)
+    assert np.all(height_map.mask_reason[21:28, 31:38] == PhotometricReason.UNCALIBRATED)
+    assert height_map.valid.sum() >= image[..., 0].size - 5 * 6 - 11 * 11
+    assert np.isfinite(height_map.slopes).all()
 
 
 def test_held_border(calibrations, image, surface):
     options = PhotometricOptions(boundary="dirichlet")
-    found = PhotometricDecoder(calibrations["polynomial"], options).decode(image)
-    assert not found.height_mm[0].any()
-    assert np.sqrt(np.mean((found.height_mm - surface[0]) ** 2)) < 0.005
+    height_map = PhotometricDecoder(calibrations["polynomial"], options).decode(image)
+    assert not height_map.height_mm[0].any()
+    assert np.sqrt(np.mean((height_map.height_mm - surface[0]) ** 2)) < 0.005
 
 
 @pytest.mark.parametrize("kind", ["polynomial", "table"])

@@ -10,12 +10,12 @@ from reconstruction.photometric import HeightMap, PhotometricReason
 
 @pytest.fixture
 def ramp():
-    """Heights that grow along the columns by 0.1 mm per mm; the first row has no measurement."""
+    """Heights that increase along the columns by 0.1 mm per mm; the first row is invalid."""
     col = np.arange(6) * 0.5
     height = np.tile(0.1 * col, (4, 1)).astype(np.float32)
     slopes = np.stack([np.zeros((4, 6)), np.full((4, 6), 0.1)]).astype(np.float32)
     reason = np.zeros((4, 6), np.uint8)
-    reason[0] = next(one for one in PhotometricReason if one != PhotometricReason.VALID)
+    reason[0] = next(code for code in PhotometricReason if code != PhotometricReason.VALID)
     return HeightMap(height, slopes, reason, 0.5)
 
 

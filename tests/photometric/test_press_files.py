@@ -31,7 +31,7 @@ HEADER = 'format = "photometric-press"\nversion = 1\n'
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, ball_presses, background_frames):
-    """A folder as a user would have it: stills, presses of balls, a measurement."""
+    """A user's folder: stills, presses of balls, a measurement."""
     place = tmp_path_factory.mktemp("press")
     for number, frame in enumerate(background_frames[:3]):
         imageio.imwrite(place / f"still_{number}.png", frame)
@@ -63,12 +63,12 @@ def test_from_files_to_height_and_back(folder, tmp_path, ball_presses, make_surf
     error_mm = result.height_map.height_mm - make_surface(presses[-1])[0]
     assert np.sqrt(np.mean(error_mm**2)) < 0.01
     write_height_map(tmp_path / "height.nc", result.height_map)
-    found = read_height_map(tmp_path / "height.nc")
+    stored = read_height_map(tmp_path / "height.nc")
     for name in ("height_mm", "slopes", "mask_reason"):
-        before, after = getattr(result.height_map, name), getattr(found, name)
+        before, after = getattr(result.height_map, name), getattr(stored, name)
         np.testing.assert_array_equal(after, before)
         assert after.dtype == before.dtype
-    assert found.pitch_mm == 0.0634
+    assert stored.pitch_mm == 0.0634
     with xarray.open_dataset(tmp_path / "height.nc", engine="h5netcdf") as data:
         assert data.height_mm.attrs["units"] == "mm"
         assert len(data.mask_reason.attrs["flag_meanings"].split()) == len(PhotometricReason)
@@ -82,9 +82,9 @@ def test_stored_calibration_with_a_new_background(folder, calibrations, ball_pre
     path = folder / "stored.toml"
     lines = 'image = "coin.png"\ncalibration = "mini.npz"\n'
     path.write_text(HEADER + lines, encoding="utf-8")
-    found = reconstruct_photometric(path).height_map
+    stored = reconstruct_photometric(path).height_map
     expected = PhotometricDecoder(calibrations["polynomial"]).decode(ball_presses[-1].image)
-    np.testing.assert_array_equal(found.height_mm, expected.height_mm)
+    np.testing.assert_array_equal(stored.height_mm, expected.height_mm)
     path.write_text(HEADER + lines + 'background = "still_0.png"\n', encoding="utf-8")
     result = reconstruct_photometric(path)
     still = imageio.imread(folder / "still_0.png")
@@ -92,7 +92,7 @@ def test_stored_calibration_with_a_new_background(folder, calibrations, ball_pre
 
 
 def test_red_is_first_and_frames_are_cut(tmp_path):
-    """A pure red pixel stays in channel 0; 15 % off each side of 40 x 60 leaves 28 x 42."""
+    """A pure red pixel stays in channel 0; cropping 15 % per side of 40 x 60 gives 28 x 42."""
     image = np.zeros((40, 60, 3), np.uint8)
     image[6:34, 9:51, 0] = 200
     imageio.imwrite(tmp_path / "red.png", image)
@@ -124,7 +124,7 @@ def test_jpeg_is_read(folder, tmp_path):
         ({"options": "[frame]\nwidth_px = 320\n"}, "both or neither"),
     ],
 )
-def test_mistakes_are_named_in_one_line(folder, ball_presses, changes, message):
+def test_mistakes_are_named_in_a_single_line(folder, ball_presses, changes, message):
     path = folder / "wrong.toml"
     (folder / "press.toml").touch()
     path.write_text(description(ball_presses, **changes), encoding="utf-8")
@@ -170,7 +170,7 @@ def test_needs_neither_twin_nor_renderer():
 
 
 def test_result_folder(folder, tmp_path, ball_presses):
-    """What `twin reconstruct --photometric` writes; its calibration measures again, alike."""
+    """Files of `twin reconstruct --photometric`; their calibration gives the same heights."""
     path = folder / "whole.toml"
     path.write_text(description(ball_presses), encoding="utf-8")
     figures = reconstruct_presses(path, tmp_path / "out").figures
@@ -180,13 +180,13 @@ def test_result_folder(folder, tmp_path, ball_presses):
     assert 0.1 < figures["highest_mm"] < 2.0
     assert (tmp_path / "out" / "points.ply").is_file()
     calibration = read_sensor_calibration(tmp_path / "out" / "sensor_calibration.npz")
-    found = PhotometricDecoder(calibration).decode(ball_presses[-1].image)
+    decoded = PhotometricDecoder(calibration).decode(ball_presses[-1].image)
     before = read_height_map(tmp_path / "out" / "height.nc")
-    np.testing.assert_array_equal(found.height_mm, before.height_mm)
+    np.testing.assert_array_equal(decoded.height_mm, before.height_mm)
 
 
 def test_a_folder_of_presses(folder, tmp_path, ball_presses, presses):
-    """All images that a pattern matches, under one calibration; a damaged one stops no other."""
+    """All images that match a pattern, under one calibration; a damaged one affects no other."""
     for number in (7, 8, 9):
         imageio.imwrite(folder / f"unknown_{number}.png", ball_presses[number].image)
     (folder / "unknown_damaged.png").write_bytes(b"nothing")
@@ -202,9 +202,9 @@ def test_a_folder_of_presses(folder, tmp_path, ball_presses, presses):
     assert [row.split(",")[0] for row in rows[1:]] == [
         "000_unknown_7", "001_unknown_8", "002_unknown_9", "003_unknown_damaged",
     ]  # fmt: skip
-    alone = described_presses(path).measure(folder / "unknown_8.png").height_map
-    kept = read_height_map(tmp_path / "out" / "presses" / "001_unknown_8" / "height.nc")
-    np.testing.assert_array_equal(kept.height_mm, alone.height_mm)
+    single = described_presses(path).measure(folder / "unknown_8.png").height_map
+    stored = read_height_map(tmp_path / "out" / "presses" / "001_unknown_8" / "height.nc")
+    np.testing.assert_array_equal(stored.height_mm, single.height_mm)
     assert imageio.imread(tmp_path / "out" / "heights.png").shape[2] >= 3
 
 
@@ -222,7 +222,7 @@ def test_only_damaged_presses_are_an_error(folder, tmp_path, ball_presses):
     ("names", "message"),
     [('"none_*.png"', "matches no file"), ('"/*"', "no pattern of file names")],
 )
-def test_patterns_that_lead_nowhere(folder, ball_presses, names, message):
+def test_patterns_without_files(folder, ball_presses, names, message):
     path = folder / "nowhere.toml"
     path.write_text(description(ball_presses, image=f"images = [{names}]\n"), encoding="utf-8")
     with pytest.raises(CaptureError, match=message):
@@ -230,23 +230,23 @@ def test_patterns_that_lead_nowhere(folder, ball_presses, names, message):
 
 
 def test_another_units_calibration_is_doubted(folder, calibrations, ball_presses):
-    """A background 15 % off, as between two units; and, without one, no gel that looks untouched.
+    """A background 15 % off, as between two units; and, without one, no undeformed gel.
 
     The same unit's own background and presses raise no doubt.
     """
     write_sensor_calibration(folder / "mini.npz", calibrations["polynomial"])
     own = calibrations["polynomial"]
     shade = np.linspace(0.8, 1.1, own.background.shape[1])[None, :, None]
-    other = replace(own, background=(own.background * shade).clip(0, 255).astype(np.float32))
-    write_sensor_calibration(folder / "other.npz", other)
+    second_unit = replace(own, background=(own.background * shade).clip(0, 255).astype(np.float32))
+    write_sensor_calibration(folder / "other.npz", second_unit)
     path = folder / "unit.toml"
-    told = {}
+    doubts = {}
     for name in ("mini", "other"):
         lines = f'image = "coin.png"\ncalibration = "{name}.npz"\n'
         path.write_text(HEADER + lines, encoding="utf-8")
-        told[name] = reconstruct_photometric(path).doubts
+        doubts[name] = reconstruct_photometric(path).doubts
         path.write_text(HEADER + lines + 'background = "still_0.png"\n', encoding="utf-8")
-        told[name + " and a background"] = reconstruct_photometric(path).doubts
-    assert told["mini"] == told["mini and a background"] == ()
-    assert "another unit" in told["other and a background"][0]
-    assert told["other"] != ()
+        doubts[name + " and a background"] = reconstruct_photometric(path).doubts
+    assert doubts["mini"] == doubts["mini and a background"] == ()
+    assert "another unit" in doubts["other and a background"][0]
+    assert doubts["other"] != ()

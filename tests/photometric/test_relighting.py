@@ -25,12 +25,12 @@ def drift():
 def test_a_quadratic_change_of_light_is_taken_back_exactly(background_frames, drift):
     flat = background_frames.mean(axis=0).astype(np.float32)
     hidden = np.zeros(flat.shape[:2], bool)
-    found = light_over_background((flat * drift).astype(np.float32), flat, hidden, UNTOUCHED)
-    np.testing.assert_allclose(found, drift, rtol=2e-6)
+    light = light_over_background((flat * drift).astype(np.float32), flat, hidden, UNTOUCHED)
+    np.testing.assert_allclose(light, drift, rtol=2e-6)
 
 
-def test_contact_takes_no_part(background_frames, drift):
-    """A disc 40 levels brighter, with a skirt that fades, keeps that difference to 1.5 %."""
+def test_contact_has_no_effect(background_frames, drift):
+    """A disc 40 levels brighter, with a fading skirt, has the same difference to 1.5 %."""
     flat = background_frames.mean(axis=0).astype(np.float32)
     row, col = np.indices(flat.shape[:2])
     r = np.hypot(row - 120, col - 160)
@@ -41,15 +41,15 @@ def test_contact_takes_no_part(background_frames, drift):
     np.testing.assert_allclose((lit / light - flat)[r < 26], 40.0, atol=0.6)
 
 
-def test_where_nothing_is_untouched_nothing_is_told(background_frames):
+def test_no_light_without_undeformed_gel(background_frames):
     flat = background_frames.mean(axis=0).astype(np.float32)
     levels = flat + np.float32(20.0)
     hidden = np.zeros(flat.shape[:2], bool)
     assert light_over_background(levels, flat, hidden, UNTOUCHED) is None
 
 
-def test_drift_of_untouched_gel_is_halved(calibrations, background_frames, drift):
-    """And more, where the change of light is the quadratic that is fitted."""
+def test_drift_of_undeformed_gel_is_halved(calibrations, background_frames, drift):
+    """It is reduced more if the change of light is the quadratic that is fitted."""
     still = np.rint(background_frames[0] * drift).clip(0, 255).astype(np.uint8)
     rms_mm = {
         relighting: np.sqrt(
@@ -69,16 +69,16 @@ def test_drift_of_untouched_gel_is_halved(calibrations, background_frames, drift
 
 def test_the_vendors_forms_do_not_relight(calibrations, background_frames, drift):
     still = np.rint(background_frames[0] * drift).clip(0, 255).astype(np.uint8)
-    found = [
+    height_maps = [
         PhotometricDecoder(
             calibrations["polynomial"], PhotometricOptions("sdk_2025", relighting=relighting)
         ).decode(still)
         for relighting in (False, True)
     ]
-    np.testing.assert_array_equal(found[0].height_mm, found[1].height_mm)
+    np.testing.assert_array_equal(height_maps[0].height_mm, height_maps[1].height_mm)
 
 
-def test_untouched_gel_is_told(calibrations, ball_presses, presses):
+def test_undeformed_gel_is_reported(calibrations, ball_presses, presses):
     decoder = PhotometricDecoder(calibrations["polynomial"])
     untouched = decoder.untouched(ball_presses[0].image).where
     row, col = np.indices(untouched.shape)

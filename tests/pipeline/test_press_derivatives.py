@@ -60,7 +60,7 @@ def test_the_contact_goes_with_the_travel(experiment):
     [
         ({}, "camera.gain", r"camera\.gain: found no derivative by it; allowed: elastomer"),
         ({}, "press.control", r"press\.control: found 'depth', allowed a number"),
-        ({}, "elastomer.length_x_mm", "lay the sheet out anew"),
+        ({}, "elastomer.length_x_mm", "needs a new grid"),
         ({"mechanics.model": "spectral"}, "press.depth_mm", "found 'spectral', which has no deriv"),
     ],
 )

@@ -108,7 +108,7 @@ def calibration() -> Calibration:
 
 
 def surface_points(calibration: Calibration, relief_mm: float = 1.0) -> np.ndarray:
-    """Return the point on a bump that every camera pixel sees, (row, col, xyz) mm, world."""
+    """Return the point on a bump at every camera pixel, (row, col, xyz) mm, world."""
     camera = calibration.camera
     pixels = np.stack(np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px)), -1)
     ray = np.concatenate([camera.unproject(pixels), np.ones((*pixels.shape[:2], 1))], axis=-1)

@@ -1,4 +1,4 @@
-"""The joint adjustment: exact on exact data, honest about noise, clear about what is missing."""
+"""The joint adjustment: exact on exact data, correct sigma, messages on missing data."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from reconstruction.rig.pinhole import Pinhole
 
 BOARD = DotBoard(9, 7, 3.0, 1.2, 1.8)
 CAMERA = Pinhole(1936, 1464, 14500.0, 14500.0, 985.0, 720.0, (-0.8, 0.0, 0.0, 0.0, 0.0))
-# The principal point lies 200 px below the image, where OpenCV accepts no guess.
+# The principal point is 200 px below the image, where OpenCV accepts no guess.
 PROJECTOR = Pinhole(1280, 720, 1536.0, 1536.0, 632.0, 920.0)
 
 
@@ -55,9 +55,9 @@ def board_poses(count=8, tilt_deg=20.0):
 
 
 def observations(rig, poses, noise_px=(0.0, 0.0), seed=0):
-    """Return what an ideal detector sees, dots' perspective bias included, plus noise.
+    """Return the dots of an ideal detector, with perspective bias and noise.
 
-    The projector coordinate is that of the place where the camera sees the dot.
+    The projector coordinate is that of the dot's centre in the camera image.
     """
     rng = np.random.default_rng(seed)
     return [_observation(rig, T, f"pose_{k}", noise_px, rng) for k, T in enumerate(poses)]
@@ -97,19 +97,19 @@ def local_slopes(rig, into_cam, into_proj):
     by_camera, by_projector = [], []
     for axis in range(2):
         ends = [BOARD.points_mm + side * step * np.eye(3)[axis] for side in (-1, 1)]
-        for found, device, T in (
+        for result, device, T in (
             (by_camera, rig.camera, into_cam),
             (by_projector, rig.projector, into_proj),
         ):
             low, high = (device.project(moved(T, points)) for points in ends)
-            found.append((high - low) / (2 * step))
+            result.append((high - low) / (2 * step))
     return np.stack(by_projector, axis=-1) @ np.linalg.inv(np.stack(by_camera, axis=-1))
 
 
 @pytest.fixture(scope="module")
 def exact(rig):
-    seen = observations(rig, board_poses())
-    return seen, calibrate(seen)
+    observed = observations(rig, board_poses())
+    return observed, calibrate(observed)
 
 
 def test_exact_correspondences_give_the_exact_rig(rig, exact):
@@ -117,16 +117,16 @@ def test_exact_correspondences_give_the_exact_rig(rig, exact):
 
     Expected: every parameter to 1e-6 of its size (1e-6 mm, px, rad where it is 0).
     """
-    _, found = exact
+    _, result = exact
     for name, true in parameters_of(rig).items():
-        value = next(p.value for p in found.parameters if p.name == name)
+        value = next(p.value for p in result.parameters if p.name == name)
         assert value == pytest.approx(true, rel=1e-6, abs=1e-6), name
 
 
 def test_world_is_the_first_board(rig, exact, tmp_path):
     """The first pose is the world here as well: transforms agree, and survive the file."""
-    _, found = exact
-    write_calibration(tmp_path / "calibration.yaml", found.calibration)
+    _, result = exact
+    write_calibration(tmp_path / "calibration.yaml", result.calibration)
     read = read_calibration(tmp_path / "calibration.yaml")
     np.testing.assert_allclose(read.T_world_from_cam, rig.T_world_from_cam, atol=1e-6)
     np.testing.assert_allclose(read.T_world_from_proj, rig.T_world_from_proj, atol=1e-6)
@@ -146,10 +146,10 @@ def test_epipolar_miss_is_the_distance_from_the_line(rig, exact):
 
 
 def test_located_dots_keep_their_distances(rig, exact):
-    seen, _ = exact
-    points = locate_features(rig, seen[4])
+    observed, _ = exact
+    points = locate_features(rig, observed[4])
     np.testing.assert_allclose(points, moved(board_poses()[4], BOARD.points_mm), atol=1e-6)
-    errors = length_errors_mm(points, seen[4], 15.0)
+    errors = length_errors_mm(points, observed[4], 15.0)
     assert len(errors) > 60  # 5 columns, 5 rows, and 3-4-5 triangles
     assert np.abs(errors).max() < 1e-6
 
@@ -166,12 +166,12 @@ def test_stated_covariance_is_the_actual_scatter(rig):
     total, draws = 0.0, 6
     for seed in range(draws):
         noise = (0.02, 0.003)
-        found = calibrate(observations(rig, poses, noise, seed)).adjustment
-        miss = found.vector[free] - truth[free]
-        total += miss @ np.linalg.solve(found.covariance[np.ix_(free, free)], miss)
+        result = calibrate(observations(rig, poses, noise, seed)).adjustment
+        miss = result.vector[free] - truth[free]
+        total += miss @ np.linalg.solve(result.covariance[np.ix_(free, free)], miss)
     low, high = chi2.ppf([0.0005, 0.9995], draws * len(free))
     assert low < total < high
-    np.testing.assert_allclose(found.spread_px, noise, rtol=0.1)
+    np.testing.assert_allclose(result.spread_px, noise, rtol=0.1)
 
 
 def test_neglected_dot_bias_moves_the_tilted_boards(rig, exact):
@@ -181,29 +181,29 @@ def test_neglected_dot_bias_moves_the_tilted_boards(rig, exact):
     shifted by the dots' mean bias, r^2 sin(t) cos(t) / z = 0.57 um (the rig hardly feels it: all
     dots of a board move alike).
     """
-    seen, corrected = exact
-    neglected = calibrate(seen, AdjustOptions(correct_dot_bias=False))
+    observed, corrected = exact
+    neglected = calibrate(observed, AdjustOptions(correct_dot_bias=False))
     tilt = np.radians(20.0)
     first_order_mm = np.mean(BOARD.radii_mm**2) * np.sin(tilt) * np.cos(tilt) / 214.0
     true = [np.linalg.inv(rig.T_world_from_cam) @ T for T in board_poses()]
-    for found, expected in ((corrected, 0.0), (neglected, first_order_mm)):
-        shifts = found.adjustment.rig.T_cam_from_board[:, :2, 3] - np.stack(true)[:, :2, 3]
+    for result, expected in ((corrected, 0.0), (neglected, first_order_mm)):
+        shifts = result.adjustment.rig.T_cam_from_board[:, :2, 3] - np.stack(true)[:, :2, 3]
         # Against the first board, which is not tilted: a common shift is the principal point's.
         size = np.linalg.norm(shifts[2] - shifts[0])
         np.testing.assert_allclose(size, expected, rtol=0.1, atol=1e-7)
 
 
 def test_a_moved_dot_is_left_out(rig):
-    seen = observations(rig, board_poses(), (0.01, 0.002))
-    seen[2].camera_px[5] += 3.0
-    found = calibrate(seen)
-    assert not found.adjustment.used[2][5]
-    assert found.poses[2].left_out >= 1
-    assert found.adjustment.spread_px[0] < 0.012
+    observed = observations(rig, board_poses(), (0.01, 0.002))
+    observed[2].camera_px[5] += 3.0
+    result = calibrate(observed)
+    assert not result.adjustment.used[2][5]
+    assert result.poses[2].left_out >= 1
+    assert result.adjustment.spread_px[0] < 0.012
 
 
-def test_boards_that_all_face_the_camera_are_refused(rig):
-    """Parallel boards cannot tell focal length from distance."""
+def test_boards_that_all_face_the_camera_are_rejected(rig):
+    """Parallel boards do not distinguish focal length and distance."""
     poses = [np.eye(4) for _ in range(6)]
     for k, T in enumerate(poses):
         T[:2, 3] = 0.5 * k, -0.3 * k
@@ -211,28 +211,28 @@ def test_boards_that_all_face_the_camera_are_refused(rig):
         calibrate(observations(rig, poses, (0.01, 0.002)))
 
 
-def test_too_few_or_unequal_poses_are_refused(rig):
-    seen = observations(rig, board_poses(3))
+def test_too_few_or_unequal_poses_are_rejected(rig):
+    observed = observations(rig, board_poses(3))
     with pytest.raises(InputError, match="2 board poses"):
-        calibrate(seen[:2])
+        calibrate(observed[:2])
     with pytest.raises(InputError, match="different image sizes"):
-        calibrate([*seen, replace(seen[0], camera_size_px=(968, 732))])
+        calibrate([*observed, replace(observed[0], camera_size_px=(968, 732))])
 
 
-def test_unknown_coefficients_are_refused():
+def test_unknown_coefficients_are_rejected():
     with pytest.raises(InputError, match="k9"):
         Freedom(camera_distortion=("k9",))
     with pytest.raises(InputError, match="are k1, k1; name each once"):
         Freedom(camera_distortion=("k1", "k1"))
 
 
-def test_more_coefficients_can_be_asked_for(exact):
+def test_more_coefficients_can_be_requested(exact):
     """Setup: projector k1 free as well. Expected: found as 0, with an uncertainty."""
-    seen, _ = exact
+    observed, _ = exact
     free = Freedom(
         projector_distortion=("k1",), camera_pixel_ratio=None, projector_pixel_ratio=None
     )
-    found = calibrate(seen, AdjustOptions(free))
-    k1 = next(p for p in found.parameters if p.name == "projector_k1")
+    result = calibrate(observed, AdjustOptions(free))
+    k1 = next(p for p in result.parameters if p.name == "projector_k1")
     assert abs(k1.value) < 1e-6
     assert k1.sigma > 0.0

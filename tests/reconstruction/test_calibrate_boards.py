@@ -1,4 +1,4 @@
-"""Boards: what is printed is what is found."""
+"""Boards: the detected features are the printed ones."""
 
 import numpy as np
 import pytest
@@ -67,6 +67,6 @@ def test_a_blank_sheet_is_no_board(board):
         ((9, 7, 2.0, 0.8, 1.9), "fiducial_diameter_mm"),
     ],
 )
-def test_impossible_dot_boards_are_refused(values, message):
+def test_impossible_dot_boards_are_rejected(values, message):
     with pytest.raises(InputError, match=message):
         DotBoard(*values)

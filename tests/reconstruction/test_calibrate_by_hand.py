@@ -37,11 +37,11 @@ def found_at(ink):
     return np.round(dots_of(ink)[1].centres_px).tolist()
 
 
-def test_what_passes_for_a_dot():
+def test_shapes_that_pass_for_a_dot():
     """A blob is an ellipse when 4 pi sqrt(det M) is its area to 12 %, its axes as 0.45 to 1.
 
     A ring of radii 3 and 10 has (100 + 9) / (100 - 9) = 1.198 of its area; of 2 and 10 1.083. A
-    square has 4 pi / 12 = 1.047, and so passes for a dot: the grid and its neighbours tell.
+    square has 4 pi / 12 = 1.047, and so passes for a dot: grid and neighbours decide.
     """
     assert found_at(disc(40, 50, 10)) == [[40, 50]]
     assert found_at(disc(40, 50, 10) - disc(40, 50, 2)) == [[40, 50]]
@@ -54,7 +54,7 @@ def test_what_passes_for_a_dot():
 
 
 def test_a_dot_needs_forty_pixels_and_lies_within_the_image():
-    """Squares of 6 x 6 and 6 x 7 pixels; a disc whose rim is on the image's edge, and beside it."""
+    """Squares of 6 x 6 and 6 x 7 pixels; a disc touching the image's edge, and next to it."""
     small = ((abs(COL - 20.5) < 3) & (abs(ROW - 20.5) < 3)) * 1.0
     large = ((abs(COL - 20.5) < 3) & (abs(ROW - 20) < 4)) * 1.0
     assert (small.sum(), large.sum()) == (36, 42)
@@ -65,7 +65,7 @@ def test_a_dot_needs_forty_pixels_and_lies_within_the_image():
 
 
 def test_a_dirty_dot_is_drawn_away_from_its_dirt():
-    """Of a dot of radius 10, pi 100 px, 9 px lie bare, (5, -3) px from its middle.
+    """Of a dot of radius 10, pi 100 px, 9 px are bare, (5, -3) px from its middle.
 
     Ink is left of 314.16 - 9 px: the centroid moves by -9 / 305.16 of that, (-0.1475, 0.0885) px.
     """
@@ -74,13 +74,13 @@ def test_a_dirty_dot_is_drawn_away_from_its_dirt():
     speck = np.clip(2.0 - np.abs(COL - 65.5), 0, 1) * np.clip(2.0 - np.abs(ROW - 47.5), 0, 1)
     assert speck.sum() == pytest.approx(9.0)
     relative, dots = dots_of(disc(60.5, 50.5, 10) - speck)
-    centre, found = refine_centres(relative, dots)
-    assert found.all()
+    centre, result = refine_centres(relative, dots)
+    assert result.all()
     np.testing.assert_allclose(centre, [[60.5 - 0.1475, 50.5 + 0.0885]], atol=3e-3)
 
 
 def test_shading_across_a_dot_is_divided_out():
-    """White falls linearly by a third across the dot's window: the centre stays to 0.01 px."""
+    """White decreases linearly by 1/3 across the dot's window: the centre is right to 0.01 px."""
     relative, dots = dots_of(disc(60.5, 50.5, 10))
     shade = (1.0 - (COL - 60.0) / 100.0 + (ROW - 50.0) / 300.0).astype(np.float32)
     centre, _ = refine_centres(relative * shade, dots)
@@ -90,9 +90,9 @@ def test_shading_across_a_dot_is_divided_out():
 def test_where_no_white_is_near_brightness_counts_from_a_twentieth():
     """Left 1000 DN, right 10: there 10 / (0.05 * 1000) = 0.2 of white; left 1."""
     image = np.where(COL < 40, 1000.0, 10.0).astype(np.float32)
-    found = relative_brightness(image)
-    assert found[60, 150] == pytest.approx(0.2, rel=1e-6)
-    assert found[60, 5] == pytest.approx(1.0, rel=1e-6)
+    result = relative_brightness(image)
+    assert result[60, 150] == pytest.approx(0.2, rel=1e-6)
+    assert result[60, 5] == pytest.approx(1.0, rel=1e-6)
 
 
 def test_white_keeps_a_margin_from_ink():
@@ -120,7 +120,7 @@ QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 def test_the_world_is_the_first_board():
     """Camera 10 mm before the board, turned a quarter; projector (3, 0, 4) mm from the camera.
 
-    The camera's centre in the board's frame is -R^T t = (0, 0, -10); the projector stands where
+    The camera's centre in the board's frame is -R^T t = (0, 0, -10); the projector is where
     R x + t = 0 in its own frame, at -(3, 0, 4) in the camera's: turned back (0, 3, -4), and so at
     (0, 3, -14) in the world.
     """
@@ -129,36 +129,36 @@ def test_the_world_is_the_first_board():
         camera=CAMERA, projector=PROJECTOR, T_cam_from_board=boards,
         T_proj_from_cam=motion(shift=(3.0, 0.0, 4.0)),
     )  # fmt: skip
-    found = calibration_of(SimpleNamespace(rig=rig))
-    assert (found.camera, found.projector) == (CAMERA, PROJECTOR)
-    np.testing.assert_allclose(found.T_world_from_cam[:3, 3], [0.0, 0.0, -10.0])
-    np.testing.assert_allclose(found.T_world_from_cam[:3, :3], QUARTER.T)
-    np.testing.assert_allclose(found.T_world_from_proj[:3, 3], [0.0, 3.0, -14.0])
-    assert parameters_of(found)["baseline_mm"] == pytest.approx(5.0)
-    np.testing.assert_allclose(found.T_proj_from_cam, rig.T_proj_from_cam, atol=1e-12)
+    result = calibration_of(SimpleNamespace(rig=rig))
+    assert (result.camera, result.projector) == (CAMERA, PROJECTOR)
+    np.testing.assert_allclose(result.T_world_from_cam[:3, 3], [0.0, 0.0, -10.0])
+    np.testing.assert_allclose(result.T_world_from_cam[:3, :3], QUARTER.T)
+    np.testing.assert_allclose(result.T_world_from_proj[:3, 3], [0.0, 3.0, -14.0])
+    assert parameters_of(result)["baseline_mm"] == pytest.approx(5.0)
+    np.testing.assert_allclose(result.T_proj_from_cam, rig.T_proj_from_cam, atol=1e-12)
 
 
 def test_epipolar_lines_of_devices_side_by_side_are_rows():
     """Both look the same way: a camera row is a projector row, at twice the focal length.
 
     The camera's row 59.5, 10 px below its middle, is 20 px below the projector's: 169.5. Points at
-    that row miss by nothing, 3 px below by 3 px, whatever their column.
+    that row have error 0, 3 px below error 3 px, in any column.
     """
     rig = Calibration(CAMERA, PROJECTOR, np.eye(4), motion(shift=(7.0, 0.0, 0.0)))
     measured = np.array([[30.0, 59.5, 10.0, 169.5], [30.0, 59.5, 350.0, 172.5]])
-    found = np.abs(epipolar_residuals_px(rig, measured))
-    np.testing.assert_allclose(found, [0.0, 3.0], atol=1e-9)
+    result = np.abs(epipolar_residuals_px(rig, measured))
+    np.testing.assert_allclose(result, [0.0, 3.0], atol=1e-9)
 
 
 def test_epipolar_distances_are_pixels_of_wide_pixels_too():
     """Pixels twice as wide as high, fx = 50, fy = 100: 3 px below the line are 3 px."""
     wide = Pinhole(200, 300, 50.0, 100.0, 99.5, 149.5)
     rig = Calibration(CAMERA, wide, np.eye(4), motion(shift=(7.0, 0.0, 0.0)))
-    found = np.abs(epipolar_residuals_px(rig, np.array([[30.0, 59.5, 50.0, 172.5]])))
-    np.testing.assert_allclose(found, 3.0, atol=1e-9)
+    result = np.abs(epipolar_residuals_px(rig, np.array([[30.0, 59.5, 50.0, 172.5]])))
+    np.testing.assert_allclose(result, 3.0, atol=1e-9)
 
 
-def test_residuals_of_a_pose_leave_out_what_was_not_used():
+def test_residuals_of_a_pose_exclude_unused_points():
     """Used residuals (3, 4) and (0, 0): RMS over four numbers 2.5; the projector's half of it."""
     rig = Calibration(CAMERA, PROJECTOR, np.eye(4), motion(shift=(7.0, 0.0, 0.0)))
     adjustment = SimpleNamespace(
@@ -167,10 +167,10 @@ def test_residuals_of_a_pose_leave_out_what_was_not_used():
         residuals_px=[np.array([[3.0, 4.0, 1.5, 2.0], [9.0] * 4, [0.0] * 4])],
         measured_px=[np.array([[30.0, 59.5, 10.0, 172.5], [0.0] * 4, [30.0, 59.5, 10.0, 169.5]])],
     )
-    (found,) = pose_residuals(adjustment, [SimpleNamespace(name="flat")])
-    assert (found.name, found.features, found.left_out) == ("flat", 2, 1)
-    assert (found.camera_px, found.projector_px) == (2.5, 1.25)
-    assert found.epipolar_px == pytest.approx(3.0 / 2.0**0.5)
+    (result,) = pose_residuals(adjustment, [SimpleNamespace(name="flat")])
+    assert (result.name, result.features, result.left_out) == ("flat", 2, 1)
+    assert (result.camera_px, result.projector_px) == (2.5, 1.25)
+    assert result.epipolar_px == pytest.approx(3.0 / 2.0**0.5)
 
 
 def test_a_pupil_is_four_times_the_root_of_its_mean_square():
@@ -180,7 +180,7 @@ def test_a_pupil_is_four_times_the_root_of_its_mean_square():
 
 
 def test_lengths_of_a_stretched_board():
-    """A board of 4 x 4 dots 3 mm apart, measured 1 % too large: 24 lengths of 3 mm, 0.03 mm off."""
+    """A board of 4 x 4 dots of 3 mm pitch, 1 % too large: 24 lengths of 3 mm, 0.03 mm off."""
     points = DotBoard(4, 4, 3.0, 1.0, 1.5).points_mm
     errors = length_errors_mm(1.01 * points, SimpleNamespace(points_mm=points), 3.0)
     assert len(errors) == 24

@@ -42,8 +42,8 @@ def pupil_places():
 def test_displacement_is_that_of_rays_through_the_whole_pupil(tilt_deg, azimuth_deg, z_mm):
     """Setup: a board piece seen through 960 places of the pupil, each a pinhole of its own.
 
-    Expected: the mean position, weighted by the area that each place sees (by differences), and
-    the mean board position that one pixel sees through all places, displaced by b each, to 3 %.
+    Expected: the mean position, weighted by the area visible from each place (by differences), and
+    the mean board position of one pixel through all places, displaced by b each, to 3 %.
     """
     T = board_pose(tilt_deg, azimuth_deg, z_mm)
     normal, f = T[:3, 2], CAMERA.fx_px
@@ -51,17 +51,17 @@ def test_displacement_is_that_of_rays_through_the_whole_pupil(tilt_deg, azimuth_
     points = piece @ T[:3, :3].T + T[:3, 3]
     b = defocus_slopes_px(CAMERA, points[:1], normal, MIDDLE_MM)[0] @ COEFFICIENTS
     sharp = f * points[0, :2] / points[0, 2]
-    seen, areas, met = [], [], []
+    observed, areas, met = [], [], []
     for x, y in pupil_places():
         s = np.array([x, y, 0.0])
         image = f * ((points - s)[:, :2] / points[:, 2:] + s[:2] / FOCUS_MM)
         (ax, ay), (bx, by) = image[1:] - image[0]
-        seen.append(image[0])
+        observed.append(image[0])
         areas.append(abs(ax * by - ay * bx))
         toward = np.append(sharp * FOCUS_MM / f, FOCUS_MM) - s
         hit = s + toward * (normal @ (points[0] - s)) / (normal @ toward)
         met.append(hit)
-    dot = np.average(seen, axis=0, weights=areas) - sharp
+    dot = np.average(observed, axis=0, weights=areas) - sharp
     middle = np.mean(met, axis=0)
     phase = f * middle[:2] / middle[2] - sharp
     size = np.linalg.norm(b)
@@ -72,14 +72,14 @@ def test_displacement_is_that_of_rays_through_the_whole_pupil(tilt_deg, azimuth_
 
 @pytest.fixture(scope="module")
 def blurred():
-    """Return what a camera of finite aperture sees of eight poses, exactly, and the true rig."""
+    """Return exact images of eight poses with a finite aperture, and the true rig."""
     poses = [board_pose(0, 0)]
     poses += [board_pose(20 - 4 * (k % 2), 137.5 * k, k % 5 - 2.0, 40 * k) for k in range(1, 8)]
     T_proj_from_cam = np.eye(4)
     T_proj_from_cam[:3, :3] = Rotation.from_euler("YX", (25.0, -8.0), degrees=True).as_matrix()
     T_proj_from_cam[:3, 3] = -91.0, 20.0, 55.0
-    seen = [observation(T, T_proj_from_cam, f"pose_{k}") for k, T in enumerate(poses)]
-    return seen, T_proj_from_cam
+    observed = [observation(T, T_proj_from_cam, f"pose_{k}") for k, T in enumerate(poses)]
+    return observed, T_proj_from_cam
 
 
 def observation(T, T_proj_from_cam, name):
@@ -111,16 +111,16 @@ def test_rig_and_aperture_are_found(blurred):
 
     Neglected, the defocus moves the projector's principal point by 0.06 px.
     """
-    seen, T_proj_from_cam = blurred
-    found = calibrate(seen)
-    assert found.adjustment.pupil_mm2 == pytest.approx(PUPIL_MM2, rel=1e-4)
-    assert pupil_diameter_mm(found.adjustment) == pytest.approx(6.25, rel=1e-4)
-    true = parameters_of(replace(found.adjustment.rig, camera=CAMERA, projector=PROJECTOR,
+    observed, T_proj_from_cam = blurred
+    result = calibrate(observed)
+    assert result.adjustment.pupil_mm2 == pytest.approx(PUPIL_MM2, rel=1e-4)
+    assert pupil_diameter_mm(result.adjustment) == pytest.approx(6.25, rel=1e-4)
+    true = parameters_of(replace(result.adjustment.rig, camera=CAMERA, projector=PROJECTOR,
                                  T_proj_from_cam=T_proj_from_cam))  # fmt: skip
-    for parameter in found.parameters:
+    for parameter in result.parameters:
         size = max(abs(true[parameter.name]), 1.0)
         assert parameter.value == pytest.approx(true[parameter.name], abs=1e-6 * size)
-    neglected = calibrate(seen, AdjustOptions(Freedom(camera_defocus=False)))
+    neglected = calibrate(observed, AdjustOptions(Freedom(camera_defocus=False)))
     centre = next(p.value for p in neglected.parameters if p.name == "projector_cy_px")
     assert abs(centre - true["projector_cy_px"]) > 0.02
     assert pupil_diameter_mm(neglected.adjustment) == 0.0

@@ -1,4 +1,4 @@
-"""Dots in an image: sub-pixel centres, identities, and what must be refused."""
+"""Dots in an image: sub-pixel centres, identities, and images to reject."""
 
 import numpy as np
 import pytest
@@ -63,8 +63,8 @@ def detect(image):
     relative = relative_brightness(image)
     dots = find_dots(relative, ink_threshold(relative))
     ids, members = label_dots(BOARD, dots)
-    centres, found = refine_centres(relative, dots.chosen(np.array(members)))
-    return np.array(ids)[found], centres[found]
+    centres, result = refine_centres(relative, dots.chosen(np.array(members)))
+    return np.array(ids)[result], centres[result]
 
 
 def imaged_centres(T, ids):
@@ -86,7 +86,7 @@ def test_every_dot_is_named_and_centred(tilt_deg, spin_deg):
 
 
 def test_shading_does_not_move_the_dots():
-    """Setup: brightness falls to a half across. Expected: centres as without, 0.005 px."""
+    """Setup: brightness decreases to 50 % across. Expected: centres as without it, 0.005 px."""
     image = photograph(motion(20.0, 10.0))
     shade = np.linspace(1.0, 0.5, image.shape[1], dtype=np.float32)
     ids, centres = detect(image)
@@ -95,7 +95,7 @@ def test_shading_does_not_move_the_dots():
     np.testing.assert_allclose(shaded, centres, atol=0.005)
 
 
-def test_a_mirrored_image_is_refused():
+def test_a_mirrored_image_is_rejected():
     with pytest.raises(InputError, match="unmirrored"):
         detect(np.ascontiguousarray(photograph(motion(15.0, 10.0))[:, ::-1]))
 
@@ -136,8 +136,8 @@ def test_centre_of_a_circles_image_in_closed_form():
     """Setup: a circle tilted by 40 degrees near the camera.
 
     Expected: the centre of its image is the mean of the two extreme points of every chord through
-    it; for a tilt about y the horizontal axis of the ellipse ends at X(0) and X(pi), whose mean is
-    the centre's x. The bias has the first-order size r^2 sin(t) cos(t) / z^2.
+    it; for a tilt about y the horizontal axis of the ellipse ends at X(0) and X(pi); their mean
+    is the centre's x. The bias has the first-order size r^2 sin(t) cos(t) / z^2.
     """
     T = motion(40.0, 0.0, distance_mm=60.0)
     radius = 3.0
@@ -162,8 +162,8 @@ def test_a_circle_facing_the_camera_has_no_bias():
 def test_homography_is_recovered_and_needs_four_points():
     H = np.array([[1.1, 0.1, 5.0], [-0.2, 0.9, 3.0], [1e-4, -2e-4, 1.0]])
     points = np.random.default_rng(0).uniform(0, 1000, (50, 2))
-    found = fit_homography(points, apply_homography(H, points))
-    np.testing.assert_allclose(found, H, rtol=1e-6)
+    result = fit_homography(points, apply_homography(H, points))
+    np.testing.assert_allclose(result, H, rtol=1e-6)
     with pytest.raises(InputError, match="4 points"):
         fit_homography(points[:3], points[:3])
     with pytest.raises(InputError, match="line"):

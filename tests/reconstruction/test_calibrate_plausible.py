@@ -90,57 +90,57 @@ def observed() -> list[Observation]:
     return Rig().observe()
 
 
-def columns_by(seen: Observation, factor: float) -> Observation:
-    """Return what a projector gives whose columns are counted `factor` times as many."""
-    width, height = seen.projector_size_px
+def columns_by(views: Observation, factor: float) -> Observation:
+    """Return the observations with `factor` times as many projector columns."""
+    width, height = views.projector_size_px
     return replace(
-        seen,
-        projector_px=seen.projector_px * (factor, 1.0),
-        slopes=seen.slopes * np.array([[factor], [1.0]]),
+        views,
+        projector_px=views.projector_px * (factor, 1.0),
+        slopes=views.slopes * np.array([[factor], [1.0]]),
         projector_size_px=(round(factor * width), height),
     )
 
 
-def backwards(seen: Observation) -> Observation:
-    columns, rows = seen.projector_px.T
+def backwards(views: Observation) -> Observation:
+    columns, rows = views.projector_px.T
     return replace(
-        seen,
-        projector_px=np.column_stack([seen.projector_size_px[0] - 1 - columns, rows]),
-        slopes=seen.slopes * np.array([[-1.0], [1.0]]),
+        views,
+        projector_px=np.column_stack([views.projector_size_px[0] - 1 - columns, rows]),
+        slopes=views.slopes * np.array([[-1.0], [1.0]]),
     )
 
 
-def exchanged(seen: Observation) -> Observation:
+def exchanged(views: Observation) -> Observation:
     return replace(
-        seen,
-        projector_px=seen.projector_px[:, ::-1].copy(),
-        slopes=seen.slopes[:, ::-1].copy(),
-        projector_size_px=seen.projector_size_px[::-1],
+        views,
+        projector_px=views.projector_px[:, ::-1].copy(),
+        slopes=views.slopes[:, ::-1].copy(),
+        projector_size_px=views.projector_size_px[::-1],
     )
 
 
-def camera_columns_halved(seen: Observation) -> Observation:
-    width, height = seen.camera_size_px
+def camera_columns_halved(views: Observation) -> Observation:
+    width, height = views.camera_size_px
     return replace(
-        seen,
-        camera_px=seen.camera_px * (0.5, 1.0),
-        slopes=seen.slopes * np.array([[2.0, 1.0]]),
+        views,
+        camera_px=views.camera_px * (0.5, 1.0),
+        slopes=views.slopes * np.array([[2.0, 1.0]]),
         camera_size_px=(width // 2, height),
     )
 
 
-def not_projected(seen: Observation) -> Observation:
-    return replace(seen, projector_px=0.0 * seen.projector_px + 7.0, slopes=0.0 * seen.slopes)
+def not_projected(views: Observation) -> Observation:
+    return replace(views, projector_px=0.0 * views.projector_px + 7.0, slopes=0.0 * views.slopes)
 
 
 ALL = {
     "half the columns": (
-        lambda seen: columns_by(seen, 0.5),
+        lambda views: columns_by(views, 0.5),
         r"the projector's pixels are 2 times as wide as high .*--projector-pixel-ratio 2, or "
         r"correct its size, 640 x 720 px: of square pixels it is 1280 x 720",
     ),
     "1280 x 768 as 720 rows": (
-        lambda seen: columns_by(seen, 720.0 / 768.0),
+        lambda views: columns_by(views, 720.0 / 768.0),
         r"pixel_ratio_over_declared is .*--projector-pixel-ratio 1\.07",
     ),
     "camera of half the columns": (camera_columns_halved, r"--camera-pixel-ratio 2"),
@@ -154,17 +154,17 @@ ALL = {
 def test_a_mistake_in_all_poses_is_named(observed, name):
     change, message = ALL[name]
     with pytest.raises(InputError, match=message) as caught:
-        calibrate([change(seen) for seen in observed])
+        calibrate([change(views) for views in observed])
     assert "\n" not in str(caught.value)
 
 
-def another_board(seen: Observation) -> Observation:
-    return replace(seen, points_mm=1.05 * seen.points_mm)
+def another_board(views: Observation) -> Observation:
+    return replace(views, points_mm=1.05 * views.points_mm)
 
 
 def test_one_pose_with_another_board_is_named(observed):
-    changed = [another_board(seen) if k == 2 else seen for k, seen in enumerate(observed)]
-    with pytest.raises(InputError, match=r"pose_2.*leave (it|this pose) out"):
+    changed = [another_board(views) if k == 2 else views for k, views in enumerate(observed)]
+    with pytest.raises(InputError, match=r"pose_2.*remove (it|this pose)"):
         calibrate(changed)
 
 
@@ -172,18 +172,20 @@ def test_a_pose_that_moved_a_little_is_a_warning(observed):
     """Setup: between columns and rows one board moves by 1.5 px; noise is 0.05 px."""
     assert calibrate(observed).doubts == ()
     moved = replace(observed[2], projector_px=observed[2].projector_px + np.array([0.0, 1.5]))
-    found = calibrate([*observed[:2], moved, *observed[3:]])
-    assert any("times the scatter of detection" in text for text in found.doubts)
+    result = calibrate([*observed[:2], moved, *observed[3:]])
+    assert any("times the scatter of detection" in text for text in result.doubts)
 
 
-def out_of_focus(seen: Observation, number: int, pupil_diameter_mm: float) -> Observation:
-    """Return what a camera of that aperture sees, in best focus at the first board's distance."""
+def out_of_focus(views: Observation, number: int, pupil_diameter_mm: float) -> Observation:
+    """Return images of that aperture, in best focus at the first board's distance."""
     T = Rig()._into_camera(number)
-    inside = seen.points_mm @ T[:3, :3].T + T[:3, 3]
+    inside = views.points_mm @ T[:3, :3].T + T[:3, 3]
     slopes = defocus_slopes_px(CAMERA, inside, T[:3, 2], Rig().distance_mm)
     shift = slopes @ (pupil_diameter_mm**2 / 16.0, 0.0)
-    along = PHASE_SHARE * np.einsum("nij,nj->ni", seen.slopes, shift)
-    return replace(seen, camera_px=seen.camera_px + shift, projector_px=seen.projector_px + along)
+    along = PHASE_SHARE * np.einsum("nij,nj->ni", views.slopes, shift)
+    return replace(
+        views, camera_px=views.camera_px + shift, projector_px=views.projector_px + along
+    )
 
 
 def test_an_aperture_that_no_lens_has_is_left_out(observed):
@@ -192,7 +194,7 @@ def test_an_aperture_that_no_lens_has_is_left_out(observed):
     Expected: the small one is found; the large one is not estimated, and a warning names it.
     """
     small, large = (
-        calibrate([out_of_focus(seen, k, diameter) for k, seen in enumerate(observed)])
+        calibrate([out_of_focus(views, k, diameter) for k, views in enumerate(observed)])
         for diameter in (50.0, 250.0)
     )
     assert small.doubts == ()
@@ -218,14 +220,14 @@ def test_limits_of_the_aperture_by_hand(pupil_mm2, message):
 
 def test_declared_pixel_ratios_give_the_rig(observed):
     """Setup: the projector's columns counted by halves. Expected: fy = 2 fx, all else as it was."""
-    halved = [columns_by(seen, 0.5) for seen in observed]
-    found = calibrate(halved, AdjustOptions(Freedom(projector_pixel_ratio=2.0)))
+    halved = [columns_by(views, 0.5) for views in observed]
+    result = calibrate(halved, AdjustOptions(Freedom(projector_pixel_ratio=2.0)))
     whole = calibrate(observed)
-    projector, expected = found.calibration.projector, whole.calibration.projector
+    projector, expected = result.calibration.projector, whole.calibration.projector
     assert projector.fy_px == 2.0 * projector.fx_px
     assert projector.fx_px == pytest.approx(0.5 * expected.fx_px, rel=1e-3)
-    assert found.calibration.camera.fx_px == pytest.approx(CAMERA.fx_px, rel=0.01)
-    ratio = found.adjustment.pixel_ratios[1]
+    assert result.calibration.camera.fx_px == pytest.approx(CAMERA.fx_px, rel=0.01)
+    ratio = result.adjustment.pixel_ratios[1]
     assert abs(ratio.value - 2.0) < 5.0 * ratio.sigma < 0.05
 
 
@@ -257,9 +259,9 @@ EDGES = {
 def test_rigs_at_the_edge_are_calibrated(name):
     """Expected: focal lengths within five standard uncertainties, every check holds."""
     rig = EDGES[name]
-    found = calibrate(rig.observe())
-    assert all(check.is_plausible for check in found.checks)
-    focal = {p.name: p for p in found.parameters}
+    result = calibrate(rig.observe())
+    assert all(check.is_plausible for check in result.checks)
+    focal = {p.name: p for p in result.parameters}
     for device, lens in (("camera", rig.camera), ("projector", rig.projector)):
         value = focal[f"{device}_fx_px"]
         assert abs(value.value - lens.fx_px) < 5.0 * value.sigma

@@ -1,4 +1,4 @@
-"""Projector coordinates at features: from the phase of the white print, nothing else."""
+"""Projector coordinates at features: only from the phase of the white print."""
 
 from types import SimpleNamespace
 
@@ -47,20 +47,20 @@ def test_dark_dots_are_bridged_exactly():
     """
     where, white = coordinates(), dots()
     where[~white] = 7.0
-    found = projector_points(decoded_as(where, white), white, FEATURES, REACH)
-    assert found.found.all()
-    np.testing.assert_allclose(found.pixels_px, projector_map(FEATURES), atol=1e-5)
+    result = projector_points(decoded_as(where, white), white, FEATURES, REACH)
+    assert result.located.all()
+    np.testing.assert_allclose(result.pixels_px, projector_map(FEATURES), atol=1e-5)
     steps = [0.5 * np.eye(2)[k] for k in range(2)]
     slopes = [projector_map(FEATURES + s) - projector_map(FEATURES - s) for s in steps]
-    np.testing.assert_allclose(found.slopes, np.stack(slopes, axis=-1), atol=1e-5)
+    np.testing.assert_allclose(result.slopes, np.stack(slopes, axis=-1), atol=1e-5)
 
 
 def test_wrong_fringe_orders_are_ignored():
     """Setup: every 50th white pixel is one period (18 px) off. Expected: as without them."""
     where, white = coordinates(), dots()
     where.reshape(-1, 2)[::50, 0] += 18.0
-    found = projector_points(decoded_as(where, white), white, FEATURES, REACH)
-    np.testing.assert_allclose(found.pixels_px, projector_map(FEATURES), atol=1e-3)
+    result = projector_points(decoded_as(where, white), white, FEATURES, REACH)
+    np.testing.assert_allclose(result.pixels_px, projector_map(FEATURES), atol=1e-3)
 
 
 def test_a_feature_without_surroundings_is_not_extrapolated():
@@ -69,8 +69,8 @@ def test_a_feature_without_surroundings_is_not_extrapolated():
     white[85:116, 115:146] = False
     white[90:111, 120:141] = False
     edge = np.array([[60.3, 50.7], [3.0, 100.0], [200.9, 150.4]])
-    found = projector_points(decoded_as(where, white), white, edge, REACH)
-    assert found.found.tolist() == [False, False, True]
+    result = projector_points(decoded_as(where, white), white, edge, REACH)
+    assert result.located.tolist() == [False, False, True]
 
 
 def test_undecoded_board_is_explained():
@@ -80,10 +80,10 @@ def test_undecoded_board_is_explained():
 
 
 def test_phase_reaches_the_feature_through_the_decoder(patterns, quiet_sensor, synthesise):
-    """Setup: ideal 8-bit-free frames whose dots are dark. Expected: 1e-3 px through the decoder."""
+    """Setup: ideal 8-bit-free frames with dark dots. Expected: 1e-3 px through the decoder."""
     where, white = coordinates(), dots()
     stack = synthesise(patterns, where[..., 0], where[..., 1])
     stack = (stack * np.where(white, 1.0, 0.05)).astype(np.float32)
     decoded = decode(stack, patterns, quiet_sensor, DecodeOptions(filter_taps=0))
-    found = projector_points(decoded, white, FEATURES, REACH)
-    np.testing.assert_allclose(found.pixels_px, projector_map(FEATURES), atol=1e-3)
+    result = projector_points(decoded, white, FEATURES, REACH)
+    np.testing.assert_allclose(result.pixels_px, projector_map(FEATURES), atol=1e-3)

@@ -10,11 +10,11 @@ from reconstruction.rig.calibration import Calibration, read_calibration, write_
 
 def test_file_holds_every_digit(tmp_path, calibration):
     write_calibration(tmp_path / "calibration.yaml", calibration)
-    found = read_calibration(tmp_path / "calibration.yaml")
-    assert found.camera == calibration.camera
-    assert found.projector == calibration.projector
-    np.testing.assert_array_equal(found.T_world_from_cam, calibration.T_world_from_cam)
-    np.testing.assert_array_equal(found.T_world_from_proj, calibration.T_world_from_proj)
+    result = read_calibration(tmp_path / "calibration.yaml")
+    assert result.camera == calibration.camera
+    assert result.projector == calibration.projector
+    np.testing.assert_array_equal(result.T_world_from_cam, calibration.T_world_from_cam)
+    np.testing.assert_array_equal(result.T_world_from_proj, calibration.T_world_from_proj)
 
 
 def test_file_is_read_by_opencv(tmp_path, calibration):
@@ -90,21 +90,21 @@ def test_only_rigid_motions_are_taken(calibration, matrix, message):
         Calibration(calibration.camera, calibration.projector, matrix, np.eye(4))
 
 
-def test_devices_at_one_place_are_refused(calibration):
-    """From one place nobody sees depth."""
+def test_devices_at_one_place_are_rejected(calibration):
+    """Without a baseline there is no depth."""
     at = calibration.T_world_from_cam
     with pytest.raises(InputError, match=r"camera and projector are 0 mm apart; allowed 0\.001"):
         Calibration(calibration.camera, calibration.projector, at, at)
 
 
-def test_a_motion_beyond_the_laboratory_is_refused(calibration):
+def test_a_motion_beyond_the_laboratory_is_rejected(calibration):
     far = np.array(calibration.T_world_from_cam)
     far[0, 3] = 1e300
     with pytest.raises(InputError, match=r"T_world_from_cam moves by .* allowed up to 1e[+]06 mm"):
         Calibration(calibration.camera, calibration.projector, far, np.eye(4))
 
 
-def test_skew_is_refused(tmp_path, calibration):
+def test_skew_is_rejected(tmp_path, calibration):
     path = tmp_path / "calibration.yaml"
     write_calibration(path, calibration)
     text = path.read_text().replace("[ 900., 0.,", "[ 900., 0.5,", 1)

@@ -17,8 +17,8 @@ from reconstruction.rig.sensor import SensorNoise
 @pytest.fixture(scope="module")
 def capture(calibration, surface, project, synthesise):
     patterns = PatternSet(1280, 720)
-    seen = project(calibration, surface(calibration))
-    frames = 64.0 + 15.0 * synthesise(patterns, seen[..., 0], seen[..., 1])
+    observed = project(calibration, surface(calibration))
+    frames = 64.0 + 15.0 * synthesise(patterns, observed[..., 0], observed[..., 1])
     noise = np.random.default_rng(1).normal(0.0, 10.0, frames.shape)
     stack = np.rint(frames + noise).astype(np.uint16)
     return Capture(stack, patterns, SensorNoise(0.17, 6.2, 64, 4095.0), calibration, 12)
@@ -32,17 +32,17 @@ def folder(tmp_path, capture):
     return target
 
 
-def test_capture_comes_back(folder, capture):
+def test_capture_round_trip(folder, capture):
     for place in (folder, folder.parent, str(folder)):
-        found = read_capture(place)
-        np.testing.assert_array_equal(found.stack, capture.stack)
-        assert found.stack.dtype == np.uint16
-        assert (found.patterns, found.sensor, found.bit_depth) == (
+        result = read_capture(place)
+        np.testing.assert_array_equal(result.stack, capture.stack)
+        assert result.stack.dtype == np.uint16
+        assert (result.patterns, result.sensor, result.bit_depth) == (
             capture.patterns,
             capture.sensor,
             12,
         )
-        assert found.calibration.camera == capture.calibration.camera
+        assert result.calibration.camera == capture.calibration.camera
 
 
 def test_stack_is_plain_netcdf(folder, capture):
@@ -54,7 +54,7 @@ def test_stack_is_plain_netcdf(folder, capture):
 
 
 def test_frames_lie_one_after_the_other_uncompressed(folder, capture):
-    """So that any frame is one read; and nothing but the stack takes room."""
+    """Any frame is a single read, and only the stack occupies the file."""
     with h5py.File(folder / "stack.nc", "r") as file:
         assert file["stack"].chunks is None
         assert file["stack"].id.get_storage_size() == capture.stack.nbytes
@@ -103,14 +103,14 @@ def restack(change=lambda stack: stack, names=lambda names: names, variable="sta
     def damage(folder):
         with h5netcdf.File(folder / "stack.nc", "r") as file:
             stack = change(np.asarray(file["stack"][...]))
-            found = names([str(name, "utf-8") for name in file["frame_name"][...]])
+            result = names([str(name, "utf-8") for name in file["frame_name"][...]])
         with h5netcdf.File(folder / "stack.nc", "w") as file:
             dims = order or ("frame", "row", "col")
             file.dimensions = dict(zip(dims, stack.shape, strict=True))
             file.create_variable(variable, dims, data=stack)
-            file.dimensions["name"] = len(found)
+            file.dimensions["name"] = len(result)
             made = file.create_variable("frame_name", ("name",), dtype=h5py.string_dtype())
-            made[...] = np.array(found, dtype=object)
+            made[...] = np.array(result, dtype=object)
 
     return damage
 
@@ -183,9 +183,9 @@ def test_noise_free_frames_come_back_as_floats(tmp_path, capture):
     stack = capture.stack.astype(np.float32) + np.float32(0.25)
     parts = (capture.patterns, capture.sensor, capture.calibration, 12)
     write_capture(tmp_path, Capture(stack, *parts))
-    found = read_capture(tmp_path).stack
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, stack)
+    result = read_capture(tmp_path).stack
+    assert result.dtype == np.float32
+    np.testing.assert_array_equal(result, stack)
     stack[0, 0, 0] = np.nan
     with pytest.raises(CaptureError, match="holds the value nan"):
         Capture(stack, *parts)

@@ -46,18 +46,18 @@ def shown(patterns, column_px, row_px, gamma, blur_px):
 def test_pairs_give_gain_and_read_noise():
     """Poisson light from black to 3000 DN, twice. Expected: within three uncertainties, below 1 %.
 
-    Light that drifts by 2 % between the two changes nothing.
+    Light that drifts by 2 % between the two has no effect.
     """
     clean = TRUE.black_level_dn + np.linspace(0.0, 3000.0, 12)[:, None, None] * np.ones((90, 120))
     drifted = TRUE.black_level_dn + 1.02 * (clean - TRUE.black_level_dn)
     for second in (clean, drifted):
         samples = samples_of_pairs(recorded(clean, 1), recorded(second, 2), TRUE)
-        found = photon_transfer(samples, STATED)
-        assert found.gain_dn_per_e.uncertainty < 0.01 * TRUE.gain_dn_per_e
-        assert abs(found.gain_dn_per_e.value - 0.17) < 3.0 * found.gain_dn_per_e.uncertainty
-        assert abs(found.read_noise_e.value - 6.2) < 3.0 * found.read_noise_e.uncertainty
-        assert found.read_noise_e.uncertainty < 0.3
-        assert 0.3 < found.chi2_per_bin < 2.0
+        result = photon_transfer(samples, STATED)
+        assert result.gain_dn_per_e.uncertainty < 0.01 * TRUE.gain_dn_per_e
+        assert abs(result.gain_dn_per_e.value - 0.17) < 3.0 * result.gain_dn_per_e.uncertainty
+        assert abs(result.read_noise_e.value - 6.2) < 3.0 * result.read_noise_e.uncertainty
+        assert result.read_noise_e.uncertainty < 0.3
+        assert 0.3 < result.chi2_per_bin < 2.0
 
 
 def test_uncertainty_of_the_line_is_its_spread():
@@ -66,8 +66,8 @@ def test_uncertainty_of_the_line_is_its_spread():
     for _ in range(200):
         mean = rng.uniform(64.0, 3500.0, 20_000)
         square = TRUE.variance_dn2(mean) * rng.chisquare(1, mean.size)
-        found = photon_transfer(NoiseSamples(mean, square), TRUE)
-        gain, read = found.gain_dn_per_e, found.read_noise_e
+        result = photon_transfer(NoiseSamples(mean, square), TRUE)
+        gain, read = result.gain_dn_per_e, result.read_noise_e
         off.append((gain.value - 0.17) / gain.uncertainty)
         if read is not None:
             off.append((read.value - 6.2) / read.uncertainty)
@@ -95,7 +95,7 @@ def moved_texture(rng):
 
 
 def reduced_noise(rng):
-    """Noise of 1 DN at every level, as noise reduction in a camera leaves it."""
+    """Noise of 1 DN at every level, as after noise reduction in a camera."""
     light = np.linspace(0.0, 3000.0, 12)[:, None, None] * np.ones((90, 120))
     return tuple(np.rint(64.0 + light + 1.3 * rng.normal(size=light.shape)) for _ in range(2))
 
@@ -122,7 +122,7 @@ def test_a_line_that_no_sensor_has_is_no_gain(pair, message, seed):
     assert "\n" not in str(caught.value)
 
 
-def test_flat_frames_that_show_no_response_are_refused():
+def test_flat_frames_that_show_no_response_are_rejected():
     """Full pixels all read alike, so that their spread would be 0; a print is no even surface."""
     rng = np.random.default_rng(6)
     with pytest.raises(InputError, match=r"100\.0% of the pixels are saturated \(from 4088\.2 DN"):
@@ -136,19 +136,19 @@ def test_flat_frames_that_show_no_response_are_refused():
 
 
 def test_dark_and_flat_frames():
-    """Offsets of 2 e-, response of 0.8 %, light that falls off by a third over the image."""
+    """Offsets of 2 e-, response of 0.8 %, light that decreases by 1/3 over the image."""
     rng = np.random.default_rng(5)
     offset_dn = 2.0 * 0.17 * rng.normal(size=(150, 200))
     response = 1.0 + 0.008 * rng.normal(size=(150, 200))
     dark = np.stack([recorded(64.0 + np.zeros((150, 200)), 20 + k) for k in range(6)]) + offset_dn
-    found = dark_of(dark)
-    assert abs(found.black_level_dn.value - 64.0) < 4.0 * found.black_level_dn.uncertainty
-    assert found.noise_dn.value == pytest.approx(0.17 * 6.2, rel=0.02)
-    assert found.dsnu_dn.value == pytest.approx(0.34, rel=0.05)
+    result = dark_of(dark)
+    assert abs(result.black_level_dn.value - 64.0) < 4.0 * result.black_level_dn.uncertainty
+    assert result.noise_dn.value == pytest.approx(0.17 * 6.2, rel=0.02)
+    assert result.dsnu_dn.value == pytest.approx(0.34, rel=0.05)
     fall = 1.0 - np.linspace(0.0, 0.33, 200)
     flat = np.stack([recorded(64.0 + 2500.0 * fall * response, 10 + k) for k in range(8)])
     prnu = prnu_of(flat, 64.0)
-    # The mean of the squares of what falls off is 1.013 times the square of their mean.
+    # The mean square of the decreasing light is 1.013 times the square of their mean.
     assert prnu.value == pytest.approx(
         0.008 * np.sqrt(1.0 + np.var(fall) / fall.mean() ** 2), rel=0.04
     )
@@ -165,10 +165,10 @@ def test_dark_and_flat_frames():
         (3, ("column",), "gray", 1.8, 0.9),
     ],
 )
-def test_a_capture_tells_gamma_blur_and_noise(steps, axes, code, gamma, blur_px):
-    """Single capture, pixels without footprint. Expected: what it was made with.
+def test_a_capture_determines_gamma_blur_and_noise(steps, axes, code, gamma, blur_px):
+    """Single capture, pixels without footprint. Expected: the true values.
 
-    Blur is told with half of the footprint that pixels of this spacing would have.
+    Blur includes 50 % of the footprint of pixels of this spacing.
     """
     patterns = PatternSet(640, 360, steps=steps, axes=axes, code=code)
     row, col = np.mgrid[0:90, 0:150].astype(float)
@@ -176,23 +176,23 @@ def test_a_capture_tells_gamma_blur_and_noise(steps, axes, code, gamma, blur_px)
     clean = 100.0 + (2600.0 + 2.0 * col) * shown(patterns, column, lines, gamma, blur_px)
     stack = recorded(clean, 2)
     decoded = decode(stack, patterns, STATED, DecodeOptions(filter_taps=0))
-    found = fit_projector(stack, patterns, STATED, decoded)
-    assert abs(found.gamma.value - gamma) < 4.0 * found.gamma.uncertainty + 1e-4
-    assert found.gamma.uncertainty < 0.003
-    assert abs(found.blur_px.value - blur_px) < 3.0 * found.blur_px.uncertainty
-    assert found.blur_px.uncertainty < 0.03
-    assert found.chi2 == pytest.approx(1.0, abs=0.05)
-    gain = found.noise.gain_dn_per_e
+    result = fit_projector(stack, patterns, STATED, decoded)
+    assert abs(result.gamma.value - gamma) < 4.0 * result.gamma.uncertainty + 1e-4
+    assert result.gamma.uncertainty < 0.003
+    assert abs(result.blur_px.value - blur_px) < 3.0 * result.blur_px.uncertainty
+    assert result.blur_px.uncertainty < 0.03
+    assert result.chi2 == pytest.approx(1.0, abs=0.05)
+    gain = result.noise.gain_dn_per_e
     assert gain.value == pytest.approx(0.17, abs=4.0 * gain.uncertainty)
     assert gain.uncertainty < 0.03 * 0.17
-    np.testing.assert_allclose(found.light_dn.mean(), 2600.0 + 150.0, rtol=0.03)
+    np.testing.assert_allclose(result.light_dn.mean(), 2600.0 + 150.0, rtol=0.03)
 
 
 def test_a_second_fit_begins_where_the_response_puts_the_pixels():
     """Three steps at gamma 2.1: read as if it were 1, some pixels settle beyond a bit's edge.
 
-    Expected: chi-square far above 1 at first; decoded with what was found, 1, and the gamma within
-    0.001. By image pixels as large as a projector's, so that many lie near edges.
+    Expected: chi-square far above 1 at first; decoded with the estimate, 1; gamma within
+    0.001. By image pixels as large as a projector's, so that many are near edges.
     """
     patterns = PatternSet(640, 360, steps=3, code="gray")
     row, col = np.mgrid[0:150, 0:240].astype(float)
@@ -209,13 +209,13 @@ def test_a_second_fit_begins_where_the_response_puts_the_pixels():
     assert abs(second.blur_px.value - 0.5) < 3.0 * second.blur_px.uncertainty
 
 
-def test_frames_that_cannot_tell_are_refused():
+def test_frames_that_determine_no_response_are_rejected():
     patterns = PatternSet(64, 64, steps=3, axes=("column",), period_px=64.0, uniform=False,
                           code="hierarchical")  # fmt: skip
     column, row = np.meshgrid(np.linspace(9.0, 54.0, 60), np.arange(20.0))
     stack = (100.0 + 2000.0 * shown(patterns, column, row, 1.0, 0.7)).astype(np.uint16)
     decoded = decode(stack, patterns, TRUE, DecodeOptions(filter_taps=0))
-    with pytest.raises(InputError, match="do not tell"):
+    with pytest.raises(InputError, match="do not determine"):
         fit_projector(stack, patterns, TRUE, decoded)
 
 
@@ -226,12 +226,14 @@ def test_a_gamma_at_the_end_of_its_range_is_none():
     column, line = 40.0 + 0.61 * col + 0.13 * row, 30.0 + 0.7 * row + 0.1 * col
     stack = recorded(100.0 + 2600.0 * shown(patterns, column, line, 2.2, 0.7) ** 2, 2)
     decoded = decode(stack, patterns, TRUE, DecodeOptions(filter_taps=0))
-    with pytest.raises(InputError, match=r"does not end: gamma 3\.\d+, allowed 0\.31 to 3\.99"):
+    with pytest.raises(
+        InputError, match=r"does not converge: gamma 3\.\d+, allowed 0\.31 to 3\.99"
+    ):
         fit_projector(stack, patterns, TRUE, decoded)
 
 
 def white_frame(unevenness, seed=5):
-    """Return a frame of light that falls off slowly, with an uneven coat, and what of it is lit."""
+    """Return a frame of slowly varying light, with an uneven coat, and its lit pixels."""
     row, col = np.mgrid[0:200, 0:300]
     slow = 900.0 + 400.0 * np.cos(row / 90.0) * np.cos(col / 120.0)
     lit = np.hypot(row - 100, col - 150) < 95
@@ -240,40 +242,40 @@ def white_frame(unevenness, seed=5):
 
 
 def test_an_even_coat_has_no_contrast_but_noise():
-    """Noise is 1 % of the light here; what is left is within its uncertainty of 0."""
+    """Noise is 1 % of the light here; the remainder is 0 within its uncertainty."""
     image, lit = white_frame(np.zeros((200, 300)))
-    found = sparkle_of(image, TRUE, lit)
-    assert found.contrast < 4.0 * found.uncertainty
-    assert found.neighbours is None
-    assert found.glints < 3e-4
+    result = sparkle_of(image, TRUE, lit)
+    assert result.contrast < 4.0 * result.uncertainty
+    assert result.neighbours is None
+    assert result.glints < 3e-4
 
 
 @pytest.mark.parametrize(("grain_px", "neighbours"), [(0.0, 0.0), (0.8, 0.61)])
 def test_contrast_of_a_grainy_coat(grain_px, neighbours):
-    """3 % from pixel to pixel, alone or in grains; these keep their share but for the high-pass.
+    """3 % from pixel to pixel, or in grains; these keep their share except for the high-pass.
 
-    A Gaussian of 0.8 px leaves neighbours exp(-1 / (4 0.64)) = 0.68 of their variance in common.
-    The mean over 49 pixels takes 4 pi 0.64 / 49 = 0.16 at most of the variance, and as much of what
-    is in common: (0.68 - 0.16) / (1 - 0.16).
+    After a Gaussian of 0.8 px neighbours share exp(-1 / (4 0.64)) = 0.68 of their variance.
+    The mean over 49 pixels takes at most 4 pi 0.64 / 49 = 0.16 of the variance, and as much of the
+    common part: (0.68 - 0.16) / (1 - 0.16).
     """
     uneven = np.random.default_rng(1).normal(size=(200, 300))
     if grain_px:
         uneven = gaussian_filter1d(gaussian_filter1d(uneven, grain_px, axis=0), grain_px, axis=1)
     image, lit = white_frame(0.03 * uneven / uneven.std())
-    found = sparkle_of(image, TRUE, lit)
-    kept = 1.0 - 4.0 * np.pi * grain_px**2 / 49.0
-    assert 0.03 * np.sqrt(kept) * 0.97 < found.contrast < 0.03 * 1.02
-    assert abs(found.neighbours - neighbours) < 0.05
-    assert found.glints < 3e-4
+    result = sparkle_of(image, TRUE, lit)
+    remaining = 1.0 - 4.0 * np.pi * grain_px**2 / 49.0
+    assert 0.03 * np.sqrt(remaining) * 0.97 < result.contrast < 0.03 * 1.02
+    assert abs(result.neighbours - neighbours) < 0.05
+    assert result.glints < 3e-4
 
 
 def test_glints_are_counted():
-    """1 % of the pixels shine by half as much again: 5 % contrast, and nearly all of them told."""
+    """1 % of the pixels are 50 % brighter: 5 % contrast, and nearly all are detected."""
     rng = np.random.default_rng(2)
     image, lit = white_frame(0.5 * (rng.random((200, 300)) < 0.01))
-    found = sparkle_of(image, TRUE, lit)
-    assert found.contrast == pytest.approx(0.05, rel=0.06)
-    assert 0.008 < found.glints < 0.011
+    result = sparkle_of(image, TRUE, lit)
+    assert result.contrast == pytest.approx(0.05, rel=0.06)
+    assert 0.008 < result.glints < 0.011
 
 
 def test_too_little_coat_has_no_contrast():

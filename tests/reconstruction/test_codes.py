@@ -119,7 +119,7 @@ def noisy(patterns, synthesise, noise_dn, seed=4, shape=(250, 400)):
 def test_predicted_order_errors_are_the_counted_ones(synthesise, change, noise_dn):
     """Setup: 100,000 pixels, so noisy that 0.1 to 20 % err. Expected: within a factor of 1.5.
 
-    Why: the same number also tells good pixels from bad ones: of those predicted worse than the
+    Why: the same number also separates good pixels from bad ones: of those predicted worse than the
     median, nearly all errors must be. Phase sigma is 0.017 to 0.07 rad; from 0.1 rad on the noise
     of the modulation itself makes the prediction too large.
     """
@@ -142,7 +142,7 @@ def test_predicted_order_errors_of_plain_gray_are_not_too_few(synthesise, blur_p
     """Setup: three steps, phase sigma 0.08 rad: 0.23 px, more than the edges of the bits are wide.
 
     Expected: with sharp edges, where noise carries phases over borders, the counted errors within a
-    factor of 1.3; with blur the levels of the bits settle most of them, and what is predicted is
+    factor of 1.3; with blur the levels of the bits settle most of them, and the prediction is
     an upper bound, as the width of the edges is not known.
     """
     patterns = PatternSet(1280, 720, steps=3, code="gray", axes=("column",))
@@ -179,7 +179,7 @@ def test_mean_of_near_periods_is_better_by_the_root_of_their_number(synthesise):
 
 @pytest.mark.parametrize("steps", [3, 4])
 def test_sigma_of_single_images_is_the_spread(synthesise, steps):
-    """Expected: within 2 %, and better than the N steps alone, whose phase it begins with."""
+    """Expected: within 2 %, and better than with the N steps only."""
     patterns = PatternSet(1280, 720, steps=steps, **MICRO)
     column, decoded = noisy(patterns, synthesise, 3.0)
     axis = decoded.column
@@ -190,10 +190,10 @@ def test_sigma_of_single_images_is_the_spread(synthesise, steps):
     assert rms(axis.sigma_px) < 0.75 * steps_alone_px
 
 
-def test_light_between_surfaces_leaves_single_images_right(synthesise):
-    """Setup: every pixel also sees a wide patch 300 px aside. Expected: no order error.
+def test_light_between_surfaces_causes_no_error_of_single_images(synthesise):
+    """Setup: every pixel also gets light of a wide patch 300 px aside. Expected: no order error.
 
-    Why: what it is for (Gupta and Nayar 2012). Such light has no fringes left of these periods; a
+    Why: its purpose (Gupta and Nayar 2012). Such light has no fringes left of these periods; a
     coarse period keeps its own, and the hierarchy that rests on it puts pixels on other fringes.
     """
     row, col = np.mgrid[0:40, 0:800].astype(float)
@@ -209,17 +209,17 @@ def test_light_between_surfaces_leaves_single_images_right(synthesise):
         stack = (direct + 0.5 * aside).astype(np.float32)
         sensor = SensorNoise(1.0, 0.05, 0.0, 1000.0)
         options = DecodeOptions(filter_taps=0, max_order_error=1.0)
-        found = decode(stack, patterns, sensor, options).column.coordinate_px
-        wrong[name] = np.mean(np.abs(found - column) > 9.0)
+        result = decode(stack, patterns, sensor, options).column.coordinate_px
+        wrong[name] = np.mean(np.abs(result - column) > 9.0)
     assert wrong["micro"] == 0.0
     assert wrong["hierarchical"] > 0.3
 
 
 @pytest.mark.parametrize("blur_px", [0.7, 1.5])
 def test_blur_takes_the_more_of_a_finer_period(synthesise, blur_px):
-    """Setup: blur that leaves the finest single image 2 or 8 % less modulation than the coarsest.
+    """Setup: blur that gives the finest single image 2 or 8 % less modulation than the coarsest.
 
-    Expected: sigma stays the spread; with one modulation for all it would be 5 times as much.
+    Expected: sigma equals the spread; with one modulation for all it would be 5 times as much.
     """
     patterns = PatternSet(1280, 720, steps=3, axes=("column",), **MICRO)
     row, col = np.mgrid[0:100, 0:600].astype(float)
@@ -280,7 +280,7 @@ def test_uncertain_orders_are_masked(synthesise):
         ({"code": "hierarchical", "further_periods_px": (1000.0,)}, "1000"),
         ({"code": "hierarchical", "further_periods_px": (1300.0, 12.0)}, "below all"),
         ({"code": "heterodyne"}, "one or two"),
-        ({"code": "heterodyne", "further_periods_px": (17.0,)}, "falling beat"),
+        ({"code": "heterodyne", "further_periods_px": (17.0,)}, "decreasing beat"),
         ({"code": "heterodyne", "further_periods_px": (19.0,)}, "unambiguous over"),
         ({"further_periods_px": (19.0,)}, "leave it out"),
         ({"code": "micro", "further_periods_px": (19.0,)}, "two or more"),
@@ -291,6 +291,6 @@ def test_uncertain_orders_are_masked(synthesise):
         ({"code": "hierarchical", "further_periods_px": "1300"}, "further_periods_px"),
     ],
 )
-def test_codes_that_cannot_work_are_refused(change, message):
+def test_codes_that_cannot_work_are_rejected(change, message):
     with pytest.raises(InputError, match=message):
         PatternSet(**({"width_px": 1280, "height_px": 720} | change))

@@ -61,7 +61,7 @@ def test_plug_in_code_decodes_exactly(residue, synthesise):
     assert np.array_equal(decoded.row.order[decoded.valid], np.floor(row / 21.0)[decoded.valid])
 
 
-def test_order_risk_of_a_plug_in_masks_what_it_cannot_decide(residue, synthesise):
+def test_order_risk_of_a_plug_in_masks_uncertain_pixels(residue, synthesise):
     """Oracle: of the kept pixels fewer are a period off; sigma is that of the phase."""
     patterns = PatternSet(
         500, 300, steps=4, period_px=21.0, code=residue, further_periods_px=(26.0,)
@@ -71,12 +71,12 @@ def test_order_risk_of_a_plug_in_masks_what_it_cannot_decide(residue, synthesise
     noise_dn = 5.0
     stack = synthesise(patterns, column, row) + rng.normal(0.0, noise_dn, (18, 120, 600))
     sensor = SensorNoise(1e-6, noise_dn * 1e6, 0.0, 400.0)
-    kept, loose = (
+    strict, loose = (
         decode(stack.astype(np.float32), patterns, sensor, DecodeOptions(0, max_order_error=most))
         for most in (0.01, 1.0)
     )
     wrong = np.abs(loose.column.coordinate_px - column) > 10.0
-    assert wrong[loose.valid].mean() > 10.0 * max(wrong[kept.valid].mean(), 1e-4)
+    assert wrong[loose.valid].mean() > 10.0 * max(wrong[strict.valid].mean(), 1e-4)
     right = loose.valid & ~wrong
     ratio = (loose.column.coordinate_px - column)[right] / loose.column.sigma_px[right]
     assert np.median(np.abs(ratio)) == pytest.approx(0.6745, abs=0.03)
@@ -95,18 +95,18 @@ def test_plug_in_code_is_found_in_an_experiment(residue):
 
 
 def test_a_list_of_frames_states_a_code_from_outside(residue):
-    """Two periods alone are those of the heterodyne code, of which these number too few pixels."""
+    """Two periods are those of the heterodyne code, of which these number too few pixels."""
     frames = [
         ListedFrame(f"{period_px}_{n}.png", "phase", "column", period_px, 90.0 * n)
         for period_px in (21.0, 26.0)
         for n in range(4)
     ]
     size = ProjectorSize(500, 300)
-    found = Arrangement(frames, size, "reflected", residue)
-    assert found.patterns == PatternSet(
+    result = Arrangement(frames, size, "reflected", residue)
+    assert result.patterns == PatternSet(
         500, 300, 21.0, 4, code=residue, further_periods_px=(26.0,), axes=("column",), uniform=False
     )
-    assert found.files == [one.file for one in frames]
+    assert result.files == [frame.file for frame in frames]
     with pytest.raises(InputError, match="unambiguous over"):
         Arrangement(frames, size, "reflected")
     with pytest.raises(InputError, match="allowed are"):
@@ -133,7 +133,7 @@ def hierarchical(wrapped):
     periods_px, x_px = wrapped.fringes.periods_px, None
     for j in sorted(range(len(periods_px)), key=lambda j: -periods_px[j]):
         turns, period_px = wrapped.turns[j], periods_px[j]
-        # The coarsest period spans the image, which begins half a pixel before 0.
+        # The coarsest period spans the image, which starts half a pixel before 0.
         coarse = 0.5 * wrapped.fringes.length_px if x_px is None else x_px
         x_px = period_px * (np.rint(coarse / period_px - turns) + turns)
     return x_px
@@ -167,7 +167,7 @@ def test_own_function_gives_the_coordinates_of_the_code(synthesise, unwrap, chan
         np.testing.assert_allclose(own.modulation_dn, code.modulation_dn)
 
 
-def test_unknown_orders_are_masked_and_other_shapes_refused(synthesise):
+def test_unknown_orders_are_masked_and_other_shapes_rejected(synthesise):
     patterns = PatternSet(500, 300, steps=5, period_px=17.0)
     column, row = ramps(patterns)
     stack = synthesise(patterns, column, row).astype(np.float32)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from reconstruction import compiling
-from reconstruction.compact import Half, Orders, RaySpread, Turns, kept
+from reconstruction.compact import Half, Orders, RaySpread, Turns, stored_value
 from reconstruction.decoding._rows import BIAS, pack_row, unpack_row
 from reconstruction.decoding.decode import AxisDecode, DecodeOptions, decode
 from reconstruction.decoding.plan import CHANCE_UNIT, SIGMA_UNIT_PX, units_of
@@ -69,14 +69,14 @@ def test_order_is_the_coordinate_without_its_phase():
     x = (period_px * (order + turns)).astype(np.float32)
     steps = np.rint(turns * 65536).astype(np.int64) % 65536
     phases = Turns(np.broadcast_to(steps, x.shape).astype(np.uint16))
-    found = Orders(x, phases, period_px).expand()
+    result = Orders(x, phases, period_px).expand()
     # 0.999999 turns are stored as a whole turn, 0 of the next period.
     expected = order + (turns > 0.9999)
-    np.testing.assert_array_equal(found, np.where(x == 0.0, 0, expected))
-    again = period_px * (found + phases.expand().astype(float) / (2.0 * np.pi))
+    np.testing.assert_array_equal(result, np.where(x == 0.0, 0, expected))
+    again = period_px * (result + phases.expand().astype(float) / (2.0 * np.pi))
     # Half a step of the phase, and of single precision at 1100 px.
     assert np.max(np.abs(again - x)) < 0.5 * period_px / 65536 + 6.2e-5
-    assert found.dtype == np.int16
+    assert result.dtype == np.int16
 
 
 def test_spread_follows_the_ray():
@@ -116,7 +116,7 @@ def test_decoder_keeps_sixteen_bits_and_gives_single_precision(capture):
     axis = decode(stack, patterns, SENSOR, DecodeOptions(filter_taps=0)).column
     units = {"mean_dn": 2.0**-2, "sigma_px": SIGMA_UNIT_PX, "order_error": CHANCE_UNIT}
     for name, unit in units.items():
-        stored = kept(axis, name)
+        stored = stored_value(axis, name)
         assert isinstance(stored, Half)
         assert stored.unit == unit
         assert getattr(axis, name).dtype == np.float32
@@ -139,9 +139,9 @@ def test_plain_arrays_are_kept_as_they_are():
     axis = AxisDecode(*images)
     assert axis.mean_dn is images[3]
     assert axis.order_error is images[7]
-    other = dataclasses.replace(axis, mean_dn=Half.of(images[2], 1.0))
-    assert np.all(other.mean_dn == 2.0)
-    assert other.order_error is images[7]
+    replaced = dataclasses.replace(axis, mean_dn=Half.of(images[2], 1.0))
+    assert np.all(replaced.mean_dn == 2.0)
+    assert replaced.order_error is images[7]
     with pytest.raises(dataclasses.FrozenInstanceError):
         axis.mean_dn = images[0]
 
@@ -149,7 +149,7 @@ def test_plain_arrays_are_kept_as_they_are():
 def test_result_needs_less_than_half_of_the_memory_of_the_stack(monkeypatch, capture):
     """Expected: all that decoding and triangulating allocate at once, below half of 16-bit frames.
 
-    Setup: a dark capture of full size, beside which the lines and patches of two threads are small.
+    Setup: a dark capture of full size, so that lines and patches of two threads are small.
     Why: with the stack itself that is the promised 1.5, which the benchmark measures.
     """
     monkeypatch.setattr(compiling, "threads", lambda: 2)

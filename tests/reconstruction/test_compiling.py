@@ -51,7 +51,7 @@ def test_a_full_disk_costs_only_the_time_of_the_next_process(monkeypatch):
 
 
 def run_kernel(folder, files, program):
-    """Run a program beside copies of the compiling modules, which keep kernels in `folder`."""
+    """Run a program with copies of the compiling modules, which store kernels in `folder`."""
     package = folder / "reconstruction"
     package.mkdir(exist_ok=True)
     (package / "__init__.py").touch()  # or the installed package would win

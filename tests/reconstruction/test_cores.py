@@ -6,9 +6,9 @@ from reconstruction import machine
 
 
 @pytest.mark.parametrize(
-    ("told", "expected"), [("1", 1), ("3", 3), ("64", 4), ("0", 1), ("", 4), ("many", 4)]
+    ("message", "expected"), [("1", 1), ("3", 3), ("64", 4), ("0", 1), ("", 4), ("many", 4)]
 )
-def test_threads(monkeypatch, told, expected):
+def test_threads(monkeypatch, message, expected):
     monkeypatch.setattr(machine.os, "sched_getaffinity", lambda _: set(range(4)))
-    monkeypatch.setenv(machine.VARIABLE, told)
+    monkeypatch.setenv(machine.VARIABLE, message)
     assert machine.threads() == expected

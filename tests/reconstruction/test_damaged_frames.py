@@ -16,7 +16,7 @@ def rms(values):
 
 
 def clipped_stack(patterns, synthesise, cover, excess, shape=(60, 400)):
-    """Return truth and an 8-bit stack whose fringe peaks exceed full scale by `excess`."""
+    """Return truth and an 8-bit stack with fringe peaks that exceed full scale by `excess`."""
     column, row = cover(*shape, patterns)
     half = 127.5 * excess
     stack = synthesise(patterns, column, row, mean_dn=half, amplitude_dn=half)
@@ -37,7 +37,7 @@ def test_phase_of_clipped_fringes(patterns, quiet_sensor, synthesise, cover, exc
 
 
 def test_clipped_fringes_without_leaving_out(synthesise, cover):
-    """Why: shows what leaving out is for. Setup: clipping not known; 9 steps, as 18 hide it.
+    """Why: shows the use of exclusion. Setup: clipping not known; 9 steps, as 18 hide it.
 
     Expected: 14.5 mrad RMS, that of a cut cosine in exact arithmetic.
     """
@@ -60,7 +60,7 @@ def test_sigma_of_clipped_fringes_is_their_spread(synthesise, taps):
     column, lines = 20.0 + 0.13 * col + 0.01 * row, 30.0 + 0.14 * row
     stack = synthesise(patterns, column, lines, mean_dn=191.0, amplitude_dn=191.0)
     stack += np.random.default_rng(5).normal(0.0, 2.0, stack.shape)
-    # Cut by the clean level: noise that decides itself what is cut would bias the rest.
+    # Cut by the clean level: a cut that depends on the noise would bias the rest.
     phase = slice(0, 2 * patterns.steps)
     clean = synthesise(patterns, column, lines, mean_dn=191.0, amplitude_dn=191.0)[phase]
     stack[phase][clean > 245.0] = 255.0
@@ -74,7 +74,7 @@ def test_sigma_of_clipped_fringes_is_their_spread(synthesise, taps):
 
 
 @pytest.mark.parametrize("frame", [0, 17, 20, 35])
-def test_one_clipped_frame_costs_nothing_but_noise(patterns, quiet_sensor, synthesise, frame):
+def test_one_clipped_frame_only_adds_noise(patterns, quiet_sensor, synthesise, frame):
     column, row = np.full((9, 9), 365.0), np.full((9, 9), 185.0)
     stack = synthesise(patterns, column, row).astype(np.float32)
     whole = decode(stack, patterns, quiet_sensor, UNFILTERED)

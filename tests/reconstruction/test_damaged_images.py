@@ -1,4 +1,4 @@
-"""Image files that are damaged, or of what no sensor records: one line each, and no flood."""
+"""Image files that are damaged or not from a sensor: one line of error each."""
 
 import random
 import struct
@@ -31,7 +31,7 @@ GREY, PALETTE = 0, 3
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (png(PALETTE), "a part is missing, such as its palette"),
         (png(GREY, 60_000, 60_000, b"x"), "3600000000 pixels.* exceeds limit"),
@@ -42,14 +42,14 @@ GREY, PALETTE = 0, 3
     ],
     ids=["palette", "bomb", "empty", "no data", "no checksum", "nothing"],
 )
-def test_a_damaged_png_is_told_in_one_line(tmp_path, content, told):
+def test_a_damaged_png_is_rejected_in_one_line(tmp_path, content, message):
     path = tmp_path / "x.png"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         read_pixels(path)
     assert str(caught.value).startswith(f"{path}: is no complete image (")
     assert "\n" not in str(caught.value)
-    with pytest.raises(CaptureError, match=told):
+    with pytest.raises(CaptureError, match=message):
         read_image(path)
     with pytest.raises(CaptureError, match=r"x\.png"):
         read_rgb(path)
@@ -60,7 +60,7 @@ def test_a_sound_png_is_read(tmp_path):
     np.testing.assert_array_equal(read_image(tmp_path / "x.png"), np.zeros((4, 4), np.uint8))
 
 
-def test_a_cut_exr_is_told_in_one_line(tmp_path):
+def test_a_cut_exr_is_rejected_in_one_line(tmp_path):
     path = tmp_path / "x.exr"
     write_exr_channels(path, {"Y": np.random.default_rng(1).random((24, 16), np.float32)})
     whole = path.read_bytes()
@@ -72,7 +72,7 @@ def test_a_cut_exr_is_told_in_one_line(tmp_path):
 
 
 def _refusals(path, read):
-    """Yield what is said of a file that is damaged in 150 ways, where it is refused."""
+    """Yield the errors of a file that is damaged in 150 ways."""
     whole = path.read_bytes()
     for seed in range(150):
         path.write_bytes(damaged_bytes(whole, random.Random(seed))[0])
@@ -82,23 +82,23 @@ def _refusals(path, read):
             yield str(error)
 
 
-def test_a_damaged_exr_is_read_or_told(tmp_path):
+def test_a_damaged_exr_is_read_or_rejected(tmp_path):
     path = tmp_path / "x.exr"
     write_exr_channels(path, {"Y": np.random.default_rng(1).random((24, 16), np.float32)})
-    told = list(_refusals(path, read_image))
-    assert len(told) > 50
-    assert not any("\n" in line for line in told)
+    messages = list(_refusals(path, read_image))
+    assert len(messages) > 50
+    assert not any("\n" in line for line in messages)
 
 
-def test_a_damaged_archive_is_told_in_one_line(tmp_path):
+def test_a_damaged_archive_is_rejected_in_one_line(tmp_path):
     path = tmp_path / "x.npz"
     numbers = np.random.default_rng(1).random(100)
     np.savez_compressed(path, a=numbers, b=np.arange(4))
     np.testing.assert_array_equal(read_arrays(path)["a"], numbers)
-    told = list(_refusals(path, read_arrays))
-    assert len(told) > 50
-    assert all(line.startswith(f"{path}: is no complete npz file (") for line in told)
-    assert not any("\n" in line for line in told)
+    messages = list(_refusals(path, read_arrays))
+    assert len(messages) > 50
+    assert all(line.startswith(f"{path}: is no complete npz file (") for line in messages)
+    assert not any("\n" in line for line in messages)
 
 
 def test_an_archive_of_objects_is_not_unpacked(tmp_path):

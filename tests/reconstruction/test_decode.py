@@ -51,7 +51,7 @@ def test_eighteen_steps_cancel_the_harmonics_of_a_response_curve(
 
 
 def test_phase_grows_to_the_right_and_downwards(patterns, quiet_sensor):
-    """Setup: the camera sees projector pixel (u, v) = (col, row), through `image` itself."""
+    """Setup: camera pixel (col, row) = projector pixel (u, v), through `image` itself."""
     window = (slice(0, 90), slice(0, 120))
     stack = np.stack([patterns.image(frame)[window] for frame in patterns.frames])
     quiet = SensorNoise(0.0, 0.0, 0.0, 256.0)
@@ -81,7 +81,7 @@ def test_filter_does_not_shift_a_ramp(patterns, quiet_sensor, synthesise, taps):
 
 @pytest.mark.parametrize("blur_px", [0.5, 1.5, 3.0])
 @pytest.mark.parametrize("noise_dn", [2.0, 6.0])
-def test_complementary_bit_leaves_no_order_error(patterns, synthesise, cover, blur_px, noise_dn):
+def test_complementary_bit_prevents_order_errors(patterns, synthesise, cover, blur_px, noise_dn):
     column, row = cover(100, 900, patterns)
     stack = synthesise(patterns, column, row, mean_dn=120.0, amplitude_dn=90.0, blur_px=blur_px)
     stack += np.random.default_rng(3).normal(0.0, noise_dn, stack.shape)
@@ -96,7 +96,7 @@ def test_complementary_bit_leaves_no_order_error(patterns, synthesise, cover, bl
 @pytest.mark.parametrize("noise_dn", [2.0, 6.0])
 @pytest.mark.parametrize("blur_px", [0.5, 1.5, 3.0])
 def test_plain_gray_code_stands_blur_and_noise(synthesise, cover, blur_px, noise_dn):
-    """Why: at a border bit and phase err apart; the levels of two bits tell which border it is.
+    """Why: at a border errors of bit and phase differ; levels of two bits determine the border.
 
     Taken as read, 0.1 to 1.2 % of the pixels are a period off.
     """
@@ -266,7 +266,7 @@ def test_masked_pixels_hold_zero_and_damaged_floats_are_masked(
         (np.zeros((53, 0, 8), np.uint16), "53 frames"),
     ],
 )
-def test_wrong_stacks_are_refused(patterns, quiet_sensor, stack, message):
+def test_wrong_stacks_are_rejected(patterns, quiet_sensor, stack, message):
     with pytest.raises(InputError, match=message):
         decode(stack, patterns, quiet_sensor)
 

@@ -22,10 +22,10 @@ def test_the_image_ends_half_a_pixel_beyond_its_last_centre(quiet_sensor, synthe
     places = np.array([0.0, 99.0, -0.45, 99.45, -0.55, 99.55, -1.0, 100.0])
     middle = np.full(places.shape, 30.0)
     both = (places, middle) if axis == "column" else (middle, places)
-    found = decoded_at(synthesise, patterns, *both, quiet_sensor)
+    result = decoded_at(synthesise, patterns, *both, quiet_sensor)
     inside = [True] * 4 + [False] * 4
-    assert found.valid[0].tolist() == inside
-    assert (found.mask_reason[0, 4:] == Reason.OUTSIDE_PROJECTOR).all()
+    assert result.valid[0].tolist() == inside
+    assert (result.mask_reason[0, 4:] == Reason.OUTSIDE_PROJECTOR).all()
 
 
 def test_the_sigma_of_a_coordinate(synthesise):
@@ -36,8 +36,8 @@ def test_the_sigma_of_a_coordinate(synthesise):
     """
     patterns = PatternSet(100, 100)
     sensor = SensorNoise(0.2, 5.0, 20.0, 4095.0)
-    found = decoded_at(synthesise, patterns, 30.0, 40.0, sensor, mean_dn=120.0, amplitude_dn=100.0)
-    for axis in (found.column, found.row):
+    result = decoded_at(synthesise, patterns, 30.0, 40.0, sensor, mean_dn=120.0, amplitude_dn=100.0)
+    for axis in (result.column, result.row):
         assert axis.sigma_px[0, 0] == pytest.approx(0.043847, rel=1e-3)
         assert axis.mean_dn[0, 0] == pytest.approx(120.0, rel=1e-3)
         assert axis.modulation_dn[0, 0] == pytest.approx(100.0, rel=1e-3)
@@ -57,9 +57,9 @@ def test_residual_of_a_disturbed_frame():
     turn = 2 * np.pi * (5.0 / 18.0 + shift[:18])
     stack[first : first + 18, 0, 0] = 120.0 + 80.0 * np.cos(turn)
     stack[first + 7] += 9.0
-    found = decode(stack, patterns, SensorNoise(0.2, 5.0, 0.0, 4095.0), UNFILTERED)
-    assert found.column.residual_dn[0, 0] == pytest.approx(4.5**0.5, rel=2e-3)
-    assert found.column.mean_dn[0, 0] == pytest.approx(120.5, rel=1e-3)
+    result = decode(stack, patterns, SensorNoise(0.2, 5.0, 0.0, 4095.0), UNFILTERED)
+    assert result.column.residual_dn[0, 0] == pytest.approx(4.5**0.5, rel=2e-3)
+    assert result.column.mean_dn[0, 0] == pytest.approx(120.5, rel=1e-3)
 
 
 def test_a_frame_that_errs_moves_the_phase_by_its_share():
@@ -75,12 +75,12 @@ def test_a_frame_that_errs_moves_the_phase_by_its_share():
     for at in (first, patterns.index("phase", "row").start):
         stack[at : at + 16, 0, 0] = 120.0 + 80.0 * np.cos(0.5 * np.pi + 2 * np.pi * n / 16)
     stack[first + 4] += 9.0
-    found = decode(stack, patterns, SensorNoise(0.2, 5.0, 0.0, 4095.0), UNFILTERED)
-    assert found.column.phase_rad[0, 0] == pytest.approx(0.5 * np.pi, abs=1e-4)
-    assert found.column.modulation_dn[0, 0] == pytest.approx(80.0 - 9.0 / 8.0, rel=1e-3)
+    result = decode(stack, patterns, SensorNoise(0.2, 5.0, 0.0, 4095.0), UNFILTERED)
+    assert result.column.phase_rad[0, 0] == pytest.approx(0.5 * np.pi, abs=1e-4)
+    assert result.column.modulation_dn[0, 0] == pytest.approx(80.0 - 9.0 / 8.0, rel=1e-3)
     stack[first + 8] += 9.0
-    found = decode(stack, patterns, SensorNoise(0.2, 5.0, 0.0, 4095.0), UNFILTERED)
-    assert found.column.phase_rad[0, 0] == pytest.approx(0.5 * np.pi + 9.0 / 631.0, abs=2e-4)
+    result = decode(stack, patterns, SensorNoise(0.2, 5.0, 0.0, 4095.0), UNFILTERED)
+    assert result.column.phase_rad[0, 0] == pytest.approx(0.5 * np.pi + 9.0 / 631.0, abs=2e-4)
 
 
 @pytest.mark.parametrize(("word", "bits"), [(5, (1, 1, 1)), (6, (1, 0, 1)), (7, (1, 0, 0))])
@@ -92,8 +92,8 @@ def test_words_end_with_the_image(quiet_sensor, synthesise, word, bits):
     patterns = PatternSet(100, 60, code="gray")
     stack = synthesise(patterns, np.full((1, 1), 5.0), np.full((1, 1), 20.0)).astype(np.float32)
     stack[patterns.index("gray", "column"), 0, 0] = np.where(bits, 220.0, 20.0)
-    found = decode(stack, patterns, quiet_sensor, UNFILTERED)
+    result = decode(stack, patterns, quiet_sensor, UNFILTERED)
     if word == 5:
-        assert found.column.coordinate_px[0, 0] == pytest.approx(95.0, abs=1e-3)
+        assert result.column.coordinate_px[0, 0] == pytest.approx(95.0, abs=1e-3)
     else:
-        assert found.mask_reason[0, 0] == Reason.ORDER_UNCERTAIN
+        assert result.mask_reason[0, 0] == Reason.ORDER_UNCERTAIN

@@ -1,4 +1,4 @@
-"""What the filter takes for relief and what for noise, one block at a time, computed by hand."""
+"""Shares of relief and noise in the filter, block by block, computed by hand."""
 
 import numpy as np
 import pytest
@@ -11,12 +11,12 @@ from reconstruction.decoding._relief import (
     _weigh_relief,
     add_variances,
     find_shares,
-    give_back,
     make_blocks,
     predict_bias,
+    restore_relief,
     weigh_blocks,
     weigh_edge,
-    weigh_others,
+    weigh_neighbours,
     weigh_own,
     write_root,
     write_share,
@@ -33,7 +33,7 @@ def lines(*values):
 
 
 def test_shares_of_relief():
-    """Of noise 8 the coarse part gets 1.8 * 0.5 * 8 = 7.2: of 14.4 half is relief, of 7 nothing.
+    """Of noise 8 the coarse part gets 1.8 * 0.5 * 8 = 7.2: of 14.4 50 % is relief, of 7 0 %.
 
     The fine part gets 0.25 * 8 and an extra of min(0.2, 0.3 (1 - 0.5)) = 0.15: 2.3 of 4.6; where
     there is no coarse relief 0.2, 2.4 of 9.6.
@@ -46,7 +46,7 @@ def test_shares_of_relief():
     np.testing.assert_allclose(f, [0.5, 0.75], rtol=1e-6)
 
 
-def test_bias_is_what_is_relief_and_not_given_back():
+def test_bias_is_the_relief_that_is_not_restored():
     """0.5^2 * 0.5 * 8 + 0.75^2 * 0.25 * 16 = 3.25, over 4 pixels; over none as over one."""
     out = np.zeros(2, np.float32)
     predict_bias(*lines([8.0, 8.0], [16.0, 16.0], [C, C], [F, F], [COUNT, 0.0]), out)
@@ -62,9 +62,9 @@ def test_weights_of_a_pixel_and_of_those_around():
     weigh_own(*lines(C, F), centre, out)
     assert out[0] == pytest.approx(0.5625)
     ratios = np.array([[1.0, 0.5, 0.25], [0.5, 0.4, 0.1], [0.25, 0.1, 0.2]], np.float32)
-    weigh_others(*lines(C, F, 0.1, NOISE, COUNT, 0.05), ratios, out)
+    weigh_neighbours(*lines(C, F, 0.1, NOISE, COUNT, 0.05), ratios, out)
     assert out[0] == pytest.approx(0.4125 * 2 + 0.05)
-    weigh_others(*lines(C, F, 0.6, NOISE, COUNT, 0.05), ratios, out)
+    weigh_neighbours(*lines(C, F, 0.6, NOISE, COUNT, 0.05), ratios, out)
     assert out[0] == pytest.approx(0.05)
 
 
@@ -81,12 +81,12 @@ def test_lift_and_coarse_part_that_are_given_back():
     assert (lift[0], coarse[0]) == (0.75, -0.25)
     out = np.zeros(2, np.float32)
     x, usable = lines([10.0, 10.0], [1.0, 0.0])
-    give_back(x, usable, *lines([2.0] * 2, [4.0] * 2, [0.75] * 2, [-0.25] * 2), out)
+    restore_relief(x, usable, *lines([2.0] * 2, [4.0] * 2, [0.75] * 2, [-0.25] * 2), out)
     assert out.tolist() == [10.5, 0.0]
 
 
 def test_variances_add():
-    """0.5 * 4 + 0.3 + (0.6 - 0.2) * 2 = 3.1; a gain below the full one adds nothing."""
+    """0.5 * 4 + 0.3 + (0.6 - 0.2) * 2 = 3.1; a gain below the full one adds 0."""
     out = np.zeros(2, np.float32)
     variance, gain, own = lines([4.0] * 2, [0.6, 0.1], [0.5] * 2)
     add_variances(variance, gain, np.float32(0.2), own, *lines([0.3] * 2, [2.0] * 2), out)
@@ -156,15 +156,15 @@ def limits(**more):
 def test_least_modulation():
     """18 steps, 0.1 rad: sqrt(2 / 18) / 0.1 = 3.333 times the noise of 3 DN, 10 DN; of 6 DN 20.
 
-    No less than is asked for, here 12 DN; a saturated pixel keeps its reason.
+    At least the required 12 DN; a saturated pixel keeps its reason.
     """
     modulation, noise = lines([9.9, 10.1, 19.9, 20.1, 1.0, np.nan], [3, 3, 6, 6, 3, 3])
     reason = np.array([0, 0, 0, 0, 3, 0], np.uint8)
     mark_low_modulation(18, limits(), modulation, noise, reason)
     assert reason.tolist() == [2, 0, 2, 0, 3, 2]
     reason[:] = 0
-    asked = limits(min_modulation_dn=12.0)
-    mark_low_modulation(18, asked, *lines([11.9, 12.1], [3, 3]), reason[:2])
+    requested = limits(min_modulation_dn=12.0)
+    mark_low_modulation(18, requested, *lines([11.9, 12.1], [3, 3]), reason[:2])
     assert reason[:2].tolist() == [2, 0]
 
 
@@ -188,7 +188,7 @@ def unwrapped(weights, periods_px, turns, sigma_rad):
 
 
 def test_one_period_over_the_whole_image():
-    """100 px over an image of 50, which lies in the middle of it: 0.3 turns are 30 px.
+    """100 px over an image of 50, centred in it: 0.3 turns are 30 px.
 
     0.2 turns of sigma are 20 px; the nearer end of the period, at 74.5, is 44.5 px off: the chance
     to be beyond is Q(2.225) = 0.01304. Half a turn below -25.5 px is 79 px further up.
@@ -200,7 +200,7 @@ def test_one_period_over_the_whole_image():
 
 
 def test_two_periods_are_weighed_together():
-    """Turns 0.3 of 100 px and 0.52 of 20 px: 30 px, and 30.4 by the finer one, whose number is 1.
+    """Turns 0.3 of 100 px and 0.52 of 20 px: 30 px, and 30.4 by the finer one with number 1.
 
     Equal sigmas of the phase: weights 1 : 25, (30 + 25 * 30.4) / 26 = 30.385 px.
     """
@@ -209,5 +209,5 @@ def test_two_periods_are_weighed_together():
     assert x == pytest.approx(30.384615, rel=1e-6)
     assert sigma_px == pytest.approx(0.02 / (2 * np.pi) / np.sqrt(1 / 100.0**2 + 1 / 20.0**2))
     assert error < 1e-6
-    # Nothing known of any phase: one half that the end was passed, two thirds for neighbours.
+    # No information on any phase: 1/2 that the end was passed, two thirds for neighbours.
     assert unwrapped(*chain, [0.3, 0.5], [1e6, 1e6])[2] == 1.0

@@ -43,10 +43,10 @@ def test_result_is_the_same_on_any_number_of_threads(monkeypatch, patterns, stac
     """Expected: the same bytes, as the bands do not depend on the number of threads."""
     expected = decode(stack, patterns, SENSOR)
     monkeypatch.setattr(compiling, "threads", lambda: threads)
-    for found, wanted in zip(
+    for result, wanted in zip(
         fields(decode(stack, patterns, SENSOR)), fields(expected), strict=True
     ):
-        np.testing.assert_array_equal(found, wanted)
+        np.testing.assert_array_equal(result, wanted)
 
 
 @pytest.mark.parametrize("taps", [0, 2, 5, 8])
@@ -57,9 +57,9 @@ def test_bands_leave_no_trace(monkeypatch, patterns, stack, taps):
     assert 0.1 < expected.valid.mean() < 1.0
     for rows in (7, 1000):
         monkeypatch.setattr(decode_module, "BAND_ROWS", rows)
-        found = decode(stack, patterns, SENSOR, options)
-        for one, other in zip(fields(found), fields(expected), strict=True):
-            np.testing.assert_array_equal(one, other)
+        result = decode(stack, patterns, SENSOR, options)
+        for actual, reference in zip(fields(result), fields(expected), strict=True):
+            np.testing.assert_array_equal(actual, reference)
 
 
 def test_kernels_and_sensor_share_the_noise_model(patterns, stack):

@@ -64,9 +64,9 @@ def test_the_stated_uncertainty_is_the_scatter_of_the_value(fit):
     exact, true = fit(np.zeros(len(X)))
     assert exact.value == pytest.approx(true, rel=1e-6)
     rng = np.random.default_rng(7)
-    found = [fit(rng.normal(0, SIGMA_MM, len(X)))[0] for _ in range(100)]
-    values = np.array([one.value for one in found])
-    stated = np.array([one.noise_mm(np.full(len(X), SIGMA_MM), 1.0) for one in found])
+    result = [fit(rng.normal(0, SIGMA_MM, len(X)))[0] for _ in range(100)]
+    values = np.array([estimate.value for estimate in result])
+    stated = np.array([estimate.noise_mm(np.full(len(X), SIGMA_MM), 1.0) for estimate in result])
     scatter = np.std(values, ddof=1) / np.mean(stated)
     assert 0.78 < scatter < 1.25
     assert abs(values.mean() - true) < 4 * np.mean(stated) / 10
@@ -75,10 +75,10 @@ def test_the_stated_uncertainty_is_the_scatter_of_the_value(fit):
 
 
 def test_errors_that_neighbours_share_average_less():
-    """Setup: white noise behind a Gaussian of 1 pixel, in whose area 4 pi points share an error.
+    """Setup: white noise after a Gaussian of 1 pixel: 4 pi points share an error.
 
-    Expected: the step scatters by what is stated for that many, 3.5 times as much as for points of
-    their own; 200 values know a scatter to 5 %, and plateaus are cut off at their rim.
+    Expected: the scatter of the step is the predicted one, 3.5 times that of independent points;
+    200 values give a scatter to 5 %, and plateaus are cut off at their rim.
     """
     rng, draws = np.random.default_rng(3), []
     for _ in range(200):
@@ -98,23 +98,23 @@ def test_a_gaussian_filter_shares_errors_over_its_correlation_area():
     """
     rng = np.random.default_rng(1)
     filtered = [gaussian_filter(rng.normal(size=(128, 128)), 1.5, mode="wrap") for _ in range(300)]
-    pixel = np.mean([np.var(one) for one in filtered])
-    mean = np.var([one[32:96, 32:96].mean() for one in filtered]) * 64**2
+    pixel = np.mean([np.var(image) for image in filtered])
+    mean = np.var([image[32:96, 32:96].mean() for image in filtered]) * 64**2
     # 300 draws know a variance to 8 %.
     assert mean / pixel == pytest.approx(shared_by(1.5), rel=0.25)
 
 
-def test_a_small_exact_level_is_no_outlier_beside_a_large_bent_one():
+def test_a_small_exact_level_is_no_outlier_next_to_a_large_bent_one():
     """Three hundred points 0.1 mm up, exact; two thousand below, a few of them on a flank."""
     upper, lower = (X > 2) & (Y > 0), X < 1
     flank = np.where((X > 0.8) & (Y > 1), 0.01, 0.0) * lower
-    found = step_between(np.column_stack([X, Y]), 0.1 * upper + flank, upper, lower)
-    assert found.value == pytest.approx(0.1, abs=1e-4)
-    assert found.used[upper].all()
-    assert not found.used[flank > 0].any()
+    result = step_between(np.column_stack([X, Y]), 0.1 * upper + flank, upper, lower)
+    assert result.value == pytest.approx(0.1, abs=1e-4)
+    assert result.used[upper].all()
+    assert not result.used[flank > 0].any()
 
 
-def test_too_few_points_are_told():
+def test_too_few_points_raise_an_error():
     few = np.zeros(4)
     with pytest.raises(FitError, match="upper level"):
         step_between(np.zeros((4, 2)), few, few > 0, few == 0)
@@ -132,36 +132,36 @@ def _ripple(points):
     ("alignment", "left_um"),
     [("none", 50.0), ("offset", 20.0), ("offset_tilt", 1.5), ("rigid", 1.0)],
 )
-def test_each_alignment_takes_off_what_it_may(alignment, left_um):
+def test_each_alignment_subtracts_its_motion(alignment, left_um):
     """Setup: a rippled surface measured 40 um too high, tilted by 0.5 mrad per axis, 20 um aside.
 
-    Expected: nothing, the offset, then the tilt, then the sliding is taken off; what is left of
-    each is less than the larger parts that remain.
+    Expected: no motion, the offset, also the tilt, also the sliding is subtracted; the remainder
+    of each is less than the larger parts that remain.
     """
     z = 0.2 * np.cos(X) * np.cos(Y)
     points = np.column_stack([X, Y, z])
     turned = points + np.column_stack([0 * X + 0.005, 0 * X, 0.04 + 0.008 * X - 0.004 * Y])
-    found = deviations(turned, _ripple, alignment, normals_of(turned, _ripple))
-    rms_um = 1e3 * np.sqrt(np.mean(found.deviation_mm**2))
+    result = deviations(turned, _ripple, alignment, normals_of(turned, _ripple))
+    rms_um = 1e3 * np.sqrt(np.mean(result.deviation_mm**2))
     assert rms_um < left_um
     if alignment != "none":
-        assert found.offset_mm == pytest.approx(-0.04, abs=2e-3)
+        assert result.offset_mm == pytest.approx(-0.04, abs=2e-3)
     if alignment == "offset":
         tilt_um = 1e3 * np.sqrt(np.mean((0.008 * X - 0.004 * Y) ** 2))
         assert rms_um == pytest.approx(tilt_um, rel=0.1)
 
 
-def test_alignment_leaves_free_what_the_surface_cannot_tell():
+def test_alignment_keeps_undetermined_motion_at_zero():
     """A ball turns on itself: the best fit neither turns nor drifts, and finds the shift."""
     points = np.column_stack([X, Y, np.sqrt(25 - X**2 - Y**2)]) + np.array([0.01, -0.02, 0.03])
 
     def ball(at):
         return np.linalg.norm(at, axis=1) - 5
 
-    found = deviations(points, ball, "rigid", normals_of(points, ball))
-    assert np.abs(found.deviation_mm).max() < 1e-6
+    result = deviations(points, ball, "rigid", normals_of(points, ball))
+    assert np.abs(result.deviation_mm).max() < 1e-6
     # Shift or turn of a cap: one and the same; the least of both is taken.
-    assert found.tilt_deg < 0.5
+    assert result.tilt_deg < 0.5
 
 
 def test_form_is_the_band_of_95_percent():
@@ -171,11 +171,11 @@ def test_form_is_the_band_of_95_percent():
     def plane(at):
         return at[:, 2]
 
-    found = deviations(points, plane, "rigid", normals_of(points, plane))
-    form = found.form(np.ones(len(X)))
+    result = deviations(points, plane, "rigid", normals_of(points, plane))
+    form = result.form(np.ones(len(X)))
     # +-1.96 sigma; a quantile of 2501 values is known to about 5 % of sigma.
     assert form.value == pytest.approx(2 * 1.96 * SIGMA_MM, rel=0.06)
-    assert found.rms(np.ones(len(X))).value == pytest.approx(SIGMA_MM, rel=0.05)
+    assert result.rms(np.ones(len(X))).value == pytest.approx(SIGMA_MM, rel=0.05)
 
 
 BY_HAND = [
@@ -189,13 +189,13 @@ BY_HAND = [
     (-9.0, 2.0, "cannot tell"),
     (10.0, 0.0, "within tolerance"),
     (10.1, 0.0, "not within tolerance"),
-    (0.0, 11.0, "cannot tell"),  # U is wider than the tolerance: nothing can be proved
+    (0.0, 11.0, "cannot tell"),  # U is wider than the tolerance: no conformity can be proved
 ]
 
 
 @pytest.mark.parametrize(("value", "expanded", "decided"), BY_HAND)
 def test_the_decision_rule_by_hand(value, expanded, decided):
-    """Tolerance -10 to 10, ISO 14253-1: U is taken off on both sides before conformity is said."""
+    """Tolerance -10 to 10, ISO 14253-1: U is subtracted on both sides for conformity."""
     assert Tolerance(-10.0, 10.0).verdict(value, expanded) == decided
 
 

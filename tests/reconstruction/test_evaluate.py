@@ -1,4 +1,4 @@
-"""Dimensions of synthetic surfaces whose true values are known, with noise and outliers."""
+"""Dimensions of synthetic surfaces with known true values, with noise and outliers."""
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def cap(rng, count, radius_mm=4.0, half_angle_deg=40.0):
 
 
 def test_ball_of_exact_points():
-    """Expected: to rounding; nothing is left out of exact data."""
+    """Expected: to rounding; no point of exact data is excluded."""
     found = fit_ball(cap(np.random.default_rng(7), 500)[0])
     assert found.radius_mm == pytest.approx(4.0, abs=1e-9)
     np.testing.assert_allclose(found.centre_mm, [1.0, -2.0, 3.0], atol=1e-9)
@@ -134,7 +134,7 @@ def test_width_of_a_rod_at_half_its_height():
     s = np.linspace(-6, 6, 2401)
     z = np.sqrt(np.maximum(2.0**2 - s**2, 0.0))
     found = bar_width(s, z)
-    top = 2.0 - 0.006  # the median over the highest tenth of the samples lies a little below
+    top = 2.0 - 0.006  # the median over the highest 10 % of the samples is slightly below
     assert found.height_mm == pytest.approx(top, abs=0.02)
     expected = 2 * np.sqrt(4.0 - (found.height_mm / 2) ** 2)
     assert found.width_mm == pytest.approx(expected, abs=1e-4)
@@ -159,7 +159,7 @@ def test_roughness_of_a_fine_wave_on_a_coarse_one():
 
 @pytest.mark.parametrize("nesting_mm", [0.0, 0.19, 101.0, 1e300, float("nan")])
 def test_a_nesting_index_that_filters_nothing_is_refused(nesting_mm):
-    """Two pitches of 0.1 mm to ten fields of 10 mm; 1e300 asked for a kernel of so many pixels."""
+    """Two pitches of 0.1 mm to ten fields of 10 mm; 1e300 would need a kernel of so many pixels."""
     flat = np.zeros((100, 40))
     with pytest.raises(FitError, match=r"^nesting_mm: found .* at least 0\.2 .* at most 100 "):
         areal_roughness(flat, flat == 0, 0.1, nesting_mm)
@@ -205,7 +205,7 @@ def test_the_first_edge_counts_where_a_profile_falls_twice():
 
 
 def test_a_round_crest_has_no_break_and_its_slope_changes_on_its_arc():
-    """A strip over a cylinder of radius 2 leaves it 0.5 rad from its top."""
+    """A strip touches a cylinder of radius 2 up to 0.5 rad from its top."""
     s, edge = np.arange(-6.0, 6.0, 0.01), 2.0 * np.sin(0.5)
     arc = np.sqrt(np.maximum(4.0 - s**2, 0.0))
     tent = 2.0 * np.cos(0.5) - np.tan(0.5) * (np.abs(s) - edge)

@@ -37,7 +37,7 @@ def test_normals_are_the_slopes_of_the_distance():
 
 @pytest.mark.parametrize(("longest_mm", "triangles"), [(4.95, 20), (5.05, 18)])
 def test_triangles_five_times_as_long_as_the_typical_edge_are_cut(longest_mm, triangles):
-    """Points 1 mm apart: ten squares; over a jump the diagonal of one is so long."""
+    """Points of 1 mm pitch: ten squares; over a jump the diagonal of one is so long."""
     x, y = np.meshgrid(np.arange(11.0), [0.0, -1.0])
     z = np.where(x > 4.5, np.sqrt(longest_mm**2 - 2.0), 0.0)
     points = np.stack([x, y, z], axis=-1)
@@ -47,8 +47,8 @@ def test_triangles_five_times_as_long_as_the_typical_edge_are_cut(longest_mm, tr
 
 
 def test_a_step_between_two_edges():
-    """Ridge from -3 to 3, W = 6: 0.5 high within +-1, ground from 5 to 9; what lies between is not
-    looked at, nor what is beyond.
+    """Ridge from -3 to 3, W = 6: 0.5 high within +-1, ground from 5 to 9; points between and
+    beyond are not used.
     """
     s = np.arange(-12.0, 12.01, 0.25)
     z = np.select([np.abs(s) <= 1.0, (np.abs(s) >= 5.0) & (np.abs(s) <= 9.0)], [0.5, 0.0], 7.0)

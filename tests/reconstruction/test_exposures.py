@@ -48,8 +48,8 @@ def test_merged_exposures_reach_every_pixel_with_the_predicted_sigma(synthesise,
     assert abs(np.mean(error[decoded.valid])) < (1e-3 if taps == 0 else 3e-3)
 
 
-def test_one_exposure_alone_does_not_reach_everywhere(synthesise):
-    """Why: shows what merging is for."""
+def test_a_single_exposure_does_not_reach_everywhere(synthesise):
+    """Why: shows the use of merging."""
     patterns, _, stacks = scene(synthesise)
     merged = merge_exposures(stacks, EXPOSURES_MS, SENSOR)
     options = DecodeOptions(filter_taps=0, max_phase_sigma_rad=0.2)
@@ -71,7 +71,7 @@ def test_brightest_unsaturated_exposure_of_the_whole_set():
     assert merged.exposure_ms == 4.0
 
 
-def test_what_saturates_even_when_short_is_left_out_frame_by_frame(synthesise):
+def test_pixels_saturated_in_all_exposures_lose_single_frames(synthesise):
     patterns = PatternSet(1280, 720, steps=12)
     column, row = np.full((9, 9), 365.0), np.full((9, 9), 185.0)
     light = synthesise(patterns, column, row, mean_dn=650.0, amplitude_dn=600.0)
@@ -93,12 +93,12 @@ def test_what_saturates_even_when_short_is_left_out_frame_by_frame(synthesise):
         ([np.zeros((2, 1, 1)), np.zeros((2, 1, 2))], [1.0, 2.0], "shapes"),
     ],
 )
-def test_stacks_that_do_not_fit_are_refused(stacks, exposures_ms, message):
+def test_stacks_that_do_not_fit_are_rejected(stacks, exposures_ms, message):
     with pytest.raises(InputError, match=message):
         merge_exposures(stacks, exposures_ms, SENSOR)
 
 
-def test_scale_of_another_shape_is_refused(patterns, quiet_sensor):
+def test_scale_of_another_shape_is_rejected(patterns, quiet_sensor):
     stack = np.zeros((53, 8, 8), np.uint16)
     with pytest.raises(InputError, match="scale"):
         decode(stack, patterns, quiet_sensor, scale=np.ones((8, 9), np.float32))

@@ -23,7 +23,7 @@ SLOPE = np.tan(np.radians(53.0))
 
 @pytest.fixture
 def noisy(synthesise):
-    """Return what makes the frames of a coat with shot and read noise, 12 bit."""
+    """Return a function that makes frames of a coat with shot and read noise, 12 bit."""
 
     def frames(column, lines, contrast=1.0, seed=5):
         clean = synthesise(PATTERNS, column, lines, mean_dn=0.0, amplitude_dn=900.0)
@@ -82,16 +82,16 @@ def test_filter_takes_no_relief_for_the_sake_of_noise(noisy):
         assert error[0] <= most * error[1]
 
 
-def test_nothing_is_added_to_sigma_on_a_plane(noisy):
+def test_sigma_has_no_bias_on_a_plane(noisy):
     """Expected: the Gaussian's own noise gain, times the sigma of the single pixel, within 2 %."""
     column, lines = coordinates("flat", 2)
     stack = noisy(column, lines)
     decoded, single = (decode(stack, PATTERNS, SENSOR, options) for options in (None, UNFILTERED))
     inner = np.s_[8:-8, 8:-8]
     gain = np.sum(gaussian_weights(8, 1.5).astype(float) ** 2)
-    found = np.sqrt(np.mean(decoded.column.sigma_px[inner] ** 2))
+    result = np.sqrt(np.mean(decoded.column.sigma_px[inner] ** 2))
     expected = gain * np.sqrt(np.mean(single.column.sigma_px[inner] ** 2))
-    assert found == pytest.approx(expected, rel=0.02)
+    assert result == pytest.approx(expected, rel=0.02)
     assert np.mean(decoded.column.bias_share > 0.5) < 0.02
 
 
@@ -125,18 +125,18 @@ def test_holes_and_borders_do_not_shift_a_slope(synthesise):
 
 
 def test_sigma_next_to_holes_is_that_of_the_pairs_left(noisy):
-    """Setup: 64 exposures of a plane with holes. Expected: spread over sigma is 1 beside them."""
+    """Setup: 64 exposures of a plane with holes. Expected: spread over sigma is 1 next to them."""
     column, lines = (image[:48, :64] for image in coordinates("flat", 1))
     dark = np.random.default_rng(4).random(column.shape) < 0.02
-    beside = binary_dilation(dark, iterations=3) & ~binary_dilation(dark)
-    found, sigma = [], []
+    adjacent = binary_dilation(dark, iterations=3) & ~binary_dilation(dark)
+    result, sigma = [], []
     for seed in range(64):
         stack = noisy(column, lines, seed=seed)
         stack[:, dark] = 64
         axis = decode(stack, PATTERNS, SENSOR).column
-        found.append(axis.coordinate_px)
+        result.append(axis.coordinate_px)
         sigma.append(axis.sigma_px)
-    ratio = np.std(found, axis=0, ddof=1)[beside] / np.mean(sigma, axis=0)[beside]
+    ratio = np.std(result, axis=0, ddof=1)[adjacent] / np.mean(sigma, axis=0)[adjacent]
     assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
 
 
@@ -158,23 +158,23 @@ def test_bands_and_patches_leave_no_trace(noisy, monkeypatch):
     expected = decode(stack, PATTERNS, SENSOR)
     for rows in (7, 1000):
         monkeypatch.setattr("reconstruction.decoding._filter.BAND_ROWS", rows)
-        found = decode(stack, PATTERNS, SENSOR)
-        np.testing.assert_array_equal(found.column.coordinate_px, expected.column.coordinate_px)
-        np.testing.assert_array_equal(found.column.sigma_px, expected.column.sigma_px)
+        result = decode(stack, PATTERNS, SENSOR)
+        np.testing.assert_array_equal(result.column.coordinate_px, expected.column.coordinate_px)
+        np.testing.assert_array_equal(result.column.sigma_px, expected.column.sigma_px)
 
 
-def test_bias_is_told_without_truth(noisy, calibration, surface, project):
+def test_bias_is_estimated_without_truth(noisy, calibration, surface, project):
     """Expected: a share of points on texture near the noise, next to none on a smooth bump."""
-    seen = project(calibration, surface(calibration))
+    observed = project(calibration, surface(calibration))
     shares = []
     for rough_px in (0.0, 0.02):
-        rough = gaussian_filter(np.random.default_rng(3).normal(size=seen.shape[:2]), 1.2)
-        column = seen[..., 0] + rough_px * rough / rough.std()
-        decoded = decode(noisy(column, seen[..., 1]), PATTERNS, SENSOR)
-        found = Reconstruction(decoded, triangulate(decoded, calibration))
-        valid = found.point_map.valid
-        sigma_mm = found.point_map.sigma_z_mm[valid]
-        bias_um, share = filter_bias(found, "column", valid, sigma_mm)
+        rough = gaussian_filter(np.random.default_rng(3).normal(size=observed.shape[:2]), 1.2)
+        column = observed[..., 0] + rough_px * rough / rough.std()
+        decoded = decode(noisy(column, observed[..., 1]), PATTERNS, SENSOR)
+        result = Reconstruction(decoded, triangulate(decoded, calibration))
+        valid = result.point_map.valid
+        sigma_mm = result.point_map.sigma_z_mm[valid]
+        bias_um, share = filter_bias(result, "column", valid, sigma_mm)
         assert bias_um >= 0.0
         shares.append(share)
     assert shares[0] < 0.1 < shares[1]

@@ -27,15 +27,15 @@ def by_the_decoder(coordinate, sigma, reason):
     return smooth(source, GAUSS["taps"], GAUSS["sigma_px"], GAUSS["limit_px"], UNIT)
 
 
-def applied(found, value_px):
+def applied(result, value_px):
     """Return K x of coordinates or their noise, (row, col) px, with the map's shares."""
-    lift = linear_map._lift(value_px, found._along, found._across)
-    coarse = found._support * linear_map._smoothed(lift, found._gauss)
-    return value_px + found._of_lift * lift + found._of_coarse * coarse
+    lift = linear_map._lift(value_px, result._along, result._across)
+    coarse = result._support * linear_map._smoothed(lift, result._gauss)
+    return value_px + result._of_lift * lift + result._of_coarse * coarse
 
 
 def sigmas():
-    """Noise that grows over the image, px."""
+    """Noise that increases over the image, px."""
     return 0.02 * (1.0 + np.linspace(0.0, 1.0, SHAPE[1]))[None, :] * np.ones((SHAPE[0], 1))
 
 
@@ -53,10 +53,10 @@ def test_the_map_is_the_decoders(bend):
     usable = without_edges(reason) == 0
     # So little noise that none of it is in the expected squares, as in a decoder without any.
     quiet = np.full(SHAPE, 1e-4)
-    found = filter_noise(coordinate, quiet**2, usable, **GAUSS)
+    result = filter_noise(coordinate, quiet**2, usable, **GAUSS)
     decoded = by_the_decoder(coordinate, quiet, reason)
     np.testing.assert_array_equal(decoded.reason == 0, usable)
-    difference = np.abs(applied(found, np.where(usable, coordinate, 0)) - decoded.coordinate_px[0])
+    difference = np.abs(applied(result, np.where(usable, coordinate, 0)) - decoded.coordinate_px[0])
     assert difference[usable].max() < 2e-4
 
 
@@ -64,20 +64,20 @@ def test_derivatives_are_those_of_the_map():
     """<s, K x> = <K^T s, x>, with holes, borders and shares that differ from block to block."""
     rng = np.random.default_rng(3)
     usable = without_edges(holes()) == 0
-    found = filter_noise(relief(0.004), sigmas() ** 2, usable, **GAUSS)
+    result = filter_noise(relief(0.004), sigmas() ** 2, usable, **GAUSS)
     slope, value = rng.standard_normal((2, *SHAPE)) * usable
-    forward = np.sum(slope * applied(found, value))
-    assert np.sum(found.transposed(slope) * value) == pytest.approx(forward, rel=1e-9)
+    forward = np.sum(slope * applied(result, value))
+    assert np.sum(result.transposed(slope) * value) == pytest.approx(forward, rel=1e-9)
 
 
 def test_noise_of_a_part_is_that_of_the_whole():
-    """Only the surroundings of what is fitted are looked at."""
+    """Only the surroundings of the fitted pixels are used."""
     usable = np.ones(SHAPE, bool)
-    found = filter_noise(relief(0.004), sigmas() ** 2, usable, **GAUSS)
+    result = filter_noise(relief(0.004), sigmas() ** 2, usable, **GAUSS)
     slope = np.zeros(SHAPE)
     slope[18:24, 20:30] = 1.0
-    whole = np.sqrt(np.sum(found.transposed(slope) ** 2 * sigmas() ** 2))
-    assert found.noise(slope) == pytest.approx(whole, rel=1e-9)
+    whole = np.sqrt(np.sum(result.transposed(slope) ** 2 * sigmas() ** 2))
+    assert result.noise(slope) == pytest.approx(whole, rel=1e-9)
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.001, 0.01])
@@ -91,7 +91,7 @@ def test_predicted_variance_is_the_spread_of_many(bend):
     """
     rng, reason, coordinate = np.random.default_rng(7), holes(), relief(bend)
     usable = without_edges(reason) == 0
-    found = filter_noise(coordinate, sigmas() ** 2, usable, **GAUSS)
+    result = filter_noise(coordinate, sigmas() ** 2, usable, **GAUSS)
     window = np.zeros(SHAPE)
     window[24:36, 8:20] = 1 / 144
     draws = np.array([
@@ -100,13 +100,13 @@ def test_predicted_variance_is_the_spread_of_many(bend):
         ).coordinate_px[0]
         for _ in range(200)
     ]).astype(np.float64)  # fmt: skip
-    ratio = draws.std(axis=0)[usable] / np.sqrt(found.variance_px2[usable])
+    ratio = draws.std(axis=0)[usable] / np.sqrt(result.variance_px2[usable])
     assert abs(np.mean(ratio) - 1.0) < 0.15
     far = minimum_filter(usable, 17, mode="constant")[usable]
     assert abs(np.mean(ratio[far]) - 1.0) < 0.03
     assert np.std(ratio[far]) < 0.07
     of_window = np.tensordot(draws, window, 2).std()
-    assert of_window == pytest.approx(found.noise(window), rel=0.1)
-    # What would be said of pixels that share no error.
-    alone = np.sqrt(np.sum(window**2 * found.variance_px2))
+    assert of_window == pytest.approx(result.noise(window), rel=0.1)
+    # The value for pixels that share no error.
+    alone = np.sqrt(np.sum(window**2 * result.variance_px2))
     assert of_window > 2.0 * alone

@@ -66,8 +66,8 @@ def test_the_sphere_is_the_one_with_the_least_radial_distances(half_angle_deg, n
     rng, directions = np.random.default_rng(6), cap(3000, half_angle_deg)
     wave = noise_mm * np.cos(9.0 * directions[:, :1])
     points = (4.0 + wave + rng.normal(0.0, noise_mm, (3000, 1))) * directions
-    fit, other = fit_sphere(points), by_levenberg_marquardt(points)
-    assert np.abs(np.append(fit.centre_mm, fit.radius_mm) - other).max() < 1e-6
+    fit, reference = fit_sphere(points), by_levenberg_marquardt(points)
+    assert np.abs(np.append(fit.centre_mm, fit.radius_mm) - reference).max() < 1e-6
     normals = (points - fit.centre_mm) / np.linalg.norm(
         points - fit.centre_mm, axis=1, keepdims=True
     )
@@ -113,12 +113,12 @@ def test_plane():
         (fit_plane, np.full((9, 3), np.inf), "infinity"),
     ],
 )
-def test_undetermined_shapes_are_refused(fit, points, message):
+def test_undetermined_shapes_are_rejected(fit, points, message):
     with pytest.raises(FitError, match=message):
         fit(points)
 
 
-def test_no_residuals_are_refused():
+def test_no_residuals_are_rejected():
     with pytest.raises(FitError, match="no valid point"):
         residual_stats([])
 
@@ -165,7 +165,7 @@ def test_both_fits_refuse_the_same_points():
 def test_points_that_hardly_fix_a_sphere_have_a_least_one_too(seed, count):
     """Setup: a few scattered points, on which Gauss-Newton steps do not shrink.
 
-    Expected: the sum of squares does not change to first order: residuals add up to nothing, and
+    Expected: the sum of squares does not change to first order: the residuals sum to 0, and
     so do their components along the normals.
     """
     rng = np.random.default_rng(seed)
@@ -183,9 +183,9 @@ def test_points_that_hardly_fix_a_sphere_have_a_least_one_too(seed, count):
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_quantiles_are_those_of_numpy(count: int, dtype: type) -> None:
     values = np.random.default_rng(count).normal(size=count).astype(dtype)
-    kept = values.copy()
+    original = values.copy()
     for share in (0.0, 0.05, 0.5, 0.95, 1.0):
         exact = np.quantile(values.astype(np.float64), share)
         assert quantile(values, share) == pytest.approx(exact, rel=1e-12)
     assert median(values) == pytest.approx(np.median(values.astype(np.float64)), rel=1e-12)
-    assert np.array_equal(values, kept)
+    assert np.array_equal(values, original)

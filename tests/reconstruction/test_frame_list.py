@@ -1,4 +1,4 @@
-"""Lists of frames: which image is what, in layouts true to those of public sets and programs.
+"""Lists of frames: the pattern of each image, in layouts of public sets and programs.
 
 Oracle: the frames of a `PatternSet` written under foreign names in a foreign order; the list must
 give back that set, and every image in its place.
@@ -30,7 +30,7 @@ SIZE = {"width_px": 160, "height_px": 96}
 
 
 def listed(folder, names, groups, top=""):
-    """Write images (their content is their name's place) and the list; return what is found."""
+    """Write images (content: position of the name) and the list; return the order found."""
     for name in names:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -40,22 +40,22 @@ def listed(folder, names, groups, top=""):
     return read_listed(folder / "capture.toml").recorded(folder)
 
 
-def names_of(found, folder):
-    return [[path.relative_to(folder).as_posix() for path in files] for files in found.files]
+def names_of(result, folder):
+    return [[path.relative_to(folder).as_posix() for path in files] for files in result.files]
 
 
-def test_three_steps_and_plain_gray_along_columns_alone(tmp_path):
+def test_three_steps_and_plain_gray_along_columns_only(tmp_path):
     """Names as of many public sets: 1.bmp to 3.bmp are the fringes, then the bits, no white."""
     names = [f"{n}.bmp" for n in range(1, 8)]
-    found = listed(tmp_path, names, [
+    result = listed(tmp_path, names, [
         'files = "{1..3}.bmp"\nkind = "phase"\naxis = "column"\nperiod_px = 16\nshift_deg = -120.0',
         'files = "{4..7}.bmp"\nkind = "gray"\naxis = "column"',
     ])  # fmt: skip
     expected = PatternSet(**SIZE, period_px=16.0, steps=3, code="gray", axes=("column",),
                           uniform=False)  # fmt: skip
-    assert found.patterns == expected
+    assert result.patterns == expected
     # The shifts were -120, 0 and 120 degrees: the second image is step 0.
-    assert names_of(found, tmp_path) == [
+    assert names_of(result, tmp_path) == [
         ["2.bmp", "3.bmp", "1.bmp", "4.bmp", "5.bmp", "6.bmp", "7.bmp"]
     ]
 
@@ -63,7 +63,7 @@ def test_three_steps_and_plain_gray_along_columns_alone(tmp_path):
 def test_pairs_of_gray_frames_one_after_the_other(tmp_path):
     """Names as OpenCV's structured_light module numbers them: bit, inverse, bit, ..., then rows."""
     names = [f"pattern_cam1_im{n}.png" for n in range(1, 33)]
-    found = listed(tmp_path, names, [
+    result = listed(tmp_path, names, [
         'files = "pattern_cam1_im{1..16}.png"\nkind = "gray_and_inverse"\naxis = "column"\n'
         "period_px = 1",
         'files = "pattern_cam1_im{17..30}.png"\nkind = "gray_and_inverse"\naxis = "row"\n'
@@ -71,33 +71,33 @@ def test_pairs_of_gray_frames_one_after_the_other(tmp_path):
         'files = "pattern_cam1_im31.png"\nkind = "white"',
         'files = "pattern_cam1_im32.png"\nkind = "black"',
     ])  # fmt: skip
-    assert found.patterns == PatternSet(**SIZE, steps=0, period_px=1.0, code="gray", inverse=True)
+    assert result.patterns == PatternSet(**SIZE, steps=0, period_px=1.0, code="gray", inverse=True)
     column = [f"pattern_cam1_im{n}.png" for n in (*range(1, 17, 2), *range(2, 17, 2))]
     row = [f"pattern_cam1_im{n}.png" for n in (*range(17, 31, 2), *range(18, 31, 2))]
     uniform = ["pattern_cam1_im31.png", "pattern_cam1_im32.png"]
-    assert names_of(found, tmp_path) == [[*column, *row, *uniform]]
+    assert names_of(result, tmp_path) == [[*column, *row, *uniform]]
 
 
 def test_bits_finer_than_the_fringes_need_are_left_out(tmp_path):
     """Eight bits down to one pixel with fringes of 16 px: five number the half-periods safely."""
     names = [f"ph{n}.tif" for n in range(4)] + [f"g{n}.tif" for n in range(8)]
-    found = listed(tmp_path, names, [
+    result = listed(tmp_path, names, [
         'files = "ph?.tif"\nkind = "phase"\naxis = "column"\nperiod_px = 16',
         'files = "g?.tif"\nkind = "gray"\naxis = "column"\nperiod_px = 1\nbits = "fine_first"',
     ])  # fmt: skip
-    assert found.patterns.code == "complementary_gray"
+    assert result.patterns.code == "complementary_gray"
     gray = [f"g{n}.tif" for n in (7, 6, 5, 4, 3)]
-    assert names_of(found, tmp_path)[0][4:] == gray
+    assert names_of(result, tmp_path)[0][4:] == gray
 
 
 def test_coarse_bits_of_a_larger_image_are_left_out(tmp_path):
     names = [f"g{n}.png" for n in range(11)] + ["w.png", "b.png"]
-    found = listed(tmp_path, names, [
+    result = listed(tmp_path, names, [
         'files = "g*.png"\nkind = "gray"\naxis = "column"\nperiod_px = 1',
         'files = "w.png"\nkind = "white"',
         'files = "b.png"\nkind = "black"',
     ])  # fmt: skip
-    assert names_of(found, tmp_path)[0] == [f"g{n}.png" for n in range(3, 11)] + ["w.png", "b.png"]
+    assert names_of(result, tmp_path)[0] == [f"g{n}.png" for n in range(3, 11)] + ["w.png", "b.png"]
 
 
 def test_three_frequencies_in_folders_and_a_period_per_axis(tmp_path):
@@ -111,38 +111,38 @@ def test_three_frequencies_in_folders_and_a_period_per_axis(tmp_path):
                 f'files = "{axis}/freq{k}/I_*.png"\nkind = "phase"\naxis = "{axis}"\n'
                 f"period_px = {period}\nsign = -1"
             )
-    found = listed(tmp_path, names, groups)
-    assert found.patterns == PatternSet(
+    result = listed(tmp_path, names, groups)
+    assert result.patterns == PatternSet(
         **SIZE, period_px=20.0, steps=4, code="hierarchical", further_periods_px=(50.0, 200.0),
         row_periods_px=(12.0, 40.0, 100.0), uniform=False,
     )  # fmt: skip
     # Backwards: -0, -90, -180, -270 degrees; sorted: 0, 90 (the last), 180, 270.
-    assert names_of(found, tmp_path)[0][:4] == [f"column/freq2/I_{n}.png" for n in (1, 4, 3, 2)]
+    assert names_of(result, tmp_path)[0][:4] == [f"column/freq2/I_{n}.png" for n in (1, 4, 3, 2)]
 
 
 def test_two_near_periods_are_heterodyne(tmp_path):
     names = [f"{k}_{n}.png" for k in (15, 14) for n in range(3)]
-    found = listed(tmp_path, names, [
+    result = listed(tmp_path, names, [
         f'files = "{k}_?.png"\nkind = "phase"\naxis = "row"\nperiod_px = {k}' for k in (15, 14)
     ])  # fmt: skip
-    assert found.patterns.code == "heterodyne"
-    assert found.patterns.periods_px == (14.0, 15.0)
+    assert result.patterns.code == "heterodyne"
+    assert result.patterns.periods_px == (14.0, 15.0)
 
 
 def test_single_images_of_near_periods_are_micro_phase_shifting(tmp_path):
     """Of one period three steps, of the others one each with a shift of its own, in any order."""
     names = [f"m{k}.png" for k in range(6)]
-    found = listed(tmp_path, names, [
+    result = listed(tmp_path, names, [
         'files = "m0.png"\nkind = "phase"\naxis = "column"\nperiod_px = 20.4\nshift_deg = 90',
         'files = "m{1..3}.png"\nkind = "phase"\naxis = "column"\nperiod_px = 18',
         'files = "m4.png"\nkind = "phase"\naxis = "column"\nperiod_px = 16.45',
         'files = "m5.png"\nkind = "phase"\naxis = "column"\nperiod_px = 15.5',
     ])  # fmt: skip
-    assert found.patterns == PatternSet(
+    assert result.patterns == PatternSet(
         **SIZE, period_px=18.0, steps=3, code="micro", further_periods_px=(15.5, 16.45, 20.4),
         axes=("column",), uniform=False, first_shifts_deg=(0.0, 0.0, 0.0, 90.0),
     )  # fmt: skip
-    assert names_of(found, tmp_path) == [
+    assert names_of(result, tmp_path) == [
         ["m1.png", "m2.png", "m3.png", "m5.png", "m4.png", "m0.png"]
     ]
 
@@ -150,37 +150,37 @@ def test_single_images_of_near_periods_are_micro_phase_shifting(tmp_path):
 def test_stated_shifts_in_any_order_and_a_sine(tmp_path):
     """sin(a + s) = cos(a + s - 90): three steps keep a first shift of 30 degrees."""
     names = [f"p{n}.png" for n in range(3)]
-    found = listed(tmp_path, names, [
+    result = listed(tmp_path, names, [
         'files = "p?.png"\nkind = "phase"\naxis = "row"\nperiod_px = 96\n'
         "shift_deg = [150.0, 30.0, -90.0]",
     ])  # fmt: skip
-    assert found.patterns.first_shifts_deg == (30.0,)
-    assert names_of(found, tmp_path) == [["p1.png", "p0.png", "p2.png"]]
-    np.testing.assert_allclose(found.patterns.shifts("row", 0), [1 / 12, 5 / 12, 9 / 12])
+    assert result.patterns.first_shifts_deg == (30.0,)
+    assert names_of(result, tmp_path) == [["p1.png", "p0.png", "p2.png"]]
+    np.testing.assert_allclose(result.patterns.shifts("row", 0), [1 / 12, 5 / 12, 9 / 12])
 
 
 def test_both_words_of_the_shifted_code(tmp_path):
     expected = PatternSet(**SIZE, period_px=16.0, steps=3, code="shifted_gray", axes=("column",))
     names = [f"{frame.name}.png" for frame in expected.frames]
-    found = listed(tmp_path, names, [
+    result = listed(tmp_path, names, [
         'files = "phase*.png"\nkind = "phase"\naxis = "column"\nperiod_px = 16',
         'files = "gray_column_{00..03}.png"\nkind = "gray"\naxis = "column"',
         'files = "gray_column_{04..07}.png"\nkind = "gray"\naxis = "column"\nshifted = true',
         'files = "white.png"\nkind = "white"',
         'files = "black.png"\nkind = "black"',
     ])  # fmt: skip
-    assert found.patterns == expected
-    assert names_of(found, tmp_path) == [names]
+    assert result.patterns == expected
+    assert names_of(result, tmp_path) == [names]
 
 
 def test_exposures_are_sets_of_their_own(tmp_path):
     names = [f"{ms}ms_{n}.png" for ms in (2, 8) for n in range(3)]
-    found = listed(tmp_path, names, [
+    result = listed(tmp_path, names, [
         f'files = "{ms}ms_?.png"\nkind = "phase"\naxis = "column"\nperiod_px = 160\n'
         f"exposure_ms = {ms}" for ms in (8, 2)
     ])  # fmt: skip
-    assert found.exposures_ms == (2.0, 8.0)
-    assert names_of(found, tmp_path) == [names[:3], names[3:]]
+    assert result.exposures_ms == (2.0, 8.0)
+    assert names_of(result, tmp_path) == [names[:3], names[3:]]
 
 
 FRINGES = 'files = "p*.png"\nkind = "phase"\naxis = "column"\nperiod_px = 16'
@@ -195,7 +195,7 @@ NAMES = [f"p{n}.png" for n in range(4)] + [f"g{n}.png" for n in range(4)]
         (NAMES[:-2], [FRINGES, BITS], "there are 2 Gray frames; fringes of 16 px need 4, or 5"),
         (NAMES, [FRINGES, BITS.replace("g*", "g{0..4}")], "1 of 5 gray images are missing: g4.png"),
         (NAMES, [FRINGES, BITS.replace("g*", "h*")], "finds 0 images"),
-        (NAMES, [FRINGES], "nothing that numbers its fringes"),
+        (NAMES, [FRINGES], "without a word or period that numbers its fringes"),
         (NAMES, [FRINGES, BITS, BITS.replace("gray", "inverse")], "g0.png is listed twice"),
         (NAMES, [FRINGES, BITS, FRINGES.replace("p*", "g?")], "both listed as phase along column"),
         (NAMES, [FRINGES + "\nshift_deg = [0, 90, 180, 190]", BITS], "no 4 equal steps"),
@@ -240,9 +240,9 @@ def test_one_shifted_word_numbers_fringes(tmp_path):
     names = [f"{frame.name}.png" for frame in patterns.frames]
     bits = 'files = "gray_*"\nkind = "gray"\naxis = "column"\nshifted = true\nperiod_px = 20'
     fringes = 'files = "phase_*"\nkind = "phase"\naxis = "column"\nperiod_px = 20'
-    found = listed(tmp_path, names, [fringes, bits])
-    assert found.patterns == patterns
-    assert [path.name for path in found.files[0]] == names
+    result = listed(tmp_path, names, [fringes, bits])
+    assert result.patterns == patterns
+    assert [path.name for path in result.files[0]] == names
     with pytest.raises(CaptureError, match="no words as wide as the fringes"):
         listed(tmp_path, names, [bits])
 
@@ -255,7 +255,7 @@ def test_one_shifted_word_numbers_fringes(tmp_path):
         ('files = "*.png"', "unknown key files"),
     ],
 )
-def test_mistakes_beside_the_list_are_one_line(tmp_path, top, message):
+def test_mistakes_outside_the_list_are_one_line(tmp_path, top, message):
     with pytest.raises(CaptureError, match=message):
         listed(tmp_path, NAMES, [FRINGES, BITS], top)
 

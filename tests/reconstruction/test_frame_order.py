@@ -18,7 +18,7 @@ def rig(calibration):
 
 
 @pytest.fixture(scope="module")
-def seen(rig, surface, project):
+def observed(rig, surface, project):
     """Return the projector coordinates behind every camera pixel."""
     return project(rig, surface(rig))
 
@@ -28,9 +28,9 @@ def noisy(frames, rng):
     return np.clip(np.rint(rng.normal(frames, sigma)), 0, 255).astype(np.uint8)
 
 
-def record(synthesise, seen, code="complementary_gray", steps=STEPS, **light):
+def record(synthesise, observed, code="complementary_gray", steps=STEPS, **light):
     patterns = PatternSet(1280, 720, steps=steps, code=code)
-    frames = synthesise(patterns, seen[..., 0], seen[..., 1], blur_px=0.7, **light)
+    frames = synthesise(patterns, observed[..., 0], observed[..., 1], blur_px=0.7, **light)
     return noisy(frames, np.random.default_rng(5)), patterns
 
 
@@ -61,32 +61,34 @@ EXCHANGES = (
 
 
 @pytest.mark.parametrize("code", ["complementary_gray", "shifted_gray", "gray"])
-def test_honest_frames_pass(synthesise, seen, rig, code):
-    stack, patterns = record(synthesise, seen, code)
+def test_honest_frames_pass(synthesise, observed, rig, code):
+    stack, patterns = record(synthesise, observed, code)
     check_order(stack, patterns, SENSOR, rig)
     check_order(stack, patterns, SENSOR)
 
 
 @pytest.mark.parametrize("steps", [3, 4, 5])
-def test_few_steps_pass(synthesise, seen, rig, steps):
-    check_order(*record(synthesise, seen, steps=steps), SENSOR, rig)
+def test_few_steps_pass(synthesise, observed, rig, steps):
+    check_order(*record(synthesise, observed, steps=steps), SENSOR, rig)
 
 
-def test_several_periods_pass_and_exchanged_frames_are_named(synthesise, seen, rig):
+def test_several_periods_pass_and_exchanged_frames_are_named(synthesise, observed, rig):
     """Setup: three periods of five steps, no Gray code; each set of five is checked by itself."""
     patterns = PatternSet(
         1280, 720, 18.0, 5, code="hierarchical", further_periods_px=(150.0, 1400.0)
     )
-    frames = noisy(synthesise(patterns, seen[..., 0], seen[..., 1]), np.random.default_rng(6))
+    frames = noisy(
+        synthesise(patterns, observed[..., 0], observed[..., 1]), np.random.default_rng(6)
+    )
     check_order(frames, patterns, SENSOR, rig)
     frames[[6, 8]] = frames[[8, 6]]
     with pytest.raises(CaptureError, match=r"frames 6 .* and 8 .* look exchanged"):
         check_order(frames, patterns, SENSOR, rig)
 
 
-def test_clipped_dark_and_nonlinear_frames_pass(synthesise, seen, rig):
+def test_clipped_dark_and_nonlinear_frames_pass(synthesise, observed, rig):
     """Setup: a third of the field clipped, a third dark, and a projector of gamma 2.2."""
-    stack, patterns = record(synthesise, seen)
+    stack, patterns = record(synthesise, observed)
     damaged = stack.astype(np.float64)
     damaged[:, :, :40] *= 2.5
     damaged[:, :, 80:] *= 0.02
@@ -96,15 +98,15 @@ def test_clipped_dark_and_nonlinear_frames_pass(synthesise, seen, rig):
     check_order(curved, patterns, SENSOR, rig)
 
 
-def test_nothing_to_see_passes(rig):
+def test_dark_frames_pass(rig):
     patterns = PatternSet(1280, 720, steps=STEPS)
     stack = np.full((len(patterns.frames), 90, 120), 7, np.uint8)
     check_order(stack, patterns, SENSOR, rig)
 
 
 @pytest.mark.parametrize(("first", "second"), EXCHANGES)
-def test_exchanged_frames_are_named(synthesise, seen, rig, first, second):
-    stack, patterns = record(synthesise, seen)
+def test_exchanged_frames_are_named(synthesise, observed, rig, first, second):
+    stack, patterns = record(synthesise, observed)
     names = [frame.name for frame in patterns.frames]
     order = exchange(first, second)(np.arange(len(names)), names)
     with pytest.raises(CaptureError, match=f"{first}.*{second}.* look exchanged") as caught:
@@ -148,15 +150,15 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_mistake_of_a_whole_set_is_named(synthesise, seen, rig, name):
-    stack, patterns = record(synthesise, seen)
+def test_mistake_of_a_whole_set_is_named(synthesise, observed, rig, name):
+    stack, patterns = record(synthesise, observed)
     order_for, message = MISTAKES[name]
     with pytest.raises(CaptureError, match=message):
         check_order(stack[order_for(patterns)], patterns, SENSOR, rig)
 
 
-def test_frame_of_another_exposure_and_strange_frame_are_named(synthesise, seen, rig):
-    stack, patterns = record(synthesise, seen)
+def test_frame_of_another_exposure_and_strange_frame_are_named(synthesise, observed, rig):
+    stack, patterns = record(synthesise, observed)
     brighter = stack.copy()
     brighter[5] = np.clip(brighter[5] * 0.6, 0, 255)
     with pytest.raises(CaptureError, match=r"mixed exposures: frame 5 \(phase_column_05\) is 0\.6"):

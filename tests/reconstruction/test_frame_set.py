@@ -52,7 +52,7 @@ def test_description_is_read_with_defaults(tmp_path):
         ("{index:03d}_{name}", "{index:03d}_{colour}", "allowed are the fields index"),
         ("{index:03d}_{name}", "image", "the same name for all frames"),
         ("{index:03d}_{name}", "{index:q}", "allowed are the fields"),
-        ("bit_depth = 8", "bit_depth = 8\nexposures_ms = [1.0, 4.0]", "{set} stands for"),
+        ("bit_depth = 8", "bit_depth = 8\nexposures_ms = [1.0, 4.0]", "{set} is the number"),
         ("bit_depth = 8", "bit_depth = 8\nexposures_ms = [0.0]", "exposures_ms is 0.0"),
         ("version = 1", "version = 2", "format and version"),
     ],
@@ -71,8 +71,8 @@ def test_mistakes_in_the_description_are_one_line(tmp_path, find, replace, messa
 def test_named_files_come_in_the_order_of_the_patterns(tmp_path):
     names = [f"{frame.name}.png" for frame in PATTERNS.frames]
     touch(tmp_path, names)
-    found = frame_files(tmp_path, frame_set("{name}.png"), PATTERNS)
-    assert [path.name for path in found[0]] == names
+    result = frame_files(tmp_path, frame_set("{name}.png"), PATTERNS)
+    assert [path.name for path in result[0]] == names
 
 
 def test_missing_frames_are_named(tmp_path):
@@ -85,8 +85,8 @@ def test_missing_frames_are_named(tmp_path):
 def test_counted_files_come_in_natural_order_without_the_dark_one(tmp_path):
     count = len(PATTERNS.frames)
     touch(tmp_path, [f"cam_{i}.png" for i in range(1, count + 1)] + ["cam_dark.png"])
-    found = frame_files(tmp_path, frame_set("cam_*.png", dark_file="cam_dark.png"), PATTERNS)
-    assert [path.name for path in found[0]] == [f"cam_{i}.png" for i in range(1, count + 1)]
+    result = frame_files(tmp_path, frame_set("cam_*.png", dark_file="cam_dark.png"), PATTERNS)
+    assert [path.name for path in result[0]] == [f"cam_{i}.png" for i in range(1, count + 1)]
 
 
 def test_gap_in_the_running_numbers_is_named(tmp_path):
@@ -101,8 +101,8 @@ def test_each_exposure_has_its_files(tmp_path):
         (tmp_path / f"{number}").mkdir()
         touch(tmp_path / f"{number}", [f"{frame.name}.tif" for frame in PATTERNS.frames])
     description = frame_set("{set}/{name}.tif", exposures_ms=(1.0, 4.0))
-    found = frame_files(tmp_path, description, PATTERNS)
-    assert [files[0].parent.name for files in found] == ["0", "1"]
+    result = frame_files(tmp_path, description, PATTERNS)
+    assert [files[0].parent.name for files in result] == ["0", "1"]
     with pytest.raises(InputError, match="use both or neither"):
         frame_set("{name}.tif", exposures_ms=(1.0, 4.0))
 

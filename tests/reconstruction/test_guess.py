@@ -1,6 +1,6 @@
-"""What `twin describe` guesses of random captures: right, or marked as unsure.
+"""Guesses of `twin describe` for random captures: right, or marked as unsure.
 
-Oracle: the pattern set that was projected. A camera of 160 x 120 pixels sees all of the projector
+Oracle: the pattern set that was projected. The view of 160 x 120 pixels shows the whole projector
 or a part of it, on a relief with a step, coated unevenly, blurred and with noise; images are
 recorded in several orders, or one is missing.
 """
@@ -81,15 +81,15 @@ def recorded(patterns, rng, how):
 
 
 def wrong_files(text, patterns, shown):
-    """Return the files whose group, place or shift is not what was shown, group by group."""
+    """Return the files with a wrong group, place or shift, group by group."""
     described = tomllib.loads(text)
     listed = {name for group in described.get("frames", []) for name in group["files"]}
     wrong = [[name] for name in shown if name not in listed]
     for group, part in zip(described["frames"], text.split("[[frames]]")[1:], strict=True):
         files, kind = group["files"], group["kind"]
         frames = [shown[name] for name in files]
-        is_right = all((one.kind, one.axis) == (kind, group.get("axis")) for one in frames)
-        index = [one.index for one in frames]
+        is_right = all((frame.kind, frame.axis) == (kind, group.get("axis")) for frame in frames)
+        index = [frame.index for frame in frames]
         if is_right and kind == "phase":
             is_right = len({i // patterns.steps for i in index}) == 1
             is_right &= len(index) == patterns.steps and has_right_shifts(
@@ -104,12 +104,12 @@ def wrong_files(text, patterns, shown):
 
 
 def has_right_shifts(group, part, frames, patterns):
-    true = 360.0 * np.array([patterns.phase_of(one)[1] for one in frames])
-    found = group["sign"] * np.array(group["shift_deg"])
+    true = 360.0 * np.array([patterns.phase_of(frame)[1] for frame in frames])
+    result = group["sign"] * np.array(group["shift_deg"])
     signs = (1.0,) if "mirrored" not in part else (1.0, -1.0)
     if len(signs) == 2:
-        true, found = true - true[0], found - found[0]
-    off = [np.max(np.abs((true - sign * found + 180.0) % 360.0 - 180.0)) for sign in signs]
+        true, result = true - true[0], result - result[0]
+    off = [np.max(np.abs((true - sign * result + 180.0) % 360.0 - 180.0)) for sign in signs]
     return min(off) < 8.0
 
 
@@ -144,9 +144,9 @@ def test_a_guess_is_right_or_marked(tmp_path, name, how, seed):
     for place, (index, frame) in enumerate(recorded(patterns, rng, how)):
         shown[f"{place}.png"] = frame
         imageio.imwrite(tmp_path / f"{place}.png", images[index])
-    found = guess(tmp_path, (320, 240))
-    text = written(found, (320, 240))
-    marked = {name for line in found.unsure for name in re.findall(r"\w+\.png", line)}
+    result = guess(tmp_path, (320, 240))
+    text = written(result, (320, 240))
+    marked = {name for line in result.unsure for name in re.findall(r"\w+\.png", line)}
     marked |= {
         name
         for group in tomllib.loads(text).get("frames", [])
@@ -170,7 +170,7 @@ def test_names_decide_where_the_view_does_not():
     samples = np.tile(lines, (1, 10, 1))
     assert order_bits(Changes.of(samples)).order == (0, 1, 2, 3, 4, 5)
     assert order_bits(Changes.of(samples[::-1])).order == (5, 4, 3, 2, 1, 0)
-    found = order_bits(Changes.of(samples[[0, 1, 3, 2, 4, 5]]))
-    assert found.order == (0, 1, 3, 2, 4, 5)
-    assert not found.is_by_names
+    result = order_bits(Changes.of(samples[[0, 1, 3, 2, 4, 5]]))
+    assert result.order == (0, 1, 3, 2, 4, 5)
+    assert not result.is_by_names
     assert order_bits(Changes.of(samples[[1, 0, 2, 3, 4, 5]])).is_by_names

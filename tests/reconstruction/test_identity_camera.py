@@ -1,8 +1,8 @@
-"""Every sequence that can be shown comes back: a camera whose pixels are those of the projector.
+"""Every sequence is decoded correctly by a camera with the pixels of the projector.
 
 Oracle: the coordinate of camera pixel (row, col) is (col, row), exactly; with noise the error in
-units of the predicted sigma has the variance 1. Words alone are steps: their error is bounded by
-half a word, and its mean square is (w^2 - 1) / 12 over whole pixels.
+units of the predicted sigma has the variance 1. Words without phase are steps: their error is at
+most half a word, and its mean square is (w^2 - 1) / 12 over whole pixels.
 """
 
 import numpy as np
@@ -67,8 +67,8 @@ WORDS = [
 ]
 
 
-def seen(patterns, noise_dn=0.0, seed=0):
-    """Return the projected images as a camera of the same pixels sees them."""
+def observed(patterns, noise_dn=0.0, seed=0):
+    """Return the projected images recorded by a camera of the same pixels."""
     stack = np.stack([patterns.image(frame) for frame in patterns.frames])
     rng = np.random.default_rng(seed)
     return np.rint(stack + rng.normal(0.0, noise_dn, stack.shape)).astype(np.uint8)
@@ -77,20 +77,20 @@ def seen(patterns, noise_dn=0.0, seed=0):
 def errors_px(decoded, axis):
     rows, cols = decoded.mask_reason.shape
     row, col = np.mgrid[0:rows, 0:cols].astype(float)
-    one = decoded.column if axis == "column" else decoded.row
-    return one.coordinate_px - (col if axis == "column" else row), one.sigma_px
+    single = decoded.column if axis == "column" else decoded.row
+    return single.coordinate_px - (col if axis == "column" else row), single.sigma_px
 
 
-def told(case):
+def case_name(case):
     return "-".join(str(value) for value in case.values())
 
 
-@pytest.mark.parametrize("case", PHASE + SEVERAL, ids=told)
+@pytest.mark.parametrize("case", PHASE + SEVERAL, ids=case_name)
 def test_phase_shifting_gives_each_pixel_itself(case):
     """8-bit rounding of the pattern is the only error: sigma 0.29 levels of 95."""
     patterns = PatternSet(**SIZE, **LEVELS, **case)
-    decoded = decode(seen(patterns), patterns, QUIET, UNFILTERED)
-    # Where a fringe wraps, plain words and coarse levels may tell a doubt.
+    decoded = decode(observed(patterns), patterns, QUIET, UNFILTERED)
+    # Where a fringe wraps, plain words and coarse levels may be in doubt.
     assert np.mean(decoded.valid) > 0.85
     for axis in patterns.axes:
         error_px, _ = errors_px(decoded, axis)
@@ -98,16 +98,16 @@ def test_phase_shifting_gives_each_pixel_itself(case):
         assert np.max(np.abs(error_px[decoded.valid])) < 0.002 * coarsest_px
     unused = {"column", "row"} - set(patterns.axes)
     for axis in unused:
-        one = decoded.column if axis == "column" else decoded.row
-        assert not one.coordinate_px.any()
-        assert not one.sigma_px.any()
+        single = decoded.column if axis == "column" else decoded.row
+        assert not single.coordinate_px.any()
+        assert not single.sigma_px.any()
 
 
-@pytest.mark.parametrize("case", PHASE + SEVERAL, ids=told)
+@pytest.mark.parametrize("case", PHASE + SEVERAL, ids=case_name)
 def test_noise_of_phase_shifting_is_as_predicted(case):
-    """Chi-square per pixel of 1 within 5 %: more than 10,000 values, whose spread is 1.4 %."""
+    """Chi-square per pixel of 1 within 5 %: more than 10,000 values with a spread of 1.4 %."""
     patterns = PatternSet(**SIZE, **LEVELS, **case)
-    stack = seen(patterns, READ_NOISE_DN, seed=1)
+    stack = observed(patterns, READ_NOISE_DN, seed=1)
     decoded = decode(stack, patterns, NOISY, UNFILTERED)
     assert np.mean(decoded.valid) > 0.75
     for axis in patterns.axes:
@@ -117,10 +117,10 @@ def test_noise_of_phase_shifting_is_as_predicted(case):
 
 
 @pytest.mark.parametrize("noise_dn", [0.0, READ_NOISE_DN])
-@pytest.mark.parametrize("case", WORDS, ids=told)
-def test_words_alone_give_the_middle_of_their_stripe(case, noise_dn):
+@pytest.mark.parametrize("case", WORDS, ids=case_name)
+def test_words_without_phase_give_the_middle_of_their_stripe(case, noise_dn):
     patterns = PatternSet(**SIZE, **LEVELS, **case)
-    decoded = decode(seen(patterns, noise_dn), patterns, NOISY)
+    decoded = decode(observed(patterns, noise_dn), patterns, NOISY)
     assert decoded.valid.all()
     for axis in patterns.axes:
         error_px, sigma_px = errors_px(decoded, axis)
@@ -136,7 +136,7 @@ def test_words_without_light_have_no_coordinate():
     """Expected: DARK where neither a pair nor white and black differ by more than their noise."""
     for extra in ({"inverse": True, "uniform": False}, {}):
         patterns = PatternSet(**SIZE, **LEVELS, steps=0, code="gray", period_px=2.0, **extra)
-        stack = seen(patterns, READ_NOISE_DN)
+        stack = observed(patterns, READ_NOISE_DN)
         rng = np.random.default_rng(3)
         stack[:, :20, :30] = np.rint(rng.normal(40.0, READ_NOISE_DN, stack[:, :20, :30].shape))
         decoded = decode(stack, patterns, NOISY)
@@ -149,7 +149,7 @@ def test_a_bit_at_its_threshold_matters_only_if_the_word_changes_by_more_than_on
     for word, is_kept in (("reflected", True), ("binary", False)):
         patterns = PatternSet(**SIZE, **LEVELS, steps=0, code="gray", period_px=8.0, word=word,
                               axes=("column",), inverse=True, uniform=False)  # fmt: skip
-        stack = seen(patterns).astype(np.float32)
+        stack = observed(patterns).astype(np.float32)
         border = 0.5 * (stack[:, :, 63] + stack[:, :, 64])  # word 7 to 8: all bits of a binary one
         stack[:, :, 63] = border
         decoded = decode(stack, patterns, NOISY)
@@ -180,7 +180,7 @@ def test_a_bit_at_its_threshold_matters_only_if_the_word_changes_by_more_than_on
         ),
     ],
 )
-def test_impossible_sequences_are_refused_in_one_line(case, message):
+def test_impossible_sequences_are_rejected_in_one_line(case, message):
     with pytest.raises(InputError, match=message) as caught:
         PatternSet(**SIZE, **case)
     assert "\n" not in str(caught.value)

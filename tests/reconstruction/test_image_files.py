@@ -1,4 +1,4 @@
-"""Frames in image files: PNG, TIFF, EXR, dark frame, several exposures, and what can be wrong."""
+"""Frames in image files: PNG, TIFF, EXR, dark frame, several exposures, and their errors."""
 
 from dataclasses import asdict
 
@@ -30,8 +30,8 @@ def points_mm(calibration, surface):
 @pytest.fixture(scope="module")
 def frames(calibration, points_mm, project, synthesise):
     """Return ideal 8-bit frames, (frame, row, col)."""
-    seen = project(calibration, points_mm)
-    exact = synthesise(PATTERNS, seen[..., 0], seen[..., 1], blur_px=0.7)
+    observed = project(calibration, points_mm)
+    exact = synthesise(PATTERNS, observed[..., 0], observed[..., 1], blur_px=0.7)
     return np.rint(exact).astype(np.uint8)
 
 
@@ -91,9 +91,9 @@ def test_sixteen_bit_tiff_and_float_exr_hold_the_same_frames(write_folder, frame
     for frame, image in zip(PATTERNS.frames, wide, strict=True):
         channels = {"Y": image.astype(np.float32)}
         OpenEXR.File({}, channels).write(str(folder / f"{frame.name}.exr"))
-    found = read_capture(folder).stack
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, wide)
+    result = read_capture(folder).stack
+    assert result.dtype == np.float32
+    np.testing.assert_array_equal(result, wide)
 
 
 def test_calibration_reads_the_same_folders(write_folder, frames):
@@ -102,9 +102,9 @@ def test_calibration_reads_the_same_folders(write_folder, frames):
     save(folder, frames)
     (folder / "calibration.yaml").unlink()
     assert pose_folders(folder.parent) == [folder]
-    found = read_board_capture(folder)
-    np.testing.assert_array_equal(found.stack, frames)
-    assert (found.patterns, found.sensor, found.scale) == (PATTERNS, SENSOR, None)
+    result = read_board_capture(folder)
+    np.testing.assert_array_equal(result.stack, frames)
+    assert (result.patterns, result.sensor, result.scale) == (PATTERNS, SENSOR, None)
 
 
 def test_dark_frame_is_taken_off(write_folder, frames):
@@ -120,9 +120,9 @@ def test_dark_frame_is_taken_off(write_folder, frames):
 def test_clipped_and_lost_pixels_survive_the_dark_frame():
     stack = np.array([[[255, 0, 250, 100]]], np.uint8)
     dark = np.array([[9, 9, 0, 9]], np.uint8)
-    found = subtract_dark(stack, dark, SENSOR)
-    np.testing.assert_array_equal(found, [[[255.0, 0.0, 254.0, 95.0]]])
-    # 253 may be a full pixel with read noise: it stays; 252 is lifted.
+    result = subtract_dark(stack, dark, SENSOR)
+    np.testing.assert_array_equal(result, [[[255.0, 0.0, 254.0, 95.0]]])
+    # 253 may be a full pixel with read noise: unchanged; 252 is lifted.
     lifted = subtract_dark(np.array([[[253, 252]]], np.uint8), np.array([[0, 0]], np.uint8), SENSOR)
     np.testing.assert_array_equal(lifted, [[[253.0, 255.0]]])
 
@@ -134,7 +134,7 @@ def exposed(frames, factor):
 
 @pytest.fixture
 def two_exposures(write_folder, frames):
-    """Return a folder with exposures of 2 and 5 ms of a scene whose left half is bright."""
+    """Return a folder with exposures of 2 and 5 ms of a scene with a bright left half."""
     folder = write_folder(files="{set}/{name}.png", exposures_ms=[2.0, 5.0])
     scene = 0.3 * frames.astype(np.float64)
     scene[:, :, :60] *= 3.0
@@ -159,7 +159,7 @@ def test_exposures_are_merged_and_scaled(two_exposures, points_mm):
 def test_exchanged_exposures_are_noticed(two_exposures):
     text = (two_exposures / "capture.toml").read_text()
     (two_exposures / "capture.toml").write_text(text.replace("[2.0, 5.0]", "[5.0, 2.0]"))
-    with pytest.raises(CaptureError, match=r"exposures_ms say 0.4; .* look exchanged"):
+    with pytest.raises(CaptureError, match=r"exposures_ms give 0.4; .* look exchanged"):
         read_capture(two_exposures)
 
 
@@ -204,7 +204,7 @@ DAMAGES = {
         lambda f: (f / "gray_row_06.png").write_bytes((f / "gray_row_06.png").read_bytes()[:150]),
         "gray_row_06.png: is no complete image",
     ),
-    "too few bits": (edit("bit_depth = 8", "bit_depth = 10"), "holds 8 bits, capture.toml says"),
+    "too few bits": (edit("bit_depth = 8", "bit_depth = 10"), "holds 8 bits, capture.toml has"),
     "other camera": (
         lambda f: [replace_image(p.name, lambda i: i[:-1])(f) for p in f.glob("*.png")],
         r"\(34, 90, 120\)|need .* 90, 120",
@@ -254,15 +254,15 @@ def test_values_beyond_the_bit_depth_tell_left_aligned_bits(write_folder, frames
         (b"P5\n30 2\n255\n", "need 72"),
     ],
 )
-def test_damaged_grey_maps_are_refused(tmp_path, head, message):
+def test_damaged_grey_maps_are_rejected(tmp_path, head, message):
     path = tmp_path / "image.pgm"
     path.write_bytes(head + bytes(range(12)))
     with pytest.raises(CaptureError, match=message):
         read_image(path)
 
 
-def test_grey_maps_and_arrays_hold_what_is_stored(tmp_path):
-    """A largest value of 4095 is not stretched, and comments stand between the numbers."""
+def test_grey_maps_and_arrays_have_the_stored_values(tmp_path):
+    """A largest value of 4095 is not stretched, and there are comments between the numbers."""
     path = tmp_path / "image.pgm"
     path.write_bytes(b"P5 # 12 bits\n3 2 # columns rows\n4095\n" + bytes(range(12)))
     expected = np.array([[1, 515, 1029], [1543, 2057, 2571]], np.uint16)

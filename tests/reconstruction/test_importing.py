@@ -52,57 +52,57 @@ def of_opencv(home: Path) -> list[Path]:
 
 def of_scanner(home: Path, camera: Pinhole = CAMERA) -> list[Path]:
     """The names of scan3d-capture."""
-    found = {
+    result = {
         "cam_K": matrix(camera), "cam_kc": np.array([camera.distortion]).T,
         "proj_K": matrix(PROJECTOR), "proj_kc": np.array([PROJECTOR.distortion]).T,
         "R": ROTATION, "T": TRANSLATION_MM.reshape(3, 1),
         "cam_error": np.array([[0.1]]), "proj_error": np.array([[0.2]]),
     }  # fmt: skip
-    return [stored(home / "calibration.yml", **found)]
+    return [stored(home / "calibration.yml", **result)]
 
 
 def of_xml(home: Path) -> list[Path]:
     """XML with long names, a rotation vector, and sizes."""
-    found = {
+    result = {
         "camera_matrix_left": matrix(CAMERA), "dist_coeffs_left": np.array([CAMERA.distortion]),
         "camera_matrix_right": matrix(PROJECTOR),
         "dist_coeffs_right": np.array([PROJECTOR.distortion]),
         "rvec": cv2.Rodrigues(ROTATION)[0], "tvec": TRANSLATION_MM.reshape(3, 1),
         "width_left": 640, "height_left": 480, "width_right": 912, "height_right": 1140,
     }  # fmt: skip
-    return [stored(home / "stereo.xml", **found)]
+    return [stored(home / "stereo.xml", **result)]
 
 
 def of_toolbox(home: Path) -> list[Path]:
     """Calib_Results_stereo.mat of the Camera Calibration Toolbox for MATLAB."""
-    found: dict[str, object] = {"om": cv2.Rodrigues(ROTATION)[0], "T": TRANSLATION_MM[:, None]}
+    result: dict[str, object] = {"om": cv2.Rodrigues(ROTATION)[0], "T": TRANSLATION_MM[:, None]}
     for side, device in (("left", CAMERA), ("right", PROJECTOR)):
-        found |= {
+        result |= {
             f"fc_{side}": np.array([[device.fx_px], [device.fy_px]]),
             f"cc_{side}": np.array([[device.cx_px], [device.cy_px]]),
             f"kc_{side}": np.array([device.distortion]).T,
             f"alpha_c_{side}": 0.0,
         }
-    savemat(home / "Calib_Results_stereo.mat", found)
+    savemat(home / "Calib_Results_stereo.mat", result)
     return [home / "Calib_Results_stereo.mat"]
 
 
 def of_calibrator(home: Path) -> list[Path]:
     """A structure of MATLAB's stereoParameters: rows times matrices, the first pixel is (1, 1)."""
-    found: dict[str, object] = {
+    result: dict[str, object] = {
         "RotationOfCamera2": ROTATION.T,
         "TranslationOfCamera2": TRANSLATION_MM[None],
     }
     for number, device in ((1, CAMERA), (2, PROJECTOR)):
         k1, k2, p1, p2, k3 = device.distortion
         from_one = matrix(device) + np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
-        found[f"CameraParameters{number}"] = {
+        result[f"CameraParameters{number}"] = {
             "IntrinsicMatrix": from_one.T,
             "RadialDistortion": np.array([k1, k2, k3]),
             "TangentialDistortion": np.array([p1, p2]),
             "ImageSize": np.array([device.height_px, device.width_px]),
         }
-    savemat(home / "stereo.mat", found)
+    savemat(home / "stereo.mat", result)
     return [home / "stereo.mat"]
 
 
@@ -112,13 +112,13 @@ LAYOUTS = [of_opencv, of_scanner, of_xml, of_toolbox, of_calibrator]
 @pytest.mark.parametrize("written", LAYOUTS)
 def test_each_layout_gives_back_the_rig(written: Callable[[Path], list[Path]], tmp_path: Path):
     needs_sizes = written not in (of_xml, of_calibrator)
-    found = import_calibration(written(tmp_path), SIZES if needs_sizes else Importing())
-    assert found.refit_px == (0.0, 0.0)
-    rig = found.calibration
+    result = import_calibration(written(tmp_path), SIZES if needs_sizes else Importing())
+    assert result.refit_px == (0.0, 0.0)
+    rig = result.calibration
     for device, expected in ((rig.camera, CAMERA), (rig.projector, PROJECTOR)):
-        told = (device.fx_px, device.fy_px, device.cx_px, device.cy_px, *device.distortion)
+        values = (device.fx_px, device.fy_px, device.cx_px, device.cy_px, *device.distortion)
         wanted = (expected.fx_px, expected.fy_px, expected.cx_px, expected.cy_px)
-        np.testing.assert_allclose(told, (*wanted, *expected.distortion), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(values, (*wanted, *expected.distortion), rtol=1e-12, atol=1e-12)
         assert (device.width_px, device.height_px) == (expected.width_px, expected.height_px)
     np.testing.assert_allclose(rig.T_proj_from_cam[:3, :3], ROTATION, atol=1e-9)
     np.testing.assert_allclose(rig.T_proj_from_cam[:3, 3], TRANSLATION_MM, atol=1e-9)
@@ -145,8 +145,8 @@ def test_the_angle_is_that_between_two_known_places():
     assert rig.triangulation_angle_deg == pytest.approx(45.0)
 
 
-def test_units_and_order_are_what_is_said(tmp_path: Path):
-    """With the devices swapped and lengths in cm the same rig comes out the other way round."""
+def test_units_and_order_are_the_stated_ones(tmp_path: Path):
+    """With the devices swapped and lengths in cm the rig is the same with both exchanged."""
     plain = import_calibration(of_scanner(tmp_path), SIZES).calibration
     swapped = Importing((912, 1140), (640, 480), "cm", projector_first=True, standoff_mm=200.0)
     turned = import_calibration(of_scanner(tmp_path), swapped).calibration
@@ -157,7 +157,7 @@ def test_units_and_order_are_what_is_said(tmp_path: Path):
     assert turned.T_world_from_cam[2, 3] == 200.0
 
 
-def test_an_implausible_rig_is_refused(tmp_path: Path):
+def test_an_implausible_rig_is_rejected(tmp_path: Path):
     """98 mm read as metres; the focal length of a lens in mm in the place of pixels."""
     with pytest.raises(CaptureError, match=r"baseline_mm is .*, plausible 1 to 2e\+04.*--unit"):
         import_calibration(of_scanner(tmp_path), replace(SIZES, unit="m"))
@@ -167,24 +167,24 @@ def test_an_implausible_rig_is_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize("skew", [0.0, 0.02])
-def test_other_lenses_are_fitted_anew_and_their_pixels_agree(tmp_path: Path, skew: float):
+def test_other_lenses_are_refitted_and_their_pixels_agree(tmp_path: Path, skew: float):
     """A rational lens of eight coefficients; a skew of a hundredth of a pixel."""
     eight = np.array([[-0.11, 0.07, 4e-4, -3e-4, 0.02, 2e-3, 1e-3, 0.0]])
     path = stored(
         tmp_path / "rational.yml", K1=matrix(CAMERA, skew), D1=eight, K2=matrix(PROJECTOR),
         D2=np.array([PROJECTOR.distortion]), R=ROTATION, T=TRANSLATION_MM[:, None],
     )  # fmt: skip
-    found = import_calibration([path], SIZES)
-    assert 0.0 < found.refit_px[0] <= MOST_REFIT_PX
-    assert found.refit_px[1] == 0.0
+    result = import_calibration([path], SIZES)
+    assert 0.0 < result.refit_px[0] <= MOST_REFIT_PX
+    assert result.refit_px[1] == 0.0
     points = np.random.default_rng(4).uniform((-35, -26, 199), (35, 26, 201), (200, 3))
     expected = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix(CAMERA), eight)[0][:, 0]
     expected[:, 0] += skew * (points[:, 1] / points[:, 2])  # to first order: the lens bends little
-    missed = found.calibration.camera.project(points) - expected
+    missed = result.calibration.camera.project(points) - expected
     assert np.abs(missed).max() < MOST_REFIT_PX
 
 
-def test_a_lens_that_cannot_be_followed_is_refused(tmp_path: Path):
+def test_a_lens_that_cannot_be_followed_is_rejected(tmp_path: Path):
     path = stored(
         tmp_path / "skewed.yml", K1=matrix(CAMERA, 30.0), D1=np.array([CAMERA.distortion]),
         K2=matrix(PROJECTOR), D2=np.array([PROJECTOR.distortion]), R=ROTATION,
@@ -195,7 +195,7 @@ def test_a_lens_that_cannot_be_followed_is_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"R": np.diag([1.0, 1.0, 1.2])}, "R is no rotation"),
         ({"R": np.eye(3)}, "parallel.*--standoff-mm"),
@@ -204,13 +204,13 @@ def test_a_lens_that_cannot_be_followed_is_refused(tmp_path: Path):
         ({"M1": np.zeros((2, 2))}, "no camera matrix of the camera"),
     ],
 )
-def test_what_does_not_fit_is_told_in_one_line(tmp_path: Path, change, told: str):
+def test_inconsistent_parts_are_one_line(tmp_path: Path, change, message: str):
     values = {
         "M1": matrix(CAMERA), "D1": np.array([CAMERA.distortion]), "M2": matrix(PROJECTOR),
         "D2": np.array([PROJECTOR.distortion]), "R": ROTATION, "T": TRANSLATION_MM[:, None],
     }  # fmt: skip
     path = stored(tmp_path / "x.yml", **(values | change))
-    with pytest.raises(CaptureError, match=told) as caught:
+    with pytest.raises(CaptureError, match=message) as caught:
         import_calibration([path], SIZES)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith("x.yml: ")
@@ -222,7 +222,7 @@ def test_sizes_must_come_from_somewhere(tmp_path: Path):
 
 
 @pytest.mark.parametrize("content", [b"", b"MATLAB 5.0 MAT-file, damaged" + bytes(200), b"\x89HDF"])
-def test_damaged_matlab_files_are_told(tmp_path: Path, content: bytes):
+def test_damaged_matlab_files_raise_an_error(tmp_path: Path, content: bytes):
     path = tmp_path / "x.mat"
     path.write_bytes(content)
     with pytest.raises(CaptureError, match=r"x\.mat: "):
@@ -236,9 +236,9 @@ def test_the_command_writes_a_calibration_that_a_capture_takes(tmp_path: Path, c
     sizes = ["--camera-size", "640", "480", "--projector-size", "912", "1140"]
     files = [str(path) for path in of_opencv(tmp_path)]
     assert run(["import-calibration", *files, *sizes, "-o", str(tmp_path / "out")]) == 0
-    told = capsys.readouterr().out
-    assert f"wrote {tmp_path / 'out' / 'calibration.yaml'}" in told
-    assert "camera cameramatrix: M1" in told
+    output = capsys.readouterr().out
+    assert f"wrote {tmp_path / 'out' / 'calibration.yaml'}" in output
+    assert "camera cameramatrix: M1" in output
     again = read_calibration(tmp_path / "out" / "calibration.yaml")
     assert again.projector.fy_px == pytest.approx(PROJECTOR.fy_px)
     assert run(["import-calibration", *files, "-o", str(tmp_path / "other")]) == 2

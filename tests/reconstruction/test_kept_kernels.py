@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: what is no file in the place of one is not opened."""
+"""Compiled kernels on disk: a pipe in the place of a file is not opened."""
 
 import os
 from pathlib import Path
@@ -14,7 +14,7 @@ _SOURCE = "def twice(x):\n    return 2 * x\n"
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict:
-    """A module with a function, whose cache is in a folder of its own."""
+    """A module with a function and a cache folder of its own."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
     file = tmp_path / "kernels.py"
     file.write_text(_SOURCE)

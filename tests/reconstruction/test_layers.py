@@ -20,7 +20,7 @@ WITH_A_GAP = PlaneLayers((14.0, 12.0, 9.0), (1.9, 1.0, 1.41))
 def first_leg(device_mm, point_mm, layers):
     """Return the direction in air of the light from a device to a point.
 
-    By symmetry it stays in the plane of incidence, and n sin(theta) is the same in all media: found
+    By symmetry it is in the plane of incidence, and n sin(theta) is the same in all media: found
     by bracketing (Brent) in the sine; the kernels take Newton's method in the tangent.
     """
     way_mm = np.hypot(*(point_mm[:2] - device_mm[:2]))
@@ -36,14 +36,14 @@ def first_leg(device_mm, point_mm, layers):
 
 
 def seen_from(device, T_world_from_device, point_mm, layers):
-    """Return the pixel at which a device sees a point below layers."""
+    """Return the pixel of a point below layers in a device."""
     ray = T_world_from_device[:3, :3].T @ first_leg(T_world_from_device[:3, 3], point_mm, layers)
     return device.project(ray)
 
 
 @pytest.fixture
 def measured(calibration, surface):
-    """Return a function: what camera pixels see through layers, found by forward projection."""
+    """Return a function: view of camera pixels through layers, by forward projection."""
 
     def make(layers, roll_deg=0.0):
         c, s = np.cos(np.deg2rad(roll_deg)), np.sin(np.deg2rad(roll_deg))
@@ -51,29 +51,31 @@ def measured(calibration, surface):
         T = calibration.T_world_from_proj @ roll
         rig = dataclasses.replace(calibration, layers=layers, T_world_from_proj=T)
         points = surface(calibration).reshape(-1, 3)[::397] - [0.0, 0.0, 0.5]
-        camera = [seen_from(rig.camera, rig.T_world_from_cam, one, layers) for one in points]
-        projector = [seen_from(rig.projector, rig.T_world_from_proj, one, layers) for one in points]
+        camera = [seen_from(rig.camera, rig.T_world_from_cam, point, layers) for point in points]
+        projector = [
+            seen_from(rig.projector, rig.T_world_from_proj, point, layers) for point in points
+        ]
         return rig, points, np.array(camera), np.array(projector)
 
     return make
 
 
 def looked_at(rig, camera_px, projector_px, use):
-    """Triangulate single sight lines: a camera of one pixel whose centre is each of them."""
-    found, sigma, valid = [], [], []
+    """Triangulate single sight lines: a camera of one pixel centred on each of them."""
+    result, sigma, valid = [], [], []
     for at, pixel in zip(camera_px, projector_px, strict=True):
         x, y = rig.camera.unproject(at)
-        one = dataclasses.replace(
+        single = dataclasses.replace(
             rig.camera, width_px=1, height_px=1, cx_px=-x * rig.camera.fx_px,
             cy_px=-y * rig.camera.fy_px, distortion=(0.0,) * 5,
         )  # fmt: skip
         point_map = triangulate(
-            decoded_from(pixel.reshape(1, 1, 2)), dataclasses.replace(rig, camera=one), use
+            decoded_from(pixel.reshape(1, 1, 2)), dataclasses.replace(rig, camera=single), use
         )
-        found.append(point_map.points_world_mm[0, 0])
+        result.append(point_map.points_world_mm[0, 0])
         sigma.append(point_map.sigma_xyz_mm[0, 0])
         valid.append(point_map.valid[0, 0])
-    return np.array(found), np.array(sigma), np.array(valid)
+    return np.array(result), np.array(sigma), np.array(valid)
 
 
 @pytest.mark.parametrize("layers", [GEL_ON_WINDOW, WITH_A_GAP], ids=["bonded", "gap"])
@@ -81,9 +83,9 @@ def looked_at(rig, camera_px, projector_px, use):
 def test_points_below_layers_come_back(measured, layers, use):
     """Expected: within 0.02 um, with distortion in both devices."""
     rig, points, camera_px, projector_px = measured(layers)
-    found, _, valid = looked_at(rig, camera_px, projector_px, use)
+    result, _, valid = looked_at(rig, camera_px, projector_px, use)
     assert valid.all()
-    assert np.max(np.abs(found - points)) < 2e-5
+    assert np.max(np.abs(result - points)) < 2e-5
 
 
 def test_layers_of_air_are_air(calibration, surface, project):
@@ -105,7 +107,7 @@ def test_sigma_is_how_far_a_point_moves(measured, use, roll_deg):
     """
     rig, _, camera_px, projector_px = measured(GEL_ON_WINDOW, roll_deg)
     _, sigma, valid = looked_at(rig, camera_px, projector_px, use)
-    assert valid.all()  # where there is no point, nothing moves
+    assert valid.all()  # where there is no point, no value changes
     square = 0.0
     for axis in (0, 1) if use == "both" else (int(use == "row"),):
         step = np.zeros(2)
@@ -120,9 +122,9 @@ def test_sigma_is_how_far_a_point_moves(measured, use, roll_deg):
 def test_a_surface_above_the_last_interface_is_no_point(calibration, surface, project):
     layers = PlaneLayers((-1.0, -2.0), (1.5, 1.4))
     rig = dataclasses.replace(calibration, layers=layers)
-    found = triangulate(decoded_from(project(calibration, surface(calibration))), rig, "column")
-    assert not found.valid.any()
-    assert not found.points_world_mm.any()
+    result = triangulate(decoded_from(project(calibration, surface(calibration))), rig, "column")
+    assert not result.valid.any()
+    assert not result.points_world_mm.any()
 
 
 def test_layers_are_kept_in_the_calibration(calibration, tmp_path):
@@ -135,7 +137,7 @@ def test_layers_are_kept_in_the_calibration(calibration, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("layers: 3\n", "no list"),
         ("layers: [ { top_mm: 3. } ]\n", "top_mm and ior"),
@@ -145,14 +147,14 @@ def test_layers_are_kept_in_the_calibration(calibration, tmp_path):
         ("layers: [ { top_mm: 500., ior: 1.5 } ]\n", "above the camera"),
     ],
 )
-def test_wrong_layers_are_told(calibration, tmp_path, text, told):
+def test_wrong_layers_raise_an_error(calibration, tmp_path, text, message):
     path = tmp_path / "calibration.yaml"
     write_calibration(path, calibration)
     path.write_text(path.read_text() + text)
-    with pytest.raises(CaptureError, match=told):
+    with pytest.raises(CaptureError, match=message):
         read_calibration(path)
 
 
-def test_a_list_of_another_length_is_refused():
+def test_a_list_of_another_length_is_rejected():
     with pytest.raises(InputError, match="2 interfaces and 1 indices"):
         PlaneLayers((1.0, 0.0), (1.5,))

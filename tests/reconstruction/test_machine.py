@@ -1,4 +1,4 @@
-"""What the machine gives: freed memory is used again."""
+"""Resources of the machine: freed memory is used again."""
 
 import ctypes
 import subprocess
@@ -15,7 +15,7 @@ from reconstruction.machine import keep_freed_memory
 if sys.argv[1] == "keep":
     keep_freed_memory()
 def faults():
-    # proc(5): minflt is the tenth field, the eighth after the name in brackets
+    # proc(5): minflt is field 10, the eighth after the name in brackets
     return int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[7])
 # 40 MB each: more than the C library keeps by itself.
 images = [np.ones(5_000_000) for _ in range(5)]
@@ -39,7 +39,7 @@ def _page_faults(how: str) -> int:
     not hasattr(ctypes.CDLL(None), "mallopt") or not Path("/proc/self/stat").exists(),
     reason="no GNU C library, or no Linux that counts page faults",
 )
-def test_freed_memory_is_not_zeroed_anew():
+def test_freed_memory_is_not_zeroed_again():
     """The system gives a page at its first touch: memory that was used before touches none.
 
     Otherwise thirty arrays of 40 MB fault at least once in 2 MB, the largest pages there are.

@@ -1,4 +1,4 @@
-"""Native readers in a child: what it reads, and what it dies of, comes back as words."""
+"""Native readers in a child: its data and the reason of a crash are returned."""
 
 import os
 import threading
@@ -21,7 +21,7 @@ def child_that(tmp_path, monkeypatch, does: str):
 
 
 @pytest.mark.parametrize(
-    ("does", "told"),
+    ("does", "message"),
     [
         ("os.kill(os.getpid(), 11)", "HDF5 crashes on it, signal 11"),
         ("os.abort()", "HDF5 crashes on it, signal 6"),
@@ -29,25 +29,25 @@ def child_that(tmp_path, monkeypatch, does: str):
         ("sys.exit(1)", "it cannot be read"),
     ],
 )
-def test_an_end_is_told_in_one_line(tmp_path, monkeypatch, does, told):
+def test_the_end_of_a_child_is_one_line(tmp_path, monkeypatch, does, message):
     child_that(tmp_path, monkeypatch, does)
-    with pytest.raises(OSError, match=rf"x: is damaged \({told}\)$") as caught:
+    with pytest.raises(OSError, match=rf"x: is damaged \({message}\)$") as caught:
         read_in_child("HDF5", tmp_path / "x")
     assert "\n" not in str(caught.value)
 
 
-def test_numbers_of_matlab_are_read_by_the_child_alone(tmp_path, monkeypatch):
+def test_numbers_of_matlab_are_read_by_the_child_only(tmp_path, monkeypatch):
     """SciPy's reader crashes on some damaged files."""
     values = {"om": np.array([[0.1, -0.2, 1e-300]]), "s": {"n": 3, "word": "abc", "t": [1.5, 2.0]}}
     scipy.io.savemat(tmp_path / "x.mat", values)
     monkeypatch.setattr(scipy.io, "loadmat", lambda *_, **__: pytest.fail("read here"))
-    found = numbers_of(tmp_path / "x.mat")
-    assert sorted(found) == ["om", "s/n", "s/t"]
-    np.testing.assert_array_equal(found["om"].ravel(), [0.1, -0.2, 1e-300])
-    np.testing.assert_array_equal(found["s/t"], [1.5, 2.0])
+    result = numbers_of(tmp_path / "x.mat")
+    assert sorted(result) == ["om", "s/n", "s/t"]
+    np.testing.assert_array_equal(result["om"].ravel(), [0.1, -0.2, 1e-300])
+    np.testing.assert_array_equal(result["s/t"], [1.5, 2.0])
 
 
-def test_a_matlab_file_that_ends_early_is_told(tmp_path):
+def test_a_truncated_matlab_file_raises_an_error(tmp_path):
     scipy.io.savemat(tmp_path / "x.mat", {"om": np.ones((50, 3))})
     whole = (tmp_path / "x.mat").read_bytes()
     (tmp_path / "x.mat").write_bytes(whole[: len(whole) // 2])
@@ -56,8 +56,8 @@ def test_a_matlab_file_that_ends_early_is_told(tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_what_a_library_prints_goes_nowhere_and_what_we_print_does_not(capfd):
-    """Of several threads, whose blocks overlap; native code writes to the streams themselves."""
+def test_output_of_a_library_is_discarded_and_ours_is_not(capfd):
+    """Blocks of several threads overlap; native code writes to the streams themselves."""
     together = threading.Barrier(4)
 
     def read() -> None:
@@ -79,7 +79,7 @@ def test_what_a_library_prints_goes_nowhere_and_what_we_print_does_not(capfd):
 
 
 def test_an_error_inside_passes_and_the_streams_come_back(capfd):
-    with pytest.raises(ValueError, match="told"), native.quiet():
-        raise ValueError("told")
+    with pytest.raises(ValueError, match="message"), native.quiet():
+        raise ValueError("message")
     os.write(1, b"back")
     assert capfd.readouterr().out == "back"

@@ -26,9 +26,11 @@ from reconstruction.rig.sensor import SensorNoise
 def reconstruction(calibration, surface, project, synthesise):
     """Return a capture reconstructed with a dark corner and one broken epipolar pixel."""
     patterns = PatternSet(1280, 720)
-    seen = project(calibration, surface(calibration))
-    seen[40, 50, 1] += 36.0
-    stack = synthesise(patterns, seen[..., 0], seen[..., 1], mean_dn=1900.0, amplitude_dn=1500.0)
+    observed = project(calibration, surface(calibration))
+    observed[40, 50, 1] += 36.0
+    stack = synthesise(
+        patterns, observed[..., 0], observed[..., 1], mean_dn=1900.0, amplitude_dn=1500.0
+    )
     stack[:, :10, :10] = 64.0
     sensor = SensorNoise(0.17, 6.2, 64.0, 4095.0)
     capture = Capture(np.rint(stack).astype(np.uint16), patterns, sensor, calibration, 12)
@@ -36,41 +38,43 @@ def reconstruction(calibration, surface, project, synthesise):
 
 
 def test_pipeline_finds_the_surface(reconstruction, calibration, surface):
-    found = reconstruction.point_map
-    assert np.all(found.mask_reason[:10, :10] == Reason.DARK)
-    assert found.mask_reason[40, 50] == Reason.EPIPOLAR_MISMATCH
-    assert found.valid.sum() == 90 * 120 - 101
-    error_mm = (found.points_world_mm - surface(calibration))[found.valid]
+    result = reconstruction.point_map
+    assert np.all(result.mask_reason[:10, :10] == Reason.DARK)
+    assert result.mask_reason[40, 50] == Reason.EPIPOLAR_MISMATCH
+    assert result.valid.sum() == 90 * 120 - 101
+    error_mm = (result.points_world_mm - surface(calibration))[result.valid]
     assert np.sqrt(np.mean(error_mm**2)) < 1e-4
 
 
 def test_default_options_filter(calibration, surface, project, synthesise):
     """Expected: every point, to the borders, with a fifth of the noise of the single pixel."""
     patterns, sensor = PatternSet(1280, 720), SensorNoise(0.17, 6.2, 64.0, 4095.0)
-    seen = project(calibration, surface(calibration))
-    stack = synthesise(patterns, seen[..., 0], seen[..., 1], mean_dn=1900.0, amplitude_dn=1500.0)
+    observed = project(calibration, surface(calibration))
+    stack = synthesise(
+        patterns, observed[..., 0], observed[..., 1], mean_dn=1900.0, amplitude_dn=1500.0
+    )
     capture = Capture(np.rint(stack).astype(np.uint16), patterns, sensor, calibration, 12)
-    found = reconstruct(capture).point_map
+    result = reconstruct(capture).point_map
     single = reconstruct(capture, ReconstructOptions(decode=DecodeOptions(filter_taps=0))).point_map
-    assert found.valid.all()
-    ratio = np.median(found.sigma_z_mm / single.sigma_z_mm)
+    assert result.valid.all()
+    ratio = np.median(result.sigma_z_mm / single.sigma_z_mm)
     assert 0.15 < ratio < 0.25
 
 
-def test_netcdf_comes_back(reconstruction, tmp_path):
+def test_netcdf_round_trip(reconstruction, tmp_path):
     path = tmp_path / "reconstruction.nc"
     write_reconstruction(path, reconstruction.decoded, reconstruction.point_map)
-    found = read_reconstruction(path)
+    result = read_reconstruction(path)
     for part in ("column", "row"):
-        before, after = getattr(reconstruction.decoded, part), getattr(found.decoded, part)
+        before, after = getattr(reconstruction.decoded, part), getattr(result.decoded, part)
         for field in dataclasses.fields(before):
             a, b = getattr(before, field.name), getattr(after, field.name)
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype
-    np.testing.assert_array_equal(found.decoded.mask_reason, reconstruction.decoded.mask_reason)
+    np.testing.assert_array_equal(result.decoded.mask_reason, reconstruction.decoded.mask_reason)
     for field in ("points_world_mm", "sigma_xyz_mm", "mask_reason", "T_world_from_cam"):
         np.testing.assert_array_equal(
-            getattr(found.point_map, field), getattr(reconstruction.point_map, field)
+            getattr(result.point_map, field), getattr(reconstruction.point_map, field)
         )
 
 
@@ -140,7 +144,7 @@ def test_ply_carries_deviation_as_colour(reconstruction, tmp_path):
     assert b"colour is deviation_um: blue -2 um, white 0, red +2 um" in header
 
 
-def test_wrong_arrays_are_refused(tmp_path):
+def test_wrong_arrays_are_rejected(tmp_path):
     with pytest.raises(InputError, match="shape"):
         write_ply(tmp_path / "a.ply", np.zeros((3, 2)))
     with pytest.raises(InputError, match="PLY property quality"):

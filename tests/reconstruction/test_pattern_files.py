@@ -15,12 +15,12 @@ SETS = [
 
 @pytest.mark.parametrize("patterns", SETS, ids=lambda patterns: patterns.code)
 def test_images_and_manifest_are_the_pattern_set(tmp_path, patterns):
-    """Expected: the projector shows what the decoder expects, in the order of projection."""
+    """Expected: the files are the images of the decoder, in the order of projection."""
     write_patterns(tmp_path, patterns)
     assert read_manifest(tmp_path) == read_manifest(tmp_path / "patterns.toml") == patterns
-    found = sorted(path.name for path in tmp_path.glob("*.png"))
-    assert tuple(found) == file_names(patterns)
-    for name, frame in zip(found, patterns.frames, strict=True):
+    result = sorted(path.name for path in tmp_path.glob("*.png"))
+    assert tuple(result) == file_names(patterns)
+    for name, frame in zip(result, patterns.frames, strict=True):
         image = imageio.imread(tmp_path / name)
         assert image.dtype == np.uint8
         np.testing.assert_array_equal(image, patterns.image(frame))
@@ -36,7 +36,7 @@ def test_images_and_manifest_are_the_pattern_set(tmp_path, patterns):
         ("[patterns]", "[patterns", "TOML"),
     ],
 )
-def test_damaged_manifests_are_refused(tmp_path, old, new, message):
+def test_damaged_manifests_are_rejected(tmp_path, old, new, message):
     write_patterns(tmp_path, SETS[0])
     path = tmp_path / "patterns.toml"
     text = path.read_text(encoding="utf-8")

@@ -86,7 +86,7 @@ def test_bad_arguments_are_named(change, message):
         PatternSet(**({"width_px": 1280, "height_px": 720} | change))
 
 
-def test_unknown_axis_kind_and_frame_are_refused(patterns):
+def test_unknown_axis_kind_and_frame_are_rejected(patterns):
     with pytest.raises(InputError, match="axis"):
         patterns.gray_bits("diagonal")
     with pytest.raises(InputError, match="no 'phase' frames"):
@@ -96,9 +96,9 @@ def test_unknown_axis_kind_and_frame_are_refused(patterns):
 
 
 def test_shifted_stripes_change_in_the_middle_of_the_periods():
-    """Period 18.2 px: the shifted word grows at 9.1, 27.3 and 45.5, first shown at 10, 28 and 46.
+    """Period 18.2 px: the shifted word rises at 9.1, 27.3 and 45.5, first shown at 10, 28 and 46.
 
-    135 pixels of 18 px end at 7.94 shifted periods, 3 bits; pixel 135 begins the eighth.
+    135 pixels of 18 px end at 7.94 shifted periods, 3 bits; pixel 135 starts the eighth.
     """
     patterns = PatternSet(100, 60, period_px=18.2, code="shifted_gray")
     frames = patterns.frames[patterns.index("gray", "column")][patterns.gray_bits("column") :]

@@ -37,8 +37,8 @@ def test_axes_point_right_down_and_forward():
 )
 def test_unproject_inverts_the_distortion(*, k1, k2, p1, p2, k3, x, y):
     device = Pinhole(1000, 800, 900.0, 900.0, 500.0, 400.0, (k1, k2, p1, p2, k3))
-    seen = device.project([x, y, 1.0])
-    np.testing.assert_allclose(device.unproject(seen), [x, y], atol=1e-10)
+    observed = device.project([x, y, 1.0])
+    np.testing.assert_allclose(device.unproject(observed), [x, y], atol=1e-10)
 
 
 def test_unproject_keeps_the_shape():
@@ -46,12 +46,12 @@ def test_unproject_keeps_the_shape():
     assert DISTORTED.project(np.ones((3, 4, 3))).shape == (3, 4, 2)
 
 
-def test_a_folding_distortion_is_refused():
+def test_a_folding_distortion_is_rejected():
     with pytest.raises(InputError, match="no inverse"):
         Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0, (-1.0, 0.0, 0.0, 0.0, 0.0)).unproject([99, 50])
 
 
-def test_a_solution_behind_the_fold_is_refused():
+def test_a_solution_behind_the_fold_is_rejected():
     """The polynomial rises again there and reaches the pixel, at r = 2.19; the lens does not."""
     lens = Pinhole(500, 100, 100.0, 100.0, 249.5, 49.5, (-0.5, 0.1, 0.0, 0.0, 0.0))
     with pytest.raises(InputError, match="no inverse"):
@@ -59,7 +59,7 @@ def test_a_solution_behind_the_fold_is_refused():
 
 
 def test_corners_without_a_ray_are_drawn_where_the_field_ends():
-    """Setup: r (1 - 0.5 r^2) ends at 0.544, at r = 0.816; the corners lie at 0.5 and at 1."""
+    """Setup: r (1 - 0.5 r^2) ends at 0.544, at r = 0.816; the corners are at 0.5 and at 1."""
     inside = Pinhole(80, 60, 100.0, 100.0, 39.5, 29.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
     wide = Pinhole(160, 120, 100.0, 100.0, 79.5, 59.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
     corners_px = [[-0.5, -0.5], [79.5, -0.5], [79.5, 59.5], [-0.5, 59.5]]
@@ -70,7 +70,7 @@ def test_corners_without_a_ray_are_drawn_where_the_field_ends():
 
 
 @pytest.mark.parametrize("point", [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, np.nan]])
-def test_points_beside_or_behind_are_refused(point):
+def test_points_outside_or_behind_are_rejected(point):
     with pytest.raises(InputError, match="z <= 0"):
         DISTORTED.project(point)
 

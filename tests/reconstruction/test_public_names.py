@@ -1,4 +1,4 @@
-"""`import reconstruction` gives the public names, and costs nothing before one is used."""
+"""`import reconstruction` gives the public names, and imports no module before one is used."""
 
 import importlib
 import pkgutil
@@ -20,7 +20,7 @@ def run_python(code):
     )
 
 
-def test_import_alone_loads_nothing():
+def test_import_loads_no_submodule():
     code = f"""
 import sys, reconstruction
 assert set(reconstruction.__all__) <= set(dir(reconstruction))
@@ -34,8 +34,8 @@ print(loaded + [name for name in {HEAVY} if name in sys.modules])
 
 @pytest.mark.parametrize("name", reconstruction.__all__)
 def test_every_public_name_is_there_and_documented(name):
-    found = getattr(reconstruction, name)
-    assert found.__doc__
+    result = getattr(reconstruction, name)
+    assert result.__doc__
     assert name in reconstruction.__doc__
 
 
@@ -47,6 +47,6 @@ def test_rooms_do_not_take_the_place_of_functions():
         assert callable(getattr(reconstruction, name))
 
 
-def test_unknown_names_are_refused():
+def test_unknown_names_are_rejected():
     with pytest.raises(AttributeError, match="'decoder'"):
-        reconstruction.decoder  # noqa: B018 - the access is what is tested
+        reconstruction.decoder  # noqa: B018 - the access is tested

@@ -85,7 +85,7 @@ def test_listeners_are_called_for_kinds_after_the_built_in_ones(home: str) -> No
 def test_a_package_adds_a_kind_by_an_entry_point(
     home: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A folder with the metadata of an installed distribution; nothing else names the package."""
+    """A folder with the metadata of an installed distribution; no other file names the package."""
     package = f"other_{uuid.uuid4().hex}"
     (tmp_path / f"{package}.py").write_text("class Green: ...\n")
     entry_point(tmp_path, package, "green", f"{package}:Green")

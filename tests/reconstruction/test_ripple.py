@@ -1,4 +1,4 @@
-"""Projectors that are not linear: the ripple is taken off, and what is not known of it is sigma."""
+"""Nonlinear projectors: the ripple is subtracted, its uncertainty is in sigma."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ SENSOR = SensorNoise(0.17, 6.2, 64.0, 4095.0)
 def shown(patterns, column_px, row_px, gamma, blur_px=BLUR_PX):
     """Return frames (frame, row, col) of levels raised to gamma and blurred, 0 to 1.
 
-    By a Gaussian filter on a grid 32 times finer than a pixel: nothing of the code's own.
+    By a Gaussian filter on a grid 32 times finer than a pixel: independent of the code.
     """
     frames = []
     for frame in patterns.frames:
@@ -47,8 +47,8 @@ def scene(rows=120, cols=700):
 def test_ripple_is_that_of_the_harmonics(steps, gamma):
     """Closed form: B_m = 1 / (Gamma(g + m + 1) Gamma(g - m + 1)) of cos(phi / 2)^(2 g).
 
-    N steps see z = sum over k of B_(1 + k N) H exp(i k N phi) beside the true phasor, H what pixel
-    box and Gaussian leave of a harmonic. 8-bit levels add 2 mrad.
+    N steps see z = sum over k of B_(1 + k N) H exp(i k N phi) and the true phasor; H is the
+    transfer of pixel box and Gaussian for a harmonic. 8-bit levels add 2 mrad.
     """
     period_px = 36.0
     patterns = PatternSet(1296, 720, steps=steps, period_px=period_px)
@@ -61,9 +61,9 @@ def test_ripple_is_that_of_the_harmonics(steps, gamma):
         * np.exp(-gammaln(gamma + n + 1) - gammaln(gamma - n + 1))
         * np.isfinite(gammaln(gamma - n + 1))
     )
-    kept = np.sinc(m / period_px) * np.exp(-0.5 * (2 * np.pi * BLUR_PX * m / period_px) ** 2)
+    remaining = np.sinc(m / period_px) * np.exp(-0.5 * (2 * np.pi * BLUR_PX * m / period_px) ** 2)
     true = 2 * np.pi * np.arange(2048) / 2048
-    phasor = (size * kept * np.exp(1j * np.outer(true, m))).sum(axis=1)
+    phasor = (size * remaining * np.exp(1j * np.outer(true, m))).sum(axis=1)
     error = np.angle(phasor * np.exp(-1j * true))
     wanted = np.interp(2 * np.pi * np.arange(NODES) / NODES, true + error, error, period=2 * np.pi)
     assert np.sqrt(np.mean(wanted**2)) > (3e-3 if steps == 4 else 3e-2)
@@ -72,7 +72,7 @@ def test_ripple_is_that_of_the_harmonics(steps, gamma):
     assert table[NODES] == table[0]
 
 
-def test_a_linear_projector_has_no_ripple_and_nothing_is_changed():
+def test_a_linear_projector_has_no_ripple_and_no_correction():
     patterns = PatternSet(1280, 720, steps=3)
     column, row = scene(20)
     stack = recorded(100.0 + 3000.0 * shown(patterns, column, row, 1.0), 1)
@@ -90,7 +90,7 @@ def test_a_linear_projector_has_no_ripple_and_nothing_is_changed():
 @pytest.mark.parametrize("gamma", [1.15, 2.2])
 @pytest.mark.parametrize("steps", [3, 4])
 @pytest.mark.parametrize("taps", [0, 8])
-def test_errors_are_those_that_sigma_tells(steps, gamma, taps):
+def test_errors_agree_with_sigma(steps, gamma, taps):
     """Expected: normalised errors of a known response have a mean square of 1 within 8 %.
 
     Without it the three-step ripple is tens of sigmas.
@@ -112,7 +112,7 @@ def test_errors_are_those_that_sigma_tells(steps, gamma, taps):
     assert chi2(blind) > (1.5 * chi2(known) if steps == 3 else 0.9)
 
 
-def test_what_is_not_known_of_gamma_is_in_sigma():
+def test_uncertainty_of_gamma_is_in_sigma():
     """Setup: 24 projectors, gamma off by normal quantiles of unit variance; light without noise.
 
     Expected: the mean square of the errors is sigma squared within 10 %: the errors are linear in
@@ -139,21 +139,21 @@ def test_two_periods_of_one_scene_agree():
     """Setup: three steps, gamma 1.3, periods of 18 and 26 px. Expected: chi-square 1 within 5 %."""
     column, row = scene()
     response = ProjectorResponse(1.3, 0.0, BLUR_PX, 0.0)
-    found = []
+    result = []
     for seed, period_px in enumerate((18.0, 26.0)):
         patterns = PatternSet(1280, 720, steps=3, period_px=period_px, axes=("column",))
         stack = recorded(100.0 + 3000.0 * shown(patterns, column, row, 1.3), seed)
-        found.append(decode(stack, patterns, SENSOR, UNFILTERED, response=response).column)
-    one, other = found
-    both = (one.sigma_px > 0.0) & (other.sigma_px > 0.0)
-    variance = one.sigma_px.astype(float) ** 2 + other.sigma_px.astype(float) ** 2
-    step = one.coordinate_px.astype(float) - other.coordinate_px
+        result.append(decode(stack, patterns, SENSOR, UNFILTERED, response=response).column)
+    first, second = result
+    both = (first.sigma_px > 0.0) & (second.sigma_px > 0.0)
+    variance = first.sigma_px.astype(float) ** 2 + second.sigma_px.astype(float) ** 2
+    step = first.coordinate_px.astype(float) - second.coordinate_px
     assert both.mean() > 0.99
     assert np.mean(step[both] ** 2 / variance[both]) == pytest.approx(1.0, abs=0.05)
 
 
 def test_three_steps_have_more_noise_where_their_light_is():
-    """Shot noise alone, A = B: (2 / 3 B^2) (K A - K B / 2 cos 3 phi), 0.5 to 1.5 of its mean."""
+    """Shot noise only, A = B: (2 / 3 B^2) (K A - K B / 2 cos 3 phi), 0.5 to 1.5 of its mean."""
     patterns = PatternSet(1280, 720, steps=3, axes=("column",))
     phases_deg = np.array([0.0, 30.0, 60.0])
     column = np.tile(360.0 + phases_deg / 360.0 * 18.0, (20000, 1))
@@ -167,13 +167,15 @@ def test_three_steps_have_more_noise_where_their_light_is():
             clean[k] = 100.0 + 1800.0 * (levels[np.rint(column).astype(int)] > 127)
     sensor = SensorNoise(0.2, 1.0, 0.0, 4095.0)
     stack = recorded(clean, 5, sensor)
-    found = decode(stack, patterns, sensor, UNFILTERED).column
-    spread_px = np.std(found.phase_rad.astype(float) - np.deg2rad(phases_deg) % (2 * np.pi), axis=0)
-    wrapped = (found.phase_rad[:, 0].astype(float) + np.pi) % (2 * np.pi) - np.pi
+    result = decode(stack, patterns, sensor, UNFILTERED).column
+    spread_px = np.std(
+        result.phase_rad.astype(float) - np.deg2rad(phases_deg) % (2 * np.pi), axis=0
+    )
+    wrapped = (result.phase_rad[:, 0].astype(float) + np.pi) % (2 * np.pi) - np.pi
     spread_px[0] = np.std(wrapped)
-    told = found.sigma_px.mean(axis=0) * 2 * np.pi / 18.0
-    np.testing.assert_allclose(told, spread_px, rtol=0.02)
-    assert told[2] / told[0] == pytest.approx(np.sqrt(1450.5 / 550.5), rel=0.02)
+    predicted_rad = result.sigma_px.mean(axis=0) * 2 * np.pi / 18.0
+    np.testing.assert_allclose(predicted_rad, spread_px, rtol=0.02)
+    assert predicted_rad[2] / predicted_rad[0] == pytest.approx(np.sqrt(1450.5 / 550.5), rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -187,7 +189,7 @@ def test_three_steps_have_more_noise_where_their_light_is():
         ({"curve": "0 1"}, "list"),
     ],
 )
-def test_responses_that_cannot_be_are_refused(change, message):
+def test_responses_that_cannot_be_are_rejected(change, message):
     with pytest.raises(InputError, match=message):
         ProjectorResponse(**change)
 

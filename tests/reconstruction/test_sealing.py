@@ -36,7 +36,7 @@ def impatient(monkeypatch):
     monkeypatch.setattr(native, "LEAST_LIMIT_S", 1.0)
 
 
-def test_what_we_wrote_is_read_at_once(tmp_path, dataset, no_child):
+def test_our_files_are_read_without_a_child(tmp_path, dataset, no_child):
     write_arrays(tmp_path / "x.nc", dataset)
     xarray.testing.assert_identical(read_arrays(tmp_path / "x.nc").to_xarray(), dataset.to_xarray())
 
@@ -68,7 +68,7 @@ def test_the_seal_feels_every_byte_but_plain_numbers(tmp_path, dataset):
 
 @pytest.mark.parametrize(("first", "last"), [(16, 32), (32, 64), (16, 4096)])
 def test_a_heap_of_zeros_does_not_take_the_reader_along(tmp_path, dataset, impatient, first, last):
-    """HDF5 goes round and round an object of no size in the heap that holds texts."""
+    """HDF5 loops for ever over an object of size 0 in the heap of texts."""
     path = tmp_path / "x.nc"
     write_arrays(path, dataset)
     content = bytearray(path.read_bytes())
@@ -80,7 +80,7 @@ def test_a_heap_of_zeros_does_not_take_the_reader_along(tmp_path, dataset, impat
     assert str(caught.value).startswith(f"{path}: is damaged")
 
 
-def test_a_crash_is_told(tmp_path, monkeypatch):
+def test_a_crash_raises_an_error(tmp_path, monkeypatch):
     child = tmp_path / "child.py"
     child.write_text("import os; os.kill(os.getpid(), 11)")
     monkeypatch.setattr(native, "_CHILD", child)
@@ -95,14 +95,14 @@ def test_a_file_of_others_is_tried_once(tmp_path, monkeypatch):
     with h5netcdf.File(path, "w") as file:
         file.dimensions["x"] = 4
         file.create_variable("a", ("x",), "f8", data=np.arange(4.0)).attrs["units"] = "mm"
-    asked, real = [], subprocess.run
-    monkeypatch.setattr(subprocess, "run", lambda *a, **k: (asked.append(a), real(*a, **k))[1])
+    requested, real = [], subprocess.run
+    monkeypatch.setattr(subprocess, "run", lambda *a, **k: (requested.append(a), real(*a, **k))[1])
     for _ in range(3):
         assert read_arrays(path).variables["a"][2]["units"] == "mm"
-    assert len(asked) == 1
+    assert len(requested) == 1
 
 
-def test_numbers_that_no_file_can_hold_are_refused(tmp_path):
+def test_numbers_that_no_file_can_hold_are_rejected(tmp_path):
     path = tmp_path / "x.nc"
     with h5py.File(path, "w") as file:
         file.create_dataset("stack", (100_000, 10_000, 10_000), "f4", chunks=True)
@@ -111,7 +111,7 @@ def test_numbers_that_no_file_can_hold_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89HDF\r\n\x1a\n", b"x" * 1000])
-def test_what_is_no_netcdf_is_told_in_one_line(tmp_path, content):
+def test_a_file_that_is_no_netcdf_is_rejected_in_one_line(tmp_path, content):
     path = tmp_path / "x.nc"
     path.write_bytes(content)
     with pytest.raises(OSError, match=r"x\.nc: is damaged \(.+\)$") as caught:
@@ -120,7 +120,7 @@ def test_what_is_no_netcdf_is_told_in_one_line(tmp_path, content):
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
-def test_numbers_that_are_not_finite_are_refused(tmp_path, dataset, number):
+def test_numbers_that_are_not_finite_are_rejected(tmp_path, dataset, number):
     """A file with a seal, too: plain numbers are not in it."""
     path = tmp_path / "x.nc"
     write_arrays(path, dataset)

@@ -17,7 +17,7 @@ def test_clipped_values_are_those_within_the_noise_of_a_full_pixel():
     assert sensor.clipped_from_dn == pytest.approx(4095.0 - 6.0 * 0.5 * 5.0 - 0.5)
 
 
-def test_without_noise_the_top_code_alone_is_clipped():
+def test_without_noise_only_the_top_code_is_clipped():
     assert 254.0 < SensorNoise(0.1, 0.0, 0.0, 255.0).clipped_from_dn < 255.0
 
 

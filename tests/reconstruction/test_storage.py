@@ -1,4 +1,4 @@
-"""OpenCV's YAML and XML without OpenCV: what it writes comes back, damage is told by line."""
+"""OpenCV's YAML and XML without OpenCV: its files are read, errors name the line."""
 
 import random
 
@@ -31,27 +31,27 @@ def test_matrices_of_opencv_come_back_with_every_digit(rows, cols, data):
     numbers = data.draw(st.lists(NUMBERS, min_size=rows * cols, max_size=rows * cols))
     matrix = np.array(numbers).reshape(rows, cols)
     single = matrix.astype(np.float32)
-    found = parse_storage(written(a=matrix, b=3, c=-0.5, d="two words", e=single))
-    np.testing.assert_array_equal(found["a"], matrix, strict=True)
-    assert (found["b"], found["c"], found["d"]) == (3, -0.5, "two words")
-    np.testing.assert_array_equal(found["e"], single)
+    result = parse_storage(written(a=matrix, b=3, c=-0.5, d="two words", e=single))
+    np.testing.assert_array_equal(result["a"], matrix, strict=True)
+    assert (result["b"], result["c"], result["d"]) == (3, -0.5, "two words")
+    np.testing.assert_array_equal(result["e"], single)
 
 
 @pytest.mark.parametrize("loader", [storage._LOADER, yaml.BaseLoader])
-def test_what_people_write_is_read(loader, monkeypatch):
+def test_files_written_by_hand_are_read(loader, monkeypatch):
     monkeypatch.setattr(storage, "_LOADER", loader)
-    found = parse_storage(
+    result = parse_storage(
         "%YAML:1.0\r\n---\r\n# a comment\na:\n   - { x:1, y:2. }\n"
         "   -\n      x: 3\n      y: -4e-1\n"
         'b: [ 1, [ 2, "three" ],\n    4 ]\nc:\nd: "1.5"\ne: { }\nf: []\n...\n'
     )
-    assert found["a"] == [{"x": 1, "y": 2.0}, {"x": 3, "y": -0.4}]
-    assert found["b"] == [1, [2, "three"], 4]
-    assert (found["c"], found["d"], found["e"], found["f"]) == (None, "1.5", {}, [])
+    assert result["a"] == [{"x": 1, "y": 2.0}, {"x": 3, "y": -0.4}]
+    assert result["b"] == [1, [2, "three"], 4]
+    assert (result["c"], result["d"], result["e"], result["f"]) == (None, "1.5", {}, [])
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ("a: " + "[" * 900, "line 3: nests deeper than 32"),
         ("a: " + "{ a:" * 200, "line 3: nests deeper than 32"),
@@ -66,7 +66,7 @@ def test_what_people_write_is_read(loader, monkeypatch):
         ("a: 1\na: 2", "line 4: the key a is there twice"),
         ("a: 1\n   b: 2", "line 4: is no YAML: "),
         ("   a: 1\nb: 2", "line 4: is no YAML: "),
-        ("a: 1\n---\nb: 2", "line 4: a second document begins"),
+        ("a: 1\n---\nb: 2", "line 4: found a second document"),
         ("a: &b 1\nc: *b", "line 4: has an alias"),
         ("? [ 1 ]\n: 2", "line 3: is no entry KEY: VALUE"),
         ("abc", "found no key"),
@@ -76,16 +76,16 @@ def test_what_people_write_is_read(loader, monkeypatch):
     ],
 )
 @pytest.mark.parametrize("loader", [storage._LOADER, yaml.BaseLoader])
-def test_what_is_no_storage_is_told_with_its_line(content, told, loader, monkeypatch):
+def test_text_that_is_no_storage_is_rejected_with_its_line(content, message, loader, monkeypatch):
     """With PyYAML's C library and without it."""
     monkeypatch.setattr(storage, "_LOADER", loader)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         parse_storage(f"%YAML:1.0\n---\n{content}\n")
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (("rows: 2", "rows: 3"), "a matrix of 3 rows and 2 cols holds 4 numbers"),
         (("rows: 2", "rows: -2"), "a matrix has -2 rows"),
@@ -98,10 +98,10 @@ def test_what_is_no_storage_is_told_with_its_line(content, told, loader, monkeyp
         (("   cols: 2\n", ""), "a matrix needs rows, cols, dt, data"),
     ],
 )
-def test_a_damaged_matrix_is_told_with_its_line(change, told):
+def test_a_damaged_matrix_is_rejected_with_its_line(change, message):
     text = written(a=np.array([[1.0, 2.0], [3.0, 4.0]]))
     assert change[0] in text
-    with pytest.raises(InputError, match=f"line 3: {told}"):
+    with pytest.raises(InputError, match=f"line 3: {message}"):
         parse_storage(text.replace(*change))
 
 
@@ -118,7 +118,7 @@ def test_whole_numbers_of_whole_types_are_taken():
 
 @settings(max_examples=40, derandomize=True, deadline=None)
 @given(numbers=st.lists(NUMBERS, min_size=1, max_size=12))
-def test_xml_holds_what_yaml_holds(numbers):
+def test_xml_has_the_content_of_yaml(numbers):
     values = {"a": np.array([numbers]), "b": 3, "c": -0.5, "d": "word"}
     storage = cv2.FileStorage(".xml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
     for name, value in values.items():
@@ -131,15 +131,15 @@ def test_xml_holds_what_yaml_holds(numbers):
 
 def test_every_number_is_found_by_its_path(tmp_path):
     (tmp_path / "x.yml").write_text("%YAML:1.0\n---\na:\n   b: 2\n   c: [ 1, 2.5 ]\nd: word\n")
-    found = numbers_in(tmp_path / "x.yml")
-    assert {name: values.tolist() for name, values in found.items()} == {
+    result = numbers_in(tmp_path / "x.yml")
+    assert {name: values.tolist() for name, values in result.items()} == {
         "a/b": 2.0,
         "a/c": [1.0, 2.5],
     }
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ("<a>1", "is damaged XML: "),
         ("<s><a>1</a><a>2</a></s>", "element s: a name is there twice"),
@@ -152,8 +152,8 @@ def test_every_number_is_found_by_its_path(tmp_path):
         ("<s>1</s>", "found no key"),
     ],
 )
-def test_damaged_xml_is_told_in_one_line(content, told):
-    with pytest.raises(InputError, match=told) as caught:
+def test_damaged_xml_is_rejected_in_one_line(content, message):
+    with pytest.raises(InputError, match=message) as caught:
         parse_storage(f'<?xml version="1.0"?>\n{content}\n', (YAML, XML))
     assert "\n" not in str(caught.value)
 
@@ -167,18 +167,18 @@ def test_entities_do_not_grow_without_end():
         parse_storage(text, (XML,))
 
 
-def test_a_damaged_calibration_is_read_or_told_and_opencv_is_not_asked(
+def test_a_damaged_calibration_is_read_or_rejected_without_opencv(
     tmp_path, calibration, monkeypatch
 ):
     path = tmp_path / "calibration.yaml"
     write_calibration(path, calibration)
     monkeypatch.setattr(cv2, "FileStorage", lambda *_: pytest.fail("OpenCV was asked"))
-    whole, told = path.read_bytes(), []
+    whole, messages = path.read_bytes(), []
     for seed in range(400):
         path.write_bytes(damaged_bytes(whole, random.Random(seed))[0])
         try:
             read_calibration(path)
         except CaptureError as error:
-            told.append(str(error))
-    assert len(told) > 200
-    assert all(line.startswith(str(path)) and "\n" not in line for line in told)
+            messages.append(str(error))
+    assert len(messages) > 200
+    assert all(line.startswith(str(path)) and "\n" not in line for line in messages)

@@ -39,37 +39,37 @@ def wave():
 
 
 def test_heights_are_those_of_the_points(wave):
-    found = height_map(wave, 0.1)
-    x, y = np.meshgrid(found.x_mm, found.y_mm)
+    result = height_map(wave, 0.1)
+    x, y = np.meshgrid(result.x_mm, result.y_mm)
     true = 0.3 * np.sin(x) + 0.1 * y
-    error = (found.z_mm - true)[found.valid]
+    error = (result.z_mm - true)[result.valid]
     assert np.abs(error).max() < 0.06  # half a cell of slope 0.3 each way, off-centre points
     assert abs(error.mean()) < 0.02
-    assert not found.valid.all()
-    assert np.all(np.diff(found.x_mm) > 0)
-    assert np.all(np.diff(found.y_mm) < 0)
+    assert not result.valid.all()
+    assert np.all(np.diff(result.x_mm) > 0)
+    assert np.all(np.diff(result.y_mm) < 0)
 
 
 def test_files_hold_the_same_heights(wave, tmp_path):
     import OpenEXR
 
-    found = height_map(wave)
-    write_height_netcdf(tmp_path / "h.nc", found)
-    write_height_png(tmp_path / "h.png", found)
-    write_height_exr(tmp_path / "h.exr", found)
+    result = height_map(wave)
+    write_height_netcdf(tmp_path / "h.nc", result)
+    write_height_png(tmp_path / "h.png", result)
+    write_height_exr(tmp_path / "h.exr", result)
     with xarray.open_dataset(tmp_path / "h.nc", engine="h5netcdf") as data:
-        np.testing.assert_array_equal(data.z_mm.values, found.z_mm)
+        np.testing.assert_array_equal(data.z_mm.values, result.z_mm)
         assert data.x.attrs["units"] == "mm"
     level = imageio.imread(tmp_path / "h.png")
     scale = json.loads((tmp_path / "h.png.json").read_text())
     z = scale["first_z_mm"] + scale["step_z_mm"] * (level.astype(float) - 1)
-    assert np.array_equal(level > 0, found.valid)
-    np.testing.assert_allclose(z[found.valid], found.z_mm[found.valid], atol=scale["step_z_mm"])
+    assert np.array_equal(level > 0, result.valid)
+    np.testing.assert_allclose(z[result.valid], result.z_mm[result.valid], atol=scale["step_z_mm"])
     channels = OpenEXR.File(str(tmp_path / "h.exr")).channels()
-    np.testing.assert_array_equal(channels["Z"].pixels, found.z_mm)
+    np.testing.assert_array_equal(channels["Z"].pixels, result.z_mm)
 
 
-def test_mesh_faces_the_camera_and_leaves_the_hole_open(wave, tmp_path):
+def test_mesh_faces_the_camera_and_keeps_the_hole_open(wave, tmp_path):
     mesh = surface_mesh(wave)
     write_mesh_ply(tmp_path / "m.ply", mesh)
     loaded = trimesh.load(tmp_path / "m.ply", process=False)
@@ -87,7 +87,7 @@ def test_a_jump_is_cut():
     assert np.ptp(corners[..., 2], axis=1).max() == 0.0
 
 
-def test_nothing_measured_is_refused(wave):
+def test_a_capture_without_points_is_rejected(wave):
     empty = PointMap(
         wave.points_world_mm,
         wave.sigma_xyz_mm,

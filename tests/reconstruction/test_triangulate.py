@@ -40,24 +40,24 @@ def test_points_come_back(calibration, surface, project, use):
     """Expected: < 0.01 um, with distortion in both devices and the projector's axis off-image."""
     assert calibration.projector.cy_px > calibration.projector.height_px
     points = surface(calibration)
-    found = triangulate(decoded_from(project(calibration, points)), calibration, use)
-    assert found.valid.all()
-    assert np.max(np.abs(found.points_world_mm - points)) < 1e-5
+    result = triangulate(decoded_from(project(calibration, points)), calibration, use)
+    assert result.valid.all()
+    assert np.max(np.abs(result.points_world_mm - points)) < 1e-5
 
 
 @pytest.mark.parametrize("layers", [None, PlaneLayers((1.0,), (1.5,))])
-def test_one_axis_alone_needs_no_epipolar_test(calibration, surface, project, layers):
+def test_a_single_axis_needs_no_epipolar_test(calibration, surface, project, layers):
     """Expected: the points that columns give with any rows; the other axis cannot be used."""
     rig = dataclasses.replace(calibration, layers=layers)
     whole = decoded_from(project(calibration, surface(calibration)))
     nowhere = dataclasses.replace(whole.row, coordinate_px=np.zeros_like(whole.row.coordinate_px))
     alone = dataclasses.replace(whole, row=nowhere, axes=("column",))
-    found = triangulate(alone, rig, "column")
+    result = triangulate(alone, rig, "column")
     unchecked = triangulate(whole, rig, "column", EpipolarTolerance(1e9))
-    np.testing.assert_array_equal(found.points_world_mm, unchecked.points_world_mm)
-    assert found.valid.mean() > 0.9
+    np.testing.assert_array_equal(result.points_world_mm, unchecked.points_world_mm)
+    assert result.valid.mean() > 0.9
     for use in ("row", "both"):
-        with pytest.raises(InputError, match="decoded was 'column' alone"):
+        with pytest.raises(InputError, match="only 'column' was decoded"):
             triangulate(alone, rig, use)
 
 
@@ -66,21 +66,21 @@ FOLD_RADIUS = np.sqrt(2.0 / 3.0)
 
 
 def test_pixels_without_a_ray_have_no_point(calibration, aim):
-    """Setup: camera to 0.7 of its focal length whose lens r (1 - 0.5 r^2) shows 0.544."""
+    """Setup: camera to 0.7 of its focal length; its lens r (1 - 0.5 r^2) ends at 0.544."""
     camera = Pinhole(120, 90, 110.0, 110.0, 59.5, 44.5, FOLDING)
     rig = dataclasses.replace(calibration, camera=camera, T_world_from_cam=aim([0, 0, 50], [0] * 3))
     decoded = decoded_from(np.broadcast_to([640.0, 360.0], (90, 120, 2)))
-    found = triangulate(decoded, rig, tolerance=EpipolarTolerance(1e9))
+    result = triangulate(decoded, rig, tolerance=EpipolarTolerance(1e9))
     rows, cols = np.mgrid[:90, :120]
     lost = np.hypot(cols - 59.5, rows - 44.5) / 110.0 > FOLD_RADIUS * 2.0 / 3.0
     assert lost.any()
-    np.testing.assert_array_equal(found.mask_reason[lost], Reason.NO_POINT)
-    assert found.valid[~lost].mean() > 0.9
-    assert not found.points_world_mm[lost].any()
+    np.testing.assert_array_equal(result.mask_reason[lost], Reason.NO_POINT)
+    assert result.valid[~lost].mean() > 0.9
+    assert not result.points_world_mm[lost].any()
 
 
-def test_what_the_projector_folds_back_is_no_point(aim):
-    """Setup: a plane, part of which lies beyond the fold of the projector's lens.
+def test_coordinates_beyond_the_projector_fold_give_no_point(aim):
+    """Setup: a plane, partly beyond the fold of the projector's lens.
 
     Expected: all before it is found, and no point beyond, though the pixels are on the image and
     have solutions there; next to the fold, those before it are within the tolerance.
@@ -93,13 +93,13 @@ def test_what_the_projector_folds_back_is_no_point(aim):
     rays = np.concatenate([camera.unproject(pixels), np.ones((90, 120, 1))], axis=-1)
     inside = 214.0 * rays @ rig.T_proj_from_cam[:3, :3].T + rig.T_proj_from_cam[:3, 3]
     radius = np.hypot(inside[..., 0], inside[..., 1]) / inside[..., 2]
-    found = triangulate(decoded_from(projector.project(inside)), rig, "both")
+    result = triangulate(decoded_from(projector.project(inside)), rig, "both")
     T = np.linalg.inv(rig.T_world_from_proj)
-    x, y, z = np.moveaxis(found.points_world_mm[found.valid] @ T[:3, :3].T + T[:3, 3], -1, 0)
+    x, y, z = np.moveaxis(result.points_world_mm[result.valid] @ T[:3, :3].T + T[:3, 3], -1, 0)
     assert (np.hypot(x, y) / z).max() < FOLD_RADIUS + 1e-6
-    assert found.valid[radius < 0.99 * FOLD_RADIUS].all()
+    assert result.valid[radius < 0.99 * FOLD_RADIUS].all()
     assert (radius > 1.1 * FOLD_RADIUS).mean() > 0.02
-    assert not found.valid[radius > 1.1 * FOLD_RADIUS].any()
+    assert not result.valid[radius > 1.1 * FOLD_RADIUS].any()
 
 
 @settings(max_examples=60)
@@ -113,7 +113,7 @@ def test_what_the_projector_folds_back_is_no_point(aim):
     cy_px=st.floats(-300.0, 1200.0),
     relief_mm=st.floats(0.0, 3.0),
 )
-def test_any_rig_sees_what_it_projects(
+def test_any_rig_triangulates_its_projected_points(
     aim, surface, project, *, angle_deg, azimuth_deg, distance_mm, camera_k1, projector_k1,
     tangential, cy_px, relief_mm,
 ):  # fmt: skip
@@ -129,14 +129,14 @@ def test_any_rig_sees_what_it_projects(
         aim([*(distance_mm * side), distance_mm * np.cos(angle)], [0.0, 0.0, 0.0]),
     )
     points = surface(calibration, relief_mm)
-    found = triangulate(decoded_from(project(calibration, points)), calibration, "both")
-    assert found.valid.all()
-    assert np.max(np.abs(found.points_world_mm - points)) < 1e-5
+    result = triangulate(decoded_from(project(calibration, points)), calibration, "both")
+    assert result.valid.all()
+    assert np.max(np.abs(result.points_world_mm - points)) < 1e-5
     along_column = abs(np.cos(azimuth)) > 0.3
     assume(along_column)
-    found = triangulate(decoded_from(project(calibration, points)), calibration, "column")
-    assert found.valid.all()
-    assert np.max(np.abs(found.points_world_mm - points)) < 1e-5
+    result = triangulate(decoded_from(project(calibration, points)), calibration, "column")
+    assert result.valid.all()
+    assert np.max(np.abs(result.points_world_mm - points)) < 1e-5
 
 
 def test_sigma_is_the_spread_of_z(calibration, surface, project):
@@ -151,9 +151,9 @@ def test_sigma_is_the_spread_of_z(calibration, surface, project):
             column = dataclasses.replace(
                 decoded.column, sigma_px=np.full(exact.shape[:2], 0.02, np.float32)
             )
-            found = triangulate(dataclasses.replace(decoded, column=column), calibration, use)
-            error_mm = (found.points_world_mm - points)[..., 2][found.valid]
-            normalised.append(error_mm / found.sigma_z_mm[found.valid])
+            result = triangulate(dataclasses.replace(decoded, column=column), calibration, use)
+            error_mm = (result.points_world_mm - points)[..., 2][result.valid]
+            normalised.append(error_mm / result.sigma_z_mm[result.valid])
         assert np.std(normalised) == pytest.approx(1.0, rel=0.03)
 
 
@@ -170,28 +170,28 @@ def test_sigma_xyz_and_covariance_are_the_spread(aim, surface, project):
     )
     points, rng = surface(calibration), np.random.default_rng(8)
     exact = project(calibration, points)
-    found = triangulate(decoded_from(exact), calibration, "both")
+    result = triangulate(decoded_from(exact), calibration, "both")
     trials = [
         triangulate(decoded_from(exact + rng.normal(0.0, 0.01, exact.shape)), calibration, "both")
         for _ in range(400)
     ]
     error = np.stack([t.points_world_mm.astype(float) for t in trials]) - points
-    ratio = error.std(axis=0) / found.sigma_xyz_mm
+    ratio = error.std(axis=0) / result.sigma_xyz_mm
     assert np.sqrt(np.mean(ratio**2, axis=(0, 1))) == pytest.approx(1.0, rel=0.05)
     spread = np.einsum("nrci,nrcj->ij", error, error) / (len(trials) * 30)
-    np.testing.assert_allclose(spread, found.covariance_mm2.mean(axis=(0, 1)), rtol=0.1)
+    np.testing.assert_allclose(spread, result.covariance_mm2.mean(axis=(0, 1)), rtol=0.1)
 
 
 def test_camera_frame_is_the_same_points(calibration, surface, project):
-    """Expected: each pixel's point lies on its own ray, z is the depth; 0 where masked."""
+    """Expected: each pixel's point is on its own ray, z is the depth; 0 where masked."""
     decoded = decoded_from(project(calibration, surface(calibration)))
     decoded.mask_reason[5, 6] = Reason.DARK
-    found = triangulate(decoded, calibration)
-    pixels = calibration.camera.project(found.points_cam_mm[found.valid].astype(float))
-    row, col = np.nonzero(found.valid)
+    result = triangulate(decoded, calibration)
+    pixels = calibration.camera.project(result.points_cam_mm[result.valid].astype(float))
+    row, col = np.nonzero(result.valid)
     np.testing.assert_allclose(pixels, np.column_stack([col, row]), atol=1e-4)
-    assert found.points_cam_mm[5, 6].tolist() == [0.0, 0.0, 0.0]
-    assert found.points_cam_mm[10, 10, 2] == pytest.approx(214.0, abs=1.5)
+    assert result.points_cam_mm[5, 6].tolist() == [0.0, 0.0, 0.0]
+    assert result.points_cam_mm[10, 10, 2] == pytest.approx(214.0, abs=1.5)
 
 
 def test_both_is_never_worse(calibration, surface, project):
@@ -203,15 +203,15 @@ def test_both_is_never_worse(calibration, surface, project):
     assert np.all(both <= row * 1.000001)
 
 
-def test_masked_pixels_stay_masked_and_zero(calibration, surface, project):
+def test_masked_pixels_remain_masked_and_zero(calibration, surface, project):
     decoded = decoded_from(project(calibration, surface(calibration)))
     decoded.mask_reason[3:5, 7] = Reason.SATURATED
-    found = triangulate(decoded, calibration)
-    assert np.all(found.mask_reason[3:5, 7] == Reason.SATURATED)
-    assert np.all(found.points_world_mm[~found.valid] == 0.0)
-    assert np.all(found.sigma_z_mm[~found.valid] == 0.0)
-    assert found.valid.sum() == found.valid.size - 2
-    assert decoded.valid.sum() == found.valid.sum()
+    result = triangulate(decoded, calibration)
+    assert np.all(result.mask_reason[3:5, 7] == Reason.SATURATED)
+    assert np.all(result.points_world_mm[~result.valid] == 0.0)
+    assert np.all(result.sigma_z_mm[~result.valid] == 0.0)
+    assert result.valid.sum() == result.valid.size - 2
+    assert decoded.valid.sum() == result.valid.sum()
 
 
 @pytest.mark.parametrize("use", ["column", "row"])
@@ -219,9 +219,9 @@ def test_wrong_fringe_order_breaks_the_epipolar_condition(calibration, surface, 
     exact = project(calibration, surface(calibration))
     exact[10, 20, 0] += 18.0
     exact[30, 40, 1] -= 18.0
-    found = triangulate(decoded_from(exact), calibration, use)
-    assert found.mask_reason[30, 40] == Reason.EPIPOLAR_MISMATCH
-    assert np.sum(~found.valid) <= 2
+    result = triangulate(decoded_from(exact), calibration, use)
+    assert result.mask_reason[30, 40] == Reason.EPIPOLAR_MISMATCH
+    assert np.sum(~result.valid) <= 2
     loose = triangulate(decoded_from(exact), calibration, use, EpipolarTolerance(1000.0))
     assert loose.valid.all()
 
@@ -231,17 +231,17 @@ def test_small_mismatch_is_tolerated(calibration, surface, project):
     exact[..., 1] += 0.5
     assert triangulate(decoded_from(exact), calibration, "column").valid.all()
     strict = EpipolarTolerance(absolute_px=0.1)
-    found = triangulate(decoded_from(exact), calibration, "column", strict)
-    assert np.all(found.mask_reason == Reason.EPIPOLAR_MISMATCH)
+    result = triangulate(decoded_from(exact), calibration, "column", strict)
+    assert np.all(result.mask_reason == Reason.EPIPOLAR_MISMATCH)
 
 
 def test_rays_that_meet_behind_have_no_point(calibration, surface, project):
     """Setup: column so far aside that the projector plane crosses the ray behind the camera."""
     exact = project(calibration, surface(calibration))
     exact[..., 0] += 5000.0
-    found = triangulate(decoded_from(exact), calibration, "column")
-    assert not found.valid.any()
-    assert np.all(np.isfinite(found.points_world_mm))
+    result = triangulate(decoded_from(exact), calibration, "column")
+    assert not result.valid.any()
+    assert np.all(np.isfinite(result.points_world_mm))
 
 
 def test_parallel_planes_have_no_point():
@@ -250,11 +250,11 @@ def test_parallel_planes_have_no_point():
     above[1, 3] = 10.0
     calibration = Calibration(camera, camera, np.eye(4), above)
     pixels = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
-    found = triangulate(decoded_from(pixels), calibration, "column")
-    assert np.all(found.mask_reason == Reason.NO_POINT)
+    result = triangulate(decoded_from(pixels), calibration, "column")
+    assert np.all(result.mask_reason == Reason.NO_POINT)
 
 
-def test_images_of_another_size_are_refused(calibration):
+def test_images_of_another_size_are_rejected(calibration):
     decoded = decoded_from(np.zeros((5, 6, 2)))
     with pytest.raises(InputError, match="120 x 90"):
         triangulate(decoded, calibration)
@@ -268,13 +268,15 @@ def test_frames_to_points(calibration, surface, project, synthesise):
     """Setup: the whole chain with sensor noise. Expected: z errors of one predicted sigma."""
     patterns, sensor = PatternSet(1280, 720), SensorNoise(0.17, 6.2, 64.0, 4095.0)
     points = surface(calibration)
-    seen = project(calibration, points)
-    clean = synthesise(patterns, seen[..., 0], seen[..., 1], mean_dn=1900.0, amplitude_dn=1500.0)
+    observed = project(calibration, points)
+    clean = synthesise(
+        patterns, observed[..., 0], observed[..., 1], mean_dn=1900.0, amplitude_dn=1500.0
+    )
     noise = np.random.default_rng(2).normal(size=clean.shape)
     stack = np.rint(clean + noise * np.sqrt(sensor.variance_dn2(clean))).astype(np.uint16)
     decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0))
-    found = triangulate(decoded, calibration)
-    assert found.valid.all()
-    error = (found.points_world_mm - points)[..., 2] / found.sigma_z_mm
+    result = triangulate(decoded, calibration)
+    assert result.valid.all()
+    error = (result.points_world_mm - points)[..., 2] / result.sigma_z_mm
     assert np.std(error) == pytest.approx(1.0, rel=0.03)
     assert np.mean(error) == pytest.approx(0.0, abs=0.04)

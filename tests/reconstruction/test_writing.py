@@ -43,8 +43,8 @@ WRITERS = {
     "text.toml": lambda path: write_text(path, "value = 1\n" * 300),
 }
 
-# HDF5 writes zeros for names, reads them back, and takes what it then has for earlier names. Where
-# the zeros were dropped it had memory that the names of the file read before were in.
+# HDF5 writes zeros for names, reads them back, and uses the result as earlier names. If the
+# zeros were dropped it read memory with the names of the file before.
 WRITES_AFTER_READING = """
 import os, resource
 import numpy as np
@@ -103,7 +103,7 @@ def test_a_file_is_whole_or_as_it_was(tmp_path, name, there):
         with no_file_longer_than(limit), pytest.raises(OSError, match="File too large") as raised:
             write(path)
         assert raised.value.filename == str(path)
-        assert [(one.name, one.read_bytes()) for one in path.parent.iterdir()] == (
+        assert [(file.name, file.read_bytes()) for file in path.parent.iterdir()] == (
             [(name, b"earlier")] if there else []
         )
     with no_file_longer_than(size):
@@ -111,13 +111,13 @@ def test_a_file_is_whole_or_as_it_was(tmp_path, name, there):
     assert path.read_bytes() == (tmp_path / name).read_bytes()
 
 
-def test_a_device_stays_one(tmp_path):
+def test_a_device_remains_a_device(tmp_path):
     with pytest.raises(OSError, match=r"No space left on device: '/dev/full'"):
         write_bytes("/dev/full", b"1")
     assert Path("/dev/full").is_char_device()
 
 
-def test_a_link_stays_one(tmp_path):
+def test_a_link_remains_a_link(tmp_path):
     """Also one that leads to a file that is not there yet."""
     (tmp_path / "link").symlink_to("file")
     for text in ("first", "second"):
@@ -132,7 +132,7 @@ def test_parts_follow_one_another(tmp_path):
     assert (tmp_path / "file").read_bytes() == b"head" + np.arange(3, dtype=np.int32).tobytes()
 
 
-def test_what_cannot_be_written_is_named(tmp_path):
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").touch()
     for place, kind in (("missing/a", FileNotFoundError), ("file/a", NotADirectoryError)):
         with pytest.raises(kind) as raised:
@@ -152,13 +152,13 @@ def test_too_little_memory_is_an_error_before_hdf5_begins(tmp_path, monkeypatch)
     assert not list(tmp_path.iterdir())
 
 
-# Called with a path, these write by themselves. In children only: what they write is temporary.
+# Called with a path, these write by themselves. In children only: their files are temporary.
 WRITING = r"\.(imwrite|savez|savez_compressed|write_bitmap|write_text|write_bytes)\("
 CHILDREN = {"tetrahedra.py", "tetwild_child.py", "native_child.py"}
 
 
 def test_no_library_is_given_a_path():
-    """All writing goes through `reconstruction.writing`."""
+    """All writing uses `reconstruction.writing`."""
     files = (*ROOT.glob("twin/**/*.py"), *ROOT.glob("reconstruction/**/*.py"))
-    found = {file for file in files if re.search(WRITING, file.read_text())}
-    assert {file.name for file in found} - CHILDREN == {"writing.py"}
+    result = {file for file in files if re.search(WRITING, file.read_text())}
+    assert {file.name for file in result} - CHILDREN == {"writing.py"}

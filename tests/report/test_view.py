@@ -91,7 +91,7 @@ def middle(tab: Browser) -> tuple[float, float]:
 
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_drag_turns_it(page, tab, width):
-    """In a browser: no error, no file loaded; dragging changes the picture, a button resets it."""
+    """In a browser: no error, nothing loaded, and the picture changes, and back by a button."""
     tab.open(page.as_uri(), width)
     if not tab.evaluate("!!document.createElement('canvas').getContext('webgl2')"):
         pytest.skip("no WebGL here")
@@ -106,10 +106,8 @@ def test_a_drag_turns_it(page, tab, width):
     assert tab.evaluate(drawn) not in (before, turned)
     tab.evaluate("document.querySelector('.view3d button[value=relief]').click()")
     assert tab.evaluate(drawn) == before
-    assert tab.seen.errors == []
-    assert [
-        request for request in tab.seen.requests if not request.startswith(("file:", "data:"))
-    ] == []
+    assert tab.activity.errors == []
+    assert [one for one in tab.activity.requests if not one.startswith(("file:", "data:"))] == []
     assert tab.overflow() == []
 
 

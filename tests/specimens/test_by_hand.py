@@ -1,4 +1,4 @@
-"""Distances and solids at places whose answer is plain."""
+"""Distances and solids at points with known values."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from twin.specimens.sampled_distance import PITCH_MM, SampledField
 from twin.specimens.triangles import Columns, TriangleTree, distances_mm
 
 BOX = trimesh.creation.box([2.0, 3.0, 4.0])
-# A place, and the distance from a box of half 1, 1.5 and 2.
+# A point, and its distance from a box of half 1, 1.5 and 2.
 PLACES = [
     ((0.0, 0.0, 2.5), 0.5),
     ((0.0, -2.25, 0.0), 0.75),
@@ -41,7 +41,7 @@ def test_places_round_a_box():
 
 
 def test_a_sharp_edge_is_rounded_by_10_um_or_half_of_what_is_thin():
-    """0.3 and 0.4 mm off an edge: hypot(0.31, 0.41) - 0.01; of a plate 16 um thick 4 um."""
+    """0.3 and 0.4 mm off an edge: hypot(0.31, 0.41) - 0.01; 4 um for a plate 16 um thick."""
     place = np.array([[1.3, 1.4, 0.0]])
     for half_mm, expected in ((1.0, 0.5040039), (0.008, 0.5016006)):
         body = BoxDistance(np.zeros(3), np.eye(3), np.array([1.0, 1.0, half_mm]), 0.0)
@@ -58,7 +58,7 @@ def test_inside_and_outside_of_a_box_by_columns(pitch_mm):
 
 @pytest.mark.parametrize("pitch_mm", [0.1, 0.4])
 def test_inside_of_a_ball_of_small_facets_by_columns(pitch_mm):
-    """Each cell lists the facets over it alone: points of another cell would miss theirs."""
+    """Each cell lists only the facets above it: points of another cell would miss theirs."""
     ball = trimesh.creation.icosphere(4, 1.0)
     columns = Columns.of(np.asarray(ball.triangles), 1, pitch_mm, np.full(2, -20), np.full(2, 40))
     points = np.random.default_rng(1).uniform(-1.2, 1.2, (2000, 3))
@@ -67,7 +67,7 @@ def test_inside_of_a_ball_of_small_facets_by_columns(pitch_mm):
     np.testing.assert_array_equal(columns.inside(points)[clear], away[clear] < 1.0)
 
 
-def test_what_lies_exactly_at_the_reach_still_pulls():
+def test_points_exactly_at_the_reach_have_a_gradient():
     """Half a millimetre off each body, reach 0.5 mm: unit slopes; with a reach below, none."""
     bodies = [
         (BoxDistance(np.zeros(3), np.eye(3), np.ones(3), 0.0), (0.0, 0.0, 1.5), (0, 0, 1)),

@@ -57,7 +57,7 @@ BODIES: dict[str, Callable[[int], SignedDistance]] = {
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("name", BODIES)
 def test_gradient_and_hessian_are_the_differences(name: str, seed: int) -> None:
-    """Third derivatives are below 1 / 0.05^2 here, so differences err by less than 1e-7."""
+    """Third derivatives are below 1 / 0.05^2 here: the error of differences is below 1e-7."""
     body = BODIES[name](seed)
     points = np.random.default_rng(seed).uniform(-2.5, 2.5, (4000, 3))
     away = body.evaluate(points, 10.0)[0]
@@ -83,7 +83,7 @@ def test_distance_has_unit_slope_and_bends_across_it_only(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_beyond_the_reach_nothing_pulls(name: str) -> None:
+def test_beyond_the_reach_the_gradient_is_zero(name: str) -> None:
     points = np.random.default_rng(5).uniform(-4, 4, (20000, 3))
     whole, near = (BODIES[name](2).evaluate(points, reach) for reach in (100.0, REACH_MM))
     far = near[0] > REACH_MM
@@ -130,12 +130,12 @@ def test_rounded_box_has_known_points() -> None:
         np.trace(hessian, axis1=1, axis2=2), [0, 1 / 0.5, 2 / 0.5, 0], atol=1e-12
     )
     turned = BoxDistance(np.zeros(3), _turn(1), np.array([1.0, 2.0, 3.0]), 0.2)
-    found = turned.evaluate(points @ _turn(1).T, 1.0)
-    np.testing.assert_allclose(found[0], away, atol=1e-12)
+    results = turned.evaluate(points @ _turn(1).T, 1.0)
+    np.testing.assert_allclose(results[0], away, atol=1e-12)
 
 
 def test_sharp_edges_are_rounded_by_ten_micrometres_and_no_more() -> None:
-    """On the edge's bisector the surface lies (sqrt 2 - 1) 10 um deeper; faces stay in place."""
+    """On the edge's bisector the surface is (sqrt 2 - 1) 10 um lower; faces do not move."""
     body = BoxDistance(np.zeros(3), np.eye(3), np.array([1.0, 2.0, 3.0]), 0.0)
     away = body.evaluate(np.array([[1.0, 2.0, 0.0], [1.0, 1.98, 0.0]]), 1.0)[0]
     np.testing.assert_allclose(away, [0.01 * (np.sqrt(2) - 1), 0.0], atol=1e-12)
@@ -145,8 +145,8 @@ def test_plate_and_frame_are_where_they_should_be() -> None:
     points = np.array([[9.0, -7.5, 0.5], [-10.5, 0.0, -0.2]])
     np.testing.assert_allclose(plate(-0.3).evaluate(points, 9.0)[0], [0.8, 0.1])
     walls = frame_wall(RectangularInside(10.0, 8.0))
-    found = np.array([wall.evaluate(points, 90.0)[0] for wall in walls])
-    np.testing.assert_allclose(found, [[1, 20.5], [19, -0.5], [15.5, 8], [0.5, 8]])
+    distances = np.array([wall.evaluate(points, 90.0)[0] for wall in walls])
+    np.testing.assert_allclose(distances, [[1, 20.5], [19, -0.5], [15.5, 8], [0.5, 8]])
     inward = np.array([wall.evaluate(points, 90.0)[1].sum(axis=0) for wall in walls])
     np.testing.assert_allclose(inward, 2 * np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]]))
     (around,) = frame_wall(RoundInside(10.0))
@@ -154,7 +154,7 @@ def test_plate_and_frame_are_where_they_should_be() -> None:
 
 
 def test_specimens_give_their_bodies_at_first_touch() -> None:
-    """Under the origin lies a crown or face; two balls are two bodies."""
+    """A crown or a face is below the origin; two balls are two bodies."""
     top = np.array([[0.0, 0.0, 0.25]])
     for specimen in (Ball(), Rod(yaw_deg=30), Flat(), Flat(edge_radius_mm=0.0)):
         (body,) = distances_of(shape_of(specimen))
@@ -167,9 +167,9 @@ def test_specimens_give_their_bodies_at_first_touch() -> None:
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "3"])
-def test_threads_do_not_show(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_do_not_depend_on_threads(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
     points = np.random.default_rng(7).uniform(-2, 2, (20000, 3))
     known = _box(1).evaluate(points, REACH_MM)
     monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
-    for one, other in zip(known, _box(1).evaluate(points, REACH_MM), strict=True):
-        assert one.tobytes() == other.tobytes()
+    for values, threaded in zip(known, _box(1).evaluate(points, REACH_MM), strict=True):
+        assert values.tobytes() == threaded.tobytes()

@@ -1,4 +1,4 @@
-"""Specimens from height maps: heights come back, and bad input is one line."""
+"""Specimens from height maps: heights are reproduced, and bad input gives one-line errors."""
 
 from pathlib import Path
 from typing import Any
@@ -57,8 +57,8 @@ def test_integers_are_scaled(tmp_path: Path) -> None:
     imageio.imwrite(tmp_path / "map.png", levels)
     file = str(tmp_path / "map.png")
     specimen = HeightMapFile(file=file, pixel_mm=PIXEL_MM, unit_mm=1e-4)
-    found = height_above_lowest(specimen, X_MM, Y_MM)
-    np.testing.assert_allclose(found, -paraboloid_mm()[::-1], atol=1e-4)
+    height = height_above_lowest(specimen, X_MM, Y_MM)
+    np.testing.assert_allclose(height, -paraboloid_mm()[::-1], atol=1e-4)
     with pytest.raises(InputError, match=r"^specimen\.unit_mm: missing; .*integers \(uint16\)"):
         shape_of(HeightMapFile(file=file, pixel_mm=PIXEL_MM))
 
@@ -76,8 +76,8 @@ def test_netcdf_maps_are_named_and_have_units(tmp_path: Path) -> None:
         shape_of(HeightMapFile(**given, variable="y"))
     with pytest.raises(InputError, match=r"^specimen\.unit_mm: missing; .* the unit 'um'"):
         shape_of(HeightMapFile(**given, variable="z"))
-    found = height_above_lowest(HeightMapFile(**given, variable="z", unit_mm=1e-3), X_MM, Y_MM)
-    np.testing.assert_allclose(found, -paraboloid_mm()[::-1], atol=1e-12)
+    height = height_above_lowest(HeightMapFile(**given, variable="z", unit_mm=1e-3), X_MM, Y_MM)
+    np.testing.assert_allclose(height, -paraboloid_mm()[::-1], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_netcdf_maps_are_named_and_have_units(tmp_path: Path) -> None:
         (np.zeros((3, 4, 2)), r"found float64 of shape \(3, 4, 2\), allowed numbers \(row, col\)"),
         (np.zeros((1, 40)), r"found float64 of shape \(1, 40\)"),
         (np.zeros((4, 4), np.complex128), r"found complex128"),
-        (np.full((4, 4), np.nan), "holds heights that are no numbers"),
+        (np.full((4, 4), np.nan), "found heights that are no numbers"),
         (
             np.diag(np.full(4, 200.0)),
             r"unit_mm: .* a relief of 200 mm, allowed up to 100",

@@ -1,4 +1,4 @@
-"""Mesh files of anybody: a body is read, anything else is told in one line, nothing else opened."""
+"""Untrusted mesh files: bodies are read, other content gives one line, no other file is opened."""
 
 import os
 import struct
@@ -33,20 +33,20 @@ end_header
 
 
 def with_corner(value: float) -> np.ndarray:
-    found = BOX.copy()
-    found[0, 0, 0] = value
-    return found
+    corners = BOX.copy()
+    corners[0, 0, 0] = value
+    return corners
 
 
 def stl(triangles: np.ndarray) -> bytes:
-    rows = [struct.pack("<12fH", 0, 0, 1, *one.ravel(), 0) for one in triangles]
+    rows = [struct.pack("<12fH", 0, 0, 1, *triangle.ravel(), 0) for triangle in triangles]
     return bytes(80) + struct.pack("<I", len(rows)) + b"".join(rows)
 
 
 def half_turned() -> np.ndarray:
-    found = BOX.copy()
-    found[:6] = found[:6, ::-1]
-    return found
+    corners = BOX.copy()
+    corners[:6] = corners[:6, ::-1]
+    return corners
 
 
 @pytest.fixture(autouse=True)
@@ -57,13 +57,13 @@ def no_warnings():
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "told"),
+    ("name", "content", "message"),
     [
         ("nan.stl", stl(with_corner(np.nan)), "vertices that are no numbers"),
         ("inf.stl", stl(with_corner(np.inf)), "vertices that are no numbers"),
         ("nan.ply", PLY.format(vertex="nan 0 0", index=2).encode(), "vertices that are no numbers"),
-        ("far.ply", PLY.format(vertex="0 0 0", index=99).encode(), "name vertices that it lacks"),
-        ("back.ply", PLY.format(vertex="0 0 0", index=-7).encode(), "name vertices that it lacks"),
+        ("far.ply", PLY.format(vertex="0 0 0", index=99).encode(), "refer to missing vertices"),
+        ("back.ply", PLY.format(vertex="0 0 0", index=-7).encode(), "refer to missing vertices"),
         ("flat.stl", stl(BOX * (1, 1, 0)), "encloses no volume"),
         (
             "corner.stl",
@@ -73,26 +73,26 @@ def no_warnings():
         ("large.stl", stl(BOX * 1e30), r"found a size of 4e\+30 .* allowed 1e-06 to 1e\+06"),
         ("small.stl", stl(BOX * 1e-30), "found a size of 4e-30"),
         ("turned.stl", stl(half_turned()), "face both inwards and outwards"),
-        ("many.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(100), "holds no triangles"),
-        ("empty.stl", b"", "cannot be read|holds no triangles"),
-        ("two.obj", b"v 0 0 0\nv 1 0 0\nf 1 2\n", "holds no triangles"),
+        ("many.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(100), "found no triangles"),
+        ("empty.stl", b"", "cannot be read|found no triangles"),
+        ("two.obj", b"v 0 0 0\nv 1 0 0\nf 1 2\n", "found no triangles"),
         (
             "from_0.obj",
             TETRAHEDRON.translate(str.maketrans("1234", "0123")).replace("v 0", "v 1").encode(),
-            "a face names vertex 0, but an OBJ counts from 1",
+            "a face refers to vertex 0, but OBJ indices start at 1",
         ),
     ],
 )
-def test_what_is_no_body_is_told_in_one_line(tmp_path, name, content, told):
+def test_invalid_bodies_give_one_line(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         read_closed_mesh("specimen.file", str(tmp_path / name))
     assert str(caught.value).startswith(f"specimen.file: {tmp_path / name}: ")
     assert "\n" not in str(caught.value)
 
 
 def test_two_sheets_with_nothing_between_enclose_no_volume(tmp_path):
-    """A pillow of four triangles, closed but as flat as a sheet but for rounding."""
+    """A pillow of four triangles, closed, and flat except for rounding."""
     rim = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     low, high = np.array([0.5, 0.5, 0.0]), np.array([0.5, 0.5, 2e-8])
     sides = [(rim[i], rim[(i + 1) % 4]) for i in range(4)]
@@ -118,8 +118,8 @@ def test_a_byte_order_mark_hides_no_vertex(tmp_path):
     assert read_closed_mesh("specimen.file", str(tmp_path / "x.obj")).volume == pytest.approx(1 / 6)
 
 
-def test_what_a_mesh_names_is_not_opened(tmp_path):
-    """A library of materials that is a pipe, from which reading would never end."""
+def test_files_named_in_a_mesh_are_not_opened(tmp_path):
+    """A library of materials that is a pipe, which would block a reader."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "x.obj").write_text(f"mtllib pipe\nusemtl a\n{TETRAHEDRON}")
     surface = read_closed_mesh("specimen.file", str(tmp_path / "x.obj"))
@@ -132,7 +132,7 @@ QUADS = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (
 
 
 def split_cube(corner: str) -> str:
-    """Return an OBJ whose faces name corners as `corner` says: {v}, {t} and {n} are numbers."""
+    """Return an OBJ with corners of faces in the format `corner`: {v}, {t} and {n} are numbers."""
     lines = ["mtllib absent.mtl", "o Cube"]
     lines += [f"v {x} {y} {z}" for x, y, z in CORNERS]
     lines += [f"vt {n / 24} {n % 5 / 5}" for n in range(24)]
@@ -163,7 +163,7 @@ def test_a_sliver_that_joining_makes_a_line_opens_no_edge(tmp_path):
 @pytest.mark.parametrize(
     ("mm_per_unit", "shown"), [(1e-3, "0.004 x 0.003 x 0.002 mm"), (1e3, "4e.03 x 3e.03 x 2e.03")]
 )
-def test_a_file_in_another_unit_is_told_by_the_size_of_its_body(tmp_path, mm_per_unit, shown):
+def test_a_file_in_another_unit_is_detected_by_its_size(tmp_path, mm_per_unit, shown):
     """A box of 4 mm in metres, and in micrometres."""
     (tmp_path / "box.stl").write_bytes(stl(BOX * mm_per_unit))
     specimen = MeshFile(file=str(tmp_path / "box.stl"))

@@ -1,6 +1,6 @@
 """Specimens from outside the package: a plug-in file, pressed like a built-in kind.
 
-Each runs in a process of its own: a kind stays registered for the rest of its process.
+Each test runs in its own process, because a registered kind remains until its process ends.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Rods, punches, gratings, mesh files and groups: height field and mesh tell one geometry."""
+"""Rods, punches, gratings, mesh files and groups: height field and mesh have the same geometry."""
 
 from pathlib import Path
 
@@ -75,8 +75,10 @@ def test_a_rod_is_a_cylinder_along_x() -> None:
     middle = np.abs(X) < 4.7
     inside = np.abs(Y) < 2
     expected = 2 - np.sqrt(4 - Y[inside] ** 2)
-    found = height[inside][:, middle]
-    np.testing.assert_allclose(found, np.broadcast_to(expected[:, None], found.shape), atol=1e-8)
+    profile = height[inside][:, middle]
+    np.testing.assert_allclose(
+        profile, np.broadcast_to(expected[:, None], profile.shape), atol=1e-8
+    )
     assert np.isinf(height[:, np.abs(X) > 5]).all()
 
 
@@ -107,9 +109,9 @@ def test_parts_of_a_group_keep_their_own_height_and_balls() -> None:
 
 
 def test_a_group_of_one_is_that_one() -> None:
-    alone, grouped = Rod(yaw_deg=20, x_mm=1), Group(parts={"only": Rod(yaw_deg=20, x_mm=1)})
+    single, grouped = Rod(yaw_deg=20, x_mm=1), Group(parts={"only": Rod(yaw_deg=20, x_mm=1)})
     np.testing.assert_allclose(
-        height_above_lowest(grouped, X, Y), height_above_lowest(alone, X, Y), atol=1e-12
+        height_above_lowest(grouped, X, Y), height_above_lowest(single, X, Y), atol=1e-12
     )
 
 
@@ -126,7 +128,7 @@ def test_grid_lines_may_come_in_any_order() -> None:
 def test_a_mesh_file_faces_the_elastomer_with_its_chosen_axis(
     suffix: str, up: str, tmp_path: Path
 ) -> None:
-    # A cone whose tip points along the chosen axis of the file, in micrometres.
+    # A cone with its tip along the chosen axis of the file, in micrometres.
     cone = trimesh.creation.cone(radius=3000.0, height=4000.0, sections=64)
     axis = dict(zip("xyz", np.eye(3), strict=True))[up[1]] * (1 if up[0] == "+" else -1)
     cone.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], axis))
@@ -141,11 +143,11 @@ def test_a_mesh_file_faces_the_elastomer_with_its_chosen_axis(
 def test_a_ball_from_a_file_is_the_ball(tmp_path: Path) -> None:
     path = tmp_path / "ball.stl"
     trimesh.creation.icosphere(subdivisions=6, radius=4.0).export(path)
-    found, known = (
+    height, known = (
         height_above_lowest(s, X, Y) for s in (MeshFile(file=str(path), x_mm=1), Ball(x_mm=1))
     )
     near = known < 2
-    np.testing.assert_allclose(found[near], known[near], atol=1e-3)
+    np.testing.assert_allclose(height[near], known[near], atol=1e-3)
 
 
 def test_an_open_mesh_is_refused_in_one_line(tmp_path: Path) -> None:

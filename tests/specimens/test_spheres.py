@@ -1,4 +1,4 @@
-"""Specimens of balls: height field, mesh and apexes tell one geometry, in world axes."""
+"""Specimens of balls: height field, mesh and apexes have the same geometry, in world axes."""
 
 import numpy as np
 import pytest

@@ -16,7 +16,7 @@ from twin.specimens.threads import minor_diameter_mm, screw
 def thread_area_mm2(major_mm: float, pitch_mm: float) -> float:
     """Return the mean area of the section across the axis, mm^2.
 
-    Every section across the axis is the same one, turned; so this area times the length is the
+    All sections across the axis are equal except for a rotation: this area times the length is the
     volume. Integral of pi r^2 over one pitch: two cylinders and two cone frustums.
     """
     crest, root = major_mm / 2, minor_diameter_mm(major_mm, pitch_mm) / 2
@@ -37,8 +37,8 @@ def test_minor_diameter_is_the_standards() -> None:
 def test_thread_volume_converges_to_the_closed_form_with_second_order() -> None:
     """Sections across a helical thread are all alike: volume = mean area x length.
 
-    A polygon of n sides lacks (2 pi / n)^2 / 6 of its circle's area, so each doubling of n leaves
-    a quarter of the error.
+    A polygon of n sides lacks (2 pi / n)^2 / 6 of its circle's area, so that each doubling of n
+    reduces the error to 0.25 x.
     """
     length, exact = 5.0, thread_area_mm2(6.0, 1.0) * 5.0
     slab = box((-9.0, -9.0, 0.0), (9.0, 9.0, length))
@@ -53,7 +53,7 @@ def test_thread_volume_converges_to_the_closed_form_with_second_order() -> None:
 
 def test_thread_is_right_handed_with_its_pitch_and_flank_angle() -> None:
     """A right-handed thread rises by pitch / 4 on the quarter turn from +x to +y; its flanks
-    stand 30 degrees off the radius (60 degrees to each other)."""
+    are inclined by 30 degrees to the radius (60 degrees to each other)."""
     thread = screw(6.0, 1.2, -4.0, 4.0, sections=96)
     x, y, z = thread.vertices.T
 
@@ -80,8 +80,8 @@ def test_nut_without_chamfer_is_hexagon_less_thread() -> None:
 
 
 def test_chamfer_and_countersink_take_what_they_should() -> None:
-    """The countersunk rings lie between a plain and a threaded cone; the chamfer is checked by
-    height: its cone falls with tan 30 deg beyond the bearing face."""
+    """The volume of the countersunk rings is between those of a plain and a threaded cone. The
+    chamfer is checked by height: its cone descends with tan 30 deg beyond the bearing face."""
     nut = Nut()
     plain = shape_of(nut.model_copy(update={"countersink_mm": 0.0})).mesh(0.0).volume
     outer, hole = nut.countersink_mm / 2, minor_diameter_mm(6.0, 1.0) / 2

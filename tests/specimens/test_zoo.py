@@ -46,7 +46,7 @@ SPECIMENS: list[Specimen] = [
     Step(edge_radius_mm=0.0),
     VGroove(yaw_deg=90),
 ]
-# Lower than this and a facet is a needle whose normal rounding decides.
+# Facets with a smaller height are needles with normals dominated by rounding.
 LEAST_HEIGHT_MM = 1e-5
 
 
@@ -90,7 +90,7 @@ def test_brick_volume(studs: tuple[int, int], edge_mm: float) -> None:
     brick = Brick(studs_x=studs[0], studs_y=studs[1], edge_radius_mm=edge_mm)
     outer = np.array([8.0 * studs[0] - 0.2, 8.0 * studs[1] - 0.2])
     inner, depth = outer - 3.0, 8.6
-    # What the rounding takes of the stud's profile, and how far its centroid lies inwards.
+    # Area that the rounding removes from the stud's profile, and the offset of its centroid.
     corner = (1 - pi / 4) * edge_mm**2
     inset = edge_mm * (1 - (1 / 6) / (1 - pi / 4))
     stud = pi * 2.4**2 * 1.7 - corner * 2 * pi * (2.4 - inset)
@@ -113,7 +113,7 @@ def _rounded_block(sides_mm: tuple[float, float, float], r: float) -> float:
 
 
 def test_rods_volume_and_heights() -> None:
-    """Cylinders with rounded ends, the plate, and what the cement beads add below the rods."""
+    """Cylinders with rounded ends, the plate, and the cement beads below the rods."""
     rods = Rods()
     radii = np.array(rods.diameters_mm) / 2
     edge, length, bead = rods.edge_radius_mm, rods.length_mm, rods.bead_mm
@@ -131,15 +131,15 @@ def test_rods_volume_and_heights() -> None:
     np.testing.assert_allclose(
         height_above_lowest(rods, middles, np.array([0.0]))[0], 7.23 - 2 * radii, atol=1e-8
     )
-    # Beside the middle rod's axis: the circle; in the gap and at the margin: the plate.
-    beside = np.array([middles[1] + 1.0, middles[1] - radii[1] - 0.5, x_low + 0.2])
+    # Off the middle rod's axis: the circle; in the gap and at the margin: the plate.
+    x_mm = np.array([middles[1] + 1.0, middles[1] - radii[1] - 0.5, x_low + 0.2])
     circle = 7.23 - radii[1] - sqrt(radii[1] ** 2 - 1)
-    found = height_above_lowest(rods, beside, np.array([1.0]))[0]
-    np.testing.assert_allclose(found, [circle, 7.23, 7.23], atol=1e-6)
+    heights = height_above_lowest(rods, x_mm, np.array([1.0]))[0]
+    np.testing.assert_allclose(heights, [circle, 7.23, 7.23], atol=1e-6)
 
 
 def test_bars_volume_and_heights() -> None:
-    """Blocks less what the rounding takes of their upper edges and corners, on a plate.
+    """Blocks minus the volume that rounding removes from upper edges and corners, on a plate.
 
     A quarter round takes (1 - pi / 4) r^2 of an edge; a corner (1 - pi / 6) r^3 of its r^3.
     """
@@ -153,21 +153,21 @@ def test_bars_volume_and_heights() -> None:
     exact = plate + (block - taken).sum()
     assert shape_of(bars).mesh(0.0).volume == pytest.approx(exact, rel=2e-5)
     middles = np.array(bars.middles_mm)
-    beside = middles + widths / 2 + 0.5
-    found = height_above_lowest(bars, np.concatenate((middles, beside)), np.array([0.1]))[0]
-    np.testing.assert_allclose(found, [0, 0, 0, 1.5, 1.5, 1.5], atol=1e-9)
+    gaps = middles + widths / 2 + 0.5
+    heights = height_above_lowest(bars, np.concatenate((middles, gaps)), np.array([0.1]))[0]
+    np.testing.assert_allclose(heights, [0, 0, 0, 1.5, 1.5, 1.5], atol=1e-9)
 
 
 def test_rounded_edge_of_a_bar_is_an_arc() -> None:
-    """Facets of 6 deg lie within r (1 - cos 3 deg) = 0.14 um of an arc of 0.1 mm."""
+    """Facets of 6 deg are within r (1 - cos 3 deg) = 0.14 um of an arc of 0.1 mm."""
     turn = np.deg2rad(np.array([20.0, 45.0, 70.0]))
     x = 4.81 / 2 - 0.1 + 0.1 * np.cos(turn)
-    found = height_above_lowest(Bar(), x, np.array([0.2]))[0]
-    np.testing.assert_allclose(found, 0.1 - 0.1 * np.sin(turn), atol=0.1 * (1 - cos(pi / 60)) * 3)
+    heights = height_above_lowest(Bar(), x, np.array([0.2]))[0]
+    np.testing.assert_allclose(heights, 0.1 - 0.1 * np.sin(turn), atol=0.1 * (1 - cos(pi / 60)) * 3)
 
 
 @pytest.mark.parametrize("pattern", ["loop", "whorl"])
-def test_ridges_are_a_pitch_apart_and_as_deep_as_asked(pattern: str) -> None:
+def test_ridges_have_the_given_pitch_and_depth(pattern: str) -> None:
     """Slope of the ridges' height over the mean square of it: 2 pi / pitch for any phase."""
     print_ = Fingerprint(pattern=pattern, minutiae=0)
     step = 0.01
@@ -194,16 +194,16 @@ def test_minutiae_leave_the_pitch_and_end_ridges() -> None:
 
 
 def test_a_fingerprint_is_its_seed() -> None:
-    one, same, other = (
+    first, same, reseeded = (
         shape_of(Fingerprint(length_x_mm=3, length_y_mm=3, pattern_seed=seed)).mesh(0.0)
         for seed in (1, 1, 2)
     )
-    assert one.vertices.tobytes() == same.vertices.tobytes()
-    assert one.vertices.tobytes() != other.vertices.tobytes()
+    assert first.vertices.tobytes() == same.vertices.tobytes()
+    assert first.vertices.tobytes() != reseeded.vertices.tobytes()
 
 
 def test_the_mesh_of_a_fingerprint_is_its_ridges_on_a_dome() -> None:
-    """Chords err by 1.2 um in ridges; a dome of 30 mm falls by r^2 / 2 R and a bit."""
+    """The error of chords is 1.2 um in ridges; a dome of 30 mm descends by just over r^2 / 2 R."""
     flat, domed = (
         Fingerprint(length_x_mm=6, length_y_mm=6, minutiae=3, dome_radius_mm=radius)
         for radius in (0.0, 30.0)
@@ -211,10 +211,10 @@ def test_the_mesh_of_a_fingerprint_is_its_ridges_on_a_dome() -> None:
     x = np.linspace(-2.9, 2.9, 101)
     grid_x, grid_y = np.meshgrid(x, x)
     ridges = ridges_mm(flat, grid_x, grid_y)
-    found = [-height_above_lowest(print_, x, x) for print_ in (flat, domed)]
-    np.testing.assert_allclose(found[0] - found[0].max(), ridges - ridges.max(), atol=2e-3)
+    heights = [-height_above_lowest(print_, x, x) for print_ in (flat, domed)]
+    np.testing.assert_allclose(heights[0] - heights[0].max(), ridges - ridges.max(), atol=2e-3)
     dome = np.sqrt(30.0**2 - grid_x**2 - grid_y**2) - 30.0
-    off = found[1] - ridges - dome
+    off = heights[1] - ridges - dome
     np.testing.assert_allclose(off, off.mean(), atol=2e-3)
 
 
@@ -230,8 +230,8 @@ def test_step_volume_and_levels(height_mm: float, edge_mm: float) -> None:
     step = Step(height_mm=height_mm, edge_radius_mm=edge_mm)
     exact = 12 * (12 * 2.0 + 6 * height_mm - (1 - pi / 4) * edge_mm**2)
     assert shape_of(step).mesh(0.0).volume == pytest.approx(exact, rel=1e-6)
-    found = height_above_lowest(step, np.array([-3.0, -0.01, 0.5, 3.0]), np.array([0.1]))[0]
-    np.testing.assert_allclose(found, [height_mm, height_mm, 0, 0], atol=1e-9)
+    heights = height_above_lowest(step, np.array([-3.0, -0.01, 0.5, 3.0]), np.array([0.1]))[0]
+    np.testing.assert_allclose(heights, [height_mm, height_mm, 0, 0], atol=1e-9)
 
 
 def test_rounded_edge_of_a_step_is_an_arc() -> None:
@@ -239,8 +239,10 @@ def test_rounded_edge_of_a_step_is_an_arc() -> None:
     along the normal; vertically that is divided by the slope's cosine."""
     turn = np.deg2rad(np.array([20.0, 45.0, 70.0]))
     x = 0.3 - 0.3 * np.cos(turn)
-    found = height_above_lowest(Step(edge_radius_mm=0.3), x, np.array([0.2]))[0]
-    np.testing.assert_allclose(found, 0.3 - 0.3 * np.sin(turn), atol=0.3 * (1 - cos(pi / 180)) * 3)
+    heights = height_above_lowest(Step(edge_radius_mm=0.3), x, np.array([0.2]))[0]
+    np.testing.assert_allclose(
+        heights, 0.3 - 0.3 * np.sin(turn), atol=0.3 * (1 - cos(pi / 180)) * 3
+    )
 
 
 @pytest.mark.parametrize("angle_deg", [60.0, 90.0, 140.0])
@@ -250,8 +252,10 @@ def test_v_groove_volume_and_flanks(angle_deg: float) -> None:
     exact = 12 * (12 * 2.5 - 0.5**2 * np.tan(half))
     assert shape_of(groove).mesh(0.0).volume == pytest.approx(exact, rel=1e-9)
     x = np.array([0.0, 0.1, -0.2, 5.0])
-    found = height_above_lowest(groove, x, np.array([0.0]))[0]
-    np.testing.assert_allclose(found, [0.5, *(0.5 - x[1:3].__abs__() / np.tan(half)), 0], atol=1e-9)
+    heights = height_above_lowest(groove, x, np.array([0.0]))[0]
+    np.testing.assert_allclose(
+        heights, [0.5, *(0.5 - x[1:3].__abs__() / np.tan(half)), 0], atol=1e-9
+    )
 
 
 def test_bear_lies_on_the_smooth_union() -> None:
@@ -264,14 +268,14 @@ def test_bear_lies_on_the_smooth_union() -> None:
 
 
 def test_bear_turns_little_from_facet_to_facet() -> None:
-    """Refraction wants smooth facets: 2 deg in the middle of the distribution; creases more."""
+    """Refraction needs smooth facets: median angle 2 deg; creases have more."""
     angle = np.rad2deg(shape_of(Bear()).mesh(0.0).face_adjacency_angles)
     assert np.median(angle) < 2
     assert np.quantile(angle, 0.9) < 6
 
 
 def test_bear_has_a_face() -> None:
-    """Nose foremost, muzzle beside it lower, feet and belly within the reach of a press."""
+    """Nose foremost, muzzle lower, feet and belly within the reach of a press."""
     grid_x, grid_y = np.linspace(-5, 5, 201), np.linspace(-8, 8, 321)
     height = height_above_lowest(Bear(), grid_x, grid_y)
     row, col = np.unravel_index(height.argmin(), height.shape)
@@ -285,7 +289,7 @@ def test_bear_has_a_face() -> None:
 
 
 def test_bear_level_is_a_signed_distance_for_points_far_from_creases() -> None:
-    """The eye is a ball of 0.5 mm: its level is the distance to it where nothing else is near."""
+    """The eye is a ball of 0.5 mm: far from other parts its level is the distance to it."""
     outside = np.array([[1.35, 4.75, 2.4]]) + 0.9 * np.array([[0.0, 0.6, 0.8]])
     level = bear_level_mm(outside, blend_mm=0.02)
     assert level[0] == pytest.approx(0.4, abs=5e-3)
@@ -358,7 +362,7 @@ def test_same_specimen_same_bytes() -> None:
         (Bear, {"length_mm": 100}, "less than or equal to 60"),
     ],
 )
-def test_what_cannot_be_is_refused(
+def test_impossible_dimensions_are_rejected(
     model: type[Specimen], keys: dict[str, object], line: str
 ) -> None:
     with pytest.raises(ValidationError, match="1 validation error") as caught:

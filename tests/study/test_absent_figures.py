@@ -1,4 +1,4 @@
-"""A case that measured nothing wins nothing: its figures are absent, from table to search."""
+"""A case without measured points is never the best: its figures are None in table and search."""
 
 import csv
 import io
@@ -13,7 +13,7 @@ from twin.report.study import write_study
 from twin.study import optimise, pictures
 from twin.study.cases import cases_of, quantity
 from twin.study.derived import with_derived
-from twin.study.measuring import Answer
+from twin.study.measuring import CaseResult
 from twin.study.record import StudyRecord, read_record
 from twin.study.sensitivity import effects_of, without
 from twin.study.sweep import sweep
@@ -39,7 +39,7 @@ def test_the_blind_are_on_no_front(table):
     assert max(row["albedo"] for row in ranked_rows(table.rows, [ERROR])) == 0.3
 
 
-def test_table_has_empty_cells_and_says_why(table, tmp_path):
+def test_table_has_empty_cells_and_reasons(table, tmp_path):
     rows = list(csv.DictReader(io.StringIO(csv_text(table))))
     blind = [row for row in rows if float(row["albedo"]) >= 0.5]
     assert len(blind) == 4
@@ -52,8 +52,8 @@ def test_table_has_empty_cells_and_says_why(table, tmp_path):
     assert parquet.read_table(tmp_path / "t.parquet")["z_rmse_um"].null_count == 4
 
 
-def test_effects_do_without_the_blind_and_tell_how_many(table, tmp_path, monkeypatch):
-    effects = {one.axis: one.value for one in effects_of(table, "z_rmse_um")}
+def test_effects_leave_out_and_count_cases_without_points(table, tmp_path, monkeypatch):
+    effects = {item.axis: item.value for item in effects_of(table, "z_rmse_um")}
     assert effects == {"albedo": pytest.approx(1.0), "period": pytest.approx(0.0)}
     assert without(table, "z_rmse_um") == 4
 
@@ -68,7 +68,7 @@ def test_effects_do_without_the_blind_and_tell_how_many(table, tmp_path, monkeyp
     assert (tmp_path / "figures" / "front.png").is_file()
 
 
-def test_report_of_a_study_that_measured_nothing(base, tmp_path):
+def test_report_of_a_study_without_points(base, tmp_path):
     study = Study(
         name="test", base="x", axis=(ALBEDO | {"values": [0.6, 0.8]},), objectives=(ERROR,)
     )
@@ -78,11 +78,13 @@ def test_report_of_a_study_that_measured_nothing(base, tmp_path):
         best_rows(read_table(tmp_path).rows, [ERROR])
 
 
-def test_search_is_told_of_a_failure_not_of_zero(base, tmp_path, monkeypatch):
+def test_search_receives_a_failure_instead_of_zero(base, tmp_path, monkeypatch):
     pytest.importorskip("optuna")
-    told = []
+    search_values = []
     tell = optimise._tell
-    monkeypatch.setattr(optimise, "_tell", lambda *args: (told.append(args[2]), tell(*args)))
+    monkeypatch.setattr(
+        optimise, "_tell", lambda *args: (search_values.append(args[2]), tell(*args))
+    )
     study = Study(
         name="test",
         base="x",
@@ -94,13 +96,13 @@ def test_search_is_told_of_a_failure_not_of_zero(base, tmp_path, monkeypatch):
     rows = read_table(tmp_path).rows
     blind = [row["albedo"] >= 0.5 for row in rows]
     assert 0 < sum(blind) < len(rows)
-    assert [found is None for found in told] == blind
+    assert [result is None for result in search_values] == blind
     assert best_rows(rows, [ERROR])[0]["albedo"] < 0.2
 
 
 @pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
 def test_a_bound_on_an_absent_figure_is_not_met(base, tmp_path, sampler):
-    """The quickest designs see nothing: the search takes them for infeasible, and goes on."""
+    """The fastest designs have no measured point: the search counts them as infeasible."""
     pytest.importorskip("optuna")
     study = Study(
         name="test",
@@ -119,9 +121,9 @@ def test_a_bound_on_an_absent_figure_is_not_met(base, tmp_path, sampler):
 def test_figures_that_are_no_numbers_cost_their_case(base, study_of, stored):
     class Broken(Blind):
         def __call__(self, experiment, conditions=None):
-            found = super().__call__(experiment)
+            result = super().__call__(experiment)
             nan = float("nan") if experiment.coating.base_albedo == 0.2 else 1.0
-            return Answer(found.figures | {"spread": nan})
+            return CaseResult(result.figures | {"spread": nan})
 
     store, _ = stored(study_of(ALBEDO))
     outcome = sweep(read_record(store.folder), store.folder, local_workers(1), make_measurer=Broken)
@@ -129,14 +131,14 @@ def test_figures_that_are_no_numbers_cost_their_case(base, study_of, stored):
     assert list(outcome.failures) == ["spread: not finite"]
 
 
-def test_nothing_follows_from_an_absent_figure(base):
+def test_no_figure_is_derived_from_an_absent_figure(base):
     grating = {"specimen": {"kind": "grating", "pitch_mm": 7.19, "groove_mm": 0.2}}
     figures = {"z_rmse_um": None, "depth_mm": None, "force_n": 0.1}
-    found = with_derived(vary(base, grating), figures)
+    result = with_derived(vary(base, grating), figures)
     assert {"groove_over_error", "depth_over_thickness", "force_per_depth_n_per_mm"}.isdisjoint(
-        found
+        result
     )
-    assert found["groove_contrast_kept"] > 0
+    assert result["groove_contrast_kept"] > 0
 
 
 def test_a_ratio_over_zero_meets_no_bound(base, study_of):

@@ -1,4 +1,4 @@
-"""`twin sweep`: what it writes, what it refuses, and that it goes on where it was."""
+"""`twin sweep`: output, rejected input, and continuation of an earlier run."""
 
 import csv
 import io
@@ -67,15 +67,15 @@ def test_table(swept, capsys):
 
 
 def test_a_case_is_a_measurement(swept, capsys, tmp_path):
-    """`twin measure` on a case's experiment writes the same result.json, and the bounds beside."""
+    """`twin measure` on a case's experiment writes the same result.json, and also the bounds."""
     digest = table_of(capsys, swept)[2]["case"]
     case = swept / "out" / "cases" / digest
     assert {file.name for file in case.iterdir()} == {
         "result.json", "experiment.toml", "timings.json", "twin-manifest.txt"
     }  # fmt: skip
     assert run(["measure", str(case / "experiment.toml"), "-o", str(tmp_path / "one")]) == 0
-    one, swept_one = (folder / "experiment.toml" for folder in (tmp_path / "one", case))
-    assert one.read_bytes() == swept_one.read_bytes()
+    own_file, swept_one = (folder / "experiment.toml" for folder in (tmp_path / "one", case))
+    assert own_file.read_bytes() == swept_one.read_bytes()
     alone, of_case = (
         json.loads((folder / "result.json").read_text()) for folder in (tmp_path / "one", case)
     )
@@ -85,17 +85,17 @@ def test_a_case_is_a_measurement(swept, capsys, tmp_path):
     assert json.loads((case / "result.json").read_text())["digest"] == digest
 
 
-def test_goes_on_where_it_was(swept, capsys):
+def test_a_second_run_continues(swept, capsys):
     first = table_of(capsys, swept)
     out = str(swept / "out")
     assert run(["sweep", str(swept / "small.toml"), "-o", out, "-j", "1"]) == 0
     said = capsys.readouterr()
     assert "nothing to do" in said.out
-    assert "4 of them known" in said.err
+    assert "4 of them in the store" in said.err
     assert table_of(capsys, swept) == first
 
 
-def test_dry_run_only_tells(swept, capsys, tmp_path):
+def test_dry_run_only_reports(swept, capsys, tmp_path):
     out = tmp_path / "none"
     assert run(["sweep", str(swept / "small.toml"), "-o", str(out), "--dry-run"]) == 0
     assert "4 cases, about " in capsys.readouterr().err
@@ -113,7 +113,7 @@ def test_csv_and_parquet(swept, capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (("base_albedo", "base_albdo"), "unknown key 'base_albdo' in [coating]; did you mean"),
         (("[0.3, 0.5]", "[0.3, 1.5]"), "coating.base_albedo: found 1.5, should be less than 1"),
@@ -125,11 +125,11 @@ def test_csv_and_parquet(swept, capsys, tmp_path):
          "constraints exclude all 4"),
     ],
 )  # fmt: skip
-def test_bad_studies_are_told_in_one_line(change, told, tmp_path, capsys):
+def test_bad_studies_give_an_error_of_one_line(change, message, tmp_path, capsys):
     file = tmp_path / "bad.toml"
     file.write_text(STUDY.replace(*change))
     assert run(["sweep", str(file), "-o", str(tmp_path / "out")]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -153,7 +153,7 @@ def test_a_store_holds_one_version(swept, tmp_path, capsys):
 
 @pytest.fixture
 def faked(monkeypatch):
-    """Sweeps whose cases are answered without a renderer."""
+    """Sweeps with cases that are computed without a renderer."""
     from functools import partial
 
     from twin.study import sweep as module
@@ -176,8 +176,8 @@ ALBEDOS = ("[[axis]]", 'path = "coating.base_albedo"', "values = [0.2, 0.3]")
 DEEP = 'source = "assumed: deeper than the slab"'
 
 
-def test_a_sweep_says_why_its_cases_failed(tmp_path, capsys, faked):
-    """Both cases fail: each reason with a file, exit code 1, and again when nothing is to do."""
+def test_a_sweep_reports_reasons_of_failures(tmp_path, capsys, faked):
+    """Both cases fail: each reason with a file, exit code 1, also if a second run has no cases."""
     faked(synthetic.Failing)
     out = tmp_path / "out"
     command = ["sweep", study_file(tmp_path, *ALBEDOS), "-o", str(out), "-j", "1"]
@@ -190,7 +190,7 @@ def test_a_sweep_says_why_its_cases_failed(tmp_path, capsys, faked):
         assert "failure" in json.loads(Path(file).read_text())
 
 
-def test_a_sweep_that_succeeds_in_part_tells_the_rest(tmp_path, capsys, faked):
+def test_a_sweep_with_some_failures_reports_them(tmp_path, capsys, faked):
     faked(synthetic.Failing)
     lines = [line.replace("0.3", "0.6, 0.7") for line in ALBEDOS]
     command = ["sweep", study_file(tmp_path, *lines), "-o", str(tmp_path / "out"), "-j", "1"]
@@ -201,7 +201,7 @@ def test_a_sweep_that_succeeds_in_part_tells_the_rest(tmp_path, capsys, faked):
 
 
 @pytest.mark.parametrize(
-    ("lines", "told"),
+    ("lines", "message"),
     [
         (["set.elastomer.layout = \"contact_face\"", "set.press.back_pressure_kpa = 0.0"],
          "layers: found none, elastomer.layout = 'contact_face' is seen through its gel"),
@@ -215,16 +215,16 @@ def test_a_sweep_that_succeeds_in_part_tells_the_rest(tmp_path, capsys, faked):
          "camera.distortion: stock Mitsuba cannot express it"),
         (["set.camera.depth_of_field = true", "set.render.samples = 1"], "render.samples: found 1"),
         (['set.mechanics.model = "neo_hookean"', "set.press.back_pressure_kpa = 1.0"],
-         "knows neither film"),
+         "has neither film"),
     ],
 )  # fmt: skip
-def test_dry_run_finds_what_cannot_be_measured(tmp_path, capsys, lines, told):
+def test_dry_run_finds_unmeasurable_cases(tmp_path, capsys, lines, message):
     """The same words as the run's own, before anything is pressed; no case is left: exit code 2."""
     file = study_file(tmp_path, *lines, *ALBEDOS)
     assert run(["sweep", file, "-o", str(tmp_path / "out"), "--dry-run"]) == 2
     said = capsys.readouterr().err
     assert "2 of 2 cases cannot be measured" in said
-    assert told in said
+    assert message in said
     assert not (tmp_path / "out").exists()
 
 
@@ -266,7 +266,7 @@ def no_picture(*_):
 
 @pytest.mark.parametrize("name", ["[/red]", "[bold]", "$\\bad{$", ":smile:", "<b>&"])
 def test_any_name_is_printed_and_drawn(tmp_path, capsys, faked, monkeypatch, name):
-    """What Rich, Matplotlib and HTML take for their own language is a name like any other."""
+    """Markup of Rich, Matplotlib and HTML in a name is printed unchanged."""
     faked(synthetic.Bowl)
     monkeypatch.setattr(pictures, "take_picture", no_picture)
     axis = ["[[axis]]", f"name = '{name}'", *ALBEDOS[1:]]

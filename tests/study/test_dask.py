@@ -35,12 +35,12 @@ def contents(store):
 
 @pytest.mark.parametrize("real", [False, True], ids=["stand-in", "real"])
 def test_cluster_gives_the_bytes_of_one_process(mi, cluster, study_of, stored, real):
-    """Setup: a cluster of two processes, and this process; stand-in and real measurements."""
+    """Setup: a cluster of two processes, and this process; synthetic and real measurements."""
     albedo = {"path": "coating.base_albedo", "values": [0.3, 0.4]}
     period = {"path": "patterns.period_px", "values": [18.0, 20.0]}
     study = study_of(albedo, period)
     measuring = {} if real else {"make_measurer": synthetic.Fake}
-    found = []
+    result = []
     for name, workers in (
         ("one", local_workers(1)),
         ("cluster", dask_workers(cluster.scheduler_address)),
@@ -48,8 +48,8 @@ def test_cluster_gives_the_bytes_of_one_process(mi, cluster, study_of, stored, r
         store, cases = stored(study, name)
         outcome = Run(store, workers, **measuring)(cases)
         assert outcome.states == {"done": 4}
-        found.append(contents(store))
-    assert found[0] == found[1]
+        result.append(contents(store))
+    assert result[0] == result[1]
 
 
 def test_no_scheduler(monkeypatch):

@@ -89,8 +89,8 @@ def test_values_may_leave_a_stated_range_with_a_source(study_of, base):
     axis = {"path": "elastomer.shore_a", "values": [30.0]}
     with pytest.raises(ConfigError, match=r"allowed 5 to 15 .*\(at elastomer.shore_a = 30.0\)"):
         cases_of(study_of(axis), base)
-    found = cases_of(study_of(axis | {"source": "assumed: a harder mix"}), base).run
-    assert found[0].experiment.elastomer.shore_a == 30.0
+    result = cases_of(study_of(axis | {"source": "assumed: a harder mix"}), base).run
+    assert result[0].experiment.elastomer.shore_a == 30.0
 
 
 def test_repeats_and_modalities_multiply(study_of, base):
@@ -112,16 +112,16 @@ def test_the_limit_counts_repeats_and_methods(study_of, base):
         points_of(study_of(albedo, hardness, repeats=10, modalities=both))
 
 
-def test_a_first_look_at_a_large_study_is_short_and_sees_every_level(study_of, base, tmp_path):
+def test_a_preview_of_a_large_study_is_short_and_has_every_level(study_of, base, tmp_path):
     albedo = {"path": "coating.base_albedo", "low": 0.1, "high": 0.9, "count": 50}
     hardness = {"path": "elastomer.shore_a", "low": 8, "high": 12, "count": 40}
     study = study_of(albedo, hardness, repeats=10)
-    found = StudyRecord(study, base).first_look()
-    assert 300 < len(found.run) <= 500
+    result = StudyRecord(study, base).first_look()
+    assert 300 < len(result.run) <= 500
     for axis, levels in (("coating.base_albedo", 50), ("elastomer.shore_a", 40)):
-        assert len({case.settings[axis] for case in found.run}) > 0.9 * levels
-    told = estimate(StudyRecord(study, base), found, Store(tmp_path / "none"), 1)
-    assert told.cases == pytest.approx(20_000, rel=0.02)
+        assert len({case.settings[axis] for case in result.run}) > 0.9 * levels
+    expected = estimate(StudyRecord(study, base), result, Store(tmp_path / "none"), 1)
+    assert expected.cases == pytest.approx(20_000, rel=0.02)
     small = study_of({**albedo, "count": 20})
     assert StudyRecord(small, base).first_look().step == 1
 
@@ -129,13 +129,13 @@ def test_a_first_look_at_a_large_study_is_short_and_sees_every_level(study_of, b
 def test_constraints_on_fields_exclude_before_anything_runs(study_of, base):
     bound = {"value": "press.depth_mm", "per": "elastomer.thickness_mm", "at_most": 0.3}
     axis = {"path": "elastomer.thickness_mm", "values": [2.0, 3.0, 4.0]}
-    found = cases_of(study_of(axis, constraint=(bound,)), base)
-    assert [case.settings["elastomer.thickness_mm"] for case in found.run] == [3.0, 4.0]
-    assert found.excluded == 1
+    result = cases_of(study_of(axis, constraint=(bound,)), base)
+    assert [case.settings["elastomer.thickness_mm"] for case in result.run] == [3.0, 4.0]
+    assert result.excluded == 1
 
 
 @pytest.mark.parametrize(
-    ("axis", "told"),
+    ("axis", "message"),
     [
         ({"path": "a.b"}, "takes one of values"),
         ({"path": "a.b", "values": [1], "low": 1.0, "high": 2.0}, "takes one of values"),
@@ -148,13 +148,13 @@ def test_constraints_on_fields_exclude_before_anything_runs(study_of, base):
         ({"path": "a b", "values": [1]}, "should match pattern"),
     ],
 )
-def test_bad_axes(axis, told):
-    with pytest.raises(ValueError, match=told):
+def test_bad_axes(axis, message):
+    with pytest.raises(ValueError, match=message):
         Axis(**axis)
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "message"),
     [
         ({"axis": ()}, "found 0, allowed 1 to 16"),
         ({"axis": (LOW_HIGH,)}, "a grid needs count or values"),
@@ -163,8 +163,8 @@ def test_bad_axes(axis, told):
         ({"axis": (LOW_HIGH,), "sampling": {"method": "optimise"}}, "need each other"),
     ],
 )
-def test_bad_studies(keys, told):
-    with pytest.raises(ValueError, match=told):
+def test_bad_studies(keys, message):
+    with pytest.raises(ValueError, match=message):
         Study(name="test", base="examples/slab_balls", **keys)
 
 
@@ -178,6 +178,6 @@ def test_shipped_studies_are_valid(name):
         corner = tuple(axis.level_at(0.0) for axis in study.axis)
         assert cases_of(study, loaded, [corner]).run
     else:
-        found = StudyRecord(study, loaded).cases()
-        assert len(found.run) >= 10
-        assert found.excluded == 0
+        result = StudyRecord(study, loaded).cases()
+        assert len(result.run) >= 10
+        assert result.excluded == 0

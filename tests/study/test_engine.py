@@ -1,4 +1,4 @@
-"""The engine: every case once, whatever dies; the same bytes on any executor."""
+"""The engine: every case once, even if processes die; the same bytes on any executor."""
 
 import multiprocessing
 import os
@@ -39,7 +39,7 @@ def test_killed_at_random_20_times(two_axes, stored, tmp_path):
     """kill -9 of the whole run, 20 times during 200 cases.
 
     Expected: the table of an undisturbed run, byte by byte; every case computed once but for those
-    in flight when killed; nothing in the store but whole cases.
+    in flight when killed; only complete cases in the store.
     """
     undisturbed, cases = stored(two_axes, "undisturbed")
     Run(undisturbed, local_workers(1), make_measurer=synthetic.Fake)(cases)
@@ -71,7 +71,7 @@ def test_killed_at_random_20_times(two_axes, stored, tmp_path):
 
 
 def test_killed_worker_costs_its_case_only(two_axes, stored, tmp_path, monkeypatch):
-    """kill -9 of a pool's worker: the run itself goes on, no_progress starts it again."""
+    """kill -9 of a pool's worker: the run itself continues, without a restart."""
     log = tmp_path / "log"
     monkeypatch.setenv(synthetic.LOG_VARIABLE, str(log))
     store, cases = stored(two_axes)
@@ -94,7 +94,7 @@ def test_killed_worker_costs_its_case_only(two_axes, stored, tmp_path, monkeypat
 def test_failing_cases_do_not_stop_the_rest(study_of, stored):
     """A refusal, an unexpected error and a case that kills its worker are recorded with reasons.
 
-    A later run tries crashes and unexpected errors again, refusals only when asked.
+    A later run repeats crashes and unexpected errors, but InputErrors only with `retry`.
     """
     albedo = {"path": "coating.base_albedo", "values": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]}
     store, cases = stored(study_of(albedo))
@@ -128,27 +128,27 @@ def test_two_runs_share_a_store(two_axes, stored, tmp_path, monkeypatch):
     assert len(started) == sum(started.values()) == len(cases) == len(store.finished())
 
 
-def test_a_second_run_is_told_of_the_first(few, stored):
+def test_a_second_run_reports_the_first(few, stored):
     store, _ = stored(few)
-    record, told = read_record(store.folder), list[str]()
+    record, messages = read_record(store.folder), list[str]()
 
     def run():
         return sweep(
             *(record, store.folder, local_workers(1)),
             make_measurer=synthetic.Fake,
-            tell=told.append,
+            tell=messages.append,
         )
 
-    with store.alone() as alone:
-        assert alone
+    with store.exclusive() as exclusive:
+        assert exclusive
         assert run().finished == 20
-    assert told == [f"{store.folder}: another run is at work there; both share the cases left"]
+    assert messages == [f"{store.folder}: another run is active; both share the remaining cases"]
     run()
-    assert len(told) == 1
+    assert len(messages) == 1
 
 
 def test_two_runs_in_one_process(few, stored, tmp_path, monkeypatch):
-    """Two threads sweep the same study: the system's locks do not keep these apart."""
+    """Two threads sweep the same study: the system's locks do not exclude threads."""
     log = tmp_path / "log"
     monkeypatch.setenv(synthetic.LOG_VARIABLE, str(log))
     store, cases = stored(few)
@@ -166,11 +166,11 @@ def test_two_runs_in_one_process(few, stored, tmp_path, monkeypatch):
 
 def test_same_bytes_on_any_workers(few, stored, tmp_path):
     """One process and two give the same table; for a Dask cluster see test_dask."""
-    one, cases = stored(few, "one")
-    Run(one, local_workers(1), make_measurer=synthetic.Fake)(cases)
+    first, cases = stored(few, "one")
+    Run(first, local_workers(1), make_measurer=synthetic.Fake)(cases)
     two, _ = stored(few, "two")
     Run(two, local_workers(2), make_measurer=synthetic.Fake)(cases)
-    assert csv_of(one, tmp_path, "1.csv") == csv_of(two, tmp_path, "2.csv")
+    assert csv_of(first, tmp_path, "1.csv") == csv_of(two, tmp_path, "2.csv")
 
 
 def test_any_executor_will_do(few, stored):
@@ -202,8 +202,8 @@ def _instant(keep):
     return synthetic.Fake(keep, seconds=0.0)
 
 
-def test_two_workers_are_never_alone(study_of, stored, tmp_path, monkeypatch):
-    """Each of 24 cases ends only beside another one: an idle worker would end the run with errors.
+def test_two_workers_are_never_idle(study_of, stored, tmp_path, monkeypatch):
+    """Each of 24 cases ends only while a second case runs: an idle worker would give errors.
 
     `benchmarks/sweep.py` has the gain in time.
     """
@@ -217,19 +217,19 @@ def test_two_workers_are_never_alone(study_of, stored, tmp_path, monkeypatch):
 
 
 def test_runs_together_fill_each_others_gaps(study_of, stored, tmp_path, monkeypatch):
-    """Two studies of one case each, a case that ends only beside another one.
+    """Two studies of one case each, a case that ends only while a second case runs.
 
     Expected: both end: the second study's case is handed out while the first one's is at work.
     Progress is that of both.
     """
     monkeypatch.setenv(synthetic.LOG_VARIABLE, str(tmp_path / "log"))
-    workers, parts, told = local_workers(2), [], []
+    workers, parts, messages = local_workers(2), [], []
     for name, albedo in (("one", 0.2), ("two", 0.3)):
         store, cases = stored(study_of({"path": "coating.base_albedo", "values": [albedo]}), name)
         parts.append((Run(store, workers, make_measurer=synthetic.Meeting), cases))
-    outcomes = run_together(parts, workers, lambda _, share: told.append(share))
+    outcomes = run_together(parts, workers, lambda _, share: messages.append(share))
     assert [outcome.states for outcome in outcomes] == [{"done": 1}, {"done": 1}]
-    assert told == [0.5, 1.0]
+    assert messages == [0.5, 1.0]
 
 
 def test_a_death_costs_each_of_the_runs_together_its_case_only(study_of, stored):
@@ -247,7 +247,7 @@ def test_a_death_costs_each_of_the_runs_together_its_case_only(study_of, stored)
 def test_another_holds_a_case(study_of, stored, held_case):
     """A case locked by another process is waited for, not computed twice.
 
-    Where it is the first one, the next tells what stages look at.
+    If it is the first case, the next case reports the fields that stages read.
     """
     albedo = {"path": "coating.base_albedo", "values": [0.1, 0.2]}
     store, cases = stored(study_of(albedo))
@@ -281,7 +281,7 @@ def _hold(folder, digest, held, release):
 
 
 def test_workers_end_with_their_run(two_axes, stored):
-    """kill -9 of a run whose workers are at work: they end too, though nobody tells them."""
+    """kill -9 of a run while its workers compute: they end too, without a message."""
     store, _ = stored(two_axes)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["tests.study.synthetic"])
@@ -307,7 +307,7 @@ def _is_running(pid):
 
 
 def test_a_run_in_this_process_leaves_the_renderers_threads(mi, tmp_path):
-    """One worker is this process, whose number of threads is the caller's."""
+    """One worker is this process, with the caller's number of threads."""
     import drjit as dr
 
     before = dr.thread_count()

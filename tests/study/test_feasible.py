@@ -1,4 +1,4 @@
-"""Which designs are best: only those whose constraints hold and whose tolerances are met."""
+"""Which designs are best: only those that meet their constraints and tolerances."""
 
 from functools import partial
 
@@ -11,8 +11,8 @@ from twin.config.study import Constraint, Objective
 from twin.report.study import write_study
 from twin.study import sweep as module
 from twin.study.feasibility import beyond_tolerances
-from twin.study.measuring import AS_IT_IS, Answer
-from twin.study.optimise import _figures
+from twin.study.measuring import NOMINAL_CONDITIONS, CaseResult
+from twin.study.optimise import _search_values
 from twin.study.record import StudyRecord
 from twin.study.remarks import remarks_of
 from twin.study.store import Store
@@ -31,7 +31,7 @@ class Judged(Fake):
     At 0.5 noise of a seed may take it out: only seed 8 does. Shinier coats are warned of.
     """
 
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         albedo = experiment.coating.base_albedo
         margin = 100.0 * (albedo - 0.45) - (10.0 if experiment.seed == 8 else 0.0)
         verdict = "within tolerance" if margin >= 0 else "cannot tell"
@@ -45,7 +45,7 @@ class Judged(Fake):
             if albedo > 0.2
             else [],
         }
-        return Answer(figures)
+        return CaseResult(figures)
 
 
 @pytest.fixture
@@ -102,15 +102,15 @@ def test_a_lucky_repeat_is_no_feasible_design(swept, tmp_path):
     assert any("every repeat of the design" in row["reason"] for row in rows)
 
 
-def test_a_search_is_told_by_how_much_tolerances_are_missed(swept, study_of, judged, tmp_path):
+def test_a_search_receives_the_excess_over_tolerances(swept, study_of, judged, tmp_path):
     swept()
     table = read_table(tmp_path / "out")
     plan = type("Plan", (), {"objectives": (ERROR,)})
     excess = [
-        _figures(table.record.study, plan, [case], Store(tmp_path / "out"))[1]
+        _search_values(table.record.study, plan, [case], Store(tmp_path / "out"))[1]
         for case in table.cases
     ]
-    assert excess == [[pytest.approx(one)] for one in (35.0, 15.0, 0.0, 0.0)]
+    assert excess == [[pytest.approx(item)] for item in (35.0, 15.0, 0.0, 0.0)]
     assert beyond_tolerances({"object_x_verdict": "cannot tell"}) == float("inf")
     assert beyond_tolerances({"object_x_verdict": "within tolerance", "object_x_margin_um": 1}) == 0
 
@@ -126,10 +126,10 @@ def test_a_value_at_the_bound_is_within_though_it_is_rounded():
 def test_warnings_of_cases_reach_terminal_and_page(swept, tmp_path, capsys, monkeypatch, study_of):
     """Each kind once, with how many cases have it, an example and a remedy."""
     outcome = swept()
-    texts = [one.in_words(outcome.finished) for one in outcome.remarks]
+    texts = [item.in_words(outcome.finished) for item in outcome.remarks]
     assert texts == [
         "3 of 4 cases: the contact is 4 cells wide",
-        "1 of 4 cases: no point of the object (the press touches nothing that the camera sees): "
+        "1 of 4 cases: no point of the object (no contact in view of the camera): "
         "raise press.back_pressure_kpa, or the travel, press.depth_mm",
     ]
     page = write_study(tmp_path / "out").read_text(encoding="utf-8")
@@ -157,7 +157,7 @@ def test_remarks_of_results_without_any_point():
     }
     unseen = {"points": 0, "lit_pixels": 0, "warnings": []}
     fit = {"points": 9, "lit_pixels": 9, "rod_width_why": "no crest", "true_rig_rod_width_why": "x"}
-    texts = [one.text for one in remarks_of({"a": unlit, "b": unseen, "c": fit})]
+    texts = [item.text for item in remarks_of({"a": unlit, "b": unseen, "c": fit})]
     assert texts[0].startswith("no valid point: ")
     assert texts[1].startswith("no pixel that ought to give a point: move specimen or camera")
     assert texts[2:] == ["rod_width has no value: no crest"]

@@ -1,4 +1,4 @@
-"""What needs no rendering is told before a study's first case; what fails later, as it fails."""
+"""Checks without rendering are reported before the first case; other failures as they occur."""
 
 import pytest
 
@@ -34,13 +34,13 @@ def experiments():
     """The experiments behind tests/pipeline/reference.json, by name."""
     two_balls = load_experiment("examples/slab_balls", FREE)
     plan = PhotometricPlan(settings=FEW_PRESSES)
-    found = {name: load_experiment(*given) for name, given in ALONE.items()}
+    result = {name: load_experiment(*given) for name, given in ALONE.items()}
     for method in ("contact_fpp", "direct_fpp"):
-        found[f"compared_{method}"] = case_for(two_balls, method, plan)
+        result[f"compared_{method}"] = case_for(two_balls, method, plan)
     gel = load_experiment(
         "rigs/gelsight_mini", {"name": "gel", "specimen": two_balls.specimen.model_dump()}
     )
-    return found | {"compared_photometric_stereo": gel}
+    return result | {"compared_photometric_stereo": gel}
 
 
 METHODS = ("contact_fpp", "direct_fpp", "photometric_stereo")
@@ -54,24 +54,24 @@ def test_every_figure_of_a_measurement_is_known_before_it(name):
 
 
 def test_a_misspelt_figure_stops_a_study_before_its_first_case(tmp_path, capsys):
-    for asked in ({"metric": "object_rsm_um"}, {"goal": "object_radius_2_abs_error_um"}):
-        assert run(["sweep", study(tmp_path, **asked), "-o", str(tmp_path / "out")]) == 2
-        told = capsys.readouterr().err
-        assert "no case of this study has a figure" in told
-        assert "did you mean object_r" in told
+    for requested in ({"metric": "object_rsm_um"}, {"goal": "object_radius_2_abs_error_um"}):
+        assert run(["sweep", study(tmp_path, **requested), "-o", str(tmp_path / "out")]) == 2
+        message = capsys.readouterr().err
+        assert "no case of this study has a figure" in message
+        assert "did you mean object_r" in message
         assert not (tmp_path / "out").exists()
 
 
-def test_nothing_runs_where_no_case_can_be_measured(tmp_path, capsys):
-    """A gel that nobody describes: told from the description alone, with what to add."""
+def test_no_case_runs_if_none_can_be_measured(tmp_path, capsys):
+    """A gel without mechanics: reported from the description only, with the missing field."""
     file = study(tmp_path)
     text = (tmp_path / "study.toml").read_text(encoding="utf-8")
     text = text.replace("examples/gel_on_window", "examples/slab_balls")
     text += '[set.elastomer]\nlayout = "contact_face"\n[set.press]\nback_pressure_kpa = 0.0\n'
     (tmp_path / "study.toml").write_text(text, encoding="utf-8")
     assert run(["sweep", file, "-o", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err
-    assert "2 of 2 cases cannot be measured: layers: found none" in told
+    message = capsys.readouterr().err
+    assert "2 of 2 cases cannot be measured: layers: found none" in message
     assert not (tmp_path / "out" / "cases").exists()
 
 
@@ -86,17 +86,17 @@ def test_a_measurand_that_the_specimen_cannot_have_is_refused_at_once(tmp_path, 
     assert "radius number 2: the specimen (ball) has 1" in capsys.readouterr().err
 
 
-def test_the_first_reasons_are_told_and_name_the_remedy(mi, tmp_path, capsys):
-    """A force for which the gel is too thin is known only by pressing: told as the case fails."""
+def test_the_first_reasons_are_reported_with_a_remedy(mi, tmp_path, capsys):
+    """A gel too thin for a force is detected by the press only: reported as the case fails."""
     file = study(tmp_path, path="press.force_n", values=[4000.0])
     assert run(["sweep", file, "-o", str(tmp_path / "out"), "-j", "1"]) == 1
-    told = capsys.readouterr().err
-    assert told.index("a case failed: press.force_n: 4000 N needs") < told.index("1 failed: ")
-    assert "lower press.force_n, or use a thicker or harder slab" in told
-    assert "rim" not in told  # a gel on a window has none
+    message = capsys.readouterr().err
+    assert message.index("a case failed: press.force_n: 4000 N needs") < message.index("1 failed: ")
+    assert "lower press.force_n, or use a thicker or harder slab" in message
+    assert "rim" not in message  # a gel on a window has none
 
 
-def test_a_free_slab_is_told_of_its_rim_and_of_the_other_layout():
+def test_a_free_slab_is_warned_of_its_rim_and_of_the_other_layout():
     slab = {"press.control": "force", "press.force_n": 5000.0, "press.back_pressure_kpa": 0.0}
     slab |= {"press.depth_mm": "absent", "press.solver_pitch_mm": 0.4}
     slab |= {"mechanics.model": "spectral"}

@@ -1,4 +1,4 @@
-"""Search by derivatives: finds a known minimum within bounds, goes on from the store."""
+"""Gradient search: finds a known minimum within bounds, continues from the store."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from tests.study.synthetic import Fake
 from twin.config import ConfigError
 from twin.config.schema import validated
 from twin.config.study import Study
-from twin.study.measuring import Answer
+from twin.study.measuring import CaseResult
 from twin.study.needed import bound_needed
 from twin.study.record import StudyRecord, read_record
 from twin.study.sweep import sweep
@@ -33,7 +33,7 @@ class Valley(Fake):
             "crb_radius_um_by_patterns.period_px": value * 2 * np.log(period / 20.0) / period,
             "warnings": [],
         }
-        return Answer(figures)
+        return CaseResult(figures)
 
 
 def study(study_of, *axes, **keys):
@@ -41,8 +41,8 @@ def study(study_of, *axes, **keys):
     return study_of(*axes, sampling={"method": "gradient"}, gradient=plan, **keys)
 
 
-def searched(asked, base, folder):
-    outcome = sweep(StudyRecord(asked, base), folder, local_workers(1), make_measurer=Valley)
+def searched(requested, base, folder):
+    outcome = sweep(StudyRecord(requested, base), folder, local_workers(1), make_measurer=Valley)
     rows = read_table(folder).rows
     best = min((row for row in rows if row["feasible"]), key=lambda row: row["crb_radius_um"])
     return outcome, best
@@ -69,8 +69,8 @@ def test_search_keeps_constraints_on_fields(study_of, base, tmp_path):
     assert [row["feasible"] for row in beyond] == [False] * len(beyond)
 
 
-def test_search_goes_on_from_the_store(study_of, base, tmp_path):
-    """A search that had 3 cases, asked for 40: these are found, the end is that of one search."""
+def test_search_continues_from_the_store(study_of, base, tmp_path):
+    """A search with 3 cases continues to 40: stored cases are reused, the result is the same."""
     few = study(study_of, ALBEDO, PERIOD, gradient={"evaluations": 3})
     assert searched(few, base, tmp_path / "two")[0].states["done"] == 3
     more = study(study_of, ALBEDO, PERIOD)
@@ -81,22 +81,22 @@ def test_search_goes_on_from_the_store(study_of, base, tmp_path):
 
 
 def test_an_objective_without_derivatives_is_refused(study_of, base, tmp_path):
-    other = study(study_of, ALBEDO, gradient={"objective": {"metric": "z_rmse_um"}})
+    second = study(study_of, ALBEDO, gradient={"objective": {"metric": "z_rmse_um"}})
     with pytest.raises(InputError, match="found no number of z_rmse_um"):
-        searched(other, base, tmp_path)
+        searched(second, base, tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("axis", "told"),
+    ("axis", "message"),
     [
         (ALBEDO | {"count": 3}, "low and high without count"),
         (ALBEDO | {"integer": True}, "no whole numbers"),
     ],
 )
-def test_axes_must_be_continuous(axis, told):
+def test_axes_must_be_continuous(axis, message):
     tree = {"name": "x", "base": "examples/slab_balls", "axis": [axis]}
     tree |= {"sampling": {"method": "gradient"}, "gradient": {"objective": {"metric": "crb"}}}
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         validated(Study, tree, "x: ")
 
 
@@ -112,12 +112,12 @@ def test_axes_must_be_continuous(axis, told):
         (("crb_radius_um",), {"constraint": ({"value": "force_n", "at_most": 1},)}, "alone"),
     ],
 )
-def test_a_study_needs_what_it_names(study_of, metrics, keys, needed):
+def test_a_study_needs_the_stages_of_its_figures(study_of, metrics, keys, needed):
     axis = {"path": "coating.base_albedo", "values": [0.2, 0.4]}
     assert bound_needed(study_of(axis, metrics=metrics, **keys)) == needed
 
 
-def test_a_study_of_bounds_renders_nothing(study_of, base, tmp_path, monkeypatch):
+def test_a_study_of_bounds_renders_no_frame(study_of, base, tmp_path, monkeypatch):
     """Two coats, two periods: one press, one scene, two traces; no frame, no noise, no decoding."""
     from twin.pipeline import fringes, trace
 
@@ -138,8 +138,8 @@ def test_a_study_of_bounds_renders_nothing(study_of, base, tmp_path, monkeypatch
         monkeypatch.setattr(trace, name, counted)
     albedo = {"path": "coating.base_albedo", "values": [0.2, 0.4]}
     period = {"path": "patterns.period_px", "values": [12.0, 18.0]}
-    asked = study_of(albedo, period, metrics=("predicted_sigma_z_um", "force_n"))
-    outcome = sweep(StudyRecord(asked, base), tmp_path, local_workers(1))
+    requested = study_of(albedo, period, metrics=("predicted_sigma_z_um", "force_n"))
+    outcome = sweep(StudyRecord(requested, base), tmp_path, local_workers(1))
     assert outcome.states == {"done": 4}
     assert counts == {"load_face": 1, "view_of": 1, "patches_of": 2}
     rows = {

@@ -59,7 +59,7 @@ def test_from_an_stl_to_a_sensor_that_meets_10_um(mi, desk, capsys):
     """init, own part, own study, best design, its measurement: all from the command line.
 
     Expected: the design that presses too little is not feasible or fails a tolerance, the best one
-    meets both with U to spare; measured alone it says so, in the terminal and in the report, and
+    meets both with a margin to U; a single measurement reports that in terminal and report, and
     its figures are those of the study's table.
     """
     assert run(["init", "--template", "gel"]) == 0
@@ -77,14 +77,14 @@ def test_from_an_stl_to_a_sensor_that_meets_10_um(mi, desk, capsys):
     assert run(["sweep", "study.toml", "-o", "found", "-j", "1"]) == 0
     capsys.readouterr()
     assert run(["sweep", "best", "found"]) == 0
-    told = capsys.readouterr().out
-    assert "least_margin_um" in told
+    message = capsys.readouterr().out
+    assert "least_margin_um" in message
 
     cases = {path.parent.name: read_json(path)["metrics"]
              for path in desk.glob("found/cases/*/result.json")}  # fmt: skip
     assert len(cases) == 4
-    margins = {name: one["least_margin_um"] for name, one in cases.items()}
-    feasible = [name for name, one in cases.items() if one["object_coverage_share"] >= 0.8]
+    margins = {name: item["least_margin_um"] for name, item in cases.items()}
+    feasible = [name for name, item in cases.items() if item["object_coverage_share"] >= 0.8]
     best = max(feasible, key=lambda name: margins[name] if margins[name] is not None else -1e9)
     assert len(feasible) < 4
     assert margins[best] > 0

@@ -1,4 +1,4 @@
-"""Search by Optuna: finds the minimum, respects constraints, goes on from the store."""
+"""Search by Optuna: finds the minimum, respects constraints, continues from the store."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def search(study_of, base, folder, trials, workers=1, **keys):
     return sweep(record, folder, local_workers(workers), make_measurer=Bowl)
 
 
-def test_front_is_what_nobody_beats():
+def test_front_has_the_undominated_rows():
     costs = np.array([[1.0, 3.0], [2.0, 2.0], [3.0, 1.0], [3.0, 3.0], [2.0, 2.0], [2.5, 2.0]])
     assert on_front(costs).tolist() == [True, True, True, False, True, False]
 
@@ -64,7 +64,7 @@ def test_search_finds_a_known_minimum(study_of, base, tmp_path):
     assert best["albedo"] >= 0.5
 
 
-def test_search_goes_on_and_needs_no_same_workers(study_of, base, tmp_path):
+def test_search_continues_with_other_workers(study_of, base, tmp_path):
     """12 trials, then 24 of the same study: the same as 24 at once, on other workers too."""
     pytest.importorskip("optuna")
     goals = {"objectives": [{"metric": "bowl"}, {"metric": "slope", "goal": "maximise"}]}
@@ -78,7 +78,7 @@ def test_search_goes_on_and_needs_no_same_workers(study_of, base, tmp_path):
 
 
 def test_excluded_points_are_no_trials(study_of, base, tmp_path):
-    """A bound on a field admits an eighth of the space: as many cases are measured as asked for."""
+    """A bound on a field admits 12.5 % of the space: the requested number of cases is measured."""
     pytest.importorskip("optuna")
     bound = {"value": "coating.base_albedo", "at_most": 0.2}
     goals = {"objectives": [{"metric": "bowl"}], "sampler": "random"}
@@ -89,11 +89,11 @@ def test_excluded_points_are_no_trials(study_of, base, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("path", "told"),
+    ("path", "message"),
     [("coating.base_albdo", "did you mean"), ("coating.base_albedo", "constraints exclude all")],
 )
-def test_search_without_a_valid_point(study_of, base, tmp_path, path, told):
-    """A misspelt field, and a bound that nothing meets, are told instead of searched for ever."""
+def test_search_without_a_valid_point(study_of, base, tmp_path, path, message):
+    """A misspelt field, or a bound that excludes all points, gives an error, no endless search."""
     pytest.importorskip("optuna")
     study = study_of(
         ALBEDO | {"path": path},
@@ -101,6 +101,6 @@ def test_search_without_a_valid_point(study_of, base, tmp_path, path, told):
         optimise={"trials": 4, "objectives": [{"metric": "bowl"}]},
         constraint=({"value": "coating.base_albedo", "at_least": 0.95},),
     )
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         sweep(StudyRecord(study, base), tmp_path, local_workers(1), make_measurer=Bowl)
     assert not any((tmp_path / "cases").iterdir())

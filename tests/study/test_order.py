@@ -58,7 +58,7 @@ def test_batches_hold_all_and_share(base):
         assert all(len({case.settings["thickness"] for case in batch}) == 1 for batch in batches)
 
 
-def test_nothing_known_keeps_the_order(base):
+def test_order_is_kept_without_known_reads(base):
     given = cases(base)
     assert [case for _, case in in_sharing_order(given, ())] == given
     assert sum(map(len, batches_of(in_sharing_order(given, ()), 2))) == 60

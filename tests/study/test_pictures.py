@@ -1,4 +1,4 @@
-"""Pictures of cases: what a measurement of the case gives, thinned out."""
+"""Pictures of cases: the maps of a measurement of the case, reduced."""
 
 from types import SimpleNamespace
 
@@ -15,14 +15,14 @@ from twin.study.store import Store
 
 def test_picture_is_of_the_measurement(mi, base):
     """A case of 160 x 120 pixels, which is not thinned: every pixel is that of `measure`."""
-    found, done = take_picture(base, Memory()), measure(base)
+    taken, done = take_picture(base, Memory()), measure(base)
     points, truth = done.points, done.truth
-    np.testing.assert_array_equal(found.measured, points.valid)
-    np.testing.assert_array_equal(found.z_mm[found.measured], points.world_mm[points.valid][:, 2])
-    rmse_um = np.sqrt(np.mean(found.error_um[found.scored].astype(float) ** 2))
+    np.testing.assert_array_equal(taken.measured, points.valid)
+    np.testing.assert_array_equal(taken.z_mm[taken.measured], points.world_mm[points.valid][:, 2])
+    rmse_um = np.sqrt(np.mean(taken.error_um[taken.scored].astype(float) ** 2))
     assert rmse_um == pytest.approx(done.score.against_truth.z_rmse_um, rel=1e-5)
-    assert found.true_z_mm[1] == truth.points_world_mm[..., 2].max()
-    assert found.seen.max() > 150  # the automatic exposure's level
+    assert taken.true_z_mm[1] == truth.points_world_mm[..., 2].max()
+    assert taken.seen.max() > 150  # the automatic exposure's level
 
 
 def test_large_pictures_are_thinned(base):
@@ -38,11 +38,11 @@ def test_large_pictures_are_thinned(base):
         picture=np.full((300, 400, 3), 90, np.uint8),
         pixel_mm=0.02,
     )
-    found = pictures.picture_of(done)
-    assert found.seen.shape == (150, 200, 3)
-    np.testing.assert_allclose(found.z_mm, z_mm[::2, ::2], atol=1e-7)
-    np.testing.assert_allclose(found.error_um, 1e3 * z_mm[::2, ::2], atol=1e-4)
-    assert found.width_mm == 8.0
+    taken = pictures.picture_of(done)
+    assert taken.seen.shape == (150, 200, 3)
+    np.testing.assert_allclose(taken.z_mm, z_mm[::2, ::2], atol=1e-7)
+    np.testing.assert_allclose(taken.error_um, 1e3 * z_mm[::2, ::2], atol=1e-4)
+    assert taken.width_mm == 8.0
 
 
 def test_kept_whole_or_not_at_all(base, tmp_path):
@@ -67,6 +67,6 @@ def test_other_versions_take_no_pictures(stored, study_of, tmp_path):
     store, cases = stored(study_of({"path": "coating.base_albedo", "values": [0.3, 0.4]}))
     mark = store.folder / "store.json"
     mark.write_text(mark.read_text().replace('"mitsuba": "', '"mitsuba": "0.'))
-    found, failed = pictures_of(Store(store.folder), cases)
-    assert not found
+    taken, failed = pictures_of(Store(store.folder), cases)
+    assert not taken
     assert all("computed with mitsuba 0." in reason for reason in failed.values())

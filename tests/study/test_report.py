@@ -22,7 +22,7 @@ ROUGH = {"path": "coating.flake_roughness", "name": "rough", "low": 0.1, "high":
 
 
 def picture_of(level):
-    """A picture whose heights end at `level` mm and whose error is `level` um everywhere."""
+    """A picture with heights up to `level` mm and an error of `level` um everywhere."""
     there = np.ones((6, 8), bool)
     flat = np.full((6, 8), level, np.float32)
     ends = np.array([0.0, level])
@@ -31,15 +31,15 @@ def picture_of(level):
 
 @pytest.fixture(autouse=True)
 def taken(monkeypatch):
-    """Cases that were measured for their picture: here as a stand-in, without a renderer."""
-    found = []
+    """Cases that were measured for their picture: here replaced by a function without renderer."""
+    result = []
 
     def take(experiment, _):
-        found.append(experiment)
+        result.append(experiment)
         return picture_of(experiment.coating.base_albedo)
 
     monkeypatch.setattr(pictures, "take_picture", take)
-    return found
+    return result
 
 
 def page_of(base, folder, *axes, **keys):
@@ -49,7 +49,7 @@ def page_of(base, folder, *axes, **keys):
 
 
 def drawn(folder):
-    """Take what pictures are missing, then draw."""
+    """Make the missing pictures, then draw."""
     return write_study(folder, failed=pictures.picture_best(folder)).read_text()
 
 
@@ -84,7 +84,7 @@ def test_pareto_front(base, tmp_path):
 
 
 def test_best_designs_in_pictures(base, tmp_path, taken):
-    """Five designs of one objective, each with three pictures; drawn again nothing is measured."""
+    """Five designs of one objective, each with three pictures; a second report measures no case."""
     text = page_of(base, tmp_path, ALBEDO | {"count": 5}, metrics=["bowl"], repeats=2)
     assert len(taken) == 5  # the second repeat is no design of its own
     assert text.count('<section id="design_') == 5
@@ -94,7 +94,7 @@ def test_best_designs_in_pictures(base, tmp_path, taken):
     assert len(taken) == 5
     next((tmp_path / "pictures").iterdir()).write_bytes(b"damaged")
     assert "Without pictures: not drawn yet" in write_study(tmp_path).read_text()
-    assert len(taken) == 5  # the report itself measures nothing
+    assert len(taken) == 5  # the report itself measures no case
     assert drawn(tmp_path) == text
     assert len(taken) == 6
 

@@ -1,4 +1,4 @@
-"""Sensitivities against functions whose answer is known."""
+"""Sensitivities of functions with known effects."""
 
 import numpy as np
 import pytest
@@ -19,32 +19,32 @@ def shares(method, count):
 def test_ishigami():
     """Ishigami and Homma (1990), a = 7, b = 0.1: S = 0.314, 0.442, 0; totals 0.558, 0.442, 0.244.
 
-    A large constant on top must change nothing.
+    A large added constant must not change the effects.
     """
     x = np.pi * (2.0 * shares("saltelli", 4096) - 1.0)
     values = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
     for constant in (0.0, 1000.0):
-        found = saltelli_effects((values + constant).reshape(5, -1), AXES)
-        assert [one.value for one in found] == pytest.approx([0.314, 0.442, 0.0], abs=0.02)
-        assert [one.total for one in found] == pytest.approx([0.558, 0.442, 0.244], abs=0.02)
-        for one, true in zip(found, (0.314, 0.442, 0.0), strict=True):
-            assert one.low - 0.01 <= true <= one.high + 0.01
-            assert one.high - one.low < 0.15
+        result = saltelli_effects((values + constant).reshape(5, -1), AXES)
+        assert [item.value for item in result] == pytest.approx([0.314, 0.442, 0.0], abs=0.02)
+        assert [item.total for item in result] == pytest.approx([0.558, 0.442, 0.244], abs=0.02)
+        for item, true in zip(result, (0.314, 0.442, 0.0), strict=True):
+            assert item.low - 0.01 <= true <= item.high + 0.01
+            assert item.high - item.low < 0.15
 
 
 def test_failed_points_cost_their_rows_only():
     values = (shares("saltelli", 256) @ [1.0, 2.0, 0.0]).reshape(5, -1)
     values[3, 7] = np.nan
-    found = saltelli_effects(values, AXES)
-    assert [one.value for one in found] == pytest.approx([0.2, 0.8, 0.0], abs=0.06)
+    result = saltelli_effects(values, AXES)
+    assert [item.value for item in result] == pytest.approx([0.2, 0.8, 0.0], abs=0.06)
 
 
 def test_morris_on_a_plane_and_an_interaction():
     """A plane: mu* is the slope, sigma 0. A product adds spread to both of its axes."""
     walks = shares("morris", 12).reshape(12, 4, 3)
     plane = morris_effects(walks @ [2.0, -3.0, 0.0], walks, AXES)
-    assert [one.value for one in plane] == pytest.approx([2.0, 3.0, 0.0])
-    assert [one.total for one in plane] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert [item.value for item in plane] == pytest.approx([2.0, 3.0, 0.0])
+    assert [item.total for item in plane] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
     product = morris_effects(walks[..., 0] * walks[..., 1], walks, AXES)
     assert min(product[0].total, product[1].total) > 0.1
     assert product[2].value == 0.0

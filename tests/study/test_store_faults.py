@@ -1,4 +1,4 @@
-"""Damaged, unfinished and full stores: told, made up for, and never in the way."""
+"""Damaged, unfinished and full stores: reported, repaired, and never an obstacle."""
 
 import os
 import re
@@ -26,7 +26,7 @@ def csv_of(store, tmp_path, name):
 
 @pytest.mark.parametrize("left", [(), ("store.json",), ("store.json", "cases")])
 def test_killed_before_the_store_is_one(few, stored, tmp_path, left):
-    """Setup: what a run leaves that is killed while it makes its store."""
+    """Setup: the files of a run that was killed while it created its store."""
     whole, _ = stored(few, "whole")
     folder = tmp_path / "killed"
     folder.mkdir()
@@ -45,7 +45,7 @@ def test_killed_before_the_store_is_one(few, stored, tmp_path, left):
 
 
 def test_give_up_on_a_full_disk(study_of, stored, monkeypatch):
-    """Not even the reason of a crash can be written: it is told, and the rest goes on."""
+    """Not even the reason of a crash can be written: it is reported, other cases are computed."""
     import errno
 
     from twin.study import store as store_module
@@ -62,8 +62,8 @@ def test_give_up_on_a_full_disk(study_of, stored, monkeypatch):
     assert "No space left" in reason
 
 
-def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
-    """The disk is full for two cases: they are told, the rest is saved, a second run adds them."""
+def test_full_disk_is_reported_and_repaired(study_of, stored, monkeypatch):
+    """The disk is full for two cases: reported, other cases are saved, a second run adds them."""
     import errno
 
     from twin.study import store as store_module
@@ -83,15 +83,15 @@ def test_full_disk_is_told_and_made_up_for(study_of, stored, monkeypatch):
     outcome = Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
     assert outcome.states == {"done": 2, "unsaved": 2}
     assert all("No space left" in reason for reason in outcome.unsaved.values())
-    told = [e for e in index.entries().values() if e.state == "unsaved"]
-    assert {e.digest for e in told} == set(outcome.unsaved)
+    unsaved = [e for e in index.entries().values() if e.state == "unsaved"]
+    assert {e.digest for e in unsaved} == set(outcome.unsaved)
     assert not any((store.folder / ".parts").iterdir())
     again = Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
     assert again.states == {"done": 2}
     assert {e.state for e in index.entries().values()} == {"done"}
 
 
-def test_an_index_that_fails_stops_nothing(few, stored, monkeypatch):
+def test_a_failing_index_does_not_stop_a_run(few, stored, monkeypatch):
     """Damaged while cases are entered; then one that cannot be opened at all."""
     store, cases = stored(few)
     (store.folder / "index.sqlite").write_bytes(b"no database at all" * 100)
@@ -108,7 +108,7 @@ def test_an_index_that_fails_stops_nothing(few, stored, monkeypatch):
     assert (store.folder / "index.sqlite").is_file()
 
 
-def test_index_is_made_anew(few, stored, tmp_path):
+def test_a_missing_index_is_built_again(few, stored, tmp_path):
     store, cases = stored(few)
     index = Index(store)
     Run(store, local_workers(1), make_measurer=synthetic.Fake, done=index.enter)(cases)
@@ -143,7 +143,7 @@ def no_time(folder):
 
 
 def another_figure(folder):
-    """Valid in itself, but not what was measured."""
+    """Valid in itself, but not the measured result."""
     path = folder / "result.json"
     path.write_text(re.sub(r'"value": [^,}\n]+', '"value": 1.25', path.read_text()))
 
@@ -176,7 +176,7 @@ DAMAGES = [cut, empty, nested, no_metrics, no_time, another_figure, pipe, no_man
 
 @pytest.mark.parametrize("damage", [*DAMAGES, somebody_elses, a_file])
 def test_a_damaged_case_costs_itself(few, stored, tmp_path, damage):
-    """It is named in the table, the others are read, and the next run computes it anew."""
+    """It is named in the table, all other cases are read, and the next run computes it again."""
     store, cases = stored(few)
     record = read_record(store.folder)
 
@@ -199,7 +199,7 @@ def test_a_damaged_case_costs_itself(few, stored, tmp_path, damage):
     assert csv_of(store, tmp_path, "after.csv") == before
 
 
-def test_what_is_not_ours_is_put_aside(few, stored):
+def test_foreign_files_are_moved_aside(few, stored):
     store, cases = stored(few)
     record = read_record(store.folder)
     for _ in range(2):
@@ -221,7 +221,7 @@ def test_figures_of_the_index_are_those_of_the_case(few, stored, tmp_path):
     assert csv_of(store, tmp_path, "after.csv") == before
 
 
-def test_an_index_that_holds_is_not_read_anew(few, stored, tmp_path, monkeypatch):
+def test_a_valid_index_is_not_read_again(few, stored, tmp_path, monkeypatch):
     store, cases = stored(few)
     Run(store, local_workers(1), make_measurer=synthetic.Fake, done=Index(store).enter)(cases)
     before = csv_of(store, tmp_path, "before.csv")

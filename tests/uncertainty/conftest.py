@@ -1,4 +1,4 @@
-"""A study of trials whose answer is known, without a renderer."""
+"""A study of trials with a known result, without a renderer."""
 
 import pytest
 

@@ -1,11 +1,11 @@
-"""Measurements whose uncertainty is known, importable by worker processes."""
+"""Model measurements with known uncertainty, importable by worker processes."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from reconstruction.errors import InputError
-from twin.study.measuring import AS_IT_IS, Answer
+from twin.study.measuring import NOMINAL_CONDITIONS, CaseResult
 
 NOISE, RIG = 0.03, 0.02
 
@@ -16,7 +16,7 @@ class Linear:
 
     keep: tuple[str, ...] = ()
 
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         place = experiment.specimen
         value = 4.0 + 2.0 * place.x_mm - 3.0 * place.y_mm
         if experiment.camera.noise:
@@ -26,7 +26,7 @@ class Linear:
             figures["true_rig_value_mm"] = value
             rng = np.random.default_rng([8, conditions.seed, conditions.trial])
             figures["value_mm"] += RIG * rng.normal()
-        return Answer(figures)
+        return CaseResult(figures)
 
     def reads(self):
         return ((("specimen", "x_mm"),),)
@@ -35,15 +35,15 @@ class Linear:
 class Refusing(Linear):
     """Cannot be measured where x is beyond a limit."""
 
-    def __call__(self, experiment, conditions=AS_IT_IS):
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
         if experiment.specimen.x_mm > 0.1:
             raise InputError("specimen: beyond the elastomer")
         return super().__call__(experiment, conditions)
 
 
 class Blank(Linear):
-    """Finds no point, so that the figure has no value."""
+    """A measurement without points: the figure has no value."""
 
-    def __call__(self, experiment, conditions=AS_IT_IS):
-        found = super().__call__(experiment, conditions).figures
-        return Answer(found | {"value_mm": None, "points": 0})
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
+        figures = super().__call__(experiment, conditions).figures
+        return CaseResult(figures | {"value_mm": None, "points": 0})

@@ -19,15 +19,15 @@ from twin.propagation.budget import (
 NORMAL = Input(group="press", key="press.depth_mm", distribution="normal", spread=0.05)
 
 
-def test_a_bend_counts_where_there_is_no_slope():
+def test_a_bend_has_an_uncertainty_without_a_slope():
     """f = x^2 of a standard normal x has a standard deviation of sqrt 2; f = 3 x + x^2, sqrt 11."""
     assert spread_of_parabola(1.0, 0.0, 1.0) == pytest.approx(np.sqrt(2.0))
     assert spread_of_parabola(-2.0, 0.0, 4.0) == pytest.approx(np.sqrt(11.0))
 
 
 def test_parts_of_inputs():
-    found = part_of("travel", NORMAL, {"low": 3.9, "nominal": 4.0, "high": 4.1})
-    assert found == Part("travel", "press", "press.depth_mm", pytest.approx(0.1))
+    part = part_of("travel", NORMAL, {"low": 3.9, "nominal": 4.0, "high": 4.1})
+    assert part == Part("travel", "press", "press.depth_mm", pytest.approx(0.1))
     assert part_of("travel", NORMAL, {"nominal": 4.0, "high": 4.1}) is None
 
 
@@ -54,10 +54,10 @@ def test_sample_standard_deviations():
     assert noise_part(values[:1]) is calibration_part(values[:1]) is None
 
 
-def test_optics_are_taken_off_the_noise_once():
-    """Trials differ from the face by 5 um, of which the optics explain 3: noise and decoding 4.
+def test_the_optics_part_is_subtracted_from_the_noise_once():
+    """Trials differ from the face by 5 um; with 3 um from the optics, noise and decoding are 4 um.
 
-    Optics, noise and calibration of 12 um then combine to 13 um, as the trials show.
+    Optics, noise and calibration of 12 um then combine to 13 um, as in the trials.
     """
     rng = np.random.default_rng(1)
     raw = rng.normal(size=50)

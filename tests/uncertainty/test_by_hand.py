@@ -43,7 +43,7 @@ def test_spreads_by_distribution():
 
 
 def test_a_choice_by_its_cumulated_shares():
-    """Ten shares of 0.1 sum up to less than 1: the last value is taken there too."""
+    """Ten shares of 0.1 sum up to less than 1: a probability of 1 still gives the last value."""
     ten = Choice(tuple(range(10)), (0.1,) * 10)
     assert ten.ppf([0.0, 0.05, 0.1, 0.11, 0.95, 1.0]).tolist() == [0, 0, 0, 1, 9, 9]
     assert Choice((1.0, 5.0), (0.75, 0.25)).std() == pytest.approx(3.0**0.5)
@@ -68,34 +68,34 @@ def test_values_that_differ_by_rounding_have_no_digits():
 def test_errors_of_interval_ends_from_blocks():
     """Twenty blocks of 500: the 13th and the 488th smallest are the ends of 95 %.
 
-    Their 13th is 12.5 and 13.5 in turns: 0.5 sqrt(20 / 19) = 0.51299 of spread, twice that over
-    the root of 20. The 488th is the same in all.
+    The 13th is alternately 12.5 and 13.5: its standard deviation is 0.5 sqrt(20 / 19) = 0.51299,
+    the error two of these over the root of 20. The 488th is equal in all blocks.
     """
     rng, blocks = np.random.default_rng(2), []
     for number in range(20):
         block = np.arange(1.0, 501.0)
         block[12] += 0.5 if number % 2 else -0.5
         blocks.append(rng.permutation(block))
-    found = distribution_of(np.concatenate(blocks)).stability
-    assert found.errors[2] == pytest.approx(2 / 20**0.5 * 0.5 * (20 / 19) ** 0.5)
-    assert found.errors[3] == 0.0
+    stability = distribution_of(np.concatenate(blocks)).stability
+    assert stability.errors[2] == pytest.approx(2 / 20**0.5 * 0.5 * (20 / 19) ** 0.5)
+    assert stability.errors[3] == 0.0
     # The mean moves by 1 / 500 between blocks.
-    assert found.errors[0] == pytest.approx(2 / 20**0.5 * 0.001 * (20 / 19) ** 0.5)
+    assert stability.errors[0] == pytest.approx(2 / 20**0.5 * 0.001 * (20 / 19) ** 0.5)
 
 
 def test_digits_need_errors_within_the_tolerance():
     """u = 144.3 has a tolerance of 50 in one digit and of 5 in two."""
     assert tolerance_of(144.3, 1) == pytest.approx(50.0)
     assert tolerance_of(144.3, 2) == pytest.approx(5.0)
-    found = distribution_of(np.tile(np.arange(1.0, 501.0), 20)).stability
-    assert (found.digits, found.tolerance) == (2, pytest.approx(5.0))
-    assert max(found.errors) < 1e-9
+    stability = distribution_of(np.tile(np.arange(1.0, 501.0), 20)).stability
+    assert (stability.digits, stability.tolerance) == (2, pytest.approx(5.0))
+    assert max(stability.errors) < 1e-9
 
 
 def test_shares_of_a_budget_table():
     """Parts of 3, 4 and 12 um: 13 together; 5.33, 9.47 and 85.21 % of 169 um^2.
 
-    Four trials, and trial 0, which counts in none: optics of 3 are taken off the 5 once.
+    Four trials, and trial 0, which no part includes: the optics' 3 um are subtracted once from 5.
     """
     away = np.array([-1.5, -0.5, 0.5, 1.5])
     along, across = away / away.std(ddof=1), np.array([1.0, -1.0, -1.0, 1.0])
@@ -108,7 +108,7 @@ def test_shares_of_a_budget_table():
         trials.append(Trial(n + 1, figures | {"sphere_1_radius_mm": rig + 12.0 * across[n]}))
     table = budget_table("two_balls", [Part("focus", "optics", "k", 3.0)], trials)
     rows = table.rows
-    names = ["calibration", "noise and decoding", "focus", "all, each alone"]
+    names = ["calibration", "noise and decoding", "focus", "all, in quadrature"]
     assert [row["input"] for row in rows[:4]] == names
     assert [row["u"] for row in rows[:4]] == pytest.approx([12.0, 4.0, 3.0, 13.0])
     percent = [row["share"] for row in rows[:4]]
@@ -119,6 +119,6 @@ def test_shares_of_a_budget_table():
 
 def test_three_trials_have_a_correlation():
     """(0, 1), (1, 2), (2, 4): 3 / sqrt(2 * 14 / 3) = 0.98198, in the same order; of two none."""
-    found = correlation_of("x", [0.0, 1.0, 2.0], [1.0, 2.0, 4.0])
-    assert (found.linear, found.rank) == (pytest.approx(0.9819805), pytest.approx(1.0))
+    correlation = correlation_of("x", [0.0, 1.0, 2.0], [1.0, 2.0, 4.0])
+    assert (correlation.linear, correlation.rank) == (pytest.approx(0.9819805), pytest.approx(1.0))
     assert correlation_of("x", [0.0, 1.0], [1.0, 2.0]) is None

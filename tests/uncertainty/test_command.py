@@ -34,10 +34,10 @@ def modelled(monkeypatch, tmp_path):
 
 def test_table_files_and_report(modelled, tmp_path, capsys):
     assert run([*modelled, "-n", "40", "-m", "value_mm"]) == 0
-    told = capsys.readouterr().out
-    assert "value_mm" in told
-    assert "66 done in " in told  # as many as the estimate says, the nominal one among them
-    assert f"wrote {tmp_path / 'out/report.html'}" in told
+    output = capsys.readouterr().out
+    assert "value_mm" in output
+    assert "66 done in " in output  # the estimated number of cases, including the nominal one
+    assert f"wrote {tmp_path / 'out/report.html'}" in output
     there = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"result.json", "experiment.toml", "trials.nc", "study.json", "cases"} <= there
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
@@ -52,9 +52,9 @@ def test_table_files_and_report(modelled, tmp_path, capsys):
     assert run(["sweep", "table", str(tmp_path / "out")]) == 0
     assert capsys.readouterr().out.count("\n") > 40
     assert run([*modelled, "-n", "40", "-m", "force_n"]) == 0
-    told = capsys.readouterr().out
-    assert "nothing to do" in told
-    assert "force_n" in told
+    output = capsys.readouterr().out
+    assert "nothing to do" in output
+    assert "force_n" in output
 
 
 @pytest.mark.parametrize(
@@ -73,56 +73,56 @@ def test_bad_input_is_one_line(modelled, capsys, arguments, line):
     assert line in last
 
 
-def test_inputs_that_are_nowhere(tmp_path, capsys):
+def test_unknown_inputs_are_an_error_without_a_folder(tmp_path, capsys):
     arguments = ["uncertainty", "examples/slab_balls", "-o", str(tmp_path / "out")]
     assert run([*arguments, "--inputs", "inputs/nowhere"]) == 2
     assert "inputs/nowhere" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_dry_run_tells_what_and_measures_nothing(modelled, tmp_path, capsys):
-    """41 trials, two cases a normal input and the nominal one, 20 repeats, 8 (2 + 2) presses."""
+def test_dry_run_lists_inputs_and_cases_without_measuring(modelled, tmp_path, capsys):
+    """41 trials, two cases per normal input and the nominal case, 20 repeats, 8 (2 + 2) presses."""
     assert run([*modelled, "-n", "40", "--dry-run", "--sobol", "8"]) == 0
     said = capsys.readouterr().err
     assert "specimen.x_mm: 0, standard uncertainty 0.1 (normal)" in said
     assert "specimen.y_mm: 0, standard uncertainty 0.0408 (triangular)" in said
     assert "41 trials with the nominal one, 5 with one input varied or none" in said
-    assert "20 repeats with new noise alone\n" in said
+    assert "20 repeats that differ only in noise\n" in said
     assert "66 cases, about " in said
-    assert "Sobol' indices: 32 presses more" in said
+    assert "Sobol' indices: 32 further presses" in said
     assert "calibration of the rig" not in said
     assert not (tmp_path / "out").exists()
 
 
-def test_dry_run_names_the_calibration_and_counts_what_is_there(modelled, capsys):
+def test_dry_run_names_the_calibration_and_counts_stored_cases(modelled, capsys):
     assert run([*modelled, "-n", "4"]) == 0
     assert run([*modelled, "-n", "6", "--dry-run"]) == 0
-    # Two trials more, and as many repeats of the noise.
-    assert "18 cases, 14 of them known" in capsys.readouterr().err
+    # Two further trials and two further repeats of the noise.
+    assert "18 cases, 14 of them in the store" in capsys.readouterr().err
     assert run([*modelled[:-2], "-n", "6", "--dry-run"]) == 0
     assert "a calibration of the rig on rendered poses" in capsys.readouterr().err
 
 
-def test_dry_run_refuses_what_cannot_be_pressed(modelled, capsys):
+def test_dry_run_of_an_impossible_press_is_an_error(modelled, capsys):
     deep = 'press.depth_mm={ value = 9.0, source = "assumed: too deep" }'
     assert run([*modelled, "-n", "4", "--dry-run", "-s", deep]) == 2
     assert "cannot be measured: press.depth_mm" in capsys.readouterr().err
 
 
 def test_a_nominal_measurement_that_fails_stops_at_once(modelled, monkeypatch, tmp_path, capsys):
-    """Setup: 40 trials, of which none can be measured. Expected: one was tried, and says why."""
+    """Setup: 40 trials, none measurable. Expected: one was measured, with the reason it failed."""
     monkeypatch.setattr(module, "sweep", partial(module.sweep, make_measurer=Refusing))
     assert run([*modelled, "-n", "40", "-s", "specimen.x_mm=2"]) == 2
     said = capsys.readouterr().err
-    assert "the nominal measurement failed, so nothing else is measured: specimen: beyond" in said
+    assert "the nominal measurement failed, so no trial is measured: specimen: beyond" in said
     cases = list((tmp_path / "out/cases").iterdir())
     assert len(cases) == 1
     assert str(cases[0] / "failure.json") in said
-    assert run([*modelled, "-n", "40", "-s", "specimen.x_mm=2"]) == 2  # nor is it tried again
+    assert run([*modelled, "-n", "40", "-s", "specimen.x_mm=2"]) == 2  # not measured again
     assert len(list((tmp_path / "out/cases").iterdir())) == 1
 
 
-def test_what_cannot_be_pressed_makes_no_folder(modelled, tmp_path, capsys):
+def test_an_impossible_press_makes_no_folder(modelled, tmp_path, capsys):
     deep = 'press.depth_mm={ value = 9.0, source = "assumed: too deep" }'
     assert run([*modelled, "-n", "4", "-s", deep]) == 2
     assert "press.depth_mm" in capsys.readouterr().err
@@ -133,7 +133,7 @@ def test_what_cannot_be_pressed_makes_no_folder(modelled, tmp_path, capsys):
 def test_a_measurand_that_the_nominal_measurement_lacks_stops_at_once(
     modelled, monkeypatch, tmp_path, capsys, value
 ):
-    """A typing error, or a ball that no point lies on, costs one measurement, not a hundred."""
+    """A misspelt figure, or a ball without points, stops the run after one measurement."""
     monkeypatch.setattr(module, "sweep", partial(module.sweep, make_measurer=Blank))
     named = "value_mm" if value is None else "valu_mm"
     assert run([*modelled, "-n", "40", "-m", named]) == 2
@@ -141,7 +141,7 @@ def test_a_measurand_that_the_nominal_measurement_lacks_stops_at_once(
     assert len(list((tmp_path / "out/cases").iterdir())) == 1
 
 
-def test_a_folder_of_something_else_is_left_alone(modelled, tmp_path, capsys):
+def test_a_folder_with_foreign_files_is_not_changed(modelled, tmp_path, capsys):
     (tmp_path / "out").mkdir()
     (tmp_path / "out/diary.txt").write_text("mine")
     assert run([*modelled, "-n", "2"]) == 2

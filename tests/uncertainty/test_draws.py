@@ -1,4 +1,4 @@
-"""Draws of repeated trials: distributions as stated, keyed by input and trial alone."""
+"""Draws of repeated trials: stated distributions, which depend only on input, seed and trial."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SEED = 5
 
 
 def inputs_of(**inputs):
-    return {name: Input(**({"group": "placement"} | one)) for name, one in inputs.items()}
+    return {name: Input(**({"group": "placement"} | given)) for name, given in inputs.items()}
 
 
 def values_of(experiment, inputs, trial):
@@ -42,12 +42,12 @@ def test_draws_have_the_stated_mean_and_spread():
     """1000 draws: means within 4 standard errors, standard deviations within 4 of theirs."""
     all_three, experiment, n = inputs_of(x=X, size=SIZE, drape=DRAPE), balls(), 1000
     values = [values_of(experiment, all_three, trial) for trial in range(1, n + 1)]
-    for name, one in all_three.items():
+    for name, given in all_three.items():
         nominal = {"x": 0.0, "size": 8.0, "drape": experiment.press.back_pressure_kpa}[name]
-        found = np.array([drawn[one.key] for drawn in values])
-        u = standard_uncertainty(one, nominal)
-        assert abs(found.mean() - nominal) < 4 * u / np.sqrt(n)
-        assert abs(found.std(ddof=1) / u - 1) < 4 / np.sqrt(2 * n)
+        samples = np.array([drawn[given.key] for drawn in values])
+        u = standard_uncertainty(given, nominal)
+        assert abs(samples.mean() - nominal) < 4 * u / np.sqrt(n)
+        assert abs(samples.std(ddof=1) / u - 1) < 4 / np.sqrt(2 * n)
     sizes = [drawn["specimen.diameter_mm"] for drawn in values]
     assert 7.99 <= min(sizes) < 7.9905
     assert 8.0095 < max(sizes) <= 8.01
@@ -65,7 +65,7 @@ def test_trial_zero_is_the_nominal_one():
     assert values_of(balls(), inputs_of(x=X), 0) == {"specimen.x_mm": 0.0}
 
 
-def test_every_instrument_meets_the_specimen_in_the_same_place():
+def test_every_instrument_has_the_specimen_in_the_same_place():
     drawn = draw(balls(), paper().inputs, SEED, 7)
     gelsight = case_for(drawn, "photometric_stereo", PhotometricPlan(match="depth"))
     assert gelsight.specimen == drawn.specimen
@@ -73,7 +73,7 @@ def test_every_instrument_meets_the_specimen_in_the_same_place():
 
 
 def test_shipped_inputs_reach_numbers_of_every_repeated_experiment():
-    """A renamed field would otherwise be noticed after an hour."""
+    """Otherwise a renamed field would be detected only after an hour of trials."""
     for name in ("two_balls", "rods_a", "rods_b", "rods_c"):
         experiment = load_experiment(f"paper/{name}")
         assert len(values_of(experiment, paper().inputs, 1)) >= 8 - (name != "two_balls")
@@ -83,21 +83,21 @@ def test_shipped_inputs_reach_numbers_of_every_repeated_experiment():
     "name", ["examples/slab_balls", "examples/wrapped_nut", "examples/starter"]
 )
 def test_default_inputs_fit_any_experiment(name):
-    """Placement, press, elastomer and optics have some each; what is not there is left out."""
+    """Each of placement, press, elastomer and optics has inputs; absent keys are ignored."""
     experiment, shipped = load_experiment(name), load_inputs(DEFAULT_INPUTS).inputs
     keys = values_of(experiment, shipped, 1)
-    groups = {one.group for one in shipped.values() if one.key in keys}
+    groups = {given.group for given in shipped.values() if given.key in keys}
     assert groups == {"placement", "press", "elastomer", "optics"}
     for trial in range(1, 20):
         draw(experiment, shipped, SEED, trial)
 
 
 def test_spreads_carry_their_source():
-    assert all(one.source for one in paper().inputs.values())
-    assert all(one.source for one in load_inputs(DEFAULT_INPUTS).inputs.values())
+    assert all(given.source for given in paper().inputs.values())
+    assert all(given.source for given in load_inputs(DEFAULT_INPUTS).inputs.values())
 
 
-def test_a_key_that_leads_nowhere_is_one_line():
+def test_an_unknown_key_is_an_error_of_one_line():
     with pytest.raises(ConfigError, match=r"specimen\.weight_g: found no number"):
         draw(balls(), inputs_of(w={**X, "key": "specimen.weight_g"}), SEED, 1)
 
@@ -126,9 +126,9 @@ SHAPES = {
 def test_standard_uncertainties_of_the_guide(kind):
     """JCGM 101, 6.4: s, a / sqrt 3, a / sqrt 6, a / sqrt 2, s sqrt(nu / (nu - 2)); and of draws."""
     more, factor = SHAPES[kind]
-    one = Input(group="press", key="k", distribution=kind, spread=0.2, **more)
-    assert standard_uncertainty(one, 7.0) == pytest.approx(0.2 * factor)
-    dist, rng = deviation_of(one, 7.0), np.random.default_rng(1)
+    given = Input(group="press", key="k", distribution=kind, spread=0.2, **more)
+    assert standard_uncertainty(given, 7.0) == pytest.approx(0.2 * factor)
+    dist, rng = deviation_of(given, 7.0), np.random.default_rng(1)
     values = [float(dist.rvs(random_state=rng)) for _ in range(3000)]
     assert stats.kstest(np.array(values), dist.cdf).pvalue > 1e-3
     assert np.mean(values) == pytest.approx(0.0, abs=4 * 0.2 * factor / 3000**0.5)
@@ -136,16 +136,16 @@ def test_standard_uncertainties_of_the_guide(kind):
 
 def test_a_normal_that_is_cut_off():
     """Half normal: standard deviation s sqrt(1 - 2 / pi), and no draw below the cut."""
-    one = Input(group="press", key="k", distribution="normal", spread=0.5, at_least=3.0)
-    assert standard_uncertainty(one, 3.0) == pytest.approx(0.5 * np.sqrt(1 - 2 / np.pi))
-    rng, dist = np.random.default_rng(1), deviation_of(one, 3.0)
+    given = Input(group="press", key="k", distribution="normal", spread=0.5, at_least=3.0)
+    assert standard_uncertainty(given, 3.0) == pytest.approx(0.5 * np.sqrt(1 - 2 / np.pi))
+    rng, dist = np.random.default_rng(1), deviation_of(given, 3.0)
     assert min(float(dist.rvs(random_state=rng)) for _ in range(500)) >= 0.0
 
 
 def test_a_choice_among_values():
-    """Values 4 and 8 with weights 3 and 1: mean 5, standard deviation sqrt 3; no other is drawn."""
-    one = Input(group="optics", key="k", distribution="choice", values=(4, 8), weights=(3, 1))
-    dist, rng = deviation_of(one, 4.0), np.random.default_rng(1)
+    """Values 4 and 8 with weights 3 and 1: mean 5, standard deviation sqrt 3; only these drawn."""
+    given = Input(group="optics", key="k", distribution="choice", values=(4, 8), weights=(3, 1))
+    dist, rng = deviation_of(given, 4.0), np.random.default_rng(1)
     assert dist.std() == pytest.approx(np.sqrt(3.0))
     drawn = np.array([dist.rvs(random_state=rng) for _ in range(1000)])
     assert set(drawn) == {0.0, 4.0}
@@ -153,15 +153,15 @@ def test_a_choice_among_values():
     np.testing.assert_array_equal(dist.ppf([0.1, 0.74, 0.76, 1.0]), [0.0, 0.0, 4.0, 4.0])
 
 
-def test_draws_of_the_earlier_paper():
-    """The draws of the reproduction of 2026-11 stay what they were: its tables depend on them."""
-    found = drawn_values(balls(), paper().inputs, 20261121, 1)
-    assert found["specimen.x_mm"] == 0.045347888207099785
-    assert found["specimen.diameter_mm"] == 8.007813392360598
+def test_draws_equal_those_of_the_earlier_reproduction():
+    """The draws equal those of the reproduction of 2026-11: its tables depend on them."""
+    drawn = drawn_values(balls(), paper().inputs, 20261121, 1)
+    assert drawn["specimen.x_mm"] == 0.045347888207099785
+    assert drawn["specimen.diameter_mm"] == 8.007813392360598
 
 
-def test_values_drawn_together_keep_their_pairs():
-    """Travel and pressure from one list of pairs: 200 trials hold these pairs and no other."""
+def test_values_drawn_together_are_listed_pairs():
+    """Travel and pressure from one list of pairs: 200 trials have only these pairs."""
     pairs = [(0.5, 1.0), (0.6, 4.0), (0.7, 9.0)]
     travel, pressure = (list(values) for values in zip(*pairs, strict=True))
     listed = {"distribution": "choice", "together": "posterior"}
@@ -170,16 +170,16 @@ def test_values_drawn_together_keep_their_pairs():
         pressure=listed | {"key": "press.back_pressure_kpa", "values": pressure},
     )
     drawn = [values_of(balls(), given, trial) for trial in range(1, 201)]
-    counted = [sum(np.allclose(list(one.values()), pair) for one in drawn) for pair in pairs]
+    counted = [sum(np.allclose(list(values.values()), pair) for values in drawn) for pair in pairs]
     assert sum(counted) == 200
     assert min(counted) > 40  # of 67 expected, SD 6.7
 
 
-def test_lists_drawn_together_are_as_long():
+def test_lists_drawn_together_have_equal_lengths():
     listed = {"group": "press", "distribution": "choice", "together": "posterior"}
     two = {
         "travel": listed | {"key": "press.depth_mm", "values": [0.5, 0.6]},
         "pressure": listed | {"key": "press.back_pressure_kpa", "values": [1.0, 2.0, 3.0]},
     }
-    with pytest.raises(ValueError, match="as many in each"):
+    with pytest.raises(ValueError, match="unequal numbers of values"):
         Inputs.model_validate({"inputs": two})

@@ -37,11 +37,11 @@ def vector_of(calibration):
 def test_draws_have_the_covariance(rigs, true):
     """1000 draws: standard deviations within 4 standard errors, correlations within 0.13."""
     n, covariance = 1000, np.array(rigs.rows)
-    found = np.array([vector_of(rigs.draw(true, 1, trial)) for trial in range(1, n + 1)])
+    vectors = np.array([vector_of(rigs.draw(true, 1, trial)) for trial in range(1, n + 1)])
     free = np.diag(covariance) > 0
     sigma = np.sqrt(np.diag(covariance))
-    steps = found - vector_of(true)
-    # Poses are chained through 4 x 4 matrices: what is fixed moves by rounding alone.
+    steps = vectors - vector_of(true)
+    # Poses are chained through 4 x 4 matrices: fixed parameters change only by rounding.
     assert np.abs(steps[:, ~free]).max() < 1e-12
     np.testing.assert_allclose(steps[:, free].std(axis=0), sigma[free], rtol=4 / np.sqrt(2 * n))
     expected = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
@@ -55,20 +55,20 @@ def test_trial_zero_is_the_true_rig_and_draws_repeat(rigs, true):
     assert not np.array_equal(fourth, vector_of(rigs.draw(true, 1, 5)))
 
 
-def test_the_world_hangs_on_the_camera(rigs, true):
-    found = rigs.draw(true, 1, 2)
-    np.testing.assert_array_equal(found.T_world_from_cam, true.T_world_from_cam)
+def test_a_drawn_rig_has_the_true_camera_pose(rigs, true):
+    drawn = rigs.draw(true, 1, 2)
+    np.testing.assert_array_equal(drawn.T_world_from_cam, true.T_world_from_cam)
 
 
 def test_equal_covariances_share_a_worker_s_measurer(rigs):
-    """Compared by content: each batch brings a copy of its own."""
+    """They are compared by content: each batch has its own copy."""
     copy = RigCovariance.of(np.array(rigs.rows))
     assert copy == rigs
     assert hash(copy) == hash(rigs)
 
 
 def test_a_trial_is_a_measurement_with_a_drawn_rig(mi):
-    """With the true rig it equals a plain measurement; a rig 1e-4 larger scales the radius so."""
+    """With the true rig it equals a plain measurement; a rig larger by 1e-4 scales the radius."""
     small = {
         "camera.binning": 4,
         "press.solver_pitch_mm": 0.15,
@@ -80,10 +80,10 @@ def test_a_trial_is_a_measurement_with_a_drawn_rig(mi):
 
     class Larger(RigCovariance):
         def draw(self, true, seed, trial):
-            # Baseline and distances 1e-4 larger: every length is.
+            # Baseline and distances larger by 1e-4: every measured length is, too.
             larger = true.T_world_from_proj.copy()
-            apart = larger[:3, 3] - true.T_world_from_cam[:3, 3]
-            larger[:3, 3] = true.T_world_from_cam[:3, 3] + 1.0001 * apart
+            baseline = larger[:3, 3] - true.T_world_from_cam[:3, 3]
+            larger[:3, 3] = true.T_world_from_cam[:3, 3] + 1.0001 * baseline
             return type(true)(true.camera, true.projector, true.T_world_from_cam, larger)
 
     measurer = CaseMeasurer(rigs=Larger(()))
@@ -92,5 +92,5 @@ def test_a_trial_is_a_measurement_with_a_drawn_rig(mi):
     assert figures["true_rig_sphere_1_radius_mm"] == expected["sphere_1_radius_mm"]
     assert figures["force_n"] == expected["force_n"]
     ratio = figures["sphere_1_radius_mm"] / figures["true_rig_sphere_1_radius_mm"]
-    # The region of the fit is 1.5 mm in both scales: the radius grows with it, by less than 1e-4.
+    # The region of the fit is 1.5 mm in both scales: the radius increases by less than 1e-4.
     assert ratio == pytest.approx(1.0001, abs=7e-5)

@@ -1,4 +1,4 @@
-"""Sobol' indices and correlations against functions whose answer is known."""
+"""Sobol' indices and correlations against functions with known results."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from twin.propagation.sensitivity import (
 
 
 def sobol_indices(model, distributions, names, base_points):
-    """Ask a model of inputs (input, n) at base points x (inputs + 2) places."""
+    """Evaluate a model of inputs (input, n) at base points x (inputs + 2) places."""
     return sobol_effects(model(sobol_points(distributions, base_points, 0)), names)
 
 
@@ -27,17 +27,17 @@ def test_ishigami():
         return np.sin(x[0]) + 7 * np.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * np.sin(x[0])
 
     angles = [stats.uniform(-np.pi, 2 * np.pi)] * 3
-    found = sobol_indices(model, angles, "abc", 4096)
-    assert [one.value for one in found] == pytest.approx([0.314, 0.442, 0.0], abs=0.02)
-    assert [one.total for one in found] == pytest.approx([0.558, 0.442, 0.244], abs=0.02)
+    effects = sobol_indices(model, angles, "abc", 4096)
+    assert [effect.value for effect in effects] == pytest.approx([0.314, 0.442, 0.0], abs=0.02)
+    assert [effect.total for effect in effects] == pytest.approx([0.558, 0.442, 0.244], abs=0.02)
 
 
 def test_a_linear_model_of_normal_inputs():
     """S_i = (c_i u_i)^2 / sum: 0.2 and 0.8; no interactions, so totals are the same."""
     dists = [stats.norm(scale=0.5), stats.norm(scale=1.0)]
-    found = sobol_indices(lambda x: 2.0 * x[0] - 2.0 * x[1], dists, "ab", 1024)
-    assert [one.value for one in found] == pytest.approx([0.2, 0.8], abs=0.03)
-    assert [one.total for one in found] == pytest.approx([0.2, 0.8], abs=0.03)
+    effects = sobol_indices(lambda x: 2.0 * x[0] - 2.0 * x[1], dists, "ab", 1024)
+    assert [effect.value for effect in effects] == pytest.approx([0.2, 0.8], abs=0.03)
+    assert [effect.total for effect in effects] == pytest.approx([0.2, 0.8], abs=0.03)
 
 
 def test_correlations():
@@ -51,7 +51,7 @@ def test_correlations():
 
 @pytest.fixture(scope="module")
 def on_coat():
-    """The coat touches the balls: within the contact it IS their surface."""
+    """The coat touches the balls: within the contact it coincides with their surface."""
     settings = {
         "elastomer.layout": "contact_face",
         "press.back_pressure_kpa": 0.0,
@@ -62,7 +62,7 @@ def on_coat():
 
 
 def test_the_radius_on_a_touched_coat_follows_the_diameter(on_coat):
-    """R = D / 2: all of the variance of the radius is the diameter's, none the travel's."""
+    """R = D / 2: the diameter explains all of the radius's variance, the travel none."""
     size = {"group": "placement", "key": "specimen.diameter_mm", "distribution": "uniform"}
     travel = {"group": "press", "key": "press.depth_mm", "distribution": "normal"}
     focus = {"group": "optics", "key": "projector.blur_px", "distribution": "normal"}
@@ -71,10 +71,10 @@ def test_the_radius_on_a_touched_coat_follows_the_diameter(on_coat):
         "travel": Input(**travel, spread=0.01),
         "focus": Input(**focus, spread=0.05),
     }
-    found = sobol_of_face(on_coat, inputs, ["sphere_1_radius_mm", "z_rmse_um"], 32)
-    assert list(found) == ["sphere_1_radius_mm"]
-    assert [one.axis for one in found["sphere_1_radius_mm"]] == ["size", "travel"]
-    size, travel = found["sphere_1_radius_mm"]
+    effects = sobol_of_face(on_coat, inputs, ["sphere_1_radius_mm", "z_rmse_um"], 32)
+    assert list(effects) == ["sphere_1_radius_mm"]
+    assert [effect.axis for effect in effects["sphere_1_radius_mm"]] == ["size", "travel"]
+    size, travel = effects["sphere_1_radius_mm"]
     assert size.total == pytest.approx(1.0, abs=0.25)
     assert travel.total < 0.05
 

@@ -1,4 +1,4 @@
-"""Trials as cases of a study: known answers, same bytes whoever computes, nothing twice."""
+"""Trials as cases of a study: known results, same bytes with any workers, no repeated cases."""
 
 import json
 
@@ -30,56 +30,56 @@ def known_parts():
 
 def test_a_linear_model_adds_variances(run_trials):
     """y = 4 + 2 x - 3 y: u^2 = sum of squares of the parts, by budget and by 300 trials."""
-    found = run_trials(300).measurands["value_mm"]
+    measurand = run_trials(300).measurands["value_mm"]
     parts = known_parts()
     expected = np.sqrt(sum(u**2 for u in parts.values()))
-    assert found.distribution.mean == pytest.approx(4.0, abs=4 * expected / 300**0.5)
-    assert found.distribution.standard_uncertainty == pytest.approx(expected, rel=4 / 600**0.5)
-    assert found.from_budget == pytest.approx(expected, rel=0.02)
-    for part in found.parts:
+    assert measurand.distribution.mean == pytest.approx(4.0, abs=4 * expected / 300**0.5)
+    assert measurand.distribution.standard_uncertainty == pytest.approx(expected, rel=4 / 600**0.5)
+    assert measurand.from_budget == pytest.approx(expected, rel=0.02)
+    for part in measurand.parts:
         exact = part.name in "xy"
         tolerance = 1e-9 if exact else 4 / np.sqrt(2 * NOISE_REPEATS)
         assert part.u == pytest.approx(parts[part.name], rel=tolerance)
-    assert [part.name for part in found.parts[:2]] == ["x", "y"]
-    assert found.correlations[0].name == "x"
-    assert found.correlations[0].linear == pytest.approx(parts["x"] / expected, abs=0.15)
+    assert [part.name for part in measurand.parts[:2]] == ["x", "y"]
+    assert measurand.correlations[0].name == "x"
+    assert measurand.correlations[0].linear == pytest.approx(parts["x"] / expected, abs=0.15)
 
 
 def test_trial_zero_is_nominal_and_in_no_spread(run_trials):
-    found = run_trials(5)
-    one = found.measurands["value_mm"]
-    assert one.distribution.values.size == 5
+    result = run_trials(5)
+    measurand = result.measurands["value_mm"]
+    assert measurand.distribution.values.size == 5
     noise = np.random.default_rng([7, 0]).normal()
-    assert one.nominal == pytest.approx(4.0 + NOISE * noise)
+    assert measurand.nominal == pytest.approx(4.0 + NOISE * noise)
 
 
 def test_the_true_rig_has_no_part(run_trials):
-    one = run_trials(5, calibration="true").measurands["value_mm"]
-    assert "calibration" not in {part.name for part in one.parts}
+    measurand = run_trials(5, calibration="true").measurands["value_mm"]
+    assert "calibration" not in {part.name for part in measurand.parts}
 
 
 def test_without_a_budget(run_trials):
-    found = run_trials(5, budget=False)
-    assert found.measurands["value_mm"].parts == ()
-    assert len(found.table.rows) == 6
+    result = run_trials(5, budget=False)
+    assert result.measurands["value_mm"].parts == ()
+    assert len(result.table.rows) == 6
 
 
-def test_more_trials_are_added_to_those_that_are_there(run_trials, tmp_path):
+def test_further_trials_are_added_to_the_stored_ones(run_trials, tmp_path):
     few = run_trials(4).measurands["value_mm"].distribution.values
     before = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "out/cases").iterdir()}
     more = run_trials(9).measurands["value_mm"].distribution.values
     np.testing.assert_array_equal(more[:4], few)
     after = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "out/cases").iterdir()}
     assert {name: after[name] for name in before} == before
-    assert len(after) == len(before) + 10  # five trials, and as many repeats of the noise
+    assert len(after) == len(before) + 10  # five trials and five repeats of the noise
 
 
 def test_same_bytes_with_one_worker_two_and_after_a_stop(run_trials, tmp_path, balls):
-    """One process; two; and a run that was stopped after three trials: the same table and files."""
+    """One process, two, and a run resumed after three trials: the same table and files."""
     texts = []
     for name, workers in (("one", 1), ("two", 2)):
-        found = run_trials(12, name=name, workers=workers)
-        write_uncertainty(tmp_path / name, found)
+        result = run_trials(12, name=name, workers=workers)
+        write_uncertainty(tmp_path / name, result)
     run_trials(3, name="stopped")
     write_uncertainty(tmp_path / "stopped", run_trials(12, name="stopped"))
     for name in ("one", "two", "stopped"):
@@ -90,12 +90,12 @@ def test_same_bytes_with_one_worker_two_and_after_a_stop(run_trials, tmp_path, b
 
 
 def test_the_table_as_netcdf(run_trials, tmp_path):
-    found = run_trials(6)
-    write_uncertainty(tmp_path / "out", found)
+    result = run_trials(6)
+    write_uncertainty(tmp_path / "out", result)
     with xarray.open_dataset(tmp_path / "out/trials.nc") as table:
         assert table.sizes == {"trial": 7}
         np.testing.assert_array_equal(
-            table["value_mm"][1:], found.measurands["value_mm"].distribution.values
+            table["value_mm"][1:], result.measurands["value_mm"].distribution.values
         )
         assert float(table["specimen.x_mm"][0]) == 0.0
         assert np.isnan(table["true_rig_value_mm"][0])
@@ -113,22 +113,22 @@ def test_result_has_units_at_the_ends_of_its_names(run_trials, tmp_path):
 
 
 def test_trials_that_fail_are_counted_and_left_out(run_trials):
-    found = run_trials(30, model=Refusing)
-    one = found.measurands["value_mm"]
-    assert found.failures == {"specimen: beyond the elastomer": one.missing}
-    assert 0 < one.missing < 15
-    assert one.distribution.values.size == 30 - one.missing
-    assert found.metrics()["failed_trials"] == one.missing
+    result = run_trials(30, model=Refusing)
+    measurand = result.measurands["value_mm"]
+    assert result.failures == {"specimen: beyond the elastomer": measurand.missing}
+    assert 0 < measurand.missing < 15
+    assert measurand.distribution.values.size == 30 - measurand.missing
+    assert result.metrics()["failed_trials"] == measurand.missing
 
 
-def test_a_measurand_that_nobody_has(run_trials, tmp_path):
+def test_a_measurand_in_no_trial_is_an_error(run_trials, tmp_path):
     run_trials(3)
     with pytest.raises(InputError, match=r"value_um: found in no trial, allowed .*value_mm"):
         read_uncertainty(tmp_path / "out", ["value_um"])
 
 
 def test_a_study_file_of_trials(tmp_path, balls):
-    """Own inputs lie over those of a named file, key by key; spreads carry their source."""
+    """The study's inputs override those of a named file key by key; spreads state their source."""
     file = tmp_path / "study.toml"
     file.write_text(
         'name = "t"\nbase = "examples/slab_balls"\ninputs_file = "paper/trials"\n'
@@ -182,11 +182,11 @@ def test_bad_inputs_are_one_line(balls):
         record_of(balls, {"t": wide}, 3).cases()
     with pytest.raises(ConfigError, match="trials: found 1, allowed 2"):
         record_of(balls, {"x": X}, 1)
-    with pytest.raises(ConfigError, match="degrees_of_freedom: student_t needs them"):
+    with pytest.raises(ConfigError, match="degrees_of_freedom: required by student_t"):
         record_of(balls, {"x": {**X, "distribution": "student_t"}}, 3)
 
 
-def test_photometric_trials_take_turns_with_calibrations(balls):
+def test_photometric_trials_use_the_calibrations_in_turn(balls):
     """Seeds of the sensor: one of five by trial, and each of the five on the nominal press."""
     sensor = load_experiment("paper/gelsight_two_balls")
     cases = record_of(sensor, {"x": X}, 7).cases().run
@@ -197,7 +197,7 @@ def test_photometric_trials_take_turns_with_calibrations(balls):
 
 
 def test_the_public_function(balls, monkeypatch, tmp_path):
-    """`twin.uncertainty` is the function, whatever was imported before it."""
+    """`twin.uncertainty` is the function even if its modules were imported first."""
     import twin.propagation.results
     from twin.propagation import trials
     from twin.study import measuring
@@ -207,16 +207,16 @@ def test_the_public_function(balls, monkeypatch, tmp_path):
     monkeypatch.setattr(
         trials, "sweep", lambda *given, **named: run(*given, **named, make_measurer=Linear)
     )
-    found = twin.uncertainty(
+    result = twin.uncertainty(
         balls, {"x": X, "y": Y}, n=3, calibration="true", measurands=["value_mm"]
     )
-    assert found.trials == 3
-    assert measuring.AS_IT_IS.trial == 0
-    assert list(found.measurands) == ["value_mm"]
+    assert result.trials == 3
+    assert measuring.NOMINAL_CONDITIONS.trial == 0
+    assert list(result.measurands) == ["value_mm"]
 
 
 def test_a_real_trial(mi, tmp_path):
-    """Two trials of the whole chain: what is drawn moves the radius, and noise is new in each."""
+    """Two trials of the whole chain: the drawn input changes the radius, and the noise differs."""
     small = {
         "camera.binning": 4,
         "camera.width_px": 640,
@@ -227,7 +227,7 @@ def test_a_real_trial(mi, tmp_path):
     }
     experiment = load_experiment("examples/slab_balls", small)
     thick = {**X, "group": "elastomer", "key": "elastomer.thickness_mm", "spread": 0.1}
-    found = twin.uncertainty(
+    result = twin.uncertainty(
         experiment,
         {"thickness": thick},
         n=2,
@@ -235,12 +235,12 @@ def test_a_real_trial(mi, tmp_path):
         folder=tmp_path / "out",
         measurands=["sphere_1_radius_mm", "z_bias_um"],
     )
-    radius, bias = found.measurands.values()
+    radius, bias = result.measurands.values()
     slope = radius.parts[0].u / 0.1
-    drawn = [row["elastomer.thickness_mm"] for row in found.table.rows[1:3]]
+    drawn = [row["elastomer.thickness_mm"] for row in result.table.rows[1:3]]
     moved = radius.distribution.values - radius.nominal
-    # The camera's noise alone moves the difference of two radii by 0.01 mm (150 trials): three
-    # times that.
+    # The camera's noise changes the difference of two radii by 0.01 mm (SD of 150 trials); the
+    # tolerance is three of these.
     np.testing.assert_allclose(
         np.abs(moved), slope * np.abs(np.array(drawn) - 3.0), rtol=0.35, atol=0.03
     )
@@ -248,16 +248,16 @@ def test_a_real_trial(mi, tmp_path):
 
 
 def test_trials_in_one_line_in_pictures_and_as_labelled_arrays(run_trials):
-    found = run_trials(40)
-    values = found.measurands["value_mm"].distribution
-    text = repr(found)
-    assert text.startswith(f"<Uncertainty: {found.experiment.name}, trials 40; value_mm ")
+    result = run_trials(40)
+    values = result.measurands["value_mm"].distribution
+    text = repr(result)
+    assert text.startswith(f"<Uncertainty: {result.experiment.name}, trials 40; value_mm ")
     assert f"{values.mean:.6g}, u {values.standard_uncertainty:.2g}, 95 % " in text
-    data = found.to_xarray()
+    data = result.to_xarray()
     assert data["value_mm"].dims == ("trial",)
     np.testing.assert_allclose(data["value_mm"][data["trial"] > 0], values.values)
     assert data["specimen.x_mm"].attrs["long_name"] == "input"
-    drawing = found.plot()
+    drawing = result.plot()
     assert drawing.axes[0].get_xlabel() == "value_mm"
     assert sum(bar.get_height() for bar in drawing.axes[0].containers[0]) == 40
-    assert "data:image/png;base64," in found._repr_html_()
+    assert "data:image/png;base64," in result._repr_html_()

@@ -25,9 +25,9 @@ def address(mi) -> Iterator[str]:
     child = subprocess.Popen(line, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     try:
         assert child.stdout
-        line = child.stdout.readline()
-        assert line.startswith("open http://127.0.0.1:"), line
-        yield line.split()[1]
+        told = child.stdout.readline()
+        assert told.startswith("open http://127.0.0.1:"), told
+        yield told.split()[1]
     finally:
         child.send_signal(signal.SIGINT)
         child.communicate(timeout=60)
@@ -62,6 +62,6 @@ def test_the_thickness_slider_changes_the_picture(address, tab):
         tab.press("ArrowRight")
     tab.until(f"JSON.stringify({PICTURES}) !== {json.dumps(before)}")
     assert "not possible" not in tab.evaluate("document.body.innerText")
-    assert tab.seen.errors == []
-    hosts = [request for request in tab.seen.requests if "127.0.0.1" not in request]
-    assert [request for request in hosts if not request.startswith(("data:", "blob:"))] == []
+    assert tab.activity.errors == []
+    hosts = [one for one in tab.activity.requests if "127.0.0.1" not in one]
+    assert [one for one in hosts if not one.startswith(("data:", "blob:"))] == []

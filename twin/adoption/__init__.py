@@ -1,1 +1,1 @@
-"""The twin of a real rig, made from its captures: what they say of it, as a rig file."""
+"""The twin of a real rig: a rig file with the values that its captures determine."""

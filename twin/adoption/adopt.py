@@ -1,7 +1,7 @@
 """Make the twin of a real rig: from captures and their calibration to the fields of a rig file.
 
-What the captures do not tell stays as in the model rig, and says so. `fields` tells what comes from
-where.
+Fields that the captures do not determine have the value of the model rig, and `assumed` as their
+source. The table in `fields` lists the source of each field.
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ from twin.adoption.fields import (
     pose_fields,
     response_of,
 )
-from twin.adoption.findings import ModelRig, RigField, rig_tables, tried
+from twin.adoption.findings import ModelRig, RigField, rig_tables, validated
 from twin.adoption.poses import Placed, place
 from twin.adoption.rendered import Scene, albedo_of
 from twin.config.models import Experiment
@@ -55,15 +55,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Given:
-    """What the rig is made from.
+    """Inputs of an adoption.
 
     Attributes
     ----------
     captures : folders
-    model : rig of which all comes that the captures do not tell
+    model : rig that gives every value that the captures do not determine
     dark, flat : folders of images without light, and of an evenly lit surface
     reference : capture of a flat matte surface in the coat's place, at the same exposure
-    reference_albedo : of that surface, and its standard uncertainty
+    reference_albedo : of that surface, with its standard uncertainty
     press : of a known ball into the sheet
     """
 
@@ -84,17 +84,17 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Adopted:
-    """The rig and what it was found from.
+    """An adopted rig and the intermediate results of its adoption.
 
     Attributes
     ----------
-    capture, points : the first capture with the noise and the response that were found, and what it
-        then measures
-    experiment : something on the adopted rig
-    noise_from : how gain and read noise were found, in words
-    stated : noise as capture.toml told it
-    sparkle : how unevenly the coat shines in the white frame
-    notes : what a reader should know, one line each
+    capture, points : the first capture with the estimated noise and response, and its
+        reconstruction
+    experiment : an experiment with the adopted rig
+    noise_from : method by which gain and read noise were estimated, as text
+    stated : noise according to capture.toml
+    sparkle : local contrast of the coat in the white frame
+    notes : remarks for the user, one line each
     """
 
     fields: dict[str, RigField]
@@ -112,14 +112,14 @@ class Adopted:
     notes: tuple[str, ...] = field(default=())
 
     def __repr__(self) -> str:
-        measured = sum(one.source.startswith("measured") for one in self.fields.values())
+        measured = sum(entry.source.startswith("measured") for entry in self.fields.values())
         notes = counted(len(self.notes), "note")
         return f"<Adopted: {len(self.fields)} fields, {measured} measured, {notes}>"
 
     def _repr_html_(self) -> str:
         from reconstruction.drawing import as_html
 
-        rows = {path: f"{one.value} ({one.source})" for path, one in self.fields.items()}
+        rows = {path: f"{entry.value} ({entry.source})" for path, entry in self.fields.items()}
         return as_html("twin of a real rig; units in the names", rows, self.plot())
 
     def plot(self) -> "Drawing":
@@ -141,7 +141,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
 
     Raises
     ------
-    InputError : a capture cannot be read, or is another rig's than the first one
+    InputError : a capture cannot be read, or is of another rig than the first capture
     """
     model, notes = ModelRig.read(given.model), list[str]()
     watch("read", 0.0)
@@ -152,7 +152,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     sensor = with_black(captures[0].sensor, dark)
     watch("fit", 0.0)
     fitted = fit_captures(given.captures, captures, sensor, notes)
-    fits = [one.fit for one in fitted]
+    fits = [fit_of_capture.fit for fit_of_capture in fitted]
     noise, noise_from = noise_of(captures, fits, sensor, notes)
     placed = place(captures[0].calibration)
     watch("fit", 1.0)
@@ -161,7 +161,7 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     if given.flat is not None:
         fields |= flat_fields(given.flat, captures[0], sensor, dark)
     fields |= light_fields(fits, dark) | pattern_fields(captures[0])
-    defocus = defocus_of([one.seen for one in fitted])
+    defocus = defocus_of([fit_of_capture.blur for fit_of_capture in fitted])
     if defocus is not None:
         focal_px = captures[0].calibration.projector.fx_px
         fields |= defocus_fields(defocus, focal_px, len(fitted))
@@ -169,13 +169,13 @@ def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
     points = reconstruct(known, ReconstructOptions())
     fields |= level_field(known)
     scene = Scene(known, points, placed.origin_mm)
-    fields |= _albedo_field(given, scene, tried(rig_tables(model, fields)), watch)
+    fields |= _albedo_field(given, scene, validated(rig_tables(model, fields)), watch)
     fields |= _press_fields(given, known, watch)
     tables = rig_tables(model, fields)
     return Adopted(
         fields=fields,
         tables=tables,
-        experiment=tried(tables),
+        experiment=validated(tables),
         capture=known,
         points=points,
         fit=fits[0] if fits else None,
@@ -212,7 +212,7 @@ def adopt_rig(
 
     Raises
     ------
-    InputError : a capture cannot be read, or is another rig's than the first one
+    InputError : a capture cannot be read, or is of another rig than the first capture
     """
     given = Given(
         captures=tuple(map(Path, captures)),
@@ -229,43 +229,43 @@ def adopt_rig(
 def _albedo_field(
     given: Given, scene: Scene, experiment: Experiment, watch: ProgressCallback
 ) -> dict[str, RigField]:
-    """Return the coat's albedo, where a reference is given."""
+    """Return the coat's albedo, if a reference is given."""
     if given.reference is None or given.reference_albedo is None:
         return {}
     watch("render", 0.0)
     reference, known = read_capture(given.reference), scene.capture
     _require_alike((given.captures[0], given.reference), (known, reference))
-    seen = replace(reference, sensor=known.sensor, response=known.response)
-    found = albedo_of(experiment, scene, seen, given.reference_albedo)
-    told = given.reference_albedo.value
-    how = f"white frames beside those of {given.reference.name}, albedo {told:g}"
+    calibrated = replace(reference, sensor=known.sensor, response=known.response)
+    albedo = albedo_of(experiment, scene, calibrated, given.reference_albedo)
+    known_albedo = given.reference_albedo.value
+    how = f"white frames beside those of {given.reference.name}, albedo {known_albedo:g}"
     watch("render", 1.0)
-    one = RigField.measured(f"coating.{experiment.coating.albedo_field}", found, how)
-    return {one.path: one}
+    entry = RigField.measured(f"coating.{experiment.coating.albedo_field}", albedo, how)
+    return {entry.path: entry}
 
 
 def _press_fields(given: Given, known: Capture, watch: ProgressCallback) -> dict[str, RigField]:
-    """Return the elastomer, where a press of a known ball is given."""
+    """Return the elastomer, if a press of a known ball is given."""
     if given.press is None:
         return {}
     watch("press", 0.0)
     pressed = press_capture(given.press, known)
     _require_alike((given.captures[0], given.press.capture), (known, pressed))
-    found = elastomer_fields(given.press, pressed)
+    fields = elastomer_fields(given.press, pressed)
     watch("press", 1.0)
-    return found
+    return fields
 
 
 def _require_alike(folders: Sequence[Path], captures: Sequence[Capture]) -> None:
     first = captures[0]
-    for folder, one in zip(folders, captures, strict=True):
-        if one.stack.shape[1:] != first.stack.shape[1:] or one.bit_depth != first.bit_depth:
+    for folder, capture in zip(folders, captures, strict=True):
+        if capture.stack.shape[1:] != first.stack.shape[1:] or capture.bit_depth != first.bit_depth:
             raise InputError(
-                f"{folder}: has {one.stack.shape[2]} x {one.stack.shape[1]} pixels of "
-                f"{one.bit_depth} bits, {folders[0]} has {first.stack.shape[2]} x "
+                f"{folder}: has {capture.stack.shape[2]} x {capture.stack.shape[1]} pixels of "
+                f"{capture.bit_depth} bits, {folders[0]} has {first.stack.shape[2]} x "
                 f"{first.stack.shape[1]} of {first.bit_depth}; adopt captures of one rig"
             )
-        motion = one.calibration.T_world_from_cam
+        motion = capture.calibration.T_world_from_cam
         if not np.allclose(motion, first.calibration.T_world_from_cam, atol=1e-6):
             raise InputError(
                 f"{folder}: has another calibration than {folders[0]}; adopt captures of one rig"
@@ -278,7 +278,7 @@ def _known(
     noise: PhotonTransfer | None,
     response: ProjectorResponse | None,
 ) -> Capture:
-    """Return the capture with the noise and the response that were found."""
+    """Return the capture with the estimated noise and response."""
     if noise is not None:
         read_e = noise.read_noise_e.value if noise.read_noise_e else 0.0
         sensor = replace(sensor, gain_dn_per_e=noise.gain_dn_per_e.value, read_noise_e=read_e)
@@ -286,7 +286,7 @@ def _known(
 
 
 def coat_sparkle(capture: Capture, points: Reconstruction) -> Sparkle | None:
-    """Return how unevenly the coat shines; None without a white frame, or with too little of it."""
+    """Return the coat's local contrast; None without a white frame, or with too few pixels."""
     if not capture.patterns.uniform:
         return None
     white = capture.stack[capture.patterns.index("white").start]

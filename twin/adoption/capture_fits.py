@@ -1,4 +1,4 @@
-"""Dark frames, projector response and camera noise from captures of a rig."""
+"""Dark frames, projector response and camera noise, estimated from captures of a rig."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,12 +25,12 @@ from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.triangulation import triangulate
-from twin.adoption.defocus import SeenBlur
+from twin.adoption.defocus import CaptureBlur
 from twin.adoption.fields import read_images
 
 # Of the square of a normal number.
 _MEDIAN_OF_SQUARE = 0.455
-# Two captures of one scene differ by no more than so many times the variance of their noise.
+# Largest ratio of squared differences of two captures of one scene to the variance of their noise.
 _MOST_OVER_FITTED, _MOST_OVER_STATED = 1.5, 20.0
 # Of dark frames over the darkest frame of a capture: rounding and drift of the black level.
 _BRIGHTER_DN, _BRIGHTER_SIGMAS = 1.0, 5.0
@@ -38,12 +38,12 @@ UNFILTERED = DecodeOptions(filter_taps=0)
 
 
 def dark_frames(folder: Path, capture: Capture) -> Dark:
-    """Return what the dark frames show; they must not be brighter than all of the capture.
+    """Return black level and noise of the dark frames; they must not be brighter than the capture.
 
-    The capture's darkest frame has the black level and what there was of other light.
+    The mean of the capture's darkest frame is the black level plus ambient light.
     """
-    found = dark_of(read_images(folder, capture))
-    black = found.black_level_dn
+    dark = dark_of(read_images(folder, capture))
+    black = dark.black_level_dn
     darkest_dn = float(capture.stack.mean(axis=(1, 2), dtype=np.float64).min())
     if black.value > darkest_dn + _BRIGHTER_DN + _BRIGHTER_SIGMAS * black.uncertainty:
         raise InputError(
@@ -51,7 +51,7 @@ def dark_frames(folder: Path, capture: Capture) -> Dark:
             f"{darkest_dn:.4g} DN, that of the capture's darkest frame; cover the lens, and keep "
             "the camera's settings"
         )
-    return found
+    return dark
 
 
 def with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
@@ -63,10 +63,10 @@ def with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class FittedCapture:
-    """Projector response and blur of one capture, and the distance of its points."""
+    """Projector response of a capture, and its blur by distance."""
 
     fit: ProjectorFit
-    seen: SeenBlur
+    blur: CaptureBlur
 
 
 def fit_captures(
@@ -76,26 +76,26 @@ def fit_captures(
     notes: list[str],
 ) -> list[FittedCapture]:
     """Fit each capture; add a note for each that cannot be fitted."""
-    found = []
-    for folder, one in zip(folders, captures, strict=True):
+    results = []
+    for folder, capture in zip(folders, captures, strict=True):
         try:
-            decoded = decode(one.stack, one.patterns, sensor, UNFILTERED, one.scale)
-            if one.scale is not None:
+            decoded = decode(capture.stack, capture.patterns, sensor, UNFILTERED, capture.scale)
+            if capture.scale is not None:
                 raise InputError("merged exposures have no single noise")
-            inverse = _inverse_distances(decoded, one.calibration)
-            fit = _fit_twice(one, sensor, decoded)
-            found.append(
+            inverse = _inverse_distances(decoded, capture.calibration)
+            fit = _fit_twice(capture, sensor, decoded)
+            results.append(
                 FittedCapture(
-                    fit, SeenBlur(float(inverse.mean()), float(inverse.std()), fit.blur_px)
+                    fit, CaptureBlur(float(inverse.mean()), float(inverse.std()), fit.blur_px)
                 )
             )
         except InputError as error:
-            notes.append(f"{folder.name}: the projector's response is not found: {error}")
-    return found
+            notes.append(f"{folder.name}: the projector's response cannot be estimated: {error}")
+    return results
 
 
 def _fit_twice(capture: Capture, sensor: SensorNoise, decoded: Decoded) -> ProjectorFit:
-    """Fit, decode with the response found, and fit again from there."""
+    """Fit, decode with the fitted response, and fit again from there."""
     stack, patterns = capture.stack, capture.patterns
     first = fit_projector(stack, patterns, sensor, decoded)
     if not patterns.kind.takes_response:
@@ -113,8 +113,8 @@ def _inverse_distances(decoded: Decoded, calibration: Calibration) -> FloatArray
     if not points.valid.any():
         raise InputError("no pixel has a point; does the calibration belong to the capture?")
     T_world_from_proj = calibration.T_world_from_proj
-    found_mm = points.points_world_mm[points.valid].astype(np.float64)
-    return np.asarray(1.0 / ((found_mm - T_world_from_proj[:3, 3]) @ T_world_from_proj[:3, 2]))
+    points_mm = points.points_world_mm[points.valid].astype(np.float64)
+    return np.asarray(1.0 / ((points_mm - T_world_from_proj[:3, 3]) @ T_world_from_proj[:3, 2]))
 
 
 def noise_of(
@@ -123,7 +123,7 @@ def noise_of(
     sensor: SensorNoise,
     notes: list[str],
 ) -> tuple[PhotonTransfer | None, str]:
-    """Return the noise and, in words, where from: repeated captures, or what a fit leaves."""
+    """Return the noise, and its source as text: repeated captures, or residuals of a fit."""
     own = next((fit.noise for fit in fits if fit.noise is not None), None)
     pairs = _pairs(captures, sensor, own)
     if pairs is not None:
@@ -133,65 +133,69 @@ def noise_of(
             notes.append(f"repeated captures: {error}")
     if own is not None:
         return own, "photon transfer of what the fit of one capture leaves"
-    notes.append("the captures do not tell the camera's noise: its gain is the model's")
+    notes.append("the captures do not determine the camera's noise: its gain is the model's")
     return None, ""
 
 
 def _pairs(
     captures: Sequence[Capture], sensor: SensorNoise, own: PhotonTransfer | None
 ) -> NoiseSamples | None:
-    """Return samples of all neighbouring captures that show the same; None: there are none.
+    """Return samples of all successive captures of the same scene; None: there are none.
 
-    They differ by noise: by that which a fit found, or about that which capture.toml states.
+    Such captures differ by noise only: the fitted noise, or about the noise of capture.toml.
     """
-    found: NoiseSamples | None = None
-    for one, other in pairwise(captures):
-        if one.patterns != other.patterns or one.scale is not None or other.scale is not None:
+    all_samples: NoiseSamples | None = None
+    for earlier, later in pairwise(captures):
+        if (
+            earlier.patterns != later.patterns
+            or earlier.scale is not None
+            or later.scale is not None
+        ):
             continue
-        samples = samples_of_pairs(one.stack, other.stack, sensor)
+        samples = samples_of_pairs(earlier.stack, later.stack, sensor)
         expected = own.variance_at(samples.mean_dn) if own else sensor.variance_dn2(samples.mean_dn)
         ratio = float(np.median(samples.square_dn2 / expected)) / _MEDIAN_OF_SQUARE
         if ratio < (_MOST_OVER_FITTED if own else _MOST_OVER_STATED):
-            found = samples if found is None else found.joined(samples)
-    return found
+            all_samples = samples if all_samples is None else all_samples.joined(samples)
+    return all_samples
 
 
 def two_period_chi2(captures: Sequence[Capture], known: Capture) -> float | None:
-    """Return chi-square per pixel of two captures of one scene with other periods; None: no such.
+    """Return chi-square per pixel of two captures of one scene with different periods, or None.
 
-    Coordinates of the unfiltered pixels, with sensor and response as found.
+    It compares coordinates of unfiltered pixels, with the estimated sensor and response.
     """
     first = captures[0]
-    for other in captures[1:]:
-        if other.patterns.period_px == first.patterns.period_px:
+    for second in captures[1:]:
+        if second.patterns.period_px == first.patterns.period_px:
             continue
-        found = [
+        decoded = [
             decode(
-                one.stack,
-                one.patterns,
+                capture.stack,
+                capture.patterns,
                 known.sensor,
                 UNFILTERED,
-                one.scale,
+                capture.scale,
                 response=known.response,
             )
-            for one in (first, other)
+            for capture in (first, second)
         ]
-        return chi2_of(found[0], found[1])
+        return chi2_of(decoded[0], decoded[1])
     return None
 
 
-def chi2_of(one: Decoded, other: Decoded) -> float | None:
-    """Return the mean square of the differences of columns over their sigma, of one scene.
+def chi2_of(first: Decoded, second: Decoded) -> float | None:
+    """Return the mean square of the differences of columns over their sigma, for the same scene.
 
-    Pixels that differ by many sigmas are another scene, or a wrong order: beyond ten they do not
-    count, and where that are more than one in a hundred there is no number.
+    Pixels that differ by more than 10 sigma show another scene or have a wrong fringe order: they
+    are left out. The result is None if they are more than 1 % of the pixels.
     """
-    both = one.valid & other.valid
+    both = first.valid & second.valid
     if int(both.sum()) < 100:
         return None
-    step: FloatArray = one.column.coordinate_px[both].astype(np.float64)
-    step = step - other.column.coordinate_px[both]
-    sigmas: FloatImage = np.hypot(one.column.sigma_px[both], other.column.sigma_px[both])
+    step: FloatArray = first.column.coordinate_px[both].astype(np.float64)
+    step = step - second.column.coordinate_px[both]
+    sigmas: FloatImage = np.hypot(first.column.sigma_px[both], second.column.sigma_px[both])
     square = (step / sigmas) ** 2
     near = square < 100.0
     return float(square[near].mean()) if near.mean() > 0.99 else None

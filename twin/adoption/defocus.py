@@ -3,8 +3,8 @@
 Each capture's fit gives one blur b. With u = 1 / z, the inverse of its points' axial distance, the
 thin lens makes b^2 = b_0^2 + g^2 (u - u_0)^2 (`twin.optics.light.Defocus`), a parabola in u: three
 heights give best focus 1 / u_0, the blur b_0 there, and the growth g, focal length (px) times the
-diameter of the exit pupil over 4. A surface has many distances: the means of u and of u^2 over its
-points stand for them.
+diameter of the exit pupil over 4. A surface has many distances: the fit uses the means of u and of
+u^2 over its points.
 """
 
 from collections.abc import Sequence
@@ -17,17 +17,17 @@ from reconstruction.characterise import UncertainValue
 from twin.adoption.findings import RigField
 
 LEAST_CAPTURES = 3
-# Relative, of each blur: one Gaussian was fitted to a surface whose points are blurred unlike. Two
-# rendered rigs are off by 1 to 4 % (tests/adoption).
+# Relative, of each blur: one Gaussian was fitted to a surface with points of different blur. The
+# errors of two rendered rigs are 1 to 4 % (tests/adoption).
 _MIXED = 0.02
-# Of the growth, over its uncertainty: less is no defocus.
-_SEEN = 3.0
-# Captures nearer than this to one another, as a share of the distance, are at one height.
-_APART = 0.002
+# Least ratio of the growth to its uncertainty for a significant defocus.
+_LEAST_SIGNIFICANCE = 3.0
+# Captures with a smaller relative difference of distance have the same height.
+_SAME_HEIGHT = 0.002
 
 
 @dataclass(frozen=True)
-class SeenBlur:
+class CaptureBlur:
     """Blur of one capture, and the inverse axial distances of its points: mean and spread."""
 
     inverse_per_mm: float
@@ -36,7 +36,7 @@ class SeenBlur:
 
 
 @dataclass(frozen=True)
-class FoundDefocus:
+class FittedDefocus:
     """A projector's blur by distance."""
 
     blur_px: UncertainValue
@@ -44,26 +44,26 @@ class FoundDefocus:
     focus_mm: UncertainValue
 
 
-def defocus_of(seen: Sequence[SeenBlur]) -> FoundDefocus | None:
-    """Return the parabola through blurs; None where the captures show none.
+def defocus_of(blurs: Sequence[CaptureBlur]) -> FittedDefocus | None:
+    """Return the parabola through blurs; None if the captures do not determine it.
 
-    They are fewer than three heights, or too near one another, or best focus lies beyond twice
-    their range, where the blur at it is no more than a guess.
+    That is: fewer than three heights, heights too close, or best focus (in 1 / z) farther than
+    their range from their middle, where the blur would be an extrapolation.
     """
-    u = np.array([one.inverse_per_mm for one in seen])
-    spread = np.array([one.spread_per_mm for one in seen])
-    blur = np.array([one.blur_px.value for one in seen])
+    u = np.array([item.inverse_per_mm for item in blurs])
+    spread = np.array([item.spread_per_mm for item in blurs])
+    blur = np.array([item.blur_px.value for item in blurs])
     if len(_heights(u)) < LEAST_CAPTURES:
         return None
     middle, scale = float(u.mean()), float(np.ptp(u))
     x = (u - middle) / scale
     basis = np.stack([np.ones_like(x), x, x * x + (spread / scale) ** 2], axis=1)
-    own = np.array([one.blur_px.uncertainty for one in seen])
+    own = np.array([item.blur_px.uncertainty for item in blurs])
     sigma = 2.0 * blur * np.hypot(own, _MIXED * blur)
     weighted = basis / sigma[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
     a, b, c = (covariance @ weighted.T @ (blur**2 / sigma)).tolist()
-    if c < _SEEN * np.sqrt(covariance[2, 2]):
+    if c < _LEAST_SIGNIFICANCE * np.sqrt(covariance[2, 2]):
         return None
     top, least = -b / (2.0 * c), a - b * b / (4.0 * c)
     if abs(top) > 1.0 or least <= 0.0:
@@ -74,8 +74,8 @@ def defocus_of(seen: Sequence[SeenBlur]) -> FoundDefocus | None:
         "growth": np.array([0.0, 0.0, 0.5 / np.sqrt(c)]) / scale,
         "focus": focus_mm**2 * scale * np.array([0.0, 0.5 / c, -b / (2.0 * c * c)]),
     }
-    sigmas = {name: float(np.sqrt(one @ covariance @ one)) for name, one in slopes.items()}
-    return FoundDefocus(
+    sigmas = {name: float(np.sqrt(item @ covariance @ item)) for name, item in slopes.items()}
+    return FittedDefocus(
         UncertainValue(float(np.sqrt(least)), sigmas["blur"]),
         UncertainValue(float(np.sqrt(c)) / scale, sigmas["growth"]),
         UncertainValue(focus_mm, sigmas["focus"]),
@@ -83,28 +83,28 @@ def defocus_of(seen: Sequence[SeenBlur]) -> FoundDefocus | None:
 
 
 def _heights(u: FloatArray) -> list[float]:
-    """Return inverse distances that are apart."""
-    kept: list[float] = []
-    for one in sorted(u.tolist()):
-        if not kept or one - kept[-1] > _APART * one:
-            kept.append(one)
-    return kept
+    """Return the distinct inverse distances."""
+    distinct: list[float] = []
+    for u_per_mm in sorted(u.tolist()):
+        if not distinct or u_per_mm - distinct[-1] > _SAME_HEIGHT * u_per_mm:
+            distinct.append(u_per_mm)
+    return distinct
 
 
-def defocus_fields(found: FoundDefocus, focal_px: float, captures: int) -> dict[str, RigField]:
+def defocus_fields(defocus: FittedDefocus, focal_px: float, captures: int) -> dict[str, RigField]:
     """Return blur, pupil and best focus as fields of a rig.
 
     Parameters
     ----------
     focal_px : of the projector
-    captures : how many they were found from
+    captures : number of captures of the fit
     """
     how = f"blur of {captures} captures over their distance"
-    growth, per_mm = found.growth_px_mm, 4.0 / focal_px
+    growth, per_mm = defocus.growth_px_mm, 4.0 / focal_px
     aperture = UncertainValue(per_mm * growth.value, per_mm * growth.uncertainty)
     fields = [
-        RigField.measured("projector.blur_px", found.blur_px, how),
+        RigField.measured("projector.blur_px", defocus.blur_px, how),
         RigField.measured("projector.aperture_mm", aperture, how),
-        RigField.measured("projector.focus_mm", found.focus_mm, how),
+        RigField.measured("projector.focus_mm", defocus.focus_mm, how),
     ]
-    return {one.path: one for one in fields}
+    return {entry.path: entry for entry in fields}

@@ -1,9 +1,8 @@
 """The elastomer of an adopted rig, from one press of a known ball.
 
-The press is a capture like any other, read with the noise and the response that were found. What is
-believed of sheet and load comes from a layer file, as `twin compensate` takes it; the ball then
-tells the thickness, and with air on the coat the modulus, see
-`reconstruction.compensation.known_ball`.
+The press is an ordinary capture, read with the estimated noise and response. The assumed values of
+sheet and load are those of a layer file, as for `twin compensate`. The ball determines the
+thickness, and with back pressure also the modulus, see `reconstruction.compensation.known_ball`.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +26,7 @@ class KnownBallPress:
     Attributes
     ----------
     capture : folder
-    layer : file with what is believed of sheet and load
+    layer : file with the assumed values of sheet and load
     diameter_mm : of the ball
     """
 
@@ -37,48 +36,48 @@ class KnownBallPress:
 
 
 def press_capture(press: KnownBallPress, known: Capture) -> Capture:
-    """Return the capture of the press with the noise and the response that were found."""
+    """Return the capture of the press with the estimated noise and response."""
     return replace(read_capture(press.capture), sensor=known.sensor, response=known.response)
 
 
 def elastomer_fields(press: KnownBallPress, capture: Capture) -> dict[str, RigField]:
-    """Return the elastomer: thickness and modulus as the ball tells them, the rest as stated.
+    """Return the elastomer: thickness and modulus from the ball, the rest as stated.
 
     Raises
     ------
     InputError : no such layer, the elastomer is no thin sheet, or the press shows no ball
     """
     points = reconstruct(capture, ReconstructOptions()).point_map
-    believed = load_sensor_layer(press.layer)
-    layer, figures = calibrated_layer(points, believed, press.diameter_mm)
-    found = {f"elastomer.{key}": value for key, value in _stated(believed, press.layer).items()}
+    assumed = load_sensor_layer(press.layer)
+    layer, figures = calibrated_layer(points, assumed, press.diameter_mm)
+    fields = {f"elastomer.{key}": value for key, value in _stated(assumed, press.layer).items()}
     how = f"a ball of {press.diameter_mm:g} mm pressed, {press.capture.name}"
     elastomer, sigma = layer.elastomer, layer.sigma
     thickness = UncertainValue(elastomer.thickness_mm, sigma.thickness_mm)
-    found["elastomer.thickness_mm"] = RigField.measured("elastomer.thickness_mm", thickness, how)
+    fields["elastomer.thickness_mm"] = RigField.measured("elastomer.thickness_mm", thickness, how)
     if figures.get("calibrated_rim_compliance_mm2_per_n") is not None:
         path = "elastomer.rim_compliance_mm2_per_n"
         gives = UncertainValue(elastomer.rim_compliance_mm2_per_n, sigma.rim_compliance_mm2_per_n)
-        found[path] = RigField.measured(path, gives, how)
+        fields[path] = RigField.measured(path, gives, how)
     if figures["calibrated_modulus_kpa"] is not None:
         for name in _HARDNESS:
-            found.pop(f"elastomer.{name}", None)
+            fields.pop(f"elastomer.{name}", None)
         modulus = UncertainValue(
             figures["calibrated_modulus_kpa"], figures["calibrated_modulus_sigma_kpa"]
         )
         path = "elastomer.young_modulus_kpa"
-        found[path] = RigField.measured(path, modulus, f"free span beside {how}")
-    return found
+        fields[path] = RigField.measured(path, modulus, f"free span beside {how}")
+    return fields
 
 
 def _stated(layer: SensorLayer, file: Path) -> dict[str, RigField]:
-    """Return all that a layer file says of the elastomer."""
-    told: dict[str, Any] = layer.elastomer.model_dump(
+    """Return all values of the elastomer in a layer file."""
+    stated: dict[str, Any] = layer.elastomer.model_dump(
         mode="json", exclude_none=True, exclude_unset=True
     )
     source = f"stated: {file.name}"
     return {
         key: RigField(f"elastomer.{key}", value, None, source)
-        for key, value in told.items()
+        for key, value in stated.items()
         if not isinstance(value, dict)
     }

@@ -1,4 +1,4 @@
-"""The fields of a rig, from what was measured of its captures.
+"""The fields of a rig, from the estimates of its captures.
 
 | field | from |
 |---|---|
@@ -69,19 +69,19 @@ def camera_fields(
     noise_from: str,
     dark: Dark | None,
 ) -> dict[str, RigField]:
-    """Return what the images, their noise and dark frames say of the camera."""
+    """Return the camera's fields from the images, their noise and dark frames."""
     binning, sensor = _binning(capture, model), capture.sensor
     rows, cols = capture.stack.shape[1:]
     depth = next(bits for bits in _BIT_DEPTHS if bits >= capture.bit_depth)
     stated = "stated: capture.toml"
-    found = [
+    fields = [
         RigField("camera.width_px", cols * binning, None, "measured: size of the images"),
         RigField("camera.height_px", rows * binning, None, "measured: size of the images"),
         RigField("camera.binning", binning, None, "assumed: the model's pixels over the images'"),
         RigField("camera.bit_depth", depth, None, stated),
     ]
     black = dark.black_level_dn if dark else None
-    found.append(
+    fields.append(
         RigField.measured("camera.black_level_dn", black, "dark frames")
         if black
         else RigField("camera.black_level_dn", sensor.black_level_dn, None, stated)
@@ -93,17 +93,17 @@ def camera_fields(
         well = span_dn / (gain * binning**2)
         u = well * noise.gain_dn_per_e.uncertainty / gain
         how = f"{noise_from}; gain {gain:.5g} +- {noise.gain_dn_per_e.uncertainty:.2g} DN/e-"
-        found.append(RigField.measured("camera.full_well_e", UncertainValue(well, u), how))
+        fields.append(RigField.measured("camera.full_well_e", UncertainValue(well, u), how))
     if dark is not None and dark.noise_dn is not None and gain > 0.0:
         read = _per_gain(dark.noise_dn, noise, gain * binning)
-        found.append(RigField.measured("camera.read_noise_e", read, "dark frames"))
+        fields.append(RigField.measured("camera.read_noise_e", read, "dark frames"))
         dsnu = _per_gain(dark.dsnu_dn, noise, gain * binning)
-        found.append(RigField.measured("camera.dsnu_e", dsnu, "dark frames"))
+        fields.append(RigField.measured("camera.dsnu_e", dsnu, "dark frames"))
     elif noise is not None and noise.read_noise_e is not None:
         read_e = noise.read_noise_e
-        one = UncertainValue(read_e.value / binning, read_e.uncertainty / binning)
-        found.append(RigField.measured("camera.read_noise_e", one, noise_from))
-    return {one.path: one for one in found}
+        read_noise = UncertainValue(read_e.value / binning, read_e.uncertainty / binning)
+        fields.append(RigField.measured("camera.read_noise_e", read_noise, noise_from))
+    return {entry.path: entry for entry in fields}
 
 
 def _per_gain(
@@ -119,7 +119,7 @@ def _per_gain(
 def pose_fields(
     capture: Capture, model: ModelRig, placed: Placed, notes: list[str]
 ) -> dict[str, RigField]:
-    """Return poses and lenses of both devices; `notes` is told what a rig cannot say."""
+    """Return poses and lenses of both devices; a large misfit is appended to `notes`."""
     calibration, binning = capture.calibration, _binning(capture, model)
     camera, projector = calibration.camera, calibration.projector
     pitch_um = float(model.value("camera.pixel_pitch_um"))
@@ -131,8 +131,8 @@ def pose_fields(
     )
     if not placed.is_close:
         notes.append(
-            f"the rig's words leave {max(placed.misfit_px):.2g} px of the calibration out: its "
-            "devices do not look at one point, or their pixels are not square"
+            f"a rig file fits the calibration to {max(placed.misfit_px):.2g} px only: the rays of "
+            "the image centres do not meet in one point, or pixels are not square"
         )
     offset = (placed.axis_row_px - (projector.height_px - 1) / 2) / projector.height_px * 200.0
     values: dict[str, object] = {
@@ -155,24 +155,26 @@ def flat_fields(
     """Return the PRNU of a folder of flat frames."""
     dsnu_dn = dark.dsnu_dn.value if dark else 0.0
     frames = read_images(folder, capture)
-    found = prnu_of(frames, sensor.black_level_dn, dsnu_dn, sensor.clipped_from_dn)
-    percent = UncertainValue(100.0 * found.value, 100.0 * found.uncertainty)
-    one = RigField.measured("camera.prnu_percent", percent, "flat frames, less their slow changes")
-    return {one.path: one}
+    prnu = prnu_of(frames, sensor.black_level_dn, dsnu_dn, sensor.clipped_from_dn)
+    percent = UncertainValue(100.0 * prnu.value, 100.0 * prnu.uncertainty)
+    entry = RigField.measured(
+        "camera.prnu_percent", percent, "flat frames, less their slow changes"
+    )
+    return {entry.path: entry}
 
 
-def joint(found: Sequence[UncertainValue]) -> UncertainValue:
-    """Return the weighted mean; its uncertainty grows where the values differ by more than theirs.
+def joint(estimates: Sequence[UncertainValue]) -> UncertainValue:
+    """Return the weighted mean; its uncertainty includes the scatter of the values.
 
-    Birge's ratio: the square root of chi-square per degree of freedom, at least 1. It is never
-    below the least of theirs: what one capture leaves out, others of the rig do, too.
+    Birge's ratio: the square root of chi-square per degree of freedom, at least 1. The result is at
+    least the smallest given uncertainty, as captures of a rig have common systematic errors.
     """
-    weight = np.array([1.0 / max(one.uncertainty, 1e-9) ** 2 for one in found])
-    value = np.array([one.value for one in found])
+    weight = np.array([1.0 / max(estimate.uncertainty, 1e-9) ** 2 for estimate in estimates])
+    value = np.array([estimate.value for estimate in estimates])
     mean = float((weight * value).sum() / weight.sum())
     chi2 = float((weight * (value - mean) ** 2).sum())
-    ratio = max(1.0, np.sqrt(chi2 / max(len(found) - 1, 1)))
-    least = min(one.uncertainty for one in found)
+    ratio = max(1.0, np.sqrt(chi2 / max(len(estimates) - 1, 1)))
+    least = min(estimate.uncertainty for estimate in estimates)
     return UncertainValue(mean, max(float(ratio / np.sqrt(weight.sum())), least))
 
 
@@ -181,19 +183,19 @@ def light_fields(fits: Sequence[ProjectorFit], dark: Dark | None) -> dict[str, R
     if not fits:
         return {}
     how = f"fit of all frames of {len(fits)} captures; chi-square {fits[0].chi2:.3g} per frame"
-    found = [
-        RigField.measured("projector.gamma", joint([one.gamma for one in fits]), how),
-        RigField.measured("projector.blur_px", joint([one.blur_px for one in fits]), how),
+    fields = [
+        RigField.measured("projector.gamma", joint([fit.gamma for fit in fits]), how),
+        RigField.measured("projector.blur_px", joint([fit.blur_px for fit in fits]), how),
     ]
     contrast = _contrast(fits[0], dark) if dark else None
     if contrast is not None:
-        told = "black frame less dark frames; ambient light counts as the projector's"
-        found.append(RigField.measured("projector.contrast", contrast, told))
-    return {one.path: one for one in found}
+        source = "black frame less dark frames; ambient light counts as the projector's"
+        fields.append(RigField.measured("projector.contrast", contrast, source))
+    return {entry.path: entry for entry in fields}
 
 
 def pattern_fields(capture: Capture) -> dict[str, RigField]:
-    """Return what was projected, as far as a rig file says it."""
+    """Return the projected sequence, in the fields of a rig file."""
     shown, stated = capture.patterns, "stated: capture.toml"
     values = Patterns.of(shown).model_dump(mode="json")
     paths = {f"patterns.{name}": value for name, value in values.items() if value != []}
@@ -201,7 +203,7 @@ def pattern_fields(capture: Capture) -> dict[str, RigField]:
 
 
 def _contrast(fit: ProjectorFit, dark: Dark) -> UncertainValue | None:
-    """Return full white over full black; None where black is not seen above the dark level."""
+    """Return full white over full black; None if black is not above the dark level."""
     black_dn = fit.offset_dn - dark.black_level_dn.value
     bright = fit.light_dn > np.percentile(fit.light_dn, 20)
     black, light = float(np.mean(black_dn[bright])), float(np.mean(fit.light_dn[bright]))
@@ -213,7 +215,7 @@ def _contrast(fit: ProjectorFit, dark: Dark) -> UncertainValue | None:
 
 
 def level_field(capture: Capture) -> dict[str, RigField]:
-    """Return the level that the automatic exposure has to reach for images as bright as these."""
+    """Return the level of the automatic exposure that gives the brightness of these images."""
     if not capture.patterns.uniform:
         return {}
     white = capture.stack[capture.patterns.index("white").start].astype(np.float64)
@@ -232,9 +234,9 @@ def level_field(capture: Capture) -> dict[str, RigField]:
 def response_of(
     fields: dict[str, RigField], fits: Sequence[ProjectorFit]
 ) -> ProjectorResponse | None:
-    """Return the projector's response as the first capture sees it; None where it was not found.
+    """Return the projector's response in the first capture; None if it was not estimated.
 
-    Out of focus the blur there is not that of the rig.
+    Out of focus, the blur of that capture differs from the blur of the rig.
     """
     gamma = fields.get("projector.gamma")
     if gamma is None or not fits:

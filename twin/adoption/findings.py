@@ -1,11 +1,11 @@
-"""What was found of a rig, field by field, and the rig file that is made of it.
+"""The fields of an adopted rig, each with its source, and the rig file.
 
-| source begins with | meaning |
+| start of the source | meaning |
 |---|---|
 | measured | estimated from the captures; the range is the 95 % interval |
 | calibration | from calibration.yaml; the range is the value plus or minus its misfit |
 | stated | written in capture.toml |
-| assumed | the captures cannot tell; the value of the rig that was given as a model stays |
+| assumed | not determined by the captures; the value is that of the model rig |
 """
 
 import json
@@ -24,11 +24,11 @@ from twin.config.models import Experiment
 from twin.config.quantities import is_quantity
 
 COVERAGE = 2.0
-"""Standard uncertainties on either side that hold 95 % of a normal distribution."""
+"""Half width of the 95 % interval of a normal distribution, in standard uncertainties."""
 
 _DIGITS = 7
 _TABLES = ("camera", "projector", "coating", "elastomer")
-# What an experiment needs besides a rig, to see that the rig is one.
+# Specimen and press for an experiment that validates the rig.
 _TRIED_WITH = "examples/slab_ball"
 _NEEDS = {
     "camera.prnu_percent": "flat frames (--flat)",
@@ -64,30 +64,33 @@ class RigField:
     source: str
 
     @classmethod
-    def measured(cls, path: str, found: UncertainValue, how: str) -> "RigField":
-        """Return a field that the captures tell."""
-        return cls(path, found.value, found.uncertainty, f"measured: {how}")
+    def measured(cls, path: str, estimate: UncertainValue, how: str) -> "RigField":
+        """Return a field that the captures determine."""
+        return cls(path, estimate.value, estimate.uncertainty, f"measured: {how}")
 
     def quantity(self) -> dict[str, Any]:
-        """Return the field as data files write it."""
-        told: dict[str, Any] = {"value": _rounded(self.value)}
+        """Return the field in the form of data files."""
+        content: dict[str, Any] = {"value": _rounded(self.value)}
         if self.uncertainty is not None and isinstance(self.value, float):
             half = COVERAGE * self.uncertainty
             low, high = self.value - half, self.value + half
-            told["range"] = [_rounded(max(low, 0.0) if self.value >= 0.0 else low), _rounded(high)]
-        told["source"] = self.source
-        return told
+            content["range"] = [
+                _rounded(max(low, 0.0) if self.value >= 0.0 else low),
+                _rounded(high),
+            ]
+        content["source"] = self.source
+        return content
 
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, (tuple, list)):
-        return [_rounded(one) for one in value]
+        return [_rounded(item) for item in value]
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
 @dataclass(frozen=True)
 class ModelRig:
-    """The rig from which all comes that no capture tells: its name and its tables."""
+    """The rig that gives all values that no capture determines: its name and its tables."""
 
     name: str
     tables: Mapping[str, Any]
@@ -98,13 +101,13 @@ class ModelRig:
 
         Raises
         ------
-        AssetError, ConfigError : there is none, or it cannot be read
+        AssetError, ConfigError : there is no such file, or it cannot be read
         """
         file = scene_file(Path(name))
         return cls(name, resolve_uses(read_toml(file), (file,)))
 
     def value(self, path: str) -> Any:
-        """Return the value at a dotted path; None where the model is silent."""
+        """Return the value at a dotted path; None if the model has none."""
         node: Any = self.tables
         for key in path.split("."):
             node = node.get(key) if isinstance(node, Mapping) else None
@@ -112,20 +115,20 @@ class ModelRig:
 
     @property
     def coating(self) -> type[Coating]:
-        """The kind of its coat."""
+        """The kind of the model's coat."""
         return COATINGS[str(self.value("coating.kind") or default_kinds(Experiment)["coating"])]
 
 
-def rig_tables(model: ModelRig, found: Mapping[str, RigField]) -> dict[str, Any]:
-    """Return the tables of the adopted rig: what was found, and of the model what was not."""
+def rig_tables(model: ModelRig, fields: Mapping[str, RigField]) -> dict[str, Any]:
+    """Return the tables of the adopted rig: the given fields, and the model's values elsewhere."""
     tables: dict[str, Any] = {}
     for name, node in model.tables.items():
         if name == "description":
             continue
         tables[name] = _assumed(node, name, model) if name in _TABLES else node
-    if any(path.startswith("elastomer.") for path in found):
-        tables["elastomer"] = {}  # stated as a whole, beside what was measured of it
-    for field in found.values():
+    if any(path.startswith("elastomer.") for path in fields):
+        tables["elastomer"] = {}  # all its fields are given: stated or measured
+    for field in fields.values():
         *parents, leaf = field.path.split(".")
         node = tables
         for key in parents:
@@ -136,15 +139,15 @@ def rig_tables(model: ModelRig, found: Mapping[str, RigField]) -> dict[str, Any]
 
 def _assumed(node: Any, path: str, model: ModelRig) -> Any:
     if path.endswith(".kind"):
-        return node  # says which numbers there are, and is none
+        return node  # selects the fields of the table, and has no source
     if not isinstance(node, Mapping) or is_quantity(node):
-        value, kept = (node["value"], node.get("range")) if is_quantity(node) else (node, None)
-        told = {"value": value} | ({"range": kept} if kept else {})
-        return told | {"source": _not_told(path, model)}
+        value, limits = (node["value"], node.get("range")) if is_quantity(node) else (node, None)
+        quantity = {"value": value} | ({"range": limits} if limits else {})
+        return quantity | {"source": _assumed_source(path, model)}
     return {key: _assumed(inner, f"{path}.{key}", model) for key, inner in node.items()}
 
 
-def _not_told(path: str, model: ModelRig) -> str:
+def _assumed_source(path: str, model: ModelRig) -> str:
     table, _, name = path.partition(".")
     of_the_coat = model.coating.determined_by if table == "coating" else {}
     missing = of_the_coat.get(name) or _NEEDS.get(path) or _NEEDS.get(table)
@@ -155,12 +158,12 @@ def _not_told(path: str, model: ModelRig) -> str:
 def write_rig(path: Path, name: str, tables: Mapping[str, Any]) -> None:
     """Write the rig file; experiments take it by `use = "./rig.toml"`."""
     head = f'# Adopted from captures of {name}. Experiments take it by use = "./rig.toml".'
-    told = {"description": f"twin of {name}", **tables}
-    write_text(path, "\n".join([head, *_lines(told, "")]) + "\n")
+    content = {"description": f"twin of {name}", **tables}
+    write_text(path, "\n".join([head, *_lines(content, "")]) + "\n")
 
 
 def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
-    """Yield a table as data files have it: a quantity in one line, tables in tables below."""
+    """Yield the TOML lines of a table: a quantity in one line, inner tables after the values."""
     inner = {k: v for k, v in table.items() if isinstance(v, Mapping) and not is_quantity(v)}
     if name and len(inner) < len(table):
         yield f"\n[{name}]"
@@ -173,13 +176,13 @@ def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
 
 def _as_toml(value: Any) -> str:
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_as_toml(one)}" for key, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{key} = {_as_toml(item)}" for key, item in value.items()) + " }"
     # JSON text of a string, flag, finite number or list of them is valid TOML.
     return json.dumps(value)
 
 
-def tried(tables: Mapping[str, Any]) -> Experiment:
-    """Return an experiment on the rig: a rig that none can use is not written.
+def validated(tables: Mapping[str, Any]) -> Experiment:
+    """Return an experiment on the rig, to validate the rig before it is written.
 
     Raises
     ------
@@ -187,8 +190,8 @@ def tried(tables: Mapping[str, Any]) -> Experiment:
     """
     file = scene_file(Path(_TRIED_WITH))
     base = resolve_uses(read_toml(file), (file,))
-    kept = {key: base[key] for key in ("specimen", "press", "score", "seed")}
-    return validate_experiment({**kept, **tables, "name": "adopted"}, where="adopted rig")
+    context = {key: base[key] for key in ("specimen", "press", "score", "seed")}
+    return validate_experiment({**context, **tables, "name": "adopted"}, where="adopted rig")
 
 
 def rows_of(tables: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any, str]]:

@@ -1,9 +1,9 @@
-"""A calibration in the words of a rig: where the devices stand, what lenses they have.
+"""Conversion of a calibration to the fields of a rig: poses and lenses of the devices.
 
-A rig says less than a calibration: camera and projector look at one point of the coat with the
-centres of their images, pixels are square, and the principal point is offset along one direction
-alone. The rig that shows points of the coat at the pixels where the calibration shows them is found
-by least squares; the misfit, px, says what this leaves out. The point that both look at becomes the
+A rig has fewer parameters than a calibration: the rays of both image centres meet in one point of
+the coat, pixels are square, and the principal point is offset along one direction only. The rig is
+fitted by least squares, so that points of the coat are projected to the same pixels as by the
+calibration; the misfit, px, is the RMS of the residuals. The common point of the rays becomes the
 world's origin.
 """
 
@@ -28,7 +28,7 @@ _MOST_OFF_SQUARE = 0.03
 
 @dataclass(frozen=True)
 class Placed:
-    """Camera and projector as a rig has them.
+    """Camera and projector in the parameters of a rig.
 
     Attributes
     ----------
@@ -48,12 +48,12 @@ class Placed:
 
     @property
     def is_close(self) -> bool:
-        """Whether the rig is the calibrated one for all that matters in an image."""
+        """Whether the rig agrees with the calibration within the allowed misfit."""
         return max(self.misfit_px) < _MOST_MISFIT_PX
 
 
 def place(calibration: Calibration) -> Placed:
-    """Return the rig that is nearest to a calibration.
+    """Return the rig that best fits a calibration.
 
     Raises
     ------
@@ -66,8 +66,8 @@ def place(calibration: Calibration) -> Placed:
     points = _points(calibration)
     camera, projector = calibration.camera, calibration.projector
     wanted = (
-        _seen(camera, calibration.T_world_from_cam, points),
-        _seen(projector, calibration.T_world_from_proj, points),
+        _projected(camera, calibration.T_world_from_cam, points),
+        _projected(projector, calibration.T_world_from_proj, points),
     )
     cam_mm = calibration.T_world_from_cam[:3, 3] - origin
     proj_mm = calibration.T_world_from_proj[:3, 3] - origin
@@ -87,16 +87,18 @@ def place(calibration: Calibration) -> Placed:
             (_square_camera(camera, p[6]), p[2:5], p[5]),
             (_square_projector(projector, p[11], p[12]), p[7:10], p[10]),
         )
-        found = []
+        placed = []
         for pinhole, position_mm, roll_rad in parts:
             motion = world_from_device(_pose(position_mm, roll_rad), pinhole)
             motion[:3, 3] += centre
-            found.append((pinhole, motion))
-        return found
+            placed.append((pinhole, motion))
+        return placed
 
     def off_px(p: FloatArray) -> FloatArray:
         pairs = zip(devices(p), wanted, strict=True)
-        return np.concatenate([(_seen(*one, points) - there).ravel() for one, there in pairs])
+        return np.concatenate(
+            [(_projected(*device, points) - there).ravel() for device, there in pairs]
+        )
 
     p = _fitted(off_px, start)
     off = off_px(p).reshape(2, -1)
@@ -126,25 +128,25 @@ def _require_square(calibration: Calibration) -> None:
 
 def _fitted(off_px: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
     scale = np.maximum(np.abs(start), 1.0)
-    found = least_squares(off_px, start, x_scale=scale, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    return np.asarray(found.x)
+    solution = least_squares(off_px, start, x_scale=scale, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return np.asarray(solution.x)
 
 
 def _looked_at(calibration: Calibration) -> FloatArray:
-    """Return where the ray of the camera's image centre meets z = 0."""
+    """Return the intersection of the ray of the camera's image centre with z = 0."""
     camera, motion = calibration.camera, calibration.T_world_from_cam
     centre = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
     ray = motion[:3, :3] @ np.append(camera.unproject(centre), 1.0)
     if not (ray[2] < 0.0 < motion[2, 3]):
         raise InputError(
-            "calibration: the camera does not look down at z = 0; give a world frame whose z axis "
-            "points from the coat to the devices"
+            "calibration: the camera does not look down at z = 0; give a world frame with the z "
+            "axis from the coat to the devices"
         )
     return np.asarray(motion[:3, 3] - ray * (motion[2, 3] / ray[2]))
 
 
 def _points(calibration: Calibration) -> FloatArray:
-    """Return points on two planes about z = 0 that camera pixels all over the image see."""
+    """Return points on two planes about z = 0, on the rays of pixels all over the camera image."""
     camera, motion = calibration.camera, calibration.T_world_from_cam
     x, y = np.meshgrid(
         np.linspace(0, camera.width_px - 1, _GRID), np.linspace(0, camera.height_px - 1, _GRID)
@@ -157,7 +159,7 @@ def _points(calibration: Calibration) -> FloatArray:
     )
 
 
-def _seen(pinhole: Pinhole, motion: FloatArray, points_mm: FloatArray) -> FloatArray:
+def _projected(pinhole: Pinhole, motion: FloatArray, points_mm: FloatArray) -> FloatArray:
     inside = (points_mm - motion[:3, 3]) @ motion[:3, :3]
     return np.asarray(pinhole.project(inside))
 
@@ -191,7 +193,7 @@ def _pose(position_mm: FloatArray, roll_rad: float) -> Pose:
 
 
 def _roll_rad(motion: FloatArray, pinhole: Pinhole, position_mm: FloatArray) -> float:
-    """Return the roll at which the pose's image right is nearest to the calibrated one."""
+    """Return the roll angle at which the pose's image axes best agree with the calibration."""
     at_zero = world_from_device(_pose(position_mm, 0.0), pinhole)[:3, :3]
     turn = at_zero.T @ motion[:3, :3]
     return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))

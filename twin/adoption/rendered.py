@@ -1,7 +1,7 @@
-"""The captured scene once more, rendered: its measured surface seen by the adopted rig.
+"""Rendering of the captured scene: its measured surface in the view of the adopted rig.
 
-The surface is that of the reconstruction, a little smoothed: its noise would be texture to the
-light. Where a capture has no point, the rendered image is black.
+The surface is the reconstruction after slight smoothing, as its noise would change the shading.
+Without a point of the capture, a pixel of the rendered image is black.
 """
 
 from collections.abc import Sequence
@@ -24,16 +24,16 @@ from twin.pipeline.progress import Stopwatch
 from twin.specimens.solids import grid_facets
 
 _SMOOTH_PX = 2.0
-# A face of some hundred thousand triangles is fine enough for any image.
+# Nodes of the largest face, fine enough for any image.
 _MOST_NODES = 250_000
-# Nodes on the rays of pixels would let some of these slip through between facets.
+# Nodes on the rays of pixels would let some of these rays pass between facets.
 _UNALIGNED = 1.618
 _RIM_PX = 8
 _BLOCKS = 8
 _LEAST_PIXELS = 1000
-# Of what the noise of the measured surface, smoothed, does to its shading; of the rendering itself.
+# Error of the shading by the noise of the smoothed surface, and of the rendering itself.
 _SHADING_RELATIVE = 0.005
-# Of the light alone: no fringes are looked at.
+# Only the uniform frames are used.
 _UNIFORM = Patterns(period_px=64.0, steps=3, code="gray")
 
 
@@ -55,9 +55,9 @@ def face_of(points: PointMap, origin_mm: tuple[float, float, float]) -> trimesh.
     places = np.meshgrid(*(np.arange(0.2, n - 1.0, step) for n in valid.shape), indexing="ij")
     nodes = np.stack([_between(smooth[..., k], places) for k in range(3)], axis=-1)
     nodes -= np.array(origin_mm)
-    kept = _between(valid.astype(np.float64), places).ravel() > 0.999
+    is_inside = _between(valid.astype(np.float64), places).ravel() > 0.999
     facets = grid_facets(*nodes.shape[:2])
-    facets = facets[kept[facets].all(axis=1)]
+    facets = facets[is_inside[facets].all(axis=1)]
     # Image rows mostly run towards -y: then the grid's facets look down.
     corner = nodes.reshape(-1, 3)[facets]
     up = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2]
@@ -73,7 +73,7 @@ def _between(image: FloatArray, places: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A capture, what it measures, and the rig's origin in its world frame."""
+    """A capture, its reconstruction, and the rig's origin in its world frame."""
 
     capture: Capture
     points: Reconstruction
@@ -87,7 +87,7 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """The captured scene as the twin sees it: frames in DN, and what they measure."""
+    """The captured scene rendered by the twin: frames in DN, and their reconstruction."""
 
     capture: Capture
     points: Reconstruction
@@ -100,9 +100,9 @@ def patterns_of(capture: Capture) -> Patterns:
 
 def render_again(experiment: Experiment, scene: Scene) -> Rendered:
     """Render the measured surface with the adopted rig, and record and measure it."""
-    seen = experiment.model_copy(update={"patterns": patterns_of(scene.capture)})
-    radiance = render(seen, scene.face)
-    recorded = expose_capture(seen, radiance, Stopwatch(), 0).capture
+    captured = experiment.model_copy(update={"patterns": patterns_of(scene.capture)})
+    radiance = render(captured, scene.face)
+    recorded = expose_capture(captured, radiance, Stopwatch(), 0).capture
     recorded = replace(recorded, response=scene.capture.response)
     return Rendered(recorded, reconstruct(recorded, ReconstructOptions()))
 
@@ -110,10 +110,11 @@ def render_again(experiment: Experiment, scene: Scene) -> Rendered:
 def albedo_of(
     experiment: Experiment, scene: Scene, reference: Capture, reference_albedo: UncertainValue
 ) -> UncertainValue:
-    """Return the coat's albedo: its light over that of a matte reference, both also rendered.
+    """Return the coat's albedo from its light over that of a matte reference, both also rendered.
 
-    What the coat throws back is a constant (its flakes) plus its albedo times the light of white
-    ink: two renderings give both at every pixel. Both captures have the same exposure and gain.
+    The radiance of the coat is a constant (its flakes) plus its albedo times the radiance of white
+    ink: two renderings give both terms at every pixel. Both captures have the same exposure and
+    gain.
 
     Raises
     ------
@@ -127,21 +128,23 @@ def albedo_of(
             "determined; leave the reference away, or give a rig with another coating"
         )
     matte = Matte(base_albedo=reference_albedo.value)
-    told = Scene(reference, reconstruct(reference, ReconstructOptions()), scene.origin_mm)
-    there = _light(experiment, matte, told)
+    reference_scene = Scene(
+        reference, reconstruct(reference, ReconstructOptions()), scene.origin_mm
+    )
+    rendered_reference = _light(experiment, matte, reference_scene)
     dark, bright = (
         _light(experiment, coat.model_copy(update={coat.albedo_field: albedo}), scene)
         for albedo in (0.2, 0.7)
     )
-    seen, wanted = _white_less_black(scene.capture), _white_less_black(reference)
-    inside = _inside(scene.points.point_map) & _inside(told.points.point_map)
-    inside &= (wanted > 0.0) & (bright > dark)
+    measured, reference_light = _white_less_black(scene.capture), _white_less_black(reference)
+    inside = _inside(scene.points.point_map) & _inside(reference_scene.points.point_map)
+    inside &= (reference_light > 0.0) & (bright > dark)
     if int(inside.sum()) < _LEAST_PIXELS:
         raise InputError(
             f"coat and reference share {int(inside.sum())} pixels with points and light; the "
             f"albedo needs {_LEAST_PIXELS}: put the reference in the coat's place"
         )
-    ratio = seen[inside] / wanted[inside] * there[inside]
+    ratio = measured[inside] / reference_light[inside] * rendered_reference[inside]
     albedo = 0.2 + 0.5 * (ratio - dark[inside]) / (bright - dark)[inside]
     value = float(np.median(albedo))
     _require_albedo(value, reference_albedo.value)
@@ -150,19 +153,19 @@ def albedo_of(
     return UncertainValue(value, float(np.hypot(spread, value * relative)))
 
 
-def _require_albedo(found: float, reference: float) -> None:
-    if not 0.0 < found < 1.0:
+def _require_albedo(albedo: float, reference: float) -> None:
+    if not 0.0 < albedo < 1.0:
         raise InputError(
-            f"the coat's albedo is {found:.3g}, allowed 0 to 1, with a reference of "
+            f"the coat's albedo is {albedo:.3g}, allowed 0 to 1, with a reference of "
             f"{reference:g}; record both at the same exposure and gain, and check "
             "--reference-albedo"
         )
 
 
 def _light(experiment: Experiment, coat: Coating, scene: Scene) -> FloatArray:
-    """Return white less black radiance of a measured surface in a coat, (row, col)."""
-    seen = experiment.model_copy(update={"coating": coat, "patterns": _UNIFORM})
-    frames = render(seen, scene.face).frames
+    """Return white minus black radiance of a measured surface with a coat, (row, col)."""
+    varied = experiment.model_copy(update={"coating": coat, "patterns": _UNIFORM})
+    frames = render(varied, scene.face).frames
     return np.asarray(frames[-2].astype(np.float64) - frames[-1])
 
 
@@ -175,9 +178,9 @@ def _white_less_black(capture: Capture) -> FloatArray:
 
 
 def _inside(points: PointMap) -> BoolImage:
-    """Return pixels whose surroundings have points, too: smoothed rims lie off the surface."""
+    """Return pixels with points all around: smoothing displaces the surface near its rims."""
     weight: FloatImage = gaussian_filter(points.valid.astype(np.float32), _SMOOTH_PX)
-    # A straight rim has one half; single pixels without a point are filled by those around them.
+    # The weight at a straight rim is 0.5; single missing pixels are filled by their neighbours.
     inside = points.valid & (weight > 0.9)
     inside[:_RIM_PX], inside[-_RIM_PX:] = False, False
     inside[:, :_RIM_PX], inside[:, -_RIM_PX:] = False, False

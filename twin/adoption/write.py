@@ -4,8 +4,8 @@
 |---|---|
 | rig.toml | the rig: value, range and source of every field |
 | experiment.toml | a ball pressed on it, resolved: runs with twin measure |
-| response.toml | the projector's response, a table for capture.toml; where it was found |
-| photon_transfer.csv | variance over mean, where it was found |
+| response.toml | the projector's response, a table for capture.toml; if it was estimated |
+| photon_transfer.csv | variance over mean, if it was estimated |
 | result.json | figures, digest, versions |
 """
 
@@ -27,66 +27,66 @@ COMMAND = "adopt"
 RIG_FILE, RESPONSE_FILE, NOISE_FILE = "rig.toml", "response.toml", "photon_transfer.csv"
 
 
-def write_adopted(folder: Path, found: Adopted, given: Given) -> dict[str, Any]:
+def write_adopted(folder: Path, adopted: Adopted, given: Given) -> dict[str, Any]:
     """Write all but the report; returns the figures of result.json."""
-    figures = adopted_metrics(found)
-    write_rig(folder / RIG_FILE, given.captures[0].name, found.tables)
-    write_text(folder / EXPERIMENT_FILE, to_toml(found.experiment))
-    response = found.capture.response
-    if found.fit is not None and response is not None:
+    figures = adopted_metrics(adopted)
+    write_rig(folder / RIG_FILE, given.captures[0].name, adopted.tables)
+    write_text(folder / EXPERIMENT_FILE, to_toml(adopted.experiment))
+    response = adopted.capture.response
+    if adopted.fit is not None and response is not None:
         write_toml(folder / RESPONSE_FILE, {}, response_table(response))
-    if found.noise is not None:
-        noise = found.noise
+    if adopted.noise is not None:
+        noise = adopted.noise
         names = ("mean_dn", "variance_dn2", "variance_uncertainty_dn2")
         columns = np.stack([getattr(noise, name) for name in names], axis=1)
         rows = [dict(zip(names, row, strict=True)) for row in columns.tolist()]
         write_rows(folder / NOISE_FILE, rows, 8)
-    named = content_digest(found.capture.stack, str(found.tables))
+    named = content_digest(adopted.capture.stack, str(adopted.tables))
     write_outcome(folder, COMMAND, figures, digest=named)
     return figures
 
 
-def adopted_metrics(found: Adopted) -> dict[str, Any]:
-    """Return the figures: what was found with its uncertainty, and how much stays assumed."""
+def adopted_metrics(adopted: Adopted) -> dict[str, Any]:
+    """Return the figures: estimates with their uncertainties, and counts of assumed fields."""
     figures: dict[str, Any] = {}
-    if found.noise is not None:
-        gain = found.noise.gain_dn_per_e
+    if adopted.noise is not None:
+        gain = adopted.noise.gain_dn_per_e
         figures |= {"gain_dn_per_e": gain.value, "gain_uncertainty_dn_per_e": gain.uncertainty}
-    for field in found.fields.values():
+    for field in adopted.fields.values():
         if field.uncertainty is None:
             continue
         name = field.path.replace(".", "_")
         figures |= {name: float(field.value), f"{name}_uncertainty": field.uncertainty}
-    sources = [source for _, _, _, source in rows_of(found.tables)]
+    sources = [source for _, _, _, source in rows_of(adopted.tables)]
     figures |= {
-        "camera_misfit_px": found.placed.misfit_px[0],
-        "projector_misfit_px": found.placed.misfit_px[1],
-        "fit_chi2": None if found.fit is None else found.fit.chi2,
-        "two_period_chi2": found.two_period_chi2,
-        **_sparkle_figures(found),
-        "points": int(found.points.point_map.valid.sum()),
-        "sigma_z_median_um": _sigma_um(found),
+        "camera_misfit_px": adopted.placed.misfit_px[0],
+        "projector_misfit_px": adopted.placed.misfit_px[1],
+        "fit_chi2": None if adopted.fit is None else adopted.fit.chi2,
+        "two_period_chi2": adopted.two_period_chi2,
+        **_sparkle_figures(adopted),
+        "points": int(adopted.points.point_map.valid.sum()),
+        "sigma_z_median_um": _sigma_um(adopted),
         "fields_found": sum(not source.startswith("assumed") for source in sources),
         "fields_assumed": sum(source.startswith("assumed") for source in sources),
-        "warnings": list(found.notes),
+        "warnings": list(adopted.notes),
     }
     return figures
 
 
-def _sparkle_figures(found: Adopted) -> dict[str, Any]:
+def _sparkle_figures(adopted: Adopted) -> dict[str, Any]:
     """Return the local contrast of the white frame."""
-    one = found.sparkle
-    if one is None:
+    sparkle = adopted.sparkle
+    if sparkle is None:
         return {}
     return {
-        "coat_contrast_percent": 100.0 * one.contrast,
-        "coat_contrast_uncertainty_percent": 100.0 * one.uncertainty,
-        "coat_contrast_of_neighbours": one.neighbours,
-        "coat_glints": one.glints,
+        "coat_contrast_percent": 100.0 * sparkle.contrast,
+        "coat_contrast_uncertainty_percent": 100.0 * sparkle.uncertainty,
+        "coat_contrast_of_neighbours": sparkle.neighbours,
+        "coat_glints": sparkle.glints,
     }
 
 
-def _sigma_um(found: Adopted) -> float | None:
-    points = found.points.point_map
+def _sigma_um(adopted: Adopted) -> float | None:
+    points = adopted.points.point_map
     sigma_mm = points.sigma_z_mm[points.valid]
     return float(1e3 * np.median(sigma_mm)) if sigma_mm.size else None

@@ -1,18 +1,19 @@
 """Noise of one frame, drawn and recorded row by row in one compiled pass.
 
-Every pixel of every frame has random numbers of its own, computed from their place: blocks of four
+Every pixel of every frame has its own random numbers, computed from its indices: blocks of four
 words of 32 bits by Threefry 4x32-20 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2,
-3") from the counter (i, row, frame, kind) and a key, each for the columns i and n/2 + i. So rows
-and frames can be recorded in any order and by any number of threads. The two words of kind 0 give
-two independent normal numbers (Box and Muller 1958), for shot and read noise; kind 1 is for small
-counts.
+3") from the counter (i, row, frame, kind) and a key, each for the columns i and n/2 + i. Therefore
+rows and frames can be recorded in any order and by any number of threads. The two words of kind 0
+give two independent normal numbers (Box and Muller 1958), for shot and read noise; kind 1 is for
+small counts.
 
-Poisson numbers of a mean from `FROM_NORMAL` on are made from a normal one: the Cornish-Fisher
-expansion of the Poisson quantile to the third cumulant order, its variance less the 1/12 that
-rounding to whole electrons adds (Sheppard). From a mean of 100 on the probabilities of all counts
-differ from the Poisson ones by 1.6e-5 together (total variation; 5e-7 from 1000 on): to tell them
-apart takes billions of draws of one pixel. Smaller means are drawn by inversion, to the 32 bits of
-a word: a Poisson number of the mean rounded down to 1/8, by table, plus one of the rest.
+For means of at least `FROM_NORMAL`, a Poisson number is computed from a normal number: the
+Cornish-Fisher expansion of the Poisson quantile to the third cumulant order, with the variance
+reduced by the 1/12 that rounding to whole electrons adds (Sheppard). The total variation from the
+Poisson distribution is 1.6e-5 for means of at least 100, and 5e-7 from 1000 on: a test needs
+billions of draws of one pixel to distinguish them. Smaller means are drawn by inversion, to the 32
+bits of a word: a tabulated Poisson number of the mean rounded down to 1/8, plus a Poisson number of
+the remainder.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -33,7 +34,7 @@ from reconstruction.compiling import NESTED, OPTIONS, Function, compile_and_keep
 FROM_NORMAL = 100
 
 _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("noise.py",))
-# Of the tables of small counts; a larger count than the last has a probability below 2^-32.
+# Size of the tables of small counts; a count beyond the last has a probability below 2^-32.
 _STEPS_PER_ELECTRON, _COUNTS, _BUCKET_BITS = 8, 192, 8
 
 _F = np.float32
@@ -42,7 +43,7 @@ _ZERO, _HALF, _ONE, _TWO, _72 = _F(0), _F(0.5), _F(1), _F(2), _F(72)
 _6TH, _12TH, _LN_2 = _F(1 / 6), _F(1 / 12), _F(math.log(2.0))
 _PER_WORD = _F(2.0**-32)
 _EIGHTH_TURN_PER_WORD = _F(math.pi / 4.0 * 2.0**-31)
-# Threefry 4x32: parity of the key, and by how many bits its eight rounds turn words.
+# Threefry 4x32: parity of the key, and the rotations of its eight rounds in bits.
 _PARITY = np.uint32(0x1BD11BDA)
 _TURNS = (10, 26, 11, 21, 13, 27, 23, 5, 6, 20, 17, 11, 25, 10, 18, 20)
 
@@ -50,7 +51,7 @@ Key = tuple[np.uint32, np.uint32, np.uint32, np.uint32]
 
 
 class Sensor(NamedTuple):
-    """What a kernel needs of one camera.
+    """Parameters of one camera for a kernel.
 
     Attributes
     ----------
@@ -74,7 +75,7 @@ class SmallCounts(NamedTuple):
     ends : (mean, count) uint64
         Words below which a number is at most the count.
     first : (mean, bucket) uint8
-        Count of the least word of a bucket, which the highest bits of a word name.
+        Count of the least word of a bucket; the highest bits of a word are its bucket.
     """
 
     ends: NDArray[np.uint64]
@@ -118,18 +119,18 @@ def record_frame(
     ----------
     radiance : (row, col) float32, mW / (mm^2 sr)
     response, offset_e : (row, col) float32; relative, and e-
-    place : key and number of the frame; they name its random numbers
+    place : key and number of the frame, which determine its random numbers
     recorded : (row, col) uint16, DN; filled
     """
     (key, frame), pattern = place, (response, offset_e)
-    # Slices of other arrays would be compiled for anew.
+    # Slices would cause another compilation.
     plain = np.ascontiguousarray(radiance, np.float32)
     lines = _lines(plain.shape[1])
     _record(plain, pattern, sensor, small_counts(), key, np.uint32(frame), lines, recorded)
 
 
 class _RowScratch(NamedTuple):
-    """What a frame is worked out in, row by row; compiled code makes no arrays."""
+    """Work arrays of a row; compiled code allocates no arrays."""
 
     words: NDArray[np.uint32]
     mean: FloatImage
@@ -149,7 +150,7 @@ def _turned(word: Any, bits: int) -> Any:
 
 @_inlined
 def _mixed(word: Any, turns: Any) -> Any:
-    """Four rounds of Threefry 4x32, which turn words by these pairs of bits."""
+    """Four rounds of Threefry 4x32 with these pairs of rotations."""
     a, b, c, d = word
     for n in range(2):
         a, c = np.uint32(a + b), np.uint32(c + d)
@@ -213,8 +214,7 @@ def _log(x: Any) -> Any:
 def normal_pair(word_0: Any, word_1: Any) -> Any:
     """Return two independent standard normal numbers of two words (Box and Muller 1958).
 
-    The angle is a quarter turn by the two highest bits, and within an eighth of a turn on either
-    side by the others.
+    The two highest bits select a quarter turn; the other bits the angle within +- 1/8 turn.
     """
     radius = np.sqrt(-_TWO * _log((np.float32(word_0) + _HALF) * _PER_WORD))
     within = np.float32(np.uint32(word_1 << np.uint32(2)).view(np.int32)) * _EIGHTH_TURN_PER_WORD
@@ -250,7 +250,7 @@ def _small_count(mean: Any, word_0: Any, word_1: Any, tables: Any) -> Any:
     while np.uint64(word_0) >= tables.ends[step, count]:
         count += 1
     rest, share = float(mean) - step / _STEPS_PER_ELECTRON, (float(word_1) + 0.5) * 2.0**-32
-    if share < 1.0 - rest:  # and so below exp(-rest), as nearly always
+    if share < 1.0 - rest:  # and therefore below exp(-rest): the usual case
         return np.float32(count)
     term = np.exp(-rest)
     below = term
@@ -264,7 +264,7 @@ def _small_count(mean: Any, word_0: Any, word_1: Any, tables: Any) -> Any:
 
 @_nested
 def _fill(words: Any, key: Any, place: Any) -> None:
-    """Fill (2, 2 n) words of one row: block i serves the columns i and n + i."""
+    """Fill (2, 2 n) words of one row: block i is for the columns i and n + i."""
     row, frame, kind = place
     half = words.shape[1] // 2
     for i in range(half):
@@ -276,7 +276,7 @@ def _fill(words: Any, key: Any, place: Any) -> None:
 def _draw_row(
     mean: Any, tables: Any, key: Any, place: Any, words: Any, counts: Any, read: Any
 ) -> None:
-    """Draw Poisson numbers of one row of means, and a normal number beside each."""
+    """Draw a Poisson number and a normal number for each mean of one row."""
     row, frame = place
     _fill(words, key, (row, frame, np.uint32(0)))
     small = 0

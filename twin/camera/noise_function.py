@@ -1,4 +1,4 @@
-"""Noise by a function of the user, in the place of the EMVA 1288 model.
+"""Noise by a function of the user, instead of the EMVA 1288 model.
 
 def gaussian(mean_e, rng):
 return mean_e + rng.normal(0.0, 20.0, mean_e.shape)
@@ -17,8 +17,8 @@ from reconstruction.errors import InputError
 NoiseFunction = Callable[[FloatImage, np.random.Generator], Any]
 """From the mean electrons of a frame (row, col) float32 to its electrons (row, col).
 
-The mean contains light, relative response of the pixels and dark current. The result takes the
-place of shot and read noise; full well, dark offsets, gain, rounding and the converter's limits
+The mean contains light, relative response of the pixels and dark current. The result
+replaces shot and read noise; full well, dark offsets, gain, rounding and the converter's limits
 follow. The function is called once for each frame, in their order, with a random generator that is
 seeded by experiment, trial and frame.
 """

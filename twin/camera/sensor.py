@@ -1,13 +1,14 @@
 """EMVA 1288 camera (release 4): linear radiance in, digital numbers out.
 
-Order of the steps matters: photons and dark current arrive as one Poisson process, the pixel
+Order of the steps matters: photons and dark current are one Poisson process, the pixel
 saturates at its full well, and only then read noise, gain, quantisation and the converter's limits
 follow.
 
 Binning sums b x b pixels: full well, dark current and fixed pattern add up, noise variances add,
-and the gain shrinks so that the full scale in DN stays. The b x b pixels are taken to fill alike:
-their sum clips as one. Where some of them clip before others, the sum is near the top and errs by
-a few sigmas of its shot noise, which no decoded coordinate shows (measured at 1.5 full wells).
+and the gain is divided by b^2, so that the full scale in DN is constant. The b x b pixels are
+assumed to have equal signals, so that their sum clips at once. If only some of them clip, the sum
+is near full scale, with an error of a few sigmas of its shot noise. Decoded coordinates are not
+affected (measured at 1.5 full wells).
 """
 
 import math
@@ -41,7 +42,7 @@ class Exposed:
     Attributes
     ----------
     stack : (frame, row, col) uint16, DN; float32 when camera.noise is off
-    exposure_ms : as set, or as found by the automatic exposure
+    exposure_ms : set value, or result of the automatic exposure
     """
 
     stack: NDArray[np.uint16] | FloatImage
@@ -71,10 +72,10 @@ def expose(
     Parameters
     ----------
     radiance : sequence of (row, col) float32, mW / (mm^2 sr)
-    white_frame : index of the frame on which the automatic exposure measures, white if there is one
-    trial : repetition: same camera and same fixed pattern, new temporal noise
+    white_frame : index of the frame for the automatic exposure, the white frame if there is one
+    trial : number of the repetition: same camera and fixed pattern, new temporal noise
     progress : called with the finished fraction
-    noise : function of the user in the place of shot and read noise, see `NoiseFunction`; None:
+    noise : function of the user instead of shot and read noise, see `NoiseFunction`; None:
         the EMVA 1288 model
 
     Raises
@@ -108,7 +109,7 @@ def expose(
             mean_e = radiance[frame] * np.float32(per_radiance) + np.float32(dark_e)
             stack[frame] = _expected_dn(camera, mean_e)
 
-    # A function of the user may have a state: its frames are recorded one after another.
+    # A function of the user may have a state: frames are recorded sequentially.
     with ThreadPoolExecutor(threads() if noise is None else 1) as pool:
         for done, _ in enumerate(pool.map(record, range(len(radiance))), start=1):
             progress(done / len(radiance))
@@ -124,12 +125,12 @@ def _check_noise(camera: Camera, noise: NoiseFunction | None) -> None:
 
 
 def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
-    """Return the set exposure, or the one that puts the white frame at `auto_level`.
+    """Return the set exposure, or the exposure with the white frame at `auto_level`.
 
     Raises
     ------
-    InputError : automatic exposure on a white frame without any light, or with so little or so much
-        that no camera exposes for such a time
+    InputError : automatic exposure on a white frame without light, or with a result outside the
+        range of exposure times
     """
     camera = experiment.camera
     if camera.exposure_ms != "auto":
@@ -157,7 +158,7 @@ def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
 def _fixed_pattern(
     seed: int, prnu_percent: float, offset_e: float, shape: tuple[int, ...]
 ) -> _Pixels:
-    """Draw a camera's pixels; kept, as drawing them takes as long as an exposure."""
+    """Draw a camera's fixed pattern; cached, as drawing takes as long as an exposure."""
     rng = np.random.default_rng(keyed_sequence(seed, "fixed_pattern"))
     response = 1.0 + prnu_percent / 100.0 * rng.standard_normal(shape, np.float32)
     offset = offset_e * rng.standard_normal(shape, np.float32)
@@ -178,7 +179,7 @@ def _digitised(camera: Camera, electrons: FloatImage, offset_e: FloatImage) -> N
 
 
 def _sensor(camera: Camera, per_radiance: float, dark_e: float) -> Sensor:
-    """Return what recording a frame needs of the camera."""
+    """Return the kernel's parameters of the camera."""
     return Sensor(
         per_radiance=np.float32(per_radiance),
         dark_e=np.float32(dark_e),
@@ -191,7 +192,7 @@ def _sensor(camera: Camera, per_radiance: float, dark_e: float) -> Sensor:
 
 
 def _key(experiment: Experiment, trial: int) -> Key:
-    """Return what names the random numbers of one repetition."""
+    """Return the key of the random numbers of one repetition."""
     a, b, c, d = seed_sequence(experiment, "sensor", trial).generate_state(4, np.uint32)
     return a, b, c, d
 
@@ -228,7 +229,7 @@ def electrons_per_ms(camera: Camera, wavelength_nm: float) -> float:
     -----
     Irradiance behind a lens at magnification m: E = pi L tau / (4 (N (1 + m))^2), pupil
     magnification 1; electrons = QE * E * area * t * wavelength / (h c). Natural vignetting
-    (cos^4, 2 % in the corner of the paper's camera) is left to those whose field is wide.
+    (cos^4, 2 % in the corner of the paper's camera) is left to callers with wide fields of view.
     """
     magnification = camera.focal_length_mm / (camera.pose.standoff_mm - camera.focal_length_mm)
     working_f_number = camera.f_number * (1.0 + magnification)
@@ -239,7 +240,7 @@ def electrons_per_ms(camera: Camera, wavelength_nm: float) -> float:
 
 
 def noise_model(camera: Camera) -> SensorNoise:
-    """Return what a decoder needs to know of the sensor."""
+    """Return the noise parameters of the sensor for a decoder."""
     return SensorNoise(
         gain_dn_per_e=gain_dn_per_e(camera),
         read_noise_e=read_noise_e(camera),

@@ -5,7 +5,7 @@ import sys
 
 from reconstruction.machine import keep_freed_memory
 
-# These enter their commands into the application.
+# These modules register their commands with the application.
 from twin.cli import adopt as adopt
 from twin.cli import captures as captures
 from twin.cli import forward as forward
@@ -20,20 +20,20 @@ from twin.working import end_process, end_within, unwind_on_signals
 
 __all__ = ["main", "run"]
 
-ANSWER_S = 1.2
-"""A signal that finds the command in a long call is answered after this time."""
+SIGNAL_DELAY_S = 1.2
+"""Time after a signal, s, at which a command in a long call is ended."""
 
-RARELY = 50_000
-"""New objects between two collections: at Python's 700 imports alone take a fifth longer."""
+OBJECTS_PER_COLLECTION = 50_000
+"""New objects between two collections: at Python's default of 700 imports take 20 % longer."""
 
 
 def run(arguments: list[str] | None = None) -> int:
     """Run one command line (default: the process' own arguments) and return its exit code."""
     words = choose_level(sys.argv[1:] if arguments is None else arguments)
-    return guarded(lambda: _answer(words))
+    return guarded(lambda: _dispatch(words))
 
 
-def _answer(words: list[str]) -> int | None:
+def _dispatch(words: list[str]) -> int | None:
     introduce()
     written = captures.with_repeated_options(load_plugins(words))
     done = app(written, exit_on_error=False, print_error=False, result_action="return_value")
@@ -42,8 +42,8 @@ def _answer(words: list[str]) -> int | None:
 
 def main() -> None:
     """Entry point of the `twin` command."""
-    gc.set_threshold(RARELY)
+    gc.set_threshold(OBJECTS_PER_COLLECTION)
     keep_freed_memory()
     unwind_on_signals()
-    end_within(ANSWER_S)
+    end_within(SIGNAL_DELAY_S)
     end_process(run())

@@ -28,16 +28,17 @@ def adopt(
 ) -> None:
     """Make the twin of a real rig: a rig file with value, range and source of every field.
 
-    Poses and lenses come from the captures' calibration; noise, gamma and blur from their frames.
-    What they cannot tell stays assumed, and says so; see docs/adopt.md.
+    Poses and lenses are taken from the captures' calibration; noise, gamma and blur are fitted to
+    their frames. All other fields keep the model's value, with "assumed" as source; see
+    docs/adopt.md.
 
     Parameters
     ----------
     captures
-        Folders with capture.toml, calibration and white and black frames; the first one best shows
-        the coat at rest. The same scene twice gives the noise; with another period, a check.
+        Folders with capture.toml, calibration and white and black frames; the first should show the
+        coat at rest. Two captures of the same scene give the noise; with another period, a check.
     like
-        Rig of which all comes that no capture tells.
+        Rig that gives every value that the captures do not determine.
     dark
         Folder of two or more images without light: black level, read noise, DSNU.
     flat
@@ -45,15 +46,15 @@ def adopt(
     reference
         Capture of a flat matte surface of known albedo in the coat's place, at the same exposure.
     reference_albedo
-        Its albedo.
+        Albedo of the reference.
     reference_uncertainty
-        Standard uncertainty of that.
+        Standard uncertainty of the albedo of the reference.
     ball
         Capture of a known ball pressed into a thin sheet: thickness and modulus.
     ball_diameter_mm
-        Its diameter.
+        Diameter of the ball.
     layer
-        TOML file: what is believed of the sheet, and the load; see docs/compensation.md.
+        TOML file with the assumed values of sheet and load; see docs/compensation.md.
     """
     from twin.adoption.adopt import Given
     from twin.adoption.adopt import adopt as make
@@ -66,25 +67,25 @@ def adopt(
     given = Given(captures, like, dark, flat, reference, known, press)
     inputs = [p for p in (*captures, dark, flat, reference, ball, layer) if p is not None]
     with output_folder(out, inputs) as folder, progress_bars() as watch:
-        found = make(given, watch)
-        write_adopted(folder, found, given)
+        adopted = make(given, watch)
+        write_adopted(folder, adopted, given)
         if report:
-            write_adopted_page(folder, found, given, watch)
-    _tell(found)
+            write_adopted_page(folder, adopted, given, watch)
+    _print_fields(adopted)
     say(f"wrote {out / RIG_FILE}")
 
 
-def _tell(found: "Adopted") -> None:
+def _print_fields(adopted: "Adopted") -> None:
     """Print the fields and the notes."""
     from twin.adoption.findings import rows_of
 
     rows = [
         [path, _shown(value), _shown(limits), source]
-        for path, value, limits, source in rows_of(found.tables)
+        for path, value, limits, source in rows_of(adopted.tables)
         if path.split(".")[0] in ("camera", "projector", "coating", "elastomer")
     ]
     print_table(("field", "value", "95 % interval", "source"), rows)
-    for note in found.notes:
+    for note in adopted.notes:
         say(f"note: {note}")
 
 
@@ -117,5 +118,5 @@ def _known_albedo(albedo: float | None, uncertainty: float) -> "UncertainValue |
 
 def _shown(value: object) -> str:
     if isinstance(value, (list, tuple)):
-        return " to ".join(_shown(one) for one in value) if len(value) == 2 else str(list(value))
+        return " to ".join(_shown(item) for item in value) if len(value) == 2 else str(list(value))
     return f"{value:.5g}" if isinstance(value, float) else "" if value is None else str(value)

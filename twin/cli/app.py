@@ -1,4 +1,4 @@
-"""The application: its options and exit codes, what a command is told and what it says.
+"""The application: options, exit codes, and the input and output of commands.
 
 Progress and failures go to stderr, figures and paths to stdout.
 """
@@ -20,17 +20,17 @@ from reconstruction.machine import is_disk_full
 from reconstruction.reading import parse_toml, shown
 from twin.cli.talk import OPTIONS, verbose
 from twin.cli.talk import progress_bars as progress_bars
-from twin.working import says_the_end
+from twin.working import write_end_message
 
 if TYPE_CHECKING:
     from twin.config import Experiment
     from twin.study.workers import Workers
 
 BAD_INPUT, MISSING_BACKEND, FAILURE = 2, 3, 1
-# Whoever asks the system about such a name, be it only whether it is there, gets an error.
+# The system raises such an error for any access to the name, even a test whether it exists.
 _NO_SUCH_NAME = (errno.ENAMETOOLONG, errno.ELOOP)
 BY_SIGNAL = 128
-"""Exit code of a command that a signal ended, less the number of the signal."""
+"""Exit code of a command that a signal ended, minus the number of the signal."""
 
 app = App(
     name="twin",
@@ -39,7 +39,7 @@ app = App(
     version=lambda: metadata.version("fringe-twin"),
     version_flags=["--version"],
     help_flags=["--help", "-h"],
-    suppress_keyboard_interrupt=False,  # `guarded` tells which signal it was
+    suppress_keyboard_interrupt=False,  # `guarded` reports the number of the signal
 )
 
 Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for the result")]
@@ -64,13 +64,13 @@ Cluster = Annotated[
     Parameter(help="Dask scheduler, tcp://HOST:PORT, instead of processes on this machine"),
 ]
 Retry = Annotated[
-    bool, Parameter(help="also try again what failed for a reason that lies in the experiment")
+    bool, Parameter(help="also run cases again that failed because of their experiment")
 ]
 DryRun = Annotated[
     bool,
     Parameter(
-        help="only validate, and say what would be measured, how long it takes, and which cases "
-        "cannot be measured, and why; exit code 2 when none can"
+        help="only validate; print the number of cases, the estimated run time, and the cases that "
+        "cannot be measured with the reason; exit code 2 if no case can be measured"
     ),
 ]
 
@@ -81,25 +81,25 @@ def guarded(run: Callable[[], Any]) -> int:
         return int(run() or 0)
     except KeyboardInterrupt as error:
         number = getattr(error, "number", signal.SIGINT)
-        says_the_end(number)
+        write_end_message(number)
         return BY_SIGNAL + number
     except BrokenPipeError:
-        # Who read our output has seen enough; Python would complain once more when it flushes.
+        # The reader has closed our output; Python would report that again when it flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BY_SIGNAL + signal.SIGPIPE
     except Exception as error:
-        told = _in_words(error)
-        if told is None:
+        failure = _failure_message(error)
+        if failure is None:
             raise
         if verbose():
             traceback.print_exc()
-    message, code = told
+    message, code = failure
     sys.stderr.write(f"twin: {message}\n")
     return code
 
 
-def _in_words(error: Exception) -> tuple[str, int] | None:
-    """Return what to say of an expected failure, and its exit code; None for any other."""
+def _failure_message(error: Exception) -> tuple[str, int] | None:
+    """Return message and exit code of an expected failure; None for any other exception."""
     match error:
         case InputError():
             return str(error), BAD_INPUT
@@ -127,7 +127,7 @@ def _of_the_system(error: OSError) -> tuple[str, int] | None:
 
 
 def load(file: Path, settings: list[str] | None) -> "Experiment":
-    """Load an experiment and lay KEY=VALUE settings over it."""
+    """Load an experiment and apply KEY=VALUE settings."""
     from twin.config import load_experiment
 
     return load_experiment(str(file), settings_of(settings))
@@ -140,8 +140,8 @@ def settings_of(texts: list[str] | None) -> dict[str, Any]:
 
 def _setting(text: str) -> tuple[str, Any]:
     """Split KEY=VALUE; the value is read as TOML, and as a plain string if it is none."""
-    key, found, value = text.partition("=")
-    if not found or not key.strip():
+    key, separator, value = text.partition("=")
+    if not separator or not key.strip():
         raise InputError(f"--set {text}: found no '='; write KEY=VALUE, e.g. camera.binning=2")
     try:
         return key.strip(), parse_toml(f"value = {value}", f"--set {key}")["value"]
@@ -150,14 +150,14 @@ def _setting(text: str) -> tuple[str, Any]:
 
 
 def workers_of(count: int | None, cluster: str | None = None) -> "Workers":
-    """Return who computes: a cluster, or so many processes on this machine."""
+    """Return the workers: of a cluster, or processes on this machine."""
     from twin.study.workers import dask_workers, default_count, local_workers
 
     return dask_workers(cluster) if cluster else local_workers(count or default_count())
 
 
 def print_metrics(figures: dict[str, Any]) -> None:
-    """Print figures as a table; a dash stands for one that does not exist."""
+    """Print figures as a table; a dash marks a figure without a value."""
     print_table(
         ("figure", "value"),
         (
@@ -180,7 +180,7 @@ def print_table(
     styles: Mapping[str, str] | None = None,
     width: int | None = None,
 ) -> None:
-    """Print a table on stdout, every cell as it is: names may hold what Rich takes for markup.
+    """Print a table on stdout, without interpretation of Rich markup in the cells.
 
     Parameters
     ----------

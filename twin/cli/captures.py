@@ -46,7 +46,7 @@ def reconstruct(
     Parameters
     ----------
     capture
-        Folder with capture.toml, or a result folder that holds one as capture/.
+        Folder with capture.toml, or a result folder that contains one as capture/.
     use
         Projector coordinate that gives the depth.
     filter_taps
@@ -82,7 +82,7 @@ def decode(
     Parameters
     ----------
     capture
-        Folder with capture.toml; docs/real_rig.md tells how to list the frames of any set.
+        Folder with capture.toml; see docs/real_rig.md on how to list the frames of any set.
     filter_taps
         Width of the Gaussian on the coordinate, px; 0 switches it off; default: as in twin keys.
     filter_sigma_px
@@ -122,7 +122,7 @@ def describe(
     out: Annotated[Path | None, Parameter(name=["--out", "-o"])] = None,
     projector: tuple[int, int] | None = None,
 ) -> None:
-    """Guess what the images of a folder show, and write capture.toml to correct.
+    """Guess the patterns in the images of a folder, and write capture.toml for you to correct.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def describe(
     out
         File to write; default: capture.toml in FOLDER; an existing file is never overwritten.
     projector
-        Its width and height, px, which no image tells; default: 1280 720, marked as unsure.
+        Its width and height, px, which images do not contain; default: 1280 720, marked as unsure.
     """
     from reconstruction.capture.description import DESCRIPTION_FILE
     from reconstruction.capture.guess import guess
@@ -142,18 +142,18 @@ def describe(
     size = projector or (1280, 720)
     with progress_bars() as watch:
         watch("describe", 0.0)
-        found = guess(folder, size)
+        guessed = guess(folder, size)
         watch("describe", 1.0)
-    require_groups(found, folder)
+    require_groups(guessed, folder)
     target = out or folder / DESCRIPTION_FILE
     with creating(target) as part:
-        write_text(part, written(found, size, is_known=projector is not None))
-    for group in found.groups:
+        write_text(part, written(guessed, size, is_known=projector is not None))
+    for group in guessed.groups:
         along = f" along {group.axis}" if group.axis else ""
         say(f"{group.kind}{along}: {counted(len(group.files), 'image')}, {group.files[0]} ...")
-    for text in found.unsure:
+    for text in guessed.unsure:
         say(f"unsure: {text}")
-    say("unsure: what the file marks, such as periods in projector pixels and [sensor]")
+    say("unsure: the values that the file marks, such as periods in projector pixels and [sensor]")
     say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")
 
 
@@ -185,11 +185,11 @@ def evaluate(
     result
         Result folder of `twin measure` or `twin reconstruct`.
     shape
-        What the part is: flatness, radius, width, height or roughness are told.
+        Shape of the part: its flatness, radius, width, height or roughness is printed.
     x, y, z
-        Lowest and highest world coordinate of the part, mm; absent: all.
+        Lowest and highest world coordinate of the part, mm; default: all.
     along
-        World axis along which a cylinder or a bar lies.
+        World axis of a cylinder or a bar.
     fraction
         Of a bar's height, at which its width is measured.
     nesting_mm
@@ -216,27 +216,27 @@ def compensate(
     ball_diameter_mm: float | None = None,
     report: Report = True,
 ) -> None:
-    """Find the rigid object under the coat: contact, pressure, force, its surface, its radii.
+    """Reconstruct the rigid object under the coat: contact, pressure, force, surface, radii.
 
     Parameters
     ----------
     result
         Result folder of `twin measure` or `twin reconstruct`.
     layer
-        TOML file with what is known of elastomer and press, see docs/compensation.md; default: as
-        in the result's own experiment.
+        TOML file with the known values of elastomer and press, see docs/compensation.md; default:
+        those of the result's own experiment.
     ball_diameter_mm
-        Of the balls that were pressed: thickness and modulus of the sheet are fitted to them, and
-        OUT/layer.toml is what later measurements give as --layer.
+        Diameter of the pressed balls: thickness and modulus of the sheet are fitted to them and
+        written to OUT/layer.toml, for --layer of later measurements.
     """
     from twin.output import end_exchange
     from twin.pipeline.compensation import compensate_result
     from twin.report.compensation import write_compensation_page
     from twin.report.page import REPORT_FILE
 
-    def draw(folder: Path, found: "CompensationResult") -> None:
+    def draw(folder: Path, compensation: "CompensationResult") -> None:
         if report:
-            write_compensation_page(folder, found, result.name, watch)
+            write_compensation_page(folder, compensation, result.name, watch)
 
     end_exchange(result)
     with progress_bars() as watch:
@@ -254,7 +254,7 @@ _TAKING_COEFFICIENTS = ("--camera-distortion", "--projector-distortion")
 def with_repeated_options(words: Sequence[str]) -> list[str]:
     """Write `--camera-distortion k1 k2` as one option for each coefficient.
 
-    Cyclopts takes either one word after an option or all of them, the source folder, too.
+    Cyclopts assigns either one word to an option or all following words, including the source.
     """
     written: list[str] = []
     option = ""
@@ -289,7 +289,7 @@ def calibrate(
     Parameters
     ----------
     source
-        Folder with one capture folder per board pose; or an experiment, whose rig is rendered.
+        Folder with one capture folder per board pose; or an experiment, to render its rig.
     board
         Board file, or the name of a shipped board.
     camera_distortion, projector_distortion
@@ -348,7 +348,7 @@ def import_calibration(
     files
         YAML, XML or MAT files that together hold both camera matrices, distortions, R and T.
     camera_size, projector_size
-        Width and height, px, where no file tells them.
+        Width and height, px, if no file contains them.
     unit
         Of the files' lengths.
     projector_first
@@ -362,10 +362,10 @@ def import_calibration(
     from twin.pipeline.calibration import CALIBRATION_FILE, write_imported
 
     options = Importing(camera_size, projector_size, unit, projector_first, standoff_mm)
-    found = read(files, options)
+    imported = read(files, options)
     with output_folder(out, files) as folder:
-        figures = write_imported(folder, found)
-    for wanted, name in found.used.items():
+        figures = write_imported(folder, imported)
+    for wanted, name in imported.used.items():
         say(f"{wanted}: {name}")
     print_metrics(figures)
     say(f"wrote {out / CALIBRATION_FILE}")
@@ -395,8 +395,8 @@ def patterns(
     Parameters
     ----------
     experiment
-        Experiment, whose rig projects; or a TOML file with [patterns] alone, such as a manifest:
-        any sequence that can be decoded, see docs/decoding.md.
+        Experiment with the projector; or a TOML file with [patterns] only, such as a manifest: any
+        sequence that can be decoded, see docs/decoding.md.
     """
     from reconstruction.capture.description import (
         MANIFEST_FILE,
@@ -423,7 +423,7 @@ def patterns(
         with progress_bars() as watch:
             watch("patterns", 0.0)
             write_patterns(folder, sequence, partial(watch, "patterns"))
-        if loaded is None:  # the manifest is all that there is to say
+        if loaded is None:  # the manifest contains all settings
             shutil.copy(folder / MANIFEST_FILE, folder / EXPERIMENT_FILE)
             write_outcome(folder, "patterns", figures, digest=content_digest(sequence))
         else:
@@ -459,7 +459,7 @@ def report(folder: Path, /) -> None:
 
 
 def _drawer(folder: Path) -> "Callable[..., Path]":
-    """Return what draws the report of a folder; only that is imported."""
+    """Return the function that draws the report of a folder; imports only its module."""
     from twin.pipeline.comparison import is_comparison
     from twin.propagation.results import is_uncertainty
 

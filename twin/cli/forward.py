@@ -1,4 +1,4 @@
-"""Commands of the forward model: from an experiment to pictures and millimetres."""
+"""Commands of the forward model: from an experiment to images and points."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -54,8 +54,7 @@ def press(
         Also write the pressed slab as a watertight body, slab.stl and slab.ply.
     by
         Also differentiate a thin sheet by this number of elastomer, press or specimen, for example
-        elastomer.thickness_mm: how face, force and travel move per unit of it; several times for
-        several.
+        elastomer.thickness_mm: derivatives of face, force and travel; repeat it for several fields.
     """
     from twin.mechanics import write_in_plane
     from twin.mechanics.models import model_of
@@ -90,15 +89,15 @@ def press(
 def _write_transfer(
     folder: Path, experiment: "Experiment", pressed: "PressedElastomer"
 ) -> "dict[str, Metric]":
-    """Write what the coat shows of grooves by their pitch, and return its figures."""
+    """Write the contact transfer, the coat's relief by pitch of grooves; return its figures."""
     from twin.pipeline.press import transfer_of
     from twin.report.press import draw_transfer
     from twin.results.parts import transfer_metrics, write_transfer
 
-    kept = transfer_of(experiment, pressed)
-    write_transfer(folder / "transfer.csv", kept)
-    draw_transfer(folder / "transfer.png", kept)
-    return dict(transfer_metrics(kept))
+    transfer = transfer_of(experiment, pressed)
+    write_transfer(folder / "transfer.csv", transfer)
+    draw_transfer(folder / "transfer.png", transfer)
+    return dict(transfer_metrics(transfer))
 
 
 def _pressed(
@@ -190,7 +189,7 @@ def measure(
 def demo(*, out: Out = Path("out/demo"), full: bool = False) -> None:
     """Measure the paper's two balls, its nut and its brick, by its sensor as identified.
 
-    One page: true object, paper and twin side by side, then what was pressed, seen and measured.
+    One page: true object, paper and twin side by side, then press, images and measurement.
 
     Parameters
     ----------
@@ -204,9 +203,9 @@ def demo(*, out: Out = Path("out/demo"), full: bool = False) -> None:
     from twin.report.page import REPORT_FILE
 
     with output_folder(out) as folder, progress_bars() as watch:
-        balls, beside = measure_demo(folder, FINE if full else COARSE, watch)
-        write_demo(folder, watch, measured=(balls, beside))
-    for measured in (balls, *beside):
+        balls, further = measure_demo(folder, FINE if full else COARSE, watch)
+        write_demo(folder, watch, measured=(balls, further))
+    for measured in (balls, *further):
         say(summary_table(measured))
     say(f"wrote {out / REPORT_FILE}")
 
@@ -224,7 +223,7 @@ def compare(
 ) -> int:
     """Measure each specimen by each method and set the results side by side.
 
-    A measurement that OUT holds already is not repeated; delete its folder to repeat it.
+    A measurement that is in OUT already is not repeated; delete its folder to repeat it.
 
     Parameters
     ----------
@@ -238,7 +237,7 @@ def compare(
     photometric_set
         KEY=VALUE over that rig, as --set is over EXPERIMENT.
     match
-        Which load contact_fpp and photometric_stereo have in common: force or depth.
+        Load that is equal for contact_fpp and photometric_stereo: force or depth.
     """
     from twin.output import adding
     from twin.pipeline.comparison import (
@@ -256,8 +255,8 @@ def compare(
     plan = PhotometricPlan(photometric_rig, settings_of(photometric_set), match)
     read = [*experiments, Path(photometric_rig)]
     with progress_bars() as watch:
-        one = _with_report if report else _without_report
-        outcomes = run_all(loaded, chosen, out, one, watch=watch, plan=plan, inputs=read)
+        measure_case = _with_report if report else _without_report
+        outcomes = run_all(loaded, chosen, out, measure_case, watch=watch, plan=plan, inputs=read)
         if report:
             with adding(out, *REPORT_NAMES) as drawn:
                 write_comparison(out, watch, drawn)

@@ -1,4 +1,4 @@
-"""`twin identify`: find what is not known of a sensor from what was measured with it."""
+"""`twin identify`: estimate unknown fields of a sensor from measurements with it."""
 
 from pathlib import Path
 
@@ -15,19 +15,19 @@ def identify(
     workers: WorkerCount = None,
     cluster: Cluster = None,
 ) -> None:
-    """Find the values of unknown fields that agree with measurements, and what stays open.
+    """Estimate unknown fields from measurements, with intervals and undetermined combinations.
 
     The problem names experiments, free fields with priors, discrete choices and measured rows. The
-    twin simulates the experiments over the space of the fields, learns its own figures from that,
-    and samples what the rows leave of the priors. Run it again to go on after an interruption.
+    twin simulates the experiments over the space of the fields, fits emulators to the figures, and
+    samples the posterior distribution. Run it again to continue after an interruption.
 
     Parameters
     ----------
     problem
         TOML file, or the name of a shipped problem such as problems/slab.
     quick
-        A quarter of the simulations, repeated half as often, none refined: wider intervals,
-        for a first look.
+        25 % of the simulations, with 50 % of the repeats, without refinement: a preview with wider
+        intervals.
     """
     from twin.config.problem import load_problem
     from twin.identification.record import COMMAND, WRITTEN, write_identified
@@ -38,19 +38,24 @@ def identify(
     from twin.report.identified import write_identified as draw
 
     loaded, experiments = load_problem(problem)
-    asked = loaded.quick() if quick else loaded
+    problem_to_solve = loaded.quick() if quick else loaded
     who = workers_of(workers, cluster)
     names = (*WRITTEN, SUMMARY_FILE, *REPORT_NAMES)
     claim(out, COMMAND, names, [problem])
     with alone_in(out), progress_bars() as watch:
-        found = find(asked, experiments, out, who, watch=watch, inputs=[problem])
+        posterior = find(problem_to_solve, experiments, out, who, watch=watch, inputs=[problem])
         with adding(out, *names) as folder:
-            write_identified(folder, found, experiments)
-            write_summary(folder, found)
-            draw(folder, found, watch)
+            write_identified(folder, posterior, experiments)
+            write_summary(folder, posterior)
+            draw(folder, posterior, watch)
     rows = [
-        [name, f"{one.mean:.4g}", f"{one.sd:.2g}", f"{one.low_95:.4g} to {one.high_95:.4g}"]
-        for name, one in found.intervals().items()
+        [
+            name,
+            f"{marginal.mean:.4g}",
+            f"{marginal.sd:.2g}",
+            f"{marginal.low_95:.4g} to {marginal.high_95:.4g}",
+        ]
+        for name, marginal in posterior.intervals().items()
     ]
     print_table(("field", "mean", "standard deviation", "95 % interval"), rows)
     say(f"wrote {out / 'report.html'}")

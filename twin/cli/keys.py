@@ -1,4 +1,4 @@
-"""The keys of an experiment file as text: all of them, or those that hold some words."""
+"""The keys of an experiment file as text: all keys, or those that contain given words."""
 
 import difflib
 import shutil
@@ -10,28 +10,28 @@ from twin.config.schema import Key, experiment_keys
 
 
 def matching(pattern: str) -> list[Key]:
-    """Return the keys of which path, allowed values or meaning hold every word of `pattern`.
+    """Return the keys with every word of `pattern` in their path, allowed values or meaning.
 
     Raises
     ------
-    InputError : there is none; the nearest keys are told
+    InputError : there is no such key; the message has the nearest keys
     """
     every = list(experiment_keys())
     words = pattern.lower().split()
-    found = [key for key in every if all(word in _text(key) for word in words)]
-    if not found:
-        raise InputError(f"keys: found none with '{pattern}'{_nearest(pattern, every)}")
-    return found
+    keys = [key for key in every if all(word in _text(key) for word in words)]
+    if not keys:
+        raise InputError(f"keys: no key contains '{pattern}'{_nearest(pattern, every)}")
+    return keys
 
 
 def lines_of(keys: Iterable[Key]) -> Iterator[str]:
-    """Yield the lines that tell of some keys, wrapped to the terminal, nothing left out."""
+    """Yield the full description of keys in lines, wrapped to the width of the terminal."""
     width = max(40, shutil.get_terminal_size().columns)
     for key in keys:
         yield key.path
         default = key.default if key.default in ("", "required") else f"default: {key.default}"
-        told = f"{key.allowed}; {default}" if default else key.allowed
-        for text in (told, key.meaning):
+        values_text = f"{key.allowed}; {default}" if default else key.allowed
+        for text in (values_text, key.meaning):
             yield from textwrap.wrap(
                 text, width, initial_indent="    ", subsequent_indent="    ", break_long_words=False
             )
@@ -42,7 +42,7 @@ def _text(key: Key) -> str:
 
 
 def _nearest(pattern: str, every: Iterable[Key]) -> str:
-    """Name the keys whose last part is spelt alike."""
+    """Return a hint with the keys that have a similarly spelt last part."""
     by_name = {key.path.rpartition(".")[2]: key.path for key in every}
     near = difflib.get_close_matches(pattern, by_name, n=3, cutoff=0.5)
     return f"; nearest: {', '.join(by_name[name] for name in near)}" if near else ""

@@ -16,19 +16,19 @@ def without_plugins(words: Sequence[str]) -> tuple[list[str], list[str]]:
     InputError : the option has no file
     """
     options = list(takewhile(lambda word: word != "--", words))
-    kept: list[str] = []
+    other_words: list[str] = []
     files: list[str] = []
     remaining = iter(options)
     for word in remaining:
         name, is_joined, file = word.partition("=")
         if name != OPTION:
-            kept.append(word)
+            other_words.append(word)
             continue
         file = file if is_joined else next(remaining, "")
         if not file:
             raise InputError(f"{OPTION}: found no file; give the path of a Python file")
         files.append(file)
-    return [*kept, *words[len(options) :]], files
+    return [*other_words, *words[len(options) :]], files
 
 
 def load_plugins(words: Sequence[str]) -> list[str]:
@@ -38,10 +38,10 @@ def load_plugins(words: Sequence[str]) -> list[str]:
     ------
     InputError : the option has no file, or a file cannot be loaded
     """
-    kept, files = without_plugins(words)
+    other_words, files = without_plugins(words)
     if files:
         from reconstruction.registry import load_plugin
 
         for file in files:
             load_plugin(file)
-    return kept
+    return other_words

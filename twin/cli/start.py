@@ -16,7 +16,7 @@ def doctor(*, warm: bool = False) -> int:
     Parameters
     ----------
     warm
-        Also compile the kernels of ordinary measurements, which the first one else waits for.
+        Also compile the kernels of ordinary measurements, so that the first measurement does not.
     """
     from twin.doctor import diagnose
     from twin.doctor import warm as compile_kernels
@@ -25,10 +25,15 @@ def doctor(*, warm: bool = False) -> int:
     if warm:
         findings += compile_kernels(lambda done: sys.stderr.write(f"compiled {done}\n"))
     rows = (
-        ("ok" if one.ok else "no", one.name, one.detail, "" if one.ok else one.advice)
-        for one in findings
+        (
+            "ok" if finding.ok else "no",
+            finding.name,
+            finding.detail,
+            "" if finding.ok else finding.advice,
+        )
+        for finding in findings
     )
-    print_table(("", "check", "found", "what to do"), rows, {"ok": "green", "no": "red"})
+    print_table(("", "check", "found", "remedy"), rows, {"ok": "green", "no": "red"})
     if all(finding.ok for finding in findings):
         return 0
     return (
@@ -48,14 +53,14 @@ def init(
     template: str = "gel",
     listed: Annotated[bool, Parameter(name="--list", negative="")] = False,
 ) -> None:
-    """Write a commented starter: a sensor that measures its object, to change from there.
+    """Write a commented template: a working experiment or study, for you to change.
 
     Parameters
     ----------
     file
-        Where to write it; an existing file is never overwritten.
+        File to write; an existing file is never overwritten.
     template
-        Which one: gel (default), part, sheet, gelsight, rig, study.
+        Name of the template: gel (default), part, sheet, gelsight, rig, study.
     listed
         Only list the templates.
     """
@@ -65,7 +70,8 @@ def init(
 
     if listed:
         print_table(
-            ("template", "what it is"), ((one.name, one.description) for one in templates())
+            ("template", "description"),
+            ((entry.name, entry.description) for entry in templates()),
         )
         return
     text = read_template(template)
@@ -83,7 +89,7 @@ def keys(pattern: str | None = None, /) -> None:
     Parameters
     ----------
     pattern
-        Words that key or meaning must hold, for example thickness, "noise camera"; default: all.
+        Words that key or meaning must contain, for example thickness, "noise camera"; default: all.
     """
     from twin.cli.keys import lines_of, matching
 

@@ -56,9 +56,9 @@ def sweep(
     dry_run: DryRun = False,
     retry: Retry = False,
 ) -> int:
-    """Compute every case of a study that OUT does not hold yet; run it again to go on.
+    """Compute every case of a study that is not in OUT yet; run it again to continue.
 
-    Why cases failed is told. Exit code 1: none has a result, or some could not be saved.
+    Prints why cases failed. Exit code 1: no case has a result, or some could not be saved.
 
     Parameters
     ----------
@@ -82,22 +82,29 @@ def sweep(
         return code
     with progress_bars() as watch:
         outcome = run(
-            record, out, who, cases=cases, retry=retry, watch=watch, inputs=[study], tell=_tells
+            record,
+            out,
+            who,
+            cases=cases,
+            retry=retry,
+            watch=watch,
+            inputs=[study],
+            tell=_on_message,
         )
-    _tell_outcome(outcome, out)
+    _print_outcome(outcome, out)
     return FAILURE if outcome.unsaved or not outcome.finished else 0
 
 
-def _tells(sentence: str) -> None:
+def _on_message(sentence: str) -> None:
     sys.stderr.write(f"twin: {sentence}\n")
 
 
 def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
-    """Say what needs no rendering: which cases, of a search along its axes, cannot be measured.
+    """Print the cases that cannot be measured, of a search the points along its axes.
 
     Raises
     ------
-    InputError : no case has a figure that the study asks for
+    InputError : no case has a figure that the study names
     """
     from twin.study.checks import check_figures
     from twin.study.measurable import probes_of, unmeasurable
@@ -105,29 +112,29 @@ def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
     searches = record.study.sampling.method in ("optimise", "gradient")
     cases = probes_of(record) if searches else cases
     check_figures(record, cases)
-    found = unmeasurable(cases)
-    for reason, some in found.items():
+    unmeasurable_cases = unmeasurable(cases)
+    for reason, some in unmeasurable_cases.items():
         at = ", ".join(f"{name} = {value}" for name, value in some[0].settings.items())
         probes = " tried along the axes" if searches else ""
         share = f"{len(some)} of {counted(len(cases), 'case')}{probes}"
         sys.stderr.write(f"twin: {share} cannot be measured: {reason} (at {at})\n")
-    return BAD_INPUT if sum(map(len, found.values())) == len(cases) else 0
+    return BAD_INPUT if sum(map(len, unmeasurable_cases.values())) == len(cases) else 0
 
 
-def _tell_outcome(outcome: "SweepOutcome", out: Path) -> None:
-    """Say what a run did: what could not be saved, what failed and why, how much is done."""
+def _print_outcome(outcome: "SweepOutcome", out: Path) -> None:
+    """Print the outcome of a run: unsaved cases, failures, warnings, number of finished cases."""
     for digest, reason in outcome.unsaved.items():
         sys.stderr.write(f"twin: case {digest} could not be saved: {reason}\n")
     for digest, reason in outcome.damaged.items():
         sys.stderr.write(f"twin: case {digest} was damaged and ran again: {reason}\n")
-    _tell_failures(outcome, out)
-    _tell_remarks(outcome.remarks, outcome.finished, out)
+    _print_failures(outcome, out)
+    _print_remarks(outcome.remarks, outcome.finished, out)
     counts = ", ".join(f"{number} {state}" for state, number in sorted(outcome.states.items()))
     say(f"{counts or 'nothing to do'} in {outcome.seconds:.1f} s; wrote {out}")
 
 
-def _tell_failures(outcome: "SweepOutcome", out: Path) -> None:
-    """Say why cases failed, commonest reason first, each with a file that tells more."""
+def _print_failures(outcome: "SweepOutcome", out: Path) -> None:
+    """Print the reasons of failures, most frequent first, each with an example file."""
     ranked = sorted(outcome.failures.items(), key=lambda item: -len(item[1]))
     for reason, digests in ranked[:_MOST_REASONS]:
         file = out / "cases" / digests[0] / "failure.json"
@@ -137,7 +144,7 @@ def _tell_failures(outcome: "SweepOutcome", out: Path) -> None:
         sys.stderr.write(f"twin: {counted(more, 'more reason')}: twin sweep table {out}\n")
 
 
-def _tell_remarks(remarks: "Sequence[Remark]", of: int, out: Path) -> None:
+def _print_remarks(remarks: "Sequence[Remark]", of: int, out: Path) -> None:
     """Print the warnings of the cases: each kind once, with its number of cases and an example."""
     for remark in remarks[:_MOST_REASONS]:
         sys.stderr.write(f"twin: {remark.in_words(of)} (case {remark.digests[0]})\n")
@@ -155,36 +162,37 @@ def best(
     *,
     objective: Objectives = None,
 ) -> int:
-    """Print the best feasible designs of a study: those that no other beats in every objective.
+    """Print the best feasible designs of a study: its Pareto front.
 
-    A case is feasible where all constraints hold and all tolerances of its measurands are met with
-    their uncertainty. Exit code 1: none is; the cases that miss the fewest conditions are printed.
+    A case is feasible if all constraints hold and all tolerances of its measurands are met with
+    their uncertainty. Exit code 1: no case is; the cases that miss the fewest conditions are
+    printed.
 
     Parameters
     ----------
     folder
         The -o DIR of twin sweep.
     objective
-        METRIC that is to be small, or +METRIC that is to be large; give several for a Pareto front.
+        METRIC to minimise, or +METRIC to maximise; give several for a Pareto front.
         Default: the objectives of the study.
     """
     from twin.study.feasibility import feasibility_in_words
     from twin.study.table import best_rows, nearest_rows, objective_of, read_table, usable_rows
 
-    found = read_table(folder)
-    chosen = [objective_of(text) for text in objective or ()] or list(found.record.study.goals)
+    table = read_table(folder)
+    chosen = [objective_of(text) for text in objective or ()] or list(table.record.study.goals)
     if not chosen:
         raise InputError("--objective: found none; name a METRIC, for example -b z_rmse_um")
-    some, nearest = usable_rows(found.rows, chosen), nearest_rows(found.rows, chosen)
-    feasible = some or not nearest  # nothing at all is an error
-    rows = best_rows(found.rows, chosen) if feasible else nearest[:_MOST_NEAREST]
-    if found.conditions:
-        sys.stderr.write(f"twin: {feasibility_in_words(found.rows)}\n")
+    some, nearest = usable_rows(table.rows, chosen), nearest_rows(table.rows, chosen)
+    feasible = some or not nearest  # an empty table is an error
+    rows = best_rows(table.rows, chosen) if feasible else nearest[:_MOST_NEAREST]
+    if table.conditions:
+        sys.stderr.write(f"twin: {feasibility_in_words(table.rows)}\n")
     if not some:
         sys.stderr.write("twin: no case is feasible; those that miss the fewest conditions:\n")
-    names = dict.fromkeys([one.metric for one in chosen] + list(found.metrics))
+    names = dict.fromkeys([goal.metric for goal in chosen] + list(table.metrics))
     more = ("case",) if some else ("case", "reason")
-    headings = (*found.axes, *names, *more)
+    headings = (*table.axes, *names, *more)
     cells = ([cell(row.get(n), 5) for n in headings] for row in rows)
     print_table(headings, cells, width=None if sys.stdout.isatty() else 200)
     return 0 if some else FAILURE
@@ -201,8 +209,8 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     folder
         The -o DIR of twin sweep.
     objective
-        What makes a design good, as for twin sweep best; default: the study's objectives, or a
-        small error.
+        METRIC or +METRIC, as for twin sweep best; default: the study's objectives, or the first
+        error figure.
     """
     from twin.output import adding
     from twin.report import REPORT_FILE, REPORT_NAMES
@@ -212,10 +220,12 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     from twin.study.table import objective_of, read_table
 
     chosen = [objective_of(text) for text in objective or ()]
-    found = read_table(folder)  # it is a store, and can be read, before anything is made in it
+    table = read_table(
+        folder
+    )  # raises before any file is written if the folder is no readable store
     with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
-        if found.record.study.sampling.method == "trials":
-            write_uncertainty_page(folder, watch, drawn, [one.metric for one in chosen])
+        if table.record.study.sampling.method == "trials":
+            write_uncertainty_page(folder, watch, drawn, [goal.metric for goal in chosen])
         else:
             failed = picture_best(folder, chosen, watch)
             write_study(folder, watch, chosen, drawn, failed)
@@ -231,20 +241,20 @@ def table(folder: Path, /, *, csv: Path | None = None, parquet: Path | None = No
     folder
         The -o DIR of twin sweep.
     csv
-        New file, for example table.csv; without --csv and --parquet CSV goes to stdout.
+        New file, for example table.csv; without --csv and --parquet, CSV is printed to stdout.
     parquet
         New file; needs pyarrow.
     """
     from twin.study.table import csv_text, read_table, write_csv, write_parquet
 
-    found = read_table(folder)
+    table = read_table(folder)
     if csv is None and parquet is None:
-        sys.stdout.write(csv_text(found))
+        sys.stdout.write(csv_text(table))
         return
     for path, write in ((csv, write_csv), (parquet, write_parquet)):
         if path is not None:
-            write(found, path)
-            say(f"wrote {path}, {counted(len(found.rows), 'case')}")
+            write(table, path)
+            say(f"wrote {path}, {counted(len(table.rows), 'case')}")
 
 
 @app.command
@@ -266,25 +276,25 @@ def uncertainty(
     dry_run: DryRun = False,
     retry: Retry = False,
 ) -> int:
-    """Repeat a measurement with its inputs drawn anew: interval and ranked budget of any figure.
+    """Repeat a measurement with randomly drawn inputs: interval and ranked budget of any figure.
 
     For example: twin uncertainty examples/slab_balls -n 100 -m sphere_1_radius_mm
-    -s camera.binning=4 -o out/u. Run it again to go on, or with a larger -n to add trials. The
-    nominal measurement is first; if it fails or lacks a measurand, nothing else runs (exit code 2).
+    -s camera.binning=4 -o out/u. Run it again to continue, or with a larger -n to add trials. The
+    nominal measurement is first; if it fails or lacks a measurand, no trial runs (exit code 2).
     Exit code 1: too few trials have a result, or some could not be saved.
 
     Parameters
     ----------
     trials
-        Repetitions with all inputs drawn; the nominal measurement comes on top.
+        Repetitions with all inputs drawn, in addition to the nominal measurement.
     inputs
-        TOML file of [inputs.NAME] tables, or the name of a shipped one.
+        TOML file of [inputs.NAME] tables, or the name of a shipped file.
     measurand
         Figure of the measurement such as z_rmse_um; give several. Default: the main ones.
     calibration
         drawn: a new calibration of the rig in each trial; true: always the true rig.
     budget
-        Also vary each input alone (two measurements each) and the noise alone (up to 20).
+        Also vary each input separately (two measurements each) and only the noise (up to 20).
     sobol
         Base points of Sobol' indices of the pressed face, a power of 2, times inputs + 2 presses.
     seed
@@ -293,10 +303,10 @@ def uncertainty(
     from twin.propagation.trials import plan_in_words, record_of
     from twin.results.names import of_the_object
 
-    asked, named = (load(experiment, settings), inputs, trials), measurand or ()
+    measurement, named = (load(experiment, settings), inputs, trials), measurand or ()
     options: dict[str, Any] = {"calibration": calibration, "budget": budget, "seed": seed}
     compensated = of_the_object(named) or None
-    record = record_of(*asked, compensated=compensated, measurands=named, **options)
+    record = record_of(*measurement, compensated=compensated, measurands=named, **options)
     who = workers_of(workers, cluster)
     if dry_run:
         for line in plan_in_words(record, out, who.count, sobol):
@@ -305,7 +315,7 @@ def uncertainty(
     outcome = _swept(record, out, who, [experiment, Path(inputs)], retry)
     if outcome.finished < 3:  # the nominal one and two trials
         return FAILURE
-    _tell_results(_evaluated(record, out, measurand or [], sobol))
+    _print_results(_evaluated(record, out, measurand or [], sobol))
     say(f"wrote {out / 'report.html'}")
     return FAILURE if outcome.unsaved else 0
 
@@ -313,7 +323,7 @@ def uncertainty(
 def _swept(
     record: "StudyRecord", out: Path, who: "Workers", read: list[Path], retry: bool
 ) -> "SweepOutcome":
-    """Say what the trials will take, measure those that OUT lacks, and say what became of them."""
+    """Print the estimated run time, measure the trials that are not in OUT, print the outcome."""
     from twin.study.estimate import estimate, estimate_line
     from twin.study.store import Store
     from twin.study.sweep import sweep
@@ -322,9 +332,16 @@ def _swept(
     sys.stderr.write(f"{estimate_line(estimate(record, cases, Store(out), who.count))}\n")
     with progress_bars() as watch:
         outcome = sweep(
-            record, out, who, cases=cases, retry=retry, watch=watch, inputs=read, tell=_tells
+            record,
+            out,
+            who,
+            cases=cases,
+            retry=retry,
+            watch=watch,
+            inputs=read,
+            tell=_on_message,
         )
-    _tell_outcome(outcome, out)
+    _print_outcome(outcome, out)
     return outcome
 
 
@@ -339,25 +356,25 @@ def _evaluated(
     from twin.report import REPORT_NAMES
     from twin.report.uncertainty import write_uncertainty_page
 
-    found = read_uncertainty(out, measurands)
+    result = read_uncertainty(out, measurands)
     with progress_bars() as watch:
         effects = {}
         if sobol is not None:
             inputs, seed = record.study.inputs, record.study.sampling.seed
-            names = list(found.measurands)
-            effects = sobol_of_face(found.experiment, inputs, names, sobol, seed=seed, watch=watch)
-        write_uncertainty(out, found, effects)
+            names = list(result.measurands)
+            effects = sobol_of_face(result.experiment, inputs, names, sobol, seed=seed, watch=watch)
+        write_uncertainty(out, result, effects)
         with adding(out, *REPORT_NAMES) as drawn:
             write_uncertainty_page(out, watch, drawn, measurands)
-    return found
+    return result
 
 
-def _tell_results(found: "Uncertainty") -> None:
+def _print_results(result: "Uncertainty") -> None:
     from twin.report.uncertainty import result_lines
 
     headings = ("figure", "trials", "mean", "u", "95 % interval", "digits", "largest part")
     keys = ("name", "n", "mean", "u", "symmetric", "digits", "first")
-    rows = ([line[key] for key in keys] for line in result_lines(found))
+    rows = ([line[key] for key in keys] for line in result_lines(result))
     print_table(headings, rows, width=None if sys.stdout.isatty() else 120)
 
 
@@ -371,14 +388,14 @@ def paper(
     full: bool = False,
     workers: WorkerCount = None,
 ) -> None:
-    """Reproduce the paper's tables and figures, its numbers beside ours.
+    """Reproduce the paper's tables and figures, its numbers next to ours.
 
-    What OUT/work holds already is not measured again: an interrupted run goes on where it stopped.
+    Measurements that are in OUT/work already are not repeated: an interrupted run continues.
 
     Parameters
     ----------
     only
-        Name of a group of tables or of a figure; give it several times for several.
+        Name of a group of tables or of a figure; repeat the option for several.
     trials
         Repetitions of every repeated measurement: 100, with --quick the paper's 5.
     quick

@@ -1,6 +1,6 @@
-"""How much a command says: quiet, as usual, or verbose; and its progress on stderr.
+"""Verbosity of a command: quiet, usual or verbose; and its progress on stderr.
 
-Results go to stdout whatever the choice.
+Results are printed to stdout at any verbosity.
 """
 
 import sys
@@ -23,7 +23,7 @@ COMPILING = "(compiling, once)"
 
 
 class Loudness(IntEnum):
-    """How much is said on stderr."""
+    """Verbosity of the messages on stderr."""
 
     QUIET = 0
     USUAL = 1
@@ -43,26 +43,26 @@ class _Chosen:
 
 
 def choose_level(words: Sequence[str]) -> list[str]:
-    """Take -q and -v out of a command line, the last one wins, and return the other words."""
-    kept: list[str] = []
+    """Set the verbosity by the last -q or -v of a command line, and return all other words."""
+    other_words: list[str] = []
     _Chosen.level = Loudness.USUAL
     for number, word in enumerate(words):
         if word == "--":
-            return [*kept, *words[number:]]
+            return [*other_words, *words[number:]]
         if word in _LEVEL_OF:
             _Chosen.level = _LEVEL_OF[word]
         else:
-            kept.append(word)
-    return kept
+            other_words.append(word)
+    return other_words
 
 
 def verbose() -> bool:
-    """Tell whether the command line asked for more than usual."""
+    """Return True if the command line has -v."""
     return _Chosen.level == Loudness.VERBOSE
 
 
 def introduce() -> None:
-    """Say, where more was asked for, what runs."""
+    """Write the versions of the twin and of Python on stderr, if verbose."""
     if verbose():
         import platform
         from importlib import metadata
@@ -72,17 +72,17 @@ def introduce() -> None:
 
 
 def note(line: str) -> None:
-    """Write a line on stderr, unless quiet was asked for."""
+    """Write a line on stderr, unless quiet."""
     if _Chosen.level > Loudness.QUIET:
         sys.stderr.write(f"{line}\n")
 
 
 @contextmanager
 def progress_bars() -> "Iterator[ProgressCallback]":
-    """Show one bar per stage on stderr, with percent, time gone and time left.
+    """Show one bar per stage on stderr, with percent, elapsed time and remaining time.
 
-    A stage that waits for a kernel to be compiled says so. Where nobody watches, each stage is a
-    line when it begins; verbose also when it ends.
+    A stage that waits for the compilation of a kernel is marked. If stderr is no terminal, the
+    start of each stage is written as a line; if verbose, also its end.
     """
     from rich.console import Console
 
@@ -124,7 +124,7 @@ def _bars(console: Any) -> "Iterator[tuple[ProgressCallback, Callable[[], None]]
 
         def watch(stage: str, fraction: float, /) -> None:
             if stage not in bars:
-                # Without an end until something is finished: the bar then only shows that it lives.
+                # Without a total until the first progress: the bar then only indicates activity.
                 bars[stage] = progress.add_task(stage, total=None)
             if fraction > 0.0:
                 progress.update(bars[stage], total=1.0, completed=fraction)

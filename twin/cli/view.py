@@ -26,7 +26,7 @@ def view(
     host
         Address to listen on; 0.0.0.0 shows it to the network.
     port
-        Port to listen on, or the next one that is free.
+        Port to listen on, or the next free port.
     """
     from twin.viewer.live import LiveView, viser_module
 

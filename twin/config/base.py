@@ -1,4 +1,4 @@
-"""What all configuration models share: ranges with a name, the frozen base, and errors."""
+"""Base of all configuration models: named ranges, the frozen model class, and errors."""
 
 import typing
 from functools import cache
@@ -10,11 +10,11 @@ from reconstruction.errors import InputError
 
 
 class ConfigError(InputError):
-    """An experiment file that cannot be used; one line per problem."""
+    """An invalid experiment file; the message has one line per problem."""
 
 
 class AssetCycleError(ConfigError):
-    """Data files that `use` each other in a circle."""
+    """Data files that `use` each other cyclically."""
 
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -22,23 +22,23 @@ Angle = Annotated[float, Field(ge=-180, le=180)]
 
 
 class Model(BaseModel):
-    """Base of all configuration: immutable, no unknown keys, no NaN or infinity, no flag as 1."""
+    """Base of all configuration: immutable; no unknown keys, no NaN, no flag for a number."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
     def _no_flag_as_number(cls, values: Any) -> Any:
-        """Let true and false count as flags alone: Python takes them for 1 and 0."""
+        """Reject true and false in numeric fields, where Python would read them as 1 and 0."""
         if not isinstance(values, dict):
             return values
-        found = [key for key, value in values.items() if _holds_flag(value)]
-        marked = {key: _flags_marked(values[key]) for key in found if not _takes_flags(cls, key)}
+        flagged = [key for key, value in values.items() if _holds_flag(value)]
+        marked = {key: _flags_marked(values[key]) for key in flagged if not _takes_flags(cls, key)}
         return values | marked if marked else values
 
 
 class _Flag:
-    """A flag that no field of another type takes for its own."""
+    """A flag in a field that takes none: every other field type rejects it."""
 
     def __init__(self, value: bool) -> None:
         self._value = value
@@ -49,13 +49,13 @@ class _Flag:
 
 def _holds_flag(value: Any) -> bool:
     if isinstance(value, (list, tuple)):
-        return any(isinstance(one, bool) for one in value)
+        return any(isinstance(item, bool) for item in value)
     return isinstance(value, bool)
 
 
 def _flags_marked(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
-        return [_flags_marked(one) for one in value]
+        return [_flags_marked(item) for item in value]
     return _Flag(value) if isinstance(value, bool) else value
 
 
@@ -67,5 +67,5 @@ def _takes_flags(model: type[BaseModel], key: str) -> bool:
 
 def _allows_flag(annotation: Any) -> bool:
     if typing.get_origin(annotation) is typing.Literal:
-        return any(isinstance(one, bool) for one in typing.get_args(annotation))
+        return any(isinstance(item, bool) for item in typing.get_args(annotation))
     return annotation in (bool, Any) or any(map(_allows_flag, typing.get_args(annotation)))

@@ -1,4 +1,4 @@
-"""Calibration board as data: what is printed, on what, and the poses in which it is shown.
+"""Calibration board as data: the printed pattern, its plate, and the poses of the images.
 
 Poses are in the world frame (z up towards the devices); at zero tilt and shift the board's face is
 z = 0 and its rows run along world x.
@@ -33,7 +33,7 @@ class Dots(Model):
     fiducial_diameter_mm: Length
 
     def board(self) -> DotBoard:
-        """Return what the detector looks for."""
+        """Return the pattern as the detector takes it."""
         return DotBoard(
             self.columns, self.rows, self.pitch_mm, self.dot_diameter_mm, self.fiducial_diameter_mm
         )
@@ -48,7 +48,7 @@ class Chess(Model):
     square_mm: Length
 
     def board(self) -> Chessboard:
-        """Return what the detector looks for."""
+        """Return the pattern as the detector takes it."""
         return Chessboard(self.columns, self.rows, self.square_mm)
 
 
@@ -62,12 +62,12 @@ class Charuco(Model):
     marker_mm: Length
 
     def board(self) -> CharucoBoard:
-        """Return what the detector looks for."""
+        """Return the pattern as the detector takes it."""
         return CharucoBoard(self.columns, self.rows, self.square_mm, self.marker_mm)
 
 
 class BoardPlate(Model):
-    """What the pattern is printed on; a matt (Lambertian) face."""
+    """Plate with the printed pattern; its face is matt (Lambertian)."""
 
     width_mm: Length
     height_mm: Length
@@ -76,7 +76,7 @@ class BoardPlate(Model):
 
 
 class BoardPose(Model):
-    """Where the board is held."""
+    """Pose of the board in the world frame."""
 
     tilt_deg: Annotated[float, Field(ge=0, le=60)] = Field(
         default=0.0, description="angle between the board's normal and world z"
@@ -91,7 +91,7 @@ class BoardPose(Model):
 
 
 class BoardFile(Model):
-    """A board file, whole."""
+    """Contents of a board file."""
 
     description: str = ""
     pattern: Annotated[Dots | Chess | Charuco, Field(discriminator="kind")]
@@ -102,7 +102,7 @@ class BoardFile(Model):
     provenance: dict[str, Provenance] = Field(default_factory=dict)
 
     def board(self) -> Board:
-        """Return what the detector looks for."""
+        """Return the pattern as the detector takes it."""
         return self.pattern.board()
 
 
@@ -111,7 +111,7 @@ def load_board(name: str | Path) -> BoardFile:
 
     Raises
     ------
-    ConfigError : one line per problem: what, where, found, allowed
+    ConfigError : one line per problem: key, found, allowed, remedy
     AssetError : no such board
     """
     file = scene_file(name)

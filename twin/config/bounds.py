@@ -1,9 +1,9 @@
-"""Ranges that physics gives to quantities of an experiment, each with its reason.
+"""Physical ranges of an experiment's quantities, each with its reason.
 
 `twin keys` prints the reason next to the range, and so does the error about a value outside it.
-Ranges are wide: they exclude what no sensor, gel or light source is, and what the models of this
-project (rays of light, continuum mechanics, double precision) cannot describe. The narrower range
-of one product is part of its data file.
+Ranges are wide: they exclude values that no sensor, gel or light source has, and values outside
+the models of this project (geometrical optics, continuum mechanics, double precision). The data
+file of a product states its narrower range.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field
 
 @dataclass(frozen=True)
 class Because:
-    """Why a range ends where it does; metadata of an annotated type."""
+    """Reason for the limits of a range; metadata of an annotated type."""
 
     reason: str
 
@@ -41,11 +41,11 @@ Rounding = Annotated[float, Field(ge=0, le=1000), _LENGTHS]
 Size = Annotated[
     float,
     Field(ge=1e-4, le=100),
-    Because("0.1 um, below which light is no ray, to 100 mm, what fits under the sensor"),
+    Because("0.1 um, below which light is no ray, to 100 mm, the space under the sensor"),
 ]
 #: of a part that may be left out by giving 0
 OptionalSize = Annotated[
-    float, Field(ge=0, le=100), Because("100 mm is what fits under the sensor")
+    float, Field(ge=0, le=100), Because("100 mm is the space under the sensor")
 ]
 FileUnit = Annotated[
     float, Field(ge=1e-6, le=1e6), Because("files are drawn in units from the nanometre to the km")
@@ -103,7 +103,7 @@ Tack = Annotated[
     float,
     Field(ge=0, le=1000),
     AfterValidator(zero_or_at_least(1e-6)),
-    Because("1000 J/m^2 peels a strong adhesive tape, below 1e-6 nothing holds"),
+    Because("1000 J/m^2 peels a strong adhesive tape, below 1e-6 adhesion has no effect"),
 ]
 
 # ---- optics ------------------------------------------------------------------------------------
@@ -134,8 +134,8 @@ ThrowRatio = Annotated[
 Contrast = Annotated[
     float, Field(gt=1, le=1e9), Because("above 1e9 black is darker than any camera measures")
 ]
-# The coefficients of OpenCV, at image heights over focal length: up to 1.7 for 120 deg of view,
-# 0.05 for a telephoto lens, whose k3 x^6 is a pixel from about 1e4 on.
+# OpenCV's coefficients, for image heights x over focal length: up to 1.7 for 120 deg of view,
+# 0.05 for a telephoto lens. For the latter, k3 x^6 exceeds one pixel from about k3 = 1e4.
 DistortionCoefficient = Annotated[
     float,
     Field(ge=-1e6, le=1e6),

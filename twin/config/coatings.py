@@ -1,4 +1,4 @@
-"""The coat of the elastomer as data: its texture, and what every kind of coating states.
+"""The coat of the elastomer as data: its texture, and the base class of all kinds of coating.
 
 A kind is one file of `twin.optics.coatings`, of an installed package (entry points of the group
 `fringe_twin.coatings`) or of the user (`--plugin`): a subclass of `Coating` that sets `kind`, adds
@@ -23,15 +23,15 @@ class Texture(Model):
         description="root mean square height over all seeds"
     )
     correlation_mm: Annotated[float, Field(ge=0.03, le=2)] = Field(
-        description="lag at which the autocorrelation of the heights falls to 1/e; ISO 25178's Sal "
-        "takes 0.2, which normal heights reach at 1.27 of it"
+        description="lag at which the autocorrelation of the heights is 1/e; ISO 25178's Sal "
+        "is the lag at 0.2: 1.27 times this length for normally distributed heights"
     )
     skewness: Annotated[float, Field(ge=-3, le=3)] = Field(
-        default=0.0, description="above 0: grains stand out; below 0: pits"
+        default=0.0, description="above 0: grains; below 0: pits"
     )
     excess_kurtosis: Annotated[float, Field(ge=0, le=60)] = Field(
         default=0.0,
-        description="0 is normal; with skewness, more than the log-normal distribution has",
+        description="0: normal; with skewness, more than of the log-normal distribution",
     )
 
     @model_validator(mode="after")
@@ -46,7 +46,7 @@ class Texture(Model):
 
 
 def _least_excess_kurtosis(skewness: float) -> float:
-    """Return the log-normal distribution's and 1 %: heights follow Johnson's unbounded system."""
+    """Return 1.01 x the log-normal distribution's: the limit of Johnson's unbounded system."""
     square = skewness**2
     root = cbrt(1 + square / 2 + sqrt(square + square**2 / 4))
     w = root + 1 / root - 1
@@ -54,7 +54,7 @@ def _least_excess_kurtosis(skewness: float) -> float:
 
 
 class Coating(Model):
-    """What every coat has: its texture, and what its kind states about how it reflects light."""
+    """Base class of all coats: the texture, and the reflection that each kind defines."""
 
     kind: str
     # Left out where absent: a smooth coat keeps its digest.
@@ -71,7 +71,7 @@ class Coating(Model):
     """Number in which the reflected light is affine; a reference surface determines it."""
 
     determined_by: ClassVar[Mapping[str, str]] = {}
-    """What `twin adopt` needs to determine a number, by the name of that number."""
+    """Measurement from which `twin adopt` determines a number, by the name of that number."""
 
     def bsdf(self) -> dict[str, Any]:
         """Return the BSDF for `mi.load_dict`.
@@ -94,7 +94,7 @@ class Coating(Model):
 
         Parameters
         ----------
-        reflectance : of the object; 0: nothing touches the ink
+        reflectance : of the object; 0: no object touches the ink
         """
         return None
 
@@ -109,12 +109,12 @@ class Coating(Model):
 
     @property
     def is_matte(self) -> bool:
-        """Whether the coat reflects alike into all directions."""
+        """Whether the reflected radiance is the same in all directions."""
         return False
 
     @property
     def export_gap(self) -> str:
-        """What stock Mitsuba cannot express of it, in one sentence; empty: nothing."""
+        """Property of the coat that stock Mitsuba lacks, in one sentence; empty: none."""
         return ""
 
 

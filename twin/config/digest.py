@@ -13,7 +13,7 @@ from reconstruction.reading import read_bytes
 from twin.assets import mesh_path
 from twin.config.models import Experiment
 
-# What a person calls it and where numbers come from do not change what is computed.
+# Names, descriptions and sources of numbers do not change any result.
 _NOT_CONTENT = {"name", "description", "provenance", "links"}
 
 
@@ -50,7 +50,7 @@ def _read(name: str) -> bytes | None:
 
 
 def content_digest(*parts: object) -> str:
-    """Return 16 hex digits that name arrays, dataclasses, sequences and texts by what they hold."""
+    """Return 16 hex digits that name arrays, dataclasses, sequences and texts by content."""
     held = hashlib.sha256()
     for part in parts:
         _feed(held.update, part)
@@ -65,8 +65,8 @@ def _feed(take: Callable[[Any], None], part: object) -> None:
         for field in fields(part):
             _feed(take, getattr(part, field.name))
     elif isinstance(part, tuple | list):
-        for one in part:
-            _feed(take, one)
+        for item in part:
+            _feed(take, item)
     else:
         take(f"{part!r}\n".encode())
 

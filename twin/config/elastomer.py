@@ -1,4 +1,4 @@
-"""Elastomer and press as data, and which model presses. Frames and units: see `models`."""
+"""Elastomer, press and choice of the elastomer model as data; frames and units: `models`."""
 
 from typing import Annotated, Literal
 
@@ -65,7 +65,7 @@ class Elastomer(Model):
     )
     rim_compliance_mm2_per_n: RimCompliance = Field(
         default=0.0,
-        description="mm by which the sheet's edge gives along its frame per N/mm of line tension "
+        description="slip (mm) of the sheet's edge along its frame per N/mm of line tension "
         "beyond that of the mounted sheet; 0: a rigid rim (sheet model)",
     )
     tack_j_m2: Tack = Field(
@@ -73,7 +73,7 @@ class Elastomer(Model):
     )
     friction: Literal["auto", "none", "stick"] = Field(
         default="auto",
-        description="between clear face and specimen; stick: no slip once touched; auto: stick "
+        description="between clear face and specimen; stick: no slip after contact; auto: stick "
         "where there is tack (sheet model)",
     )
 
@@ -97,12 +97,12 @@ class Elastomer(Model):
 
     @property
     def sticks(self) -> bool:
-        """Whether the sheet keeps its place where it has touched."""
+        """Whether the sheet cannot slip on the specimen after contact."""
         return self.friction == "stick" or (self.friction == "auto" and self.tack_j_m2 > 0)
 
     @property
     def mounted_thickness_mm(self) -> float:
-        """Of the elastomer as it lies in its frame: a sheet stretched into it is thinner."""
+        """Thickness of the elastomer in its frame: a pre-stretched sheet is thinner."""
         return self.thickness_mm / self.pre_stretch**2
 
     @property
@@ -112,7 +112,7 @@ class Elastomer(Model):
 
 
 class Press(Model):
-    """How the specimen is pressed in: to a depth, or with a force."""
+    """Load of the press: a prescribed travel, or a prescribed force."""
 
     control: Literal["depth", "force"]
     depth_mm: Travel | None = Field(default=None, description="travel after first touch")
@@ -137,19 +137,19 @@ class Press(Model):
 
     @model_validator(mode="after")
     def _control_has_its_value(self) -> "Press":
-        needed, other = ("depth_mm", "force_n")[:: 1 if self.control == "depth" else -1]
+        needed, excluded = ("depth_mm", "force_n")[:: 1 if self.control == "depth" else -1]
         if getattr(self, needed) is None:
             raise ValueError(f"control = '{self.control}' needs {needed}")
-        if getattr(self, other) is not None:
-            raise ValueError(f"control = '{self.control}' does not take {other}: remove it")
+        if getattr(self, excluded) is not None:
+            raise ValueError(f"control = '{self.control}' does not take {excluded}: remove it")
         return self
 
 
 class PadFile(Model):
-    """An elastic body from CAD in place of the flat slab: a coated dome behind a window, say.
+    """An elastic body from CAD instead of the flat slab, for example a coated dome on a window.
 
-    It is moved so that its lowest point is z = 0, held on its highest plane, and touched and seen
-    on the facets that face down (contact-face layout).
+    It is moved so that its lowest point is z = 0, and clamped on its highest plane. Contact and
+    coat are on the facets that face down (contact-face layout).
     """
 
     file: str = Field(description="closed surface: STL, PLY or OBJ")
@@ -160,7 +160,7 @@ class PadFile(Model):
 
 
 class Mechanics(Model):
-    """Which model presses the elastomer."""
+    """Choice and settings of the elastomer model."""
 
     model: Annotated[str, NameOf(MODELS, also=AUTO)] = Field(
         default=AUTO,
@@ -168,8 +168,8 @@ class Mechanics(Model):
     )
     support: Literal["simple", "clamped", "ledge", "bonded", "window"] | None = Field(
         default=None,
-        description="fem: absent is what the layout says; sheet: simple or clamped, absent is "
-        "clamped",
+        description="absent: fem takes the support of the layout, sheet takes clamped; sheet "
+        "allows simple or clamped",
     )
     ledge_mm: Length = Field(
         default=2.0, description="fem, support = 'ledge': width of the frame under the slab"

@@ -1,4 +1,4 @@
-"""The elastomer models by name: which of them `mechanics.model` may name, and what a file may set.
+"""Registry of the elastomer models: allowed values of `mechanics.model`, and their optional keys.
 
 A model is one file of `twin.mechanics.models`, of an installed package (entry points of the group
 `fringe_twin.elastomer_models`) or of the user (`--plugin`): an object of a subclass of
@@ -12,13 +12,13 @@ from reconstruction.registry import Registry
 
 
 class ModelFields:
-    """What is known of an elastomer model without pressing."""
+    """Properties of an elastomer model that are available without loading its solver."""
 
     name: ClassVar[str] = ""
     """The value of `mechanics.model`."""
 
     summary: ClassVar[str] = ""
-    """One line for the list of keys: what the model includes, and where it is right."""
+    """One line for the list of keys: the effects that the model includes, and its validity."""
 
     takes: ClassVar[tuple[str, ...]] = ()
     """Optional keys of `[mechanics]` that the model takes: `support`, `pad`."""

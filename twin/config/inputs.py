@@ -1,6 +1,6 @@
 """Quantities that differ when a measurement is repeated: distributions as data.
 
-Shipped ones lie in `scenes/inputs`; `docs/uncertainty.md` explains every key.
+Shipped files are in `scenes/inputs`; `docs/uncertainty.md` explains every key.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,9 @@ Group = Literal["placement", "press", "elastomer", "optics"]
 class Input(Model):
     """One quantity that differs from trial to trial, as a distribution about its nominal value."""
 
-    group: Group = Field(description="what it is summed under; optics leave the pressed face alone")
+    group: Group = Field(
+        description="group of the uncertainty budget; optics do not change the pressed face"
+    )
     key: str = Field(description="dotted path of a number in the experiment")
     distribution: Literal["normal", "uniform", "triangular", "arcsine", "student_t", "choice"]
     spread: Spread | None = Field(
@@ -39,25 +41,26 @@ class Input(Model):
     degrees_of_freedom: Annotated[float, Field(gt=2, le=1e6)] | None = Field(
         default=None, description="of student_t"
     )
-    values: tuple[Figure, ...] = Field(default=(), description="what choice picks from")
+    values: tuple[Figure, ...] = Field(default=(), description="values that choice draws from")
     weights: tuple[Spread, ...] = Field(default=(), description="default: all alike")
     together: str = Field(
-        default="", description="of choice: inputs of one such name take the same place of `values`"
+        default="",
+        description="of choice: inputs with the same name draw the same index of `values`",
     )
     methods: tuple[str, ...] = Field(default=(), description="modalities; empty: all")
     specimens: tuple[str, ...] = Field(default=(), description="specimen kinds; empty: all")
     optional: bool = Field(
-        default=False, description="leave it out where the experiment has no such number"
+        default=False, description="omit the input if the experiment has no such number"
     )
-    source: str = Field(default="", description="where the spread comes from")
+    source: str = Field(default="", description="origin of the spread")
 
     @model_validator(mode="after")
     def _whole(self) -> "Input":
         kind = self.distribution
         if (self.spread is None) != (kind == "choice"):
-            raise ValueError("spread: every distribution but choice needs one, choice has none")
+            raise ValueError("spread: required by every distribution except choice")
         if (self.degrees_of_freedom is None) == (kind == "student_t"):
-            raise ValueError("degrees_of_freedom: student_t needs them, nothing else has them")
+            raise ValueError("degrees_of_freedom: required by student_t, not allowed otherwise")
         if kind != "normal" and not self.at_least is self.at_most is None:
             raise ValueError("at_least, at_most: only normal is cut off")
         if kind != "choice" and (self.values or self.weights or self.together):
@@ -69,7 +72,7 @@ class Input(Model):
         return self
 
     def counts_for(self, experiment: Experiment) -> bool:
-        """Tell whether the input can change this experiment's result."""
+        """Return True if the input can change this experiment's result."""
         return (
             (not self.methods or experiment.modality in self.methods)
             and (not self.specimens or experiment.specimen.kind in self.specimens)
@@ -83,13 +86,13 @@ class Input(Model):
         ------
         ConfigError : the key does not lead to a number
         """
-        found = number_at(experiment, self.key)
-        if found is None:
+        number = number_at(experiment, self.key)
+        if number is None:
             raise ConfigError(
                 f"inputs: {self.key}: found no number there in {experiment.name}; give the dotted "
-                "path of one (twin keys lists them), or say optional = true"
+                "path of one (twin keys lists them), or set optional = true"
             )
-        return found
+        return number
 
 
 class Inputs(Model):
@@ -101,21 +104,23 @@ class Inputs(Model):
 
     @model_validator(mode="after")
     def _keys_differ(self) -> "Inputs":
-        refuse_shared_keys(self.inputs)
+        require_distinct_keys(self.inputs)
         return self
 
 
-def refuse_shared_keys(inputs: Mapping[str, Input]) -> None:
-    """Raise a ValueError where two inputs draw the same number, or joint ones differ in length."""
-    lists = {(one.together, len(one.values)) for one in inputs.values() if one.together}
+def require_distinct_keys(inputs: Mapping[str, Input]) -> None:
+    """Raise ValueError if two inputs draw the same number, or joint inputs differ in length."""
+    lists = {(drawn.together, len(drawn.values)) for drawn in inputs.values() if drawn.together}
     if len(lists) > len({name for name, _ in lists}):
-        raise ValueError("inputs: values drawn together must be as many in each; add some")
-    seen: dict[tuple[Any, ...], str] = {}
-    for name, one in inputs.items():
-        mark = (one.key, one.methods, one.specimens)
-        if mark in seen:
-            raise ValueError(f"inputs: {name} and {seen[mark]} both draw {one.key}; remove one")
-        seen[mark] = name
+        raise ValueError("inputs: found unequal numbers of values drawn together; add the missing")
+    name_of: dict[tuple[Any, ...], str] = {}
+    for name, drawn in inputs.items():
+        mark = (drawn.key, drawn.methods, drawn.specimens)
+        if mark in name_of:
+            raise ValueError(
+                f"inputs: {name} and {name_of[mark]} both draw {drawn.key}; remove one"
+            )
+        name_of[mark] = name
 
 
 @lru_cache
@@ -132,16 +137,16 @@ def load_inputs(name: str | Path = DEFAULT_INPUTS) -> Inputs:
 
 
 def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:
-    """Turn spreads that are written as quantities into numbers, and enter their sources.
+    """Replace spreads with source and range by numbers, and set the inputs' `source`.
 
     Raises
     ------
     ConfigError : a quantity without a source, or outside its range
     """
-    found = tree.get("inputs")
-    if not isinstance(found, dict):
+    inputs = tree.get("inputs")
+    if not isinstance(inputs, dict):
         return tree
-    values, origins = split_quantities({"inputs": found})
+    values, origins = split_quantities({"inputs": inputs})
     check_ranges(values, origins, where)
     for path, origin in origins.items():
         _, name, *_ = path.split(".")
@@ -150,7 +155,7 @@ def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:
 
 
 def number_at(experiment: Experiment, key: str) -> float | None:
-    """Return a number of the experiment by its dotted path; None where there is none."""
+    """Return a number of the experiment by its dotted path; None if there is no such number."""
     node: Any = experiment
     for part in key.split("."):
         node = node.get(part) if isinstance(node, dict) else getattr(node, part, None)

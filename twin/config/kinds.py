@@ -1,12 +1,13 @@
-"""Tables with a `kind`: one of the models that a registry holds.
+"""Tables with a `kind`, validated by the registered model of that kind.
 
     Material = Annotated[BaseMaterial, OneOf(MATERIALS)]
     Code = Annotated[str, NameOf(CODES)]
 
-A field of the first type takes a table whose key `kind` names a registered model, and is checked by
-that model. A document with such a field is built when it is first used, and again after each
-plug-in: it stands under `@follows(REGISTRY)` and sets `defer_build`, and so does every document
-that contains such a document. A field of the second type takes the name of a registered kind.
+A field of the first type takes a table; its key `kind` names the registered model that validates
+the table. The schema of a document with such a field is built on first use, and again after each
+plug-in. Such a document, and every document that contains it, has the decorator
+`@follows(REGISTRY)` and sets `defer_build`. A field of the second type takes the name of a
+registered kind.
 """
 
 from collections.abc import Callable
@@ -41,7 +42,7 @@ def kind_of(model: type[BaseModel]) -> str:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Marks a type as one of the models of a registry, told apart by their `kind`.
+    """Marks a type as a union of the models of a registry, discriminated by `kind`.
 
     Attributes
     ----------
@@ -73,7 +74,7 @@ class OneOf:
 
 @cache
 def default_kinds(document: type[BaseModel]) -> dict[str, str]:
-    """Return the kind that a table of a document has where it names none, by the table's key."""
+    """Return the default kinds of a document's tables, by the key of the table."""
     return {
         name: marker.default
         for name, field in document.model_fields.items()
@@ -101,7 +102,7 @@ class NameOf:
 
     @property
     def meaning(self) -> str:
-        """A line for each kind: its name and what it says of itself."""
+        """Name and summary of each kind, separated by semicolons."""
         return "; ".join(f"{name}: {kind.summary}" for name, kind in self.registry.items())
 
     def __get_pydantic_core_schema__(
@@ -146,7 +147,7 @@ def follows(*registries: Registry[Any]) -> Callable[[Document], Document]:
 
 
 def _build_again(documents: list[type[BaseModel]]) -> None:
-    # First all are forgotten: one that contains another would be built with its old schema.
+    # Delete all schemas first: a document would reuse the old schema of a document inside it.
     for document in documents:
         if "__pydantic_core_schema__" in document.__dict__:
             del document.__pydantic_core_schema__

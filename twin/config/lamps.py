@@ -1,7 +1,7 @@
-"""A photometric-stereo sensor as data: lamps beside the gel, and what becomes of its images.
+"""A photometric-stereo sensor as data: lamps at the sides of the gel, and image processing.
 
 World frame: z = 0 is the undeformed coated face, z up to the camera; in the image of a camera that
-looks straight down +x is right and +y is up. Azimuths count from +x towards +y.
+points straight down +x is right and +y is up. Azimuths count from +x towards +y.
 """
 
 from collections.abc import Mapping
@@ -33,9 +33,11 @@ class Lamp(Model):
     channel: Channel
     x_mm: Place = Field(description="world x of the row's middle")
     y_mm: Place = Field(description="world y of the row's middle")
-    height_mm: Annotated[float, Field(gt=0, le=200)] = Field(description="above the untouched coat")
+    height_mm: Annotated[float, Field(gt=0, le=200)] = Field(
+        description="height above the undeformed coat"
+    )
     length_mm: Annotated[float, Field(ge=0, le=200)] = Field(
-        description="the LEDs stand amid equal parts of it"
+        description="length of the row: each LED is in the middle of an equal part of it"
     )
     along_deg: Angle = Field(description="azimuth of the row")
     # Left out where absent: a thin, even row keeps its digest.
@@ -47,14 +49,14 @@ class Lamp(Model):
     )
     aim_azimuth_deg: Angle = Field(description="horizontal direction of strongest emission")
     aim_down_deg: Annotated[float, Field(ge=-90, le=90)] = Field(
-        description="angle of strongest emission below the horizontal; what goes up comes back from"
-        " the window's outer face"
+        description="angle of strongest emission below the horizontal; the window's outer face"
+        " reflects light that is emitted upwards"
     )
     taper: Fraction = Field(
         default=0.0,
         exclude_if=lambda taper: taper == 0.0,
-        description="how much less than the row's mean its ends shine; the flux of its LEDs falls "
-        "with the square of the way from the middle",
+        description="relative deficit of the flux at the row's ends against its mean; the flux of "
+        "its LEDs decreases with the square of the distance from the middle",
     )
     exponent: Annotated[float, Field(ge=0, le=200)] = Field(
         description="0: even over the half-space ahead"
@@ -62,18 +64,18 @@ class Lamp(Model):
     flux_mw: Flux = Field(description="radiant flux of the whole row inside the gel")
     fill_mw_per_mm2: Irradiance = Field(
         default=0.0,
-        description="irradiance of the untouched coat by light that coat, window and housing threw"
-        " back, from all directions from which the window reflects totally alike",
+        description="irradiance of the undeformed coat by light that coat, window and housing"
+        " scatter; equal radiance from all directions of total reflection at the window",
     )
     wavelength_nm: Annotated[float, Field(ge=300, le=1100)]
     emitters: Annotated[int, Field(ge=1, le=64)] = Field(default=8, description="number of LEDs")
     drift_percent: Drift = Field(
-        default=0.0, description="SD of the row's flux from press to press, all LEDs alike"
+        default=0.0, description="SD of the row's flux from press to press, common to all LEDs"
     )
     led_drift_percent: Drift = Field(
         default=0.0,
         description="SD of each LED's flux over the row's mean from press to press: LEDs share one"
-        " current, what one gains the others lose; none in a row of one",
+        " current, so that their sum is constant; no effect on a row of one LED",
     )
 
 
@@ -95,7 +97,7 @@ class Markers(Model):
 
 
 class WhiteBalance(Model):
-    """Gains of the driver, before the power law; they lift noise with the signal."""
+    """Gains of the driver, before the power law; they amplify noise and signal equally."""
 
     red: Gain = 1.0
     green: Gain = 1.0
@@ -104,7 +106,7 @@ class WhiteBalance(Model):
 
 @follows(MATERIALS)
 class BallPresses(Model):
-    """Reference presses from which colours learn their slopes."""
+    """Reference presses of balls that calibrate slope against colour."""
 
     model_config = ConfigDict(defer_build=True)
 
@@ -116,7 +118,7 @@ class BallPresses(Model):
     )
     deepest: Annotated[float, Field(gt=0.05, lt=0.5)] = 0.24
     backgrounds: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=10, description="untouched images that are averaged"
+        default=10, description="images without contact that are averaged"
     )
     truncated_background: bool = Field(
         default=False, description="their mean is cut to whole levels, as the vendor stores it"
@@ -169,20 +171,20 @@ class Photometric(Model):
     )
 
 
-def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
-    """Refuse lamps that do not fit the experiment's other tables.
+def check_lamps(lamps: Mapping[str, Lamp], tables: Mapping[str, Any]) -> None:
+    """Raise ValueError if lamps contradict the experiment's other tables.
 
     Parameters
     ----------
-    others : the validated tables by name; invalid ones are absent, and reported elsewhere
+    tables : the validated tables of the experiment by name, without invalid tables
 
     Raises
     ------
-    ValueError : one line: what, found, allowed, what to do
+    ValueError : one line: key, found, allowed, remedy
     """
-    if "modality" in others and not TRAITS[others["modality"]].fringes:
-        _check_method(lamps, others)
-    layers: Mapping[str, Layer] = others.get("layers", {})
+    if "modality" in tables and not TRAITS[tables["modality"]].fringes:
+        _check_method(lamps, tables)
+    layers: Mapping[str, Layer] = tables.get("layers", {})
     face = outer_face(layers)
     top_mm = max((layer.top_mm for layer in layers.values()), default=0.0)
     if face is not None:
@@ -197,22 +199,22 @@ def check_lamps(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
         if lamp.tall_mm / 2 >= lamp.height_mm or (layers and highest_mm >= top_mm):
             reach_mm = min(lamp.height_mm, top_mm - lamp.height_mm) if layers else lamp.height_mm
             raise ValueError(
-                f"{name}.tall_mm: found {lamp.tall_mm:g}, allowed below {2 * reach_mm:g}: all of"
-                " the lamp stands above the untouched coat and below the top of the layers"
+                f"{name}.tall_mm: found {lamp.tall_mm:g}, allowed below {2 * reach_mm:g}: the"
+                " whole lamp must be above the undeformed coat and below the top of the layers"
             )
 
 
-def _check_method(lamps: Mapping[str, Lamp], others: Mapping[str, Any]) -> None:
+def _check_method(lamps: Mapping[str, Lamp], tables: Mapping[str, Any]) -> None:
     missing = [name for name in CHANNELS if name not in {lamp.channel for lamp in lamps.values()}]
     if missing:
         raise ValueError(
             f"no lamp has channel {', '.join(missing)}; modality = 'photometric_stereo' needs all"
             " three: add [lamps.NAME]"
         )
-    if "elastomer" in others and others["elastomer"].layout != "contact_face":
+    if "elastomer" in tables and tables["elastomer"].layout != "contact_face":
         raise ValueError(
-            "modality = 'photometric_stereo' looks at the coat through the gel; set"
+            "modality = 'photometric_stereo' views the coat through the gel; set"
             " elastomer.layout = 'contact_face'"
         )
-    if "layers" in others and not others["layers"]:
+    if "layers" in tables and not tables["layers"]:
         raise ValueError("modality = 'photometric_stereo' needs the gel: add [layers.gel]")

@@ -1,8 +1,8 @@
 """Clear plane layers above the coat as data: a gel, its window, an air gap between them.
 
-World frame: z = 0 is the undeformed coated face, layers are horizontal and reach as far as any
-light does. Above the topmost one, and in gaps between them, is air. A layer whose bottom is at or
-below z = 0 holds the coat: it fills everything down to the coat, wherever that is.
+World frame: z = 0 is the undeformed coated face; layers are horizontal and laterally unbounded.
+Above the topmost layer, and in gaps between layers, is air. A layer with its bottom at or below
+z = 0 contains the coat: it extends down to the deformed coat.
 """
 
 import math
@@ -18,14 +18,14 @@ from twin.config.bounds import Absorption, Length
 from twin.config.methods import TRAITS
 
 TOUCHING_MM = 1e-6
-"""Layers closer than this touch: nobody grinds an air gap of a nanometre."""
+"""Layers closer than this are in contact: no real air gap is a nanometre wide."""
 
 
 class Layer(Model):
     """A plane-parallel, clear, optically smooth layer."""
 
     bottom_mm: Annotated[float, Field(ge=-1000, le=1000)] = Field(
-        description="world z of its lower face; 0 or less: the coat lies in it"
+        description="world z of its lower face; 0 or less: the layer contains the coat"
     )
     thickness_mm: Length
     ior: Annotated[float, Field(ge=1, le=3)] = Field(description="index of refraction against air")
@@ -41,7 +41,7 @@ class Layer(Model):
 
 @dataclass(frozen=True)
 class Medium:
-    """What light passes between one plane interface and the next one below."""
+    """The medium between a plane interface and the next interface below."""
 
     #: world z of the interface above it
     top_mm: float
@@ -52,7 +52,7 @@ class Medium:
 def media_of(layers: Mapping[str, Layer]) -> tuple[Medium, ...]:
     """List the media below the open air from the top down, gaps of air included.
 
-    The last one is what the coat lies in: a layer, or the air below the lowest layer.
+    The last medium contains the coat: a layer, or the air below the lowest layer.
     """
     media: list[Medium] = []
     descending = sorted(layers.values(), key=lambda layer: layer.top_mm, reverse=True)
@@ -66,24 +66,25 @@ def media_of(layers: Mapping[str, Layer]) -> tuple[Medium, ...]:
 
 
 def holding_layer(layers: Mapping[str, Layer]) -> Layer | None:
-    """Return the layer that the coat lies in; None when that is air."""
+    """Return the layer that contains the coat; None if the coat is in air."""
     return next((layer for layer in layers.values() if layer.bottom_mm <= 0.0), None)
 
 
 @dataclass(frozen=True)
 class OuterFace:
-    """Where the medium that the coat lies in ends in air, with all layers that touch it."""
+    """Interface to air of the layers in contact with each other that contain the coat."""
 
     height_mm: float
     """world z"""
     ior: float
-    """of the coat's medium: what light does at this face hangs on the angle to it in there"""
+    """of the coat's medium: the angle in it determines reflection at this face"""
 
 
 def outer_face(layers: Mapping[str, Layer]) -> OuterFace | None:
-    """Return the face from which the layers throw light back onto the coat; None: it lies in air.
+    """Return the face from which the layers reflect light onto the coat; None: the coat is in air.
 
-    Plane layers that touch keep n sin(angle), so that one index tells what leaves the topmost one.
+    n sin(angle) is constant in plane layers in contact, so that the index of the coat's medium
+    determines which light the topmost layer transmits.
     """
     height_mm, ior = 0.0, 1.0
     if holding_layer(layers) is not None:
@@ -103,50 +104,51 @@ def _in_order(layers: dict[str, Layer]) -> dict[str, Layer]:
             raise ValueError(
                 f"{name} ends at {layer.top_mm:g} mm, below the opaque coat at 0; remove it"
             )
-    for (name, layer), (other, above) in pairwise(ascending):
+    for (name, layer), (upper_name, above) in pairwise(ascending):
         if above.bottom_mm < layer.top_mm - TOUCHING_MM:
             raise ValueError(
-                f"{name} ends at {layer.top_mm:g} mm, {other} begins below that, at "
-                f"{above.bottom_mm:g} mm; raise {other}.bottom_mm or make {name} thinner"
+                f"{name} ends at {layer.top_mm:g} mm, {upper_name} starts below that, at "
+                f"{above.bottom_mm:g} mm; raise {upper_name}.bottom_mm or make {name} thinner"
             )
     return layers
 
 
-def check_rig(layers: Mapping[str, Layer], others: Mapping[str, Any]) -> None:
-    """Refuse layers that do not fit the experiment's other tables.
+def check_rig(layers: Mapping[str, Layer], tables: Mapping[str, Any]) -> None:
+    """Raise ValueError if layers contradict the experiment's other tables.
 
     Parameters
     ----------
-    others : the validated tables by name; invalid ones are absent, and reported elsewhere
+    tables : the validated tables of the experiment by name, without invalid tables
 
     Raises
     ------
-    ValueError : one line: what, found, allowed, what to do
+    ValueError : one line: key, found, allowed, remedy
     """
     if not layers:
         return
-    if "modality" in others and not TRAITS[others["modality"]].presses:
+    if "modality" in tables and not TRAITS[tables["modality"]].presses:
         raise ValueError(
-            f"modality = '{others['modality']}' looks through air alone; remove the layers"
+            f"modality = '{tables['modality']}' images through air only; remove the layers"
         )
-    if "render" in others:
-        _check_render(others["render"])
+    if "render" in tables:
+        _check_render(tables["render"])
     for device in ("camera", "projector"):
-        if device in others:
-            _check_height(device, others[device].pose, max(one.top_mm for one in layers.values()))
-    if "elastomer" in others and others["elastomer"].layout == "contact_face":
-        _check_gel(layers, others["elastomer"].thickness_mm)
+        if device in tables:
+            top_mm = max(layer.top_mm for layer in layers.values())
+            _check_height(device, tables[device].pose, top_mm)
+    if "elastomer" in tables and tables["elastomer"].layout == "contact_face":
+        _check_gel(layers, tables["elastomer"].thickness_mm)
 
 
 def _check_render(render: Any) -> None:
     if render.bounces:
         raise ValueError(
-            f"render.bounces = {render.bounces}: light that the layers throw back is not traced; "
+            f"render.bounces = {render.bounces}: light reflected by the layers is not traced; "
             "set render.bounces = 0"
         )
     if render.engine == "stock":
         raise ValueError(
-            "render.engine = 'stock': stock Mitsuba finds no way from a coat below a refracting "
+            "render.engine = 'stock': stock Mitsuba cannot connect a coat below a refracting "
             "face to the projector; set render.engine = 'one_trace'"
         )
 
@@ -163,9 +165,11 @@ def _check_height(device: str, pose: Any, top_mm: float) -> None:
 def _check_gel(layers: Mapping[str, Layer], thickness_mm: float) -> None:
     gel = holding_layer(layers)
     if gel is None or abs(gel.top_mm - thickness_mm) > TOUCHING_MM:
-        found = "none holds the coat" if gel is None else f"the coat's ends at {gel.top_mm:g}"
+        fault = "found no layer round the coat"
+        if gel is not None:
+            fault = f"found the top of the coat's layer at {gel.top_mm:g}"
         raise ValueError(
-            f"{found}; elastomer.layout = 'contact_face' needs the gel: bottom_mm = 0, "
+            f"{fault}; elastomer.layout = 'contact_face' needs the gel: bottom_mm = 0, "
             f"thickness_mm = {thickness_mm:g} as elastomer.thickness_mm"
         )
 

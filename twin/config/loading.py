@@ -1,13 +1,14 @@
 """Experiment files: read one, resolve the data files it uses, validate the whole, write it.
 
-Any table may say `use = "scenes/..."`, `use = "materials/..."` or, with a file of one's own,
-`use = "./coat.toml"`: that file is the base on which the table's own keys are laid. Names that
-begin with `./` or `../` are found from the file that they stand in, meshes and tables alike.
+Any table may set `use = "scenes/..."`, `use = "materials/..."` or, for a user's file,
+`use = "./coat.toml"`: the table's own keys override those of that file. Names of tables and meshes
+that start with `./` or `../` are relative to the file that contains them.
 
-A value may be that of another key: `thickness_mm = "= elastomer.thickness_mm"`. Such links are kept
-in `[links]` and hold when the other key is varied; setting the key itself ends its link.
+A value may link to that of another key: `thickness_mm = "= elastomer.thickness_mm"`. Links are
+stored in `[links]` and follow later changes of the linked key; setting the key itself removes its
+link.
 
-The result names no data file any more; it can be written, read back and rerun anywhere.
+The resolved experiment refers to no data file, so that it can be saved, loaded and run anywhere.
 """
 
 import difflib
@@ -36,8 +37,8 @@ from twin.config.quantities import (
 from twin.config.schema import keys_of_kind, validated
 
 ABSENT = "absent"
-"""Says that a key is not there, so that its default holds: TOML knows no null."""
-# Files that use two files each, which use two each, would lay down thousands of tables.
+"""Value that removes a key, so that its default applies: TOML has no null."""
+# Files that use two files each, over many levels, would expand to thousands of tables.
 MOST_USED_FILES = 200
 
 
@@ -47,11 +48,11 @@ def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None
     Parameters
     ----------
     path : a TOML file, or the name of a shipped one ("paper/two_balls")
-    overrides : values by dotted path ("camera.binning") laid over the file
+    overrides : values by dotted path ("camera.binning") that replace those of the file
 
     Raises
     ------
-    ConfigError : with one line per problem: what, where, found, allowed
+    ConfigError : with one line per problem: key, found, allowed, remedy
     """
     file = scene_file(path)
     tree = resolve_uses(read_toml(file), (file,))
@@ -78,7 +79,7 @@ def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> E
 
 
 def decode_settings(**values: Any) -> Decode:
-    """Validate the settings of the decoder alone, for captures that come without an experiment."""
+    """Validate settings of the decoder, for captures without an experiment."""
     return validated(Decode, values, "decode.")
 
 
@@ -91,25 +92,25 @@ def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
 
 
 def by_method(method: Method) -> dict[str, Any]:
-    """Return the changes that make an experiment one by another method.
+    """Return the changes that convert an experiment to another method.
 
-    A bare specimen is seen through air, whatever the gel is seen through.
+    A method without a press images the bare specimen through air: it has no layers.
     """
     bare = {} if TRAITS[method].presses else {"layers": ABSENT}
     return {"modality": method} | bare
 
 
 def _linked(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Give every linked key the value of the key that it names, and list the links in [links]."""
-    told = tree.get("links", {})
-    if not isinstance(told, dict):
+    """Set every linked key to the value of the key that it names, and list the links in [links]."""
+    listed = tree.get("links", {})
+    if not isinstance(listed, dict):
         raise ConfigError(f"{where}: links: found a value, allowed a table")
-    links = {**told, **dict(_links_in(tree, ""))}
+    links = {**listed, **dict(_links_in(tree, ""))}
     try:
         order = [*TopologicalSorter({key: [named] for key, named in links.items()}).static_order()]
     except CycleError as error:
         circle = " = ".join(error.args[1])
-        raise ConfigError(f"{where}: links lead back to themselves: {circle}") from None
+        raise ConfigError(f"{where}: found a cycle of links: {circle}; remove one") from None
     linked = _own_tables(tree)
     linked.pop("links", None)
     for key in order:
@@ -133,16 +134,16 @@ def _links_in(tree: Mapping[str, Any], before: str) -> Iterator[tuple[str, str]]
 
 
 def _quantity_of(tree: dict[str, Any], key: str, named: Any, where: str) -> dict[str, Any]:
-    found = value_at(tree, str(named))
-    found = found["value"] if is_quantity(found) else found
-    if found is None or isinstance(found, dict):
-        what = "a table" if found is not None else "no value"
-        raise ConfigError(f"{where}: {key} = '= {named}': found {what} there; name a key with one")
-    return {"value": found, "source": f"as {named}"}
+    node = value_at(tree, str(named))
+    value = node["value"] if is_quantity(node) else node
+    if value is None or isinstance(value, dict):
+        kind = "a table" if value is not None else "no value"
+        raise ConfigError(f"{where}: {key} = '= {named}': found {kind} there; name a key with one")
+    return {"value": value, "source": f"as {named}"}
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """Read a TOML file; one line says what is wrong with it."""
+    """Read a TOML file; raise ConfigError with one line if that fails."""
     try:
         return reading.read_toml(file)
     except InputError as error:
@@ -152,12 +153,12 @@ def read_toml(file: Path) -> dict[str, Any]:
 def resolve_uses(
     tree: dict[str, Any], trail: tuple[Path, ...], used_files: list[Path] | None = None
 ) -> dict[str, Any]:
-    """Lay tables over the data files that they `use`.
+    """Merge tables with the data files that they `use`; a table's own keys take precedence.
 
     Parameters
     ----------
-    trail : the files that led here
-    used_files : all that were laid down so far; None: none yet
+    trail : the chain of files that use each other, up to that of `tree`
+    used_files : all files that were used so far; None: none
     """
     laid = [] if used_files is None else used_files
     here = trail[-1]
@@ -174,8 +175,8 @@ def resolve_uses(
 
 def _load_used(name: str, trail: tuple[Path, ...], laid: list[Path]) -> dict[str, Any]:
     file = _used_file(name, trail[-1])
-    if file.resolve() in {one.resolve() for one in trail}:
-        raise AssetCycleError(f"{trail[-1]}: use = '{name}' leads back to itself: remove one use")
+    if file.resolve() in {path.resolve() for path in trail}:
+        raise AssetCycleError(f"{trail[-1]}: use = '{name}' is cyclic: remove one use")
     laid.append(file)
     if len(laid) > MOST_USED_FILES:
         raise ConfigError(
@@ -195,12 +196,12 @@ def _used_file(name: str, here: Path) -> Path:
     if not _is_own(name):
         raise ConfigError(
             f"{here}: use = '{name}': must start with scenes/ or materials/, or with ./ for a file "
-            "found from this one"
+            "relative to this file"
         )
     file = Path(_from_here(name, here))
     if not reading.is_regular(file):
-        beside = sorted(path.name for path in file.parent.glob("*.toml"))
-        close = difflib.get_close_matches(file.name, beside, n=1)
+        siblings = sorted(path.name for path in file.parent.glob("*.toml"))
+        close = difflib.get_close_matches(file.name, siblings, n=1)
         hint = f"; did you mean {close[0]}?" if close else ""
         raise ConfigError(f"{here}: use = '{name}': there is no file {file}{hint}")
     return file
@@ -211,12 +212,12 @@ def _is_own(name: Any) -> bool:
 
 
 def _from_here(value: Any, here: Path) -> Any:
-    """Return a name that begins with ./ or ../ as the path from where the program runs."""
+    """Return a name that starts with ./ or ../ relative to the working directory."""
     return str(here.parent / value) if _is_own(value) else value
 
 
 def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
-    """Lay `top` over `base`; a plain value over a quantity keeps the quantity's valid range."""
+    """Override `base` by `top`; a plain value keeps the valid range of the quantity it replaces."""
     merged = dict(base)
     for key, node in top.items():
         under = merged.get(key)
@@ -268,7 +269,7 @@ def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
 
 
 def _drop_keys_of_other_kinds(node: dict[str, Any], path: str, kind: Any) -> None:
-    """Keep of a table what its new kind has, too: a matte coat keeps the albedo of another."""
+    """Delete the keys that the new kind lacks; both kinds of a coat may have an albedo."""
     if node.get("kind", default_kinds(Experiment).get(path)) == kind:
         return
     keys = keys_of_kind(path, kind)
@@ -281,7 +282,7 @@ def _is_absent(value: Any) -> bool:
 
 
 def _sets(dotted: str, value: Any, key: str) -> bool:
-    """Tell whether a value, a table perhaps, laid at a path sets a key, or takes it away."""
+    """Return True if assigning a value or table at a path sets or removes a key."""
     if _is_absent(value):
         return key == dotted or key.startswith(f"{dotted}.")
     if isinstance(value, dict) and not is_quantity(value):
@@ -298,4 +299,4 @@ def to_toml(experiment: Experiment) -> str:
 def _without_none(node: Any) -> Any:
     if isinstance(node, dict):
         return {key: _without_none(value) for key, value in node.items() if value is not None}
-    return [_without_none(one) for one in node] if isinstance(node, list) else node
+    return [_without_none(item) for item in node] if isinstance(node, list) else node

@@ -1,9 +1,9 @@
-"""What a specimen is made of, optically: what every kind of material states.
+"""Optical materials of specimens: the base class and registry of their kinds.
 
 A kind is one file of `twin.optics.surfaces`, of an installed package (entry points of the group
 `fringe_twin.materials`) or of the user (`--plugin`): a subclass of `OpticalMaterial` that sets
 `kind`, adds its numbers with ranges and sources, and overrides `bsdf`. Every material conserves
-energy by construction; complex indices hold at the projector's wavelength.
+energy by construction; complex indices are those at the projector's wavelength.
 """
 
 from typing import Annotated, Any
@@ -20,7 +20,7 @@ Albedo = Annotated[float, Field(ge=0, lt=1)]
 
 
 class OpticalMaterial(Model):
-    """A surface, and the bulk below it where light gets in."""
+    """A surface, and the bulk below it if the surface transmits light."""
 
     kind: str
 
@@ -30,7 +30,7 @@ class OpticalMaterial(Model):
 
     @property
     def is_sharp(self) -> bool:
-        """Whether light that this surface throws on others is traced from the projector.
+        """Whether light from this surface to other surfaces is traced from the projector.
 
         A surface that reflects or refracts sharply cannot be connected to a pinhole projector from
         a surface behind it.
@@ -39,12 +39,12 @@ class OpticalMaterial(Model):
 
     @property
     def bulk_absorption_per_mm(self) -> float:
-        """Napierian absorption coefficient of the bulk; 0 where no light gets in."""
+        """Napierian absorption coefficient of the bulk; 0 if the surface is opaque."""
         return 0.0
 
     @property
     def normal_reflectance(self) -> float:
-        """Share of light at normal incidence that an object throws back, against air."""
+        """Reflectance in air at normal incidence."""
         return 0.0
 
 

@@ -1,7 +1,7 @@
-"""What is to be measured of the specimen: `[[measurand]]` tables, with nominal and tolerance.
+"""Measured quantities of the specimen: `[[measurand]]` tables with nominal and tolerance.
 
-Lengths of a drawing (step height, width, ...) are in mm, form, deviation and all limits in um,
-coverage is a share.
+Nominal lengths (step height, width, ...) are in mm; form, deviation and all limits in um; coverage
+is a share.
 
 A quantity is one file of `twin.results.measurands`, of an installed package (entry points of the
 group `fringe_twin.measurands`) or of the user (`--plugin`): see `twin.results.measurands`.
@@ -50,12 +50,12 @@ Range = tuple[Place, Place]
 
 
 class ObjectMeasurand(Model):
-    """One quantity of the specimen, where it is measured, and what is allowed."""
+    """One quantity of the specimen, with its evaluated region and its tolerance."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)] = Field(
         description="its figures are called object_NAME_..."
     )
-    quantity: Annotated[str, NameOf(MEASURANDS)] = Field(description="what is measured")
+    quantity: Annotated[str, NameOf(MEASURANDS)] = Field(description="kind of quantity")
     part: str = Field(default="", description="of a group: the part's name; empty: the first")
     number: Annotated[int, Field(ge=1, le=100)] = Field(
         default=1, description="which of several balls, rods or bars, counted along x"
@@ -64,10 +64,10 @@ class ObjectMeasurand(Model):
     y_mm: Range | None = Field(default=None, description="only points between these world y")
     over: Literal["contact", "specimen"] = Field(
         default="contact",
-        description="form, deviation: points where coat and specimen touch, or all over it",
+        description="form, deviation: points in contact with the specimen, or all over it",
     )
     alignment: Alignment = Field(
-        default="offset", description="of a deviation: what is taken off by a best fit before"
+        default="offset", description="of a deviation: the best fit that is subtracted first"
     )
     nominal_mm: Length | None = Field(
         default=None, description="of a length; default: the specimen's own"
@@ -82,7 +82,7 @@ class ObjectMeasurand(Model):
     )  # fmt: skip
     at_least: Fraction | None = Field(default=None, description="least allowed coverage")
     repeatability_um: Micrometres = Field(
-        default=0.0, description="standard uncertainty from setting up and measuring again"
+        default=0.0, description="standard uncertainty of repeated set-up and measurement"
     )
     calibration_um: Micrometres = Field(
         default=0.0, description="standard uncertainty from the sensor's calibration"

@@ -1,4 +1,4 @@
-"""The methods by name, and what distinguishes them; nothing else compares their names."""
+"""The methods by name, and their traits; other modules compare traits, not names."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -8,17 +8,17 @@ Method = Literal["direct_fpp", "contact_fpp", "photometric_stereo"]
 
 @dataclass(frozen=True)
 class MethodTraits:
-    """What a method does, as far as others must know.
+    """Traits of a method on which other modules depend.
 
     Attributes
     ----------
-    title, told : what pages call it, and how they explain it
-    presses : it looks at a coat that is pressed onto the specimen, not at the bare specimen
-    fringes : it projects a sequence of fringes; if not, lamps beside the gel light one image
+    title, explanation : name and explanation on report pages
+    presses : it images a coat that is pressed onto the specimen, not the bare specimen
+    fringes : it projects a sequence of fringes; if not, lamps at the gel's sides light one image
     """
 
     title: str
-    told: str
+    explanation: str
     presses: bool
     fringes: bool
 

@@ -1,6 +1,6 @@
 """The experiment as data: every number that describes sensor, specimen, press and decoding.
 
-All models are frozen and refuse unknown keys; every float carries its unit in its name (mm, px,
+All models are frozen and reject unknown keys; every float carries its unit in its name (mm, px,
 deg, ms, N, kPa; no suffix means dimensionless). World frame: undeformed coated face is z = 0, z
 points up to camera and projector. Device frames are OpenCV's (x right, y down, z forward; pixel
 (0, 0) is the centre of the first pixel).
@@ -82,7 +82,7 @@ __all__ = [
 
 
 class Pose(Model):
-    """Where a device stands: its pinhole on a sphere round the world origin, looking at it.
+    """Pose of a device: its pinhole is on a sphere round the world origin and faces the origin.
 
     The ray of the image centre (not the optical axis, which may be off-axis) hits the origin.
     """
@@ -104,7 +104,7 @@ class Projector(Model):
     height_px: Annotated[int, Field(ge=16, le=8192)]
     throw_ratio: ThrowRatio = Field(description="distance / image width; focal length in widths")
     offset_percent: Annotated[float, Field(ge=-200, le=200)] = Field(
-        description="100: the optical axis leaves at the lower edge of the image, 0: centred"
+        description="100: the optical axis is at the lower edge of the image, 0: centred"
     )
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     pose: Pose
@@ -117,7 +117,7 @@ class Projector(Model):
     response: Annotated[tuple[Fraction, ...], Field(max_length=65536)] | None = Field(
         default=None,
         description="measured instead of gamma: relative light at equally spaced levels from 0 to "
-        "255, between which it is interpolated; never falling, the last is 1; black is `contrast`",
+        "255, between which it is interpolated; not decreasing, the last is 1; black is `contrast`",
     )
     blur_px: Annotated[float, Field(ge=0, le=10)] = Field(
         description="lens blur at best focus, Gaussian sigma in projector pixels, on top of the "
@@ -125,7 +125,7 @@ class Projector(Model):
     )
     aperture_mm: Annotated[float, Field(ge=0, le=100)] = Field(
         default=0.0,
-        description="diameter of the exit pupil: blur grows with the distance from the focal "
+        description="diameter of the exit pupil: blur increases with the distance from the focal "
         "plane; 0: the same blur at every distance",
     )
     focus_mm: Length | None = Field(
@@ -145,7 +145,7 @@ class Projector(Model):
         if len(response) < 2 or response[-1] != 1.0:
             raise ValueError("allowed two or more numbers, the last 1; divide by the white level")
         if any(higher < lower for lower, higher in pairwise(response)):
-            raise ValueError("allowed numbers that never fall with the level; smooth the curve")
+            raise ValueError("allowed numbers that never decrease with the level; smooth the curve")
         return response
 
 
@@ -181,7 +181,7 @@ class Camera(Model):
     bit_depth: Literal[8, 10, 12, 14, 16]
     black_level_dn: BlackLevel
     binning: Literal[1, 2, 4] = Field(
-        default=1, description="pixels summed per axis; DN stays scaled to the bit depth"
+        default=1, description="pixels summed per axis; DN remains scaled to the bit depth"
     )
     noise: bool = Field(default=True, description="False: expected value, no quantisation")
 
@@ -192,8 +192,8 @@ class Camera(Model):
         if pose.standoff_mm <= focal_mm:
             raise ValueError(
                 f"standoff_mm: found {pose.standoff_mm:g}, allowed more than focal_length_mm, "
-                f"{focal_mm:g}: a lens images nothing nearer; move the camera away, or use a "
-                "shorter lens"
+                f"{focal_mm:g}: a lens forms no image of nearer objects; move the camera "
+                "away, or use a shorter lens"
             )
         return pose
 
@@ -208,7 +208,7 @@ class Camera(Model):
         return black_level_dn
 
 
-# Specimen and stage light each other; what a fourth reflection adds at albedo 0.35 is below 1 %.
+# Light between specimen and stage: a fourth reflection at albedo 0.35 adds less than 1 %.
 _DIRECT_BOUNCES = 3
 
 
@@ -231,14 +231,14 @@ class Patterns(Model):
 
     period_px: PeriodPx
     steps: Annotated[int, Field(ge=0, le=STEPS_RANGE[1])] = Field(
-        description="phase steps, 3 or more; 0: words alone, period_px wide each, code 'gray'"
+        description="phase steps, 3 or more; 0: code words only, each period_px wide, code 'gray'"
     )
     code: Annotated[str, NameOf(CODES)] = Field(
-        default=PatternSet.code, description="how the fringes are numbered"
+        default=PatternSet.code, description="code of the fringe order"
     )
     further_periods_px: Annotated[Periods, Field(max_length=MOST_FURTHER_PERIODS)] = Field(
         default=PatternSet.further_periods_px,
-        description="the other periods, of a code that needs any",
+        description="additional periods of a code that needs them",
     )
     row_periods_px: Periods = _of_set(
         "row_periods_px", "all periods along rows; empty: those along columns"
@@ -262,7 +262,7 @@ class Patterns(Model):
     @classmethod
     def _steps_fit_the_period(cls, steps: int, info: ValidationInfo) -> int:
         if 0 < steps < STEPS_RANGE[0]:
-            raise ValueError(f"allowed >= {STEPS_RANGE[0]}, <= {STEPS_RANGE[1]}, or 0: words alone")
+            raise ValueError(f"allowed >= {STEPS_RANGE[0]}, <= {STEPS_RANGE[1]}, or 0: words only")
         period_px = info.data.get("period_px", PERIOD_RANGE_PX[0])
         if steps and period_px < PERIOD_RANGE_PX[0]:
             raise ValueError(
@@ -272,7 +272,7 @@ class Patterns(Model):
 
 
 class Render(Model):
-    """How the frames are computed."""
+    """Settings of the renderer."""
 
     engine: Literal["one_trace", "stock"] = Field(
         default="one_trace", description="stock: one plain Mitsuba render per frame, the oracle"
@@ -285,8 +285,8 @@ class Render(Model):
     )
     bounces: Annotated[int, Field(ge=0, le=16)] | None = Field(
         default=None,
-        description="reflections at matte surfaces after the first (light between surfaces); 0 is "
-        "direct light alone; absent: 0 for the coat, 3 where the bare specimen is seen",
+        description="reflections at matte surfaces after the first (light between surfaces); 0: "
+        "direct light only; absent: 0 for the coat, 3 for a bare specimen",
     )
     bounce_paths: Annotated[int, Field(ge=1, le=4096)] = Field(
         default=4, description="random continuations per camera ray, when there are bounces"
@@ -298,7 +298,7 @@ class Render(Model):
 
 
 class Decode(Model):
-    """How the stack becomes points."""
+    """Settings of decoding and triangulation."""
 
     filter_taps: Annotated[int, Field(ge=0, le=31)] = Field(
         default=DecodeOptions.filter_taps,
@@ -313,26 +313,26 @@ class Decode(Model):
 
 
 class ScoreSettings(Model):
-    """What is evaluated."""
+    """Settings of the evaluation."""
 
     roi_radius_mm: Length = Field(
         description="sphere fit over points within this lateral distance of each apex"
     )
-    # Left out where there are none: such an experiment keeps its digest.
+    # Excluded if empty: the digests of experiments without regions do not change.
     regions_mm: tuple[Length, ...] = Field(
         default=(),
         max_length=16,
         exclude_if=lambda regions: not regions,
-        description="the same over further distances, up to the ball's footprint; figures named "
+        description="same fit over further distances, up to the ball's footprint; figures named "
         "sphere_1_within_4_radius_mm",
     )
     good_within_um: Tolerance = Field(
-        default=50.0, description="a point counts as good when its height errs by no more"
+        default=50.0, description="largest height error of a point that counts as good"
     )
 
 
 class Provenance(Model):
-    """Where one number comes from."""
+    """Source of one number."""
 
     source: str
     range: tuple[float, float] | None = None
@@ -340,7 +340,7 @@ class Provenance(Model):
 
 @follows(COATINGS, MATERIALS, SPECIMENS)
 class Experiment(Model):
-    """One virtual measurement, whole."""
+    """Complete description of one virtual measurement."""
 
     model_config = ConfigDict(defer_build=True)
 
@@ -351,13 +351,13 @@ class Experiment(Model):
     links: dict[str, str] = Field(
         default_factory=dict,
         exclude_if=lambda links: not links,
-        description="keys whose value is that of another key, which must be set",
+        description="linked keys: each has the value of the key that it names, which must be set",
     )
     modality: Method = Field(
         default="contact_fpp",
         description="contact_fpp: fringes on the coat of the pressed elastomer; "
-        "direct_fpp: fringes on the bare specimen, which stands on the stage; "
-        "photometric_stereo: the coat in the light of coloured lamps, seen through its gel",
+        "direct_fpp: fringes on the bare specimen on the stage; "
+        "photometric_stereo: the coat under coloured lamps, imaged through its gel",
     )
     specimen: AnySpecimen
     stage: Stage = Stage()
@@ -374,21 +374,21 @@ class Experiment(Model):
     measurand: tuple[ObjectMeasurand, ...] = Field(
         default=(),
         max_length=200,
-        exclude_if=lambda asked: not asked,
-        description="[[measurand]]: what is to be found out about the specimen, each with name, "
-        "quantity, and perhaps nominal_mm and what is allowed",
+        exclude_if=lambda measurands: not measurands,
+        description="[[measurand]]: quantities to be measured, each with name, quantity and "
+        "optionally nominal_mm and limits",
     )
     layers: Layers = Field(
         default={},
         max_length=32,
         description="[layers.NAME]: clear plane layers above the coat, each with bottom_mm (world "
-        "z; 0 or less holds the coat), thickness_mm, ior, absorption_per_mm (0)",
+        "z; 0 or less: contains the coat), thickness_mm, ior, absorption_per_mm (0)",
     )
     lamps: dict[str, Lamp] = Field(
         default={},
         max_length=64,
         validate_default=True,
-        description="[lamps.NAME]: rows of LEDs beside the gel (photometric_stereo)",
+        description="[lamps.NAME]: rows of LEDs at the sides of the gel (photometric_stereo)",
     )
     photometric: Photometric = Field(
         default_factory=Photometric, description="images and calibration of photometric_stereo"
@@ -406,7 +406,7 @@ class Experiment(Model):
 
     @property
     def method(self) -> MethodTraits:
-        """What the method of `modality` does."""
+        """Traits of the method that `modality` names."""
         return TRAITS[self.modality]
 
     @model_validator(mode="after")
@@ -423,13 +423,13 @@ class Experiment(Model):
     @field_validator("measurand")
     @classmethod
     def _measurands_have_names(
-        cls, asked: tuple[ObjectMeasurand, ...]
+        cls, measurands: tuple[ObjectMeasurand, ...]
     ) -> tuple[ObjectMeasurand, ...]:
-        names = [one.name for one in asked]
+        names = [measurand.name for measurand in measurands]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"found the name {', '.join(twice)} twice; each needs its own")
-        return asked
+        return measurands
 
     @field_validator("layers")
     @classmethod

@@ -1,4 +1,4 @@
-"""Nominal features of specimens: what a drawing dimensions and a measurement fits.
+"""Nominal features of specimens: their dimensions on a drawing, and the targets of fits.
 
 Frame of the specimen: x across a feature, y along it. mm.
 """
@@ -23,7 +23,7 @@ class NominalFeature:
 
 @dataclass(frozen=True)
 class NominalBall(NominalFeature):
-    """A ball; its place is that of the shape's sphere of the same number."""
+    """A ball; its position is that of the shape's sphere of the same number."""
 
     is_counted: ClassVar[bool] = True
     radius_mm: float
@@ -36,7 +36,7 @@ class NominalBall(NominalFeature):
 
 @dataclass(frozen=True)
 class NominalRod(NominalFeature):
-    """A cylinder that lies along an axis of the specimen.
+    """A cylinder along an axis of the specimen.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class NominalRod(NominalFeature):
 
     @property
     def width_mm(self) -> float:
-        """Width seen from above."""
+        """Width in top view."""
         return 2 * self.radius_mm
 
 
@@ -70,7 +70,7 @@ class NominalBar(NominalFeature):
     ----------
     middle_mm : place of its middle along x
     edge_radius_mm : rounding of its upper edges
-    gap_mm : clearance to its neighbours, inf where there are none
+    gap_mm : clearance to its neighbours, inf without neighbours
     """
 
     is_counted: ClassVar[bool] = True
@@ -130,12 +130,12 @@ class NominalGrating(NominalFeature):
 
 @dataclass(frozen=True)
 class NominalHexNut(NominalFeature):
-    """A hexagonal prism with a flat ring round its hole; two of its flats lie across y.
+    """A hexagonal prism with a flat ring round its hole; two of its flats are normal to y.
 
     Attributes
     ----------
     ring_radius_mm : middle of the ring between hole and chamfer
-    chamfer_fall_mm : height by which the chamfer falls from the ring to the corners
+    chamfer_fall_mm : height of the ring above the chamfered corners
     """
 
     across_flats_mm: float

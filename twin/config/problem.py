@@ -1,6 +1,6 @@
-"""An identification problem as data: what is not known of a sensor, and what was measured with it.
+"""An identification problem as data: unknown fields of a sensor, and measured figures.
 
-`twin identify` finds which values of the free fields agree with the measured rows. Shipped ones lie
+`twin identify` estimates the values of the free fields from the measured rows. Shipped problems are
 in `scenes`; `docs/identify.md` explains every key.
 """
 
@@ -30,7 +30,7 @@ DottedPath = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*
 
 
 class Free(Model):
-    """A field of the experiments whose value is not known, and what is believed of it."""
+    """A field of the experiments with an unknown value, and its prior."""
 
     path: DottedPath = Field(description="dotted path of the field")
     low: Figure
@@ -43,13 +43,15 @@ class Free(Model):
     sd: FigureSigma | None = Field(
         default=None, description="of a normal prior: the field's unit, with scale = 'log' relative"
     )
-    experiments: tuple[Name, ...] = Field(default=(), description="where it applies; absent: all")
+    experiments: tuple[Name, ...] = Field(
+        default=(), description="experiments with this field; absent: all"
+    )
     among: Annotated[tuple[Figure, ...], Field(min_length=3, max_length=1000)] | None = Field(
         default=None,
-        description="values at which every simulation gives its figures, in metrics named with "
-        "{NAME} of this field: it costs no simulation",
+        description="values for which every simulation computes its figures, in metrics named "
+        "with {NAME} of this field; the field needs no additional simulations",
     )
-    source: str | None = Field(default=None, description="where range and prior come from")
+    source: str | None = Field(default=None, description="origin of range and prior")
 
     @model_validator(mode="after")
     def _whole(self) -> "Free":
@@ -57,7 +59,7 @@ class Free(Model):
             raise ValueError(f"low: found {self.low:g}, allowed below high, {self.high:g}")
         if self.scale == "log" and self.low <= 0:
             raise ValueError(f"low: found {self.low:g}, allowed above 0 with scale = 'log'")
-        outside = [one for one in self.among or () if not self.low <= one <= self.high]
+        outside = [value for value in self.among or () if not self.low <= value <= self.high]
         if outside:
             raise ValueError(f"among: found {outside[0]:g}, allowed {self.low:g} to {self.high:g}")
         stated = (self.mean is not None, self.sd is not None)
@@ -94,7 +96,7 @@ class Free(Model):
         return np.asarray(self.low + (self.high - self.low) * share)
 
     def share(self, value: float) -> float:
-        """Return the share (0 to 1) of the axis at which a value lies."""
+        """Return the share (0 to 1) of the axis at a value."""
         if self.scale == "log":
             return float(np.log(value / self.low) / np.log(self.high / self.low))
         return (value - self.low) / (self.high - self.low)
@@ -106,14 +108,16 @@ class Free(Model):
 
 
 class SensorChoice(Model):
-    """One way in which something can have been: other fields, or other figures for the rows."""
+    """One hypothesis of an alternative: its fields, or its figures for the rows."""
 
-    set: dict[str, Any] = Field(default={}, description="tables laid over the experiments")
+    set: dict[str, Any] = Field(
+        default={}, description="tables that override those of the experiments"
+    )
     metrics: dict[Name, Metric] = Field(
-        default={}, description="metric by row, in place of its own"
+        default={}, description="metric by row, instead of the row's own"
     )
     instead: dict[Name, Name] = Field(
-        default={}, description="experiment in place of another, for the rows measured in that"
+        default={}, description="replaced experiment = replacement, for the rows measured in it"
     )
     weight: FigureSigma = Field(
         default=1.0, description="prior probability over the other choices'"
@@ -121,22 +125,22 @@ class SensorChoice(Model):
 
     @property
     def instead_named(self) -> dict[str, tuple[str, ...]]:
-        """Names of experiments, by where they stand."""
+        """Names of experiments in `instead`, by key."""
         return {"instead": (*self.instead, *self.instead.values())} if self.instead else {}
 
 
 class Alternative(Model):
-    """A discrete unknown: one of several choices holds, for all experiments that it names."""
+    """A discrete unknown: one of several choices is true, for all experiments that it names."""
 
     choices: Annotated[dict[Name, SensorChoice], Field(min_length=2)]
     experiments: tuple[Name, ...] = Field(
-        default=(), description="where `set` applies; absent: all"
+        default=(), description="experiments to which `set` applies; absent: all"
     )
     source: str | None = None
 
 
 class Nuisance(Model):
-    """An error common to several rows that is not asked for: a scale, the size of an artefact."""
+    """A nuisance parameter: an error common to several rows, as of a scale or an artefact."""
 
     sd: FigureSigma = Field(description="standard deviation; its mean is 0")
     source: str | None = None
@@ -145,13 +149,13 @@ class Nuisance(Model):
 class Setup(Model):
     """An experiment in which rows were measured."""
 
-    base: str = Field(description="experiment file beside the problem, or a shipped experiment")
-    set: dict[str, Any] = Field(default={}, description="tables laid over it")
+    base: str = Field(description="experiment file next to the problem, or a shipped one")
+    set: dict[str, Any] = Field(default={}, description="tables that override those of `base`")
     count: Annotated[int, Field(ge=8, le=100_000)] | None = Field(
         default=None, description="simulations; absent: design.count"
     )
     repeats: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=1, description="measurements per simulation, each of another coat and noise"
+        default=1, description="measurements per simulation, each with a new draw of coat and noise"
     )
     refine: Annotated[int, Field(ge=0, le=100_000)] | None = Field(
         default=None,
@@ -160,24 +164,25 @@ class Setup(Model):
 
 
 class Design(Model):
-    """How many simulations the emulator learns from."""
+    """Number of simulations that train the emulator, and length of the Markov chain."""
 
     count: Annotated[int, Field(ge=8, le=100_000)] = Field(
         default=128, description="Sobol' points per experiment and choice"
     )
     refine: Annotated[int, Field(ge=0, le=100_000)] = Field(
         default=0,
-        description="further points per experiment and choice, drawn from what the rows leave when "
-        "the figures are learned from the first ones",
+        description="additional points per experiment and choice, drawn from the posterior of an "
+        "emulator that is trained with the first points",
     )
     longest: Annotated[int, Field(ge=1000, le=1_000_000)] = Field(
-        default=LONGEST_CHAIN, description="most steps of a Markov chain that samples the posterior"
+        default=LONGEST_CHAIN,
+        description="largest number of steps of the Markov chain that samples the posterior",
     )
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
 
 class SensorProblem(Model):
-    """An identification problem, whole."""
+    """Complete description of an identification problem."""
 
     schema_version: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
@@ -188,7 +193,7 @@ class SensorProblem(Model):
     nuisance: dict[Name, Nuisance] = Field(default={})
     rows: Annotated[dict[Name, Row], Field(min_length=1)]
     limits: dict[Name, Limit] = Field(
-        default={}, description="what is known of a figure from one side alone; always fitted"
+        default={}, description="one-sided bounds on figures; always fitted"
     )
     design: Design = Design()
     rotate: tuple[Name, ...] = Field(
@@ -196,7 +201,7 @@ class SensorProblem(Model):
     )
     worth: dict[Name, Row] = Field(
         default={},
-        description="measurements that could be made: what would each decide? `value` is not used",
+        description="possible measurements, to be ranked by information; `value` is not used",
     )
 
     @model_validator(mode="after")
@@ -211,7 +216,7 @@ class SensorProblem(Model):
         return self
 
     @model_validator(mode="after")
-    def _refers_to_what_is_there(self) -> "SensorProblem":
+    def _references_exist(self) -> "SensorProblem":
         _named("free", {n: f.experiments for n, f in self.free.items()}, self.experiments)
         _named(
             "alternatives",
@@ -222,16 +227,17 @@ class SensorProblem(Model):
             _named(where, {n: (row.experiment,) for n, row in rows.items()}, self.experiments)
             _named(where, {n: tuple(row.nuisance) for n, row in rows.items()}, self.nuisance)
         _named("rotate", {"": self.rotate}, self.fitted)
-        _named("limits", {n: (one.experiment,) for n, one in self.limits.items()}, self.experiments)
+        _named(
+            "limits", {n: (limit.experiment,) for n, limit in self.limits.items()}, self.experiments
+        )
         _each_name_once({"rows": self.rows, "worth": self.worth, "limits": self.limits})
-        for name, one in self.alternatives.items():
+        for name, alternative in self.alternatives.items():
             known = set(self.figures)
-            for label, choice in one.choices.items():
+            for label, choice in alternative.choices.items():
                 where = f"alternatives.{name}.{label}"
                 _named(where, choice.instead_named, self.experiments)
-            _named(
-                f"alternatives.{name}", {n: tuple(c.metrics) for n, c in one.choices.items()}, known
-            )
+            metrics = {n: tuple(c.metrics) for n, c in alternative.choices.items()}
+            _named(f"alternatives.{name}", metrics, known)
         if not self.fitted:
             raise ValueError("rows: found all of them held_out; at least one must be fitted")
         if len(list(self.combinations())) > MOST_COMBINATIONS:
@@ -245,15 +251,15 @@ class SensorProblem(Model):
 
     @property
     def figures(self) -> dict[str, Row | Limit]:
-        """Everything that is learned: rows, limits, and what could be measured."""
+        """Figures that the emulator learns: rows, limits and possible measurements."""
         return {**self.rows, **self.worth, **self.limits}
 
     def quick(self) -> "SensorProblem":
         """Return the problem with a quarter of the simulations and half of the repeats.
 
-        Where there are so many, 12 simulations and 2 repeats stay; none is refined.
+        At least 12 simulations and 2 repeats remain if there are as many; none is refined.
         """
-        setups = {name: _quicker(one) for name, one in self.experiments.items()}
+        setups = {name: _quicker(setup) for name, setup in self.experiments.items()}
         design = _quicker(self.design).model_copy(update={"longest": _QUICK_STEPS})
         return self.model_copy(update={"design": design, "experiments": setups})
 
@@ -263,7 +269,7 @@ class SensorProblem(Model):
         return self.design.refine if own is None else own
 
     def combinations(self) -> Iterator[dict[str, str]]:
-        """Yield one choice per alternative, in all ways."""
+        """Yield every combination of one choice per alternative."""
         names = list(self.alternatives)
         for chosen in itertools.product(*(self.alternatives[name].choices for name in names)):
             yield dict(zip(names, chosen, strict=True))
@@ -271,24 +277,26 @@ class SensorProblem(Model):
     def weight(self, combination: Mapping[str, str]) -> float:
         """Return the prior probability of a combination."""
         shares = [
-            one.choices[combination[name]].weight / sum(c.weight for c in one.choices.values())
-            for name, one in self.alternatives.items()
+            unknown.choices[combination[name]].weight
+            / sum(choice.weight for choice in unknown.choices.values())
+            for name, unknown in self.alternatives.items()
         ]
         return float(np.prod(shares))
 
     def experiment_of(self, row: Row | Limit, combination: Mapping[str, str]) -> str:
-        """Return the experiment in which a row was measured if a combination of choices holds."""
-        chosen = [self.alternatives[name].choices[one].instead for name, one in combination.items()]
+        """Return the experiment in which a row was measured under a combination of choices."""
+        replaced = [self.alternatives[n].choices[c].instead for n, c in combination.items()]
         return next(
-            (one[row.experiment] for one in chosen if row.experiment in one), row.experiment
+            (names[row.experiment] for names in replaced if row.experiment in names),
+            row.experiment,
         )
 
     def metric_of(self, name: str, row: Row | Limit, combination: Mapping[str, str]) -> Metric:
-        """Return the figure behind a row if a combination of choices holds."""
+        """Return the metric of a row under a combination of choices."""
         for alternative, choice in combination.items():
-            other = self.alternatives[alternative].choices[choice].metrics.get(name)
-            if other is not None:
-                return other
+            metric = self.alternatives[alternative].choices[choice].metrics.get(name)
+            if metric is not None:
+                return metric
         return row.metric
 
     def free_in(self, experiment: str) -> list[str]:
@@ -296,23 +304,23 @@ class SensorProblem(Model):
         return [n for n, f in self.free.items() if not f.experiments or experiment in f.experiments]
 
     def simulated_in(self, experiment: str) -> list[str]:
-        """Return the names of those that its simulations vary."""
+        """Return the names of the free fields that an experiment's simulations vary."""
         return [name for name in self.free_in(experiment) if self.free[name].among is None]
 
 
 _Counted = TypeVar("_Counted", Setup, Design)
 
 
-def _quicker(one: _Counted) -> _Counted:
-    """Return the counts of an experiment or a design for a quick look."""
-    fewer: dict[str, int | None] = {"refine": 0, "count": _fewer(one.count, 12, 4)}
-    if isinstance(one, Setup):
-        fewer["repeats"] = _fewer(one.repeats, 2, 2)
-    return one.model_copy(update=fewer)
+def _quicker(counted: _Counted) -> _Counted:
+    """Return an experiment or a design with the counts of a quick run."""
+    fewer: dict[str, int | None] = {"refine": 0, "count": _fewer(counted.count, 12, 4)}
+    if isinstance(counted, Setup):
+        fewer["repeats"] = _fewer(counted.repeats, 2, 2)
+    return counted.model_copy(update=fewer)
 
 
 def _fewer(count: int | None, least: int, share: int) -> int | None:
-    """Return a share of a count, but no fewer than `least` of it."""
+    """Return count // share, but at least the smaller of `least` and the count."""
     return None if count is None else max(min(count, least), count // share)
 
 
@@ -325,12 +333,14 @@ def _named(where: str, used: Mapping[str, tuple[str, ...]], known: Any) -> None:
 
 
 def _each_name_once(tables: Mapping[str, Mapping[str, Any]]) -> None:
-    seen: dict[str, str] = {}
+    table_of: dict[str, str] = {}
     for where, names in tables.items():
         for name in names:
-            if name in seen:
-                raise ValueError(f"{where}.{name}: {seen[name]} has this name, too; use another")
-            seen[name] = where
+            if name in table_of:
+                raise ValueError(
+                    f"{where}.{name}: {table_of[name]} has this name, too; use another"
+                )
+            table_of[name] = where
 
 
 def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]]:
@@ -342,27 +352,27 @@ def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]
 
     Raises
     ------
-    ConfigError : with one line per fault: what, where, found, allowed
+    ConfigError : with one line per problem: key, found, allowed, remedy
     """
     file = scene_file(path)
     problem = validated(SensorProblem, read_toml(file), f"{path}: ")
-    found = {name: _experiment(setup, file) for name, setup in problem.experiments.items()}
-    return _with_files(problem, file), found
+    experiments = {name: _experiment(setup, file) for name, setup in problem.experiments.items()}
+    return _with_files(problem, file), experiments
 
 
 def _experiment(setup: Setup, file: Path) -> Experiment:
-    beside = file.parent / setup.base
-    base = load_experiment(beside if is_regular(beside) else setup.base)
+    local = file.parent / setup.base
+    base = load_experiment(local if is_regular(local) else setup.base)
     return vary(base, without_absent(resolve_uses(setup.set, (file,))))
 
 
 def _with_files(problem: SensorProblem, file: Path) -> SensorProblem:
-    """Replace what choices `use` by the values of the data files."""
+    """Replace the files that choices `use` by their values."""
     alternatives = {}
-    for name, one in problem.alternatives.items():
+    for name, alternative in problem.alternatives.items():
         choices = {
             label: choice.model_copy(update={"set": resolve_uses(choice.set, (file,))})
-            for label, choice in one.choices.items()
+            for label, choice in alternative.choices.items()
         }
-        alternatives[name] = one.model_copy(update={"choices": choices})
+        alternatives[name] = alternative.model_copy(update={"choices": choices})
     return problem.model_copy(update={"alternatives": alternatives})

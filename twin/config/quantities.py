@@ -1,8 +1,8 @@
-"""Numbers as data files write them: with their unit, their source and their valid range.
+"""Numbers of data files: with their unit, their source and their valid range.
 
     thickness_mm = { value = 2.0, range = [1.0, 5.0], source = "assumed: ..." }
 
-The value goes into the experiment, source and range into its provenance, keyed by dotted path.
+The value is stored in the experiment; source and range in its provenance, by dotted path.
 
 Lengths and times may be written with their unit in TOML, `thickness_mm = "120 um"`: the key's
 suffix names the unit of the stored number; a string value may carry another unit of the same
@@ -41,7 +41,7 @@ def convert_units(tree: dict[str, Any], path: str = "") -> dict[str, Any]:
 
     Raises
     ------
-    ConfigError : the unit is unknown or measures something else than the key
+    ConfigError : the unit is unknown or of another quantity than the key
     """
     return {key: _convert(key, value, f"{path}{key}") for key, value in tree.items()}
 
@@ -59,18 +59,18 @@ def _convert(key: str, value: Any, path: str) -> Any:
     return _rescale(float(match[1]), match[2], unit, path) if match else value
 
 
-def _rescale(number: float, written: str, wanted: str, path: str) -> float:
-    quantity, scale = _SCALE_TO_SI[wanted]
-    found = _SCALE_TO_SI.get(written.replace("µ", "u").lower())
-    if found is None or found[0] != quantity:
+def _rescale(number: float, written: str, unit: str, path: str) -> float:
+    quantity, scale = _SCALE_TO_SI[unit]
+    kind_and_scale = _SCALE_TO_SI.get(written.replace("µ", "u").lower())
+    if kind_and_scale is None or kind_and_scale[0] != quantity:
         allowed = ", ".join(_UNITS[quantity])
         raise ConfigError(f"{path}: found unit '{written}', allowed for a {quantity}: {allowed}")
     # One rounding step, so that "120 um" is the same number as 0.12.
-    return float(f"{number * found[1] / scale:.15g}")
+    return float(f"{number * kind_and_scale[1] / scale:.15g}")
 
 
 def is_quantity(node: Any) -> bool:
-    """Tell whether a table is one number with its source."""
+    """Return True if a table is one number with its source."""
     return isinstance(node, dict) and "value" in node and node.keys() <= _KEYS
 
 
@@ -99,7 +99,7 @@ def split_quantities(
 
 def _provenance(node: dict[str, Any], path: str) -> Provenance:
     if "source" not in node:
-        raise ConfigError(f"{path}: a quantity needs a source; write 'assumed: why' if it is one")
+        raise ConfigError(f"{path}: a quantity needs a source, for example 'assumed: reason'")
     try:
         return Provenance.model_validate({k: v for k, v in node.items() if k != "value"})
     except ValidationError as error:
@@ -112,11 +112,11 @@ def _provenance(node: dict[str, Any], path: str) -> Provenance:
 
 
 def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance], where: str) -> None:
-    """Refuse values outside the ranges that their data files state.
+    """Check that values are in the ranges that their data files state.
 
     Raises
     ------
-    ConfigError : one line per value, which begins with `where`
+    ConfigError : one line per value outside its range, which starts with `where`
     """
     problems = []
     for path, origin in provenance.items():
@@ -129,14 +129,14 @@ def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance], wher
                 f"{path}: found {value:g}, allowed {low:g} to {high:g} ({origin.source}); give "
                 f"another value, or write in [{path.rpartition('.')[0]}] "
                 f"{path.rpartition('.')[2]} = {{ value = {value:g}, range = [{min(low, value):g}, "
-                f'{max(high, value):g}], source = "why" }}'
+                f'{max(high, value):g}], source = "reason" }}'
             )
     if problems:
         raise ConfigError("\n".join(f"{where}: {line}" for line in problems))
 
 
 def value_at(values: dict[str, Any], path: str) -> Any:
-    """Return what stands at a dotted path of nested tables; None: nothing."""
+    """Return the value or table at a dotted path of nested tables; None: no such path."""
     node: Any = values
     for key in path.split("."):
         node = node.get(key) if isinstance(node, dict) else None

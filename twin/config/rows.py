@@ -1,4 +1,4 @@
-"""What was measured with a sensor, as data: rows with a value, and limits known from one side."""
+"""Measured figures of a sensor as data: rows with a value, and one-sided limits."""
 
 from typing import Annotated, Literal
 
@@ -19,39 +19,37 @@ class Row(Model):
 
     experiment: Name
     metric: Metric = Field(
-        description="the twin's name of the figure, in result.json, or a free field; of several "
-        "names their mean"
+        description="name of the figure in result.json, or of a free field; the mean of several "
+        "names"
     )
     statistic: Statistic = Field(
         default="mean", description="over repeats: their mean, or their standard deviation"
     )
     learned_as: LearnedAs = Field(
-        default="value", description="log or reciprocal where that is the smoother function"
+        default="value", description="log or reciprocal if that is a smoother function"
     )
     value: Figure
-    sd: FigureSigma = Field(
-        description="standard uncertainty of the value, and of a twin's one run"
-    )
+    sd: FigureSigma = Field(description="standard uncertainty of the value, and of one simulation")
     trials: Annotated[int, Field(ge=1, le=10**6)] = Field(
-        default=1, description="measurements of which the value is the mean"
+        default=1, description="number of measurements that the value is the mean of"
     )
     realisations: Annotated[int, Field(ge=1, le=10**6)] | None = Field(
         default=None,
-        description="how many draws of what the repeats vary (coats) the value is a mean of: their "
-        "learned scatter, over the root of this, counts beside sd; absent: sd holds it",
+        description="number of draws (coats) that the value is the mean of; their learned scatter "
+        "over the root of this number adds to sd; absent: sd includes it",
     )
     shared: Annotated[float, Field(ge=0, le=1)] | None = Field(
         default=None,
-        description="share of the scatter's variance that all trials of the row have in common, "
-        "as those on one coat have; of a mean it counts beside sd, a deviation does not show it; "
-        "absent: all of it with realisations, none with statistic = 'sd'",
+        description="share of the scatter's variance that is common to all trials of the row, "
+        "as for trials with one coat; it adds to sd of a mean and is no part of a deviation; "
+        "absent: 1 with realisations, 0 with statistic = 'sd'",
     )
     coat: Name | None = Field(
         default=None,
-        description="rows of one figure that name the same coat met the same draw of the scatter",
+        description="rows of one figure with the same coat share one draw of the scatter",
     )
     discrepancy: Spread = Field(
-        default=0.0, description="standard deviation of what the twin's model itself lacks"
+        default=0.0, description="standard deviation of the error of the twin's model"
     )
     nuisance: dict[Name, Figure] = Field(
         default={}, description="change of the figure for a nuisance of 1, by name"
@@ -73,9 +71,9 @@ class Row(Model):
 
     @property
     def scatter_share(self) -> float:
-        """Standard deviation that the row has of what is learned, over the repeats' own.
+        """Ratio of the row's standard deviation to the learned standard deviation of the repeats.
 
-        Of a mean: of the part that its trials have in common. Of a deviation: of what they do not.
+        For a mean: of the part that is common to its trials. For a deviation: of the remainder.
         """
         if self.statistic == "sd":
             return float(np.sqrt(1.0 - (self.shared or 0.0)))
@@ -84,7 +82,7 @@ class Row(Model):
 
     @property
     def needs_repeats(self) -> str:
-        """What of the row needs several measurements per simulation; empty where nothing does."""
+        """Key of the row that needs several measurements per simulation; empty: none."""
         if self.statistic == "sd":
             return "statistic = 'sd'"
         return "" if self.realisations is None else "realisations"
@@ -96,14 +94,14 @@ class Row(Model):
 
 
 class Limit(Model):
-    """What is only known to lie on one side of a value: a picture shows it, or a meter ran out."""
+    """A one-sided bound on a figure, for example from an image or a meter at its end of range."""
 
     experiment: Name
     metric: Metric = Field(description="as of a row")
     learned_as: LearnedAs = "value"
     at_least: Figure | None = None
     at_most: Figure | None = None
-    sd: FigureSigma = Field(description="how sharp it is: the standard uncertainty of the value")
+    sd: FigureSigma = Field(description="standard uncertainty of the bound")
     source: str | None = None
 
     @model_validator(mode="after")
@@ -120,19 +118,19 @@ class Limit(Model):
     @property
     def value(self) -> float:
         """The limit itself."""
-        (given,) = (one for one in (self.at_least, self.at_most) if one is not None)
+        (given,) = (bound for bound in (self.at_least, self.at_most) if bound is not None)
         return given
 
     @property
     def side(self) -> int:
-        """1 where figures above the value are allowed, -1 where those below are."""
+        """1 if figures above the value are allowed, -1 if those below are."""
         return 1 if self.at_least is not None else -1
 
     @property
     def words(self) -> str:
-        """The limit as one reads it."""
+        """The limit as text."""
         return f"at {'least' if self.side > 0 else 'most'} {self.value:g}"
 
     def allows(self, figure: float) -> bool:
-        """Tell whether a figure lies on the allowed side."""
+        """Return True if a figure is on the allowed side."""
         return self.side * (figure - self.value) >= 0.0

@@ -1,10 +1,10 @@
-"""What the models of a document say: its keys, and in plain words what is wrong with one.
+"""The schema of documents: the list of their keys, and one-line messages on invalid documents.
 
-Problems are told in one line each: what, where, found, allowed, what to do. Keys are read off the
-models, too: no second list to keep true.
+Each message states key, found, allowed and remedy. Keys and ranges are read from the models.
 """
 
 import difflib
+import itertools
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -33,7 +33,12 @@ _SCALAR_TAGS = {"constrained-float", "float", "literal['auto']"}
 
 
 def validated(document: type[Document], tree: Any, before: str = "") -> Document:
-    """Build a document from nested tables; every problem at once, one line each after `before`."""
+    """Build a document from nested tables.
+
+    Raises
+    ------
+    ConfigError : one line per problem, which starts with `before`
+    """
     try:
         return document.model_validate(tree)
     except ValidationError as error:
@@ -44,17 +49,17 @@ def validated(document: type[Document], tree: Any, before: str = "") -> Document
 
 
 def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
-    """Turn pydantic's report on a document into plain lines; a misspelt key gets a suggestion.
+    """Return pydantic's report on a document as lines; for a misspelt key with a suggestion.
 
-    A typo shows up twice (an unknown key and, for required fields, a missing one): the second
-    line is dropped when the suggestion already names it.
+    A misspelt required key causes two errors (an unknown key and a missing key): the second line is
+    omitted if the suggestion of the first names it.
     """
     lines: list[str] = []
     suggested, outside = set(), set()
     for item in error.errors(include_url=False):
         if item["type"] == "extra_forbidden":
             parent, key = _path(item["loc"][:-1], document), str(item["loc"][-1])
-            # Nobody reads more hints, and those for a hundred thousand keys take minutes.
+            # Limits the run time: suggestions for 100 000 unknown keys take minutes.
             shown = len(lines) < _MOST_PROBLEMS
             guess = _closest(key, item["loc"][:-1], document) if shown else None
             suggested.add(f"{parent}.{guess}".lstrip("."))
@@ -68,17 +73,17 @@ def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
         elif item["type"] in _WRONG_KIND:
             lines.append(_kind_line(path, item["ctx"], item["input"]))
         elif item["type"] not in ("missing", "extra_forbidden"):
-            found = f"{path}: found {_short(item['input'])}, " if path else ""
+            prefix = f"{path}: found {_short(item['input'])}, " if path else ""
             whole = _whole_range(item["loc"], document) if item["type"] in _OUTSIDE else ""
             if item["type"] == "literal_error" and path in outside:
-                continue  # a number or a word: the number was meant
+                continue  # the number's range was reported already
             outside |= {path} if item["type"] in _OUTSIDE else set()
-            lines.append(f"{found}{whole or _allowed(item['msg'])}")
+            lines.append(f"{prefix}{whole or _allowed(item['msg'])}")
     return lines
 
 
 def _kind_line(path: str, context: Mapping[str, Any], table: Any) -> str:
-    """Return the line on a table whose kind is unknown or missing."""
+    """Return the message on a table with an unknown or missing kind."""
     discriminator = str(context["discriminator"]).strip("'")
     key = f"{path}.{discriminator}"
     if "tag" not in context:
@@ -93,7 +98,7 @@ def _kind_line(path: str, context: Mapping[str, Any], table: Any) -> str:
 def _whole_range(loc: Loc, document: type[BaseModel]) -> str:
     """Return both ends of a number's range and the reason for them; empty without a reason."""
     for metadata in _metadata_at(loc, document):
-        reasons = [one.reason for one in metadata if isinstance(one, Because)]
+        reasons = [item.reason for item in metadata if isinstance(item, Because)]
         if reasons:
             return f"allowed {_limits(metadata)} ({reasons[0]})"
     return ""
@@ -101,17 +106,17 @@ def _whole_range(loc: Loc, document: type[BaseModel]) -> str:
 
 def limits_at(path: str, document: type[BaseModel] = Experiment) -> tuple[float, ...]:
     """Return the ends of the ranges that the numbers at a dotted path may have."""
-    every = [one for metadata in _metadata_at(tuple(path.split(".")), document) for one in metadata]
     return tuple(
-        getattr(one, name)
-        for one in every
+        getattr(item, name)
+        for metadata in _metadata_at(tuple(path.split(".")), document)
+        for item in metadata
         for name in ("gt", "ge", "lt", "le")
-        if hasattr(one, name)
+        if hasattr(item, name)
     )
 
 
 def keys_of_kind(path: str, kind: Any, document: type[BaseModel] = Experiment) -> set[str]:
-    """Return the keys of the table at a dotted path where it is of a kind; empty: no such kind."""
+    """Return the keys of a kind's table at a dotted path; empty: no such kind."""
     models = _walk(tuple(path.split(".")), document)[1]
     return {
         key
@@ -125,7 +130,7 @@ def _metadata_at(loc: Loc, document: type[BaseModel]) -> list[list[Any]]:
     """Return the metadata of each annotated type that the field at a location may have."""
     named = [part for part in loc if isinstance(part, str) and part not in _SCALAR_TAGS]
     fields = (model.model_fields.get(named[-1]) for model in _walk(tuple(named[:-1]), document)[1])
-    return [found for field in fields if field for found in _annotated(field)]
+    return [metadata for field in fields if field for metadata in _annotated(field)]
 
 
 def _annotated(field: FieldInfo) -> Iterator[list[Any]]:
@@ -143,8 +148,8 @@ def _annotated(field: FieldInfo) -> Iterator[list[Any]]:
 
 
 def _flat(metadata: Iterable[Any]) -> list[Any]:
-    """Return metadata with that of each `Field` in its place."""
-    return [item for one in metadata for item in getattr(one, "metadata", [one])]
+    """Return metadata with every `Field` replaced by its own metadata."""
+    return [part for item in metadata for part in getattr(item, "metadata", [item])]
 
 
 def _allowed(message: str) -> str:
@@ -164,12 +169,12 @@ def _path(loc: Loc, document: type[BaseModel]) -> str:
 
 def _closest(key: str, loc: Loc, document: type[BaseModel]) -> str | None:
     names = [name for model in _walk(loc, document)[1] for name in model.model_fields]
-    found = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
-    return found[0] if found else None
+    matches = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
+    return matches[0] if matches else None
 
 
 def _walk(loc: Loc, document: type[BaseModel]) -> tuple[list[str], list[type[BaseModel]]]:
-    """Follow a location from the document; return its path and the models found at its end."""
+    """Follow a location from the document; return its path and the models at its end."""
     path: list[str] = []
     here: list[Any] = [document]
     for part in map(str, loc):
@@ -199,7 +204,7 @@ def _inside(place: Any, part: str) -> list[Any]:
 
 
 def _options_of(field: FieldInfo) -> list[Any]:
-    """Return the types that a field may have; its kinds where a registry gives them."""
+    """Return the types that a field may have; its kinds if a registry defines them."""
     return _kinds_in(field.metadata) or _options(field.annotation)
 
 
@@ -208,12 +213,12 @@ def _options(annotation: Any) -> list[Any]:
         inner, *metadata = typing.get_args(annotation)
         return _kinds_in(metadata) or _options(inner)
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        return [one for part in typing.get_args(annotation) for one in _options(part)]
+        return [option for part in typing.get_args(annotation) for option in _options(part)]
     return [annotation]
 
 
 def _kinds_in(metadata: Iterable[Any]) -> list[Any]:
-    return [model for one in metadata if isinstance(one, OneOf) for model in one.models.values()]
+    return [model for item in metadata if isinstance(item, OneOf) for model in item.models.values()]
 
 
 @dataclass(frozen=True)
@@ -227,7 +232,7 @@ class Key:
 
 
 def experiment_keys() -> Iterator[Key]:
-    """Yield every key of an experiment file, the materials' once at the end."""
+    """Yield every key of an experiment file; keys of materials and layers at the end."""
     yield from list_keys(Experiment)
     for kind, material in MATERIALS.items():
         yield from list_keys(material, f"specimen.material({kind}).")
@@ -245,7 +250,7 @@ def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
         if not inner:
             limits = _limits(field.metadata)
             text = ", ".join(filter(None, [_type_name(field.annotation), limits]))
-            allowed = " | ".join(one.allowed for one in _names_in(field)) or text
+            allowed = " | ".join(names.allowed for names in _names_in(field)) or text
             required = field.default is PydanticUndefined
             default = "required" if required else str(field.default)
             yield Key(f"{prefix}{name}", allowed, default, _meaning(field))
@@ -255,21 +260,22 @@ def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
 
 
 def _meaning(field: FieldInfo) -> str:
-    """Return a key's description, and why its range ends where it does."""
-    reasons = [one.reason for found in _annotated(field) for one in found if type(one) is Because]
+    """Return a key's description, and the reasons for its range."""
+    metadata = itertools.chain.from_iterable(_annotated(field))
+    reasons = [item.reason for item in metadata if type(item) is Because]
     ranges = [f"range: {reason}" for reason in dict.fromkeys(reasons)]
-    names = [one.meaning for one in _names_in(field)]
+    names = [marker.meaning for marker in _names_in(field)]
     return "; ".join(filter(None, [field.description, *names, *ranges]))
 
 
 def _names_in(field: FieldInfo) -> list[NameOf]:
-    return [one for one in field.metadata if isinstance(one, NameOf)]
+    return [item for item in field.metadata if isinstance(item, NameOf)]
 
 
 def models_of(field: FieldInfo) -> list[type[BaseModel]]:
     """Return the tables that a field may be; none for tables by name."""
     if typing.get_origin(field.annotation) is dict:
-        return []  # named parts, each one of the kinds listed beside it
+        return []  # keys are any names; the caller lists the tables under a placeholder
     if typing.get_origin(field.annotation) is tuple:
         return _models(_options(typing.get_args(field.annotation)[0]))
     return _models(_options_of(field))

@@ -1,4 +1,4 @@
-"""What a compensation knows of a sensor's elastomer and load: a file, or an experiment's own.
+"""Elastomer and load of a sensor as input of a compensation: from a file or an experiment.
 
 `twin compensate RESULT --layer layer.toml`; docs/compensation.md explains every key.
 """
@@ -31,21 +31,22 @@ from twin.config.specimen_base import SPECIMENS, AnySpecimen
 
 
 class MeasuredLoad(Model):
-    """What gauges told of one press."""
+    """Measured load of one press."""
 
     back_pressure_kpa: AirPressure = Field(default=0.0, description="air on the coated face")
     depth_mm: Travel | None = Field(
-        default=None, description="travel after first touch, where the stage tells it"
+        default=None, description="travel after first touch, if the stage measures it"
     )
-    force_n: Force | None = Field(default=None, description="where a gauge tells it")
+    force_n: Force | None = Field(default=None, description="if a gauge measures it")
 
 
 class LayerSigma(Model):
-    """Standard uncertainties of what is known."""
+    """Standard uncertainties of the elastomer and of the measured load."""
 
     thickness_mm: Rounding = 0.0
     young_modulus_kpa: ModulusSigma | None = Field(
-        default=None, description="absent: 0 of a measured modulus, else what hardness leaves open"
+        default=None,
+        description="absent: 0 for a measured modulus, else that of the conversion from hardness",
     )
     pre_stretch: Fraction = 0.0
     rim_compliance_mm2_per_n: Annotated[float, Field(ge=0, le=100)] = Field(
@@ -53,29 +54,29 @@ class LayerSigma(Model):
     )
     back_pressure_kpa: AirPressure = 0.0
     depth_mm: Rounding | None = Field(
-        default=None, description="of the travel; absent: a travel that is told counts as unknown"
+        default=None, description="of the travel; absent: a given travel is treated as unknown"
     )
     force_n: ForceSigma = 0.0
     texture_mm: Rounding | None = Field(
         default=None,
-        description="RMS height of the coat's texture; absent: what the points scatter by where "
-        "they touch",
+        description="RMS height of the coat's texture; absent: the scatter of the points in "
+        "contact",
     )
     plane_mm: Rounding = Field(
         default=0.0,
-        description="of z = 0, and of each tilt's lift at the rim, against the undeformed coat",
+        description="of z = 0 against the undeformed coat, and of each tilt as height at the rim",
     )
 
 
 class PressedBar(Model):
-    """A bar with a flat top among what was pressed: where its walls are looked for."""
+    """A bar with a flat top: approximate pose and size, near which its walls are fitted."""
 
-    x_mm: Place = Field(default=0.0, description="world, of its middle, to half a millimetre")
+    x_mm: Place = Field(default=0.0, description="world x of its middle, within 0.5 mm")
     y_mm: Place = 0.0
     along_deg: Angle = Field(
-        default=0.0, description="of its length, from world y towards -x, to some four degrees"
+        default=0.0, description="of its length, from world y towards -x, within about 4 degrees"
     )
-    width_mm: Length = Field(description="about: to some tenths of a millimetre")
+    width_mm: Length = Field(description="approximate, within about 0.3 mm")
     length_mm: Length
     edge_radius_mm: Rounding = Field(description="rounding of its upper edges")
     sigma_edge_radius_mm: Rounding = 0.0
@@ -83,7 +84,7 @@ class PressedBar(Model):
 
 @follows(SPECIMENS, MATERIALS)
 class SensorLayer(Model):
-    """Elastomer, load of the press, and how well they are known."""
+    """Elastomer, load of the press, and their standard uncertainties."""
 
     model_config = ConfigDict(defer_build=True)
 
@@ -92,15 +93,15 @@ class SensorLayer(Model):
     press: MeasuredLoad = MeasuredLoad()
     sigma: LayerSigma = LayerSigma()
     bar: tuple[PressedBar, ...] = Field(
-        default=(), description="bars whose widths are wanted; default: the experiment's"
+        default=(), description="bars with widths to be measured; default: the experiment's"
     )
     specimen: AnySpecimen | None = Field(
         default=None,
-        description="what presses, as it is believed: its bars; under a slab thicker than 1 mm "
-        "the form whose numbers are fitted; default: the experiment's",
+        description="assumed specimen: its bars; under a slab thicker than 1 mm the shape to be "
+        "fitted; default: the experiment's",
     )
     fitted: tuple[str, ...] = Field(
-        default=(), description="numbers of the specimen that are wanted; default: by its kind"
+        default=(), description="numbers of the specimen that are fitted; default: by its kind"
     )
     provenance: dict[str, Provenance] = Field(
         default_factory=dict, description="source and valid range by dotted path"
@@ -108,11 +109,11 @@ class SensorLayer(Model):
 
 
 def load_sensor_layer(path: Path) -> SensorLayer:
-    """Load a layer file; its tables may `use` shipped ones, as an experiment's may.
+    """Load a layer file; its tables may `use` data files, as in an experiment.
 
     Raises
     ------
-    ConfigError : one line per problem: what, where, found, allowed
+    ConfigError : one line per problem: key, found, allowed, remedy
     """
     tree = resolve_uses(read_toml(path), (path,))
     values, origins = split_quantities(convert_units(tree))
@@ -123,7 +124,7 @@ def load_sensor_layer(path: Path) -> SensorLayer:
 
 
 def sensor_layer_of(experiment: Experiment) -> SensorLayer:
-    """Return what an experiment says of its elastomer and press, taken as exact."""
+    """Return the elastomer and load of an experiment, with uncertainties of zero."""
     press = experiment.press
     load = MeasuredLoad(
         back_pressure_kpa=press.back_pressure_kpa, depth_mm=press.depth_mm, force_n=press.force_n

@@ -1,4 +1,4 @@
-"""What every specimen has: its pose, its optical material, its shape and its nominal features.
+"""Base class of all specimens: pose, optical material, shape and nominal features.
 
 A kind of specimen is one file of `twin/specimens/kinds`, a subclass of `Specimen` that registers
 itself in `SPECIMENS`. Lengths in mm, relative to the slab's centre; the specimen presses from
@@ -22,7 +22,7 @@ Feature = TypeVar("Feature", bound=NominalFeature)
 
 
 class Stage(Model):
-    """The matte table under a specimen that is seen directly."""
+    """The matte table under a bare specimen (direct FPP)."""
 
     albedo: Albedo = 0.35
     size_mm: Length = Field(default=80.0, description="edge of the square, round the world origin")
@@ -31,15 +31,15 @@ class Stage(Model):
 class Specimen(Model):
     """A specimen in its pose on the stage, relative to the slab's centre.
 
-    A kind sets `kind`, adds its dimensions and overrides `shape`; what else it overrides says which
-    of its dimensions are measured and fitted.
+    A kind sets `kind`, adds its dimensions and overrides `shape`. Further overrides state which of
+    its dimensions are measured and fitted.
     """
 
     model_config = ConfigDict(defer_build=True)
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Build each kind again when there is another material."""
+        """Rebuild the schema of each kind when a material is registered."""
         follows(MATERIALS)(cls)
 
     x_mm: Place = 0.0
@@ -52,13 +52,13 @@ class Specimen(Model):
         default=0.0, description="tilt about the specimen's y axis; positive lifts its +x side"
     )
     material: Material | None = Field(
-        default=None, description="needed where the specimen itself is seen (direct_fpp)"
+        default=None, description="required if the camera images the bare specimen (direct_fpp)"
     )
     # After the pose: experiment files that are written keep the order of their keys.
     kind: str
 
     slab_fit_paths: ClassVar[tuple[str, ...]] = ()
-    """Numbers that `twin compensate` fits under a thick slab unless the layer file names others."""
+    """Numbers that `twin compensate` fits under a thick slab unless a layer file sets `fitted`."""
 
     def shape(self) -> Shape:
         """Return the shape in the specimen's own frame; its pose and height are applied later.
@@ -75,7 +75,7 @@ class Specimen(Model):
 
     def nominal(self, kind: type[Feature]) -> tuple[Feature, ...]:
         """Return the nominal features of one kind."""
-        return tuple(one for one in self.nominal_features() if isinstance(one, kind))
+        return tuple(feature for feature in self.nominal_features() if isinstance(feature, kind))
 
     @property
     def finest_pitch_mm(self) -> float | None:
@@ -93,7 +93,7 @@ class Specimen(Model):
         return {}
 
     def warnings(self) -> tuple[str, ...]:
-        """Return doubts about the specimen's dimensions, one sentence each."""
+        """Return warnings about the specimen's dimensions, one sentence each."""
         return tuple(line for part in self.components.values() for line in part.warnings())
 
 
@@ -116,7 +116,7 @@ def require_at_most(key: str, found_mm: float, limit_mm: float, why: str) -> Non
 
     Raises
     ------
-    ValueError : names the key, what was found, what is allowed and which other keys say so
+    ValueError : key, found length, allowed length and the keys that limit it
     """
     if found_mm > limit_mm:
         raise ValueError(f"{key}: found {found_mm:g}, allowed at most {limit_mm:g}: {why}")

@@ -1,6 +1,6 @@
-"""A study as data: a base experiment, the axes over which it is varied, and what is asked.
+"""A study as data: a base experiment, the axes over which it is varied, and the figures of merit.
 
-Shipped ones lie in `scenes/studies`; `docs/sweeps.md` explains every key.
+Shipped studies are in `scenes/studies`; `docs/sweeps.md` explains every key.
 
 An axis moves one field, by its dotted path, or several fields at once between named choices. Its
 levels are a list of values, a range with a count, or the choices; samplers draw from a range
@@ -19,7 +19,7 @@ from reconstruction.reading import is_regular
 from twin.assets import scene_file
 from twin.config.base import Model
 from twin.config.bounds import Figure
-from twin.config.inputs import Input, load_inputs, refuse_shared_keys, with_sources
+from twin.config.inputs import Input, load_inputs, require_distinct_keys, with_sources
 from twin.config.loading import ABSENT, load_experiment, read_toml, resolve_uses, vary
 from twin.config.methods import Method
 from twin.config.models import Experiment
@@ -30,7 +30,7 @@ _ROUNDING = 1e-9  # relative
 
 @dataclass(frozen=True)
 class Level:
-    """One place on an axis: how it is called in tables, and the values it sets by dotted path."""
+    """One level of an axis: its label in tables, and the values it sets by dotted path."""
 
     label: Any
     changes: Mapping[str, Any]
@@ -54,11 +54,12 @@ class Axis(Model):
     scale: Literal["linear", "log"] = "linear"
     integer: bool = Field(default=False, description="round to whole numbers")
     choices: dict[str, dict[str, Any]] | None = Field(
-        default=None, description="named sets of tables, laid over the experiment; may `use` files"
+        default=None,
+        description="named sets of tables that override those of the experiment; may `use` files",
     )
     source: str | None = Field(
         default=None,
-        description="why values may lie outside the range that a data file states",
+        description="reason for values outside the range that a data file states",
     )
 
     @field_validator("values")
@@ -85,7 +86,7 @@ class Axis(Model):
         if self.path is not None or not self.choices:
             raise ValueError("choices need at least one entry, and no path: each names its fields")
         if self.name is None:
-            raise ValueError("name: missing; choices have no path that could stand for it")
+            raise ValueError("name: missing; choices have no path to be used instead")
         return self
 
     def _checked_range(self) -> "Axis":
@@ -104,7 +105,7 @@ class Axis(Model):
 
     @property
     def is_continuous(self) -> bool:
-        """Any value of a range may be drawn."""
+        """Whether any value of the range may be drawn."""
         return self.low is not None and self.count is None
 
     def levels(self) -> tuple[Level, ...]:
@@ -136,7 +137,7 @@ class Axis(Model):
             value = self.low * (self.high / self.low) ** float(share)
         else:
             value = self.low + (self.high - self.low) * float(share)
-        # Ten digits name a level well enough, and read better than the last bit's dirt.
+        # Ten digits identify a level, without the rounding error of the last bit.
         return round(value) if self.integer else float(f"{value:.10g}")
 
     def _level(self, value: Any) -> Level:
@@ -149,7 +150,7 @@ MOST_CASES = 100_000
 
 
 class Sampling(Model):
-    """Which points of the design space are taken."""
+    """Selection of the points of the design space."""
 
     method: Literal[
         "grid", "latin_hypercube", "sobol", "saltelli", "morris", "optimise", "gradient", "trials"
@@ -159,25 +160,25 @@ class Sampling(Model):
         "space; saltelli: sobol pairs for sensitivity indices; morris: `count` elementary-effect "
         "walks; optimise: chosen from the results so far, see [optimise]; gradient: down the "
         "derivatives of a bound, see [gradient]; trials: `count` "
-        "repetitions with all [inputs] drawn anew, for an uncertainty",
+        "repetitions with independent draws of all [inputs], for an uncertainty",
     )
     count: Annotated[int, Field(ge=1, le=MOST_CASES)] | None = Field(
         default=None, description="points (latin_hypercube, sobol), base points, walks or trials"
     )
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     calibration: Literal["drawn", "true"] = Field(
-        default="drawn", description="of trials: a new calibration in each, or the true rig"
+        default="drawn", description="of trials: a simulated calibration per trial, or the true rig"
     )
     board: str = Field(
-        default="boards/paper_dots", description="of trials: what drawn calibrations rest on"
+        default="boards/paper_dots", description="of trials: board of the simulated calibrations"
     )
     budget: bool = Field(
-        default=True, description="of trials: also vary each input alone, and the noise alone"
+        default=True, description="of trials: also vary each input, and the noise, one at a time"
     )
     compensated: bool = Field(
         default=False,
-        exclude_if=lambda asked: not asked,
-        description="of trials: also find the object behind the coat in each",
+        exclude_if=lambda compensated: not compensated,
+        description="of trials: also reconstruct the object behind the coat",
     )
 
     @model_validator(mode="after")
@@ -198,7 +199,7 @@ class Sampling(Model):
 
 
 class Objective(Model):
-    """A figure that is to become small or large."""
+    """A figure to minimise or maximise."""
 
     metric: str
     goal: Literal["minimise", "maximise"] = "minimise"
@@ -210,20 +211,22 @@ class Optimise(Model):
     objectives: Annotated[tuple[Objective, ...], Field(min_length=1)]
     trials: Annotated[int, Field(ge=1, le=100_000)]
     batch: Annotated[int, Field(ge=1, le=1000)] = Field(
-        default=8, description="points asked at once; same batch, same search on any workers"
+        default=8,
+        description="points proposed together; results depend on it, not on the number of workers",
     )
     sampler: Literal["tpe", "nsga2", "random"] = "tpe"
 
 
 class GradientSearch(Model):
-    """Search down the derivatives of a bound (SciPy's sequential quadratic programming)."""
+    """Gradient search with the derivatives of a bound (SciPy's SLSQP)."""
 
     objective: Objective
     evaluations: Annotated[int, Field(ge=2, le=10_000)] = Field(
-        default=40, description="cases at most; those of differences counted"
+        default=40, description="largest number of cases, those of finite differences included"
     )
     starts: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=1, description="from the middle of the axes; further ones from Sobol' points"
+        default=1,
+        description="number of starting points: the middle of the axes, then Sobol' points",
     )
 
 
@@ -242,23 +245,23 @@ class Constraint(Model):
         return self
 
     def holds_for(self, number: float) -> bool:
-        """Tell whether a value is within the bounds."""
+        """Return True if a value is within the bounds."""
         return self.excess(number) <= 0.0
 
     def excess(self, number: float) -> float:
-        """Return by how much a value is out of bounds; 0 or less is within.
+        """Return the excess of a value over the bounds; 0 or less: within the bounds.
 
-        A value at the bound is within, also where the levels of an axis or a ratio are rounded
-        (0.3 in three steps from 0.1 is 0.30000000000000004): one part in 10^9 is no excess.
+        A relative excess up to 1e-9 counts as 0, because levels of an axis and ratios are rounded
+        (0.3 in three steps from 0.1 is 0.30000000000000004).
         """
         over = [] if self.at_most is None else [number - self.at_most]
         under = [] if self.at_least is None else [self.at_least - number]
-        found = max(over + under)
-        return 0.0 if 0.0 < found <= _ROUNDING * abs(number) else found
+        excess = max(over + under)
+        return 0.0 if 0.0 < excess <= _ROUNDING * abs(number) else excess
 
     @property
     def title(self) -> str:
-        """How the bound is written in reports."""
+        """The bound as text of reports."""
         name = self.value if self.per is None else f"{self.value} / {self.per}"
         low = "" if self.at_least is None else f"{self.at_least:g} <= "
         high = "" if self.at_most is None else f" <= {self.at_most:g}"
@@ -266,20 +269,22 @@ class Constraint(Model):
 
 
 class Study(Model):
-    """One study, whole; `base` names the experiment that is varied."""
+    """Complete description of a study; `base` names the experiment that is varied."""
 
     schema_version: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]*$", max_length=64)]
     description: str = ""
-    base: str = Field(description="experiment file beside the study, or a shipped experiment")
-    set: dict[str, Any] = Field(default={}, description="tables laid over the base experiment")
+    base: str = Field(description="experiment file next to the study, or a shipped one")
+    set: dict[str, Any] = Field(default={}, description="tables that override those of `base`")
     axis: tuple[Axis, ...] = Field(
-        default=(), description="[[axis]]: what is varied, 1 to 16 of them; of trials none"
+        default=(), description="[[axis]]: 1 to 16 varied quantities; none with trials"
     )
     inputs_file: str = Field(
-        default="", description="of trials: file of inputs, or a shipped one; [inputs] lie over it"
+        default="", description="of trials: file of inputs, or a shipped one; [inputs] override it"
     )
-    inputs: dict[str, Input] = Field(default={}, description="[inputs.NAME]: what trials draw")
+    inputs: dict[str, Input] = Field(
+        default={}, description="[inputs.NAME]: quantities that trials draw"
+    )
     sampling: Sampling = Sampling()
     modalities: tuple[Method, ...] = Field(
         default=(), description="methods to compare; absent: the base's own"
@@ -293,10 +298,10 @@ class Study(Model):
     )
     constraint: tuple[Constraint, ...] = ()
     objectives: tuple[Objective, ...] = Field(
-        default=(), description="what makes a design good, where nothing is searched"
+        default=(), description="figures of merit of a study without a search"
     )
     optimise: Optimise | None = None
-    # Left out where there is none: older records keep their form.
+    # Excluded if there is none: older records keep their digest.
     gradient: GradientSearch | None = Field(default=None, exclude_if=lambda plan: plan is None)
 
     @model_validator(mode="after")
@@ -318,7 +323,9 @@ class Study(Model):
         if self.gradient is not None:
             self._check_gradient()
         if (self.optimise or self.gradient) is not None and self.objectives:
-            raise ValueError("objectives: with a search they stand in [optimise] or [gradient]")
+            raise ValueError(
+                "objectives: not allowed with a search; set them in [optimise] or [gradient]"
+            )
         if self.sampling.method == "grid":
             open_axes = [axis.title for axis in self.axis if axis.is_continuous]
             if open_axes:
@@ -336,24 +343,24 @@ class Study(Model):
                 )
 
     def _checked_trials(self) -> "Study":
-        refused = {
+        conflicts = {
             "axis": len(self.axis) > 0,
             "modalities": len(self.modalities) > 1,
             "repeats": self.repeats > 1,
             "optimise": self.optimise is not None,
             "gradient": self.gradient is not None,
         }
-        for name, there in refused.items():
-            if there:
+        for name, is_set in conflicts.items():
+            if is_set:
                 raise ValueError(f"{name}: sampling.method = 'trials' does not take it; remove it")
         if not self.inputs:
             raise ValueError("inputs: found none; trials need [inputs.NAME] or inputs_file")
-        refuse_shared_keys(self.inputs)
+        require_distinct_keys(self.inputs)
         return self
 
     @property
     def goals(self) -> tuple[Objective, ...]:
-        """What makes a design good: the objectives of the search or of the study."""
+        """Figures of merit: the objectives of the search or of the study."""
         if self.gradient:
             return (self.gradient.objective,)
         return self.optimise.objectives if self.optimise else self.objectives
@@ -368,13 +375,13 @@ def load_study(path: str | Path) -> tuple[Study, Experiment]:
 
     Raises
     ------
-    ConfigError : with one line per problem: what, where, found, allowed
+    ConfigError : with one line per problem: key, found, allowed, remedy
     """
     file = scene_file(path)
     tree = read_toml(file)
     study = _study_of(tree, str(path), file)
-    beside = file.parent / study.base
-    base = load_experiment(beside if is_regular(beside) else study.base)
+    local = file.parent / study.base
+    base = load_experiment(local if is_regular(local) else study.base)
     return study, vary(base, study.set)
 
 
@@ -386,20 +393,20 @@ def _study_of(tree: dict[str, Any], where: str, file: Path) -> Study:
 
 
 def _with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]:
-    """Lay the study's own inputs over those of the file that it names."""
+    """Override the inputs of the file that the study names by the study's own."""
     own, named = with_sources(tree, where), tree.get("inputs_file")
     if not isinstance(named, str) or not named:
         return own
-    beside = file.parent / named
-    loaded = load_inputs(beside if is_regular(beside) else named)
-    theirs = {name: one.model_dump(exclude_unset=True) for name, one in loaded.inputs.items()}
-    mine = own.get("inputs", {})
-    merged = {name: {**theirs.get(name, {}), **mine.get(name, {})} for name in {**theirs, **mine}}
+    local = file.parent / named
+    loaded = load_inputs(local if is_regular(local) else named)
+    base = {name: value.model_dump(exclude_unset=True) for name, value in loaded.inputs.items()}
+    top = own.get("inputs", {})
+    merged = {name: {**base.get(name, {}), **top.get(name, {})} for name in {**base, **top}}
     return own | {"inputs": merged}
 
 
 def _with_files(axis: Axis, file: Path) -> Axis:
-    """Replace what choices `use` by the values of the data files."""
+    """Replace the files that choices `use` by their values."""
     if axis.choices is None:
         return axis
     read = {label: resolve_uses(tree, (file,)) for label, tree in axis.choices.items()}

@@ -1,4 +1,4 @@
-"""Commented files to begin with: experiments and a study, each of which works as it is."""
+"""Commented starter templates: experiments and a study; each runs without changes."""
 
 import difflib
 import tomllib
@@ -13,20 +13,24 @@ _FIRST = ("gel", "part", "sheet", "gelsight", "rig", "study")
 
 @dataclass(frozen=True)
 class StarterTemplate:
-    """A file to begin with."""
+    """Name and description of a starter template."""
 
     name: str
     description: str
 
 
 def templates() -> list[StarterTemplate]:
-    """Return what there is, the most usual first, own ones of $TWIN_ASSETS last."""
-    found = [name.removeprefix(FOLDER) for name in list_assets("scenes") if name.startswith(FOLDER)]
-    order = [*(name for name in _FIRST if name in found), *sorted(set(found) - set(_FIRST))]
+    """Return the starter templates: the most usual first, those of $TWIN_ASSETS last."""
+    names = _template_names()
+    order = [*(name for name in _FIRST if name in names), *sorted(set(names) - set(_FIRST))]
     return [
         StarterTemplate(name, str(tomllib.loads(read_template(name)).get("description", "")))
         for name in order
     ]
+
+
+def _template_names() -> list[str]:
+    return [name.removeprefix(FOLDER) for name in list_assets("scenes") if name.startswith(FOLDER)]
 
 
 def read_template(name: str) -> str:
@@ -36,7 +40,7 @@ def read_template(name: str) -> str:
     ------
     InputError : there is no such template
     """
-    known = [one.removeprefix(FOLDER) for one in list_assets("scenes") if one.startswith(FOLDER)]
+    known = _template_names()
     if name not in known:
         close = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {close[0]}?" if close else ""

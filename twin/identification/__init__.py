@@ -1,1 +1,1 @@
-"""Identify what is not known of a sensor from what was measured with it."""
+"""Identify unknown fields of a sensor from measurements made with it."""

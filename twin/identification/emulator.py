@@ -1,11 +1,12 @@
-"""What the twin would find anywhere in the space of free fields, learned from its simulations.
+"""Emulators: interpolate a simulated figure over the free fields, with a standard deviation.
 
 A Gaussian process per figure (universal kriging): quadratic trend, anisotropic Matern 5/2
 covariance, and the simulations' own noise (the camera's). Rasmussen and Williams, Gaussian
-Processes for Machine Learning (2006), eqs 2.41 and 2.42; its error is cross-validated in closed
-form (Dubrule, Mathematical Geology 15, 687-699, 1983), and its uncertainty is widened where that
-shows it too small. With few simulations the trend has no products, or no squares. Places are
-shares (0 to 1) of the free fields' axes. A figure may be learned as its logarithm or reciprocal.
+Processes for Machine Learning (2006), eqs 2.41 and 2.42. The error is cross-validated in closed
+form (Dubrule, Mathematical Geology 15, 687-699, 1983); if it exceeds the predicted standard
+deviation, that deviation is widened. With few simulations the trend has no products, or no
+squares. Places are shares (0 to 1) of the free fields' axes. A figure may be learned as its
+logarithm or reciprocal.
 """
 
 from dataclasses import dataclass
@@ -24,12 +25,12 @@ from twin.config.rows import LearnedAs
 
 _LEAST_POINTS = 8
 _RESTARTS = 2
-# Shares of an axis; what changes faster than the shortest cannot be told from the camera's noise.
+# Shares of an axis; a variation over less than the shortest length is taken as camera noise.
 _LENGTHS = (0.2, 30.0)
 _NOISE = (1e-10, 1.0)
 _JITTER = 1e-12
 _NEGLIGIBLE = 0.01
-# The lengths of a covariance are as well known from so many figures as from all.
+# Points from which the lengths of a covariance are estimated; more points do not improve them.
 _MOST_FOR_LENGTHS = 400
 
 
@@ -41,17 +42,17 @@ class Emulator:
     ----------
     columns : which free fields it depends on
     known : (point, column) places of the simulations that gave the figure
-    learned : (point,) what was learned there
+    learned : (point,) the figure there, or its logarithm or reciprocal, see `learned_as`
     covariance, noise : of the figure without noise, and the noise's variance, in units of `spread`
         squared
-    seen : (direction, point) whitened directions of the simulations' covariance, noise in it, that
-        narrow a prediction; the rest together by less than 1 % of its variance
+    directions : (direction, point) whitened eigenvectors of the simulations' covariance with noise;
+        the omitted ones together reduce a prediction's variance by less than 1 %
     trend, trend_lower : (term,) coefficients of 1, x, x^2 and x y, and the Cholesky factor of the
         inverse of their covariance, in units of `spread`
-    trend_seen : (term, point) the trend's terms at the simulations, over the covariance
-    left_over : (point,) inverse covariance times what the trend leaves of the figures
+    trend_weights : (term, point) the trend's terms at the simulations times inverse covariance
+    residual_weights : (point,) inverse covariance times the residuals of the trend
     left_out : (point,) error at each simulation when it is predicted from all others
-    spread : what the trend leaves, RMS, in the figure's unit
+    spread : RMS residual of the trend, in the figure's unit
     widening : factor on the process' own standard deviation, 1 or more
     missing : share of the simulations that gave no figure
     learned_as : the function of the figure that is learned
@@ -62,11 +63,11 @@ class Emulator:
     learned: FloatArray
     covariance: Any
     noise: float
-    seen: FloatArray
+    directions: FloatArray
     trend: FloatArray
     trend_lower: FloatArray
-    trend_seen: FloatArray
-    left_over: FloatArray
+    trend_weights: FloatArray
+    residual_weights: FloatArray
     left_out: FloatArray
     spread: float
     widening: float
@@ -75,7 +76,7 @@ class Emulator:
 
     @property
     def cross_validated_rmse(self) -> float:
-        """RMS error at simulations that the emulator has not seen, in the figure's unit."""
+        """RMS error at simulations when each is predicted from the others, in the figure's unit."""
         figures = _figure(self.learned, self.learned_as)
         missed = self.spread * self.left_out * _slope(figures, self.learned_as)
         return float(np.sqrt(np.mean(missed**2)))
@@ -83,33 +84,33 @@ class Emulator:
     def predict(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation (n,) of the figure at places (n, free field).
 
-        The deviation is the emulator's own; the simulations' noise is not in it.
+        The deviation is the emulator's own, without the simulations' noise.
         """
         at = places[:, self.columns]
         across, terms = self._about(at)
-        apart = terms.T - self.trend_seen @ across.T
-        open_trend = solve_triangular(self.trend_lower, apart, lower=True)
-        variance = self.covariance.diag(at) - np.sum((self.seen @ across.T) ** 2, axis=0)
+        residual_terms = terms.T - self.trend_weights @ across.T
+        open_trend = solve_triangular(self.trend_lower, residual_terms, lower=True)
+        variance = self.covariance.diag(at) - np.sum((self.directions @ across.T) ** 2, axis=0)
         variance = np.maximum(variance, 0.0) + np.sum(open_trend**2, axis=0)
         figure = self._mean(across, terms)
         deviation = self.spread * self.widening * np.sqrt(variance)
         return figure, deviation * _slope(figure, self.learned_as)
 
     def mean(self, places: FloatArray) -> FloatArray:
-        """Return the mean alone, (n,): a small part of the time that its deviation takes."""
+        """Return the mean without its deviation, (n,); much faster than `predict`."""
         return self._mean(*self._about(places[:, self.columns]))
 
     def _about(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return covariance with what is known (n, known), and the trend's terms (n, term)."""
+        """Return covariance with the simulations (n, known), and the trend's terms (n, term)."""
         return self.covariance(at, self.known), _terms(at)[:, : self.trend.size]
 
     def _mean(self, across: FloatArray, terms: FloatArray) -> FloatArray:
-        learned = self.spread * (terms @ self.trend + across @ self.left_over)
+        learned = self.spread * (terms @ self.trend + across @ self.residual_weights)
         return _figure(np.clip(learned, *self._sane), self.learned_as)
 
     @property
     def _sane(self) -> tuple[float, float]:
-        """Bounds of what is learned: a reciprocal of 0 is no figure."""
+        """Bounds of the learned function: a reciprocal must not approach 0."""
         low = float(self.learned.min())
         return (0.2 * low if self.learned_as == "reciprocal" else -np.inf), np.inf
 
@@ -128,7 +129,7 @@ def fit_emulator(
     places : (n, free field) float
         Shares of the axes, 0 to 1.
     figures : (n,) float
-        What was simulated there; NaN where there was no such figure.
+        Simulated figure there; NaN where a simulation did not give it.
     columns : tuple of int
         The free fields that the figure can depend on.
     learned_as : "value", "log" or "reciprocal"
@@ -142,31 +143,31 @@ def fit_emulator(
     InputError
         Fewer simulations gave the figure than are needed.
     """
-    found = np.isfinite(figures)
+    valid = np.isfinite(figures)
     if learned_as != "value":
-        found &= np.where(found, figures, 0.0) > 0.0
-    at, values = places[found][:, columns], _learn(figures[found], learned_as)
+        valid &= np.where(valid, figures, 0.0) > 0.0
+    at, values = places[valid][:, columns], _learn(figures[valid], learned_as)
     of = np.arange(figures.size) if simulation is None else simulation
-    terms = _trend(at, np.unique(of[found]).size, np.unique(of).size)
+    terms = _trend(at, np.unique(of[valid]).size, np.unique(of).size)
     left = values - terms @ lstsq(terms, values)[0]
-    # A figure that the trend meets exactly has nothing left over to scale with.
+    # Residuals of 0, where the trend is exact, cannot scale the figures.
     spread = max(float(left.std()), _JITTER * max(1.0, float(np.abs(values).max())))
-    parts = _universal(at, terms, values / spread, _kernel(at, left / spread), of[found])
+    parts = _universal(at, terms, values / spread, _kernel(at, left / spread), of[valid])
     return Emulator(
         columns=columns,
         known=at,
         learned=values,
         spread=spread,
-        missing=float(1.0 - found.mean()),
+        missing=float(1.0 - valid.mean()),
         learned_as=learned_as,
         **parts,
     )
 
 
 def _trend(at: FloatArray, count: int, simulated: int) -> FloatArray:
-    """Return the terms (n, term) of the fullest trend that half of `count` simulations determine.
+    """Return the terms (n, term) of the largest trend with at most `count` / 2 terms.
 
-    `simulated` is how many there are, with those that gave no figure.
+    `count` simulations gave the figure, of `simulated` in all.
     """
     every, fields = _terms(at), at.shape[1]
     for terms in (every.shape[1], 1 + 2 * fields, 1 + fields):
@@ -191,7 +192,7 @@ def _figure(learned: FloatArray, learned_as: LearnedAs) -> FloatArray:
 
 
 def _slope(figures: FloatArray, learned_as: LearnedAs) -> FloatArray:
-    """Return by how much a figure changes with what is learned."""
+    """Return the derivative of a figure with respect to its learned function."""
     if learned_as == "value":
         return np.ones_like(figures)
     return figures if learned_as == "log" else np.asarray(figures**2)
@@ -208,17 +209,17 @@ def _universal(
     terms, figures = white @ trend_terms, white @ scaled
     trend = lstsq(terms, figures)[0]
     basis = np.linalg.qr(terms)[0]
-    # What is left of the inverse covariance when the trend is fitted, too.
+    # Inverse covariance, projected on the complement of the fitted trend.
     free = white.T @ (white - basis @ (basis.T @ white))
     left_out, surprise = _left_out(free, free @ scaled, simulation)
     return {
         "covariance": kernel.k1,
         "noise": noise,
-        "seen": white[_narrowing(signal, noise) :],
+        "directions": white[_narrowing(signal, noise) :],
         "trend": trend,
-        "trend_seen": terms.T @ white,
+        "trend_weights": terms.T @ white,
         "trend_lower": np.linalg.cholesky(terms.T @ terms),
-        "left_over": white.T @ (figures - terms @ trend),
+        "residual_weights": white.T @ (figures - terms @ trend),
         "widening": max(1.0, float(np.sqrt(surprise / scaled.size))),
         "left_out": left_out,
     }
@@ -227,8 +228,8 @@ def _universal(
 def _narrowing(signal: FloatArray, noise: float) -> int:
     """Return the first direction (variances ascend) that matters to a prediction's variance.
 
-    In the mean over the simulated places a direction leaves s n / (s + n) of its variance s, and
-    narrows by s^2 / (s + n).
+    In the mean over the simulated places, of a direction's variance s the simulations reduce
+    s^2 / (s + n); s n / (s + n) remains.
     """
     narrowed = np.cumsum(signal**2 / (signal + noise))
     left = np.sum(signal * noise / (signal + noise))
@@ -240,7 +241,7 @@ def _left_out(
 ) -> tuple[FloatArray, float]:
     """Return the error (n,) at each simulation's figures predicted from all other simulations.
 
-    And the sum of their squares over their predicted covariance, which is n where that is right.
+    And the sum of their squares over their predicted covariance, which is n if that is right.
     """
     left_out, surprise = np.zeros(len(free)), 0.0
     for number in np.unique(simulation):
@@ -257,7 +258,7 @@ def _terms(at: FloatArray) -> FloatArray:
 
 
 def _kernel(at: FloatArray, left: FloatArray) -> Any:
-    """Return the most likely covariance of what a trend leaves, of unit spread."""
+    """Return the most likely covariance of a trend's residuals, of unit spread."""
     if len(at) > _MOST_FOR_LENGTHS:
         some = np.random.default_rng(0).choice(len(at), _MOST_FOR_LENGTHS, replace=False)
         at, left = at[some], left[some]
@@ -265,6 +266,6 @@ def _kernel(at: FloatArray, left: FloatArray) -> Any:
     process = GaussianProcessRegressor(
         signal + WhiteKernel(0.1, _NOISE), n_restarts_optimizer=_RESTARTS, random_state=0
     )
-    # A length at its bound is a field that does not matter, or no noise: both are answers.
+    # Valid fits: a length at its bound (a field without influence), noise at its bound (none).
     with warnings_ignored(ConvergenceWarning):
         return process.fit(at, left).kernel_

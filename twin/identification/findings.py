@@ -1,4 +1,4 @@
-"""What a posterior says: intervals, rows, ridges, what the priors do, a measurement's worth."""
+"""Conclusions from a posterior: intervals, predicted rows, ridges, prior sensitivity, worth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from scipy.special import ndtr
 from reconstruction.arrays import FloatArray
 from twin.identification.posterior import Likelihood, Posterior
 
-# A field whose posterior variance is more than this share of the prior's is not determined.
+# A field is not determined if its posterior variance is more than this share of the prior's.
 _UNDETERMINED = 0.5
-# Components of a unit vector below this say nothing.
+# A field takes part in a ridge if its component of the unit vector is larger.
 _NEGLIGIBLE = 0.25
-# A ridge is so much narrower (variance) than its fields alone are known.
+# Largest variance across a ridge over that of each of its fields.
 _NARROW = 0.1
 _HALF = float(np.sqrt(0.5))
 
@@ -40,17 +40,17 @@ def interval_of(samples: FloatArray) -> Marginal:
 
 @dataclass(frozen=True)
 class Prediction:
-    """A row beside what the twin says of it, given the rows that were fitted.
+    """A measured row and the twin's prediction of it, given the rows that were fitted.
 
     Attributes
     ----------
     scatter : standard deviation of one measurement, where `sd` is that of a mean
-    twin : of the figure given the fitted rows, with all that they leave open: fields, emulator,
-        nuisance, discrepancy, coat
-    any_coat : the same of another sensor with these fields: of its own coat, scale and emulator's
-        error the rows tell nothing
+    twin : of the figure given the fitted rows, with the remaining uncertainty of fields, emulator,
+        nuisance, discrepancy and coat
+    any_coat : the same for another sensor with these fields; its coat, scale and emulator error are
+        independent of the fitted rows
     deviation : (measured - any_coat) over the standard deviation of their difference: whether the
-        fields explain the row without what its own coat may have done
+        fields explain the row without an effect of its own coat
     """
 
     row: str
@@ -78,26 +78,26 @@ def predict_rows(posterior: Posterior, rows: Likelihood, seed: int) -> list[Pred
         The rows to predict, of the same free fields.
     seed : int
     """
-    given, alone = draw_rows(posterior, rows, seed), _unconditioned(posterior, rows, seed)
-    found = []
+    given, unconditioned = draw_rows(posterior, rows, seed), _unconditioned(posterior, rows, seed)
+    predictions = []
     for number, (name, row) in enumerate(rows.rows.items()):
-        twin, any_coat = interval_of(given[:, number]), interval_of(alone[:, number])
+        twin, any_coat = interval_of(given[:, number]), interval_of(unconditioned[:, number])
         deviation = (row.value - any_coat.mean) / float(np.hypot(any_coat.sd, row.sd))
         fitted = name in posterior.likelihood.rows
-        found.append(
+        predictions.append(
             Prediction(name, row.value, row.sd, row.scatter, fitted, twin, any_coat, deviation)
         )
-    return found
+    return predictions
 
 
 @dataclass(frozen=True)
 class LimitMet:
-    """A limit beside what the twin says of its figure.
+    """A limit and the twin's prediction of its figure.
 
     Attributes
     ----------
     limit : its name
-    twin : of the figure, with all that the rows and limits leave open
+    twin : of the figure given the fitted rows and limits, with the remaining uncertainty
     before, probability : that the limit is met, over the prior and given rows and limits
     """
 
@@ -108,25 +108,25 @@ class LimitMet:
 
 
 def limits_met(posterior: Posterior, seed: int) -> list[LimitMet]:
-    """Return how the limits are met, over the posterior and over as many draws of the prior."""
+    """Return the probability of each limit, over the posterior and as many draws of the prior."""
     rng, likelihood = np.random.default_rng(seed), posterior.likelihood
     prior = rng.standard_normal(posterior.z.shape)
-    found = []
+    limits = []
     for name in likelihood.limits:
         figure, open_sd = likelihood.emulators[name].predict(posterior.places)
         drawn = figure + open_sd * rng.standard_normal(figure.size)
         before, after = (np.exp(likelihood.within(name, z)).mean() for z in (prior, posterior.z))
-        found.append(LimitMet(name, interval_of(drawn), float(before), float(after)))
-    return found
+        limits.append(LimitMet(name, interval_of(drawn), float(before), float(after)))
+    return limits
 
 
 def draw_rows(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
     """Return figures (sample, row) given the fitted rows, without the rows' own noise.
 
-    The fitted rows tell of fields and of what else moves rows together: nuisances, emulators'
+    The fitted rows constrain the fields and the errors that rows share: nuisances, emulators'
     errors, the draw of a coat. At each sample of the fields these are normal: joint draws of all
-    rows and of the noise of the fitted ones are moved by the regression on what was measured
-    (Matheron's rule; Rasmussen and Williams 2006, eq. 2.19).
+    rows, and of the noise of the fitted rows, are corrected by the regression on the measured
+    values (Matheron's rule; Rasmussen and Williams 2006, eq. 2.19).
     """
     every, fitted = rows.among(posterior.likelihood), posterior.likelihood.rows
     drawn, loadings = _drawn(posterior, every, seed)
@@ -134,19 +134,21 @@ def draw_rows(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
     value, sd = (np.array([getattr(r, n) for r in fitted.values()]) for n in ("value", "sd"))
     noise = sd * np.random.default_rng(seed + 1).standard_normal((len(drawn), len(where)))
     missed = value - drawn[:, where] - noise
-    seen = loadings[:, where]
-    weights = np.linalg.solve(seen @ seen.transpose(0, 2, 1) + np.diag(sd**2), missed[..., None])
-    moved = drawn + (loadings @ (seen.transpose(0, 2, 1) @ weights))[..., 0]
+    fitted_part = loadings[:, where]
+    weights = np.linalg.solve(
+        fitted_part @ fitted_part.transpose(0, 2, 1) + np.diag(sd**2), missed[..., None]
+    )
+    moved = drawn + (loadings @ (fitted_part.transpose(0, 2, 1) @ weights))[..., 0]
     return np.asarray(moved[:, : len(rows.rows)])
 
 
 def _unconditioned(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
-    """Return figures (sample, row) of any sensor with these fields: other coats, other errors."""
+    """Return figures (sample, row) of another sensor with these fields: independent errors."""
     return _drawn(posterior, rows, seed)[0]
 
 
 def _drawn(posterior: Posterior, rows: Likelihood, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Return figures (sample, row) with draws of all that is open, and its loadings."""
+    """Return figures (sample, row) with drawn shared errors, and the loadings of these."""
     figures, loadings = rows.predicted(posterior.z)
     latent = np.random.default_rng(seed).standard_normal((len(figures), loadings.shape[2], 1))
     return figures + (loadings @ latent)[..., 0], loadings
@@ -154,7 +156,7 @@ def _drawn(posterior: Posterior, rows: Likelihood, seed: int) -> tuple[FloatArra
 
 @dataclass(frozen=True)
 class Ridge:
-    """A combination of fields that the rows determine, while they leave its parts open.
+    """A combination of fields that the rows determine better than each of these fields.
 
     Along the ridge the fields trade off: only their combination is known.
 
@@ -163,7 +165,7 @@ class Ridge:
     share : component by field of the unit vector across the ridge, in standard deviations of the
         prior
     variance_ratio : posterior over prior variance across it
-    open_ratio : posterior over prior variance of the best determined of its fields alone
+    open_ratio : posterior over prior variance of the best determined of its single fields
     """
 
     share: Mapping[str, float]
@@ -172,16 +174,18 @@ class Ridge:
 
 
 def ridges(posterior: Posterior) -> list[Ridge]:
-    """Return the combinations of two or more fields that the rows cannot take apart.
+    """Return the combinations of two or more fields that the rows cannot separate.
 
-    Principal directions of the posterior whose variance is less than a tenth of that of each field
-    that takes part, the narrowest first; then pairs on a curve: a parabola of one of them leaves
-    less than a tenth of the other's variance.
+    Principal directions of the posterior with less than 10 % of the variance of each field that
+    takes part, the narrowest first. Then pairs of fields on a curve: after a parabola in one field
+    is subtracted, the other has less than 10 % of its variance.
     """
     straight = _straight_ridges(posterior)
-    told = [set(one.share) for one in straight]
+    named = [set(ridge.share) for ridge in straight]
     curved = [
-        one for one in _curved_ridges(posterior) if not any(set(one.share) <= t for t in told)
+        ridge
+        for ridge in _curved_ridges(posterior)
+        if not any(set(ridge.share) <= t for t in named)
     ]
     return straight + curved
 
@@ -190,39 +194,39 @@ def _straight_ridges(posterior: Posterior) -> list[Ridge]:
     names = list(posterior.likelihood.free)
     covariance = np.atleast_2d(np.cov(posterior.z.T))
     variances, axes = np.linalg.eigh(covariance)
-    found = []
+    directions = []
     for variance, axis in zip(variances, axes.T, strict=True):
         axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
         takes_part = (np.abs(axis) > _NEGLIGIBLE) & (np.diag(covariance) > variance / _NARROW)
         if takes_part.sum() > 1:
             share = {names[i]: float(axis[i]) for i in np.flatnonzero(takes_part).tolist()}
-            alone = float(np.diag(covariance)[takes_part].min())
-            found.append(Ridge(share, float(variance), alone))
-    return found
+            least = float(np.diag(covariance)[takes_part].min())
+            directions.append(Ridge(share, float(variance), least))
+    return directions
 
 
 def _curved_ridges(posterior: Posterior) -> list[Ridge]:
     names, z = list(posterior.likelihood.free), posterior.z
-    found = []
+    pairs = []
     for i, j in combinations(range(len(names)), 2):
         variances = z[:, i].var(), z[:, j].var()
         left = min(_left_by_parabola(z[:, i], z[:, j]), _left_by_parabola(z[:, j], z[:, i]))
         if left < _NARROW:
-            # Where one falls as the other grows, both up is across.
+            # With a negative correlation the direction across the ridge has components of one sign.
             sign = -float(np.sign(np.corrcoef(z[:, i], z[:, j])[0, 1]))
             share = {names[i]: _HALF, names[j]: sign * _HALF}
-            found.append(Ridge(share, float(left * min(variances)), float(min(variances))))
-    return found
+            pairs.append(Ridge(share, float(left * min(variances)), float(min(variances))))
+    return pairs
 
 
 def _left_by_parabola(of: FloatArray, by: FloatArray) -> float:
-    """Return the share of a field's variance that a parabola of another field leaves."""
+    """Return the share of a field's variance that a parabola in another field does not explain."""
     fitted = np.polynomial.Polynomial.fit(by, of, 2)
     return float(np.var(of - fitted(by)) / of.var())
 
 
 def undetermined(posterior: Posterior) -> list[str]:
-    """Return the fields of which the rows say little: posterior variance over half the prior's."""
+    """Return the fields that the rows hardly narrow: more than 50 % of the prior's variance."""
     variances = posterior.z.var(axis=0)
     names = posterior.likelihood.free
     return [name for name, v in zip(names, variances, strict=True) if v > _UNDETERMINED]
@@ -230,12 +234,12 @@ def undetermined(posterior: Posterior) -> list[str]:
 
 @dataclass(frozen=True)
 class Worth:
-    """What one more measurement would decide.
+    """Expected reduction of the fields' variances by one more measurement.
 
     Attributes
     ----------
     expected_sd : of the figure before it is measured
-    shrink : by field, its expected posterior variance over today's
+    shrink : by field, its expected variance after the measurement over the present one
     """
 
     row: str
@@ -244,42 +248,43 @@ class Worth:
 
     @property
     def gain(self) -> float:
-        """Expected information (nats) on the fields, each alone, summed."""
+        """Expected information (nats), summed over the single fields."""
         return float(-0.5 * np.sum(np.log(list(self.shrink.values()))))
 
 
 def worth_of(posterior: Posterior, candidates: Likelihood, seed: int) -> list[Worth]:
-    """Return what measuring each of some rows would decide, the most telling first.
+    """Return the worth of measuring each candidate row, the largest information first.
 
-    Linear Bayes estimate from the posterior's samples: 1 - corr^2 of the field with the figure as
-    it would be measured.
+    Linear Bayes estimate from the posterior's samples: 1 - corr^2 of the field with the figure
+    including its measurement noise.
     """
     if not candidates.rows:
         return []
     whole = draw_rows(posterior, candidates, seed)
     rng = np.random.default_rng(seed + 1)
-    found = []
+    worths = []
     for number, (name, row) in enumerate(candidates.rows.items()):
         read = whole[:, number] + row.sd * rng.standard_normal(len(whole))
         shrink = {
             field: 1.0 - min(0.999, float(np.corrcoef(posterior.z[:, i], read)[0, 1]) ** 2)
             for i, field in enumerate(candidates.free)
         }
-        found.append(Worth(name, float(whole[:, number].std()), shrink))
-    return sorted(found, key=lambda one: -one.gain)
+        worths.append(Worth(name, float(whole[:, number].std()), shrink))
+    return sorted(worths, key=lambda worth: -worth.gain)
 
 
 @dataclass(frozen=True)
 class PriorShift:
-    """What changes when a field's prior is tilted: twice as dense at one end, none at the other.
+    """Effect of a tilted prior: its density is doubled at one end and zero at the other.
 
     Attributes
     ----------
-    field, towards : whose prior, and its end that gains, "low" or "high"
+    field, towards : field with the tilted prior, and the end with doubled density, "low" or "high"
     mean_before, mean : of the field, in its own unit
-    row, row_steps : the row whose prediction moves most, and by how many of its standard deviations
+    row, row_steps : row with the largest change of its prediction, and that change in standard
+        deviations of the prediction
     probability : of the most probable choices
-    effective_share : of the samples, (sum w)^2 / (n sum w^2): few are left where it is small
+    effective_share : of the samples, (sum w)^2 / (n sum w^2): few count where it is small
     """
 
     field: str
@@ -295,7 +300,7 @@ class PriorShift:
 def prior_shifts(
     posteriors: Sequence[Posterior], chances: Sequence[float], rows: Likelihood, seed: int
 ) -> list[PriorShift]:
-    """Return what each field's prior does to the conclusions.
+    """Return the effect of each field's prior on mean, prediction and probability.
 
     Samples are weighted by 2 u or 2 (1 - u), u the prior's own quantile of the field; the evidence
     of a model changes by the mean of the weights (importance sampling).
@@ -310,16 +315,16 @@ def prior_shifts(
     best = posteriors[0]
     figures = draw_rows(best, rows, seed)
     means, sds = figures.mean(axis=0), figures.std(axis=0)
-    found = []
+    shifts = []
     for number, name in enumerate(rows.free):
         for towards in ("low", "high"):
-            weights = [_tilted(one.z[:, number], towards) for one in posteriors]
+            weights = [_tilted(posterior.z[:, number], towards) for posterior in posteriors]
             evidence = np.array([w.mean() for w in weights]) * chances
             own = weights[0] / weights[0].sum()
             steps = (own @ figures - means) / sds
             farthest = int(np.abs(steps).argmax())
             values = best.values[:, number]
-            found.append(
+            shifts.append(
                 PriorShift(
                     field=name,
                     towards=towards,
@@ -331,7 +336,7 @@ def prior_shifts(
                     effective_share=float(1.0 / (len(own) * (own**2).sum())),
                 )
             )
-    return found
+    return shifts
 
 
 def _tilted(z: FloatArray, towards: str) -> FloatArray:

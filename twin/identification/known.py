@@ -1,4 +1,4 @@
-"""What is known of a sensor: every combination of choices with its posterior, and what they say."""
+"""The result of an identification: every combination of choices, its posterior and conclusions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -44,8 +44,8 @@ class SensorModel:
     prior, probability : of the combination, before and after the fitted rows
     emulators : by row, of `rows` and `worth`
     scatters : of the figures over the repeats, by the rows with `realisations`
-    rotated : by held-out row, its prediction when the other rows are fitted; of the most probable
-        model alone
+    rotated : by held-out row, its prediction when the other rows are fitted; empty except in the
+        most probable model
     """
 
     combination: Mapping[str, str]
@@ -60,7 +60,7 @@ class SensorModel:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """What is known of a sensor; models with the most probable first."""
+    """Identified fields of a sensor, with the most probable model first."""
 
     problem: SensorProblem
     models: tuple[SensorModel, ...]
@@ -85,7 +85,7 @@ class Identified:
         return posterior_drawing(self)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the samples (model, sample) of the free fields, as posterior.nc holds them."""
+        """Return the samples (model, sample) of the free fields, as in posterior.nc."""
         return samples_of(self).to_xarray()
 
     @property
@@ -95,56 +95,56 @@ class Identified:
 
     @cached_property
     def values(self) -> FloatArray:
-        """(sample, free field) over all models, each with its share of the samples."""
-        return mixed([one.posterior.values for one in self.models], self._weights, self.seed)
+        """(sample, free field) over all models, in numbers proportional to their probability."""
+        return mixed([model.posterior.values for model in self.models], self._weights, self.seed)
 
     @property
     def _weights(self) -> list[float]:
-        return [one.probability for one in self.models]
+        return [model.probability for model in self.models]
 
     def intervals(self) -> dict[str, Marginal]:
         """Return the intervals of the free fields, in their own units, by name."""
         return {n: interval_of(v) for n, v in zip(self.problem.free, self.values.T, strict=True)}
 
     def ridges(self) -> list[Ridge]:
-        """Return what the most probable model's rows cannot take apart."""
+        """Return the combinations of fields that the rows cannot separate, in the best model."""
         return ridges(self.best.posterior)
 
     def undetermined(self) -> list[str]:
-        """Return the fields of which the rows say little."""
+        """Return the fields that the rows hardly narrow."""
         return undetermined(self.best.posterior)
 
     def limits(self) -> list[LimitMet]:
-        """Return how the most probable model meets the limits."""
+        """Return the probability of each limit in the most probable model."""
         return limits_met(self.best.posterior, self.seed)
 
     def worth(self) -> list[Worth]:
-        """Return what each measurement of `worth` would decide."""
+        """Return by how much each measurement of `worth` would narrow the fields."""
         candidates = likelihood_of(
             self.problem, self.problem.worth, self.best.emulators, self.best.scatters
         )
         return worth_of(self.best.posterior, candidates, self.seed)
 
     def prior_shifts(self) -> list[PriorShift]:
-        """Return what each field's prior does to the conclusions."""
+        """Return the effect of each field's prior on the conclusions."""
         best = self.best
         rows = likelihood_of(self.problem, self.problem.rows, best.emulators, best.scatters)
-        posteriors = [one.posterior for one in self.models]
+        posteriors = [model.posterior for model in self.models]
         return prior_shifts(posteriors, self._weights, rows, self.seed)
 
     def profiles(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Return the profile of the likelihood by field: its values and log likelihood."""
-        found = {}
+        profiles = {}
         for number, (name, free) in enumerate(self.problem.free.items()):
             shares, heights = profile(self.best.posterior, number)
-            found[name] = free.value(shares), heights
-        return found
+            profiles[name] = free.value(shares), heights
+        return profiles
 
 
 def mixed(samples: list[FloatArray], weights: list[float], seed: int) -> FloatArray:
     """Draw from the models' samples, each with its weight."""
     rng = np.random.default_rng(seed)
-    count = min(len(one) for one in samples)
+    count = min(len(values) for values in samples)
     shares = rng.multinomial(count, np.array(weights) / sum(weights))
-    drawn = [one[rng.choice(len(one), n)] for one, n in zip(samples, shares, strict=True)]
+    drawn = [values[rng.choice(len(values), n)] for values, n in zip(samples, shares, strict=True)]
     return np.concatenate(drawn)

@@ -1,12 +1,13 @@
-"""What the rows leave of the prior: samples by MCMC, evidence, and the profile of the likelihood.
+"""The posterior of the free fields: samples by MCMC, evidence, and the profile of the likelihood.
 
 Coordinates: z, standard normal under the prior, one per free field; a place is the prior's
-quantile of Phi(z) on the field's axis. Rows are normal: their own uncertainty, the model's
-discrepancy, the scatter of what they are one draw of and the emulator's error each add to the
-variance, and nuisances, linear with normal priors, are integrated out:
-C = diag(s^2) + L L^T, with L what each source of error moves in each row. Rows of one figure share
-the error of its emulator, and those of one coat the draw of its texture. A limit is met with the
-probability that a normal figure of its own and its emulator's variance lies on its side.
+quantile of Phi(z) on the field's axis. Rows are normal. Their variance is the sum of their own
+uncertainty, the model's discrepancy, the scatter over realisations (coats) and the emulator's
+error; nuisances, linear with normal priors, are integrated out: C = diag(s^2) + L L^T, with L the
+change of each row by one standard deviation of each source of error. Rows of one figure share the
+error of its emulator, and rows of one coat the draw of its texture. A limit is met with the
+probability that a normal figure, with the sum of the limit's and the emulator's variance, is on
+the allowed side.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +26,7 @@ from twin.config.problem import LONGEST_CHAIN, Free, SensorProblem
 from twin.config.rows import Limit, Row
 from twin.identification.emulator import Emulator
 
-_Told = TypeVar("_Told")
+_Prediction = TypeVar("_Prediction")
 _START_EXPONENT = 13
 _WALKERS_PER_FIELD, _LEAST_WALKERS = 6, 40
 _STEPS = 1000
@@ -59,11 +60,11 @@ class Likelihood:
     def places(self, z: FloatArray) -> FloatArray:
         """Return places (n, free field) of standard normal coordinates (n, free field)."""
         probability = ndtr(np.clip(z, -_FARTHEST, _FARTHEST))
-        columns = [one.place(p) for one, p in zip(self.free.values(), probability.T, strict=True)]
+        columns = [free.place(p) for free, p in zip(self.free.values(), probability.T, strict=True)]
         return np.stack(columns, axis=1)
 
     def predicted(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return figures (n, row) and what is open of them, as loadings (n, row, latent).
+        """Return figures (n, row) and the loadings (n, row, latent) of their shared errors.
 
         A row differs from its figure by its loadings times independent standard normal latents:
         the error of each emulator, the draw of each coat, each nuisance, each row's discrepancy.
@@ -82,25 +83,27 @@ class Likelihood:
         return figures, np.concatenate(loadings, axis=2)
 
     def _figures(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return figures (n, row) as the rows show them, and the emulators' standard deviation."""
-        told = _each_once([self.emulators[name] for name in self.rows], lambda one: one.predict(at))
+        """Return figures (n, row), scaled to each row's statistic, and emulators' deviations."""
+        emulators = [self.emulators[name] for name in self.rows]
+        predicted = _each_once(emulators, lambda emulator: emulator.predict(at))
         rows = self.rows.values()
-        shown = [1.0 if one.statistic == "mean" else one.scatter_share for one in rows]
-        means, sds = (np.stack(parts, axis=1) for parts in zip(*told, strict=True))
-        return means * shown, sds * shown
+        factor = [1.0 if row.statistic == "mean" else row.scatter_share for row in rows]
+        means, sds = (np.stack(parts, axis=1) for parts in zip(*predicted, strict=True))
+        return means * factor, sds * factor
 
     def _scatter(self, at: FloatArray) -> FloatArray:
-        """Return (n, row) the standard deviation of what a row's realisations share, or 0."""
+        """Return (n, row) the standard deviation that a row's realisations share, or 0."""
         scatter = np.zeros((len(at), len(self.rows)))
         numbers = [i for i, row in enumerate(self.rows.values()) if row.realisations is not None]
         names, rows = list(self.rows), list(self.rows.values())
         emulators = [self.scatters[names[i]] for i in numbers]
-        for i, mean in zip(numbers, _each_once(emulators, lambda one: one.mean(at)), strict=True):
+        means = _each_once(emulators, lambda emulator: emulator.mean(at))
+        for i, mean in zip(numbers, means, strict=True):
             scatter[:, i] = mean * rows[i].scatter_share
         return scatter
 
     def _coats(self) -> list[object]:
-        """Return what tells the coats apart, by row: rows of one figure on one coat share it."""
+        """Return a key of the coat by row: rows of one figure on one coat have the same key."""
         return [
             name if row.coat is None else (row.coat, id(self.scatters[name]))
             for name, row in self.rows.items()
@@ -128,15 +131,15 @@ class Likelihood:
 
     def within(self, limit: str, z: FloatArray) -> FloatArray:
         """Return the logarithm of the probability (n,) that a limit is met."""
-        one = self.limits[limit]
+        stated = self.limits[limit]
         figure, emulated = self.emulators[limit].predict(self.places(z))
-        steps = one.side * (figure - one.value) / np.hypot(one.sd, emulated)
+        steps = stated.side * (figure - stated.value) / np.hypot(stated.sd, emulated)
         return np.asarray(log_ndtr(steps))
 
     def log_posterior(self, z: FloatArray) -> FloatArray:
-        """Return log likelihood plus log prior density (n,), up to no constant."""
-        found = self.log(z) + _log_prior(z)
-        return np.where(np.abs(z).max(axis=1) < _FARTHEST, found, -np.inf)
+        """Return log likelihood plus log prior density (n,), both with their constants."""
+        log_density = self.log(z) + _log_prior(z)
+        return np.where(np.abs(z).max(axis=1) < _FARTHEST, log_density, -np.inf)
 
     def covariance(self, loadings: FloatArray) -> FloatArray:
         """Return the covariance (n, row, row) of the measured rows about the twin's figures."""
@@ -144,19 +147,21 @@ class Likelihood:
         return np.asarray(loadings @ loadings.transpose(0, 2, 1) + own)
 
 
-def _each_once(emulators: Sequence[Emulator], ask: Callable[[Emulator], _Told]) -> list[_Told]:
-    """Return what each emulator tells; rows of one figure share theirs."""
-    told = {id(one): one for one in emulators}
-    answers = {key: ask(one) for key, one in told.items()}
-    return [answers[id(one)] for one in emulators]
+def _each_once(
+    emulators: Sequence[Emulator], predict: Callable[[Emulator], _Prediction]
+) -> list[_Prediction]:
+    """Return the prediction of each emulator, computed once for rows that share an emulator."""
+    distinct = {id(emulator): emulator for emulator in emulators}
+    predicted = {key: predict(emulator) for key, emulator in distinct.items()}
+    return [predicted[id(emulator)] for emulator in emulators]
 
 
 def _loaded(sd: FloatArray, latent: Sequence[object]) -> FloatArray:
     """Return loadings (n, row, latent) of deviations (n, row), by the latent of each row."""
-    columns = {one: number for number, one in enumerate(dict.fromkeys(latent))}
-    mine = np.zeros((len(latent), len(columns)))
-    mine[range(len(latent)), [columns[one] for one in latent]] = 1.0
-    return np.asarray(sd[:, :, None] * mine)
+    columns = {key: number for number, key in enumerate(dict.fromkeys(latent))}
+    membership = np.zeros((len(latent), len(columns)))
+    membership[range(len(latent)), [columns[key] for key in latent]] = 1.0
+    return np.asarray(sd[:, :, None] * membership)
 
 
 def _log_prior(z: FloatArray) -> FloatArray:
@@ -171,8 +176,8 @@ def likelihood_of(
     scatters: Mapping[str, Emulator] = MappingProxyType({}),
 ) -> Likelihood:
     """Return the likelihood of some rows of a problem, and of all its limits."""
-    sds = {name: one.sd for name, one in problem.nuisance.items()}
-    ours = {name: one for name, one in scatters.items() if name in rows}
+    sds = {name: nuisance.sd for name, nuisance in problem.nuisance.items()}
+    ours = {name: nuisance for name, nuisance in scatters.items() if name in rows}
     return Likelihood(problem.free, rows, emulators, sds, ours, problem.limits)
 
 
@@ -186,7 +191,7 @@ class Posterior:
     log_evidence : logarithm of the probability of the rows, over prior and noise
     log_evidence_sd : its standard uncertainty
     steps, correlation_time : of the chains
-    independent : about how many independent samples the chains are worth
+    independent : effective number of independent samples of the chains
     """
 
     likelihood: Likelihood
@@ -199,7 +204,7 @@ class Posterior:
 
     @property
     def is_converged(self) -> bool:
-        """Tell whether the chains are as long as was asked for."""
+        """Whether the chains have the required length and independent samples."""
         return (
             self.independent >= 0.75 * _EFFECTIVE
             and self.steps >= _CORRELATION_TIMES * self.correlation_time
@@ -226,16 +231,17 @@ class Posterior:
 def sample(likelihood: Likelihood, seed: int, longest: int = LONGEST_CHAIN) -> Posterior:
     """Sample the posterior by affine-invariant ensembles (Goodman and Weare 2010).
 
-    The walkers start from places of the prior drawn by their likelihood, so that all basins that
-    it holds are found. Chains run until they are 20 autocorrelation times long and hold 1000
-    independent samples, or `longest` steps.
+    The walkers start from places of the prior drawn by their likelihood, so that every basin of
+    the likelihood has walkers. Chains run until they are 20 autocorrelation times long and have
+    1000 independent samples, or for `longest` steps.
     """
     rng = np.random.default_rng(seed)
     fields = len(likelihood.free)
     walkers = max(_LEAST_WALKERS, _WALKERS_PER_FIELD * fields)
     walkers += walkers % 2
     # Not emcee's snooker move: it weighs proposals by the root of the ratio that detailed balance
-    # asks for (ter Braak and Vrugt 2008, eq. 4), and a tenth of it narrowed 68 % intervals to 60 %.
+    # requires (ter Braak and Vrugt 2008, eq. 4); with a weight of 0.1 it narrowed 68 % intervals to
+    # 60 %.
     moves = [(emcee.moves.StretchMove(), 0.5), (emcee.moves.DEMove(), 0.5)]
     sampler = emcee.EnsembleSampler(
         walkers, fields, likelihood.log_posterior, moves=moves, vectorize=True
@@ -257,10 +263,10 @@ def sample(likelihood: Likelihood, seed: int, longest: int = LONGEST_CHAIN) -> P
 def _starts(likelihood: Likelihood, walkers: int, rng: np.random.Generator) -> FloatArray:
     unit = qmc.Sobol(len(likelihood.free), rng=rng).random_base2(_START_EXPONENT)
     z = norm.ppf(np.clip(unit, 1e-6, 1 - 1e-6))
-    found = likelihood.log(z)
-    # Tempered until some hundred places count: a single best one would hide the other basins.
+    log_likelihood = likelihood.log(z)
+    # Tempered until some hundred places count: starts at the single best place miss other basins.
     for temper in 2.0 ** np.arange(0, 40):
-        weight = np.exp((found - found.max()) / temper)
+        weight = np.exp((log_likelihood - log_likelihood.max()) / temper)
         weight /= weight.sum()
         if 1.0 / np.sum(weight**2) > 2 * walkers:
             break
@@ -273,8 +279,8 @@ def _evidence(
 ) -> tuple[float, float]:
     """Sample by importance from prior and t densities round the samples, in equal parts.
 
-    The part of the prior keeps the weights bounded whatever the samples missed (defensive mixture,
-    Hesterberg 1995).
+    The draws from the prior keep the weights bounded where there are no samples (defensive
+    mixture, Hesterberg 1995).
     """
     count, fields = 2**_PROPOSALS_EXPONENT, z.shape[1]
     shape = np.atleast_2d(np.cov(z.T)) * 0.5 + 1e-8 * np.eye(fields)
@@ -320,7 +326,7 @@ def _highest(
     start = z[int(np.argmax(known - 0.5 * ((z[:, field] - at) / 0.3) ** 2))][others]
     if not others:
         return -float(lowered(np.zeros((1, 0)))[0])
-    found = minimize(
+    optimum = minimize(
         lambda p: _with_slope(lowered, p),
         start,
         jac=True,
@@ -328,7 +334,7 @@ def _highest(
         bounds=[(-3.0, 3.0)] * len(others),
         options={"maxiter": 60},
     )
-    return -float(found.fun)
+    return -float(optimum.fun)
 
 
 def _with_slope(function: Any, at: FloatArray, step: float = 1e-4) -> tuple[float, FloatArray]:
@@ -340,5 +346,5 @@ def _with_slope(function: Any, at: FloatArray, step: float = 1e-4) -> tuple[floa
 
 def probabilities(posteriors: Sequence[Posterior], weights: Sequence[float]) -> FloatArray:
     """Return the posterior probabilities of models from their evidence and prior weights."""
-    logs = np.log(weights) + np.array([one.log_evidence for one in posteriors])
+    logs = np.log(weights) + np.array([posterior.log_evidence for posterior in posteriors])
     return np.asarray(np.exp(logs - logsumexp(logs)))

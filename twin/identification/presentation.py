@@ -1,4 +1,4 @@
-"""An identification as a person meets it: samples as labelled arrays, intervals in pictures."""
+"""Presentation of an identification: samples as labelled arrays, intervals as texts and plots."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""What an identification leaves in its folder.
+"""The folder of an identification: its files and how they are written.
 
 | in the folder | content |
 |---|---|
@@ -6,7 +6,7 @@
 | posterior.nc | samples of the fields by model |
 | identified.toml | the same and joint draws of the fields, see `summary` |
 | experiment.toml, experiments/NAME.toml | the experiments at the most probable values |
-| studies/ | the simulations; an interrupted run goes on from here |
+| studies/ | the simulations; an interrupted run is resumed from these |
 """
 
 from collections.abc import Mapping
@@ -32,38 +32,38 @@ WRITTEN = (POSTERIOR_FILE, EXPERIMENTS_FOLDER, RESULT_FILE, EXPERIMENT_FILE)
 
 
 def experiments_at_best(
-    found: Identified, experiments: Mapping[str, Experiment]
+    identified: Identified, experiments: Mapping[str, Experiment]
 ) -> dict[str, Experiment]:
     """Return the experiments with the most probable choices and values.
 
-    Every value states that it is identified, its 95 % interval, and the rows that it rests on.
+    Every value states that it is identified, its 95 % interval, and the rows that were fitted.
 
     Raises
     ------
     ConfigError
         The values do not fit an experiment.
     """
-    values = identified_values(found)
+    values = identified_values(identified)
     return {
-        name: _at(found.problem, name, one, found.best.combination, values)
-        for name, one in experiments.items()
+        name: _at(identified.problem, name, experiment, identified.best.combination, values)
+        for name, experiment in experiments.items()
     }
 
 
-def identified_values(found: Identified) -> dict[str, dict[str, Any]]:
+def identified_values(identified: Identified) -> dict[str, dict[str, Any]]:
     """Return the most probable values of the fields by name, as data files state them."""
-    problem, best = found.problem, found.best.posterior
+    problem, best = identified.problem, identified.best.posterior
     at = best.likelihood.places(best.best_z[None])[0]
-    source = f"identified: {problem.name}, from the rows {_rests_on(problem)}; 95 % interval"
+    source = f"identified: {problem.name}, from the rows {_fitted_names(problem)}; 95 % interval"
     values = {}
     for (name, free), share, samples in zip(problem.free.items(), at, best.values.T, strict=True):
-        value, wide = _digits(float(free.value(share))), interval_of(samples)
-        ends = [min(_digits(wide.low_95), value), max(_digits(wide.high_95), value)]
+        value, interval = _digits(float(free.value(share))), interval_of(samples)
+        ends = [min(_digits(interval.low_95), value), max(_digits(interval.high_95), value)]
         values[name] = {"value": value, "range": ends, "source": source}
     return values
 
 
-def _rests_on(problem: SensorProblem) -> str:
+def _fitted_names(problem: SensorProblem) -> str:
     rows = ", ".join(problem.fitted)
     if not problem.limits:
         return rows
@@ -86,47 +86,50 @@ def _at(
     return vary(base, {problem.free[n].path: dict(values[n]) for n in problem.free_in(name)})
 
 
-def figures_of(found: Identified) -> dict[str, Any]:
-    """Return everything that was found, as for result.json; fields and rows by their names."""
+def figures_of(identified: Identified) -> dict[str, Any]:
+    """Return all results of the identification for result.json; fields and rows by their names."""
     return {
         "fields": {
-            name: {"path": found.problem.free[name].path} | asdict(one)
-            for name, one in found.intervals().items()
+            name: {"path": identified.problem.free[name].path} | asdict(interval)
+            for name, interval in identified.intervals().items()
         },
-        "rows": {one.row: asdict(one) for one in found.best.predictions},
-        "limits": {one.limit: asdict(one) for one in found.limits()},
-        "rotated": {name: asdict(one) for name, one in found.best.rotated.items()},
+        "rows": {row.row: asdict(row) for row in identified.best.predictions},
+        "limits": {limit.limit: asdict(limit) for limit in identified.limits()},
+        "rotated": {name: asdict(row) for name, row in identified.best.rotated.items()},
         "models": [
             {
-                "choices": dict(one.combination),
-                "prior": one.prior,
-                "probability": one.probability,
-                "log_evidence": one.posterior.log_evidence,
-                "log_evidence_sd": one.posterior.log_evidence_sd,
-                "independent_samples": one.posterior.independent,
-                "converged": one.posterior.is_converged,
+                "choices": dict(model.combination),
+                "prior": model.prior,
+                "probability": model.probability,
+                "log_evidence": model.posterior.log_evidence,
+                "log_evidence_sd": model.posterior.log_evidence_sd,
+                "independent_samples": model.posterior.independent,
+                "converged": model.posterior.is_converged,
             }
-            for one in found.models
+            for model in identified.models
         ],
-        "ridges": [asdict(one) for one in found.ridges()],
-        "undetermined": found.undetermined(),
-        "priors": [asdict(one) for one in found.prior_shifts()],
-        "worth": [asdict(one) for one in found.worth()],
+        "ridges": [asdict(ridge) for ridge in identified.ridges()],
+        "undetermined": identified.undetermined(),
+        "priors": [asdict(shift) for shift in identified.prior_shifts()],
+        "worth": [asdict(worth) for worth in identified.worth()],
         "emulators": {
-            name: {"cross_validated_rmse": one.cross_validated_rmse, "missing_share": one.missing}
-            for name, one in found.best.emulators.items()
+            name: {
+                "cross_validated_rmse": emulator.cross_validated_rmse,
+                "missing_share": emulator.missing,
+            }
+            for name, emulator in identified.best.emulators.items()
         },
     }
 
 
 def write_identified(
-    folder: Path, found: Identified, experiments: Mapping[str, Experiment]
+    folder: Path, identified: Identified, experiments: Mapping[str, Experiment]
 ) -> None:
-    """Write what was found, the samples, and the experiments at the most probable values."""
-    best = experiments_at_best(found, experiments)
+    """Write results, samples, and the experiments at the most probable values."""
+    best = experiments_at_best(identified, experiments)
     (folder / EXPERIMENTS_FOLDER).mkdir()
-    for name, one in best.items():
+    for name, experiment in best.items():
         path = folder / EXPERIMENTS_FOLDER / f"{name}.toml"
-        write_text(path, to_toml(one))
-    write_arrays(folder / POSTERIOR_FILE, samples_of(found))
-    write_result(folder, COMMAND, next(iter(best.values())), figures_of(found))
+        write_text(path, to_toml(experiment))
+    write_arrays(folder / POSTERIOR_FILE, samples_of(identified))
+    write_result(folder, COMMAND, next(iter(best.values())), figures_of(identified))

@@ -1,4 +1,4 @@
-"""Identify a sensor: simulate, learn the figures, sample what the rows leave; once more there."""
+"""Identify a sensor: simulate, fit emulators, sample the posterior; then refine near it."""
 
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
@@ -46,14 +46,14 @@ def identify(
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
     inputs: Iterable[Path] = (),
 ) -> Identified:
-    """Find what the rows say of the free fields.
+    """Estimate the free fields from the rows.
 
     Parameters
     ----------
     problem, experiments
         As from `twin.config.problem.load_problem`.
     folder : Path
-        Where the simulations are kept, below `studies`.
+        Where the simulations are stored, below `studies`.
     workers : Workers
         Processes that simulate; the result is the same with any number.
 
@@ -68,20 +68,20 @@ def identify(
     """
     run = partial(simulate, watch=watch, make_measurer=make_measurer, inputs=inputs)
     again = partial(refine, watch=watch, make_measurer=make_measurer)
-    found = run(problem, experiments, folder, workers)
-    with lasting(workers) as kept:
+    simulated = run(problem, experiments, folder, workers)
+    with lasting(workers) as pool:
         if any(problem.refined(name) for name in problem.experiments):
-            first = infer(problem, found, watch, kept, longest=_FIRST_STEPS)
-            further = again(problem, experiments, folder, kept, _places_again(first))
-            found |= {one: found[one].with_further(more) for one, more in further.items()}
-        return infer(problem, found, watch, kept)
+            first = infer(problem, simulated, watch, pool, longest=_FIRST_STEPS)
+            further = again(problem, experiments, folder, pool, _refined_places(first))
+            simulated |= {v: simulated[v].with_further(more) for v, more in further.items()}
+        return infer(problem, simulated, watch, pool)
 
 
-def _places_again(first: Identified) -> dict[Variant, FloatArray]:
-    """Draw places (point, free field) from what the rows leave, by the variants that matter.
+def _refined_places(first: Identified) -> dict[Variant, FloatArray]:
+    """Draw places (point, free field) from a first posterior, for each variant to be refined.
 
-    Those have limits or rows, fitted or not, under the choices of which none is less probable than
-    1 %.
+    A variant is refined if a limit or row, fitted or not, needs it under a combination of choices
+    with a probability of at least 1 %.
     """
     problem, rng = first.problem, np.random.default_rng(first.seed)
     drawn: dict[Variant, FloatArray] = {}
@@ -89,11 +89,11 @@ def _places_again(first: Identified) -> dict[Variant, FloatArray]:
     for model in first.models:
         if model.probability < _IMPROBABLE:
             continue
-        for one in known:
-            name = problem.experiment_of(one, model.combination)
+        for measured in known:
+            name = problem.experiment_of(measured, model.combination)
             variant, count = variant_for(problem, name, model.combination), problem.refined(name)
             if count and variant not in drawn:
-                places = model.posterior.places  # fewer than asked for where the chains are short
+                places = model.posterior.places  # fewer than `count` if the chains are short
                 drawn[variant] = rng.choice(places, min(count, len(places)), replace=False)
     return drawn
 
@@ -106,17 +106,17 @@ def infer(
     *,
     longest: int | None = None,
 ) -> Identified:
-    """Return what the rows say, given the simulations.
+    """Return the identification from the rows, given the simulations.
 
     Parameters
     ----------
-    workers : learn and sample side by side; the result is the same with any. Default: this process
-    longest : most steps of a chain; default: as the problem's design asks
+    workers : fit and sample in parallel; the result is the same with any. Default: this process
+    longest : most steps of a chain; default: those of the problem's design
     """
     tasks = workers or local_workers(1)
     executor, steps = tasks.open(), longest or problem.design.longest
     try:
-        return _infer(problem, simulated, watch, partial(_side_by_side, executor), steps)
+        return _infer(problem, simulated, watch, partial(_in_parallel, executor), steps)
     finally:
         (tasks.release or tasks.close)(executor)
 
@@ -124,13 +124,13 @@ def infer(
 _Map = Callable[..., list[Any]]
 
 
-def _side_by_side(executor: Executor, function: Callable[..., Any], *arguments: Any) -> list[Any]:
-    """Return a function of each of some arguments."""
+def _in_parallel(executor: Executor, function: Callable[..., Any], *arguments: Any) -> list[Any]:
+    """Return the results of a function over lists of arguments, computed in parallel."""
     return list(executor.map(partial(_on_one_thread, function), *arguments))
 
 
 def _on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
-    # Matrices this small are slower on several threads, whose number would show in last digits.
+    # Small matrices are slower on several threads; the last digits depend on the threads' number.
     with one_blas_thread():
         return function(*arguments)
 
@@ -152,18 +152,18 @@ def _infer(
     given = [_emulators(problem, combination, learned) for combination in combinations]
     model = partial(_model, longest, problem)
     models = each(model, combinations, *zip(*given, strict=True))
-    found = probabilities([one.posterior for one in models], [one.prior for one in models])
-    judged = [replace(m, probability=float(p)) for m, p in zip(models, found, strict=True)]
-    best, *others = sorted(judged, key=lambda one: -one.probability)
+    chances = probabilities([m.posterior for m in models], [m.prior for m in models])
+    weighted = [replace(m, probability=float(p)) for m, p in zip(models, chances, strict=True)]
+    best, *rest = sorted(weighted, key=lambda m: -m.probability)
     watch("posterior", len(models) / (len(models) + len(problem.rotate)))
     rotated = each(partial(_rotated, problem, best, longest), problem.rotate)
     best = replace(best, rotated=dict(zip(problem.rotate, rotated, strict=True)))
     watch("posterior", 1.0)
-    return Identified(problem, (best, *others), problem.design.seed)
+    return Identified(problem, (best, *rest), problem.design.seed)
 
 
 def _keys(problem: SensorProblem, combination: Mapping[str, str]) -> dict[tuple[str, bool], _Key]:
-    """Return what must be learned: each row's figure, and the scatter of those that have one."""
+    """Return the figures to be emulated: that of each row, and its scatter over realisations."""
     keys: dict[tuple[str, bool], _Key] = {}
     for name, row in problem.figures.items():
         variant = variant_for(problem, problem.experiment_of(row, combination), combination)
@@ -190,7 +190,7 @@ def _model(
     emulators: Mapping[str, Emulator],
     scatters: Mapping[str, Emulator],
 ) -> SensorModel:
-    """Return a model whose probability among the others is still to be judged."""
+    """Return a model without its probability among the models."""
     seed = problem.design.seed
     every = likelihood_of(problem, problem.rows, emulators, scatters)
     fitted = likelihood_of(problem, problem.fitted, emulators, scatters)
@@ -213,5 +213,5 @@ def _rotated(problem: SensorProblem, best: SensorModel, longest: int, held: str)
     every = likelihood_of(problem, problem.rows, best.emulators, best.scatters)
     rows = {name: row for name, row in problem.fitted.items() if name != held}
     likelihood = likelihood_of(problem, rows, best.emulators, best.scatters)
-    found = predict_rows(sample(likelihood, seed, longest), every, seed)
-    return next(one for one in found if one.row == held)
+    predictions = predict_rows(sample(likelihood, seed, longest), every, seed)
+    return next(prediction for prediction in predictions if prediction.row == held)

@@ -1,7 +1,7 @@
-"""What the twin finds over the space of free fields: studies of the experiments, kept in stores.
+"""Simulations over the space of free fields: studies of the experiments, saved in stores.
 
-One study for every experiment and every choice that changes it; an interrupted run goes on from
-them, and cases of the same content are shared within a study.
+One study for every experiment and every choice that changes it. An interrupted run is resumed from
+the stores, and cases of the same content are shared within a study.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -48,13 +48,13 @@ class Variant:
 
 def variants_of(problem: SensorProblem) -> list[Variant]:
     """Return the variants that must be simulated."""
-    found = []
+    variants = []
     for experiment in _used(problem):
         changing = _changing(problem, experiment)
         labels = [problem.alternatives[name].choices for name in changing]
         for chosen in product(*labels):
-            found.append(Variant(experiment, tuple(zip(changing, chosen, strict=True))))
-    return found
+            variants.append(Variant(experiment, tuple(zip(changing, chosen, strict=True))))
+    return variants
 
 
 def variant_for(problem: SensorProblem, experiment: str, combination: Mapping[str, str]) -> Variant:
@@ -71,16 +71,16 @@ def _used(problem: SensorProblem) -> list[str]:
 def _changing(problem: SensorProblem, experiment: str) -> list[str]:
     return [
         name
-        for name, one in problem.alternatives.items()
-        if (not one.experiments or experiment in one.experiments)
-        and any(choice.set for choice in one.choices.values())
+        for name, alternative in problem.alternatives.items()
+        if (not alternative.experiments or experiment in alternative.experiments)
+        and any(choice.set for choice in alternative.choices.values())
     ]
 
 
 def record_of(
     problem: SensorProblem, base: Experiment, variant: Variant, suffix: str = ""
 ) -> StudyRecord:
-    """Return the study of a variant, whose name ends with `suffix`.
+    """Return the study of a variant, with `suffix` at the end of its name.
 
     Raises
     ------
@@ -133,7 +133,7 @@ class Simulated:
     def sample(
         self, metric: Metric, statistic: Statistic = "mean", learned_as: LearnedAs = "value"
     ) -> "SimulatedFigure":
-        """Return what there is to learn of a figure.
+        """Return the simulated values of a figure, from which its emulator is fitted.
 
         Parameters
         ----------
@@ -151,8 +151,8 @@ class Simulated:
         names = (metric,) if isinstance(metric, str) else metric
         where = f"{self.variant.experiment}: {', '.join(names)}"
         parts = [
-            (places, columns, self._figures(told, statistic))
-            for places, columns, told in self._named(names)
+            (places, columns, self._figures(full_names, statistic))
+            for places, columns, full_names in self._named(names)
         ]
         places = np.concatenate([part[0] for part in parts])
         figures = np.concatenate([part[2] for part in parts])
@@ -162,7 +162,7 @@ class Simulated:
         return SimulatedFigure(where, places, figures, parts[0][1], learned_as, simulation)
 
     def with_further(self, further: "Simulated") -> "Simulated":
-        """Return these simulations and further ones of the same variant."""
+        """Return these simulations joined with further ones of the same variant."""
         places = np.concatenate((self.places, further.places))
         return replace(self, places=places, rows=self.rows + further.rows)
 
@@ -170,24 +170,25 @@ class Simulated:
         self, names: tuple[str, ...]
     ) -> Iterator[tuple[FloatArray, tuple[int, ...], tuple[str, ...]]]:
         """Yield places, columns, and full names of figures, for each value of a field among."""
-        field_name = next((n for n in self.among if any(f"{{{n}}}" in one for one in names)), None)
+        marked = (n for n in self.among if any(f"{{{n}}}" in name for name in names))
+        field_name = next(marked, None)
         if field_name is None:
             yield self.places, self.columns, names
             return
         column, given = self.among[field_name]
-        for told, (_, share) in given.items():
+        for part, (_, share) in given.items():
             places = self.places.copy()
             places[:, column] = share
-            full = tuple(name.replace(f"{{{field_name}}}", told) for name in names)
+            full = tuple(name.replace(f"{{{field_name}}}", part) for name in names)
             yield places, tuple(sorted((*self.columns, column))), full
 
     def _figures(self, names: tuple[str, ...], statistic: Statistic) -> FloatArray:
         """Return a figure (point,) that is the mean of several, over the repeats."""
-        values = {told: v for _, given in self.among.values() for told, (v, _) in given.items()}
+        values = {part: v for _, given in self.among.values() for part, (v, _) in given.items()}
         if names[0] in values:  # the field itself
             return np.full(len(self.places), values[names[0]])
-        found = np.array([[_number(row.get(n)) for n in names] for row in self.rows])
-        return summary(found.reshape(-1, self.repeats, len(names)), statistic)
+        figures = np.array([[_number(row.get(n)) for n in names] for row in self.rows])
+        return summary(figures.reshape(-1, self.repeats, len(names)), statistic)
 
     def _known(self) -> str:
         varied = {"seed", *self.varied}
@@ -203,7 +204,7 @@ class Simulated:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedFigure:
-    """What the simulations say of one figure; arguments of `fit_emulator`, and `where` it is."""
+    """One figure over all simulations: arguments of `fit_emulator`, and `where` for messages."""
 
     where: str
     places: FloatArray
@@ -213,7 +214,7 @@ class SimulatedFigure:
     simulation: IntArray
 
     def learned(self) -> Emulator:
-        """Learn the figure.
+        """Fit the emulator of the figure.
 
         Raises
         ------
@@ -258,7 +259,7 @@ def simulate(
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
     inputs: Iterable[Path] = (),
 ) -> dict[Variant, Simulated]:
-    """Run all simulations that the stores below `folder` lack.
+    """Run all simulations that are not in the stores below `folder`.
 
     Raises
     ------
@@ -270,14 +271,14 @@ def simulate(
         No usable Dr.Jit backend.
     """
     variants = variants_of(problem)
-    records = {one: record_of(problem, experiments[one.experiment], one) for one in variants}
-    found = {}
+    records = {v: record_of(problem, experiments[v.experiment], v) for v in variants}
+    simulated = {}
     for number, (variant, record) in enumerate(records.items()):
         store = folder / STUDIES_FOLDER / variant.name
         part = partial(_part, watch, number, len(records))
         sweep(record, store, workers, watch=part, make_measurer=make_measurer, inputs=tuple(inputs))
-        found[variant] = _read(problem, variant, store, shares_of(record.study))
-    return found
+        simulated[variant] = _read(problem, variant, store, shares_of(record.study))
+    return simulated
 
 
 def refine(
@@ -301,7 +302,7 @@ def refine(
     ConfigError, InputError, MissingBackend
         As `simulate`.
     """
-    found = {}
+    simulated = {}
     for number, (variant, at) in enumerate(places.items()):
         record = record_of(problem, experiments[variant.experiment], variant, "_refined")
         columns = [list(problem.free).index(n) for n in problem.simulated_in(variant.experiment)]
@@ -310,8 +311,8 @@ def refine(
         part = partial(_part, watch, number, len(places))
         there = replace(record, points=points)
         sweep(there, store, workers, watch=part, make_measurer=make_measurer)
-        found[variant] = _read(problem, variant, store, at[:, columns])
-    return found
+        simulated[variant] = _read(problem, variant, store, at[:, columns])
+    return simulated
 
 
 def _part(watch: ProgressCallback, number: int, count: int, stage: str, fraction: float) -> None:
@@ -319,16 +320,16 @@ def _part(watch: ProgressCallback, number: int, count: int, stage: str, fraction
 
 
 def _read(problem: SensorProblem, variant: Variant, store: Path, shares: FloatArray) -> Simulated:
-    """Read a store whose points lie at shares (point, axis) of the axes."""
+    """Read a store with points at shares (point, axis) of the axes."""
     names = list(problem.free)
     varied = problem.simulated_in(variant.experiment)
     columns = tuple(names.index(name) for name in varied)
     places = np.full((len(shares), len(names)), 0.5)
     places[:, columns] = shares
     among = {
-        name: (names.index(name), {figure_part(v): (v, one.share(v)) for v in one.among})
-        for name, one in problem.free.items()
-        if one.among is not None and name in problem.free_in(variant.experiment)
+        name: (names.index(name), {figure_part(v): (v, free.share(v)) for v in free.among})
+        for name, free in problem.free.items()
+        if free.among is not None and name in problem.free_in(variant.experiment)
     }
     repeats = problem.experiments[variant.experiment].repeats
     rows = read_table(store, _derived(problem)).rows
@@ -336,13 +337,13 @@ def _read(problem: SensorProblem, variant: Variant, store: Path, shares: FloatAr
 
 
 def _derived(problem: SensorProblem) -> list[str]:
-    """Return the derived figures that rows and limits name, by themselves or in a choice."""
+    """Return the derived figures that rows, limits or their choices name."""
     figures, combinations = problem.figures, list(problem.combinations())
     metrics = {problem.metric_of(n, f, c) for n, f in figures.items() for c in combinations}
-    names = {name for one in metrics for name in ((one,) if isinstance(one, str) else one)}
+    names = {name for m in metrics for name in ((m,) if isinstance(m, str) else m)}
     return [name for name in DERIVED if name in names]
 
 
 def figure_part(value: float) -> str:
-    """Return how a value stands in the name of a figure: 1p2 for 1.2."""
+    """Return a value as written in the name of a figure: 1p2 for 1.2."""
     return f"{value:g}".replace(".", "p")

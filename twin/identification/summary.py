@@ -1,14 +1,14 @@
-"""What an identification found, in one TOML file: for pages that show it, and for trials.
+"""Summary of an identification in one TOML file, which report pages and trials read.
 
 | table | content |
 |---|---|
-| fields.NAME | path, value, intervals, and how little the rows say of it |
+| fields.NAME | path, value, intervals, and whether the rows hardly narrow it |
 | rows.NAME | measured and predicted, fitted or held out, and the twin's figure behind it |
-| limits.NAME | what is known from one side, the twin's figure, and how probably it is met |
+| limits.NAME | a bound from one side, the twin's figure, and the probability that it is met |
 | models | choices with their probabilities, the most probable first |
-| ridges | what cannot be taken apart, in words and components |
-| worth.NAME | what would be left of each field's variance if this were measured |
-| draws | joint samples within all stated ranges, the same place of each list together |
+| ridges | combinations of fields that cannot be separated, by components |
+| worth.NAME | remaining share of each field's variance if this were measured |
+| draws | joint samples within all stated ranges; equal indices of the lists are one sample |
 """
 
 from dataclasses import asdict
@@ -29,16 +29,16 @@ DRAWS = 64
 _DIGITS = 5
 
 
-def write_summary(folder: Path, found: Identified) -> None:
+def write_summary(folder: Path, identified: Identified) -> None:
     """Write the summary into a folder."""
-    text = tomli_w.dumps(summary_of(found))
+    text = tomli_w.dumps(summary_of(identified))
     write_text(folder / SUMMARY_FILE, text)
 
 
-def summary_of(found: Identified) -> dict[str, Any]:
+def summary_of(identified: Identified) -> dict[str, Any]:
     """Return the summary as nested tables of plain values."""
-    problem, values, open_fields = found.problem, identified_values(found), found.undetermined()
-    intervals, samples = found.intervals(), found.values
+    problem, values = identified.problem, identified_values(identified)
+    open_fields, intervals = identified.undetermined(), identified.intervals()
     fields = {
         name: {"path": free.path, "hardly_narrowed": name in open_fields}
         | values[name]
@@ -48,67 +48,67 @@ def summary_of(found: Identified) -> dict[str, Any]:
     whole: dict[str, Any] = {
         "name": problem.name,
         "fields": fields,
-        "rows": {one.row: _row(found, one) for one in found.best.predictions},
-        "limits": {one.limit: _limit(found, one) for one in found.limits()},
+        "rows": {row.row: _row(identified, row) for row in identified.best.predictions},
+        "limits": {limit.limit: _limit(identified, limit) for limit in identified.limits()},
         "models": [
-            {"probability": one.probability, "choices": dict(one.combination)}
-            for one in found.models
+            {"probability": model.probability, "choices": dict(model.combination)}
+            for model in identified.models
         ],
-        "ridges": [asdict(one) for one in found.ridges()],
-        "worth": {one.row: dict(one.shrink) for one in found.worth()},
-        "draws": _draws(values, samples, found.seed),
+        "ridges": [asdict(ridge) for ridge in identified.ridges()],
+        "worth": {worth.row: dict(worth.shrink) for worth in identified.worth()},
+        "draws": _draws(values, identified.values, identified.seed),
     }
     rounded: dict[str, Any] = _rounded(whole)
     return rounded
 
 
-def _row(found: Identified, one: Prediction) -> dict[str, Any]:
-    row = found.problem.rows[one.row]
-    metric = found.problem.metric_of(one.row, row, found.best.combination)
-    told: dict[str, Any] = {
-        "experiment": found.problem.experiment_of(row, found.best.combination),
+def _row(identified: Identified, predicted: Prediction) -> dict[str, Any]:
+    row = identified.problem.rows[predicted.row]
+    metric = identified.problem.metric_of(predicted.row, row, identified.best.combination)
+    content: dict[str, Any] = {
+        "experiment": identified.problem.experiment_of(row, identified.best.combination),
         "figures": [metric] if isinstance(metric, str) else list(metric),
         "statistic": row.statistic,
-        "measured": one.measured,
-        "sd": one.sd,
-        "scatter": one.scatter,
-        "fitted": one.fitted,
-        "twin": one.twin.mean,
-        "twin_sd": one.twin.sd,
-        "any_coat": one.any_coat.mean,
-        "any_coat_sd": one.any_coat.sd,
-        "steps": one.steps,
-        "deviation": one.deviation,
+        "measured": predicted.measured,
+        "sd": predicted.sd,
+        "scatter": predicted.scatter,
+        "fitted": predicted.fitted,
+        "twin": predicted.twin.mean,
+        "twin_sd": predicted.twin.sd,
+        "any_coat": predicted.any_coat.mean,
+        "any_coat_sd": predicted.any_coat.sd,
+        "steps": predicted.steps,
+        "deviation": predicted.deviation,
     }
-    rotated = found.best.rotated.get(one.row)
-    return told if rotated is None else told | {"deviation_when_held_out": rotated.deviation}
+    rotated = identified.best.rotated.get(predicted.row)
+    return content if rotated is None else content | {"deviation_when_held_out": rotated.deviation}
 
 
-def _limit(found: Identified, one: LimitMet) -> dict[str, Any]:
-    limit = found.problem.limits[one.limit]
+def _limit(identified: Identified, predicted: LimitMet) -> dict[str, Any]:
+    limit = identified.problem.limits[predicted.limit]
     return {
-        "experiment": found.problem.experiment_of(limit, found.best.combination),
+        "experiment": identified.problem.experiment_of(limit, identified.best.combination),
         "at_least" if limit.side > 0 else "at_most": limit.value,
         "sd": limit.sd,
-        "twin": one.twin.mean,
-        "twin_sd": one.twin.sd,
-        "probability_before": one.before,
-        "probability": one.probability,
+        "twin": predicted.twin.mean,
+        "twin_sd": predicted.twin.sd,
+        "probability_before": predicted.before,
+        "probability": predicted.probability,
     }
 
 
 def _draws(
     values: dict[str, dict[str, Any]], samples: FloatArray, seed: int
 ) -> dict[str, list[float]]:
-    """Return samples that an experiment takes, whose values must lie in their stated ranges."""
-    low, high = np.array([one["range"] for one in values.values()]).T
+    """Return samples with all values in their stated ranges, as an experiment requires."""
+    low, high = np.array([field["range"] for field in values.values()]).T
     allowed = samples[((samples >= low) & (samples <= high)).all(axis=1)]
     chosen = np.random.default_rng(seed).choice(len(allowed), DRAWS)
     return {name: allowed[chosen, i].tolist() for i, name in enumerate(values)}
 
 
 def _rounded(node: Any) -> Any:
-    """Return nested tables with numbers as they are written."""
+    """Return nested tables with numbers rounded to the written digits."""
     if isinstance(node, dict):
         return {key: _rounded(value) for key, value in node.items()}
     if isinstance(node, (list, tuple)):

@@ -31,37 +31,37 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "young_modulus_kpa": ((), "kPa", "Young's modulus of the elastomer"),
     "iterations": ((), "1", "passes of the contact solver"),
     "converged": ((), "1", "1 when the contact solver converged"),
-    "texture_mm": (FACE, "mm", "what the coat's texture adds to face_z_mm"),
+    "texture_mm": (FACE, "mm", "height of the coat's texture, included in face_z_mm"),
 }
 OPTIONAL = {"texture_mm"}
 
-# field of SheetFields: units, long name; stored where there are some, on the coated face's nodes
+# field of SheetFields: units, long name; stored for sheets only, at the coated face's nodes
 SHEET_VARIABLES: dict[str, tuple[str, str]] = {
     "thickness_mm": ("mm", "local thickness, along the coated face's normal"),
     "stretch_1": ("1", "larger principal stretch"),
     "stretch_2": ("1", "smaller principal stretch"),
-    "material_x_mm": ("mm", "x on the mounted sheet of what lies here"),
-    "material_y_mm": ("mm", "y on the mounted sheet of what lies here"),
+    "material_x_mm": ("mm", "x on the mounted sheet of the material point at this node"),
+    "material_y_mm": ("mm", "y on the mounted sheet of the material point at this node"),
 }
 
 
 def press_arrays(pressed: "PressedElastomer") -> LabelledArrays:
     """Return all fields over their coordinates x, y (solver cells) and face_x, face_y (nodes), mm.
 
-    Figures of `Validity` are attributes.
+    Figures of `Validity` are stored as attributes.
     """
     variables = {
-        name: labelled(np.asarray(getattr(pressed, name)), *told)
-        for name, told in VARIABLES.items()
+        name: labelled(np.asarray(getattr(pressed, name)), *figures)
+        for name, figures in VARIABLES.items()
         if name not in OPTIONAL or getattr(pressed, name) is not None
     }
     for name, data in _sheet_arrays(pressed.sheet).items():
         variables[f"sheet_{name}"] = labelled(data, FACE, *SHEET_VARIABLES[name])
     axes = {name.removesuffix("_mm"): variables.pop(name) for name in AXES}
     validity = asdict(pressed.validity) | {"warnings": "\n".join(pressed.validity.warnings)}
-    told = {VALIDITY + name: value for name, value in validity.items()}
+    figures = {VALIDITY + name: value for name, value in validity.items()}
     attributes = {"Conventions": "CF-1.11", "schema": SCHEMA, "model": pressed.model}
-    return LabelledArrays(variables, axes, attributes | told)
+    return LabelledArrays(variables, axes, attributes | figures)
 
 
 def labelled(

@@ -1,8 +1,8 @@
 """Press with the model that the experiment names, or with the one of the least stated error.
 
-At a given depth the shape of a linear slab does not depend on its modulus. With unit modulus the
-contact pressure is what the solver finds; pressure and force of any modulus are that times the
-modulus, to the last bit, because the solver works in pressure over modulus: one press for all.
+At a given depth the shape of a linear slab does not depend on its modulus. The solver works in
+pressure over modulus, so the results for any modulus are those of a unit modulus times the modulus,
+to the last bit: one press serves all moduli.
 """
 
 from dataclasses import replace
@@ -38,11 +38,11 @@ def press_with(
 
     Parameters
     ----------
-    progress : called with the share of the load steps that is done, by models that make some
+    progress : called with the finished share of the load steps, by models that have load steps
 
     Raises
     ------
-    PressError : what the model cannot do, and what to change
+    PressError : the model cannot press this; the message states the remedy
     SolverError : the solution did not converge
     """
     case = PressInput(mechanics, specimen, elastomer, load)
@@ -55,11 +55,11 @@ def press_with(
 
 
 def settled_with(case: PressInput, progress: Progress | None = None) -> SettledPress:
-    """Press with the chosen model, and keep the equilibrium for derivatives.
+    """Press with the chosen model, and return the equilibrium for derivatives.
 
     Parameters
     ----------
-    progress : called with the share of the load steps that is done
+    progress : called with the finished share of the load steps
 
     Raises
     ------
@@ -72,35 +72,35 @@ def settled_with(case: PressInput, progress: Progress | None = None) -> SettledP
 def check_press(
     mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
 ) -> None:
-    """Raise what `press_with` raises before it solves anything.
+    """Raise the errors that `press_with` raises before it solves.
 
     Raises
     ------
-    PressError : what the model cannot do, and what to change; of several models that `auto` may
-        select, what the first cannot do, if none can press
+    PressError : the model cannot press this; the message states the remedy; if `auto` may select
+        several models and none can press, the error of the first
     """
     case = PressInput(mechanics, specimen, elastomer, load)
-    refusals = []
+    errors = []
     for model in possible_models(case):
         try:
             return model.check(case)
         except PressError as error:
-            refusals.append(error)
-    raise refusals[0]
+            errors.append(error)
+    raise errors[0]
 
 
 def possible_models(case: PressInput) -> list[ElastomerModel]:
-    """Return the model that the experiment names, or those that `auto` may select, by name."""
+    """Return the model that the experiment names, or those that `auto` may select."""
     if case.mechanics.model != AUTO:
         return [MODELS[case.mechanics.model]]
     return [model for model in MODELS if model.is_automatic and model.applies(case)]
 
 
 def select_model(case: PressInput) -> ElastomerModel:
-    """Return the model that presses: of those that apply, the one with the least stated error.
+    """Return the model with the least stated error among those that apply.
 
-    A model without a stated error is selected only if no other states one. Of equal errors that of
-    a thin sheet is preferred, which is solved faster than solid elements.
+    A model without a stated error is selected only if no model states an error. Of equal errors
+    that of a thin sheet is preferred, which is solved faster than solid elements.
 
     Raises
     ------
@@ -110,20 +110,20 @@ def select_model(case: PressInput) -> ElastomerModel:
     if len(models) == 1:
         return models[0]
     errors_mm: dict[ElastomerModel, float] = {}
-    refusals = []
+    errors = []
     for model in models:
         try:
             error_mm = model.error_estimate_mm(case)
             errors_mm[model] = inf if error_mm is None else error_mm
         except PressError as error:
-            refusals.append(error)
+            errors.append(error)
     if not errors_mm:
-        raise refusals[0]
+        raise errors[0]
     return min(errors_mm, key=lambda model: (errors_mm[model], not model.wraps))
 
 
 def may_wrap(elastomer: Elastomer) -> bool:
-    """Whether a thin sheet, which wraps the object, describes an elastomer."""
+    """Whether an elastomer is a thin sheet, which wraps the object."""
     return is_thin_sheet(elastomer)
 
 
@@ -134,10 +134,10 @@ def is_slab(elastomer: Elastomer) -> bool:
 
 
 def modulus_only_scales(case: PressInput) -> bool:
-    """Whether a press depends on the modulus through the size of pressure and force alone.
+    """Whether the modulus only scales the pressure and force of a press, not its shape.
 
-    Not under force control; not with a coat, weight or back pressure of given size beside the
-    modulus; not in the references, whose solvers work in kPa.
+    False under force control; with a coat, weight or back pressure, which have a stiffness or
+    pressure of their own; and for the reference models, which are solved in kPa.
     """
     if (
         case.load.control != "depth"
@@ -147,13 +147,15 @@ def modulus_only_scales(case: PressInput) -> bool:
     ):
         return False
     models = possible_models(case)
-    return any(one.is_linear_slab for one in models) and not any(one.wraps for one in models)
+    return any(model.is_linear_slab for model in models) and not any(
+        model.wraps for model in models
+    )
 
 
 def unit_press(
     mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
 ) -> PressedElastomer | None:
-    """Press an elastomer of 1 kPa; None where the modulus does more than scale.
+    """Press an elastomer of 1 kPa; None where the modulus also changes the shape.
 
     Raises
     ------
@@ -161,14 +163,14 @@ def unit_press(
     """
     if not modulus_only_scales(PressInput(mechanics, specimen, elastomer, load)):
         return None
-    kept = {n: getattr(elastomer, n) for n in Elastomer.model_fields if n not in _STIFFNESS}
-    soft = Elastomer(**kept, young_modulus_kpa=1.0)
+    unchanged = {n: getattr(elastomer, n) for n in Elastomer.model_fields if n not in _STIFFNESS}
+    soft = Elastomer(**unchanged, young_modulus_kpa=1.0)
     pressed = press_with(mechanics, specimen, soft, load)
     return pressed if model_of(pressed.model).is_linear_slab else None
 
 
 def with_modulus(pressed: PressedElastomer, elastomer: Elastomer) -> PressedElastomer:
-    """Scale what `unit_press` found to an elastomer's own modulus."""
+    """Scale the result of `unit_press` to an elastomer's own modulus."""
     modulus_kpa = young_modulus(elastomer).best_kpa
     return replace(
         pressed,

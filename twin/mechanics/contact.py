@@ -6,10 +6,10 @@ on the multi-level multi-summation and conjugate gradient techniques. Wear 231(2
 Find p >= 0 and g >= 0 with p g = 0, where the gap is g = A p + S - d: deflection plus the
 specimen's height behind its foremost point minus the depth. Arrays are (row, col).
 
-On a layer it is solved in two steps, a coarse grid for where and a patch of the fine grid for how
-much. The coarse solution costs a few milliseconds. It bounds the patch that the fine solution
-needs, also when the force is given and the depth is not, and it starts that solution close to its
-contact: from a far guess a bending slab rebounds and the contact is lost and regained in turn.
+On a layer it is solved on two grids: a coarse grid locates the contact, a patch of the fine grid
+gives the pressure. The coarse solution takes a few milliseconds. It bounds the patch that the fine
+solution needs, also if the force is given and the depth is not, and it starts that solution close
+to its contact: from a poor guess a bending slab rebounds, and the contact opens and closes in turn.
 """
 
 from collections import deque
@@ -28,17 +28,17 @@ from twin.mechanics.patch import Patch, Span
 Deflect = Callable[[FloatArray], FloatArray]
 
 
-# Largest gap of a touching cell over the largest deflection: faint pressures do not show in sums.
+# Largest gap of a touching cell over the largest deflection: faint pressures have no effect on sums
 _CLOSED = 3e-5
-# Passes whose energies the brake compares with.
+# Number of earlier passes with energies that limit the energy of the next.
 _REMEMBERED = 10
 COARSENING = 4
 _COARSE_TOLERANCE = 1e-3
-# Coarser grids than this tell nothing about a contact.
+# Least number of cells per side of a coarse grid that resolves a contact.
 _FEWEST_CELLS = 64
 # The coarse contact may miss a cell at its edge: it is grown by one of its own cells.
 _GROWN = 2 * COARSENING + 1
-# Nothing outside the patch may overlap by more than this share of the depth.
+# Largest overlap outside the patch, over the depth.
 _GAP_TOLERANCE = 1e-4
 _MOST_PATCHES = 20
 # Pressure of cells that are only suspected to touch, over the highest.
@@ -123,11 +123,11 @@ def solve_contact(
 
 
 class _Passed(NamedTuple):
-    """Where a whole pass leads."""
+    """Result of one whole pass."""
 
     pressure: FloatArray
     deflection: FloatArray
-    #: the same cells touch as before
+    #: the same cells touch as before the pass
     unchanged: bool
     #: cells without pressure overlapped
     joined: bool
@@ -140,10 +140,10 @@ def _pass(
     gap: FloatArray,
     present: BoolArray,
 ) -> _Passed:
-    """Step along the next direction, let overlapping cells join, and meet the control."""
+    """Step along the next direction, add overlapping cells to the contact, apply the control."""
     touching = pressure > 0
     direction, image, step = search.step(gap, touching)
-    # A single cell under a force has nowhere to step to: its neighbours join all the same.
+    # A single cell under a given force has no step; its neighbours join nevertheless.
     advanced, overlapping = _advance(
         pressure - step * direction, gap, present, (step or 1.0) * search.scaling.cell
     )
@@ -159,19 +159,19 @@ def _pass(
 def _advance(
     moved: FloatArray, gap: FloatArray, present: BoolArray, stiffness: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the next pressure and where cells join: those without pressure that overlap."""
+    """Return the next pressure and the cells that join: without pressure and overlapping."""
     advanced = np.maximum(moved, 0.0)
     overlapping = (advanced == 0) & (gap < 0) & present
     return np.where(overlapping, -stiffness * gap, advanced), overlapping
 
 
 class _Brake:
-    """Hold back what raises the energy above that of the last passes.
+    """Shorten a pass that raises the energy above that of the last passes.
 
-    Cells that join at once get pressure as if they were alone. On a bending slab that throws the
-    whole contact off, and without a brake it is lost and regained for hundreds of passes. A
-    line search that lets the energy rise now and then leaves ordinary passes alone: Grippo,
-    Lampariello, Lucidi (1986), SIAM J. Numer. Anal. 23, 707.
+    Cells that join the contact get pressure as if each were loaded separately. On a bending slab
+    that opens the whole contact, and without a limit it opens and closes for hundreds of passes. A
+    non-monotone line search, in which the energy may rise now and then, does not change ordinary
+    passes: Grippo, Lampariello, Lucidi (1986), SIAM J. Numer. Anal. 23, 707.
     """
 
     def __init__(self) -> None:
@@ -202,7 +202,7 @@ class _Search:
         self.norm = 0.0
 
     def restart(self) -> None:
-        """Forget the last direction."""
+        """Discard the last direction."""
         self.direction = None
 
     def step(self, gap: FloatArray, touching: BoolArray) -> tuple[FloatArray, FloatArray, float]:
@@ -211,7 +211,7 @@ class _Search:
         scaled = self._scaled(inside, touching)
         turned = scaled
         if self.direction is not None and self.norm > 0:
-            # Polak and Ribiere: forgets by itself what a shrunken contact has made useless.
+            # Polak and Ribiere: resets itself when cells leave the contact.
             turn = inner(scaled, inside - self.gap) / self.norm
             turned = np.where(touching, scaled + max(turn, 0.0) * self.direction, 0.0)
         self.gap, self.norm = inside, inner(scaled, inside)
@@ -238,7 +238,7 @@ def _finish(
 
 
 class Pressable(Protocol):
-    """What the solver needs of a layer."""
+    """The responses of a layer that the solver needs."""
 
     def deflect(self, pressure: FloatArray) -> FloatArray:
         """Return the touched face's deflection on the whole grid."""
@@ -267,7 +267,7 @@ def solve_on_layer(
 
     Raises
     ------
-    SolverError : no solution was found
+    SolverError : no solution within the passes, or the contact outgrows every patch
     """
     guess, passes = _guess(layer, height_mm, control), 0
     for _ in range(_MOST_PATCHES):
@@ -304,7 +304,7 @@ def _guess(layer: Pressable, height_mm: FloatArray, control: Control) -> FloatAr
 def _coarse_pressure(
     layer: Pressable, height_mm: FloatArray, control: Control
 ) -> FloatArray | None:
-    """Solve on cells four times as wide; None where that tells nothing."""
+    """Solve on cells four times as wide; None where such cells do not resolve the contact."""
     rows, cols = height_mm.shape
     if min(rows, cols) < _FEWEST_CELLS or rows % COARSENING or cols % COARSENING:
         return None
@@ -322,7 +322,7 @@ def _coarse_pressure(
 
 
 def _between_cells(height_mm: FloatArray) -> FloatArray:
-    """Return the height at the middle of each coarse cell, which lies between four fine ones."""
+    """Return the height at the middle of each coarse cell, the mean of four fine cells."""
     rows, cols = (count // COARSENING for count in height_mm.shape)
     blocks = height_mm.reshape(rows, COARSENING, cols, COARSENING)
     middle = slice(COARSENING // 2 - 1, COARSENING // 2 + 1)

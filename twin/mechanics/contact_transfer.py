@@ -1,15 +1,16 @@
-"""What the coat still shows of grooves and ridges: contrast against pitch.
+"""Contrast of grooves and ridges on the coated face, against their pitch.
 
-In the opposite-face layout thickness decides everything: whatever its hardness, a slab keeps half
-the relief of a pitch of 2.40 thicknesses and a tenth at 1.32. In the contact-face layout the coat
-is the touched face: while the groove is filled nothing is lost.
+In the opposite-face layout only the thickness matters: at any hardness a slab transfers 50 % of
+the relief at a pitch of 2.40 thicknesses and 10 % at 1.32. In the contact-face layout the coat is
+the touched face: a groove that the gel fills is transferred completely.
 
-That slab, 3 mm thick, lies on all of a shallow groove. A thin sheet stands on the crests and sinks
-between them as far as pressure bends it: hardness and pressure decide too, until it lies on the
-whole ridge and keeps the slab's T(q) of it. The sheet is one period of the exact elastic layer,
-shear through its thickness included, which the `sheet` press leaves out: of a pitch of 2
-thicknesses that shows only half as much. Ridges are cosines (y constant, x across). Left out is
-the tension of a sheet that is stretched over the specimen: it shows less then.
+That slab, 3 mm thick, touches all of a shallow groove. A thin sheet rests on the crests and the
+pressure bends it into the grooves between them: hardness and pressure matter as well, until the
+sheet touches the whole ridge and transfers the slab's T(q) of it. The sheet is one period of the
+exact elastic layer. That includes shear through the thickness, which the `sheet` press neglects: at
+a pitch of 2 thicknesses shear reduces the relief by 50 %. Ridges are cosines (y constant, x
+across). The tension of a sheet that is stretched over the specimen is neglected; it reduces the
+relief.
 """
 
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ from twin.mechanics.transfer import opposite_transfer, solve_transfer
 _PITCHES_ACROSS = 8
 _CELLS_PER_PITCH = 32
 _Q_RANGE = 1e-3, 60.0
-#: of a fingerprint, the finest relief that the paper names
+#: ridge height of a fingerprint, the finest relief that the paper names
 RIDGE_MM = 0.07
 _CELLS = 128  # of half a pitch
 _PITCHES = np.geomspace(1.0, 30.0, 31)  # over the thickness
@@ -41,20 +42,20 @@ _STIFF = 1e4
 
 @dataclass(frozen=True)
 class ContactTransfer:
-    """How much of a sinusoidal relief the coated face keeps, per pitch."""
+    """Share of a sinusoidal relief that the coated face reproduces, per pitch."""
 
     #: (n,) mm
     pitch_mm: FloatArray
     #: (n,) T(q) of a slab without film, 0 to 1
     closed_form: FloatArray
-    #: (n,) by the press' own solver, film included; of a sheet what pressure lets it show
+    #: (n,) by the press' own solver, film included; of a sheet: under its pressure
     computed: FloatArray
-    #: pitch of which half, and a tenth, is kept (slab: closed form; sheet: computed); 0 where
-    #: nothing is lost
+    #: pitch at which 50 %, and 10 %, is transferred (slab: closed form; sheet: computed); 0 if
+    #: every pitch is transferred completely
     half_pitch_mm: float
     tenth_pitch_mm: float
     thickness_mm: float
-    #: of a sheet: what presses it onto ridges of which height
+    #: of a sheet: the pressure that presses it onto ridges, and their height
     pressure_kpa: float | None = None
     ridge_mm: float | None = None
 
@@ -65,11 +66,11 @@ class ContactTransfer:
 
 
 def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None) -> ContactTransfer:
-    """Return what the coated face keeps of a groove of each pitch.
+    """Return the share of a groove's depth that the coated face reproduces, per pitch.
 
     Parameters
     ----------
-    pitches_mm : (n,) float, mm; pitches; by default half to six thicknesses
+    pitches_mm : (n,) float, mm; pitches; by default 0.5 to 6 thicknesses
 
     Raises
     ------
@@ -93,22 +94,22 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
     )
 
 
-def pitch_at(kept: float, thickness_mm: float) -> float:
-    """Return the pitch of which a free slab keeps the share `kept`, mm.
+def pitch_at(share: float, thickness_mm: float) -> float:
+    """Return the pitch at which a free slab transfers a share of the relief, mm.
 
     >>> round(pitch_at(0.5, 1.0), 2)
     2.4
     """
-    q = brentq(lambda q: float(opposite_transfer(np.array([q]))[0]) - kept, *_Q_RANGE)
+    q = brentq(lambda q: float(opposite_transfer(np.array([q]))[0]) - share, *_Q_RANGE)
     return 2 * np.pi * thickness_mm / float(q)
 
 
 def _computed(elastomer: Elastomer, pitch_mm: float) -> float:
     """Press grooves of one pitch into a wide slab with the solver's own operators.
 
-    The slab's spans hold whole waves, so that a wave of pressure gives the same wave on both
-    faces; the second axis carries a wave so long that the pitch hardly changes, and that is
-    corrected for.
+    The slab's spans are whole numbers of waves, so a wave of pressure gives the same wave on both
+    faces. The wave along the second axis is so long that the pitch hardly changes, and the pitch is
+    corrected for it.
     """
     wave = 2 * np.pi / pitch_mm
     length_x, length_y = _PITCHES_ACROSS * pitch_mm, 40.0 * pitch_mm
@@ -131,25 +132,25 @@ def _computed(elastomer: Elastomer, pitch_mm: float) -> float:
 
 
 def ridge_height_mm(specimen: Specimen) -> float:
-    """Return the height of a specimen's ridges, or that of a fingerprint's where it has none."""
-    known = specimen.ridge_height_mm
-    return RIDGE_MM if known is None else known
+    """Return the height of a specimen's ridges, or that of a fingerprint's if it has no ridges."""
+    height_mm = specimen.ridge_height_mm
+    return RIDGE_MM if height_mm is None else height_mm
 
 
 def ridge_transfer(
     elastomer: Elastomer, pressure_kpa: float, ridge_mm: float = RIDGE_MM
 ) -> ContactTransfer:
-    """Return what the coated face shows of ridges with pitches of 1 to 30 thicknesses.
+    """Return the share of the ridges on the coated face, for pitches of 1 to 30 thicknesses.
 
     Parameters
     ----------
-    elastomer : a sheet or slab in the opposite-face layout; a film of its own is left out
+    elastomer : a sheet or slab in the opposite-face layout; its film is neglected
     pressure_kpa : that presses the sheet onto the ridges: on a flat specimen the back pressure
     ridge_mm : crest to root
 
     Returns
     -------
-    `closed_form` is the T(q) of a sheet that lies on all of the ridge, `computed` what shows
+    `closed_form` is T(q) of a sheet that touches all of the ridge, `computed` that under pressure
 
     Raises
     ------
@@ -157,7 +158,7 @@ def ridge_transfer(
     """
     if not pressure_kpa > 0:
         raise PressError(
-            f"press.back_pressure_kpa: found {pressure_kpa:g}, allowed more than 0: nothing else "
+            f"press.back_pressure_kpa: found {pressure_kpa:g}, allowed more than 0: only pressure "
             "presses a thin sheet into grooves"
         )
     thickness = elastomer.thickness_mm
@@ -191,10 +192,10 @@ class Ridges:
         return layer.coat_mm(pressure) / self.height_mm
 
     def pitch_mm(self, share: float) -> float:
-        """Return the pitch of which the coat shows a share."""
+        """Return the pitch at which the coat reproduces a share of the relief."""
         low, high = (np.log(self.elastomer.thickness_mm * end) for end in _RANGE)
-        found = brentq(lambda log: self.shown(np.exp(log)) - share, low, high, xtol=1e-4)
-        return float(np.exp(found))
+        log_pitch = brentq(lambda log: self.shown(np.exp(log)) - share, low, high, xtol=1e-4)
+        return float(np.exp(log_pitch))
 
 
 class _Period:
@@ -205,15 +206,15 @@ class _Period:
         self.x_mm = (np.arange(_CELLS) + 0.5) * pitch_mm / 2 / _CELLS
         wave = np.arange(1.0, _CELLS) * (2 * np.pi / pitch_mm)
         nu = elastomer.poisson_ratio
-        found = solve_transfer(wave * elastomer.thickness_mm, nu, "free")
+        transfer = solve_transfer(wave * elastomer.thickness_mm, nu, "free")
         unit = 2 * (1 - nu**2) / wave
-        self._touched, self._coated = unit * found.normal_t, unit * found.normal_b
+        self._touched, self._coated = unit * transfer.normal_t, unit * transfer.normal_b
 
     def compliance(self) -> FloatArray:
         """Return the touched face's deflection (col, col), mm, per cell's pressure over modulus."""
         waves = fft.dct(np.eye(_CELLS), type=2, axis=0) * np.append(0.0, self._touched)[:, None]
-        answer: FloatArray = fft.idct(waves, type=2, axis=0)
-        return (answer + answer.T) / 2
+        response: FloatArray = fft.idct(waves, type=2, axis=0)
+        return (response + response.T) / 2
 
     def coat_mm(self, pressure: FloatArray) -> float:
         """Return the coated face's relief from crest to root under (col,) pressure over modulus."""
@@ -224,12 +225,12 @@ class _Period:
 def _pressure(layer: _Period, ridge_mm: FloatArray, mean: float) -> FloatArray:
     """Return the contact pressure over modulus (col,), 0 or more, of a given mean.
 
-    Least energy p (A p / 2 + S), a stiff spring on the mean in place of the constraint, as
-    nonnegative least squares: an active set, which ends for every pitch.
+    Minimises the energy p (A p / 2 + S), with a stiff spring on the mean in place of the
+    constraint, as nonnegative least squares: an active set, which terminates for every pitch.
     """
     compliance = layer.compliance()
     spring = _STIFF * float(compliance.max())
     factor = np.linalg.cholesky(compliance + spring)
     pulled = spring * mean * _CELLS - ridge_mm
-    found, _ = nnls(factor.T, solve_triangular(factor, pulled, lower=True))
-    return np.asarray(found * (mean / found.mean()))
+    pressure, _ = nnls(factor.T, solve_triangular(factor, pulled, lower=True))
+    return np.asarray(pressure * (mean / pressure.mean()))

@@ -1,4 +1,4 @@
-"""What a press prescribes: a depth or a force. Arrays are (row, col); see `contact`."""
+"""Control of a press: a prescribed depth or force. Arrays are (row, col); see `contact`."""
 
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
@@ -17,12 +17,12 @@ class Scaling(Protocol):
         ...
 
     def apply(self, gap: FloatArray) -> FloatArray:
-        """Return about the pressure that closes `gap`."""
+        """Return the approximate pressure that closes `gap`."""
         ...
 
 
 class Control(Protocol):
-    """What distinguishes a press to a depth from a press with a force; `raised` = A p + S."""
+    """Steps of the contact solver that depend on the control; `raised` = A p + S."""
 
     def start(self, height: FloatArray, present: BoolArray) -> FloatArray:
         """Return the first pressure."""
@@ -33,7 +33,7 @@ class Control(Protocol):
         ...
 
     def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
-        """Return what the contact minimises: its gradient is the gap, but for a constant."""
+        """Return the energy that the contact minimises; its gradient is the gap plus a constant."""
         ...
 
     def gap(self, raised: FloatArray, touching: BoolArray) -> FloatArray:
@@ -41,11 +41,11 @@ class Control(Protocol):
         return raised - self.depth_mm(raised, touching)
 
     def balanced(self, direction: FloatArray, touching: BoolArray, scaling: Scaling) -> FloatArray:
-        """Remove from a search direction what the control forbids: nothing."""
+        """Return a search direction without its part that the control forbids; here unchanged."""
         return direction
 
     def scale(self, pressure: FloatArray) -> float:
-        """Return the factor by which the pressure meets a prescribed force."""
+        """Return the factor by which the pressure gives a prescribed force."""
         return 1.0
 
     def coarsened(self, factor: int) -> Self:
@@ -60,7 +60,7 @@ class DepthControl(Control):
     depth: float
 
     def start(self, height: FloatArray, present: BoolArray) -> FloatArray:
-        """Touch wherever the undeformed slab would be penetrated."""
+        """Touch at every cell that would penetrate the undeformed slab."""
         return np.where(present & (height < self.depth), 1e-6, 0.0)
 
     def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
@@ -80,7 +80,7 @@ class ForceControl(Control):
     cell_area_mm2: float
 
     def start(self, height: FloatArray, present: BoolArray) -> FloatArray:
-        """Spread the force over the foremost twentieth of the specimen."""
+        """Spread the force over the foremost 5 % of the specimen's cells."""
         foremost = present & (height <= np.quantile(height[present], 0.05))
         uniform = foremost.astype(np.float64)
         return uniform * self.scale(uniform)
@@ -109,5 +109,5 @@ class ForceControl(Control):
 
 def inner(first: FloatArray, second: FloatArray) -> float:
     """Return the sum of products."""
-    # Not np.vdot: its BLAS spins up threads, which costs ten times the sum itself.
+    # Not np.vdot: its BLAS starts threads, which takes ten times as long as the sum itself.
     return float(np.einsum("ij,ij->", first, second))

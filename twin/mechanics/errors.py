@@ -1,4 +1,4 @@
-"""Errors of the press; each is one line that says what to change."""
+"""Errors of the press; each message is one line with the remedy."""
 
 from reconstruction.errors import InputError
 

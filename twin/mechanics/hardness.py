@@ -14,12 +14,12 @@ BS 903-A26 (1995): IRHD, close to Shore A above about 40,
 S = 100 erf(3.186e-4 sqrt(E [Pa])).
 
 Shore 00 (ASTM D2240): a hemispherical tip of 1.19 mm radius under a spring of
-0.203 + 0.00908 S newton goes in by 2.54 (1 - S / 100) mm; the modulus that a half-space then has
-follows from Sneddon, I. N. (1965), Int. J. Engng. Sci. 3, 47-57, for a sphere. Spring constants
-from the literature.
+0.203 + 0.00908 S newton indents by 2.54 (1 - S / 100) mm; the modulus of a half-space with that
+indentation follows from Sneddon, I. N. (1965), Int. J. Engng. Sci. 3, 47-57, for a sphere. Spring
+constants from the literature.
 
-The rubbers of tactile sensors (S <= 20) lie below both ranges; there the data sheets' 100 %
-moduli of cast silicones come out down to 1.6 times below Gent.
+The rubbers of tactile sensors (S <= 20) are below both ranges; there the data sheets' 100 %
+moduli of cast silicones are down to 1.6 times below Gent.
 """
 
 from dataclasses import dataclass
@@ -36,29 +36,29 @@ if TYPE_CHECKING:
     from twin.mechanics.press import PressedElastomer
 
 VALID_SHORE_A = (20.0, 80.0)
-# A durometer's reading is good to 5 points (ISO 48-4 practice), the formula's own spread aside.
+# A durometer's reading is good to 5 points (ISO 48-4 practice), in addition to the formula's spread
 _READING_POINTS = 5.0
 _SOFT_LOW_FACTOR = 1.6
 _LARGEST_SHORE = 95.0
 BS_903_FROM = 40.0
 _TIP_RADIUS_MM = 1.19
-# Of a real press: force gauge, and depth with first touch.
+# Errors of a real press: force gauge (relative), and depth with first touch.
 _FORCE_SHARE, _DEPTH_ERROR_MM = 0.02, 0.01
-# Of a ball press: frictionless linear slab against neo-Hookean ones, bonded and free (shared
-# notes, mechanics.md, section 6), +1 to +4 %.
+# Model error of a ball press: frictionless linear slab against neo-Hookean ones, bonded and free
+# (shared notes, mechanics.md, section 6), +1 to +4 %.
 _MODEL_SHARE = 0.04
 
 
 @dataclass(frozen=True)
 class ModulusEstimate:
-    """Young's modulus with the range that hardness leaves open, kPa."""
+    """Young's modulus with the range that the hardness allows, kPa."""
 
     low_kpa: float
     best_kpa: float
     high_kpa: float
-    #: where the numbers come from, one line
+    #: origin of the numbers, one line
     source: str
-    #: the hardness lies outside the formulas' own range (20 to 80)
+    #: the hardness is outside the formulas' own range (20 to 80)
     extrapolated: bool
 
 
@@ -85,7 +85,7 @@ def bs_903_modulus_kpa(shore_a: float) -> float:
 
     Raises
     ------
-    PressError : a softer rubber, where the relation falls far below every measurement
+    PressError : a softer rubber, for which the relation is far below every measurement
     """
     if not BS_903_FROM <= shore_a <= _LARGEST_SHORE:
         raise PressError(f"BS 903: found Shore A {shore_a:g}, allowed: 40 to 95")
@@ -135,7 +135,7 @@ def estimate_modulus(shore_a: float) -> ModulusEstimate:
 def estimate_modulus_00(shore_00: float) -> ModulusEstimate:
     """Estimate Young's modulus from Shore 00: Sneddon's sphere, at S +- 5.
 
-    The low end is 1.6 times lower still: data sheets' 100 % moduli of soft silicones lie there.
+    The low end is a further factor of 1.6 lower: data sheets' 100 % moduli of soft silicones.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def estimate_modulus_00(shore_00: float) -> ModulusEstimate:
 
 
 def young_modulus(elastomer: Elastomer) -> ModulusEstimate:
-    """Return the configured modulus, or the estimate from hardness when none is given."""
+    """Return the configured modulus, or the estimate from hardness if no modulus is given."""
     given = elastomer.young_modulus_kpa
     if given is not None:
         return ModulusEstimate(given, given, given, "given as young_modulus_kpa", False)
@@ -164,7 +164,7 @@ def young_modulus(elastomer: Elastomer) -> ModulusEstimate:
 
 
 def calibrate_modulus(measured_force_n: float, pressed: "PressedElastomer") -> ModulusEstimate:
-    """Find Young's modulus from the force that one real press to a known depth took.
+    """Return Young's modulus from the measured force of one real press to a known depth.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def calibrate_modulus(measured_force_n: float, pressed: "PressedElastomer") -> M
 
     Returns
     -------
-    Range: errors of gauge (2 %), depth (0.01 mm with first touch; force grows at least as
+    Range: errors of gauge (2 %), depth (0.01 mm with first touch; the force increases at least as
     depth^1.5, taken as depth^2) and model (4 %) added up
 
     Raises

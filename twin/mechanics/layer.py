@@ -1,11 +1,11 @@
 """Deflection of a flat elastic layer under pressure, exact and spectral.
 
 Arrays are (row, col) at cell centres, row along world y, col along world x, both ascending.
-Pressure comes divided by Young's modulus and deflection is positive along the press, mm: at unit
-modulus the layer's shape depends on thickness and Poisson's ratio alone.
+Pressure is divided by Young's modulus, and deflection is positive along the press, mm: at unit
+modulus the layer's shape depends on thickness and Poisson's ratio only.
 
-Between the cells a sine series is evaluated at nodes that include the rim, exactly, finer or
-coarser.
+A sine series is evaluated exactly at nodes that include the rim, on a finer or coarser grid than
+the cells.
 """
 
 from dataclasses import dataclass, replace
@@ -125,7 +125,7 @@ class FreeSlab(FlatLayer):
         potential = fft.dstn(pressure, type=2, workers=_WORKERS) / self._k
         potential *= self.compliance(self._table, self._k, "tangential_b")
         if uniform_load:
-            # Turned over, a load along the press pulls at its own face.
+            # Seen from the far face, a load along the press pulls at that face.
             pulled = np.full_like(pressure, -uniform_load)
             own = fft.dstn(pulled, type=2, workers=_WORKERS) / self._k
             potential += own * self.compliance(self._turned_table, self._k, "tangential_t")
@@ -160,7 +160,7 @@ class FreeSlab(FlatLayer):
 
     @cached_property
     def _compliance_turned(self) -> FloatArray:
-        """The far face under its own load: without a film the slab has no up and down."""
+        """The far face under its own load: without a film both faces respond equally."""
         if self.film is None:
             return self._compliance_t
         return self.compliance(self._turned_table, self._k, "normal_t")
@@ -270,26 +270,26 @@ def _centres(count: int, length_mm: float) -> FloatArray:
 
 
 def sine_amplitudes(spectrum: FloatArray, rows: int, cols: int) -> FloatArray:
-    """Return what a grid of nodes carries of a DST-II spectrum, which is changed."""
+    """Return the amplitudes of a DST-II spectrum that a grid of nodes resolves; changes it."""
     counts = spectrum.shape
     # DST-II counts its highest mode of each axis twice.
     spectrum[-1] /= 2
     spectrum[:, -1] /= 2
-    # Coarser nodes than cells cannot carry the highest modes, which the slab has filtered.
-    kept = spectrum[: rows - 1, : cols - 1] / (counts[0] * counts[1])
+    # Coarser nodes than cells cannot resolve the highest modes, which the slab has filtered.
+    resolved = spectrum[: rows - 1, : cols - 1] / (counts[0] * counts[1])
     padded = np.zeros((rows - 1, cols - 1))
-    padded[: kept.shape[0], : kept.shape[1]] = kept
+    padded[: resolved.shape[0], : resolved.shape[1]] = resolved
     return padded
 
 
 def sines_at_nodes(spectrum: FloatArray, rows: int, cols: int) -> FloatArray:
-    """Evaluate a DST-II spectrum, which is changed, on nodes that include the rim."""
+    """Evaluate a DST-II spectrum, which is overwritten, on nodes that include the rim."""
     inner = fft.dstn(sine_amplitudes(spectrum, rows, cols), type=1, workers=_WORKERS) / 4
     return np.pad(inner, 1)
 
 
 def cosines(amplitudes: FloatArray, axis: int) -> FloatArray:
-    """Evaluate sine amplitudes on nodes with cosines along `axis`, sines along the other."""
+    """Evaluate sine amplitudes on nodes: cosines along `axis`, sines along the second axis."""
     sines = fft.dst(amplitudes, type=1, axis=1 - axis, workers=_WORKERS)
     along = tuple((1, 1) if direction == axis else (0, 0) for direction in range(2))
     across = tuple((0, 0) if direction == axis else (1, 1) for direction in range(2))

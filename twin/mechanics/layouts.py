@@ -1,11 +1,11 @@
-"""From the configured slab to the layer that is solved, for both layouts, and to its face's nodes.
+"""The configured slab as the layer that is solved, and the nodes of its face, for both layouts.
 
-World frame, mm: the undeformed coated face is z = 0 and the specimen comes from below.
+World frame, mm: the undeformed coated face is z = 0 and the specimen is pressed from below.
 - `opposite_face`: it touches the clear face at z = -thickness; the slab spans its rim.
 - `contact_face`: it touches the coat itself; the gel above it ends at a window, z = +thickness.
 
-Between the solver's cells the touched face is smooth where it is free, the specimen's own shape
-where it touches, and no ripples at the contact's edge, where its curvature or slope jumps.
+Between the solver's cells the touched face is smooth where it is free and has the specimen's shape
+where it touches, without ripples at the contact's edge, where curvature or slope jump.
 """
 
 from dataclasses import dataclass
@@ -23,10 +23,10 @@ from twin.shape import Shape
 
 AnyLayer = FreeSlab | BondedLayer
 
-# Of a bonded layer: contact to window edge over thickness; periodic images then move the surface
-# by 1 um at most (measured on our prototype).
+# Of a bonded layer: distance from contact to window edge over thickness; periodic images then move
+# the surface by 1 um at most (measured on our prototype).
 WINDOW_MARGIN = 3.0
-# The solver halves twice by four: its grids are multiples of this.
+# The solver coarsens twice by four: the counts of cells are multiples of this.
 _CELLS = 16
 _GRAVITY_M_S2 = 9.80665
 
@@ -46,9 +46,9 @@ class Preload:
         uniform = np.ones((layer.rows, layer.cols))
         if isinstance(layer, BondedLayer) or not self:
             return np.zeros_like(uniform)
-        # Maxwell and Betti: t yields to a load on b as b does to a load on t.
-        own, other = layer.deflect(uniform), layer.deflect_opposite(uniform)
-        return self.touched * own + self.coated * other
+        # Maxwell and Betti: t deflects under a load on b as b does under a load on t.
+        own, opposite = layer.deflect(uniform), layer.deflect_opposite(uniform)
+        return self.touched * own + self.coated * opposite
 
 
 def preload_of(elastomer: Elastomer, load: Press, modulus_kpa: float) -> Preload:
@@ -67,7 +67,7 @@ def preload_of(elastomer: Elastomer, load: Press, modulus_kpa: float) -> Preload
                 "remove it, or set elastomer.layout = 'opposite_face'"
             )
         return Preload()
-    # Half of the weight on each face: bending is the body force's own, thinning is nanometres.
+    # Half of the weight on each face: it bends as the body force does; thinning is nanometres.
     weight = weight_kpa(elastomer, load) / 2
     return Preload(weight / modulus_kpa, (weight - load.back_pressure_kpa) / modulus_kpa)
 
@@ -83,7 +83,7 @@ def build_layer(elastomer: Elastomer, load: Press, shape: Shape, modulus_kpa: fl
 
 
 def grid_lengths_mm(elastomer: Elastomer, shape: Shape) -> tuple[float, float]:
-    """Return how long the solver's grid is along x and y."""
+    """Return the lengths of the solver's grid along x and y."""
     if elastomer.layout == "contact_face":
         return _window_mm(elastomer, shape)
     return elastomer.length_x_mm, elastomer.length_y_mm
@@ -163,7 +163,7 @@ def weight_kpa(elastomer: Elastomer, load: Press) -> float:
     return 1e-6 * elastomer.density_kg_m3 * along * elastomer.thickness_mm
 
 
-# Cells beyond the nodes that an interpolant of two neighbours on either side needs.
+# Number of cells beyond the nodes: an interpolant needs two neighbours on either side.
 _BEYOND = 4
 
 
@@ -181,7 +181,7 @@ def touched_at_nodes(
     cells_mm : ((row,), (col,)) float, mm; world y and x of the cell centres
     nodes_mm : ((node row,), (node col,)) float, mm; world y and x of the nodes, within the cells
     indented_mm : (node row, node col) float, mm; depth minus the specimen's height at the nodes,
-        -inf where there is no specimen: no face lies lower
+        -inf where there is no specimen: the face is never lower
 
     Returns
     -------
@@ -190,7 +190,7 @@ def touched_at_nodes(
     Notes
     -----
     Modified Akima interpolation, axis by axis: local, so that an edge disturbs two cells at most,
-    where a cubic spline rings across the face.
+    whereas a cubic spline ripples across the whole face.
     """
     refined = deflection_mm
     for axis, (cells, nodes) in enumerate(zip(cells_mm, nodes_mm, strict=True)):
@@ -204,7 +204,7 @@ def touched_at_nodes(
 def wrapped(
     deflection_mm: FloatArray, cells_mm: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-    """Continue a periodic field beyond its window, so that nodes on the edge lie within cells."""
+    """Continue a periodic field beyond its window, so that nodes on the edge are within cells."""
     wide = np.pad(deflection_mm, _BEYOND, mode="wrap")
     return wide, (widened(cells_mm[0]), widened(cells_mm[1]))
 

@@ -1,7 +1,7 @@
-"""The layer's response within a patch of its grid: what the contact solver repeats.
+"""The layer's response within a patch of its grid, which the contact solver evaluates repeatedly.
 
-A contact covers a small part of the slab, and only pressure and deflection within it matter while
-it is being solved. There the layer is a convolution with its response K to one loaded cell,
+A contact covers a small part of the slab, and only the pressure and deflection within it matter
+during the solution. There the layer is a convolution with its response K to one loaded cell,
 
     free slab (sine series):  A(i, j) = K(i - j) - K(i + j + 1)   per axis,
     bonded layer (periodic):  A(i, j) = K(i - j),
@@ -31,7 +31,7 @@ class Span:
 
     @classmethod
     def around(cls, cells: npt.NDArray[np.intp], count: int) -> "Span":
-        """Return the rows or columns, of so many, that hold a contact's cells, with a margin."""
+        """Return the range of a contact's cells on an axis of `count` cells, with a margin."""
         first = max(int(cells.min()) - _MARGIN, 0)
         return cls(first, min(int(cells.max()) + _MARGIN + 1, count) - first)
 
@@ -46,12 +46,12 @@ class Span:
         return slice(self.first, self.first + self.count)
 
     def offsets(self) -> IntArray:
-        """Return i - j behind each element of the padded convolution kernel."""
+        """Return i - j for each element of the padded convolution kernel."""
         lag = np.arange(self.padded)
         return np.where(lag < self.count, lag, lag - self.padded)
 
     def sums(self) -> IntArray:
-        """Return i + j + 1 likewise, for a pressure that runs backwards."""
+        """Return i + j + 1 for each element, for a pressure in reversed order."""
         last = 2 * self.first + self.count
         return np.clip(self.offsets(), 1 - self.count, self.count - 1) + last
 
@@ -107,7 +107,7 @@ class Patch:
 
 
 def periodic_patch(kernel: FloatArray, rows: Span, cols: Span, stiffness: FloatArray) -> Patch:
-    """Cut a patch out of a periodic layer whose response to one cell is `kernel` (row, col)."""
+    """Cut a patch out of a periodic layer with the response `kernel` (row, col) to one cell."""
     across, along = rows.offsets() % kernel.shape[0], cols.offsets() % kernel.shape[1]
     return Patch(rows, cols, (_spectrum(kernel, across, along),), stiffness)
 

@@ -1,7 +1,7 @@
 """Press a rigid specimen into the elastomer and return both faces, pressure and force.
 
 World frame, mm: the undeformed coated face is z = 0, slab and specimen are centred on the origin
-and the specimen comes from below. It touches the clear face at z = -thickness (opposite-face
+and the specimen is pressed from below. It touches the clear face at z = -thickness (opposite-face
 layout) or the coat itself (contact-face layout). Arrays are (row, col) with row along y and col
 along x, both ascending.
 
@@ -46,13 +46,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SheetFields:
-    """What else is known of a thin sheet, on the coated face's nodes, (row, col)."""
+    """Further fields of a thin sheet, at the coated face's nodes, (row, col)."""
 
-    #: local thickness: the touched face lies this far behind the coated one, along its normal
+    #: local thickness: distance of the touched face from the coated one, along its normal
     thickness_mm: FloatArray
     #: (row, col, 2) principal stretches, larger first
     stretch: FloatArray
-    #: place on the mounted, unloaded sheet that came to lie here
+    #: position on the mounted, unloaded sheet of the material point at this node
     material_x_mm: FloatArray
     material_y_mm: FloatArray
 
@@ -88,9 +88,9 @@ class PressedElastomer:
     validity: Validity
     iterations: int
     converged: bool
-    #: name of the model that pressed, see `twin.mechanics.models`
+    #: name of the model, see `twin.mechanics.models`
     model: str = "spectral"
-    #: (row, col) what the coat's texture adds to face_z_mm; None: the coat is smooth
+    #: (row, col) height of the coat's texture, included in face_z_mm; None: the coat is smooth
     texture_mm: FloatArray | None = None
     #: of the sheet model only
     sheet: SheetFields | None = None
@@ -122,7 +122,7 @@ class PressedElastomer:
         return press_drawing(self)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return all fields with coordinates (mm), units and long names, as press.nc holds them."""
+        """Return all fields with coordinates (mm), units and long names, as in press.nc."""
         from twin.mechanics.arrays import press_arrays
 
         return press_arrays(self).to_xarray()
@@ -131,15 +131,15 @@ class PressedElastomer:
 def press(
     specimen: Specimen, elastomer: Elastomer, load: Press, *, any_depth: bool = False
 ) -> PressedElastomer:
-    """Press `specimen` into `elastomer` as `load` says.
+    """Press `specimen` into `elastomer` by `load`.
 
     Parameters
     ----------
     elastomer : flat slab on a simply supported rim, or gel bonded to a window
     load : depth or force, back pressure, gravity, and the pitches of solver and relief. Back
-        pressure drapes the slab over the specimen, weight lets it sag; the depth then counts from
+        pressure presses the slab onto the specimen, weight lets it sag; the depth then counts from
         the plane of the unloaded touched face.
-    any_depth : go on where a free slab's travel reaches its thickness: a first guess for other
+    any_depth : do not raise if a free slab's travel reaches its thickness: a first guess for other
         models
 
     Returns
@@ -186,7 +186,7 @@ def press(
 
 
 def check_load(shape: Shape, elastomer: Elastomer, load: Press, *, any_depth: bool = False) -> None:
-    """Refuse a press of which it is plain, before it is solved, that it cannot be.
+    """Raise an error for a press that is impossible, before it is solved.
 
     Raises
     ------
@@ -241,11 +241,11 @@ def _control(layer: AnyLayer, height: FloatArray, load: Press, modulus_kpa: floa
 
 
 def check_outline(shape: Shape, elastomer: Elastomer) -> None:
-    """Refuse a specimen that reaches over the elastomer.
+    """Raise an error if a specimen reaches over the elastomer.
 
     Raises
     ------
-    PressError : names the axis, what was found and what is allowed
+    PressError : names the axis, the specimen's extent and the allowed one
     """
     x_low, x_high, y_low, y_high = shape.bounds_mm()
     free = elastomer.layout == "opposite_face"
@@ -265,9 +265,9 @@ def check_outline(shape: Shape, elastomer: Elastomer) -> None:
 def _check_depth(depth_mm: float, elastomer: Elastomer, load: Press) -> None:
     if depth_mm < elastomer.thickness_mm:
         return
-    asked, remedy = f"press.depth_mm: {depth_mm:g} mm", "press less or use a thicker slab"
+    cause, remedy = f"press.depth_mm: {depth_mm:g} mm", "press less or use a thicker slab"
     if load.control == "force":
-        asked = f"press.force_n: {load.force_n:g} N needs a depth of {depth_mm:.3g} mm, which"
+        cause = f"press.force_n: {load.force_n:g} N needs a depth of {depth_mm:.3g} mm, which"
         remedy = "lower press.force_n, or use a thicker or harder slab"
         if elastomer.layout == "opposite_face":
             remedy += (
@@ -275,16 +275,16 @@ def _check_depth(depth_mm: float, elastomer: Elastomer, load: Press) -> None:
                 "window (elastomer.layout = 'contact_face', with layers)"
             )
     raise PressError(
-        f"{asked} is not less than the slab's thickness of {elastomer.thickness_mm:g} mm; {remedy}"
+        f"{cause} is not less than the slab's thickness of {elastomer.thickness_mm:g} mm; {remedy}"
     )
 
 
 def _check_reached(depth_mm: float, load: Press) -> None:
-    """Refuse a force below that with which air or weight press the slab on the specimen."""
+    """Raise an error if the force is below that of air or weight on the specimen."""
     if depth_mm < 0.0:
         raise PressError(
             f"press.force_n: {load.force_n:g} N is reached {-depth_mm:.3g} mm before the specimen "
-            "comes to the plane of the unloaded slab, which air or weight press on it with more; "
+            "is at the plane of the unloaded slab: air or weight already press with more; "
             "raise it, or lower press.back_pressure_kpa"
         )
 

@@ -15,7 +15,7 @@ from twin.specimens.solids import grid_facets
 def face_mesh(pressed: PressedElastomer) -> trimesh.Trimesh:
     """Return the coated face as a grid of triangles, world frame, mm.
 
-    Vertices run row by row: vertex row * cols + col lies at (face_x_mm[col], face_y_mm[row]).
+    Vertices are in row order: vertex row * cols + col is at (face_x_mm[col], face_y_mm[row]).
     Facets and vertex normals point to +z. The mesh is an open sheet, rim included.
     """
     mesh = trimesh.Trimesh(
@@ -32,17 +32,17 @@ def face_mesh(pressed: PressedElastomer) -> trimesh.Trimesh:
 def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimesh:
     """Return the pressed slab as one watertight body, world frame, mm.
 
-    Its vertices are those of `face_mesh`, then those of the other face in the same order: the
+    Its vertices are those of `face_mesh`, then those of the second face in the same order: the
     touched face of the opposite-face layout, or the window of the contact-face layout. Straight
-    sides join the two. The touched face of a thin sheet lies its local thickness behind the coated
-    one, along the normal.
+    sides join the two. The touched face of a thin sheet is its local thickness behind the coated
+    face, along the normal.
     """
     rows, cols = pressed.face_z_mm.shape
-    coated, other = _vertices(pressed, pressed.face_z_mm), _other_vertices(pressed, elastomer)
-    coated_above = coated[:, 2].mean() > other[:, 2].mean()
+    coated, opposite = _vertices(pressed, pressed.face_z_mm), _opposite_vertices(pressed, elastomer)
+    coated_above = coated[:, 2].mean() > opposite[:, 2].mean()
     rim = _rim(rows, cols)
     after = np.roll(rim, -1)
-    # Walls of the coated face above the other one; turned over where it lies below.
+    # Walls of a coated face above the second face; reversed if it is below.
     walls = np.concatenate(
         (
             np.stack((rim, rim + rows * cols, after + rows * cols), axis=-1),
@@ -52,7 +52,7 @@ def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimes
     grid = grid_facets(rows, cols)
     closed = np.concatenate((grid, grid[:, ::-1] + rows * cols, walls))
     body = trimesh.Trimesh(
-        vertices=np.concatenate((coated, other)),
+        vertices=np.concatenate((coated, opposite)),
         faces=closed if coated_above else closed[:, ::-1],
         process=False,
         validate=False,
@@ -61,16 +61,16 @@ def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimes
     return body
 
 
-def _other_vertices(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
+def _opposite_vertices(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
     if pressed.sheet is None:
-        return _vertices(pressed, _other_face(pressed, elastomer))
+        return _vertices(pressed, _opposite_face(pressed, elastomer))
     texture = 0.0 if pressed.texture_mm is None else pressed.texture_mm
     smooth = replace(pressed, face_z_mm=pressed.face_z_mm - texture)
     behind = pressed.sheet.thickness_mm[..., None] * face_normals(smooth)
     return _vertices(smooth, smooth.face_z_mm) - behind.reshape(-1, 3)
 
 
-def _other_face(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
+def _opposite_face(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArray:
     if elastomer.layout == "contact_face":
         return np.full_like(pressed.face_z_mm, elastomer.thickness_mm)
     # The slab's deflection is odd about its rim, where it is 0.
@@ -105,7 +105,7 @@ def _vertices(pressed: PressedElastomer, z_mm: FloatArray) -> FloatArray:
 
 
 def _derivative(z: FloatArray, nodes_mm: FloatArray, axis: int) -> FloatArray:
-    """Return dz along `axis`: fourth order, which shows no grid in the shading.
+    """Return dz along `axis` to fourth order, so that shading shows no grid.
 
     The slab's deflection is odd about its simply supported rim: the odd extension is exact. At a
     pad's side it continues the slope.

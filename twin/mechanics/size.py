@@ -1,4 +1,4 @@
-"""How many cells and nodes a press may have: counted from its lengths before anything is solved.
+"""Limits of the cells and nodes of a press: counted from its lengths before it is solved.
 
 Memory with the mesh of the coated face, measured on 2 to 5 million: 150 bytes per node under a
 slab, 240 under a sheet, and 120 bytes per cell of the slab's grid.
@@ -14,7 +14,7 @@ MOST_SLAB_CELLS = 20_000_000
 
 
 def check_face_nodes(elastomer: Elastomer, load: Press) -> None:
-    """Refuse a mesh of the coated face that takes more than some 5 GB.
+    """Raise an error for a mesh of the coated face that takes more than some 5 GB.
 
     Raises
     ------
@@ -29,7 +29,7 @@ def check_face_nodes(elastomer: Elastomer, load: Press) -> None:
 
 
 def check_slab_cells(window_mm: tuple[float, float], load: Press) -> None:
-    """Refuse a slab's grid that takes more than some 3 GB.
+    """Raise an error for a slab's grid that takes more than some 3 GB.
 
     Parameters
     ----------
@@ -51,11 +51,11 @@ def _check(
     key: str, pitch_mm: float, lengths_mm: tuple[float, float], most: tuple[int, str, str]
 ) -> None:
     (x_mm, y_mm), (count, of, memory) = lengths_mm, most
-    wanted = (x_mm / pitch_mm) * (y_mm / pitch_mm)
-    if wanted > count:
+    requested = (x_mm / pitch_mm) * (y_mm / pitch_mm)
+    if requested > count:
         least_mm = math.sqrt(x_mm * y_mm / count)
         raise PressError(
-            f"{key}: found {pitch_mm:g} on {x_mm:.4g} x {y_mm:.4g} mm, which takes {wanted:.2g} "
+            f"{key}: found {pitch_mm:g} on {x_mm:.4g} x {y_mm:.4g} mm, which takes {requested:.2g} "
             f"{of}, allowed up to {count:.2g} ({memory}), a pitch of {least_mm:.2g} or more; use a "
             "coarser one, or shorten elastomer.length_x_mm and length_y_mm"
         )

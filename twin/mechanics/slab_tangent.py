@@ -1,11 +1,12 @@
-"""A pressed slab, and how its coat moves with specimen, travel and thickness, to first order.
+"""A pressed slab, and the motion of its coat with specimen, travel and thickness, to first order.
 
-Where the contact stays, the gap A p + S - d stays closed: by any number t of specimen or travel
+While the contact area is constant the gap A p + S - d is zero there: for any parameter t of
+specimen or travel
 
-    A_CC dp/dt = d(d)/dt - dS/dt  on the contact C,   dp/dt = 0 beside it,
+    A_CC dp/dt = d(d)/dt - dS/dt  on the contact C,   dp/dt = 0 outside it,
 
 which is the implicit function theorem on the contact's equations. At the contact's edge the
-pressure is zero, so that its moving counts to second order only; that holds where the object is
+pressure is zero, so that the motion of the edge is of second order; that holds where the object is
 round, and on an edge as far as cells resolve its rounding.
 
 Arrays are (row, col) on the layer's cells; pressures are over Young's modulus, which moves no face.
@@ -36,7 +37,7 @@ SlabData = tuple[Elastomer, Press]
 
 @dataclass(frozen=True, eq=False)
 class CoatMove:
-    """How fast the coat moves with one number.
+    """Rate of the coat's motion with one parameter.
 
     Attributes
     ----------
@@ -54,8 +55,8 @@ class SolvedSlab:
 
     Attributes
     ----------
-    coat_cells : rows and columns on which the coat is asked for, over the whole slab
-    height_mm : the specimen's behind its foremost point, and the sag; inf where absent
+    coat_cells : rows and columns of the coat's cells, over the whole slab
+    height_mm : height of the specimen behind its foremost point, plus the sag; inf where absent
     """
 
     elastomer: Elastomer
@@ -90,30 +91,30 @@ class SolvedSlab:
 
     @cached_property
     def raised_mm(self) -> FloatArray:
-        """What of that the contact does, (row, col); the rest is preload."""
+        """The part of `coat_mm` that the contact causes, (row, col); the rest is preload."""
         return self._at_middles(self.contact.pressure, 0.0)
 
     def moved_by(self, rate_mm: FloatArray) -> CoatMove:
-        """Return how the coat moves where the specimen's face advances.
+        """Return the coat's motion if the specimen's face advances.
 
         Parameters
         ----------
         rate_mm : (row, col) on `touched_cells`, of the specimen's face along the press, mm per
-            unit; read where it touches
+            unit; used where it touches
         """
         return self._move(self._pressure_for(rate_mm))
 
     def moved_by_travel(self) -> CoatMove:
-        """Return how the coat moves per mm of travel."""
+        """Return the coat's motion per mm of travel."""
         return self.moved_by(np.ones_like(self.height_mm[self.touched_cells]))
 
     def moved_by_layer(self, low: SlabData, high: SlabData, step: float) -> CoatMove:
-        """Return how the coat moves with a number of the layer or its load.
+        """Return the coat's motion with a parameter of the layer or its load.
 
         Parameters
         ----------
-        low, high : elastomer and load with the number `step` lower and higher; a small step, as all
-            but the pressure is differenced
+        low, high : elastomer and load with the parameter `step` lower and higher; a small step, as
+            all but the pressure is differenced
         """
         thin, thick = self._under(low), self._under(high)
         pressure = self.contact.pressure
@@ -123,7 +124,7 @@ class SolvedSlab:
         return replace(own, coat_mm=own.coat_mm + (thick.coat_mm - thin.coat_mm) / (2 * step))
 
     def _under(self, data: SlabData) -> "SolvedSlab":
-        """Return another layer under this one's pressure: its contact is not closed."""
+        """Return a changed layer under this one's pressure: its contact is not closed."""
         elastomer, load = data
         modulus = young_modulus(elastomer).best_kpa
         layer = layer_on(elastomer, self.layer.x_mm, self.layer.y_mm, modulus)
@@ -142,7 +143,7 @@ class SolvedSlab:
 
     @property
     def touched_cells(self) -> tuple[slice, slice]:
-        """Rows and columns that hold the contact, as an index."""
+        """Rows and columns of the contact, as an index."""
         return self._patch.cells
 
     @cached_property
@@ -153,7 +154,7 @@ class SolvedSlab:
         )
 
     def _pressure_for(self, advance_mm: FloatArray) -> FloatArray:
-        """Return the pressure on the contact that lets its cells follow, (row, col)."""
+        """Return the pressure on the contact for a given advance of its cells, (row, col)."""
         inside = self.touching[self.touched_cells]
         pressure = np.zeros_like(self.height_mm)
         pressure[self.touched_cells] = _solved(
@@ -169,7 +170,7 @@ def solve_slab(
 
     Parameters
     ----------
-    coat_cells : rows and columns on which the coat is asked for, over the whole slab
+    coat_cells : rows and columns of the coat's cells, over the whole slab
 
     Raises
     ------
@@ -181,7 +182,7 @@ def solve_slab(
     modulus = young_modulus(elastomer).best_kpa
     layer = build_layer(elastomer, load, shape, modulus)
     if not isinstance(layer, FreeSlab) or load.depth_mm is None:
-        raise PressError("slab: found no free slab pressed to a depth; nothing else is solved here")
+        raise PressError("slab: found no free slab pressed to a depth, which is required here")
     preload = preload_of(elastomer, load, modulus)
     height = shape.height_above_lowest(layer.x_mm, layer.y_mm) + preload.deflection(layer)
     contact = solve_on_layer(layer, height, DepthControl(load.depth_mm))
@@ -189,7 +190,7 @@ def solve_slab(
 
 
 def _solved(patch: Patch, inside: BoolArray, wanted_mm: FloatArray) -> FloatArray:
-    """Solve A p = wanted on the cells inside, by conjugate gradients scaled as the contact's."""
+    """Solve A p = target on the cells inside, by conjugate gradients scaled as the contact's."""
     pressure, rest = np.zeros_like(wanted_mm), wanted_mm
     scaled = np.where(inside, patch.apply(rest), 0.0)
     direction, size = scaled, inner(rest, scaled)

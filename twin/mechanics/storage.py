@@ -1,7 +1,7 @@
 """Pressed elastomers as netCDF-4 files and their faces as PLY or STL meshes.
 
 Files follow the CF conventions: every variable has `units` and `long_name`; arrays are (y, x).
-A file is written under a temporary name and renamed: it is never half there.
+A file is written under a temporary name and renamed, so that it is never incomplete.
 """
 
 from collections.abc import Callable, Mapping
@@ -36,7 +36,7 @@ from twin.mechanics.validity import Validity
 _PLAIN = "fringe-twin press 2"
 """Files of this schema and the first have no coordinates: x is the variable x_mm, and so on."""
 _GROUPED = "fringe-twin press 1"
-"""Files of this schema keep the figures of `Validity` in a group of that name."""
+"""Files of this schema have the figures of `Validity` in a group of that name."""
 
 
 def write_press(path: Path, pressed: PressedElastomer) -> None:
@@ -53,12 +53,12 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
 
 
 def read_press(path: Path) -> PressedElastomer:
-    """Read what `write_press` wrote.
+    """Read a file of `write_press`.
 
     Raises
     ------
     PressError
-        The file is missing, damaged or something else.
+        The file is missing, damaged or of another kind.
     """
     try:
         file = read_arrays(path)
@@ -69,8 +69,8 @@ def read_press(path: Path) -> PressedElastomer:
         stored = [name for name in VARIABLES if name in file or name not in OPTIONAL]
         values = {name: file[axes.get(name, name)] for name in stored}
         grouped = read_arrays(path, "validity").attrs if schema == _GROUPED else {}
-        told = {VALIDITY + name: one for name, one in grouped.items()}
-        validity = _validity({**file.attrs, **told})
+        figures = {VALIDITY + name: value for name, value in grouped.items()}
+        validity = _validity({**file.attrs, **figures})
         model, sheet = str(file.attrs["model"]), _sheet(file)
     except PressError:
         raise
@@ -97,12 +97,12 @@ def write_in_plane(
         raise PressError(f"in-plane displacement: the model is {pressed.model}, allowed: spectral")
     moved = in_plane_displacement(pressed, elastomer, load)
 
-    told = {"comment": "moves texture and markers; the relief's nodes stay where they are"}
+    comment = {"comment": "moves texture and markers; the relief's nodes stay where they are"}
     maps = {
         f"u_{axis}_mm": labelled(data, FACE, "mm", f"displacement of the coat along world {axis}")
         for axis, data in zip("xy", moved, strict=True)
     }
-    _write(path, maps, told)
+    _write(path, maps, comment)
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
@@ -111,7 +111,7 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     Raises
     ------
     PressError
-        The file is to be neither, or cannot be written.
+        The suffix is neither, or the file cannot be written.
     """
     kind = path.suffix.lower()
     if kind not in (".ply", ".stl"):
@@ -122,8 +122,8 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
         write_bytes(path, content)
 
 
-def _write(path: Path, variables: Mapping[str, Labelled], told: Mapping[str, Any]) -> None:
-    arrays = LabelledArrays(variables, attrs={"Conventions": "CF-1.11", **told})
+def _write(path: Path, variables: Mapping[str, Labelled], attributes: Mapping[str, Any]) -> None:
+    arrays = LabelledArrays(variables, attrs={"Conventions": "CF-1.11", **attributes})
     with naming_unwritable(path, PressError):
         write_arrays(path, arrays)
 
@@ -136,9 +136,9 @@ def _sheet(file: LabelledArrays) -> SheetFields | None:
     return SheetFields(stretch=stretch, **maps)
 
 
-def _validity(told: Mapping[str, Any]) -> Validity:
-    figures = {f.name: float(told[VALIDITY + f.name]) for f in fields(Validity)[:-1]}
-    return Validity(**figures, warnings=tuple(str(told[f"{VALIDITY}warnings"]).splitlines()))
+def _validity(attributes: Mapping[str, Any]) -> Validity:
+    figures = {f.name: float(attributes[VALIDITY + f.name]) for f in fields(Validity)[:-1]}
+    return Validity(**figures, warnings=tuple(str(attributes[f"{VALIDITY}warnings"]).splitlines()))
 
 
 def _typed(values: dict[str, Any]) -> dict[str, Any]:

@@ -1,13 +1,13 @@
-"""The coat's texture: airbrush grain and flakes as random heights that the sheet carries along.
+"""The coat's texture: airbrush grain and flakes as random heights that move with the sheet.
 
-Z(X, Y) is white noise on a lattice, blurred and seen through cubic B-splines: smooth (C2), standard
-normal, stationary, with the autocorrelation exp(-(lag / L0)^2), and the same wherever and however
-densely it is asked for. Heights follow from Z by a `Johnson` distribution; L0 is chosen so that
-the autocorrelation of the heights themselves falls to 1/e at the wanted length.
+Z(X, Y) is white noise on a lattice, blurred and interpolated by cubic B-splines: smooth (C2),
+standard normal, stationary, with the autocorrelation exp(-(lag / L0)^2), and independent of the
+points at which it is evaluated. Heights follow from Z by a `Johnson` distribution; L0 is chosen so
+that the autocorrelation of the heights themselves is 1/e at the specified length.
 
-The displacement of the coated face in its own plane carries the texture. Never move the nodes of
-the relief by it. Linear contact is solved at fixed world positions: the height found over (x, y) is
-the face's height there, wherever its material came from. Moving the nodes sideways as well makes
+The displacement of the coated face in its own plane moves the texture. Never move the nodes of
+the relief by it. Linear contact is solved at fixed world positions: the height at (x, y) is the
+face's height there, for any origin of its material. Moving the nodes sideways as well makes
 the shape four times worse against large strain, 49 instead of 12 um for a ball of 4 mm pressed 1 mm
 into a 4 mm layer (measured on our prototype).
 
@@ -18,7 +18,7 @@ Biometrika 36, 149 (1949); on rough surfaces Hu and Tonder, Int. J. Machine Tool
 
     mean = w^(1/2) sinh b,  spread^2 = (w - 1) (w cosh 2b + 1) / 2,
 
-and so is the correlation of two X whose Z have the correlation r:
+and so is the correlation of two X if their Z have the correlation r:
 
     ((w^(1 + r) cosh 2b - w^(1 - r)) / 2 - mean^2) / spread^2
 """
@@ -44,17 +44,17 @@ Extent = tuple[float, float, float, float]
 
 # Lattice cells per L0: between the lattice's points the variance of Z is 3e-4 below 1 at most.
 _CELLS_PER_LENGTH = 4
-# Of Z's kernel, whose standard deviation is L0 / 2; of a cubic B-spline, which is its last part.
+# Of Z's kernel, which has a standard deviation of L0 / 2; of a cubic B-spline, which is part of it.
 _KERNEL_VARIANCE = (_CELLS_PER_LENGTH / 2) ** 2
 _SPLINE_VARIANCE = 1 / 3
 _SPLINE_AT_POINTS = np.array([1.0, 4.0, 1.0]) / 6
 # Taps on either side, 6 standard deviations.
 _REACH = 12
-# Whole nanometres: the modulus alone moves the last digits, and equal faces are rendered once.
+# Whole nanometres: the modulus only changes the last digits, and equal faces are rendered once.
 _DISPLACEMENT_DECIMALS = 6
 
 
-# Steps off the ends of the bracket, where cosh 2b is infinite and where rounding puts it below 1.
+# Steps from the ends of the bracket, where cosh 2b is infinite or rounding makes it less than 1.
 _OFF_END = 1e-9
 
 
@@ -66,7 +66,7 @@ class Johnson:
     b: float = 0.0
 
     def of_normal(self, normal: FloatArray) -> FloatArray:
-        """Turn standard normal numbers (...) into numbers of this distribution."""
+        """Transform standard normal numbers (...) to numbers of this distribution."""
         if self.a == 0.0:
             return normal
         return np.asarray((np.sinh(self.a * normal + self.b) - self._mean) / self._spread)
@@ -79,9 +79,9 @@ class Johnson:
         product = (w ** (1 + of_normals) * np.cosh(2 * self.b) - w ** (1 - of_normals)) / 2
         return float((product - self._mean**2) / self._spread**2)
 
-    def correlation_of_normals(self, wanted: float) -> float:
+    def correlation_of_normals(self, target: float) -> float:
         """Return the correlation that normal numbers need; the inverse of `correlation`."""
-        return float(brentq(lambda r: self.correlation(r) - wanted, 0.0, 1.0, xtol=1e-14))
+        return float(brentq(lambda r: self.correlation(r) - target, 0.0, 1.0, xtol=1e-14))
 
     @property
     def _w(self) -> float:
@@ -108,8 +108,8 @@ def johnson_of(skewness: float, excess_kurtosis: float) -> Johnson:
     Notes
     -----
     For a given w the kurtosis is a quadratic equation in cosh 2b; its root gives a skewness that
-    falls from the log-normal's to 0 as w grows to the symmetric distribution's: one bracketed root
-    (after Tuenter, Journal of Statistical Computation and Simulation 70, 325 (2001)).
+    decreases from the log-normal's to 0 as w increases to the symmetric distribution's: one root
+    in a bracket (after Tuenter, Journal of Statistical Computation and Simulation 70, 325 (2001)).
     """
     if excess_kurtosis == 0.0:
         return Johnson()
@@ -154,7 +154,7 @@ class Field:
 
     rms_mm: float
     distribution: Johnson
-    #: of the lattice, of which a point lies at the material point (0, 0)
+    #: of the lattice, which has a point at the material point (0, 0)
     pitch_mm: float
     #: row and column of coefficients[0, 0], counted from that point
     first: tuple[int, int]
@@ -166,8 +166,8 @@ class Field:
 
         Parameters
         ----------
-        X_mm, Y_mm : (...) float, mm; material coordinates: where in the world the points lie while
-            the elastomer is flat and untouched. Within the field's extent.
+        X_mm, Y_mm : (...) float, mm; material coordinates: world positions of the points in the
+            flat, unloaded elastomer. Within the field's extent.
 
         Returns
         -------
@@ -175,7 +175,7 @@ class Field:
 
         Raises
         ------
-        ValueError : a point lies outside the extent
+        ValueError : a point is outside the extent
         """
         cells = [
             np.asarray(along) / self.pitch_mm - first
@@ -183,7 +183,7 @@ class Field:
         ]
         for along, count in zip(cells, self.coefficients.shape, strict=True):
             if along.min() < 1 or along.max() > count - 2:
-                raise ValueError("texture: a material point lies outside the field's extent")
+                raise ValueError("texture: a material point is outside the field's extent")
         normal: FloatArray = ndimage.map_coordinates(
             self.coefficients, cells, order=3, prefilter=False
         )
@@ -196,8 +196,8 @@ def texture_field(texture: Texture, seed: int, extent_mm: Extent) -> Field:
     Parameters
     ----------
     seed : root seed of the experiment: one seed, one coat
-    extent_mm : (x_low, x_high, y_low, y_high) float, mm; material coordinates that will be asked
-        for. But for rounding, heights do not depend on it.
+    extent_mm : (x_low, x_high, y_low, y_high) float, mm; range of the material coordinates.
+        Heights do not depend on it, except for rounding.
     """
     distribution = johnson_of(texture.skewness, texture.excess_kurtosis)
     at_length = distribution.correlation_of_normals(exp(-1))
@@ -213,11 +213,11 @@ def texture_field(texture: Texture, seed: int, extent_mm: Extent) -> Field:
     )
 
 
-@lru_cache(maxsize=1)  # one coat is pressed again and again, mostly with the same lattice
+@lru_cache(maxsize=1)  # one coat is pressed repeatedly, mostly with the same lattice
 def _blurred_noise(seed: int, rows: tuple[int, int], cols: tuple[int, int]) -> FloatArray:
     """Return the blurred noise (row, col) within the first and last numbers of a lattice's lines.
 
-    Less what the blur reaches in from beyond; not writable, for it is handed out again.
+    Without the margin that the blur needs; not writable, because it is returned again.
     """
     blurred = _white_noise(seed, *(np.arange(first, last + 1) for first, last in (rows, cols)))
     for axis in (0, 1):
@@ -230,18 +230,18 @@ def _blurred_noise(seed: int, rows: tuple[int, int], cols: tuple[int, int]) -> F
 def textured(
     pressed: PressedElastomer, elastomer: Elastomer, load: Press, texture: Texture, seed: int
 ) -> PressedElastomer:
-    """Lay the coat's texture on a smooth pressed face; contact, pressure and force stay.
+    """Add the coat's texture to a smooth pressed face; contact, pressure and force do not change.
 
     Returns
     -------
-    With the textured `face_z_mm`, and `texture_mm`, which is what was added to it
+    With the textured `face_z_mm`, and `texture_mm`, the height that was added to it
 
     Notes
     -----
-    z grows by the height times sqrt(1 + slope^2) of the smooth face: first order in the height over
-    the face's radius of curvature. The material point at a node is the node less its displacement
-    in the plane, which the spectral model and the sheet know; under the others the texture is
-    not stretched.
+    z increases by the height times sqrt(1 + slope^2) of the smooth face: first order in the height
+    over the face's radius of curvature. The material point at a node is the node less its
+    displacement in the plane, which the spectral model and the sheet compute; in the other models
+    the texture is not stretched.
     """
     X_mm, Y_mm = _material_points(pressed, elastomer, load)
     extent = (float(X_mm.min()), float(X_mm.max()), float(Y_mm.min()), float(Y_mm.max()))
@@ -285,7 +285,7 @@ def _material_points(
 
 
 def _lattice(low_mm: float, high_mm: float, pitch_mm: float) -> IntArray:
-    """Return the lattice's numbers along one axis, with what splines and blur need beyond."""
+    """Return the lattice's numbers along one axis, with the margin for splines and blur."""
     margin = 2 + _REACH
     first, last = floor(low_mm / pitch_mm) - margin, ceil(high_mm / pitch_mm) + margin
     return np.arange(first, last + 1)
@@ -294,7 +294,7 @@ def _lattice(low_mm: float, high_mm: float, pitch_mm: float) -> IntArray:
 def _white_noise(seed: int, rows: IntArray, cols: IntArray) -> FloatArray:
     """Draw standard normal numbers (row, col): one stream per row, from the middle outwards.
 
-    So the number at a lattice point depends on seed, row and column alone.
+    So the number at a lattice point depends only on seed, row and column.
     """
     streams, places = _outwards(rows), _outwards(cols)
     count = int(places.max()) + 1
@@ -306,12 +306,12 @@ def _white_noise(seed: int, rows: IntArray, cols: IntArray) -> FloatArray:
 
 
 def _outwards(numbers: IntArray) -> IntArray:
-    """Give 0, -1, 1, -2, 2, ... the numbers 0, 1, 2, 3, 4, ...; none is negative."""
+    """Return 0, 1, 2, 3, 4, ... for the numbers 0, -1, 1, -2, 2, ...; none is negative."""
     return np.where(numbers >= 0, 2 * numbers, -2 * numbers - 1)
 
 
 def _taps() -> FloatArray:
-    """Return the blur that, seen through the B-spline, gives Z the variance 1."""
+    """Return the blur that, interpolated by the B-spline, gives Z the variance 1."""
     offsets = np.arange(-_REACH, _REACH + 1)
     taps = np.exp(-(offsets**2) / (2 * (_KERNEL_VARIANCE - _SPLINE_VARIANCE)))
     kernel = np.convolve(taps, _SPLINE_AT_POINTS)
@@ -319,13 +319,13 @@ def _taps() -> FloatArray:
 
 
 def _correlation_lag(heights: FloatArray) -> float:
-    """Return the lag along x, in nodes, at which the autocorrelation falls to 1/e."""
+    """Return the lag along x, in nodes, at which the autocorrelation is 1/e."""
     deviation = heights - heights.mean()
-    variance, wanted, before = float(np.mean(deviation**2)), exp(-1), 1.0
+    variance, target, before = float(np.mean(deviation**2)), exp(-1), 1.0
     for lag in range(1, heights.shape[1]):
         here = float(np.mean(deviation[:, lag:] * deviation[:, :-lag])) / variance
-        if here <= wanted:
-            return lag - (wanted - here) / (before - here)
+        if here <= target:
+            return lag - (target - here) / (before - here)
         before = here
     return float(heights.shape[1])
 
@@ -333,7 +333,7 @@ def _correlation_lag(heights: FloatArray) -> float:
 def in_plane_displacement(
     pressed: PressedElastomer, elastomer: Elastomer, load: Press
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far the coat's material moves sideways under contact, back pressure and weight.
+    """Return the coat's displacement in its plane under contact, back pressure and weight.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""How pressure deflects both faces of an elastic layer, plain or coated, wave by wave.
+"""Deflection of both faces of an elastic layer under pressure, plain or coated, per wave.
 
-Frame: z along the press, from the touched face t (z = 0) to the other face b (z = h); a pressure
+Frame: z along the press, from the touched face t (z = 0) to the far face b (z = h); a pressure
 p cos(k x) on t deflects by u = 2 Phi p / (E* k), E* = E / (1 - nu^2), at q = k h. Phi is
 dimensionless and independent of E; on the touched face it tends to 1 for short waves, the
 half-space.
@@ -20,9 +20,9 @@ The analytic lam div makes nu = 0.5 regular.
 A film of its own stiffness on the coated face makes two elastic layers, bonded. The state of one
 wavenumber at a depth is U, W and, over k, shear and normal traction; the slab's shear modulus is 1.
 A film is much thinner than a wave, where the bounded exponentials of a thick layer coincide; there
-the state is carried through by its exponential instead, exp(M q) with (M^2 - 1)^2 = 0.
+the state is mapped by its exponential instead, exp(M q) with (M^2 - 1)^2 = 0.
 
-A whole grid of wavenumbers is answered through a table in log q.
+A table in log q gives a whole grid of wavenumbers.
 """
 
 from dataclasses import dataclass
@@ -36,14 +36,14 @@ from twin.mechanics.errors import PressError
 
 Base = Literal["bonded", "free"]
 
-# Below, the free layer's 4 x 4 system loses its digits to the rigid motions (condition ~ q^-4).
+# Below this the free layer's 4 x 4 system is ill-conditioned by rigid motions (condition ~ q^-4).
 SMALLEST_Q = 0.01
 LoadedBase = Literal["bonded", "free", "free_turned"]
-# Below, waves are long against the layer and its state is carried through by exp(M q).
+# Below this, waves are long compared with the layer and its state is mapped by exp(M q).
 _LONG_WAVE_Q = 0.5
 Column = Literal["normal_t", "normal_b", "tangential_t", "tangential_b"]
 _COLUMNS: tuple[Column, ...] = ("normal_t", "normal_b", "tangential_t", "tangential_b")
-# Above, both faces are half-spaces to 1e-15.
+# Above this, both faces are half-spaces to 1e-15.
 _LARGEST_Q = 45.0
 _TABLE_SIZE = 2000
 
@@ -100,10 +100,10 @@ def amplitudes(q: FloatArray, z: float, nu: float) -> dict[str, FloatArray]:
 
 
 def opposite_transfer(q: FloatArray) -> FloatArray:
-    """Return what the opposite face of a free layer keeps of the touched face's relief.
+    """Return the share of the touched face's relief on the opposite face of a free layer.
 
-    T(q) = (sinh q + q cosh q) / (sinh q cosh q + q), for any nu and E: 1 for long waves, a half
-    at a pitch of 2.40 thicknesses, a tenth at 1.32.
+    T(q) = (sinh q + q cosh q) / (sinh q cosh q + q), for any nu and E: 1 for long waves, 0.5
+    at a pitch of 2.40 thicknesses, 0.1 at 1.32.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def opposite_transfer(q: FloatArray) -> FloatArray:
     >>> float(opposite_transfer(np.array([2 * np.pi / 2.40]))[0].round(2))
     0.5
     """
-    # Both sides times 4 exp(-2 q), so that nothing overflows.
+    # Numerator and denominator times 4 exp(-2 q), to avoid overflow.
     fade = np.expm1(-2 * q)
     raised = 2 * np.exp(-q) * (-fade + q * (2 + fade))
     lowered = -fade * (2 + fade) + 4 * q * (1 + fade)
@@ -138,7 +138,7 @@ def solve_coated(q: FloatArray, poisson_ratio: float, base: LoadedBase, film: Co
     q : (n,) float; wavenumber times the whole thickness, > 0
     poisson_ratio : of the slab, 0 < nu <= 0.5
     base : {"bonded", "free", "free_turned"}; "bonded": film on the touched face t; "free": film on
-        the far face b; "free_turned": film on t of a layer whose far face is free, the same slab
+        the far face b; "free_turned": film on t of a layer with a free far face, the same slab
         loaded from its other side
 
     Returns
@@ -171,9 +171,9 @@ def _through(q: FloatArray, shear: float, nu: float) -> tuple[FloatArray, FloatA
 
 
 def _bounded_states(q: FloatArray, z: float, nu: float) -> FloatArray:
-    found = amplitudes(q, z, nu)
-    tractions = [found[name] / q[:, None] for name in ("S_xz", "S_zz")]
-    return np.stack((found["U"], found["W"], *tractions), axis=-2)
+    states = amplitudes(q, z, nu)
+    tractions = [states[name] / q[:, None] for name in ("S_xz", "S_zz")]
+    return np.stack((states["U"], states["W"], *tractions), axis=-2)
 
 
 def _carried(q: FloatArray, nu: float) -> FloatArray:
@@ -199,7 +199,7 @@ def _carried(q: FloatArray, nu: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class TransferTable:
-    """Phi over log q, from `lowest_q` up; beyond `highest_q` it no longer changes."""
+    """Phi over log q, from `lowest_q` up; constant beyond `highest_q`."""
 
     lowest_q: float
     highest_q: float
@@ -208,15 +208,15 @@ class TransferTable:
     def __call__(self, q: FloatArray, column: Column) -> FloatArray:
         """Return one column of `Transfer` on a wavenumber grid (...), q >= lowest_q."""
         inside = np.minimum(q, self.highest_q)
-        found: FloatArray = self.splines[column](np.log(inside))
-        found /= _damping(inside)
-        return found
+        phi: FloatArray = self.splines[column](np.log(inside))
+        phi /= _damping(inside)
+        return phi
 
 
 def tabulate(
     lowest_q: float, poisson_ratio: float, base: LoadedBase, film: CoatFilm | None = None
 ) -> TransferTable:
-    """Tabulate a layer's transfer from `lowest_q` to where both faces are half-spaces.
+    """Tabulate a layer's transfer from `lowest_q` up to half-spaces on both faces.
 
     Raises
     ------
@@ -242,6 +242,6 @@ def tabulate(
 
 
 def _damping(q: FloatArray) -> FloatArray:
-    """Long waves of the free layer grow as q^-3 (plate): times this, the spline sees none."""
+    """Long waves of the free layer increase as q^-3 (plate): times this, the spline is smooth."""
     cubed = q * q * q
     return np.asarray(cubed / (1 + cubed))

@@ -1,4 +1,4 @@
-"""How far a press stays inside what the linear slab describes.
+"""Figures of how well the linear slab or the thin sheet describes a press.
 
 Limits and error scale come from comparisons with an axisymmetric neo-Hookean slab (shared
 notes, mechanics.md, sections 1 and 6): heights err by 1 to 2 % of the depth up to d/R = 0.6 when
@@ -22,11 +22,11 @@ SLOPE_LIMIT_DEG = 45.0
 DEFLECTION_OVER_THICKNESS_LIMIT = 0.4
 _FEWEST_CELLS_ACROSS = 10.0
 SHEET_THICKNESS_MM = (0.05, 1.0)
-#: thickness over its undeformed value below which a sheet flows away: silicones tear before
+#: thickness over its undeformed value below which a sheet flows away: silicones tear earlier
 THINNEST = 0.2
-#: thickness over radius of bending up to which a thin sheet is good, and up to which it is usable
+#: thickness over radius of bending up to which a thin sheet is accurate, and up to which usable
 SHEET_GOOD, SHEET_LIMIT = 0.125, 0.25
-#: pitch over thickness of the finest ridges that a thin sheet tells: it has no shear in it
+#: pitch over thickness of the finest ridges that a thin sheet resolves: it neglects shear
 SHEET_RIDGES = 5.0
 # Height error of the thin sheet over h^2 / R: solid neo-Hookean elements, ball of 4 mm, sheets of
 # 0.1 to 1.5 mm, at most 18 um at h = 1 mm (shared notes on the sheet).
@@ -35,7 +35,7 @@ _SHEET_ERROR = 0.072
 
 @dataclass(frozen=True)
 class Validity:
-    """Figures that tell whether to trust a press, and one line for each that is exceeded."""
+    """Figures of the trust in a press, and one warning for each that is exceeded."""
 
     depth_over_thickness: float
     #: depth over the smallest ball's radius, 0 for specimens without balls
@@ -44,11 +44,11 @@ class Validity:
     deflection_over_thickness: float
     #: steepest slope of the specimen within the contact
     max_slope_deg: float
-    #: from the contact to the nearest rim
+    #: distance from the contact to the nearest rim
     margin_mm: float
     #: contact diameter in solver cells (of a circle as large as the contact)
     cells_across: float
-    #: expected largest height error of the coated face by leaving out large strain
+    #: expected largest height error of the coated face from neglecting large strain
     height_error_mm: float
     warnings: tuple[str, ...]
 
@@ -66,8 +66,8 @@ def margin_mm(
 ) -> float:
     """Return the distance from the contact's cells to the nearest edge of the slab.
 
-    `half_mm` holds the slab's half lengths along x and y; cells are sampled at their centres. A
-    touch that is smaller than a cell may hold none: it counts as in the middle.
+    `half_mm` are the slab's half lengths along x and y; cells are sampled at their centres. A
+    contact smaller than a cell may include no centre: it counts as in the middle.
     """
     if not contact.any():
         return min(half_mm)
@@ -163,7 +163,7 @@ def contact_validity(
     depth_mm: float,
     deflection_mm: float,
 ) -> Validity:
-    """Collect the figures of a slab whose contact is known on cells.
+    """Collect the figures of a slab from its contact on cells.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def assess_sheet(
     """Collect the figures, the error estimate and the warnings of a thin sheet.
 
     `bend_1_mm` is the root mean square curvature where the specimen touches, 1 / R on a ball;
-    `ridge_pitch_mm` that of the specimen's finest grooves, None where it has none of its own.
+    `ridge_pitch_mm` that of the specimen's finest grooves, None if it has none of its own.
     """
     ratio = thickness_mm * bend_1_mm
     checks = (

@@ -1,7 +1,7 @@
-"""Where an object behind the coat shows through a thin ink.
+"""Reflectance of a thin, translucent ink with an object in contact behind it.
 
-Where nothing touches the ink, what passes is lost. Seen by cameras that look at the touched coat
-itself, the contact-face layout: behind the coat of a sheet lies the sheet.
+Without contact, the light that the ink transmits is lost. The effect exists in the contact-face
+layout only, in which the object touches the coat; behind the coat of a sheet is the sheet.
 """
 
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def seen_face(experiment: Experiment, pressed: PressedElastomer) -> "trimesh.Trimesh":
-    """Return the coated face as `face_mesh`; where the ink lets light through with `INK_ALBEDO`."""
+    """Return the coated face as `face_mesh`, with `INK_ALBEDO` if the ink is translucent."""
     face, albedo = face_mesh(pressed), ink_albedo(experiment, pressed)
     if albedo is not None:
         face.vertex_attributes[INK_ALBEDO] = albedo
@@ -27,21 +27,21 @@ def seen_face(experiment: Experiment, pressed: PressedElastomer) -> "trimesh.Tri
 
 
 def ink_albedo(experiment: Experiment, pressed: PressedElastomer) -> FloatArray | None:
-    """Return the ink's albedo at the vertices of the coated face, (vertex,); None: alike all over.
+    """Return the ink's albedo at the vertices of the coated face, (vertex,); None: uniform.
 
-    A specimen without material is taken for the one of the reference balls. Of a group, and of a
-    scene of parts, the whole contact has the specimen's own material.
+    A specimen without material has that of the reference balls. Groups and scenes of parts have the
+    specimen's own material in the whole contact.
     """
-    alone = experiment.coating.albedo_over(0.0)
-    if alone is None or experiment.elastomer.layout != "contact_face":
+    bare = experiment.coating.albedo_over(0.0)
+    if bare is None or experiment.elastomer.layout != "contact_face":
         return None
-    # A film of air or wax between ink and object, and slant light, move the object's reflectance
-    # by less than it is known.
+    # A film of air or wax between ink and object, and oblique incidence, change the object's
+    # reflectance by less than its uncertainty.
     material = experiment.specimen.material or experiment.photometric.presses.material
     reflectance = 0.0 if material is None else material.normal_reflectance
     touched = experiment.coating.albedo_over(reflectance)
-    assert touched is not None  # whether an ink is opaque is its own, not the object's
-    return np.asarray(alone + (touched - alone) * _contact_share(pressed).ravel())
+    assert touched is not None  # opacity is a property of the ink, not of the object
+    return np.asarray(bare + (touched - bare) * _contact_share(pressed).ravel())
 
 
 def _contact_share(pressed: PressedElastomer) -> FloatArray:

@@ -1,10 +1,10 @@
-"""Choice of the Dr.Jit backend, made in one place and proved in a child process.
+"""Choice of the Dr.Jit backend, tested in a child process.
 
-Dr.Jit takes the first libLLVM it finds. LLVM older than 17 either does not load or aborts the whole
-process at the first maximum of two floats ("Cannot select: fmaximum"), and Debian 12 and Ubuntu
-22.04 install LLVM 14 or 15 by default. So each candidate library first has to compile and run the
-kinds of kernel the twin needs, in a child process with an empty kernel cache; the first that gives
-the right numbers is used. The finding is kept in the user's cache folder.
+Dr.Jit loads the first libLLVM on its search path. LLVM older than 17 either does not load or aborts
+the process at the first maximum of two floats ("Cannot select: fmaximum"); Debian 12 and Ubuntu
+22.04 install LLVM 14 or 15 by default. Therefore each candidate library compiles and runs the
+twin's kinds of kernel in a child process with an empty kernel cache. The first library with correct
+results is used, and its path is stored in the user's cache folder.
 
 ``TWIN_BACKEND`` (``llvm`` or ``cuda``) restricts the choice, ``DRJIT_LIBLLVM_PATH`` names the
 library.
@@ -41,11 +41,11 @@ LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 CHOICE_VARIABLE = "TWIN_BACKEND"
 ADVICE = "install LLVM 17 or newer (Debian, Ubuntu: apt-get install libllvm19)"
 _PROBE_TIMEOUT_S = 180.0  # the first OptiX start on a cold machine takes about a minute
-_VERSION_LINE = re.compile(r"^backend version (\S+)$", re.MULTILINE)  # among Mitsuba's own output
+_VERSION_LINE = re.compile(r"^backend version (\S+)$", re.MULTILINE)  # among Mitsuba's output
 
 
-class MissingBackend(RuntimeError):  # noqa: N818  # it names what is missing
-    """No Dr.Jit backend works here; the message says in one line what to install."""
+class MissingBackend(RuntimeError):  # noqa: N818  # named after the missing part
+    """No Dr.Jit backend works on this machine; the message names the package to install."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,16 @@ class Backend:
 
 
 @dataclass(frozen=True)
-class Refusal:
-    """Why a candidate is not used."""
+class Rejection:
+    """Reason for the rejection of a candidate."""
 
     reason: str
 
 
 def probe(
     variant: str, library: str | None = None, timeout_s: float = _PROBE_TIMEOUT_S
-) -> Backend | Refusal:
-    """Let a child process compile and run kernels with one candidate.
+) -> Backend | Rejection:
+    """Compile and run kernels with one candidate, in a child process.
 
     Parameters
     ----------
@@ -86,11 +86,11 @@ def probe(
 
     Returns
     -------
-    The proved backend, or the reason why it is not used
+    The tested backend, or the reason for its rejection
 
     Raises
     ------
-    MissingBackend : if Mitsuba does not even load
+    MissingBackend : Mitsuba does not load
     """
     with tempfile.TemporaryDirectory(prefix="fringe-twin-probe-") as folder:
         try:
@@ -105,13 +105,13 @@ def probe(
                 check=False,
             )
         except subprocess.TimeoutExpired:
-            return Refusal(f"no answer within {timeout_s:g} s")
+            return Rejection(f"no answer within {timeout_s:g} s")
     if child.returncode != 0:
         _check_system_libraries(child.stderr)
-        return Refusal(_reason(child))
+        return Rejection(_reason(child))
     version = _VERSION_LINE.search(child.stdout)
     if version is None:
-        return Refusal("the probe ended without an answer")
+        return Rejection("the probe ended without an answer")
     return Backend(variant, library, version[1])
 
 
@@ -121,7 +121,7 @@ def _probe_environment(folder: str, library: str | None) -> dict[str, str]:
         "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),
         # A kernel cached by another LLVM would pass without being compiled.
         "DRJIT_CACHE_DIR": folder,
-        "LC_ALL": "C",  # the refusals are recognised by their English words
+        "LC_ALL": "C",  # error messages are matched in English
     }
     if library is not None:
         environment[LIBRARY_VARIABLE] = library
@@ -129,7 +129,7 @@ def _probe_environment(folder: str, library: str | None) -> dict[str, str]:
 
 
 def _check_system_libraries(stderr: str) -> None:
-    """Raise if Mitsuba itself does not load: no other candidate will do better."""
+    """Raise MissingBackend if Mitsuba does not load, which no other candidate can change."""
     absent = re.search(r"ImportError: (lib\S+\.so\S*): cannot open shared object file", stderr)
     if absent:
         raise MissingBackend(
@@ -142,11 +142,11 @@ def _reason(child: subprocess.CompletedProcess[str]) -> str:
     if "backend is inactive" in child.stderr or "hasn't been initialized" in child.stderr:
         return "Dr.Jit cannot start it"
     lines = [line.strip() for line in child.stderr.splitlines() if line.strip()]
-    told = next((line for line in lines if "LLVM ERROR" in line), lines[-1] if lines else "")
-    told = re.sub(r"Cannot select: \S+ [^=]*= (\w+).*", r"Cannot select \1", told)[:120]
+    message = next((line for line in lines if "LLVM ERROR" in line), lines[-1] if lines else "")
+    message = re.sub(r"Cannot select: \S+ [^=]*= (\w+).*", r"Cannot select \1", message)[:120]
     if child.returncode > 0:
-        return told or f"exit status {child.returncode}"
-    return f"{signal.Signals(-child.returncode).name} {told}".strip()
+        return message or f"exit status {child.returncode}"
+    return f"{signal.Signals(-child.returncode).name} {message}".strip()
 
 
 _LIBRARY_NAME = re.compile(r"^libLLVM(?:-(?P<dash>\d[\d.]*))?\.so(?:\.(?P<suffix>\d[\d.]*))?$")
@@ -163,8 +163,8 @@ _LIBRARY_FOLDERS = (
 
 def llvm_candidates() -> list[Path]:
     """List the LLVM libraries of this machine, newest first, each once."""
-    found = {path.resolve() for path in _library_paths() if _LIBRARY_NAME.match(path.name)}
-    return sorted((path for path in found if path.is_file()), key=_version_key, reverse=True)
+    files = {path.resolve() for path in _library_paths() if _LIBRARY_NAME.match(path.name)}
+    return sorted((path for path in files if path.is_file()), key=_version_key, reverse=True)
 
 
 def _library_paths() -> Iterator[Path]:
@@ -194,7 +194,7 @@ def _version_key(library: Path) -> tuple[tuple[int, ...], str]:
 
 
 def has_cuda_driver() -> bool:
-    """Tell whether the CUDA driver library loads."""
+    """Return True if the CUDA driver library loads."""
     try:
         ctypes.CDLL(os.environ.get("DRJIT_LIBCUDA_PATH", "libcuda.so.1"))
     except OSError:
@@ -203,15 +203,15 @@ def has_cuda_driver() -> bool:
 
 
 def find_backend(*, fresh: bool = False) -> Backend:
-    """Find a backend that works: CUDA where there is a device, else the newest usable LLVM.
+    """Return a working backend: CUDA if there is a device, else the newest usable LLVM.
 
     Parameters
     ----------
-    fresh : probe again even if an earlier finding is in the cache
+    fresh : probe again even if the cache has an earlier result
 
     Raises
     ------
-    MissingBackend : if no backend works here
+    MissingBackend : no backend works on this machine
     """
     key = circumstances()
     known = None if fresh else recall(key)
@@ -249,24 +249,24 @@ def _search_llvm() -> Backend:
         raise MissingBackend(
             f"{LIBRARY_VARIABLE}={explicit} does not work ({outcome.reason}): unset it, or {ADVICE}"
         )
-    refused = []
+    rejected = []
     for library in llvm_candidates():
         outcome = probe(LLVM_VARIANT, str(library))
         if isinstance(outcome, Backend):
             return outcome
-        refused.append(f"{library.name}: {outcome.reason}")
-    tried = "; ".join(refused) or "no libLLVM found"
+        rejected.append(f"{library.name}: {outcome.reason}")
+    tried = "; ".join(rejected) or "no libLLVM found"
     raise MissingBackend(f"no usable renderer backend ({tried}): {ADVICE}")
 
 
 def cache_file() -> Path:
-    """Tell where findings are kept."""
+    """Return the path of the cache of probe results."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
     return Path(base) / "fringe-twin" / "backend.json"
 
 
 def circumstances() -> str:
-    """Digest of everything that a finding depends on, besides the library itself."""
+    """Return a digest of everything that a probe result depends on, except the library itself."""
     facts = [
         _installed_version("mitsuba"),
         _installed_version("drjit"),
@@ -296,7 +296,7 @@ def _cpu_flags() -> str:
 
 
 def recall(key: str) -> Backend | None:
-    """Return an earlier finding under the same circumstances, unless its library changed."""
+    """Return the cached backend for a digest; None if there is none or its library changed."""
     entry = _remembered().get(key)
     if not isinstance(entry, dict):
         return None
@@ -315,14 +315,14 @@ def _remembered() -> dict[str, Any]:
 
 
 def remember(key: str, backend: Backend) -> None:
-    """Store a finding; a cache that cannot be written only costs the next probe."""
+    """Store a probe result; if the cache cannot be written, the next process probes again."""
     path = cache_file()
     entries = _remembered() | {
         key: {"backend": asdict(backend), "modified_ns": _modified_ns(backend)}
     }
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        if not is_regular(path):  # a pipe would wait for its reader
+        if not is_regular(path):  # a write to a pipe would block
             path.unlink(missing_ok=True)
         write_text(path, json.dumps(entries, indent=1))
 
@@ -335,7 +335,7 @@ _MISSING_EXIT = 3
 
 
 def main() -> int:
-    """Print the backend of this machine, or why there is none.
+    """Print the backend of this machine, or the reason why none works.
 
     Returns
     -------

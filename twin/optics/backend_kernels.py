@@ -1,4 +1,4 @@
-"""The kernels that a backend has to get right; run in the probe's child process only."""
+"""Test kernels of a backend; run in the probe's child process only."""
 
 import ctypes
 import os
@@ -24,7 +24,7 @@ def run_kernels(variant: str) -> None:
 def _leave_no_core_file() -> None:
     try:
         import resource
-    except ImportError:  # Windows, which writes none
+    except ImportError:  # Windows writes no core files
         return
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
@@ -74,7 +74,7 @@ def _check_rendering(dr: Any, mi: Any) -> None:
     hit = scene.ray_intersect(ray)
     depth = dr.select(hit.is_valid(), hit.t, 0)
     brightness = dr.sum(mi.render(scene, spp=4).array)
-    # The ball of radius 1 is met at 5 - sqrt(1 - x^2).
+    # Distance to the ball of radius 1: 5 - sqrt(1 - x^2).
     good = abs(depth.numpy()[8] - 4) < 1e-5 and depth.numpy()[0] == 0 and brightness.numpy() > 0
     if not good:
         raise ArithmeticError("a render gave wrong numbers")

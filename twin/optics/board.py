@@ -1,8 +1,8 @@
 """A printed flat board under the rig: its albedo as an image, its plate as a mesh in a pose.
 
 The albedo image is finer than a camera pixel and its edges are one texel wide, so that the fixed
-grid of sub-pixel rays sees every edge where it is: a hard edge would be sampled in steps of a
-quarter pixel, and the centroids of dots would jitter by a hundredth of a pixel.
+grid of sub-pixel rays resolves the position of every edge. A hard edge would be sampled in steps of
+0.25 px, with errors of 0.01 px in the centroids of dots.
 """
 
 from dataclasses import replace
@@ -39,7 +39,7 @@ def albedo_image(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage
 
     Parameters
     ----------
-    texel_mm : asked-for texel size; the plate holds whole texels
+    texel_mm : nominal texel size; rounded so that the plate has whole texels
     """
     x_mm, y_mm = (_texel_centres(size, texel_mm) for size in (plate.width_mm, plate.height_mm))
     ink = board.ink(x_mm, -y_mm, texel_mm)
@@ -49,12 +49,12 @@ def albedo_image(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage
 
 @lru_cache(maxsize=1)
 def _albedo_of(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage:
-    """Return what all poses of a board have in common; it takes as long as their light."""
+    """Return the albedo image, cached for all poses: it takes as long as one render."""
     return albedo_image(board, plate, texel_mm)
 
 
 def camera_texel_mm(experiment: Experiment) -> float:
-    """Size of a texel: a camera pixel on the reference plane holds two of them."""
+    """Size of a texel: half a camera pixel on the reference plane."""
     camera = experiment.camera
     image_mm = camera.focal_length_mm / (camera.pose.standoff_mm - camera.focal_length_mm)
     return camera.pixel_pitch_um * 1e-3 * camera.binning / image_mm / TEXELS_PER_PIXEL
@@ -65,14 +65,14 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
     """Render the whole sequence on the board in one pose.
 
     The engine is the one-trace renderer with direct light and the experiment's rays per pixel. The
-    board lies in open air, whatever clear layers the experiment has. Defocus as the experiment
-    says (`camera.depth_of_field`, `projector.aperture_mm`); by default everything is sharp.
+    board is in air, without the experiment's clear layers. Defocus follows the experiment
+    (`camera.depth_of_field`, `projector.aperture_mm`); by default all distances are sharp.
 
     Raises
     ------
     MissingBackend : no usable Dr.Jit backend
     """
-    # Mitsuba may be imported only now: the backend's library is chosen when it loads.
+    # Mitsuba is imported here because importing it selects the backend's library.
     from twin.optics import one_trace
     from twin.optics.connection import axial_range_mm
     from twin.optics.light import light_tables, pattern_set
@@ -80,7 +80,7 @@ def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Fr
 
     albedo = _albedo_of(file.board(), file.plate, camera_texel_mm(experiment))
     scene = _board_scene(file.plate, albedo, board_pose(pose))
-    # Nothing stands between a single plane and the projector: no shadow rays.
+    # A single plane casts no shadow on itself: no shadow rays.
     rig = replace(rig_of(experiment), layers=None, shadows=False)
     patterns = pattern_set(experiment.projector, experiment.patterns)
     tables = light_tables(experiment.projector, patterns, axial_range_mm(scene, rig))

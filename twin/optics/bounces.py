@@ -1,18 +1,19 @@
 """Light between surfaces: from coat to coat, between specimen and stage, through clear bodies.
 
-Each camera ray is continued by BSDF sampling. Which light is added where depends on the surface
-that the projector lit first on the way, so that every way is counted once:
+Each camera ray is continued by BSDF sampling. The first surface on a light path from the projector
+determines the estimator, so that every path is counted once:
 
-- a matte or rough one: the camera path is connected to the projector when it gets there;
-- a sharp one (clear or polished), and later the stage: photons brought that light to the stage,
-  the camera path gathers it there;
-- sharp ones only, all the way to the camera: connected, as far as the camera path met no other.
+- matte or rough: the camera path is connected to the projector at this surface;
+- sharp (clear or polished), with the stage further along the path: photons carry this light to the
+  stage, where the camera path gathers it;
+- sharp, with sharp surfaces only up to the camera: connected, if the camera path has met only sharp
+  surfaces.
 
-The random numbers are the same for all frames, so their noise shifts a pixel's phase a little but
-never differs from frame to frame.
+All frames use the same random numbers. Their noise therefore shifts a pixel's phase slightly, but
+does not differ from frame to frame.
 
 Left out: highlights of perfectly smooth bodies (between two pinholes they have no width), and light
-that sharp bodies throw on other surfaces than the stage.
+from sharp bodies to surfaces other than the stage.
 """
 
 from collections.abc import Callable
@@ -32,19 +33,19 @@ from twin.optics.scene import Surfaces
 LAUNCHES = 8
 
 MOST_SHARP = 24
-"""Reflections and refractions at sharp bodies that a camera path may go through."""
+"""Largest number of reflections and refractions at sharp bodies on a camera path."""
 
 
 @dataclass(frozen=True)
 class Bounces:
-    """How much indirect light is traced.
+    """Extent of the traced indirect light.
 
     Attributes
     ----------
     most : largest number of reflections after the first; 1 is light reflected twice. Sharp bodies
         do not count.
     paths : random continuations per camera sample
-    stage_light : what photons brought to the stage
+    stage_light : irradiance map of the photons on the stage
     """
 
     most: int
@@ -66,16 +67,16 @@ def add_bounces(
 ) -> list[Any]:
     """Return `frames` plus the light of two and more reflections; same units.
 
-    One loop runs over all path segments of all samples: after the last bounce, or when a path
-    leaves the scene, the lane starts its next sample. The walks are done in a few launches of one
-    kernel, between which `progress` is told the finished fraction.
+    One loop runs over all path segments of all samples: after the last bounce, or if a path
+    exits the scene, the lane starts its next sample. One kernel is launched a few times; between
+    launches, `progress` is called with the finished fraction.
     """
     walks, width = grid.samples * bounces.paths, dr.width(grid.x_px)
     next_segment = _next_segment(scene, rig, light, grid, bounces)
     random = random_streams(width, bounces.seed)
     limits = np.linspace(0, walks, min(walks, LAUNCHES) + 1).astype(int).tolist()
     for first, last in pairwise(limits):
-        # Opaque: a literal would make every launch a kernel of its own.
+        # Opaque: with a literal, every launch would compile its own kernel.
         begin, stop = dr.opaque(mi.UInt32, first, width), dr.opaque(mi.UInt32, last)
         start = (
             begin,
@@ -96,7 +97,7 @@ def add_bounces(
 def _next_segment(
     scene: Any, rig: Rig, light: FrameLight, grid: SubPixels, bounces: Bounces
 ) -> Callable[..., tuple[Any, ...]]:
-    """Return the body of the loop: it follows each lane's path by one segment."""
+    """Return the body of the loop: it extends each lane's path by one segment."""
     walks, surfaces = grid.samples * bounces.paths, bounces.surfaces
 
     def next_segment(*state: Any) -> tuple[Any, ...]:
@@ -108,7 +109,7 @@ def _next_segment(
         sharp = surfaces.is_sharp(hit)
         throughput = dr.select(fresh, 1.0, throughput)
         throughput *= surfaces.transmittance(hit, inside & sharp)
-        # The first surface's own light is the direct part, rendered without noise.
+        # Direct light at the first surface is rendered separately, without noise.
         connects = ~fresh & (~sharp | (matte == 0))
         path = connect(scene, rig, hit, bsdf, coherent=False)
         sums = _add_connected(sums, light, path, throughput / walks, connects)
@@ -116,8 +117,8 @@ def _next_segment(
             on_stage = surfaces.on_stage(hit)
             share = throughput * bsdf.eval_diffuse_reflectance(hit, on_stage)[0] / (dr.pi * walks)
             draw = rng.next_float32(), rng.next_float32()
-            found = (hit.p.x, hit.p.y, share, on_stage, draw)
-            sums = _add_where(on_stage, bounces.stage_light.values, found, sums)
+            arguments = (hit.p.x, hit.p.y, share, on_stage, draw)
+            sums = _add_where(on_stage, bounces.stage_light.values, arguments, sums)
         ray, weight, through = _go_on(bsdf, hit, rng)
         matte += dr.select(sharp, 0, 1)
         events += 1
@@ -147,7 +148,7 @@ def _add_connected(
 
 
 def _go_on(bsdf: Any, hit: Any, rng: Any) -> tuple[Any, Any, Any]:
-    """Draw the next ray; return it, its weight (0 where the path ends) and whether it went in."""
+    """Draw the next ray; return it, its weight (0: the path ends) and if it was transmitted."""
     sample, weight = bsdf.sample(
         mi.BSDFContext(),
         hit,
@@ -166,8 +167,8 @@ def _add_where(
     """Add `values(*arguments)` to the sums; skipped where no lane of a packet is active."""
 
     def add(arguments: tuple[Any, ...], sums: list[Any]) -> list[Any]:
-        found = values(*arguments)
-        return [total + value for total, value in zip(sums, found, strict=True)]
+        added = values(*arguments)
+        return [total + value for total, value in zip(sums, added, strict=True)]
 
     result = dr.if_stmt((arguments, sums), active, add, lambda _, sums: sums)
     return list(result)

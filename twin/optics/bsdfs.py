@@ -4,7 +4,7 @@ from typing import Any
 
 
 def level(value: float) -> dict[str, Any]:
-    """Return a number as a spectrum: what `mi.load_dict` would take for a colour otherwise."""
+    """Return a number as a spectrum; `mi.load_dict` would read a plain number as a colour."""
     return {"type": "spectrum", "value": value}
 
 

@@ -1,4 +1,4 @@
-"""What the renderer cannot do for an experiment: told before anything is pressed or traced."""
+"""Checks of an experiment against the limits of the renderer, before the press and the trace."""
 
 from reconstruction.errors import InputError
 from twin.config.layers import holding_layer
@@ -8,13 +8,13 @@ from twin.specimens import Body, bodies
 
 
 def check_renderable(experiment: Experiment) -> None:
-    """Refuse an experiment that the renderer refuses whatever the press gives.
+    """Raise InputError if the renderer cannot render the experiment for any pressed face.
 
     Raises
     ------
     InputError : depth of field with one sample; too large a stack of frames; a coat that cannot
-        be in the layer around it; the stock engine with what it cannot express; a bare
-        specimen without material, by the stock engine, or with a light path that has one blur alone
+        be in the layer around it; properties that the stock engine lacks; a bare specimen without
+        material or with the stock engine; projector defocus with clear or polished specimens
     """
     check_samples(experiment)
     check_stack_size(experiment)
@@ -30,21 +30,21 @@ def check_renderable(experiment: Experiment) -> None:
         check_stock(experiment)
 
 
-# Of one axis: 14 bits count 8192 stripes, twice over at their borders, and white and black.
+# Along an axis: 14 bits for 8192 stripes and their borders, and a white and a black frame.
 _MOST_WORDS = 32
 MOST_PIXEL_VALUES = 3_000_000_000
 """Of a stack: 45 megapixels in 66 frames. Radiance and digital numbers take 6 bytes each."""
 
 
 def check_stack_size(experiment: Experiment) -> None:
-    """Refuse a stack of frames that takes more than 18 GB."""
+    """Raise InputError if the stack of frames takes more than 18 GB."""
     if not experiment.method.fringes:
         return
     camera, patterns = experiment.camera, experiment.patterns
     pixels = (camera.width_px // camera.binning) * (camera.height_px // camera.binning)
     shots = patterns.steps * (1 + len(patterns.further_periods_px))
     if 2 * (shots + _MOST_WORDS) * pixels <= MOST_PIXEL_VALUES:
-        return  # without a look at the period, so that a study over it is checked once
+        return  # without reading the period, so that a study over it is checked once
     frames = len(pattern_set(experiment.projector, patterns).frames)
     if frames * pixels > MOST_PIXEL_VALUES:
         raise InputError(
@@ -55,23 +55,23 @@ def check_stack_size(experiment: Experiment) -> None:
 
 
 def check_samples(experiment: Experiment) -> None:
-    """Refuse depth of field with one sample per pixel, which sees through one place of the lens."""
+    """Raise InputError for depth of field with one sample, hence one lens point, per pixel."""
     if experiment.camera.depth_of_field and experiment.render.samples == 1:
         raise InputError(
             "render.samples: found 1, allowed 4 or more with camera.depth_of_field, better 16: each"
-            " sample sees through one place of the lens"
+            " sample passes one point of the lens"
         )
 
 
 def check_coat(experiment: Experiment) -> None:
-    """Refuse a coat that cannot be in the layer around it."""
+    """Raise InputError if the coat cannot be in the layer around it."""
     holder = holding_layer(experiment.layers)
     if holder is not None:
         experiment.coating.in_medium(holder.ior)
 
 
 def check_stock(experiment: Experiment) -> None:
-    """Refuse what stock Mitsuba cannot express."""
+    """Raise InputError for properties that stock Mitsuba lacks."""
     if any(experiment.camera.distortion):
         raise InputError(
             "camera.distortion: stock Mitsuba cannot express it;"
@@ -79,13 +79,13 @@ def check_stock(experiment: Experiment) -> None:
         )
     if experiment.projector.aperture_mm:
         raise InputError(
-            "projector.aperture_mm: stock Mitsuba cannot express blur that grows with distance;"
+            "projector.aperture_mm: stock Mitsuba cannot express blur that depends on distance;"
             " set it to zero or use render.engine = 'one_trace'"
         )
 
 
 def check_direct_engine(experiment: Experiment) -> None:
-    """Refuse the stock engine for a bare specimen."""
+    """Raise InputError for the stock engine with a bare specimen."""
     if experiment.render.engine != "one_trace":
         raise InputError(
             "render.engine: found 'stock', allowed 'one_trace' with modality ="
@@ -95,17 +95,17 @@ def check_direct_engine(experiment: Experiment) -> None:
 
 
 def check_materials(parts: tuple[Body, ...]) -> None:
-    """Refuse a bare specimen of which a part has no material."""
+    """Raise InputError if a part of a bare specimen has no material."""
     bare = [part.name for part in parts if part.material is None]
     if bare:
         raise InputError(
-            f"specimen.material: found none for {', '.join(bare)}; modality = 'direct_fpp' sees the"
-            " specimen itself: add [specimen.material] with use = 'materials/metals/steel'"
+            f"specimen.material: found none for {', '.join(bare)}; modality = 'direct_fpp' images"
+            " the bare specimen: add [specimen.material] with use = 'materials/metals/steel'"
         )
 
 
 def check_focus(experiment: Experiment) -> None:
-    """Refuse blur that grows with distance where clear or polished bodies are seen."""
+    """Raise InputError for projector defocus with clear or polished bodies."""
     aperture_mm = experiment.projector.aperture_mm
     if aperture_mm:
         raise InputError(

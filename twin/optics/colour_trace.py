@@ -1,4 +1,4 @@
-"""Colour images of a lit coat: every lamp is one more linear channel of the same trace.
+"""Colour images of a coat under lamps; all lamps are traced together, as linear channels.
 
 Camera rays are refracted once (`layers`), meet the coat, and each hit is connected to every LED of
 every lamp and to its image in the outer face of the layers. Sub-pixel positions are the fixed grid
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LampRig:
-    """Who looks and who shines; `layers` None is air.
+    """Camera, emitters and layers (None: air) of a trace.
 
-    With `heights` the scene is that sheet alone, and its rays are marched as those of a `Rig` are.
-    A `matte` coat reflects alike into all directions: its BSDF is read once, not for every LED.
+    With `heights` the scene consists of that sheet only, and rays are marched as for a `Rig`. The
+    BSDF of a `matte` coat does not depend on direction: it is evaluated once, not for every LED.
     """
 
     camera: Device
@@ -54,7 +54,7 @@ class LampRig:
 
 
 class ColourScene:
-    """The coat under its lamps, loaded once: press after press is put into it.
+    """The coat under its lamps, loaded once; `put` replaces the face for each press.
 
     Parameters
     ----------
@@ -73,11 +73,11 @@ class ColourScene:
         self._matte = experiment.coating.is_matte
 
     def put(self, face: "trimesh.Trimesh") -> None:
-        """Exchange the face for another one with the same grid of facets.
+        """Replace the face by another face with the same grid of facets.
 
         Raises
         ------
-        InputError : the face pokes through the layers that it is seen through
+        InputError : the face protrudes from the layers above it
         """
         check_below_layers(self._layers, face)
         if len(face.faces) != self._facets:
@@ -93,13 +93,13 @@ class ColourScene:
         Parameters
         ----------
         flux : (emitter,) float, optional
-            Of each LED over its usual one, see `emitters_of`.
+            Of each LED, relative to its nominal flux, see `emitters_of`.
         """
         rig = self._rig(pinhole, T_world_from_cam, flux)
         return trace_channels(self._scene, rig, self._samples)
 
     def truth(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> Truth:
-        """Return what lies behind the pixel centres; everything seen counts as lit."""
+        """Return the surface points at the pixel centres; every visible point counts as lit."""
         return trace_face(self._scene, self._rig(pinhole, T_world_from_cam))
 
     def _rig(
@@ -185,8 +185,8 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
         cosine = dr.dot(hit.sh_frame.n, direction)
         active = hit.is_valid() & (light > 0.0) & (cosine > 0.0)
         if rig.shadows:
-            way = direction, distance_mm
-            active &= ~shaded(scene, rig.heights, hit, way, active, coherent=False)
+            to_light = direction, distance_mm
+            active &= ~shaded(scene, rig.heights, hit, to_light, active, coherent=False)
         if rig.matte:
             brdf_cos = upright * cosine
         else:
@@ -198,7 +198,7 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
     total = dr.while_loop(start, lambda number, _: number < table.count, add_emitter)[1]
     if rig.markers is not None:
         total *= _dots(rig.markers, hit.p)
-    return total if sight is None else total * sight.seen(hit.t)
+    return total if sight is None else total * sight.transmission(hit.t)
 
 
 def _brdf_upright(hit: Any, bsdf: Any) -> Any:
@@ -208,19 +208,19 @@ def _brdf_upright(hit: Any, bsdf: Any) -> Any:
 
 
 def _filled(table: _Table, hit: Any, brdf: Any) -> Any:
-    """Radiance by the fill; the coat reflects it as it does light along the normal.
+    """Radiance due to the fill, with the BRDF of light along the normal.
 
-    Exact for a matte coat. Flakes mirror an even sky alike from wherever, so they lose little.
+    Exact for a matte coat. For flakes the error is small: they mirror a uniform sky.
     """
     sky = dr.select(hit.is_valid(), sky_seen(hit.sh_frame.n.z, table.dark_cap) * brdf, 0.0)
     return sky * table.fill
 
 
 def _light(table: _Table, number: Any, point_mm: Any, absorption: float) -> tuple[Any, Any, Any]:
-    """Irradiance per intensity on what faces an emitter (1/mm^2), direction to it, distance mm."""
-    way = dr.gather(mi.Point3f, table.position_mm, number) - point_mm
-    distance_mm = dr.norm(way)
-    direction = way / distance_mm
+    """Irradiance per intensity, facing the emitter (1/mm^2), direction to it, distance mm."""
+    to_light = dr.gather(mi.Point3f, table.position_mm, number) - point_mm
+    distance_mm = dr.norm(to_light)
+    direction = to_light / distance_mm
     ahead = -dr.dot(direction, dr.gather(mi.Vector3f, table.aim, number))
     exponent = dr.gather(mi.Float, table.exponent, number)
     lobe = dr.select(ahead > 0.0, dr.power(dr.maximum(ahead, 1e-6), exponent), 0.0)
@@ -233,7 +233,7 @@ def _light(table: _Table, number: Any, point_mm: Any, absorption: float) -> tupl
 
 
 def _dots(markers: Markers, point_mm: Any) -> Any:
-    """Factor on the reflectance; the press lifts the coat but does not move it aside."""
+    """Factor on the reflectance; the press moves the coat vertically only."""
     x = point_mm.x - dr.round(point_mm.x / markers.pitch_x_mm) * markers.pitch_x_mm
     y = point_mm.y - dr.round(point_mm.y / markers.pitch_y_mm) * markers.pitch_y_mm
     inside = x * x + y * y < markers.radius_mm**2
@@ -247,5 +247,5 @@ def trace_face(scene: Any, rig: LampRig) -> Truth:
     ray = rig.camera.ray(centres.x_px, centres.y_px)
     ray = ray if rig.layers is None else rig.layers.refract(ray).ray
     hit = first_hit(scene, rig.heights, ray)
-    nothing, seen = dr.zeros(mi.Float, width * height), hit.is_valid()
-    return truth_of(rig.camera, hit, (nothing, nothing), seen, seen)
+    zero, visible = dr.zeros(mi.Float, width * height), hit.is_valid()
+    return truth_of(rig.camera, hit, (zero, zero), visible, visible)

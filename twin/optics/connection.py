@@ -1,8 +1,8 @@
-"""Connect a ray's hit point to the projector: the one event that puts light into the frames.
+"""Connection of a ray's hit point to the projector: the only event that adds light to the frames.
 
 A path that ends on the projector pixel (u, v) with weight w adds w * P_k(u, v) to every frame k;
-`FrameLight` looks these up in the light tables, inside a kernel. How near to the projector the
-surfaces of a scene lie, and how far, bounds the blur there.
+`FrameLight` looks these up in the light tables, inside a kernel. The nearest and the farthest
+distance of a scene's surfaces from the projector bound the blur.
 """
 
 from dataclasses import dataclass, replace
@@ -20,18 +20,18 @@ from twin.optics.layers import Arrival, LayerStack
 from twin.optics.light import LEAST_VARIANCE_PX2, MARGIN_PX, OVERSAMPLING, BlurLevels, LightTable
 from twin.optics.stack import Truth
 
-# Shadow rays start this far off the surface along its normal: 50 times the float32 resolution of
-# a point 250 mm away, 1/40 of the smallest mesh pitch.
+# Shadow rays start at this distance from the surface along its normal: 50 x the float32 resolution
+# of a point 250 mm away, 1/40 of the smallest mesh pitch.
 _SHADOW_OFFSET_MM = 1e-3
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What a path needs: the two devices, the projector's irradiance at 1 mm (mW/mm^2), layers.
+    """Parameters of all paths: both devices, the projector's irradiance at 1 mm (mW/mm^2), layers.
 
-    With `layers`, both devices look through them at surfaces below. Without `shadows` no shadow ray
-    is traced: for scenes in which proven nothing stands in the light. With `heights` the scene is
-    that sheet alone, and rays to it, and from it to the projector, are marched.
+    `layers` refract the rays of both devices above the surfaces. Without `shadows` no shadow ray is
+    traced: for scenes that provably cast no shadows. With `heights` the scene is that sheet only,
+    and rays to it, and from it to the projector, are marched.
     """
 
     camera: Device
@@ -44,9 +44,9 @@ class Rig:
 
 @dataclass(frozen=True)
 class Connection:
-    """A surface point connected to the projector: where it is on its image, how much it carries.
+    """A surface point connected to the projector: its projector pixel and its weight.
 
-    `axial_mm`, the distance along the projector's axis, says how far out of focus the point is.
+    `axial_mm`, the distance along the projector's axis, determines its defocus.
     """
 
     column_px: Any
@@ -57,25 +57,25 @@ class Connection:
 
 
 def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) -> Connection:
-    """Connect a hit point to the projector's pinhole; occluded points carry nothing.
+    """Connect a hit point to the projector's pinhole; the weight of occluded points is 0.
 
     Parameters
     ----------
-    hit : may be invalid: then nothing is lit
+    hit : may be invalid: then the weight is 0
     bsdf : of the hit surface
-    coherent : neighbouring lanes ask for similar shadow rays
+    coherent : neighbouring lanes have similar shadow rays
     """
     light = _arrive(rig, hit.p)
     column_px, row_px = light.column_px, light.row_px
     lit = hit.is_valid() & (light.axial_mm > 0.0) & on_image(rig, column_px, row_px, MARGIN_PX)
     if rig.shadows:
-        way = light.direction, light.clear_mm
-        lit &= ~shaded(scene, rig.heights, hit, way, lit, coherent=coherent)
+        to_light = light.direction, light.clear_mm
+        lit &= ~shaded(scene, rig.heights, hit, to_light, lit, coherent=coherent)
     brdf_cos = bsdf.eval(mi.BSDFContext(), hit, hit.to_local(light.direction), lit)[0]
     weight = dr.select(lit, brdf_cos * light.irradiance, 0.0)
-    nothing = ~hit.is_valid()
+    missed = ~hit.is_valid()
     column_px, row_px, axial_mm = (
-        dr.select(nothing, 0.0, value) for value in (column_px, row_px, light.axial_mm)
+        dr.select(missed, 0.0, value) for value in (column_px, row_px, light.axial_mm)
     )
     return Connection(column_px, row_px, weight, lit, axial_mm)
 
@@ -87,24 +87,24 @@ def see(scene: Any, rig: Rig, ray: Any) -> tuple[Any, Connection]:
     hit = first_hit(scene, rig.heights, ray)
     path = connect(scene, rig, hit, hit.bsdf(ray))
     if sight is not None:
-        path = replace(path, weight=path.weight * sight.seen(hit.t))
+        path = replace(path, weight=path.weight * sight.transmission(hit.t))
     return hit, path
 
 
 def first_hit(scene: Any, heights: MarchedHeights | None, ray: Any) -> Any:
-    """Return the surface that rays first meet, by the sheet's heights or the scene's tree.
+    """Return the first hit of rays, from the sheet's heights or the scene's tree.
 
     Parameters
     ----------
-    heights : of the sheet that the scene holds alone; None: the tree is asked for every ray
+    heights : of the sheet, if it is the whole scene; None: the tree is used for every ray
     """
     if heights is not None:
-        # Which facet is met is no matter of derivatives; where it is met follows from the facet.
+        # The facet has no derivative; that of the hit point follows from the facet.
         with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, True):
             met = heights.first_hit(scene.shape, dr.detach(ray))
         return met.compute_surface_interaction(ray, mi.RayFlags.All)
-    # Not as packets: neighbouring pixels hit facets of their own, so that Embree's single rays take
-    # half the time on a face of 2.4 M facets (a sixth more on one of 6000, which is fast anyway).
+    # Not as packets: neighbouring pixels hit different facets. Embree's single rays take 0.5 x the
+    # time on a face of 2.4 M facets (1.17 x on a face of 6000, which is fast in either mode).
     return scene.ray_intersect(ray, mi.RayFlags.All, coherent=False)
 
 
@@ -128,7 +128,7 @@ def _arrive(rig: Rig, point_mm: Any) -> Arrival:
 
 
 def on_image(rig: Rig, column_px: Any, row_px: Any, margin_px: float) -> Any:
-    """Inside the projector's image, or within the margin into which its blurred edge reaches."""
+    """Return True inside the projector's image or the margin of its blurred edge."""
     pinhole, low = rig.projector.pinhole, -0.5 - margin_px
     return (
         (column_px > low)
@@ -142,19 +142,19 @@ def shaded(
     scene: Any,
     heights: MarchedHeights | None,
     hit: Any,
-    way: tuple[Any, Any],
+    to_light: tuple[Any, Any],
     active: Any,
     *,
     coherent: bool,
 ) -> Any:
-    """Tell which hits something keeps from a light.
+    """Return which hits are in the shadow of another surface.
 
     Parameters
     ----------
     heights : as of `first_hit`
-    way : direction to the light, and distance within which something could stand in it, mm
+    to_light : direction to the light, and largest distance of an occluder, mm
     """
-    direction, distance_mm = way
+    direction, distance_mm = to_light
     shadow = shadow_ray(hit, direction, distance_mm)
     if heights is None:
         return scene.ray_test(shadow, coherent=coherent, active=active)
@@ -164,7 +164,7 @@ def shaded(
 
 
 def shadow_ray(hit: Any, direction: Any, distance_mm: Any) -> Any:
-    """Return the ray towards a light; surfaces that face away from it shade themselves."""
+    """Return the ray towards a light; surfaces that face away from it are in their own shadow."""
     facing = dr.dot(hit.n, direction)
     start = hit.p + dr.copysign(_SHADOW_OFFSET_MM, facing) * hit.n
     shadow = mi.Ray3f(start, direction)
@@ -175,10 +175,10 @@ def shadow_ray(hit: Any, direction: Any, distance_mm: Any) -> Any:
 def truth_of(
     camera: Device, hit: Any, projector_px: tuple[Any, Any], lit: Any, measured: Any
 ) -> Truth:
-    """Return what the rays through a camera's pixel centres hit, as images."""
-    image, seen = (camera.pinhole.height_px, camera.pinhole.width_px), hit.is_valid()
-    point, normal = (dr.select(seen, value, 0.0) for value in (hit.p, hit.sh_frame.n))
-    depth_mm = dr.select(seen, camera.project(hit.p)[2], 0.0)
+    """Return the hits of the rays through a camera's pixel centres, as images."""
+    image, valid = (camera.pinhole.height_px, camera.pinhole.width_px), hit.is_valid()
+    point, normal = (dr.select(valid, value, 0.0) for value in (hit.p, hit.sh_frame.n))
+    depth_mm = dr.select(valid, camera.project(hit.p)[2], 0.0)
     dr.eval(point, normal, depth_mm, *projector_px, lit, measured)
     points, normals = (
         np.stack([np.asarray(axis).reshape(image) for axis in value], axis=-1)
@@ -193,7 +193,7 @@ def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:
 
     Parameters
     ----------
-    rig : through its layers points seem nearer than they are, but never above the highest face
+    rig : its layers make points appear nearer, but never above the highest face
 
     Raises
     ------
@@ -209,7 +209,7 @@ def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:
     if axial_mm.min() <= 0.0:
         raise InputError(
             f"projector.pose.standoff_mm: the scene reaches {-axial_mm.min():.3g} mm behind the "
-            "projector along its axis, where no light of it is; allowed is a scene in front of it: "
+            "projector along its axis, where it emits no light; allowed: a scene in front of it; "
             "enlarge the standoff, or make stage.size_mm or the elastomer smaller"
         )
     return float(axial_mm.min()), float(axial_mm.max())
@@ -229,7 +229,7 @@ class FrameLight:
 
     def __init__(self, tables: dict[str, LightTable]) -> None:
         self._columns, self._rows = _on_device(tables["column"]), _on_device(tables["row"])
-        #: the blur depends on the distance, so paths must carry it
+        #: True if the blur depends on the distance, which paths then have to carry
         self.defocused = tables["column"].levels is not None
         #: index of each value that `values` returns in the projected sequence
         self.sequence = [*tables["column"].frames, *tables["row"].frames]
@@ -273,7 +273,7 @@ class _LookUpTable:
         return values[: self.profiles]
 
     def _between_nodes(self, position_px: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Lower node, share of the upper one, and which positions are inside the table."""
+        """Lower node, weight of the upper node, and which positions are inside the table."""
         x = (position_px - self.first_px) * OVERSAMPLING
         inside = active & (x >= 0.0) & (x < self.nodes - 1.0)
         node = mi.UInt32(dr.select(inside, x, 0.0))
@@ -300,12 +300,12 @@ class _DefocusedTable(_LookUpTable):
             corners = (index, index + self.packets)
             a, b = (dr.gather(mi.Vector4f, self.values, at, inside) for at in corners)
             c, d = (dr.gather(mi.Vector4f, self.values, at + next_level, inside) for at in corners)
-            found = dr.lerp(dr.lerp(a, b, upper), dr.lerp(c, d, upper), blurred)
-            values += [found[i] for i in range(_PACKET)]
+            packet_values = dr.lerp(dr.lerp(a, b, upper), dr.lerp(c, d, upper), blurred)
+            values += [packet_values[i] for i in range(_PACKET)]
         return values[: self.profiles]
 
     def _between_levels(self, axial_mm: Any, active: Any) -> tuple[Any, Any]:
-        """Lower blur level and share of the upper one."""
+        """Lower blur level and weight of the upper level."""
         variance_px2 = dr.select(active, self.levels.defocus.variance_px2(axial_mm), 1.0)
         variance_px2 = dr.maximum(variance_px2, LEAST_VARIANCE_PX2)
         level = (dr.log(variance_px2) - self.levels.first_log) / self.levels.step_log()

@@ -1,18 +1,18 @@
-"""Level and contrast of fringes in closed form: what a trace's irradiance becomes without frames.
+"""Level and contrast of fringes in closed form, from a trace's irradiance without frames.
 
 The light of N shifted fringes at a surface point is E (a + b cos(phi + 2 pi n / N)), E the
 irradiance of a white field. a and b are the mean and the first Fourier coefficient of the
-projector's response to a cosine of levels; on its way the cosine loses
+projector's response to a cosine of levels; the cosine is attenuated
 
-- to the box of the DMD's pixels sinc(1 / p), p the period in px,
-- to lens blur, defocus and the camera pixel's own extent exp(-2 pi^2 v / p^2), v the sum of their
+- by the box of the DMD's pixels: sinc(1 / p), p the period in px,
+- by lens blur, defocus and the camera pixel's extent: exp(-2 pi^2 v / p^2), v the sum of their
   variances along the axis in px^2.
 
-Left out: the rounding of levels to 8 bits, and harmonics of the response that N steps take for the
-first (of orders N - 1, N + 1, ...).
+Left out: the rounding of levels to 8 bits, and harmonics of the response that N steps alias to the
+first harmonic (orders N - 1, N + 1, ...).
 
 All functions are analytic: complex numbers pass through them, so that a complex step gives their
-derivatives to the last digit (Squire and Trapp, SIAM Review 40, 110 (1998)).
+derivatives to machine precision (Squire and Trapp, SIAM Review 40, 110 (1998)).
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class FringeLight:
     Attributes
     ----------
     mean : of all shifted fringes
-    amplitude : of a fringe so long that nothing blurs it
+    amplitude : of a fringe of infinite period, without blur
     white, black : of the frames `high_level` and `low_level`
     """
 
@@ -56,12 +56,12 @@ class FringeLight:
 
 
 def transfer(period_px: Any, variance_px2: Any) -> Any:
-    """Return what is left of a fringe's contrast behind pixel box and blur; number or array."""
+    """Return the factor on a fringe's contrast by pixel box and blur; number or array."""
     return np.sinc(1.0 / period_px) * np.exp(-2.0 * np.pi**2 * variance_px2 / period_px**2)
 
 
 def outline(position_px: Any, length_px: int, sigma_px: Any) -> Any:
-    """Return the share of a white image at a coordinate: 1 but at its blurred edges."""
+    """Return the relative light of a white image at a coordinate: 1 except at its blurred edges."""
     scale = 1.0 / (np.sqrt(2.0) * (sigma_px + _LEAST_BLUR_PX))
     low, high = position_px + 0.5, length_px - 0.5 - position_px
     return 0.5 * (erf(low * scale) + erf(high * scale))
@@ -72,7 +72,7 @@ def extent_variance_px2(range_px: Any, samples: int) -> Any:
 
     Parameters
     ----------
-    range_px : between the farthest two samples; taken to lie evenly spaced along one direction
+    range_px : between the farthest two samples; samples are assumed equally spaced on a line
     samples : of the pixel, a square number
     """
     side = round(samples**0.5)

@@ -25,12 +25,12 @@ from reconstruction.rig.pinhole import (
 from twin.config.models import Distortion
 from twin.optics.rig import ThinLens, lens_places
 
-# Newton squares the error: after a step below this, normalised, the pixel is met to 1e-5 px at a
-# focal length of 5000 px. Much smaller steps drown in single precision near a fold.
+# Newton squares the error: after a normalised step below this, the error is below 1e-5 px at a
+# focal length of 5000 px. Near a fold, single precision does not resolve much smaller steps.
 _LAST_STEP = 3e-5
 
-# Pixel of what the lens does not see: off every image, and finite, as it meets weights of 0.
-_UNSEEN_PX = -1e6
+# Pixel of points that the lens does not image: off every image, and finite (0 x inf is nan).
+_OFF_PX = -1e6
 
 
 @dataclass(frozen=True)
@@ -53,28 +53,28 @@ class Device:
     def ray(self, x_px: Any, y_px: Any) -> Any:
         """World ray (`mi.Ray3f`, unit direction) through continuous pixel coordinates.
 
-        With a lens this is its chief ray. Where the lens has none, beyond its fold, the ray ends
-        where it starts: it hits nothing.
+        With a lens this is its chief ray. Pixels beyond the fold of the distortion have no ray: it
+        has the length 0 and no hit.
         """
-        x, y, found = self._slopes(x_px, y_px)
+        x, y, exists = self._slopes(x_px, y_px)
         right, down, forward = self._axes()
         ray = mi.Ray3f(self.position_mm, dr.normalize(x * right + y * down + forward))
-        return _ended(ray, found)
+        return _ended(ray, exists)
 
     def lens_ray(self, lens: ThinLens, x_px: Any, y_px: Any, place: tuple[Any, Any]) -> Any:
-        """World ray from a place on the unit disc of the lens to where the chief ray is in focus.
+        """World ray from a point on the unit disc of the lens to the focus of the chief ray.
 
-        A point on the chief ray at axial distance z is then missed by
-        radius (1 - z / focus) place, its image by fx radius (1/z - 1/focus) place pixels.
+        At axial distance z its offset from the chief ray is radius (1 - z / focus) place; that of
+        the image is fx radius (1/z - 1/focus) place pixels.
         """
-        x, y, found = self._slopes(x_px, y_px)
+        x, y, exists = self._slopes(x_px, y_px)
         right, down, forward = self._axes()
         start_mm = lens.radius_mm * (place[0] * right + place[1] * down)
         towards = lens.focus_mm * (x * right + y * down + forward) - start_mm
-        return _ended(mi.Ray3f(self.position_mm + start_mm, dr.normalize(towards)), found)
+        return _ended(mi.Ray3f(self.position_mm + start_mm, dr.normalize(towards)), exists)
 
     def _slopes(self, x_px: Any, y_px: Any) -> tuple[Any, Any, Any]:
-        """Normalised coordinates seen at pixels, and whether there are any."""
+        """Normalised coordinates of the rays of pixels, and whether a pixel has a ray."""
         p = self.pinhole
         x, y = (x_px - p.cx_px) / p.fx_px, (y_px - p.cy_px) / p.fy_px
         return _undistort(x, y, p.distortion) if any(p.distortion) else (x, y, mi.Bool(True))
@@ -82,7 +82,7 @@ class Device:
     def project(self, point_mm: Any) -> tuple[Any, Any, Any]:
         """Pixel coordinates x_px, y_px and axial distance mm of a world point.
 
-        What lies beyond the fold of the lens is seen by no pixel: its coordinates are far off.
+        Points beyond the fold of the distortion have no pixel: their coordinates are far outside.
         """
         p = self.pinhole
         right, down, forward = self._axes()
@@ -92,14 +92,15 @@ class Device:
         if not any(p.distortion):
             return dr.fma(x, p.fx_px, p.cx_px), dr.fma(y, p.fy_px, p.cy_px), axial_mm
         jacobian = distortion_jacobian(x, y, p.distortion)
-        seen = is_before_fold(x, y, jacobian, fold_square(p.distortion))
+        imaged = is_before_fold(x, y, jacobian, fold_square(p.distortion))
         x, y = distort(x, y, p.distortion)
         x_px, y_px = dr.fma(x, p.fx_px, p.cx_px), dr.fma(y, p.fy_px, p.cy_px)
-        return dr.select(seen, x_px, _UNSEEN_PX), dr.select(seen, y_px, _UNSEEN_PX), axial_mm
+        x_px, y_px = dr.select(imaged, x_px, _OFF_PX), dr.select(imaged, y_px, _OFF_PX)
+        return x_px, y_px, axial_mm
 
 
-def _ended(ray: Any, found: Any) -> Any:
-    ray.maxt = dr.select(found, ray.maxt, 0.0)
+def _ended(ray: Any, exists: Any) -> Any:
+    ray.maxt = dr.select(exists, ray.maxt, 0.0)
     return ray
 
 
@@ -116,8 +117,8 @@ def _undistort(x_target: Any, y_target: Any, distortion: Distortion) -> tuple[An
     _, x, y, close, before = dr.while_loop(
         start, lambda turn, _x, _y, close, _: ~close & (turn < INVERSE_STEPS), improve
     )
-    found = close & before
-    return dr.select(found, x, 0.0), dr.select(found, y, 0.0), found
+    exists = close & before
+    return dr.select(exists, x, 0.0), dr.select(exists, y, 0.0), exists
 
 
 @dataclass(frozen=True)

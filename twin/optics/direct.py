@@ -1,7 +1,7 @@
-"""The bare specimen on its stage, seen directly: metal, clear plastic, print.
+"""The bare specimen on its stage (direct FPP): metal, clear plastic, print.
 
-The specimen stands with its foremost point at world z = 0, where the coat would be, and a matte
-stage lies below it.
+The foremost point of the specimen is at world z = 0, the plane of the coat in contact FPP. A matte
+stage is below the specimen.
 """
 
 from dataclasses import dataclass
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 STAGE = "stage"
 
 AIR_GAP_MM = 0.02
-"""Between stage and specimen. Bodies do not wet the table: there is always air below them. It also
-keeps the two surfaces apart by ten times the length by which rays leave a surface."""
+"""Air gap between stage and specimen: bodies do not wet the table. The gap is also 10 x the offset
+at which rays start from a surface."""
 
 CREASE_DEG = 20.0
-"""Facets that meet at less than this are one smooth surface."""
+"""Facets that meet at a smaller angle are one smooth surface."""
 
 
 @dataclass(frozen=True)
 class DirectScene:
-    """Mitsuba scene of specimen and stage, and what the tracer must know of it."""
+    """Mitsuba scene of specimen and stage, and its sharp surfaces for the tracer."""
 
     scene: Any
     surfaces: "Surfaces"
@@ -40,7 +40,7 @@ class DirectScene:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A closed surface (or the stage) as the renderer and the stock export take it, world mm."""
+    """A closed surface, or the stage, as input of renderer and stock export; world mm."""
 
     name: str
     mesh: "trimesh.Trimesh"
@@ -99,12 +99,12 @@ def direct_scene(experiment: Experiment) -> DirectScene:
     # optimize=False: since 3.7 load_dict merges shapes.
     scene = mi.load_dict({"type": "scene", **meshes}, optimize=False)
     shapes = {shape.id(): shape for shape in scene.shapes()}
-    found = tuple(
+    sharp = tuple(
         Sharp(shapes[part.name], part.material.bulk_absorption_per_mm)
         for part in parts
         if part.material is not None and part.material.is_sharp
     )
-    return DirectScene(scene, Surfaces(found, shapes[STAGE]))
+    return DirectScene(scene, Surfaces(sharp, shapes[STAGE]))
 
 
 def _stage(experiment: Experiment, z_mm: float) -> Solid:

@@ -1,6 +1,6 @@
 """Write an experiment as a stock Mitsuba scene: XML, mesh and one pattern texture per frame.
 
-Anyone's Mitsuba 3 renders it, frame by frame; a test holds it together with our own renderer.
+Any Mitsuba 3 renders it, frame by frame; a test compares it with the project's renderer.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ SCENE_FILE = "scene.xml"
 
 
 def inexpressible(experiment: Experiment) -> list[str]:
-    """List what stock Mitsuba cannot express of this experiment, one line each."""
+    """Return the properties of an experiment that stock Mitsuba lacks, one line each."""
     parts = () if experiment.method.presses else bodies(experiment.specimen, 0.0)
     clear = any(part.material is not None and part.material.is_sharp for part in parts)
     checks = (
@@ -45,8 +45,8 @@ def inexpressible(experiment: Experiment) -> list[str]:
         ),
         (
             clear,
-            "light that comes through or off smooth bodies is missing: stock integrators cannot"
-            " connect them to a projector, what lies behind glass is black",
+            "light transmitted or reflected by smooth bodies is missing: stock integrators cannot"
+            " connect them to a projector, and surfaces behind glass are black",
         ),
         (
             bool(experiment.layers),
@@ -73,13 +73,13 @@ def export_stock(
     Parameters
     ----------
     experiment : `render.stock_emitter` chooses between `projector` and `spot`
-    face : coated face in world mm; None where the bare specimen is seen
+    face : coated face in world mm; None for a bare specimen
     folder : an existing folder
     progress : called with the finished fraction
 
     Returns
     -------
-    What the scene leaves out (see `inexpressible`)
+    Properties that the scene lacks (see `inexpressible`)
 
     Raises
     ------
@@ -114,7 +114,7 @@ def export_stock(
 def _write_textures(
     experiment: Experiment, rig: "Rig", folder: Path, progress: Callable[[float], None]
 ) -> "Canvas":
-    """Write what the projector shows, one EXR per frame, and return the area that they cover."""
+    """Write the projected patterns, one EXR per frame, and return the area that they cover."""
     from twin.optics import stock
     from twin.optics.light import light_tables, pattern_set
 
@@ -131,7 +131,7 @@ def _write_textures(
 
 
 def _devices(experiment: Experiment, rig: "Rig", canvas: "Canvas", pressed: bool) -> dict[str, Any]:
-    """Return the template's words for camera, projector and integrator."""
+    """Return the template's variables for camera, projector and integrator."""
     from twin.optics import stock
     from twin.optics.bounces import MOST_SHARP
     from twin.optics.light import pattern_set

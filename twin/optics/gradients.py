@@ -1,14 +1,13 @@
-"""Derivatives of what is traced, and of the frames, by design fields: Dr.Jit's differentiation.
+"""Derivatives of the trace maps and of the frames by design fields, by Dr.Jit.
 
-A design field moves numbers of the scene: coat parameters, intrinsics and poses of both devices,
-the projector's irradiance. How much each number moves per unit of the field follows from the
-description alone, elementary functions in double precision, by central differences; everything
-from these numbers on (rays, where they hit, BSDF, projector pixel, frames) is differentiated by
-forward mode through the one-trace renderer itself, at its fixed sub-pixel positions. One pass per
-field gives the tangents of all pixels.
+A design field changes numbers of the scene: coat parameters, intrinsics and poses of both devices,
+the projector's irradiance. Their derivatives by the field are central differences of the scene
+description, which consists of elementary functions in double precision. All later quantities
+(rays, hits, BSDF, projector pixel, frames) are differentiated in forward mode through the one-trace
+renderer, at its fixed sub-pixel positions. One pass per field yields the tangents of all pixels.
 
-Left out, as by every renderer that differentiates under the integral: that edges of shadows and
-outlines move. Nor does the surface move: what a field does to the press is not in here.
+Left out, as in every renderer that differentiates under the integral: the motion of edges of
+shadows and outlines. The surface is constant: the effect of a field on the press is not included.
 
 Import and use within a `renderer_session`.
 """
@@ -35,7 +34,7 @@ from twin.optics.scene import coating_in_layer
 from twin.optics.stack import Frames, TraceMaps
 
 Vary = Callable[[float], Experiment]
-"""An experiment with one field moved by so much."""
+"""Returns an experiment with one field changed by a given amount."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +52,11 @@ class MovingPinhole:
 
 @dataclass(frozen=True)
 class MovingDevice(Device):
-    """A device whose pose and intrinsics carry derivatives.
+    """A device with derivatives of its pose and intrinsics.
 
     Attributes
     ----------
-    pose : (3, 4) rows of Dr.Jit numbers, in the place of `T_world_from_device`
+    pose : (3, 4) rows of Dr.Jit numbers, used instead of `T_world_from_device`
     """
 
     pose: tuple[tuple[Any, ...], ...] = ()
@@ -84,7 +83,7 @@ class Tangent:
     Attributes
     ----------
     maps : of the trace; its `lit` and `samples` are those of the trace itself
-    frames : of the radiance, in the order of the sequence; None where they were not asked for
+    frames : of the radiance, in the order of the sequence; None if they were not requested
     """
 
     maps: TraceMaps
@@ -105,31 +104,31 @@ def trace_tangent(
     Parameters
     ----------
     scene : with the experiment's coat
-    vary : moves the field
-    step : by which it is moved to see what of the description follows
-    tables : light of the patterns, taken as constant; None: no frames are wanted
+    vary : changes the field
+    step : of the field, for the central differences of the description
+    tables : light of the patterns, taken as constant; None: no frames are computed
 
     Raises
     ------
-    InputError : layers, or depth of field: nothing is differentiated through them
+    InputError : the experiment has layers or depth of field, which are not differentiated
     """
     if rig.layers is not None or rig.camera.lens is not None:
         raise InputError(
-            "gradient: found layers or camera.depth_of_field, through which nothing is "
-            "differentiated; take them away, or search by sampling.method = 'optimise'"
+            "gradient: found layers or camera.depth_of_field, which are not "
+            "differentiated; remove them, or search by sampling.method = 'optimise'"
         )
     amount = mi.Float(0.0)
     dr.enable_grad(amount)
     moving = _moving_rig(rig, experiment, vary, step, amount)
     with _moving_coat(scene, experiment, vary, step, amount):
-        # Loops whose bodies reach for numbers with derivatives run pass by pass.
+        # Loops that read numbers with derivatives have to be evaluated, not recorded.
         with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False):
             patches = trace_patches(scene, moving, experiment.render.samples)
             frames: list[Any] = []
             if tables is not None:
                 light = FrameLight(tables)
                 frames = frames_of_patches(scene, moving, light, patches)
-        # Frames are made of the maps, whose own derivatives must stay.
+        # Frames are computed from the maps; the maps' own derivatives must remain.
         dr.forward(amount, flags=dr.ADFlag.ClearEdges)
         tangent = _tangent_maps(patches, rig.camera.pinhole)
         if tables is None:
@@ -153,30 +152,28 @@ def _tangent_maps(patches: Patches, camera: Pinhole) -> TraceMaps:
     weight = np.where(lit, image(patches.weight), 0.0)
     scale = np.divide(1.0, values.weight, out=np.zeros(shape), where=lit)
 
-    def mean(weighted: Any, found: FloatArray) -> FloatArray:
-        return scale * (image(weighted) - found * weight)
+    def mean(weighted: Any, position: FloatArray) -> FloatArray:
+        return scale * (image(weighted) - position * weight)
 
-    nothing = np.zeros(shape)  # how the extent of a pixel changes: of second order
+    zero = np.zeros(shape)  # the change of a pixel's extent is of second order
     return TraceMaps(
         weight=weight,
         column_px=mean(patches.weighted_column, values.column_px),
         row_px=mean(patches.weighted_row, values.row_px),
         axial_mm=mean(patches.weighted_axial_mm, values.axial_mm),
-        column_range_px=nothing,
-        row_range_px=nothing,
+        column_range_px=zero,
+        row_range_px=zero,
         lit=lit,
         samples=patches.samples,
     )
 
 
 def _moving_rig(rig: Rig, experiment: Experiment, vary: Vary, step: float, amount: Any) -> Rig:
-    def numbers(seen: Experiment) -> FloatArray:
-        found = true_calibration(seen)
-        light = irradiance_at_1mm(seen.projector, found.projector)
-        parts = [
-            [one.fx_px, one.fy_px, one.cx_px, one.cy_px] for one in (found.camera, found.projector)
-        ]
-        poses = [pose[:3].ravel() for pose in (found.T_world_from_cam, found.T_world_from_proj)]
+    def numbers(moved: Experiment) -> FloatArray:
+        rig = true_calibration(moved)
+        light = irradiance_at_1mm(moved.projector, rig.projector)
+        parts = [[p.fx_px, p.fy_px, p.cx_px, p.cy_px] for p in (rig.camera, rig.projector)]
+        poses = [pose[:3].ravel() for pose in (rig.T_world_from_cam, rig.T_world_from_proj)]
         return np.concatenate([*parts, *poses, [light]])
 
     slopes = derivative(numbers, vary, step)
@@ -203,7 +200,7 @@ def _moving_device(device: Device, intrinsics: list[Any], pose: list[Any]) -> Mo
 
 
 class _moving_coat:  # noqa: N801 - read as a function
-    """While it is open, the parameters of the coat carry their derivatives."""
+    """Context in which the parameters of the coat have derivatives."""
 
     def __init__(
         self, scene: Any, experiment: Experiment, vary: Vary, step: float, amount: Any
@@ -211,8 +208,8 @@ class _moving_coat:  # noqa: N801 - read as a function
         self._parameters = mi.traverse(_face(scene).bsdf())
         self._moved = {}
         still, low, high = (
-            dict(bsdf_numbers(coating_in_layer(seen).bsdf()))
-            for seen in (experiment, vary(-step), vary(step))
+            dict(bsdf_numbers(coating_in_layer(moved).bsdf()))
+            for moved in (experiment, vary(-step), vary(step))
         )
         for name, value in still.items():
             slope = (high[name] - low[name]) / (2.0 * step)

@@ -1,6 +1,6 @@
-"""Pressed faces as grids of heights: recognised, how steep they are, whether they cast shadows.
+"""Pressed faces as grids of heights: detection, slopes, and a test for cast shadows.
 
-A face z = h(x, y) over a rectangle has two facets to a cell, as `grid_facets` lists them.
+A face z = h(x, y) over a rectangle has two facets per cell, as `grid_facets` lists them.
 """
 
 from typing import TYPE_CHECKING
@@ -13,14 +13,14 @@ from twin.specimens.solids import grid_facets
 if TYPE_CHECKING:
     import trimesh
 
-# Of a cell: what a line of an even grid may be off.
+# Largest deviation of a line of a uniform grid, in cells.
 _UNEVEN_CELLS = 1e-3
 
 
 def height_grid(face: "trimesh.Trimesh") -> FloatArray | None:
     """Return vertices (row, col, xyz) as the renderer rounds them; None if not a height grid.
 
-    Vertex row * cols + col lies at (x[col], y[row]) with x and y growing, the facets are those of
+    Vertex row * cols + col is at (x[col], y[row]) with increasing x and y; the facets are those of
     `grid_facets`: a graph over a rectangle.
     """
     vertices = np.asarray(face.vertices, np.float32).astype(np.float64)
@@ -37,13 +37,13 @@ def height_grid(face: "trimesh.Trimesh") -> FloatArray | None:
 
 
 def is_even(grid: FloatArray) -> bool:
-    """Tell whether the lines of a grid (row, col, xyz) are evenly apart, so that it can be marched.
+    """Return True if the lines of a grid (row, col, xyz) are equidistant; then it can be marched.
 
-    Its facets are then taken as if they lay on an even grid.
+    Its facets are then treated as facets of a uniform grid.
     """
-    for one in (grid[0, :, 0], grid[:, 0, 1]):
-        place = (one - one[0]) * (len(one) - 1) / (one[-1] - one[0])
-        if np.abs(place - np.arange(len(one))).max() > _UNEVEN_CELLS:
+    for lines in (grid[0, :, 0], grid[:, 0, 1]):
+        place = (lines - lines[0]) * (len(lines) - 1) / (lines[-1] - lines[0])
+        if np.abs(place - np.arange(len(lines))).max() > _UNEVEN_CELLS:
             return False
     return True
 
@@ -63,11 +63,11 @@ def steepest_by_cell(grid: FloatArray) -> FloatArray:
 
 
 def shades_itself(grid: FloatArray, source_mm: FloatArray) -> bool:
-    """Tell whether a sheet may keep light from a point off itself; False is proven.
+    """Return False if a sheet provably casts no shadow on itself in light from a point.
 
     Where facets climb at most s per mm, the sheet rises at most s d over a horizontal distance d
     (mean value theorem along the line between the two points, facet by facet). A ray that climbs
-    m > s per mm from a point of the sheet stays above it for ever after. Towards the light at q,
+    m > s per mm from a point of the sheet is above it everywhere. Towards the light at q,
     m is smallest at the highest point and in the corner furthest from it:
 
         m >= (q_z - max z) / max |q_xy - corner|

@@ -1,22 +1,23 @@
-"""Rays against a sheet that is a grid of heights: marched, and exact against its facets.
+"""Intersection of rays with a sheet given as a grid of heights: marched, exact for its facets.
 
-A pressed face is z = h(x, y) over a rectangle, two facets to a cell. Such a sheet is searched with
-a few look-ups per ray, all lanes side by side, where a tree of boxes has to be built first and is
-walked down twenty levels ray by ray. Two questions are answered for most rays at once:
+A pressed face is z = h(x, y) over a rectangle, with two facets per cell. A few look-ups per ray,
+in all lanes together, intersect it; a tree of boxes has to be built first and has twenty levels.
+Two methods are fast for most rays:
 
-`is_free`: does a ray from a point of the sheet leave it for good? While the ray climbs faster than
-the steepest facet of the blocks of cells around the point, it stays above them (as in
-`height_grid.shades_itself`). From there it goes on block by block, and is free in each whose
-highest vertex, and that of the blocks beside, lies below it; it is out where it is above the whole
-sheet or beyond its border.
+`is_free` returns whether a ray from a point of the sheet does not meet the sheet again. If the ray
+is steeper than the steepest facet of the blocks of cells around the point, it is above them (as in
+`height_grid.shades_itself`). Further along, it is compared block by block: it is free over a block
+if it is above the highest vertex of the block and of its neighbours. The comparison ends if the
+ray is above the whole sheet or outside its border.
 
-`first_hit`: where does a ray from above first meet the sheet? Newton's method: the ray meets the
-plane of a facet, there lies the next facet, until a facet holds the point where its own plane is
-met. That point is on the sheet; it is the first one if the way back is free, the question above.
+`first_hit` returns the first intersection of a ray from above with the sheet, by Newton's method.
+The intersection with the plane of a facet determines the next facet, until the facet contains the
+intersection with its own plane. The point is on the sheet; it is the first intersection if the
+reversed ray from it is free.
 
-The others, beside walls and outside the border, are walked from facet to facet (`_walk`), and meet
-the sheet where their height above it changes its sign. That height is carried from one facet to the
-next, so that no ray slips between the two. The answer is a tree's for every ray, but for rounding.
+All remaining rays, near walls and outside the border, are marched from facet to facet (`_walk`);
+they meet the sheet where their height above it changes sign. That height is passed from a facet to
+the next, so that no ray passes between the two. Results equal a tree's except for rounding.
 
 Positions on the grid are in cells: x along a row of vertices, y along a column.
 """
@@ -36,15 +37,15 @@ _BLOCK = 8
 """Cells along the side of a block."""
 
 _TURNS = 12
-"""Newton's steps; on a smooth relief two or three are enough."""
+"""Largest number of Newton steps; a smooth relief needs two or three."""
 
-# A ray that falls less than this per mm against a facet grazes it: the tree decides.
+# Rays that approach a facet by less than this per mm are grazing: they are marched.
 _GRAZING = 1e-3
-# Facets whose planes a ray meets this close together are met at their common edge.
+# Two intersections closer than this are the same: on the common edge of two facets.
 _SAME_MM = 1e-6
-# So far above and below the sheet rays are walked: no vertex lies there.
-_BESIDE_MM = 0.01
-# Slopes and climbs are rounded.
+# Margin of marching above and below the sheet, outside the heights of all vertices.
+_MARGIN_MM = 0.01
+# Margin for the rounding of slopes.
 _STEEPER = 1.0 + 1e-4
 
 
@@ -77,12 +78,12 @@ class MarchedHeights:
 
     @classmethod
     def of_grid(cls, grid: FloatArray) -> "MarchedHeights | None":
-        """Take vertices (row, col, xyz) to the device; None where the grid is not even."""
+        """Take vertices (row, col, xyz) to the device; None if the grid is not uniform."""
         if not is_even(grid):
             return None
         rows, cols = grid.shape[:2]
         x_mm, y_mm, z_mm = grid[0, :, 0], grid[:, 0, 1], grid[..., 2]
-        density = [(len(one) - 1) / (one[-1] - one[0]) for one in (x_mm, y_mm)]
+        density = [(len(axis) - 1) / (axis[-1] - axis[0]) for axis in (x_mm, y_mm)]
         cells = np.stack([z_mm[:-1, :-1], z_mm[:-1, 1:], z_mm[1:, :-1], z_mm[1:, 1:]]).max(axis=0)
         tops = _around(cells)
         return cls(
@@ -100,80 +101,83 @@ class MarchedHeights:
         )
 
     def is_free(self, point_mm: Any, direction: Any, active: Any) -> Any:
-        """Tell of which points of the sheet it is sure that nothing of it lies ahead, `mi.Bool`.
+        """Return for which points of the sheet a ray certainly does not meet the sheet, `mi.Bool`.
 
         Parameters
         ----------
         point_mm : `mi.Point3f` on the sheet
-        direction : `mi.Vector3f`, unit; upward, or nothing is sure
-        active : which are asked
+        direction : `mi.Vector3f`, unit; if it is not upward, the result is False
+        active : lanes to be tested; False in all other lanes
         """
         track = self._track(point_mm, direction)
         level = dr.sqrt(direction.x * direction.x + direction.y * direction.y)
         steepest = dr.gather(mi.Float, self.steepest, self._block(track.at(0.0)), active)
-        # So far along either axis that the block that it begins in, and those beside, hold it.
+        # At most a block along each axis: the ray remains in the block or in its neighbours.
         stride_mm = _BLOCK / dr.maximum(dr.maximum(dr.abs(track.dx), dr.abs(track.dy)), 1e-6)
 
-        def height_mm(way_mm: Any) -> Any:
-            return dr.fma(way_mm, direction.z, point_mm.z)
+        def height_mm(distance_mm: Any) -> Any:
+            return dr.fma(distance_mm, direction.z, point_mm.z)
 
-        def ahead(way_mm: Any, free: Any) -> Any:
-            return free & self._inside(track.at(way_mm)) & (height_mm(way_mm) <= self.highest_mm)
+        def ahead(distance_mm: Any, free: Any) -> Any:
+            return (
+                free
+                & self._inside(track.at(distance_mm))
+                & (height_mm(distance_mm) <= self.highest_mm)
+            )
 
-        def stride(way_mm: Any, free: Any) -> tuple[Any, Any]:
-            top_mm = dr.gather(mi.Float, self.tops, self._block(track.at(way_mm)))
-            return way_mm + stride_mm, free & (height_mm(way_mm) > top_mm)
+        def stride(distance_mm: Any, free: Any) -> tuple[Any, Any]:
+            top_mm = dr.gather(mi.Float, self.tops, self._block(track.at(distance_mm)))
+            return distance_mm + stride_mm, free & (height_mm(distance_mm) > top_mm)
 
         start = stride_mm, active & (direction.z > steepest * level * _STEEPER)
         return dr.while_loop(start, ahead, stride)[1]
 
     def first_hit(self, shape: Any, ray: Any) -> Any:
-        """Return what rays first meet, `mi.PreliminaryIntersection3f`.
+        """Return the first intersection of rays with the sheet, `mi.PreliminaryIntersection3f`.
 
         Parameters
         ----------
         shape : `mi.ShapePtr`, the sheet
         """
-        met, sure = self.met_at_once(ray)
-        walked = self._met_on_the_way(ray, ~sure)
-        found = dr.select(sure, met, walked)
-        found.shape = dr.select(found.valid, shape, dr.zeros(mi.ShapePtr))
-        return found
+        newton, sure = self.newton_hit(ray)
+        met = dr.select(sure, newton, self._marched_hit(ray, ~sure))
+        met.shape = dr.select(met.valid, shape, dr.zeros(mi.ShapePtr))
+        return met
 
-    def met_at_once(self, ray: Any) -> tuple[Any, Any]:
-        """Return where rays from above meet the sheet, without its shape, and which are sure."""
+    def newton_hit(self, ray: Any) -> tuple[Any, Any]:
+        """Return hits of rays from above, without shape, and which are certainly the first."""
         met = self._meet(ray)
         return met, self.is_free(ray(met.t), -ray.d, met.valid & (met.t < ray.maxt))
 
     def is_crossed(self, ray: Any, active: Any) -> Any:
-        """Tell which rays meet the sheet before their end, from whichever side, `mi.Bool`."""
+        """Return which rays meet the sheet before their end, from above or below, `mi.Bool`."""
         ends = mi.Float(0.0), ray.maxt
         return self._walk(self._track(ray.o, ray.d), (ray.o.z, ray.d.z), ends, active)[2]
 
-    def _met_on_the_way(self, ray: Any, active: Any) -> Any:
-        """Return where rays meet the sheet, facet by facet; not valid where they do not."""
+    def _marched_hit(self, ray: Any, active: Any) -> Any:
+        """Return the intersections of rays, marched facet by facet; not valid if there is none."""
         base_mm, height_mm = self._base(ray)
         track = self._track(ray(base_mm), ray.d)
         ends = -base_mm, ray.maxt - base_mm
-        way_mm, facet, crosses = self._walk(track, (height_mm, ray.d.z), ends, active)
+        distance_mm, facet, crosses = self._walk(track, (height_mm, ray.d.z), ends, active)
         met = dr.zeros(mi.PreliminaryIntersection3f)
-        met.t = dr.select(crosses, base_mm + way_mm, dr.inf)
-        met.prim_index, met.prim_uv = self._on_mesh(facet, track.at(way_mm))
+        met.t = dr.select(crosses, base_mm + distance_mm, dr.inf)
+        met.prim_index, met.prim_uv = self._on_mesh(facet, track.at(distance_mm))
         met.valid = crosses
         return met
 
     def _walk(
         self, track: "_Track", height: tuple[Any, Any], ends_mm: tuple[Any, Any], active: Any
     ) -> tuple[Any, "_Facet", Any]:
-        """Go from facet to facet; return the way to the first that is met, it, and which are.
+        """March from facet to facet; return distance and facet of the first hit, and if it exists.
 
         Parameters
         ----------
-        height : world z at way 0, mm, and its change per mm of the way
-        ends_mm : of the way that is searched
+        height : world z at distance 0, mm, and its change per mm of distance
+        ends_mm : range of distances that is searched
         """
         high_mm, climb = height
-        over = (self.lowest_mm - _BESIDE_MM, self.highest_mm + _BESIDE_MM)
+        over = (self.lowest_mm - _MARGIN_MM, self.highest_mm + _MARGIN_MM)
         spans = (
             _within(track.x, track.dx, (0.0, self.last[0])),
             _within(track.y, track.dy, (0.0, self.last[1])),
@@ -183,76 +187,81 @@ class MarchedHeights:
         for first, last in spans:
             start_mm, end_mm = dr.maximum(start_mm, first), dr.minimum(end_mm, last)
 
-        def gap_mm(facet: "_Facet", way_mm: Any) -> Any:
-            return dr.fma(way_mm, climb, high_mm) - self._plane(facet, track.at(way_mm))[0]
+        def gap_mm(facet: "_Facet", distance_mm: Any) -> Any:
+            return (
+                dr.fma(distance_mm, climb, high_mm) - self._plane(facet, track.at(distance_mm))[0]
+            )
 
-        def step(way_mm: Any, gap: Any, facet: Any, _going: Any, _met: Any) -> tuple[Any, ...]:
-            end, beyond = track.leaves(facet)
-            next_mm = dr.maximum(way_mm, dr.minimum(end, end_mm))
+        def step(distance_mm: Any, gap: Any, facet: Any, _going: Any, _met: Any) -> tuple[Any, ...]:
+            end, beyond = track.exit_from(facet)
+            next_mm = dr.maximum(distance_mm, dr.minimum(end, end_mm))
             next_gap = gap_mm(facet, next_mm)
             met = (next_gap > 0.0) != (gap > 0.0)
             share = dr.select(met, gap / (gap - next_gap), 1.0)
             goes_on = ~met & (end < end_mm) & self._has(beyond)
             facet = tuple(
-                dr.select(goes_on, one, other) for one, other in zip(beyond, facet, strict=True)
+                dr.select(goes_on, new, old) for new, old in zip(beyond, facet, strict=True)
             )
-            return dr.fma(share, next_mm - way_mm, way_mm), next_gap, facet, goes_on, met
+            return dr.fma(share, next_mm - distance_mm, distance_mm), next_gap, facet, goes_on, met
 
         going = active & (start_mm < end_mm)
         start_mm = dr.select(going, start_mm, 0.0)
         facet = self._facet(track.at(start_mm))
         state = start_mm, gap_mm(facet, start_mm), facet, going, mi.Bool(False)
-        way_mm, _, facet, _, met = dr.while_loop(
+        distance_mm, _, facet, _, met = dr.while_loop(
             state, lambda _way, _gap, _facet, going, _met: going, step
         )
-        return way_mm, facet, met
+        return distance_mm, facet, met
 
     def _base(self, ray: Any) -> tuple[Any, Any]:
-        """Return the way of rays from above to the plane at middle height, and their height there.
+        """Return the distance of rays from above to the plane at middle height, and their z there.
 
-        From there on all ways are short and well resolved. Of other rays, their start.
+        From this point all distances are short and well resolved. For other rays: 0 and the z of
+        their origin.
         """
-        falls = self._falls(ray)
-        base_mm = dr.select(falls, (self.middle_mm - ray.o.z) / ray.d.z, 0.0)
-        return base_mm, dr.select(falls, self.middle_mm, ray.o.z)
+        from_above = self._comes_from_above(ray)
+        base_mm = dr.select(from_above, (self.middle_mm - ray.o.z) / ray.d.z, 0.0)
+        return base_mm, dr.select(from_above, self.middle_mm, ray.o.z)
 
-    def _falls(self, ray: Any) -> Any:
+    def _comes_from_above(self, ray: Any) -> Any:
         return (ray.o.z > self.highest_mm) & (ray.d.z < -_GRAZING)
 
     def _has(self, facet: "_Facet") -> Any:
-        """Tell whether the sheet has cells of such a column and row."""
+        """Return True if the sheet has a cell with this column and row."""
         col, row, _ = facet
         return (col >= 0.0) & (col < self.last[0]) & (row >= 0.0) & (row < self.last[1])
 
     def _meet(self, ray: Any) -> Any:
-        """Return where rays from above meet the sheet; not valid where that is not found."""
-        falls = self._falls(ray)
+        """Return hits of rays from above by Newton's method; not valid without convergence."""
+        from_above = self._comes_from_above(ray)
         to_middle_mm, _ = self._base(ray)
         track = self._track(ray(to_middle_mm), ray.d)
 
-        def step(turn: Any, way_mm: Any, facet: Any, _going: Any, _good: Any) -> tuple[Any, ...]:
-            z_mm, slope_x, slope_y = self._plane(facet, track.at(way_mm))
+        def step(
+            turn: Any, distance_mm: Any, facet: Any, _going: Any, _good: Any
+        ) -> tuple[Any, ...]:
+            z_mm, slope_x, slope_y = self._plane(facet, track.at(distance_mm))
             closing = slope_x * track.dx + slope_y * track.dy - ray.d.z
             good = closing > _GRAZING
-            gap_mm = dr.fma(way_mm, ray.d.z, self.middle_mm) - z_mm
+            gap_mm = dr.fma(distance_mm, ray.d.z, self.middle_mm) - z_mm
             further_mm = dr.select(good, gap_mm / closing, 0.0)
-            here = self._facet(track.at(way_mm + further_mm))
+            here = self._facet(track.at(distance_mm + further_mm))
             same = _equal(here, facet) | (dr.abs(further_mm) < _SAME_MM)
-            return turn + 1, way_mm + further_mm, here, good & ~same, good & same
+            return turn + 1, distance_mm + further_mm, here, good & ~same, good & same
 
-        start = mi.UInt32(0), mi.Float(0.0), self._facet(track.at(0.0)), falls, mi.Bool(False)
-        _, way_mm, facet, _, good = dr.while_loop(
+        start = mi.UInt32(0), mi.Float(0.0), self._facet(track.at(0.0)), from_above, mi.Bool(False)
+        _, distance_mm, facet, _, good = dr.while_loop(
             start, lambda turn, _way, _facet, going, _good: going & (turn < _TURNS), step
         )
-        place = track.at(way_mm)
+        place = track.at(distance_mm)
         met = dr.zeros(mi.PreliminaryIntersection3f)
-        met.t = to_middle_mm + way_mm
+        met.t = to_middle_mm + distance_mm
         met.prim_index, met.prim_uv = self._on_mesh(facet, place)
         met.valid = good & self._inside(place)
         return met
 
     def _track(self, start_mm: Any, direction: Any) -> "_Track":
-        """Return the vertical view of a ray."""
+        """Return the projection of a ray onto the grid."""
         return _Track(
             (start_mm.x - self.corner_mm[0]) * self.cells_per_mm[0],
             (start_mm.y - self.corner_mm[1]) * self.cells_per_mm[1],
@@ -265,16 +274,16 @@ class MarchedHeights:
         return (x >= 0.0) & (x <= self.last[0]) & (y >= 0.0) & (y <= self.last[1])
 
     def _block(self, place: "_Place") -> Any:
-        """Index of the block at a place, or of the nearest one."""
+        """Index of the block at a position, or of the nearest block."""
         col, row = self._cell(place)
         return dr.fma(mi.UInt32(row) // _BLOCK, self.block_cols, mi.UInt32(col) // _BLOCK)
 
     def _cell(self, place: "_Place") -> "_Place":
-        """Column and row of the cell at a place, or of the nearest one, whole numbers."""
+        """Column and row (whole numbers) of the cell at a position, or of the nearest cell."""
         # Half a cell before the last vertex is in the last cell, the vertex itself is not.
         col, row = (
-            dr.floor(dr.clip(one, 0.0, end - 0.5))
-            for one, end in zip(place, self.last, strict=True)
+            dr.floor(dr.clip(value, 0.0, end - 0.5))
+            for value, end in zip(place, self.last, strict=True)
         )
         return col, row
 
@@ -283,23 +292,23 @@ class MarchedHeights:
         return col, row, place[1] - row > place[0] - col
 
     def _plane(self, facet: "_Facet", place: "_Place") -> tuple[Any, Any, Any]:
-        """Height of a facet's plane at a place, and its slopes, mm per cell."""
+        """Height of a facet's plane at a position, and its slopes, mm per cell."""
         col, row, second = facet
         vertex = dr.fma(mi.UInt32(row), self.cols, mi.UInt32(col))
-        beside = vertex + dr.select(second, self.cols, 1)
-        corners = vertex, beside, vertex + self.cols + 1
-        first_mm, beside_mm, last_mm = (dr.gather(mi.Float, self.z_mm, at) for at in corners)
-        one, other = beside_mm - first_mm, last_mm - beside_mm
-        slope_x, slope_y = dr.select(second, other, one), dr.select(second, one, other)
+        corner = vertex + dr.select(second, self.cols, 1)
+        corners = vertex, corner, vertex + self.cols + 1
+        first_mm, corner_mm, last_mm = (dr.gather(mi.Float, self.z_mm, at) for at in corners)
+        rise, next_rise = corner_mm - first_mm, last_mm - corner_mm
+        slope_x, slope_y = dr.select(second, next_rise, rise), dr.select(second, rise, next_rise)
         x, y = place
         return dr.fma(x - col, slope_x, dr.fma(y - row, slope_y, first_mm)), slope_x, slope_y
 
     def _on_mesh(self, facet: "_Facet", place: "_Place") -> tuple[Any, Any]:
-        """Return the number of a facet, as `grid_facets` counts, and its coordinates of a place."""
+        """Return a facet's index as in `grid_facets`, and a position's coordinates u, v on it."""
         col, row, second = facet
         number = 2 * dr.fma(mi.UInt32(row), self.cols - 1, mi.UInt32(col))
         x, y = (
-            dr.clip(one - begin, 0.0, 1.0) for one, begin in zip(place, (col, row), strict=True)
+            dr.clip(value - begin, 0.0, 1.0) for value, begin in zip(place, (col, row), strict=True)
         )
         u, v = dr.select(second, x, x - y), dr.select(second, y - x, y)
         return number + dr.select(second, 1, 0), mi.Point2f(dr.maximum(u, 0.0), dr.maximum(v, 0.0))
@@ -307,46 +316,46 @@ class MarchedHeights:
 
 _Place = tuple[Any, Any]
 _Facet = tuple[Any, Any, Any]
-"""Column and row of its cell, whole numbers, and whether it is the second one there."""
+"""Column and row of its cell, whole numbers, and whether it is the second facet of the cell."""
 
 
 class _Track(NamedTuple):
-    """A ray seen from above: where it starts, and how far it goes per mm of the ray."""
+    """Projection of a ray onto the grid: start in cells, and cells per mm of the ray."""
 
     x: Any
     y: Any
     dx: Any
     dy: Any
 
-    def at(self, way_mm: Any) -> _Place:
-        return dr.fma(way_mm, self.dx, self.x), dr.fma(way_mm, self.dy, self.y)
+    def at(self, distance_mm: Any) -> _Place:
+        return dr.fma(distance_mm, self.dx, self.x), dr.fma(distance_mm, self.dy, self.y)
 
-    def leaves(self, facet: _Facet) -> tuple[Any, _Facet]:
-        """Return the way to where it leaves a facet, and the facet behind that edge."""
+    def exit_from(self, facet: _Facet) -> tuple[Any, _Facet]:
+        """Return the distance at which the ray exits a facet, and the facet beyond that edge."""
         col, row, second = facet
         to_x, to_y = _to_line(self.x - col, self.dx), _to_line(self.y - row, self.dy)
-        # The diagonal, where both coordinates within the cell are the same.
-        apart, closing = (self.y - row) - (self.x - col), self.dx - self.dy
+        # The diagonal, on which both coordinates within the cell are equal.
+        offset, closing = (self.y - row) - (self.x - col), self.dx - self.dy
         towards = dr.select(second, closing > 0.0, closing < 0.0)
-        to_diagonal = dr.select(towards, apart / closing, dr.inf)
+        to_diagonal = dr.select(towards, offset / closing, dr.inf)
         end_mm = dr.minimum(dr.minimum(to_x, to_y), to_diagonal)
         inner, along_x = to_diagonal <= end_mm, to_x <= to_y
         right, up = self.dx > 0.0, self.dy > 0.0
         beyond_col = col + dr.select(~inner & along_x, dr.select(right, 1.0, -1.0), 0.0)
         beyond_row = row + dr.select(~inner & ~along_x, dr.select(up, 1.0, -1.0), 0.0)
-        # Through its left side a cell is entered in the second facet, from below in the first.
+        # A ray enters a cell in the second facet from the left, in the first facet from below.
         beyond = dr.select(inner, ~second, dr.select(along_x, right, ~up))
         return end_mm, (beyond_col, beyond_row, beyond)
 
 
 def _to_line(within: Any, speed: Any) -> Any:
-    """Return the way to a cell's side from a coordinate within it, infinite along the side."""
+    """Return the distance from a coordinate within a cell to its side; infinite along the side."""
     side = dr.select(speed > 0.0, 1.0, 0.0)
     return dr.select(speed == 0.0, dr.inf, (side - within) / speed)
 
 
 def _within(start: Any, speed: Any, ends: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Return the ways between which a coordinate lies between two ends; crossed where never."""
+    """Return the range of distances with a coordinate between two limits; reversed if empty."""
     first, last = ((end - start) / speed for end in ends)
     still, inside = speed == 0.0, (start >= ends[0]) & (start <= ends[1])
     enters = dr.select(still, dr.select(inside, -dr.inf, dr.inf), dr.minimum(first, last))
@@ -355,12 +364,12 @@ def _within(start: Any, speed: Any, ends: tuple[Any, Any]) -> tuple[Any, Any]:
 
 
 def _number(value: float) -> Any:
-    """Return a number of a face: opaque, as it must not be part of the kernel's code."""
+    """Return a number as an opaque variable, so that it is no literal of the kernel's code."""
     return dr.opaque(mi.Float, float(value))
 
 
-def _equal(one: _Facet, other: _Facet) -> Any:
-    return (one[0] == other[0]) & (one[1] == other[1]) & (one[2] == other[2])
+def _equal(a: _Facet, b: _Facet) -> Any:
+    return (a[0] == b[0]) & (a[1] == b[1]) & (a[2] == b[2])
 
 
 def _around(cells: FloatArray) -> FloatArray:

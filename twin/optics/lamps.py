@@ -1,20 +1,20 @@
 """Lamps of a photometric-stereo sensor as rows of point emitters, and their light in closed form.
 
-World frame, mm. An LED at distance r, whose aim makes the angle theta with the way to the coat,
-gives the irradiance I0 cos^m(theta) cos(incidence) exp(-a r) / r^2 up to theta = 90 degrees;
-(m + 1) / 2 pi times its flux is I0. Light runs straight from LED to coat: LEDs couple into the gel
-through its side, and what they cross above it (window) is taken to have the gel's index n.
+World frame, mm. The irradiance of an LED is I0 cos^m(theta) cos(incidence) exp(-a r) / r^2, up to
+theta = 90 degrees. r is its distance, theta the angle between its aim and the direction to the
+coat, and I0 is (m + 1) / 2 pi times its flux. Light paths from LED to coat are straight: LEDs
+couple into the gel through its side, and the window above it is assumed to have the gel's index n.
 
-What an LED sends up comes back from the window's outer face: by Fresnel, and all of it beyond the
-critical angle c, sin c = 1 / n. It comes straight from the LED's mirror image in that face. Left
-out is what the face throws back a second time, after it left the coat.
+The window's outer face reflects light that an LED emits upwards: by Fresnel, and totally beyond the
+critical angle c, sin c = 1 / n. This light has the direction of the LED's mirror image in that
+face. Left out is a second reflection at the outer face, after the coat.
 
-The coat scatters half of its light so flat that the window's outer face reflects it totally (1 -
-1 / n^2 beyond c); with what the housing throws back it fills the shadows. This fill is not traced:
-it is taken as alike at every place and from every direction beyond c, and none within. A facet of
-normal n sees the whole sky by (1 + n_z) / 2, and the dark cap within c by n_z / n^2 as long as all
-of it stands above the facet (tilts up to 90 degrees - c): on slopes of up to 45 degrees the fill is
-as strong as on untouched gel.
+The window's outer face totally reflects the share 1 - 1 / n^2, about 50 %, of the light that the
+coat scatters (beyond c). Together with light from the housing it fills the shadows. This fill is
+not traced: its radiance is assumed constant at all points and from all directions beyond c, and 0
+within c. For a facet of normal n the view factor of the whole sky is (1 + n_z) / 2. That of the
+dark cap within c is n_z / n^2 if the whole cap is above the facet (tilts up to 90 degrees - c). On
+slopes of up to 45 degrees the fill equals that on the undeformed coat.
 """
 
 from collections.abc import Mapping
@@ -38,9 +38,9 @@ class Emitters:
     aims : (emitter, xyz) float, unit vectors
     exponents : (emitter,) float
     intensity : (emitter, channel) float, mW/sr along the aim; red, green, blue
-    fill : (channel,) float, mW/mm^2 on the untouched coat
-    mirrored : (emitter,) bool, images: their light is what the outer face reflects
-    ior : index of the coat's medium; 1: it lies in air, and there are no images
+    fill : (channel,) float, mW/mm^2 on the undeformed coat
+    mirrored : (emitter,) bool; images of LEDs, with the light that the outer face reflects
+    ior : index of the coat's medium; 1: it is in air, and there are no images
     """
 
     positions_mm: FloatArray
@@ -53,7 +53,7 @@ class Emitters:
 
     @property
     def dark_cap(self) -> float:
-        """Share 1 / n^2 of an even sky from which no fill comes; 0: the whole sky shines."""
+        """View factor 1 / n^2 of the dark cap of the sky; 0: fill from the whole sky."""
         return self.ior**-2.0 if self.ior > 1.0 else 0.0
 
     def irradiance(
@@ -75,36 +75,36 @@ class Emitters:
         for place, aim, exponent, intensity, mirrored in zip(
             self.positions_mm, self.aims, self.exponents, self.intensity, self.mirrored, strict=True
         ):
-            way = place - points_mm
-            r_mm = np.linalg.norm(way, axis=-1)
-            ahead = np.maximum(-(way @ aim) / r_mm, 0.0)
-            incidence = np.maximum(np.sum(way * normals, axis=-1) / r_mm, 0.0)
+            to_light = place - points_mm
+            r_mm = np.linalg.norm(to_light, axis=-1)
+            ahead = np.maximum(-(to_light @ aim) / r_mm, 0.0)
+            incidence = np.maximum(np.sum(to_light * normals, axis=-1) / r_mm, 0.0)
             lobe = np.where(ahead > 0.0, ahead**exponent, 0.0)  # 0 ** 0 is 1
             light = lobe * incidence * np.exp(-absorption * r_mm) / r_mm**2
             if mirrored:
-                light = light * reflected_within(way[..., 2] / r_mm, self.ior)
+                light = light * reflected_within(to_light[..., 2] / r_mm, self.ior)
             total += light[..., np.newaxis] * intensity
         return total
 
 
 def sky_seen(n_z: Any, dark_cap: float) -> Any:
-    """Return the fill on a facet over that on the untouched coat; `n_z` may be an image of Dr.Jit.
+    """Return the ratio of the fill on a facet to that on the undeformed coat.
 
     Parameters
     ----------
-    n_z : vertical part of the facet's normal
+    n_z : vertical component of the facet's normal; number, array or Dr.Jit variable
     dark_cap : as of `Emitters`
     """
     return (0.5 * (1.0 + n_z) - dark_cap * n_z) / (1.0 - dark_cap)
 
 
 def reflected_within(cosine: FloatArray, ior: float) -> FloatArray:
-    """Return what a face against air reflects of unpolarised light from within (Fresnel).
+    """Return the Fresnel reflectance of an interface to air for unpolarised light from inside.
 
     Parameters
     ----------
     cosine : of the angle to the face's normal, inside
-    ior : inside, over air's
+    ior : inside, relative to air
     """
     inside = np.minimum(np.abs(cosine), 1.0)
     outside = np.sqrt(np.maximum(1.0 - ior**2 * (1.0 - inside**2), 0.0))  # 0: total
@@ -124,8 +124,8 @@ def emitters_of(
     Parameters
     ----------
     flux : (LED,) float, optional
-        Of each LED over its usual one; the fill of a row follows the mean of its LEDs.
-    face : outer face of the layers that the coat lies in; None: it lies in air
+        Of each LED, relative to nominal; the fill of a row scales with the mean of its LEDs.
+    face : outer face of the layers that contain the coat; None: the coat is in air
     """
     rows = [lamps[name] for name in sorted(lamps)]
     if flux is None:
@@ -152,7 +152,7 @@ def emitters_of(
 
 
 def _with_images(leds: Emitters, face: OuterFace) -> Emitters:
-    """Add the image of every LED: as far above the face, aimed as far down as the LED is up."""
+    """Add the mirror image of every LED in the outer face."""
     places = leds.positions_mm * (1.0, 1.0, -1.0) + (0.0, 0.0, 2.0 * face.height_mm)
     return replace(
         leds,
@@ -166,21 +166,21 @@ def _with_images(leds: Emitters, face: OuterFace) -> Emitters:
 
 
 def drifted_flux(lamps: Mapping[str, Lamp], rng: np.random.Generator) -> FloatArray | None:
-    """Draw the flux of each LED in one press over its usual one, (LED,); None without drift."""
+    """Draw the relative flux of each LED in one press, (LED,); None without drift."""
     rows = [lamps[name] for name in sorted(lamps)]
     if not any(lamp.drift_percent or lamp.led_drift_percent for lamp in rows):
         return None
     drawn = [
         1.0
         + 0.01 * lamp.drift_percent * rng.standard_normal()
-        + 0.01 * lamp.led_drift_percent * _apart(rng.standard_normal(lamp.emitters))
+        + 0.01 * lamp.led_drift_percent * _deviations(rng.standard_normal(lamp.emitters))
         for lamp in rows
     ]
     return np.maximum(np.concatenate(drawn), 0.0)
 
 
-def _apart(drawn: FloatArray) -> FloatArray:
-    """Return deviations from the mean, of the SD of what was drawn: LEDs share one current."""
+def _deviations(drawn: FloatArray) -> FloatArray:
+    """Return deviations from the mean, scaled to the SD of the draws: LEDs share one current."""
     count = len(drawn)
     return np.asarray((drawn - drawn.mean()) * np.sqrt(count / max(count - 1, 1)))
 
@@ -196,10 +196,10 @@ def _row(lamp: Lamp) -> tuple[FloatArray, FloatArray]:
 
 
 def _heights(count: int) -> FloatArray:
-    """Heights along a tall row, -0.5 to 0.5: even, and neighbours far apart.
+    """Heights along a tall row, -0.5 to 0.5: evenly distributed, with distant neighbours.
 
-    Ranks of the van der Corput sequence (Hammersley's points with the places along the row): every
-    stretch of the row shines from all heights.
+    Ranks of the van der Corput sequence (Hammersley's points with the positions along the row), so
+    that every part of the row has LEDs at all heights.
     """
     digits = (np.arange(count)[:, np.newaxis] >> np.arange(8)) & 1
     rank = np.argsort(np.argsort(digits @ 0.5 ** np.arange(1, 9)))
@@ -207,7 +207,7 @@ def _heights(count: int) -> FloatArray:
 
 
 def _steps(lamp: Lamp) -> FloatArray:
-    """Centres of equal parts of the row, -0.5 to 0.5: one LED stands in its middle."""
+    """Centres of equal parts of the row, -0.5 to 0.5; a single LED is in the middle."""
     return np.asarray((np.arange(lamp.emitters) + 0.5) / lamp.emitters - 0.5)
 
 
@@ -219,5 +219,5 @@ def _intensity(lamp: Lamp) -> FloatArray:
 
 
 def _channel(lamp: Lamp) -> FloatArray:
-    """1 at the lamp's channel, 0 at the others."""
+    """1 at the lamp's channel, else 0."""
     return np.array([channel == lamp.channel for channel in CHANNELS], dtype=np.float64)

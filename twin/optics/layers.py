@@ -1,13 +1,13 @@
-"""Light through plane-parallel clear layers: Snell and Fresnel, solved, not sampled.
+"""Light through plane-parallel clear layers: Snell and Fresnel in closed form, without sampling.
 
-World frame, z up. Light comes down from the air through the media 1 .. m, each below its own
-horizontal interface; medium m holds the surface. With d_i the vertical way in medium i (air is 0)
-and t the tangent of the angle to the vertical IN AIR, Snell's invariant s = t / sqrt(1 + t^2)
-gives the horizontal way
+World frame, z up. Light propagates down from the air through the media 1 .. m, each below its own
+horizontal interface; medium m contains the surface. d_i is the vertical distance in medium i (air
+is 0), t the tangent of the angle to the vertical IN AIR. Snell's invariant s = t / sqrt(1 + t^2)
+determines the horizontal distance
 
     r(t) = sum_i d_i t / q_i,   q_i = sqrt(n_i^2 + (n_i^2 - 1) t^2) = sqrt((n_i^2 - s^2) (1 + t^2)),
 
-so that cos(theta_i) = q_i / (n_i sqrt(1 + t^2)). r(t) is concave and grows, for n_i >= 1, so
+so that cos(theta_i) = q_i / (n_i sqrt(1 + t^2)). For n_i >= 1, r(t) is concave and increasing:
 Newton's method from the left of the root never overshoots and needs no bounds.
 
 Left out: light that is reflected between the interfaces or from them back to the surface (ghosts,
@@ -26,23 +26,23 @@ from twin.config.layers import Medium
 from twin.optics.devices import Device
 
 NEWTON_TURNS = 4
-"""A gel behind a window is exact to float32 after one turn. Layers that fill 0.9 of the way, or of
-index 3, need three at 50 degrees and four at 80."""
+"""Newton steps. A gel behind a window is exact to float32 after one step. Layers over 90 % of the
+distance, or of index 3, need three at 50 degrees and four at 80."""
 
-# Rays flatter than this in air (89.94 degrees) are taken to see nothing.
+# Rays at larger angles to the vertical in air (89.94 degrees) have no hit.
 _FLATTEST = 1e-3
 
 
 @dataclass(frozen=True)
 class RefractedRay:
-    """A camera ray below the last interface, and what is left of radiance on its way up."""
+    """A camera ray below the last interface, and the transmission of radiance along it."""
 
     ray: Any
     transmittance: Any
     absorption_per_mm: float
 
-    def seen(self, distance_mm: Any) -> Any:
-        """Radiance in air over radiance that leaves the surface at `distance_mm` on the ray."""
+    def transmission(self, distance_mm: Any) -> Any:
+        """Ratio of radiance in air to radiance at the surface at `distance_mm` on the ray."""
         if not self.absorption_per_mm:
             return self.transmittance
         absorbed = dr.exp(-self.absorption_per_mm * distance_mm)
@@ -55,11 +55,11 @@ class Arrival:
 
     Attributes
     ----------
-    column_px, row_px : mi.Float Projector pixel whose light arrives.
+    column_px, row_px : mi.Float Projector pixel of the light.
     axial_mm : mi.Float Distance along the projector's axis to the point's image by the layers
         (sagittal).
-    direction : mi.Vector3f Unit vector along which the point sees the light come.
-    clear_mm : mi.Float Way along `direction` within which something else could stand in the light.
+    direction : mi.Vector3f Unit vector from the point towards the incident light.
+    clear_mm : mi.Float Largest distance of an occluder along `direction`.
     irradiance : mi.Float On a surface element that faces `direction`, mW/mm^2.
     """
 
@@ -73,27 +73,27 @@ class Arrival:
 
 @dataclass(frozen=True)
 class LayerStack:
-    """The media below the open air, from the top down; the last one holds the surface."""
+    """The media below the open air, from the top down; the last contains the surface."""
 
     media: tuple[Medium, ...]
 
     @property
     def floor_mm(self) -> float:
-        """World z of the last interface; all surfaces lie below it."""
+        """World z of the last interface; all surfaces are below it."""
         return self.media[-1].top_mm
 
     def refract(self, ray: Any) -> RefractedRay:
         """Follow camera rays (`mi.Ray3f`, unit direction, in air) to below the last interface.
 
-        Radiance over index squared changes by transmission alone (Nicodemus, Applied Optics 2,
+        Only transmission changes radiance over index squared (Nicodemus, Applied Optics 2,
         1371 (1963)): L_air = T L_medium / n^2.
         """
         down = -ray.d.z
         enters = down > _FLATTEST
         down = dr.select(enters, down, 1.0)
         t_square = dr.maximum(1.0 - down * down, 0.0) / (down * down)
-        way = self._way(ray.o.z, self.floor_mm)[:-1]
-        reach = _reach(way, self._q(t_square)[:-1])
+        depths_mm = self._depths_mm(ray.o.z, self.floor_mm)[:-1]
+        reach = _reach(depths_mm, self._q(t_square)[:-1])
         lateral = ray.d / down * reach
         start = mi.Point3f(ray.o.x + lateral.x, ray.o.y + lateral.y, self.floor_mm)
         n = self.media[-1].ior
@@ -101,7 +101,7 @@ class LayerStack:
         refracted = mi.Ray3f(ray)
         refracted.o = dr.select(enters, start, ray.o)
         refracted.d = dr.select(enters, below, ray.d)
-        left = self._transmittance(t_square, way) / (n * n)
+        left = self._transmittance(t_square, depths_mm) / (n * n)
         return RefractedRay(
             refracted, dr.select(enters, left, 0.0), self.media[-1].absorption_per_mm
         )
@@ -117,17 +117,17 @@ class LayerStack:
         -----
         A pinhole of radiant intensity I sends I T sin(theta) dtheta dphi into the ring r dr dphi:
         E_horizontal = I T cos^3(theta) (t / r) / r'(t), r'(t) = sum_i d_i n_i^2 / q_i^3, and
-        t / r = 1 / sum_i d_i / q_i has no singularity at r = 0. The point's sagittal image lies on
-        the vertical through it, r / t below the pinhole: in its direction leaves the light. With
+        t / r = 1 / sum_i d_i / q_i has no singularity at r = 0. The point's sagittal image is on
+        the vertical through it, r / t below the pinhole; this is the direction of the light. With
         I = E1 / cos^3(axis), E_horizontal = T E1 / axial^3 (r / t)^2 / r'(t), axial that of the
         image.
         """
         pinhole = projector.position_mm
         offset = point_mm - pinhole
-        way = self._way(pinhole.z, point_mm.z)
-        t_square = self._tangent_square(way, offset.x * offset.x + offset.y * offset.y)
+        depths_mm = self._depths_mm(pinhole.z, point_mm.z)
+        t_square = self._tangent_square(depths_mm, offset.x * offset.x + offset.y * offset.y)
         q = self._q(t_square)
-        image_mm, spread_mm = _reach(way, q), self._slope(way, q)
+        image_mm, spread_mm = _reach(depths_mm, q), self._slope(depths_mm, q)
         image = mi.Point3f(point_mm.x, point_mm.y, pinhole.z - image_mm)
         column_px, row_px, axial_mm = projector.project(image)
         n = self.media[-1].ior
@@ -141,12 +141,12 @@ class LayerStack:
             row_px=row_px,
             axial_mm=axial_mm,
             direction=direction,
-            clear_mm=way[-1] / cosine,
-            irradiance=horizontal * self._transmittance(t_square, way) / cosine,
+            clear_mm=depths_mm[-1] / cosine,
+            irradiance=horizontal * self._transmittance(t_square, depths_mm) / cosine,
         )
 
-    def _way(self, from_mm: Any, to_mm: Any) -> list[Any]:
-        """Vertical way in the air and in each medium, between a device and a point."""
+    def _depths_mm(self, from_mm: Any, to_mm: Any) -> list[Any]:
+        """Vertical distance in the air and in each medium, between a device and a point."""
         tops = [medium.top_mm for medium in self.media]
         between = [upper - lower for upper, lower in pairwise(tops)]
         return [from_mm - tops[0], *between, tops[-1] - to_mm]
@@ -161,29 +161,29 @@ class LayerStack:
         """Index of the air, then of each medium."""
         return [1.0, *(medium.ior for medium in self.media)]
 
-    def _tangent_square(self, way: list[Any], r_square: Any) -> Any:
+    def _tangent_square(self, depths_mm: list[Any], r_square: Any) -> Any:
         """Solve r(t) = r for t^2, from t = r / r'(0): to the left of the root."""
         r = dr.sqrt(r_square)
-        t = r / _reach(way, self._n)
+        t = r / _reach(depths_mm, self._n)
         for _ in range(NEWTON_TURNS):
             q = self._q(t * t)
-            t = t + (r - t * _reach(way, q)) / self._slope(way, q)
+            t = t + (r - t * _reach(depths_mm, q)) / self._slope(depths_mm, q)
         return t * t
 
-    def _slope(self, way: list[Any], q: list[Any]) -> Any:
-        """Growth r'(t) of the horizontal way, mm."""
-        parts = zip(way, self._n, q, strict=True)
-        return _sum(d * (n * n) / (one * one * one) for d, n, one in parts)
+    def _slope(self, depths_mm: list[Any], q: list[Any]) -> Any:
+        """Return the derivative r'(t) of the horizontal distance, mm."""
+        parts = zip(depths_mm, self._n, q, strict=True)
+        return _sum(d * (n * n) / (q * q * q) for d, n, q in parts)
 
-    def _transmittance(self, t_square: Any, way: list[Any]) -> Any:
+    def _transmittance(self, t_square: Any, depths_mm: list[Any]) -> Any:
         """Fresnel transmittance of all interfaces for unpolarised light, and absorption.
 
-        All interfaces share the plane of incidence: s and p light stay what they are on the whole
-        way, so the mean is taken over the two products (Born and Wolf, Principles of Optics, 1.5).
-        Media for which `way` has no entry do not absorb.
+        All interfaces share the plane of incidence, so that s and p polarisation are conserved. The
+        mean is taken over the two products (Born and Wolf, Principles of Optics, 1.5).
+        Media for which `depths_mm` has no entry do not absorb.
         """
         slant = dr.sqrt(1.0 + t_square)
-        normal = [one / slant for one in self._q(t_square)]  # n_i cos(theta_i)
+        normal = [q / slant for q in self._q(t_square)]  # n_i cos(theta_i)
         n = self._n
         s_light, p_light = mi.Float(1.0), mi.Float(1.0)
         for i in range(len(self.media)):
@@ -192,16 +192,16 @@ class LayerStack:
             p_sum = n[i] / n[i + 1] * normal[i + 1] + n[i + 1] / n[i] * normal[i]
             s_light, p_light = s_light * product / s_sum**2, p_light * product / p_sum**2
         depth = _sum(
-            medium.absorption_per_mm * medium.ior * d / one
-            for d, one, medium in zip(way[1:], normal[1:], self.media, strict=False)
+            medium.absorption_per_mm * medium.ior * d / cosine
+            for d, cosine, medium in zip(depths_mm[1:], normal[1:], self.media, strict=False)
             if medium.absorption_per_mm
         )
         return 0.5 * (s_light + p_light) * dr.exp(-depth)
 
 
-def _reach(way: list[Any], q: list[Any]) -> Any:
-    """Horizontal way over the tangent in air, r / t in mm."""
-    return _sum(d / one for d, one in zip(way, q, strict=True))
+def _reach(depths_mm: list[Any], q: list[Any]) -> Any:
+    """Ratio of horizontal distance and tangent in air, r / t in mm."""
+    return _sum(d / q_i for d, q_i in zip(depths_mm, q, strict=True))
 
 
 def _sum(parts: Iterable[Any]) -> Any:

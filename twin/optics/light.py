@@ -1,21 +1,21 @@
 """Light of the projector per frame, as continuous 1-D profiles over its pixel coordinate.
 
-Column patterns depend on the projector column u alone and row patterns on the row v alone, so a
-frame's light at (u, v) is profile(u) * edge(v) (or profile(v) * edge(u)), where `edge` is the
-blurred outline of the image. Profiles include 8-bit levels, response, black level (finite
+Column patterns depend on the projector column u only, row patterns on the row v only. A frame's
+light at (u, v) is therefore profile(u) * edge(v) or profile(v) * edge(u); `edge` is the blurred
+outline of the image. Profiles include 8-bit levels, response, black level (finite
 contrast), the DMD's pixel box and the lens blur.
 
-Where the blur grows with the distance from the focal plane there are profiles at several blurs.
-Light from a pupil point at offset a (mm, across the axis) reaches a surface point at axial distance
-z beside the chief ray's projector pixel by f a (1/z - 1/z_focus) pixels, f the focal length in
-pixels: exact for a thin lens, anywhere in the field. An evenly filled pupil of diameter D so
-spreads over a disc of c = f D |1/z - 1/z_focus| pixels, the circle of confusion, whose standard
-deviation along each axis is c / 4.
+With a projector aperture the blur depends on the distance from the focal plane, and there are
+profiles at several blurs. A pupil point has the offset a from the axis (mm); f is the focal length
+in pixels. At axial distance z its light has the offset f a (1/z - 1/z_focus) pixels from the chief
+ray's projector pixel: exact for a thin lens, anywhere in the field. A uniformly filled pupil of
+diameter D therefore spreads over the circle of confusion, c = f D |1/z - 1/z_focus| pixels in
+diameter. Its standard deviation along each axis is c / 4.
 
-Approximations: the disc is replaced by the Gaussian of the same variance, so that it merges with
-the lens blur into one number (their transfer functions agree to second order in c times the spatial
-frequency); f is that of the undistorted image; irradiance and shadows stay those of the pupil's
-centre, so shadows have no penumbra.
+Approximations: the disc is replaced by the Gaussian of the same variance, which adds to that of the
+lens blur. Their transfer functions agree to second order in c times the spatial frequency. f is
+that of the undistorted image. Irradiance and shadows are those of the pupil's centre: shadows have
+no penumbra.
 """
 
 from dataclasses import dataclass, replace
@@ -30,11 +30,11 @@ from twin.config.models import Patterns, Projector
 from twin.optics.rig import projector_pinhole, world_from_device
 
 OVERSAMPLING = 16
-"""Table nodes per projector pixel; linear interpolation between them errs by < 1e-3 at the edge
-of a Gray bit blurred by 0.5 px, and by < 1e-4 on an 18 px fringe."""
+"""Table nodes per projector pixel; linear interpolation between them has an error below 1e-3 at the
+edge of a Gray bit blurred by 0.5 px, and by < 1e-4 on an 18 px fringe."""
 
 MARGIN_PX = 8.0
-"""Tables reach this far beyond the image, so that the blurred edge is inside."""
+"""Margin of the tables beyond the image, which contains the blurred edge."""
 
 
 LEVELS_PER_OCTAVE = 4
@@ -43,7 +43,7 @@ logarithm of the variance, where an edge's second derivative is at most 0.081: a
 0.081 / 8 (ln(2) / 4)^2 = 3e-4 of white."""
 
 LEAST_VARIANCE_PX2 = 0.1**2
-"""Blur below this is taken as this: table nodes stand 1/16 px apart."""
+"""Smallest blur of the tables: their nodes have a spacing of 1/16 px."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Defocus:
 
     @classmethod
     def of(cls, projector: Projector) -> "Defocus | None":
-        """Return the blur of a projector; None when its aperture is 0 and the blur constant."""
+        """Return the blur of a projector; None if its aperture is 0 and its blur constant."""
         if projector.aperture_mm == 0.0:
             return None
         pinhole = projector_pinhole(projector)
@@ -83,7 +83,7 @@ class Defocus:
 
 @dataclass(frozen=True)
 class BlurLevels:
-    """Variances at which light tables are made, equally spaced in their logarithm."""
+    """Variances of the light tables, equally spaced in their logarithm."""
 
     defocus: Defocus
     first_log: float
@@ -91,7 +91,7 @@ class BlurLevels:
 
     @classmethod
     def between(cls, defocus: Defocus, near_mm: float, far_mm: float) -> "BlurLevels":
-        """Return the levels that hold every blur between two axial distances."""
+        """Return the levels that cover every blur between two axial distances."""
         at_ends = [float(defocus.variance_px2(z)) for z in (near_mm, far_mm)]
         in_focus = near_mm <= defocus.focus_mm <= far_mm
         least = defocus.blur_px**2 if in_focus else min(at_ends)
@@ -118,9 +118,9 @@ class LightTable:
     ----------
     profiles : (node, frame) float32; relative light at best focus, 1 for a full white field; the
         last column is the outline of the image
-    first_px : projector coordinate of node 0, px; nodes are 1 / OVERSAMPLING px apart
+    first_px : projector coordinate of node 0, px; the node spacing is 1 / OVERSAMPLING px
     frames : (frame,) int; index of each profile's frame in the sequence
-    levels : blurs of `defocused`; None when the blur is the same at every distance
+    levels : blurs of `defocused`; None if the blur is the same at every distance
     defocused : (level, node, frame) float32; `profiles` at each of these blurs
     """
 
@@ -143,8 +143,8 @@ def light_tables(
 
     Parameters
     ----------
-    axial_mm : (nearest, farthest); distances along the projector's axis at which surfaces may lie;
-        needed with an aperture
+    axial_mm : (nearest, farthest); range of the surfaces' distances along the projector's axis;
+        required with an aperture
 
     Raises
     ------
@@ -179,7 +179,7 @@ def _table(
 
 
 def along(frame: PatternFrame) -> str:
-    """Axis whose table holds a frame: uniform frames are kept with the columns."""
+    """Axis of the table with a frame; uniform frames are in the table of columns."""
     return frame.axis or "column"
 
 

@@ -1,4 +1,4 @@
-"""Surfaces as Mitsuba has them: meshes, textures, and the numbers of a BSDF."""
+"""Surfaces in Mitsuba: meshes, textures, and the numbers of a BSDF."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -75,20 +75,20 @@ def bitmap(light: FloatImage) -> dict[str, Any]:
 
 
 COATED_FACE = "coated_face"
-"""Name of the coated mesh in every scene that holds one."""
+"""Name of the coated mesh in every scene that has one."""
 
 INK_ALBEDO = "ink_albedo"
-"""Attribute of a face's vertices, (vertex,): where an object shows through the ink it is higher."""
+"""Attribute of a face's vertices, (vertex,): the ink's albedo, higher with an object behind it."""
 
 SHADE = {"type": "mesh_attribute", "name": "vertex_shade"}
 """Texture of a mesh's attribute `vertex_shade`."""
 
-# What `mi.traverse` calls otherwise than `mi.load_dict`.
+# Names of `mi.traverse` that differ from those of `mi.load_dict`.
 _LISTED_AS = {"int_ior": "eta"}
 
 
 def updated(face: Any, bsdf: dict[str, Any], before: dict[str, Any]) -> bool:
-    """Set the numbers of a face's BSDF; false where one that differs cannot be set.
+    """Set the numbers of a face's BSDF; return False if a changed number cannot be set.
 
     Parameters
     ----------
@@ -130,14 +130,14 @@ def bsdf_numbers(bsdf: dict[str, Any], above: str = "") -> Iterator[tuple[str, f
 
 
 def listed_as(name: str, parameters: Any) -> str | None:
-    """Return the name by which `mi.traverse` lists a number, which may be a texture; None: not."""
+    """Return the name of a number, or of its texture, in `mi.traverse`; None: not listed."""
     return next((key for key in (name, f"{name}.value") if key in parameters), None)
 
 
 def coated_mesh(face: "trimesh.Trimesh", bsdf: dict[str, Any]) -> Any:
     """Return the coated face (vertices in world mm, smooth vertex normals) as `mi.Mesh`.
 
-    Its attribute `INK_ALBEDO`, where it has one, is the mesh's `vertex_shade`.
+    Its attribute `INK_ALBEDO`, if any, is the mesh's `vertex_shade`.
     """
     return mitsuba_mesh(
         COATED_FACE,

@@ -1,4 +1,4 @@
-"""The one-trace renderer: geometry is traced once, all pattern frames come from that trace.
+"""The one-trace renderer: geometry is traced once, all pattern frames are computed from that trace.
 
 Light transport is linear in the pattern: a camera path that reaches projector pixel (u, v) with
 weight w adds w * P_k(u, v) to every frame k. Sub-pixel positions are a fixed square grid shared by
@@ -6,7 +6,7 @@ all frames; independent jitter would act as phase noise larger than the sensor's
 shadow rays, BSDF, table look-ups and all frames of all samples are fused into one kernel.
 
 Does: direct light, occlusion, any BSDF, lens distortion of both devices, depth of field and the
-projector's defocus; light between surfaces when asked for (`bounces`); plane clear layers between
+projector's defocus; light between surfaces on request (`bounces`); plane clear layers between
 the devices and the scene (`layers`). Does not: light through clear objects.
 """
 
@@ -30,15 +30,15 @@ from twin.optics.stack import Frames, TraceMaps, Truth
 _OPAQUE = Surfaces()
 
 SMOOTH_WITHIN_PX = 0.25
-"""A pixel whose samples lie this close together on the projector sees one smooth patch: the light
-is looked up once, at their weighted mean. The mean position, and so the phase, is exact; what is
-left out is half the pattern's curvature times the samples' variance, below 0.4 % of white on the
-edge of a Gray bit blurred by 0.7 px and 0.1 % of the fringe amplitude."""
+"""Largest distance of a pixel's samples on the projector for which they are one smooth patch: the
+light is looked up once, at their weighted mean. The mean position, and so the phase, is exact. The
+error is 1/2 x the pattern's curvature x the samples' variance: below 0.4 % of white on the edge
+of a Gray bit blurred by 0.7 px, and 0.1 % of the fringe amplitude."""
 
 
 @dataclass(frozen=True)
 class Patches:
-    """What all samples of each pixel see together: weight, weighted position and its extent.
+    """Sums over all samples of each pixel: weight, weighted position and its extent.
 
     They depend on geometry, rig and coat, and on no pattern: one trace serves any number of
     sequences once it is evaluated.
@@ -53,7 +53,7 @@ class Patches:
     highest: Any
 
     def evaluate(self) -> "Patches":
-        """Run the trace now and keep its result."""
+        """Run the trace now and store its result."""
         dr.eval(*(getattr(self, field.name) for field in fields(self) if field.name != "samples"))
         return self
 
@@ -73,7 +73,7 @@ class Patches:
 
 
 def maps_of(patches: Patches, camera: Pinhole) -> TraceMaps:
-    """Return what was traced as images."""
+    """Return the trace maps as images."""
     shape = camera.height_px, camera.width_px
 
     def image(values: Any) -> FloatArray:
@@ -111,11 +111,11 @@ def trace_stack(
     ----------
     scene : world in mm; emitters and sensors in it are ignored
     tables : light tables of the axes "column" and "row"
-    traced : what was traced already; or camera rays per pixel, a square number, to trace now
-    bounces : light that is reflected more than once; None leaves it out
-    progress : told the finished fraction of the bounces
-    smooth_within_px : pixels whose samples lie within this many projector pixels look the light up
-        once
+    traced : an earlier trace; or camera rays per pixel, a square number, to trace now
+    bounces : settings of light that is reflected more than once; None: without it
+    progress : called with the finished fraction of the bounces
+    smooth_within_px : largest distance of a pixel's samples, in projector pixels, for one look-up
+        of the light
     """
     patches = trace_patches(scene, rig, traced) if isinstance(traced, int) else traced
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
@@ -151,9 +151,9 @@ def frames_of_patches(
 
 
 def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
-    """Trace all samples and keep sums instead of frames: eight numbers per pixel, not 53.
+    """Trace all samples and return sums instead of frames: 8 numbers per pixel, not 53.
 
-    Recorded, not yet run: `trace_stack` fuses it into its kernel, `Patches.evaluate` runs it.
+    Recorded but not run: `trace_stack` fuses it into its kernel, `Patches.evaluate` runs it.
     """
     grid = SubPixels.of_image(rig.camera.pinhole.width_px, rig.camera.pinhole.height_px, samples)
 
@@ -172,8 +172,8 @@ def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
             dr.select(path.lit, dr.maximum(highest, place), highest),
         )
 
-    nothing = dr.zeros(mi.Float, dr.width(grid.x_px))
-    start = (mi.UInt32(0), *[nothing] * 4, mi.Point2f(dr.inf), mi.Point2f(-dr.inf))
+    zero = dr.zeros(mi.Float, dr.width(grid.x_px))
+    start = (mi.UInt32(0), *[zero] * 4, mi.Point2f(dr.inf), mi.Point2f(-dr.inf))
     end = dr.while_loop(start, lambda sample, *_: sample < grid.samples, add_sample)
     return Patches(samples, *end[1:])
 
@@ -181,7 +181,7 @@ def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
 def _add_samples(
     frame_values: Callable[[Any], list[Any]], grid: SubPixels, active: Any, frames: list[Any]
 ) -> list[Any]:
-    """Add every sample by itself where a pixel's samples do not see one smooth patch."""
+    """Add every sample separately in pixels without a smooth patch."""
 
     def add_sample(*state: Any) -> tuple[Any, ...]:
         sample, *totals = state
@@ -198,10 +198,10 @@ def _add_samples(
 
 
 def trace_truth(scene: Any, rig: Rig, surfaces: Surfaces = _OPAQUE) -> Truth:
-    """Trace one ray through every pixel centre and report what it hits.
+    """Trace one ray through every pixel centre and return its hit.
 
-    Through layers too, points and depth are those of the surface itself, which then lies beside the
-    pixel's straight ray; projector coordinates are those of the light that arrives there.
+    Through layers too, points and depth are those of the surface itself, which is then off the
+    pixel's straight ray; projector coordinates are those of the light at this point.
     """
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     centres = SubPixels.of_image(width, height, 1)

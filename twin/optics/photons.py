@@ -1,19 +1,19 @@
-"""Light that comes to the stage through clear bodies or off polished ones, from the projector on.
+"""Photon tracing: light from the projector to the stage, through clear or off polished bodies.
 
 No camera path can be connected to a pinhole through a smooth refracting surface, so this light is
-traced the other way: each photon leaves the projector with its pixel (u, v) and a share of the
-white image's flux, is refracted and reflected until it meets the stage, and stays there. What the
-stage then sends on is gathered by the camera's paths. All frames share the photons: their noise is
-common to all frames and cancels in the phase.
+traced in the direction of propagation. Each photon starts at the projector with its pixel (u, v)
+and a share of the white image's flux; refractions and reflections follow until it is on the stage.
+The camera's paths gather the light that the stage reflects. All frames share the photons: their
+noise is common to all frames and cancels in the phase.
 
-For gathering, each photon is shared out to the four nodes round it of a regular grid (bilinear
-weights), with the light of its projector pixel in every frame; what camera paths find is, in the
-mean, interpolated between the nodes. Both together blur by 0.06 mm standard deviation, a third of
-a projector pixel of the paper's rig.
+For gathering, the flux of each photon is distributed to the four nearest nodes of a regular grid
+(bilinear weights), with the light of its projector pixel in every frame. The expected value of a
+camera path is interpolated between the nodes. Both together blur by 0.06 mm standard deviation,
+0.33 projector pixels of the paper's rig.
 
 Does: smooth and slightly rough clear bodies and polished metals, absorption, any number of
-reflections inside. Does not: light thrown on anything else than the stage, which is counted as
-lost in the balance.
+reflections inside. Does not: light on surfaces other than the stage, which the balance counts
+as lost.
 
 Against stock Mitsuba, clear ball on a stage: shadow and caustic agree within 3 % of the caustic
 with a lamp of 3 mm radius 60 mm away (a test). Against Snell and Fresnel for a pinhole: the view
@@ -35,9 +35,9 @@ from twin.optics.light import MARGIN_PX, OVERSAMPLING, LightTable
 from twin.optics.scene import Surfaces
 
 MOST_EVENTS = 64
-"""Reflections and refractions that a photon may suffer; what is then still under way is counted."""
+"""Largest number of reflections and refractions of a photon; flux beyond it counts as `cut`."""
 
-# The kernel makes an array of its own, hence not `reconstruction.compiling.OPTIONS`.
+# The kernel allocates an array, therefore not `reconstruction.compiling.OPTIONS`.
 _OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
 _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("photons.py",))
 
@@ -51,10 +51,10 @@ def _compiled(function: Function) -> Function:
 
 @dataclass(frozen=True)
 class Balance:
-    """Where the flux went that met a clear or polished body first, mW of the white image.
+    """Destinations of the flux that is first incident on a clear or polished body, mW of white.
 
-    `sent` is the sum of the others. `escaped` left the scene; `lost` fell on a body that is neither
-    sharp nor the stage; `cut` was still under way after `MOST_EVENTS`.
+    `sent` is the sum of all destinations. `escaped`: out of the scene; `lost`: on a body that is
+    neither sharp nor the stage; `cut`: not ended after `MOST_EVENTS`.
     """
 
     sent: float
@@ -67,12 +67,12 @@ class Balance:
 
 @dataclass(frozen=True, eq=False)
 class Photons:
-    """Photons that came to rest on the stage.
+    """Photons that ended on the stage.
 
     Attributes
     ----------
     x_mm, y_mm : (photon,) float32; world position
-    column_px, row_px : (photon,) float32; projector pixel that each comes from
+    column_px, row_px : (photon,) float32; projector pixel of each photon
     flux_mw : (photon,) float32; flux in the white image
     """
 
@@ -86,7 +86,7 @@ class Photons:
 
 @dataclass(frozen=True)
 class _Ends:
-    """Where the photons' ways end; one lane per photon."""
+    """Ends of the photon paths; one lane per photon."""
 
     point_mm: Any
     weight: Any
@@ -115,10 +115,10 @@ def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed:
     # The density is uniform over the image plane at 1 mm, as the white image's irradiance is.
     flux_mw = rig.irradiance_at_1mm * float(np.prod(high - low)) / count
     counted = ends.met_sharp & on_image(rig, column_px, row_px, MARGIN_PX)
-    kept: Any = dr.compress(counted & ends.on_stage)
+    on_stage: Any = dr.compress(counted & ends.on_stage)
 
     def chosen(values: Any) -> FloatImage:
-        return np.array(dr.gather(mi.Float, values, kept))
+        return np.array(dr.gather(mi.Float, values, on_stage))
 
     return Photons(
         chosen(ends.point_mm.x),
@@ -131,11 +131,11 @@ def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed:
 
 
 def _window(surfaces: Surfaces, rig: Rig) -> tuple[FloatArray, FloatArray]:
-    """Rectangle (low, high) on the image plane at 1 mm that holds every sharp body's light."""
+    """Rectangle (low, high) on the image plane at 1 mm that contains every sharp body's light."""
     corners = np.concatenate([box_corners_mm(body.shape.bbox()) for body in surfaces.sharp])
     T = rig.projector.T_world_from_device
-    seen = (corners - T[:3, 3]) @ T[:3, :3]
-    on_plane = seen[:, :2] / seen[:, 2:]
+    in_device = (corners - T[:3, 3]) @ T[:3, :3]
+    on_plane = in_device[:, :2] / in_device[:, 2:]
     image = rig.projector.pinhole.unproject(_image_border(rig))
     low = np.maximum(on_plane.min(axis=0), image.min(axis=0))
     high = np.minimum(on_plane.max(axis=0), image.max(axis=0))
@@ -143,7 +143,7 @@ def _window(surfaces: Surfaces, rig: Rig) -> tuple[FloatArray, FloatArray]:
 
 
 def _image_border(rig: Rig) -> FloatArray:
-    """Points (n, 2) all along the border of the projector's image and its blurred margin, px."""
+    """Points (n, 2) along the border of the projector's image and its blurred margin, px."""
     p, along = rig.projector.pinhole, np.linspace(0.0, 1.0, 33)
     low, end = -0.5 - MARGIN_PX, MARGIN_PX - 0.5
     x, y = low + along * (p.width_px + end - low), low + along * (p.height_px + end - low)
@@ -164,7 +164,7 @@ def _spread(count: int, low: Any, high: Any, seed: int) -> tuple[Any, Any]:
 
 
 def _follow(scene: Any, surfaces: Surfaces, ray: Any, seed: int) -> _Ends:
-    """Follow every photon until it rests, leaves, or meets a matte body."""
+    """Trace every photon until it reaches the stage, a matte body or the outside of the scene."""
     width = dr.width(ray.d)
     context = mi.BSDFContext(mi.TransportMode.Importance)
     random = random_streams(width, seed)
@@ -218,7 +218,7 @@ def _follow(scene: Any, surfaces: Surfaces, ray: Any, seed: int) -> _Ends:
 
 def random_streams(width: int, seed: int) -> Any:
     """Return one stream of random numbers per lane."""
-    # Opaque: a literal seed would be compiled into the kernel anew.
+    # Opaque: a literal seed would compile a new kernel.
     generator: Any = mi.PCG32
     return generator(
         size=width,
@@ -255,8 +255,8 @@ class IrradianceMap:
     ----------
     irradiance : (row, col, frame) float32, mW/mm^2; frames in the order of the tables: those of the
         columns, then those of the rows; padded with zeros to a multiple of four
-    first_x_mm, first_y_mm : world position of node (0, 0); x grows with the column, y with the row
-    frames : how many of the last axis are not padding
+    first_x_mm, first_y_mm : world position of node (0, 0); x increases with column, y with row
+    frames : number of entries of the last axis without padding
     """
 
     irradiance: FloatImage
@@ -362,7 +362,7 @@ class StageLight:
     ) -> list[Any]:
         """Irradiance of every frame at points on the stage, times `weight`.
 
-        Of the four nodes round a point one is drawn, with its bilinear weight as probability
+        One of the four nodes round a point is drawn, with its bilinear weight as probability
         (`random`: two numbers in [0, 1)): the same mean as interpolation for a quarter of the
         memory traffic, and the paths are random anyway.
         """
@@ -377,6 +377,6 @@ class StageLight:
         weight = dr.select(inside, weight, 0.0)
         values: list[Any] = []
         for packet in range(self._packets):
-            found = dr.gather(mi.Vector4f, self._values, first + packet, inside)
-            values += [found[k] * weight for k in range(_PACKET)]
+            packet_values = dr.gather(mi.Vector4f, self._values, first + packet, inside)
+            values += [packet_values[k] * weight for k in range(_PACKET)]
         return values[: self._map.frames]

@@ -8,12 +8,12 @@ Irradiance on a plane that faces the projector at distance z (along its axis) is
 `irradiance_at_1mm / z**2` for a full white field: the flux spread evenly over the image, as a DLP
 fills a flat screen.
 
-With a thin lens the camera's rays start on its pupil. Every sub-pixel sample has one place there,
-the same on every pixel and in every frame: random places would act as phase noise. The places have
-the disc's centroid and variance exactly, whatever their number, so that a smooth surface out of
-focus keeps its phase and its mean blur; with more samples they fill the disc evenly.
+With a thin lens the camera's rays start on its pupil. Every sub-pixel sample has a fixed pupil
+position, the same for every pixel and frame: random positions would act as phase noise. The
+positions have exactly the centroid and variance of the disc for any number of samples, so that
+phase and mean blur of a smooth surface out of focus are exact; more samples fill the disc evenly.
 
-This is the one place where our conventions meet Mitsuba's. Ours: OpenCV device frames (x right, y
+Only this module converts to Mitsuba's conventions. Project: OpenCV device frames (x right, y
 down, z forward), pixel (0, 0) at the CENTRE of the first pixel. Mitsuba: device frames with x left,
 y up, z forward, pixel coordinates counted from the CORNER, fields of view instead of focal lengths,
 principal point offsets as fractions.
@@ -35,7 +35,7 @@ from twin.config.models import Camera, Experiment, Pose, Projector
 
 
 def true_calibration(experiment: Experiment) -> Calibration:
-    """Return the calibration of the rig as it stands in the virtual laboratory."""
+    """Return the exact calibration of the virtual rig."""
     camera = camera_pinhole(experiment.camera)
     projector = projector_pinhole(experiment.projector)
     return Calibration(
@@ -43,7 +43,9 @@ def true_calibration(experiment: Experiment) -> Calibration:
         projector=projector,
         T_world_from_cam=world_from_device(experiment.camera.pose, camera),
         T_world_from_proj=world_from_device(experiment.projector.pose, projector),
-        layers=plane_layers([(one.top_mm, one.ior) for one in media_of(experiment.layers)]),
+        layers=plane_layers(
+            [(medium.top_mm, medium.ior) for medium in media_of(experiment.layers)]
+        ),
     )
 
 
@@ -67,7 +69,7 @@ def projector_pinhole(projector: Projector) -> Pinhole:
 
 
 def world_from_device(pose: Pose, pinhole: Pinhole) -> FloatArray:
-    """Pose (4, 4) of a device whose image-centre ray hits the world origin.
+    """Pose (4, 4) of a device with its image-centre ray through the world origin.
 
     At polar 0 and roll 0 the image's right is world +x and its top is world +y.
     """
@@ -84,7 +86,7 @@ def world_from_device(pose: Pose, pinhole: Pinhole) -> FloatArray:
 
 
 def _looking_along(forward: FloatArray) -> FloatArray:
-    """Rotation whose z axis is `forward` and whose y axis points away from world +y."""
+    """Rotation with the z axis along `forward` and the y axis away from world +y."""
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(forward, right), forward], axis=1)
@@ -116,7 +118,7 @@ def irradiance_at_1mm(projector: Projector, pinhole: Pinhole) -> float:
 
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
-# A correlation of place with position changes the size of the blur, one of their squares its shape.
+# Correlation of pupil and pixel positions changes the blur's size; that of squares its shape.
 _FIRST_POWERS_COUNT = 10.0
 
 
@@ -143,13 +145,13 @@ class ThinLens:
 
 @lru_cache(maxsize=8)
 def lens_places(side: int) -> FloatArray:
-    """Return the place of every sub-pixel sample on the unit disc, (side * side, 2), x and y.
+    """Return the position of every sub-pixel sample on the unit disc, (side * side, 2), x and y.
 
-    A spiral of equal areas (Vogel 1979), whose points are dealt out to the square grid of
-    sub-pixels in steps of a number without common factor, so that neighbours on the grid lie far
-    apart on the lens. Of all such steps and some turns of the spiral that is taken whose places
-    correlate least with the sub-pixel positions: pixel box and lens then blur independently (with
-    fewer than 25 samples only roughly).
+    The points of a spiral of equal areas (Vogel 1979) are assigned to the square grid of sub-pixels
+    with a stride that is coprime to their number: neighbours on the grid are distant on the lens.
+    Of all strides and several rotations of the spiral, the pair with the smallest correlation of
+    pupil and sub-pixel positions is used: pixel box and lens then blur independently (only
+    approximately with fewer than 25 samples).
     """
     samples = side * side
     if samples == 1:
@@ -195,7 +197,7 @@ _OPENCV_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def to_world(T_world_from_device: FloatArray) -> FloatImage:
-    """Mitsuba's `to_world` matrix of a device whose OpenCV pose is given."""
+    """Mitsuba's `to_world` matrix of a device with an OpenCV pose."""
     return (T_world_from_device @ _OPENCV_FROM_MITSUBA).astype(np.float32)
 
 
@@ -206,8 +208,8 @@ def perspective_sensor(
 
     Raises
     ------
-    InputError : the pinhole has what stock Mitsuba cannot express: lens distortion, or an off-axis
-        principal point behind a thin lens
+    InputError : the pinhole has a property that stock Mitsuba lacks: lens distortion, or an
+        off-axis principal point behind a thin lens
     """
     import mitsuba as mi
 

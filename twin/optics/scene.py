@@ -1,4 +1,4 @@
-"""Mitsuba scenes: the coated face under the rig, and what is to be known of their surfaces."""
+"""Mitsuba scenes: the coated face under the rig, and the optical classes of surfaces."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 
 class CoatedScene:
-    """A coated face alone, asked as Mitsuba's scenes are.
+    """Scene of a coated face only, with the query methods of a Mitsuba scene.
 
-    Without `tree` no tree of boxes is built, and no ray can be asked: for faces whose rays are
-    marched over their heights.
+    Without `tree` no tree of boxes is built, and ray queries raise RuntimeError: for faces with
+    rays that are marched over a grid of heights.
     """
 
     def __init__(self, face: "trimesh.Trimesh", bsdf: dict[str, Any], *, tree: bool = True) -> None:
@@ -45,7 +45,7 @@ class CoatedScene:
         self.shape = dr.opaque(mi.ShapePtr, mesh)
 
     def put(self, face: "trimesh.Trimesh") -> None:
-        """Exchange the face for another one: as many vertices, same facets and attributes."""
+        """Replace the face by another with the same number of vertices, facets and attributes."""
         parameters = mi.traverse(self._mesh)
         for key, values in (("positions", face.vertices), ("normals", face.vertex_normals)):
             parameters[f"vertex_{key}"] = np.asarray(values, np.float32).ravel()
@@ -60,20 +60,20 @@ class CoatedScene:
             self._tree = _tree_of(self._mesh)
 
     def set_coating(self, coating: Coating) -> None:
-        """Give the face another coating; its geometry stays.
+        """Replace the coating of the face, without changing its geometry.
 
         Parameters
         ----------
-        coating : any. Where its BSDF differs from the present one in numbers only, these are
-            parameter updates that keep the compiled kernel; otherwise the BSDF is exchanged, which
-            compiles one kernel more
+        coating : any. If only numbers of its BSDF differ from the present BSDF, they are updated
+            and the compiled kernel is reused; otherwise the BSDF is replaced and another kernel is
+            compiled
         """
         bsdf, before = coating.bsdf(), self._bsdf
         if bsdf == before:
             return
         if structure_of(bsdf) != structure_of(before) or not updated(self._mesh, bsdf, before):
             self._mesh.set_bsdf(mi.load_dict(bsdf))
-            # Numbers that are updated are no literals of the kernel: it serves the next coat, too.
+            # Updated numbers are no literals of the kernel, which the next coat can reuse.
             updated(self._mesh, bsdf, bsdf)
         self._bsdf = bsdf
 
@@ -86,15 +86,15 @@ class CoatedScene:
         return self._mesh.bbox()
 
     def ray_intersect(self, *ray: Any, **how: Any) -> Any:
-        """Return what rays first meet, as `mi.Scene.ray_intersect`."""
+        """Return the first hits of rays, as `mi.Scene.ray_intersect`."""
         return self._planted().ray_intersect(*ray, **how)
 
     def ray_test(self, *ray: Any, **how: Any) -> Any:
-        """Tell which rays meet the face, as `mi.Scene.ray_test`."""
+        """Return which rays meet the face, as `mi.Scene.ray_test`."""
         return self._planted().ray_test(*ray, **how)
 
     def _planted(self) -> Any:
-        # Not built here: a ray is asked while Dr.Jit records a loop, which must not load a scene.
+        # Not built here: while Dr.Jit records a loop of ray queries, no scene may be loaded.
         if self._tree is None:
             raise RuntimeError("the coated face was loaded without a tree: its rays are marched")
         return self._tree
@@ -108,13 +108,13 @@ def _tree_of(mesh: Any) -> Any:
 def marched_scene(
     experiment: Experiment, face: "trimesh.Trimesh", bsdf: dict[str, Any]
 ) -> CoatedScene:
-    """Scene of the coated face in a coat that need not be the experiment's own, for `coated_rig`.
+    """Scene of the coated face with any coat, for `coated_rig`.
 
-    It has a tree only where rays are not marched, or bounce.
+    It has a tree only if rays are not marched, or if there are bounces.
 
     Raises
     ------
-    InputError : the face pokes through the layers that it is seen through
+    InputError : the face protrudes from the layers above it
     """
     check_below_layers(experiment.layers, face)
     grid = height_grid(face)
@@ -123,13 +123,13 @@ def marched_scene(
 
 
 def bsdf_on(face: "trimesh.Trimesh", coating: Coating) -> dict[str, Any]:
-    """Return a coat's BSDF on a face, which may have `INK_ALBEDO` where an object shows through."""
+    """Return a coat's BSDF on a face, with a texture if the face has `INK_ALBEDO`."""
     shaded = INK_ALBEDO in face.vertex_attributes
     return coating.bsdf_with_ink(SHADE) if shaded else coating.bsdf()
 
 
 def heights_of(face: "trimesh.Trimesh") -> MarchedHeights | None:
-    """Return a face's heights on the device; None where it is no even grid of them."""
+    """Return a face's heights on the device; None if they are not on a uniform grid."""
     grid = height_grid(face)
     return None if grid is None else MarchedHeights.of_grid(grid)
 
@@ -139,7 +139,7 @@ def rig_of(experiment: Experiment) -> Rig:
 
     Raises
     ------
-    InputError : depth of field with one sample per pixel, which sees through one place of the lens
+    InputError : depth of field with one sample per pixel, which passes one point of the lens
     """
     calibration = true_calibration(experiment)
     lens = ThinLens.of(experiment.camera, calibration.T_world_from_cam)
@@ -153,7 +153,7 @@ def rig_of(experiment: Experiment) -> Rig:
 
 
 def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
-    """Rig for the coated face alone: rays are marched where it is a grid of heights."""
+    """Rig for the coated face only: rays are marched if it is a grid of heights."""
     rig, grid = rig_of(experiment), height_grid(face)
     if grid is None:
         return rig
@@ -163,12 +163,12 @@ def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
 
 
 def layer_stack(experiment: Experiment) -> LayerStack | None:
-    """Layers that both devices look through; None when there is air alone."""
+    """Layers between both devices and the coat; None: only air."""
     return LayerStack(media_of(experiment.layers)) if experiment.layers else None
 
 
 def coating_in_layer(experiment: Experiment) -> Coating:
-    """Coat with its indices against the medium that it lies in, not against air.
+    """Coat with its indices relative to the medium that contains it, not to air.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def coating_in_layer(experiment: Experiment) -> Coating:
 
 
 def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh") -> None:
-    """Refuse a coated face that reaches through the lowest interface above it.
+    """Raise InputError if a coated face reaches above the lowest interface.
 
     Raises
     ------
@@ -191,13 +191,13 @@ def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh") -> Non
     if highest_mm >= floor_mm:
         raise InputError(
             f"layers: the coated face reaches z = {highest_mm:.4g} mm, allowed below "
-            f"{floor_mm:.4g} mm, where a layer begins; press less or move the layer"
+            f"{floor_mm:.4g} mm, the bottom of the next layer; press less or move the layer"
         )
 
 
 @dataclass(frozen=True)
 class Sharp:
-    """A clear or polished body: light goes on from it along sharp directions."""
+    """A clear or polished body: it refracts or reflects light into sharp directions."""
 
     shape: Any
     #: Napierian absorption coefficient inside, 1/mm
@@ -206,11 +206,11 @@ class Sharp:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Which surfaces are sharp, and which one receives the light that they pass on.
+    """The sharp surfaces of a scene, and the surface that receives their light.
 
     Attributes
     ----------
-    sharp : bodies that pass light on along sharp directions
+    sharp : bodies that refract or reflect light into sharp directions
     stage : mi.Shape, horizontal matte plane; None: there is none
     """
 
@@ -218,26 +218,26 @@ class Surfaces:
     stage: Any = None
 
     def is_sharp(self, hit: Any) -> Any:
-        """Tell which hits are on a sharp body, `mi.Bool`."""
-        found = dr.zeros(mi.Bool, dr.width(hit.t))
+        """Return which hits are on a sharp body, `mi.Bool`."""
+        sharp = dr.zeros(mi.Bool, dr.width(hit.t))
         for body in self.sharp:
-            found |= hit.shape == mi.ShapePtr(body.shape)
-        return found
+            sharp |= hit.shape == mi.ShapePtr(body.shape)
+        return sharp
 
     def is_stage(self, hit: Any) -> Any:
-        """Tell which hits are on the stage, `mi.Bool`."""
+        """Return which hits are on the stage, `mi.Bool`."""
         if self.stage is None:
             return dr.zeros(mi.Bool, dr.width(hit.t))
         return hit.shape == mi.ShapePtr(self.stage)
 
     def on_stage(self, hit: Any) -> Any:
-        """Tell which hits are on the stage's upper side, `mi.Bool`."""
+        """Return which hits are on the stage's upper side, `mi.Bool`."""
         return self.is_stage(hit) & (hit.wi.z > 0.0)
 
     def transmittance(self, hit: Any, inside: Any) -> Any:
-        """Part of the light left after the way inside a clear body to `hit` (Beer-Lambert).
+        """Transmittance of the path inside a clear body to `hit` (Beer-Lambert).
 
-        The body is that of the surface at the way's end: bodies do not overlap.
+        The body is that of the surface at the path's end: bodies do not overlap.
         """
         absorption = mi.Float(0.0)
         for body in self.sharp:

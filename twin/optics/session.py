@@ -1,11 +1,11 @@
-"""Sessions of the renderer: one thread at a time, and the caller's settings again at their end.
+"""Sessions of the renderer: one thread at a time; they restore the caller's Mitsuba variant.
 
-Mitsuba's variant belongs to the process: `mi.Float` is a name of the current variant in all
-threads, and a thread that changes the variant changes it for a trace that another one is recording.
-Dr.Jit computes in the background, and only the thread that began a computation waits for it. So a
-session holds a lock, makes the variant of this machine's backend current, waits at its end for all
-that was begun, and restores the caller's variant. Sessions of one thread may be nested. A program
-that uses Mitsuba itself in another thread at the same time has to take turns by its own means.
+Mitsuba's variant is global to the process: a thread that changes the variant changes it for a
+trace that another thread is recording. Dr.Jit computes in the background, and only the thread that
+started a computation waits for it. Therefore a session holds a lock, activates the variant of this
+machine's backend, waits at its end for all started computations, and restores the caller's variant.
+Sessions of one thread may be nested. A program that uses Mitsuba directly in another thread has to
+synchronise with the sessions itself.
 
 Dr.Jit's flags and number of threads, Mitsuba's log level and the environment are not changed.
 """
@@ -28,13 +28,13 @@ class _Nesting:
 
 @contextmanager
 def renderer_session() -> Iterator[Backend]:
-    """Let this thread alone use Mitsuba and Dr.Jit in a block, or in a function as a decorator.
+    """Context manager or decorator that gives this thread exclusive use of Mitsuba and Dr.Jit.
 
     Modules that import Mitsuba are imported within a session.
 
     Raises
     ------
-    MissingBackend : if no backend works here
+    MissingBackend : no backend works on this machine
     """
     with _LOCK:
         before = _variant()
@@ -49,15 +49,15 @@ def renderer_session() -> Iterator[Backend]:
 
 
 def activate() -> Backend:
-    """Make the backend of this machine the current one for good; any number of calls.
+    """Activate the backend of this machine permanently; repeated calls have no effect.
 
     Raises
     ------
-    MissingBackend : if no backend works here
+    MissingBackend : no backend works on this machine
     """
     with _LOCK:
         backend = _backend_of_this_process()
-        # Dr.Jit looks for LLVM's library there when the variant is set.
+        # Dr.Jit reads the path of LLVM's library from there when the variant is set.
         with environment_variable(LIBRARY_VARIABLE, backend.library):
             import mitsuba as mi
 
@@ -68,7 +68,7 @@ def activate() -> Backend:
 
 @contextmanager
 def renderer_threads(count: int) -> Iterator[None]:
-    """Let Dr.Jit use `count` threads in a block; it does not look at the environment.
+    """Context in which Dr.Jit uses `count` threads; it ignores the environment's limits.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def _backend_of_this_process() -> Backend:
 
 
 def _variant() -> str | None:
-    """Return the caller's variant; None where Mitsuba is not loaded or has none yet."""
+    """Return the caller's variant; None if Mitsuba is not loaded or has no variant."""
     if "mitsuba" not in sys.modules:
         return None
     import mitsuba as mi
@@ -106,6 +106,6 @@ def _finish(before: str | None) -> None:
     import mitsuba as mi
 
     dr.sync_thread()
-    # Mitsuba cannot go back to having no variant: then ours stays.
+    # Mitsuba cannot unset its variant: then the session's variant remains.
     if before is not None and mi.variant() != before:
         mi.set_variant(before)

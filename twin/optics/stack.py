@@ -12,19 +12,19 @@ Frames = tuple[FloatImage, ...]
 
 @dataclass(frozen=True)
 class Truth:
-    """What the camera truly sees at each pixel CENTRE.
+    """True geometry at each pixel CENTRE of the camera.
 
     Attributes
     ----------
-    points_world_mm : (row, col, xyz) float32; surface point; 0 where the ray hits nothing
-    normals_world : (row, col, xyz) float32; unit normal of the (smooth) surface there; 0 where the
-        ray hits nothing
-    depth_mm : (row, col) float32; distance from the camera along its optical axis; 0 where the ray
-        hits nothing
+    points_world_mm : (row, col, xyz) float32; surface point; 0 without a hit
+    normals_world : (row, col, xyz) float32; unit normal of the (smooth) surface there; 0
+        without a hit
+    depth_mm : (row, col) float32; distance from the camera along its optical axis; 0 without a
+        hit
     column_px, row_px : (row, col) float32; projector coordinate of that point
-    lit : (row, col) bool; the point is seen by the camera and lit by the projector's image
-    measured : (row, col) bool; the point lies on what is to be measured (coat or specimen), not on
-        the stage
+    lit : (row, col) bool; the point is visible to the camera and lit by the projector's image
+    measured : (row, col) bool; the point is on the measured surface (coat or specimen), not on the
+        stage
     """
 
     points_world_mm: FloatImage
@@ -38,7 +38,7 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class TraceMaps:
-    """What the rays of each camera pixel see together, before any pattern; all (row, col) float64.
+    """Sums over the rays of each camera pixel, independent of patterns; all (row, col) float64.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class TraceMaps:
     column_px, row_px : weighted mean of the projector coordinates
     axial_mm : weighted mean distance along the projector's axis
     column_range_px, row_range_px : between the farthest two lit samples
-    lit : bool; any light arrives
+    lit : bool; light arrives
     samples : rays per pixel
     """
 
@@ -80,6 +80,6 @@ Images = TypeVar("Images", Truth, TraceMaps)
 
 def rows_of(images: Images, band: slice) -> Images:
     """Return some rows of all images."""
-    found: dict[str, Any] = vars(images)
-    rows: dict[str, Any] = {k: v[band] for k, v in found.items() if isinstance(v, np.ndarray)}
+    fields: dict[str, Any] = vars(images)
+    rows: dict[str, Any] = {k: v[band] for k, v in fields.items() if isinstance(v, np.ndarray)}
     return replace(images, **rows)

@@ -1,9 +1,9 @@
-"""The plain way, and the oracle: one stock Mitsuba render per frame.
+"""The reference renderer, an oracle for tests: one stock Mitsuba render per frame.
 
-The projector is Mitsuba's own `projector` emitter, or a `spot` emitter with the pattern as its
-texture; the integrator is `direct`. Both emitters are symmetric about their axis and know neither
-an offset principal point nor distortion, so the pattern is drawn on a larger canvas centred on
-the optical axis: an off-axis image sits in a corner of it, and distortion is warped into it.
+The projector is Mitsuba's `projector` emitter, or a `spot` emitter with the pattern as its
+texture; the integrator is `direct`. Both emitters are symmetric about their axis and have neither
+an offset principal point nor distortion. The pattern is therefore drawn on a larger canvas centred
+on the optical axis: an off-axis image is in a corner of it, and distortion is a warp of the image.
 """
 
 from collections.abc import Callable
@@ -57,11 +57,11 @@ def _centres(half_px: float, texels_per_px: int) -> FloatArray:
 
 
 def canvas_for(rig: Rig, kind: Emitter, texels_per_px: int = TEXELS_PER_PX) -> Canvas:
-    """Smallest canvas centred on the optical axis that holds the image and its blurred edge."""
+    """Smallest canvas centred on the optical axis that contains the image and its blurred edge."""
     p = rig.projector.pinhole
     half_width = max(p.cx_px, p.width_px - 1 - p.cx_px) + MARGIN_PX
     half_height = max(p.cy_px, p.height_px - 1 - p.cy_px) + MARGIN_PX
-    if kind == "spot":  # its texture is square and cut by a round cone, which must hold all of it
+    if kind == "spot":  # the texture is square; the round cone of the spot must contain all of it
         half_width = half_height = float(np.hypot(half_width, half_height))
     return Canvas(kind, float(np.ceil(half_width)), float(np.ceil(half_height)), texels_per_px)
 
@@ -72,14 +72,15 @@ def frame_texture(
     """Light of one frame on the canvas, (row, col) float32.
 
     Row 0 is the image's top for a `projector`. A `spot` emits radiant intensity, so that a plane
-    receives I cos^3 / z^2: the cos^3 is taken out; its texture is mirrored in both directions.
+    receives I cos^3 / z^2: the texture is divided by cos^3, and mirrored in both
+    directions.
     """
     column_px, row_px = _pixels_on(canvas, rig)
     axis = along(frame)
-    other = "row" if axis == "column" else "column"
+    across = "row" if axis == "column" else "column"
     here, there = (column_px, row_px) if axis == "column" else (row_px, column_px)
     profile = tables[axis].frames.index(index)
-    light = _interpolate(tables[axis], profile, here) * _interpolate(tables[other], -1, there)
+    light = _interpolate(tables[axis], profile, here) * _interpolate(tables[across], -1, there)
     if canvas.kind == "spot":
         light = (light / _cos_cubed(canvas, rig))[::-1, ::-1]
     return np.ascontiguousarray(light, np.float32)
@@ -91,10 +92,10 @@ def _pixels_on(canvas: Canvas, rig: Rig) -> tuple[FloatArray, FloatArray]:
     x_px, y_px = canvas.centres_px()
     x, y = x_px[None, :] / p.fx_px, y_px[:, None] / p.fy_px
     if any(p.distortion):
-        seen = is_before_fold(
+        imaged = is_before_fold(
             x, y, distortion_jacobian(x, y, p.distortion), fold_square(p.distortion)
         )
-        x, y = (np.where(seen, axis, np.inf) for axis in distort(x, y, p.distortion))
+        x, y = (np.where(imaged, axis, np.inf) for axis in distort(x, y, p.distortion))
     return x * p.fx_px + p.cx_px, y * p.fy_px + p.cy_px
 
 
@@ -105,9 +106,9 @@ def _interpolate(table: LightTable, profile: int, at_px: FloatArray) -> FloatArr
 
 
 def emitter_dict(texture: FloatImage, rig: Rig, canvas: Canvas) -> dict[str, Any]:
-    """Stock emitter that throws a frame's light into the scene with the rig's radiometric scale.
+    """Stock emitter with a frame's light and the rig's radiometric scale.
 
-    `texture` is what `frame_texture` returns for the same canvas.
+    `texture` : from `frame_texture`, for the same canvas.
     """
     full_angle_deg = field_of_view_deg(2.0 * canvas.half_width_px, rig.projector.pinhole.fx_px)
     place = {"to_world": mi.ScalarTransform4f(to_world(rig.projector.T_world_from_device))}
@@ -153,7 +154,7 @@ def frame_scene(
 
 
 def integrator(bounces: int) -> dict[str, Any]:
-    """Stock integrator for direct light alone (0) or with that many reflections more."""
+    """Stock integrator for direct light (0 bounces), or with that many further reflections."""
     if bounces == 0:
         return {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
     # A depth of 2 is one reflection; no roulette, so that both renderers estimate the same sum.
@@ -177,7 +178,7 @@ def render_stack(
     seeds: list[int],
     progress: Callable[[float], None],
 ) -> Frames:
-    """Render every frame by itself; a tuple of (row, col) float32, mW / (mm^2 sr).
+    """Render each frame separately; a tuple of (row, col) float32, mW / (mm^2 sr).
 
     Raises
     ------
@@ -192,7 +193,7 @@ def render_stack(
     )
     scene = frame_scene(mesh, emitter_dict(next(textures), rig, canvas), sensor, bounces)
     frames = [render_frame(scene, seeds[0])]
-    # One scene for all frames: a new one would compile its kernel anew.
+    # One scene for all frames: a new scene would compile a new kernel.
     pattern = mi.traverse(scene)
     texels = f"emitter.{'irradiance' if emitter == 'projector' else 'texture'}.data"
     for texture, seed in zip(textures, seeds[1:], strict=True):

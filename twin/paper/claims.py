@@ -1,4 +1,4 @@
-"""What the reproduction must show, judged from its own tables; what fails says why."""
+"""Targets of the reproduction, judged from its tables, with a reason for each missed target."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from twin.report.table import TWIN, Cell, Column, Table
 RMSE_FACTOR = 2.0
 LEAST_RATIO = 5.0
 DIRECT_AT_MOST, CONTACT_AT_LEAST = 0.60, 0.99
-# The smaller sample's SD may stray this far from the larger one's: 95 % of a chi-square with 4
-# degrees of freedom lies between 0.35 and 1.67 of the true SD.
+# Allowed ratio of the smaller sample's SD to the larger sample's: with 4 degrees of freedom (chi
+# square), 95 % of sample SDs are between 0.35 and 1.67 x the true SD.
 SD_LOW, SD_HIGH = 0.35, 1.67
 MOST_STEPS = 2.0
-# A trial in the chain meets a coat of its own: all of the paper's met one.
+# Each trial here has its own coat; all of the paper's trials had the same one.
 RADIUS_WITHIN_MM = 0.10
 _RADII = ("radius_1", "radius_2")
 
@@ -27,45 +27,45 @@ class Claim:
 
     Attributes
     ----------
-    found : None where it was not measured
-    why : reason where the target is not met; else empty
+    value : None if it was not measured
+    why : reason if the target is missed; else empty
     """
 
     name: str
     allowed: str
-    found: float | None
+    value: float | None
     met: bool
     why: str = ""
 
 
 def claims_of(tables: dict[str, Table]) -> list[Claim]:
-    """Judge every target that the tables at hand can judge."""
-    found: list[Claim] = []
+    """Judge every target for which there is a table."""
+    claims: list[Claim] = []
     if "repeated_fit" in tables:
-        found += _rmse_claims(tables["repeated_fit"])
-        found += _consistency(tables["repeated_fit"])
+        claims += _rmse_claims(tables["repeated_fit"])
+        claims += _consistency(tables["repeated_fit"])
     if "identified" in tables:
-        found += _radius_claims(tables["identified"])
+        claims += _radius_claims(tables["identified"])
     if "rods" in tables:
-        found += _rod_claims(tables["rods"])
+        claims += _rod_claims(tables["rods"])
     if "completeness" in tables:
-        found += _completeness_claims(tables["completeness"])
+        claims += _completeness_claims(tables["completeness"])
     if "pictures" in tables:
-        found += _picture_claims(tables["pictures"])
-    return found
+        claims += _picture_claims(tables["pictures"])
+    return claims
 
 
 def claims_table(claims: Sequence[Claim]) -> Table:
     """Return the claims as a table."""
     rows = tuple(
         {
-            "claim": one.name,
-            "allowed": one.allowed,
-            "found": one.found,
-            "met": "yes" if one.met else "NO",
-            "why": one.why,
+            "claim": claim.name,
+            "allowed": claim.allowed,
+            "found": claim.value,
+            "met": "yes" if claim.met else "NO",
+            "why": claim.why,
         }
-        for one in claims
+        for claim in claims
     )
     heads = (
         Column("claim", "figure"),
@@ -74,12 +74,12 @@ def claims_table(claims: Sequence[Claim]) -> Table:
         Column("met", "target met"),
         Column("why", "reason where it is not met"),
     )
-    return Table("claims", "What this reproduction was to show", "", heads, rows)
+    return Table("claims", "Targets of this reproduction", "", heads, rows)
 
 
 def _mean_rmse_mm(table: Table, method: str, region: str) -> float | None:
     by_ball = {
-        row["sphere"]: rmse  # the last row of a ball rests on all trials
+        row["sphere"]: rmse  # the last row of a ball is of all trials
         for row in table.rows
         if (row["method"], row.get("region")) == (method, region)
         and row["source"] == TWIN
@@ -89,22 +89,22 @@ def _mean_rmse_mm(table: Table, method: str, region: str) -> float | None:
 
 
 _AS_EVALUATED = ((CONTACT_FPP, IDENTIFIED), (GELSIGHT, OWN))
-"""Methods with the regions that explain the paper's rows, see `identified`."""
+"""Methods with the fit regions that explain the paper's rows, see `identified`."""
 
 
 def _rmse_claims(table: Table) -> list[Claim]:
     claims, means = [], {}
     for method, region in _AS_EVALUATED:
         published = mean_of("sphere_fit", method, "rmse")
-        found = _mean_rmse_mm(table, method, region)
-        if found is None:
+        rmse_mm = _mean_rmse_mm(table, method, region)
+        if rmse_mm is None:
             continue
-        means[method] = found
+        means[method] = rmse_mm
         low, high = published / RMSE_FACTOR, published * RMSE_FACTOR
-        met = low <= found <= high
+        met = low <= rmse_mm <= high
         allowed = f"{low:.4f} to {high:.4f} mm"
         name = f"{method}: RMSE of the sphere fit, region {region}"
-        claims.append(Claim(name, allowed, found, met, "" if met else _WHY_RMSE))
+        claims.append(Claim(name, allowed, rmse_mm, met, "" if met else _WHY_RMSE))
     if len(means) == 2:
         ratio = means[GELSIGHT] / means[CONTACT_FPP]
         met = ratio >= LEAST_RATIO
@@ -124,17 +124,17 @@ def _radius_claims(table: Table) -> list[Claim]:
         met = abs(twin - paper) <= RADIUS_WITHIN_MM
         low, high = paper - RADIUS_WITHIN_MM, paper + RADIUS_WITHIN_MM
         allowed, name = f"{low:.3f} to {high:.3f} mm", str(row["row"]).replace("_", " of ball ")
-        name = f"{CONTACT_FPP}: mean {name} on the coat that it met in all trials, as identified"
+        name = f"{CONTACT_FPP}: mean {name}, given the coat common to all trials, as identified"
         claims.append(Claim(name, allowed, twin, met, "" if met else _WHY_RADIUS))
     return claims
 
 
 def _consistency(table: Table) -> list[Claim]:
-    """Compare the first five trials with all: SD and mean within what five draws allow."""
+    """Compare SD and mean of the first five trials with those of all, within sampling limits."""
     claims = []
     for method, region in _AS_EVALUATED:
-        wanted = (method, region, TWIN)
-        rows = [r for r in table.rows if (r["method"], r.get("region"), r["source"]) == wanted]
+        key = (method, region, TWIN)
+        rows = [r for r in table.rows if (r["method"], r.get("region"), r["source"]) == key]
         for ball in (1, 2):
             some = [r for r in rows if r["sphere"] == ball]
             if len(some) >= 2 and all(isinstance(r["sd"], float) and r["sd"] for r in some):
@@ -145,9 +145,10 @@ def _consistency(table: Table) -> list[Claim]:
 def _consistent(name: str, few: Mapping[str, Cell], every: Mapping[str, Cell]) -> list[Claim]:
     sd, sd_of_all = float(str(few["sd"])), float(str(every["sd"]))
     n, n_of_all = int(str(few["trials"])), int(str(every["trials"]))
-    apart = float(str(few["mean_radius"])) - float(str(every["mean_radius"]))
-    # The few are among all: their means differ by sd sqrt(1/n - 1/N).
-    steps = abs(apart) / (sd_of_all * np.sqrt(1.0 / n - 1.0 / n_of_all))
+    difference = float(str(few["mean_radius"])) - float(str(every["mean_radius"]))
+    # The n trials are among the N: the standard deviation of their means' difference is
+    # sd sqrt(1/n - 1/N).
+    steps = abs(difference) / (sd_of_all * np.sqrt(1.0 / n - 1.0 / n_of_all))
     spread = SD_LOW <= sd / sd_of_all <= SD_HIGH
     return [
         Claim(
@@ -174,12 +175,12 @@ def _rod_claims(table: Table) -> list[Claim]:
         if not rows:
             continue
         error = rows[-1].get("abs_error")
-        found = error if isinstance(error, float) else None
+        error_mm = error if isinstance(error, float) else None
         most = published["abs_error"] + published["sd"]
-        met = found is not None and found <= most
+        met = error_mm is not None and error_mm <= most
         allowed = f"at most {most:.3g} mm, the paper's error and one SD"
         name = f"rod {published['name']}: error of the mean width"
-        claims.append(Claim(name, allowed, found, met, "" if met else _WHY_RODS))
+        claims.append(Claim(name, allowed, error_mm, met, "" if met else _WHY_RODS))
     return claims
 
 
@@ -202,25 +203,26 @@ def _completeness_claims(table: Table) -> list[Claim]:
 def _picture_claims(table: Table) -> list[Claim]:
     claims = []
     for row in table.rows:
-        found, met = row["measured"], row["met"] == "yes"
-        measured = float(found) if isinstance(found, (int, float)) else None
-        name = f"{row['figure']}: as the paper's picture shows it"
+        figure, met = row["measured"], row["met"] == "yes"
+        measured = float(figure) if isinstance(figure, (int, float)) else None
+        name = f"{row['figure']}: as in the paper's picture"
         claims.append(Claim(name, str(row["known"]), measured, met, "" if met else _WHY_PICTURE))
     return claims
 
 
-_WHY_PICTURE = "the sheet spans what it should follow: the pressure or the sheet's thickness"
-_WHY_FEW = "the first trials happen to lie where 5 % of such samples do"
+_WHY_PICTURE = "the sheet spans a recess that it should follow: wrong pressure or sheet thickness"
+_WHY_FEW = "the first trials are among the 5 % of samples outside the limits"
 _WHY_RMSE = (
-    "the residual is the coat's texture where the sheet wraps, and form beyond; of GelSight it is "
-    "the form over the whole ball: see the identified rows"
+    "the residual is the coat's texture where the sheet wraps the ball, and form error outside; "
+    "for GelSight it is the form error over the whole ball: see the identified rows"
 )
-_WHY_RADIUS = "the region, the texture and the sheet's thickness together read another radius"
+_WHY_RADIUS = "fit region, texture and sheet thickness together give another radius"
 _WHY_RODS = (
-    "the coat is wider than the rod by up to two local thicknesses; which of its widths the paper "
-    "reads is a choice of the identification"
+    "the coat is wider than the rod by up to two local thicknesses; the identification selects "
+    "the definition of the width that the paper uses"
 )
 _WHY_DIRECT = (
-    "the rendered surface shows more of itself than the paper's: see the section on differences"
+    "direct FPP measures more of the rendered surface than in the paper: see the section on "
+    "differences"
 )
-_WHY_CONTACT_REGION = "see the picture of the missing points"
+_WHY_CONTACT_REGION = "see the figure of pixels without a measurement"

@@ -1,10 +1,10 @@
-"""How much of a specimen a method shows, in pixels of its camera.
+"""Completeness: share of the pixels of a specimen with a good point.
 
-A point counts when its height errs by no more than `score.good_within_um`. Against the relief, the
-coat over the contact region is asked for, and the truth is the coat. Against the specimen, every
-pixel within its outline seen from above is asked for, and the truth is its upper face: a contact
-method reads it off the coat, as if the sheet lay on it with its own thickness everywhere. Seen
-directly, the truth is what the pixel shows of the specimen.
+A point is good if the error of its height is at most `score.good_within_um`. Two sets of required
+pixels are evaluated. Contact: pixels of the contact region; the true height is that of the coat.
+Specimen: pixels within its outline in the top view; the true height is its upper face raised by the
+sheet's nominal thickness. Without contact (direct FPP) the true height is that of the specimen's
+surface at the pixel.
 """
 
 from collections.abc import Callable
@@ -36,16 +36,15 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Completeness:
-    """Shares of the pixels asked for.
+    """Shares of the required pixels; None if no such pixel is in the camera's view.
 
     Attributes
     ----------
-    contact : of the contact region, against the coat; None where nothing is pressed, or where the
-        camera sees nothing of it, as for all shares
-    contact_points : points there, right or wrong; None likewise
-    specimen : of the specimen, against its own face
-    specimen_points : points there, right or wrong
-    limit_um : what a good point's height may err
+    contact : good points on the contact region, against the coat; None without contact
+    contact_points : good or bad points there; None without contact
+    specimen : good points on the specimen, against its own face
+    specimen_points : good or bad points there
+    limit_um : largest error of a good point's height
     """
 
     contact: float | None
@@ -67,38 +66,38 @@ def completeness_of(
     valid: Mask,
     pressed: PressedElastomer | None,
 ) -> Completeness:
-    """Return what share of specimen and contact region was measured.
+    """Return the measured shares of specimen and contact region.
 
     Parameters
     ----------
     experiment : Experiment
-    truth : what every pixel shows
+    truth : true surface at every pixel
     points_mm : (row, col, xyz) float, world; measured points
     valid : (row, col) bool
-    pressed : None where the bare specimen is seen
+    pressed : None without contact (direct FPP)
     """
     limit_um = experiment.score.good_within_um
     true = truth.points_world_mm.astype(np.float64)
     if pressed is None:
-        asked = truth.measured
+        required = truth.measured
         good = _good(points_mm[..., 2], true[..., 2], limit_um) & valid
-        return Completeness(None, None, _share(good, asked), _share(valid, asked), limit_um)
+        return Completeness(None, None, _share(good, required), _share(valid, required), limit_um)
     region = truth.measured & in_contact(pressed, true)
     on_coat = _good(points_mm[..., 2], true[..., 2], limit_um) & valid
     z_mm = specimen_height_mm(experiment, pressed.depth_mm, true)
-    asked = truth.measured & np.isfinite(z_mm)
+    required = truth.measured & np.isfinite(z_mm)
     on_face = _good(points_mm[..., 2], z_mm, limit_um) & valid
     return Completeness(
         _share(on_coat, region),
         _share(valid, region),
-        _share(on_face, asked),
-        _share(valid, asked),
+        _share(on_face, required),
+        _share(valid, required),
         limit_um,
     )
 
 
 def in_contact(pressed: PressedElastomer, points_mm: FloatArray) -> Mask:
-    """Tell which points, (..., xyz) world, lie over cells that touch the specimen."""
+    """Return a mask of the points, (..., xyz) world, over cells that touch the specimen."""
     col = _nearest(pressed.x_mm, points_mm[..., 0])
     row = _nearest(pressed.y_mm, points_mm[..., 1])
     return np.asarray(pressed.contact[row, col])
@@ -107,18 +106,18 @@ def in_contact(pressed: PressedElastomer, points_mm: FloatArray) -> Mask:
 def specimen_height_mm(
     experiment: Experiment, depth_mm: float, points_mm: FloatArray
 ) -> FloatArray:
-    """Return the specimen's upper face under points, (...), raised by the sheet it lies under.
+    """Return the height of the specimen's upper face at points, (...), plus sheet thickness.
 
-    World z of a sheet that lies on the specimen with its own thickness; -inf beside the outline.
+    World z, mm, of a sheet of nominal thickness on the specimen; -inf outside the outline.
     """
     shape = shape_of(experiment.specimen)
     x_low, x_high, y_low, y_high = shape.bounds_mm()
     x_mm, y_mm = np.arange(x_low, x_high, _GRID_MM), np.arange(y_low, y_high, _GRID_MM)
     fall = shape.height_above_lowest(x_mm, y_mm)
     x, y = points_mm[..., 0], points_mm[..., 1]
-    found = depth_mm - fall[_nearest(y_mm, y), _nearest(x_mm, x)]
-    beside = (x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)
-    return np.where(beside, -np.inf, found)
+    raised_mm = depth_mm - fall[_nearest(y_mm, y), _nearest(x_mm, x)]
+    outside = (x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)
+    return np.where(outside, -np.inf, raised_mm)
 
 
 def _nearest(grid_mm: FloatArray, values: FloatArray) -> NDArray[np.int64]:
@@ -128,18 +127,18 @@ def _nearest(grid_mm: FloatArray, values: FloatArray) -> NDArray[np.int64]:
     return clipped
 
 
-def _good(found_mm: FloatArray, true_mm: FloatArray, limit_um: float) -> Mask:
-    return np.asarray(np.abs(found_mm - true_mm) <= 1e-3 * limit_um)
+def _good(measured_mm: FloatArray, true_mm: FloatArray, limit_um: float) -> Mask:
+    return np.asarray(np.abs(measured_mm - true_mm) <= 1e-3 * limit_um)
 
 
-def _share(of: Mask, asked: Mask) -> float | None:
-    return share_of(int((of & asked).sum()), int(asked.sum()))
+def _share(good: Mask, required: Mask) -> float | None:
+    return share_of(int((good & required).sum()), int(required.sum()))
 
 
 def files_for_figures(done: Measurement) -> Callable[[Path], None]:
-    """Make completeness and panel data, which figures show of a measurement: returns their writer.
+    """Compute completeness and panel data of a measurement; return a function that writes them.
 
-    Arrays of the measurement are nobody's input.
+    No other case reads these files.
     """
     panels, completeness = panel_data_of(done), asdict(counted(done))
 
@@ -150,24 +149,26 @@ def files_for_figures(done: Measurement) -> Callable[[Path], None]:
     return write
 
 
-def shares_of(seen: Measurement) -> dict[str, Any]:
+def shares_of(measured: Measurement) -> dict[str, Any]:
     """Return the completeness of a measurement as further figures of it."""
-    return {f"share_{name}": value for name, value in asdict(counted(seen)).items()}
+    return {f"share_{name}": value for name, value in asdict(counted(measured)).items()}
 
 
-def counted(seen: Measurement) -> Completeness:
+def counted(measured: Measurement) -> Completeness:
     """Return the completeness of a measurement by any method."""
-    points = seen.points
+    points = measured.points
     points_mm = points.world_mm.astype(np.float64)
-    return completeness_of(seen.experiment, seen.truth, points_mm, points.valid, seen.pressed)
+    return completeness_of(
+        measured.experiment, measured.truth, points_mm, points.valid, measured.pressed
+    )
 
 
 def completeness_table(cases: Path) -> Table:
     """Return one row per case in a folder of cases, NAME/METHOD."""
     rows: list[dict[str, Cell]] = []
     for file in sorted(cases.glob(f"*/*/{COMPLETENESS_FILE}")):
-        found = read_json(file)
-        row: dict[str, Cell] = {key: found[key] for key in _KEYS}
+        content = read_json(file)
+        row: dict[str, Cell] = {key: content[key] for key in _KEYS}
         name, method = file.parent.parent.name, file.parent.name
         rows.append({"specimen_name": name, "method": method, **row})
     return Table(
@@ -185,9 +186,9 @@ def completeness_table(cases: Path) -> Table:
         ),
         tuple(rows),
         (
-            "Direct FPP is judged against the specimen's own surface. Contact methods are judged "
-            "against the coat over the contact region, and against the specimen as if the sheet "
-            "lay on it with its own thickness everywhere: what is missing there is not touched or "
-            "not carried through the sheet.",
+            "Direct FPP is compared with the specimen's own surface. Contact methods are compared "
+            "with the coat over the contact region, and with the specimen's surface raised by the "
+            "nominal sheet thickness: pixels missing there are not touched, or their shape is not "
+            "transferred through the sheet.",
         ),
     )

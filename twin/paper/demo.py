@@ -37,29 +37,30 @@ from twin.results.record import Measurement
 from twin.study.workers import default_count, local_workers
 
 COMMAND = "demo"
-BESIDE = (NUT, "brick")
-"""Measured beside the balls, each into a folder of its name."""
+FURTHER = (NUT, "brick")
+"""Specimens measured in addition to the balls, each into a folder of its name."""
 
 DemoParts = tuple[Measurement, Sequence[Measurement]]
-"""The balls, and what is beside them."""
+"""Measurement of the balls, and those of the further specimens."""
 
 
 def is_demo(folder: Path) -> bool:
-    """Tell whether a result folder is the demo's."""
-    return all((folder / name / RESULT_FILE).is_file() for name in BESIDE)
+    """Return True if a result folder is the demo's."""
+    return all((folder / name / RESULT_FILE).is_file() for name in FURTHER)
 
 
 def measure_demo(folder: Path, resolution: Resolution, watch: ProgressCallback) -> DemoParts:
     """Measure the balls into a folder and the others into folders below it; return all.
 
-    Side by side, as many as the machine takes; what takes longest begins first.
+    The measurements run in parallel, the longest first.
 
     Raises
     ------
-    InputError, MissingBackend : as `twin.pipeline.measure`
+    InputError, MissingBackend
+        As `twin.pipeline.measure`.
     """
-    places = {name: folder / name for name in BESIDE} | {BALLS: folder}
-    for name in BESIDE:
+    places = {name: folder / name for name in FURTHER} | {BALLS: folder}
+    for name in FURTHER:
         places[name].mkdir()
     workers = local_workers(min(len(places), default_count()))
     executor = workers.open()
@@ -78,12 +79,12 @@ def _measure(folder: Path, name: str, resolution: Resolution) -> None:
     try:
         measure_into(folder, COMMAND, experiment_of(name, resolution))
     except InputError as error:
-        # An error of a kind of its own may not come back whole from another process.
+        # Subclasses of InputError may not survive pickling between processes.
         raise InputError(str(error)) from None
 
 
 def _parts(folder: Path) -> DemoParts:
-    return read_measurement(folder), [read_measurement(folder / name) for name in BESIDE]
+    return read_measurement(folder), [read_measurement(folder / name) for name in FURTHER]
 
 
 def write_demo(
@@ -96,53 +97,56 @@ def write_demo(
 
     Parameters
     ----------
-    folder : as `measure_demo` leaves it
+    folder : folder of the demo's measurements, see `measure_demo`
     into : existing folder to write into instead
-    measured : what the folder holds, where that is at hand
+    measured : measurements of the folder, if already read
 
     Raises
     ------
-    InputError : a measurement is not there or damaged, or the page cannot be written
+    InputError
+        A measurement is missing or damaged, or the page cannot be written.
     """
     parts = measured or _parts(folder)
     return write_page((into or folder) / REPORT_FILE, demo_page(*parts), watch)
 
 
-def demo_page(balls: Measurement, beside: Sequence[Measurement]) -> Page:
-    """Return the page of the balls, the paper's figures before it and the others behind."""
+def demo_page(balls: Measurement, further: Sequence[Measurement]) -> Page:
+    """Return the page: comparison with the paper, the balls, then the further specimens."""
     page = page_of(balls)
-    views = [view for one in beside for view in _views(one)]
-    first = Section("paper", "True object, paper and twin", (paper_table(balls, beside), *views))
+    views = [view for measured in further for view in _views(measured)]
+    first = Section("paper", "True object, paper and twin", (paper_table(balls, further), *views))
     *sections, last = page.sections
     objects = [
         section
-        for one in beside
-        for section in renamed(object_section(one), _name(one), _name(one).capitalize())
+        for measured in further
+        for section in renamed(
+            object_section(measured), _name(measured), _name(measured).capitalize()
+        )
     ]
     return replace(
         page,
         kind="demo: the paper's sensor, as identified",
         title="two balls, a nut and a toy brick",
         lead="Two joined 8 mm steel balls, an M6 nut and a clear brick, pressed into the coated "
-        "sheet that the paper's own tables speak for; decoded as a real rig's captures are.",
+        "sheet as identified from the paper's tables; decoded like captures of a real rig.",
         sections=[first, *sections, *objects, last],
     )
 
 
 def renamed(sections: Sequence[Section], name: str, title: str) -> list[Section]:
-    """Return sections under names of their own: the first measurement has sections of the same."""
+    """Return sections with prefixed names, which the balls' sections do not have."""
     return [
         Section(
-            f"{name}_{one.name}",
-            f"{title}: {one.title.lower()}",
+            f"{name}_{section.name}",
+            f"{title}: {section.title.lower()}",
             tuple(
                 replace(block, name=f"{name}_{block.name}")
                 if isinstance(block, Figure | Table)
                 else block
-                for block in one.blocks
+                for block in section.blocks
             ),
         )
-        for one in sections
+        for section in sections
     ]
 
 
@@ -150,29 +154,29 @@ def _name(measured: Measurement) -> str:
     return measured.experiment.name
 
 
-def paper_table(balls: Measurement, beside: Sequence[Measurement]) -> Table:
-    """Return what is true, what the paper printed, and what the twin measures."""
+def paper_table(balls: Measurement, further: Sequence[Measurement]) -> Table:
+    """Return the table of true values, the paper's values and the twin's measured values."""
     rows = [row for ball in (1, 2) for row in _ball(balls, ball)]
     rows += [
         {
-            "quantity": f"{_name(one)}: deviation where the sheet touches it, RMS",
+            "quantity": f"{_name(measured)}: deviation where the sheet touches it, RMS",
             "true": 0.0,
             "paper": "a picture",
-            "twin": one.figures.get("object_rms_um"),
+            "twin": measured.figures.get("object_rms_um"),
             "unit": "µm",
         }
-        for one in beside
+        for measured in further
     ]
     rows += [
         {
-            "quantity": f"{_name(one)}: share of a hexagon in the coat's outline",
+            "quantity": f"{_name(measured)}: share of a hexagon in the coat's outline",
             "true": 1.0,
             "paper": "a picture: a hexagon",
             "twin": share,
             "unit": "",
         }
-        for one in beside
-        if isinstance(share := one.figures.get("nut_hexagon_share"), float)
+        for measured in further
+        if isinstance(share := measured.figures.get("nut_hexagon_share"), float)
     ]
     columns = (
         Column("quantity", "quantity"),
@@ -184,11 +188,11 @@ def paper_table(balls: Measurement, beside: Sequence[Measurement]) -> Table:
     notes = (
         f"Fitted over {balls.experiment.score.roi_radius_mm:g} mm round each apex. Thickness, "
         "pressure, travel, texture and this radius are identified from the paper's tables "
-        "(docs/identify.md); this is one press on one coat, and coats differ: `twin paper` has "
-        "the trials.",
-        "The paper's fit is most probably algebraic, which reads a rough cap too small; the "
-        "geometric fit of the same points is the next row. The object's radius is that of all that "
-        "the sheet touches, its local thickness taken off.",
+        "(docs/identify.md). This is one press on one coat, and coats differ: `twin paper` repeats "
+        "the measurement.",
+        "The paper's fit is most probably algebraic, which gives too small a radius on a rough "
+        "cap; the geometric fit of the same points is the next row. The object's radius is fitted "
+        "to the touched surface, after the local sheet thickness is subtracted.",
     )
     return Table("paper", "", "", columns, tuple(rows), notes)
 
@@ -214,13 +218,13 @@ def _ball(balls: Measurement, ball: int) -> list[dict[str, Cell]]:
         | {"twin": figures.get(f"{geometric}radius_mm")},
     ]
     for key in ("rmse", "mae", "p95"):
-        found = figures.get(f"{by_paper}{key}_mm")
+        value_mm = figures.get(f"{by_paper}{key}_mm")
         rows.append(
             residual
             | {
                 "quantity": f"{name}{key.upper()} of the fit's residuals",
                 "paper": f"{1e3 * printed[key]:.1f}",
-                "twin": None if found is None else 1e3 * found,
+                "twin": None if value_mm is None else 1e3 * value_mm,
             }
         )
     return rows
@@ -242,9 +246,9 @@ def _printed(ball: int) -> dict[str, float]:
     return {key: value for row in ours for key, value in row.items()}
 
 
-def _views(one: Measurement) -> list[Figure]:
-    figures = relief_figure(one), height_map_figure(one)
-    return [_renamed(figure, _name(one)) for figure in figures]
+def _views(measured: Measurement) -> list[Figure]:
+    figures = relief_figure(measured), height_map_figure(measured)
+    return [_renamed(figure, _name(measured)) for figure in figures]
 
 
 def _renamed(figure: Figure, name: str) -> Figure:

@@ -1,6 +1,6 @@
 """Where twin and paper may differ: region and kind of the fit, GelSight's decoder, the bare nut.
 
-What the paper does not state of its sensor is identified instead, see `identified`.
+Properties of the sensor that the paper does not state are identified, see `identified`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +25,7 @@ HEIGHT_SCALE = (0.66, 0.8, 0.9, 1.0, 1.1, 1.2, 1.33)
 
 
 def region_table(experiment: Experiment) -> Table:
-    """Return both fits of the coat over the two balls against the region: which is not stated."""
+    """Return both fits of the coat over the two balls by fit region, which is not stated."""
     pressed = pressed_face(experiment)
     points, balls = face_points_mm(pressed), shape_of(experiment.specimen).spheres()
     rows: list[dict[str, Cell]] = []
@@ -38,9 +38,9 @@ def region_table(experiment: Experiment) -> Table:
         rows.append(
             {
                 "value": region_mm,
-                "geometric": float(np.mean([one.radius_mm for one, _ in fits])),
-                "algebraic": float(np.mean([other.radius_mm for _, other in fits])),
-                "rmse_um": 1e3 * float(np.mean([one.stats.rmse_mm for one, _ in fits])),
+                "geometric": float(np.mean([fit.radius_mm for fit, _ in fits])),
+                "algebraic": float(np.mean([fit.radius_mm for _, fit in fits])),
+                "rmse_um": 1e3 * float(np.mean([fit.stats.rmse_mm for fit, _ in fits])),
             }
         )
     columns = (
@@ -52,15 +52,16 @@ def region_table(experiment: Experiment) -> Table:
     gaps = [float(str(row["geometric"])) - float(str(row["algebraic"])) for row in rows]
     near, far = gaps[0], gaps[-1]
     note = (
-        f"Mean of both balls, coat without light and noise. The algebraic fit reads {near:.2f} mm "
-        f"less within {REGIONS_MM[0]:g} mm and {far:.2f} mm less within {REGIONS_MM[-1]:g} mm."
+        f"Mean of both balls, fitted to the true coat. The algebraic radius is {near:.2f} mm "
+        f"smaller within {REGIONS_MM[0]:g} mm and {far:.2f} mm smaller within "
+        f"{REGIONS_MM[-1]:g} mm."
     )
     title = "Region and kind of the sphere fit"
     return Table("explain_region", title, "", columns, tuple(rows), (note,))
 
 
 def height_scale_table(roi_radius_mm: float) -> Table:
-    """Return the fit to a true cap whose heights alone are scaled, as by GelSight's SDK."""
+    """Return fits to a true cap with scaled heights and unscaled x, y, as by GelSight's SDK."""
     x, y = np.meshgrid(*[np.linspace(-roi_radius_mm, roi_radius_mm, 121)] * 2)
     cap = np.hypot(x, y) <= roi_radius_mm
     z = np.sqrt(NOMINAL_RADIUS_MM**2 - x[cap] ** 2 - y[cap] ** 2)
@@ -69,23 +70,24 @@ def height_scale_table(roi_radius_mm: float) -> Table:
         fit = fit_sphere(np.column_stack([x[cap], y[cap], scale * z]))
         rmse_um = 1e3 * fit.stats.rmse_mm
         rows.append({"value": f"{scale:g} x", "radius": fit.radius_mm, "rmse_um": rmse_um})
-    wanted = mean_of("repeated_fit", GELSIGHT, "mean_radius")
+    radius_mm = mean_of("repeated_fit", GELSIGHT, "mean_radius")
     note = (
-        "0.66 and 1.33 are the vendor programs of 2025 and 2024. The paper's GelSight radius of "
-        f"{wanted:.2f} mm would be heights {NOMINAL_RADIUS_MM / wanted:.2f} times too large."
+        "0.66 and 1.33 are the scales of the vendor programs of 2025 and 2024. The paper's "
+        f"GelSight radius of {radius_mm:.2f} mm corresponds to a height scale of "
+        f"{NOMINAL_RADIUS_MM / radius_mm:.2f}."
     )
     columns = (
         Column("value", "value"),
         Column("radius", "radius, mm"),
         Column("rmse_um", "RMSE, um", 1),
     )
-    title = "Heights scaled, places not: GelSight"
+    title = "Scaled heights with unscaled x and y: GelSight"
     return Table("explain_height_scale", title, "", columns, tuple(rows), (note,))
 
 
 def decoder_table(trials: Sequence[Trial]) -> Table:
     """Return one row per colour map and integration, means over both balls and all trials."""
-    repeated = [one for one in trials if one.number]
+    repeated = [trial for trial in trials if trial.number]
     rows: list[dict[str, Cell]] = []
     for kind in MAP_ORDER:
         for scheme in (known.name for known in schemes_in_order()):
@@ -107,13 +109,13 @@ def decoder_table(trials: Sequence[Trial]) -> Table:
     )
 
 
-def _decoder_notes(found_um: Sequence[float]) -> Iterator[str]:
-    if found_um:
+def _decoder_notes(rmse_um: Sequence[float]) -> Iterator[str]:
+    if rmse_um:
         paper_um = 1e3 * mean_of("sphere_fit", GELSIGHT, "rmse")
-        told = "a decoder" if max(found_um) > paper_um / 2 else "no decoder"
+        count = "a decoder" if max(rmse_um) > paper_um / 2 else "no decoder"
         yield (
-            f"From {min(found_um):.1f} to {max(found_um):.1f} um; the paper reports "
-            f"{paper_um:.0f} um: {told} comes within a factor of two."
+            f"From {min(rmse_um):.1f} to {max(rmse_um):.1f} um; the paper reports "
+            f"{paper_um:.0f} um: {count} is within a factor of two."
         )
 
 
@@ -132,10 +134,10 @@ def nut_table(shares: Mapping[tuple[float, float], list[float]]) -> Table:
     by_tilt: dict[float, list[float]] = {}
     for (tilt, _), (good, _) in shares.items():
         by_tilt.setdefault(tilt, []).append(good)
-    told = [f"{min(one):.0%} to {max(one):.0%} at {tilt:g} deg" for tilt, one in by_tilt.items()]
+    ranges = [f"{min(g):.0%} to {max(g):.0%} at {tilt:g} deg" for tilt, g in by_tilt.items()]
     return Table(
         "explain_nut",
-        "The bare nut: where the camera stands, and its roughness",
+        "The bare nut by tilt of the camera and roughness",
         "",
         (
             Column("tilt", "camera from the vertical (deg)", 2),
@@ -145,9 +147,10 @@ def nut_table(shares: Mapping[tuple[float, float], list[float]]) -> Table:
         ),
         tuple(rows),
         (
-            "The nut lies flat: its face reflects the projector into the camera where both are as "
-            f"far from the vertical. Good points, target {DIRECT_AT_MOST:.0%} at most: "
-            f"{'; '.join(told)}. The paper does not say where its camera stands; that its nut "
-            "saturates speaks for the last tilt. Sixteen camera pixels read as one.",
+            "The upper face of the nut is horizontal: it reflects the projector into the camera if "
+            "both have the same angle to the vertical. Good points, target "
+            f"{DIRECT_AT_MOST:.0%} at most: {'; '.join(ranges)}. The paper does not state the tilt "
+            "of its camera; its nut saturates, which agrees with the last tilt. Camera binning "
+            "4 x 4.",
         ),
     )

@@ -1,4 +1,4 @@
-"""Panels of a figure and their layout: pictures, maps, curves, shaded surfaces."""
+"""Panels of the figures: their grid, and the drawing of pictures, maps, curves and histograms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 @dataclass(frozen=True)
 class Grid:
-    """Equal cells, with row labels on the left and column labels above."""
+    """Grid of equal cells, with labels to the left of the rows and above the columns."""
 
     rows: int
     columns: int
@@ -53,7 +53,7 @@ class Grid:
         return self.left_in + across + self.right_in, self.top_in + down + self.bottom_in
 
     def cell(self, figure: Figure, row: int, column: int, letter: bool = True) -> Axes:
-        """Return the axes of one cell; letters run along the rows."""
+        """Return the axes of one cell; panel letters increase along the rows."""
         axes = axes_at(
             figure,
             self.left_in + column * (self.cell_width_in + self.gap_in),
@@ -66,7 +66,7 @@ class Grid:
         return axes
 
     def label_rows(self, figure: Figure, labels: Sequence[str]) -> None:
-        """Write a label to the left of each row, rotated by 90 degrees."""
+        """Write a vertical label to the left of each row."""
         width_in, height_in = figure.get_size_inches()
         for row, label in enumerate(labels):
             middle_in = self.top_in + row * (self.cell_height_in + self.row_gap_in)
@@ -111,7 +111,7 @@ _MOST_CELLS, _POINTS_PER_CELL, _BINS = 90, 3, 61
 
 
 def show_section(axes: Axes, data: PanelData, legend: bool = True) -> None:
-    """Show a rod's cross-section, measured and true, with the width that is read from it."""
+    """Show a rod's cross-section, measured and true, with its measured width."""
     axes.plot(*data.section.T, ".", color=MEASURED_FILL, ms=3.5, label="measured")
     axes.plot(*data.true_section.T, color=TRUE_FACE, lw=0.9, label="true coat")
     width = data.numbers.width
@@ -136,8 +136,8 @@ def show_section(axes: Axes, data: PanelData, legend: bool = True) -> None:
     plain_spines(axes)
 
 
-def zoom_to_wanted(axes: Axes, data: PanelData) -> None:
-    """Zoom to the scored pixels with a margin, in the aspect ratio of the picture."""
+def zoom_to_scored(axes: Axes, data: PanelData) -> None:
+    """Set the limits to the scored pixels with a margin, in the picture's aspect ratio."""
     rows, cols = data.wanted.shape
     pixels = np.argwhere(data.wanted)
     if not len(pixels):
@@ -150,12 +150,12 @@ def zoom_to_wanted(axes: Axes, data: PanelData) -> None:
 
 
 def residual_limit_um(*shown: PanelData) -> float:
-    """Return one symmetric end of a residual scale for several measurements."""
+    """Return the limit of a symmetric residual scale for several measurements."""
     return max(symmetric_limit(1e3 * data.ball_points[:, 3], 99.5) for data in shown)
 
 
 def show_residuals(axes: Axes, data: PanelData, number: int, limit_um: float) -> Any:
-    """Show the radial residuals of one ball's fit over world xy; return the mappable of a bar."""
+    """Show the radial residuals of one ball's fit over world xy; return the image for a bar."""
     x, y, residual = data.ball(number).astype(np.float64).T
     cells = int(np.clip(np.sqrt(x.size / _POINTS_PER_CELL), 4, _MOST_CELLS))
     edges = [np.linspace(v.min(), v.max(), cells + 1) for v in (y, x)]
@@ -177,7 +177,7 @@ def show_residuals(axes: Axes, data: PanelData, number: int, limit_um: float) ->
 
 
 def show_histogram(axes: Axes, data: PanelData, number: int, limit_um: float) -> None:
-    """Show how the radial residuals of one ball are distributed."""
+    """Show the histogram of the radial residuals of one ball."""
     residual_um = 1e3 * data.ball(number)[:, 2].astype(np.float64)
     edges = np.linspace(-limit_um, limit_um, _BINS + 1)
     weights = np.full(residual_um.size, 100.0 / max(residual_um.size, 1))
@@ -185,15 +185,15 @@ def show_histogram(axes: Axes, data: PanelData, number: int, limit_um: float) ->
         np.clip(residual_um, -limit_um, limit_um), edges.tolist(), weights=weights,
         color=MEASURED_FILL, edgecolor=MEASURED, linewidth=0.3,
     )  # fmt: skip
-    ball = next(entry for entry in data.numbers.balls if entry.number == number)
-    label = f"r {ball.radius_mm:.3f} mm, RMSE {1e3 * ball.rmse_mm:.1f} µm"
-    axes.set_title(label, fontsize=6.0, loc="center")
+    ball = next(ball for ball in data.numbers.balls if ball.number == number)
+    title = f"r {ball.radius_mm:.3f} mm, RMSE {1e3 * ball.rmse_mm:.1f} µm"
+    axes.set_title(title, fontsize=6.0, loc="center")
     axes.axvline(0.0, color=FAINT, lw=0.6)
     axes.set(xlabel="radial residual (µm)", ylabel="points (%)", xlim=(-limit_um, limit_um))
     plain_spines(axes)
 
 
 def no_measurement(axes: Axes, words: str = "not measured") -> None:
-    """Write into the axes that there is no measurement."""
+    """Write into an empty panel that there is no measurement."""
     no_ticks(axes)
     axes.text(0.5, 0.5, words, color=INK, ha="center", transform=axes.transAxes)

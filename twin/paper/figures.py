@@ -1,4 +1,4 @@
-"""All figures of the paper: cases that a figure needs, its drawing function, and its caption."""
+"""All figures of the reproduction: cases, drawing function, title and caption of each."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class PaperFigure:
     Attributes
     ----------
     title, caption : text of the page
-    paper : corresponding figure of the paper; empty if there is none
+    paper : the corresponding figure of the paper; empty if there is none
     cases : (experiment's name, method) of every case that it shows
     draw : writes `stem`.png and `stem`.pdf, given the folder of cases
     """
@@ -47,7 +47,7 @@ class PaperFigure:
 
 @lru_cache
 def _pressed() -> tuple[Experiment, PressedElastomer]:
-    # On coarse cells, as the table on the region of the fit: a sketch shows no more of fine ones.
+    # On coarse cells, as in the table on the fit region: sufficient for a sketch.
     experiment = experiment_of(BALLS)
     return experiment, pressed_face(experiment)
 
@@ -59,36 +59,36 @@ def _cases(names: dict[str, str], methods: tuple[str, ...]) -> tuple[tuple[str, 
 FIGURES: dict[str, PaperFigure] = {
     "concept": PaperFigure(
         "Principle",
-        "(a) Section through the two balls: sheet, relief and specimen to scale, camera and "
-        "projector at reduced distance. The specimen presses the clear face, the coat on the "
-        "opposite face follows, and fringes are projected onto the coat. (b) The same sheet cut "
-        "open, rendered; the silicone is shown in blue.",
+        "(a) Section through the two balls: sheet, relief and specimen to scale, devices at a "
+        "reduced distance. The specimen presses the clear face, the coat on the far face follows, "
+        "and fringes are projected onto the coat. (b) The same sheet cut open, rendered; the "
+        "silicone is painted blue.",
         "Fig. 1, concept",
         (),
         lambda _, stem: draw_concept(stem, *_pressed()),
     ),
     "ridges": PaperFigure(
-        "Correlated unknown fields",
-        "Joint posterior samples of the most strongly correlated pairs of unknown fields, over the "
-        "range of the prior; the cross marks the values used here.",
+        "Correlated fields of the identification",
+        "Joint posterior samples of the pairs of unknown fields with the largest correlation, over "
+        "the prior's range; the cross marks the values used here.",
         "",
         (),
         draw_ridges,
     ),
     "hardness": PaperFigure(
         "Hardness against mixing ratio",
-        "Shore A hardness of the three silicones with plausible ranges; the paper's graph has no "
-        "numbers, its text states 20 for 1:1. Young's modulus by Gent's relation; error bars: "
-        "range of all valid formulas for ±5 points of hardness. Below 20 the formulas extrapolate.",
+        "Shore A of the three silicones with the plausible range; the paper's graph has no "
+        "numbers, its text states 20 for 1:1. Young's modulus by Gent's relation; error bars: all "
+        "valid formulas and ±5 points of hardness. Below Shore A 20 the formulas extrapolate.",
         "Fig. 2, Shore graph",
         (),
         draw_hardness,
     ),
     "setup": PaperFigure(
         "Set-up",
-        "(a) Camera and projector: pinholes at the positions of the experiment, pyramids: their "
-        "fields of view down to the undeformed coat. Housings, frame and stage are schematic. "
-        "(b) The pressed sheet with fringes.",
+        "(a) Camera and projector at the poses of the experiment; the pyramids are their fields of "
+        "view on the undeformed coat. Housings, frame and stage are schematic. (b) The pressed "
+        "sheet with fringes.",
         "Fig. 3, photograph of the set-up",
         (),
         lambda _, stem: draw_setup(stem, *_pressed()),
@@ -96,26 +96,26 @@ FIGURES: dict[str, PaperFigure] = {
     "direct_and_contact": PaperFigure(
         "Metal and clear objects",
         "Fringe image and measured surface of each object, without the sheet (top) and under it "
-        "(bottom). Holes are pixels without a measurement; outliers are not shown. Percentages: "
-        "share of the pixels of the surface that have a point, and that have a point with an error "
-        "within the stated limit. Each surface has its own height scale, because the bare objects "
-        "are higher than the relief of the coat.",
+        "(bottom). Holes are pixels without a measurement; points far outside the true heights are "
+        "omitted. Percentages: share of the surface's pixels with a point, and with an error "
+        "within the stated limit. Each surface has its own height scale: the bare objects are "
+        "higher than the relief of the coat.",
         "Fig. 5",
         _cases(HARD_OBJECTS, _FPP),
         draw_direct_and_contact,
     ),
     "missing": PaperFigure(
         "Pixels without a measurement, and errors",
-        "Top: reasons for missing points on the bare object. Middle and bottom: measured minus "
-        "true height (µm) of both methods on the same scale; gray: no measurement, or not scored.",
+        "Top: reasons why pixels on the bare object have no point. Middle and bottom: measured "
+        "minus true height of both methods on one scale; gray: no measurement, or not scored.",
         "",
         _cases(HARD_OBJECTS, _FPP),
         draw_missing,
     ),
     "rods": PaperFigure(
         "Acrylic rods",
-        "Rod, fringe image, measured surface, and the cross-section (mm) averaged over 2 mm along "
-        "the rod, with its width at 50 % of the height between crest and valleys.",
+        "Rod, fringe image and measured surface, and the mean cross-section of 2 mm of the rod "
+        "with its width where it crosses 50 % of the height between crest and valleys.",
         "Fig. 7",
         _cases(RODS, ("contact_fpp",)),
         draw_rods,
@@ -130,9 +130,9 @@ FIGURES: dict[str, PaperFigure] = {
     ),
     "sphere_fit": PaperFigure(
         "Sphere fits",
-        "Two joined 8 mm balls: measured surfaces on the same height scale, radial residuals (µm) "
-        "of the least-squares spheres, and their histograms, on the same scale for both methods. "
-        "The outermost bins include all residuals beyond the scale.",
+        "Two joined 8 mm balls: measured surfaces on one height scale, radial residuals of the "
+        "least-squares spheres, and their histograms, on one scale for both methods; residuals "
+        "beyond the scale are counted in the outermost bins.",
         "Fig. 9",
         (("two_balls", "photometric_stereo"), ("two_balls", "contact_fpp")),
         draw_sphere_fit,

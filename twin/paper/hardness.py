@@ -1,4 +1,4 @@
-"""Hardness against mixing ratio, as the paper's graph, and the modulus that follows from it."""
+"""Hardness against mixing ratio, as in the paper's graph, and the modulus estimated from it."""
 
 import tomllib
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Mix:
     ratio : base over curing agent
     shore_a, low_shore_a, high_shore_a : hardness and its plausible range
     modulus : Young's modulus with its range
-    source : where the hardness comes from
+    source : of the hardness
     """
 
     letter: str
@@ -64,7 +64,7 @@ def _mix(letter: str, ratio: float) -> Mix:
 
 
 def draw_hardness(_cases: Path, stem: Path) -> None:
-    """Draw Shore A and Young's modulus against the mixing ratio, with what is not known."""
+    """Draw Shore A and Young's modulus against the mixing ratio, with their ranges."""
     with printing(stem, 5.6, 2.65) as figure:
         left = axes_at(figure, 0.55, 0.3, 2.1, 1.75)
         right = axes_at(figure, 3.35, 0.3, 2.1, 1.75)

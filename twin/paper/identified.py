@@ -1,6 +1,6 @@
-"""The paper's sensor as identified: what its rows say, what they cannot, what would help.
+"""The paper's sensor as identified: tables of fields, rows, choices and further measurements.
 
-The findings are those of `twin identify paper/identify`, kept as scenes/paper/identified.toml.
+The data are the summary of `twin identify paper/identify`, stored in scenes/paper/identified.toml.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,34 +26,34 @@ PROBLEM = "paper/identify"
 # Every experiment at the identified values is scored over the identified region.
 _REGION = "within_{region_mm}_"
 _RIDGE_PANELS = 3
-# Whose folder among the cases shows the pictures through the coat.
+# Method of the cases that correspond to the paper's pictures of the coat.
 _METHOD = "contact_fpp"
 
 
 @lru_cache
 def problem() -> SensorProblem:
-    """Return what was asked."""
+    """Return the problem that was identified."""
     return load_problem(PROBLEM)[0]
 
 
 def identified_tables(trials: Mapping[str, Sequence[Trial]]) -> list[Table]:
-    """Return fields, rows and worth; `trials` by the experiment of the problem."""
+    """Return the tables of fields, rows, choices and worth; `trials` by experiment."""
     return [fields_table(), identified_rows_table(trials), choices_table(), worth_table()]
 
 
 def fields_table() -> Table:
-    """Return what is known of each field that the paper does not state."""
+    """Return prior, value and intervals of each field that the paper does not state."""
     rows: list[dict[str, Cell]] = []
     for name, free in problem().free.items():
-        one = identified()["fields"][name]
+        known = identified()["fields"][name]
         rows.append(
             {
                 "field": field_words(name, free),
                 "prior": f"{free.low:g} to {free.high:g}",
-                "value": one["value"],
-                "central": f"{one['low_68']:.3g} to {one['high_68']:.3g}",
-                "wide": f"{one['low_95']:.3g} to {one['high_95']:.3g}",
-                "known": "hardly" if one["hardly_narrowed"] else "yes",
+                "value": known["value"],
+                "central": f"{known['low_68']:.3g} to {known['high_68']:.3g}",
+                "wide": f"{known['low_95']:.3g} to {known['high_95']:.3g}",
+                "known": "hardly" if known["hardly_narrowed"] else "yes",
             }
         )
     columns = (
@@ -64,27 +64,28 @@ def fields_table() -> Table:
         Column("wide", "95 % interval"),
         Column("known", "narrowed by the rows"),
     )
-    return Table("identified_fields", "What the paper does not state", "", columns, tuple(rows))
+    title = "Properties that the paper does not state"
+    return Table("identified_fields", title, "", columns, tuple(rows))
 
 
 def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
     """Return every row: the paper's, the prediction of the identification, and the trials here."""
     rows: list[dict[str, Cell]] = []
-    for name, one in identified()["rows"].items():
-        near = abs(one["steps"])
-        row: dict[str, Cell] = {
+    for name, known in identified()["rows"].items():
+        near = abs(known["steps"])
+        cells: dict[str, Cell] = {
             "row": name,
-            "use": "fitted" if one["fitted"] else "predicted",
-            "paper": one["measured"],
-            "scatter": one["scatter"],
-            "twin": one["twin"],
-            "twin_sd": one["twin_sd"],
-            "any_coat": one["any_coat"],
-            "any_coat_sd": one["any_coat_sd"],
-            "steps": one["steps"],
+            "use": "fitted" if known["fitted"] else "predicted",
+            "paper": known["measured"],
+            "scatter": known["scatter"],
+            "twin": known["twin"],
+            "twin_sd": known["twin_sd"],
+            "any_coat": known["any_coat"],
+            "any_coat_sd": known["any_coat_sd"],
+            "steps": known["steps"],
             "within": "1 SD" if near <= 1.0 else "2 SD" if near <= 2.0 else "unexplained",
         }
-        rows.append(row | _of_trials(one, trials.get(one["experiment"], ())))
+        rows.append(cells | _of_trials(known, trials.get(known["experiment"], ())))
     columns = (
         Column("row", "row"),
         Column("use", "use"),
@@ -101,35 +102,36 @@ def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
         Column("refused", "refused"),
     )
     notes = (
-        "Identified: given the fitted rows, with what these tell of scale errors and of the coat "
-        "that a ball met in all trials. With any coat: another sensor of the same fields. SD: "
-        "unknown fields, scale errors, coat, emulator. Rows that are predicted took no part in "
-        "finding the fields.",
-        "Refused: trials whose drawn sheet holds less than the drawn pressure, left out.",
+        "Identified: prediction conditioned on the fitted rows, including correlated errors of "
+        "scale and of the coat common to a ball's trials. With any coat: prediction for another "
+        "sensor with the same fields. SD: from unknown fields, scale errors, coat and emulator. "
+        "Predicted rows were not used to identify the fields.",
+        "Refused: trials without a stable equilibrium of the drawn sheet at the drawn pressure; "
+        "they are omitted.",
     )
     return Table("identified", "Every row of the paper's tables", "", columns, tuple(rows), notes)
 
 
-def _of_trials(one: Mapping[str, Any], trials: Sequence[Trial]) -> dict[str, Cell]:
+def _of_trials(known: Mapping[str, Any], trials: Sequence[Trial]) -> dict[str, Cell]:
     repeated = [trial for trial in trials if trial.number]
-    names = [name.replace(_REGION, "") for name in one["figures"]]
+    names = [name.replace(_REGION, "") for name in known["figures"]]
     spreads = [s for n in names if (s := spread_of(values_of(repeated, n))) is not None]
     refused = sum(REFUSED in trial.figures for trial in repeated)
     if not spreads:
         return {"refused": refused} if refused else {}
     sds = [s.sd for s in spreads if s.sd is not None]
     pooled = float(np.sqrt(np.mean(np.square(sds)))) if sds else None
-    if one["statistic"] == "sd":
+    if known["statistic"] == "sd":
         return {"trials_mean": pooled, "refused": refused}
     mean = float(np.mean([s.mean for s in spreads]))
     return {"trials_mean": mean, "trials_sd": pooled, "refused": refused}
 
 
 def pictures_table(cases: Path) -> Table:
-    """Return what the paper's pictures show of its objects, beside the cases NAME/METHOD here."""
+    """Return the limits from the paper's pictures, with the figures of cases NAME/METHOD here."""
     rows: list[dict[str, Cell]] = []
     for name, limit in problem().limits.items():
-        one, specimen = identified()["limits"][name], problem().experiments[limit.experiment].base
+        known, specimen = identified()["limits"][name], problem().experiments[limit.experiment].base
         result = cases / specimen.rsplit("/", 1)[-1] / _METHOD / RESULT_FILE
         measured = read_json(result)["metrics"].get(limit.metric)
         rows.append(
@@ -137,10 +139,10 @@ def pictures_table(cases: Path) -> Table:
                 "figure": str(limit.metric).replace("_", " "),
                 "known": limit.words,
                 "sd": limit.sd,
-                "twin": one["twin"],
-                "twin_sd": one["twin_sd"],
-                "before": one["probability_before"],
-                "probability": one["probability"],
+                "twin": known["twin"],
+                "twin_sd": known["twin_sd"],
+                "before": known["probability_before"],
+                "probability": known["probability"],
                 "measured": measured,
                 "met": "yes" if measured is not None and limit.allows(measured) else "NO",
                 "source": limit.source or "",
@@ -152,17 +154,17 @@ def pictures_table(cases: Path) -> Table:
         Column("sd", "± (1 sd)", 2),
         Column("twin", "twin, identified", 2),
         Column("twin_sd", "SD", 2),
-        Column("before", "met, by the priors alone", 2),
-        Column("probability", "met, as identified", 2),
-        Column("measured", "the chain, at the most probable values", 2),
-        Column("met", "met by it"),
+        Column("before", "probability under the priors", 2),
+        Column("probability", "probability as identified", 2),
+        Column("measured", "whole chain, at the most probable values", 2),
+        Column("met", "met by the whole chain"),
         Column("source", "source"),
     )
-    return Table("pictures", "What the paper's pictures show", "", columns, tuple(rows))
+    return Table("pictures", "Limits from the paper's pictures", "", columns, tuple(rows))
 
 
 def choices_table() -> Table:
-    """Return the probabilities of the discrete choices, each over all others."""
+    """Return the probabilities of the discrete choices, each summed over the other alternatives."""
     shares: dict[tuple[str, str], float] = {}
     for model in identified()["models"]:
         for alternative, choice in model["choices"].items():
@@ -175,9 +177,9 @@ def choices_table() -> Table:
     columns = (
         Column("choice", "choice"),
         Column("probability", "probability given the fitted rows"),
-        Column("source", "what the paper says"),
+        Column("source", "statement of the paper"),
     )
-    return Table("identified_choices", "What is one or the other", "", columns, rows)
+    return Table("identified_choices", "Discrete alternatives", "", columns, rows)
 
 
 def _source(alternative: str) -> str:
@@ -185,7 +187,7 @@ def _source(alternative: str) -> str:
 
 
 def worth_table() -> Table:
-    """Return what one more measurement would decide, the most telling first."""
+    """Return the remaining variance of the fields after one more measurement, the best first."""
     free, worth = problem().free, identified()["worth"]
     rows: list[dict[str, Cell]] = [
         {"measurement": problem().worth[name].source, "sd": problem().worth[name].sd} | left
@@ -194,15 +196,15 @@ def worth_table() -> Table:
     columns = (
         Column("measurement", "measurement"),
         Column("sd", "± (1 sd)", 3),
-        *(Column(name, field_words(name, one), 2) for name, one in free.items()),
+        *(Column(name, field_words(name, field), 2) for name, field in free.items()),
     )
-    words = "What would be left of the variance of each field; 1: nothing is gained."
-    title = "What one caliper reading would decide"
+    words = "Remaining share of the variance of each field; 1: no reduction."
+    title = "Expected reduction of variances by one caliper reading"
     return Table("identified_worth", title, "", columns, tuple(rows), (words,))
 
 
 def draw_ridges(_cases: Path, stem: Path) -> None:
-    """Draw joint samples of the pairs of fields that trade off most."""
+    """Draw joint samples of the pairs of fields with the largest correlation."""
     pairs = _strongest_pairs()
     with printing(stem, 0.7 + 2.3 * len(pairs), 2.4) as figure:
         for number, (across, up) in enumerate(pairs):
@@ -212,18 +214,18 @@ def draw_ridges(_cases: Path, stem: Path) -> None:
             axes.plot(values[across]["value"], values[up]["value"], "+", ms=9, color=FIT)
             for name, setting in ((across, axes.set_xlabel), (up, axes.set_ylabel)):
                 setting(field_words(name, problem().free[name]))
-            one, other = problem().free[across], problem().free[up]
-            axes.set(xscale=one.scale, yscale=other.scale)
-            axes.set(xlim=(one.low, one.high), ylim=(other.low, other.high))
-            mark(axes.xaxis, one)
-            mark(axes.yaxis, other)
+            x, y = problem().free[across], problem().free[up]
+            axes.set(xscale=x.scale, yscale=y.scale)
+            axes.set(xlim=(x.low, x.high), ylim=(y.low, y.high))
+            mark(axes.xaxis, x)
+            mark(axes.yaxis, y)
             plain_spines(axes)
 
 
 def _strongest_pairs() -> list[tuple[str, str]]:
     def correlation(pair: tuple[str, str]) -> float:
-        one, other = (_shares(problem().free[name], _draws(name)) for name in pair)
-        return abs(float(np.corrcoef(one, other)[0, 1]))
+        x, y = (_shares(problem().free[name], _draws(name)) for name in pair)
+        return abs(float(np.corrcoef(x, y)[0, 1]))
 
     ranked = sorted(combinations(problem().free, 2), key=correlation, reverse=True)
     return ranked[:_RIDGE_PANELS]

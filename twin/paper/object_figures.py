@@ -1,4 +1,4 @@
-"""Figures of objects by several methods: hard objects, rods, GelSight, sphere fits."""
+"""Figures of objects by several methods: metal and clear ones, rods, GelSight, sphere fits."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +18,7 @@ from twin.paper.figure_panels import (
     show_histogram,
     show_residuals,
     show_section,
-    zoom_to_wanted,
+    zoom_to_scored,
 )
 from twin.paper.panels import PanelData
 from twin.paper.plan import RODS as ROD_NAMES
@@ -47,7 +47,7 @@ def draw_direct_and_contact(cases: Path, stem: Path) -> None:
 
 
 def draw_missing(cases: Path, stem: Path) -> None:
-    """Draw why direct fringe projection has no point, and the errors of both methods."""
+    """Draw reasons for missing points of direct fringe projection, and errors of both methods."""
     grid = Grid(3, 3, 1.75, 1.32, row_gap_in=0.12, bottom_in=1.3)
     with printing(stem, *grid.size_in) as figure:
         grid.label_rows(figure, ["direct: reason", "direct: z error", "contact: z error"])
@@ -65,10 +65,10 @@ def draw_rods(cases: Path, stem: Path) -> None:
     """Draw image, fringe image, 3-D and cross-section of each rod, all on one height scale."""
     section_in, gap_in = 2.5, 0.5
     grid = Grid(3, 3, 1.2, 0.9, row_gap_in=gap_in, right_in=section_in + 0.6, bottom_in=0.55)
-    beside_in = grid.size_in[0] - section_in - 0.1
-    wide = Grid(3, 1, section_in, grid.cell_height_in, left_in=beside_in, row_gap_in=gap_in)
+    left_in = grid.size_in[0] - section_in - 0.1
+    wide = Grid(3, 1, section_in, grid.cell_height_in, left_in=left_in, row_gap_in=gap_in)
     shown = {name: panels_of(cases, name, "contact_fpp") for name in RODS}
-    available = [data for data in shown.values() if data is not None]
+    measured = [data for data in shown.values() if data is not None]
     with printing(stem, *grid.size_in) as figure:
         grid.label_rows(figure, [f"rod {letter}" for letter in RODS.values()])
         grid.label_columns(figure, ["object", "fringe image", "3-D"])
@@ -77,10 +77,10 @@ def draw_rods(cases: Path, stem: Path) -> None:
             cells.append(wide.cell(figure, row, 0, letter=False))
             for column, axes in enumerate(cells):
                 label_panel(axes, LETTERS[row * len(cells) + column])
-            _rod(cells, data, available, last=row == grid.rows - 1)
+            _rod(cells, data, measured, last=row == grid.rows - 1)
 
 
-def _rod(cells: list[Axes], data: PanelData | None, available: list[PanelData], last: bool) -> None:
+def _rod(cells: list[Axes], data: PanelData | None, measured: list[PanelData], last: bool) -> None:
     if data is None:
         for axes in cells:
             no_measurement(axes)
@@ -88,12 +88,12 @@ def _rod(cells: list[Axes], data: PanelData | None, available: list[PanelData], 
     photograph, fringes, relief, section = cells
     show_picture(photograph, data.photograph)
     show_picture(fringes, data.picture)
-    show_relief(relief, data, stage_for(*available), bar=last)
+    show_relief(relief, data, stage_for(*measured), bar=last)
     if not len(data.section):
         no_measurement(section, "no point on the section")
         return
-    show_section(section, data, legend=data is available[0])
-    heights = np.concatenate([rod.section[:, 1] for rod in available])
+    show_section(section, data, legend=data is measured[0])
+    heights = np.concatenate([panels.section[:, 1] for panels in measured])
     room = 0.08 * np.ptp(heights)
     section.set_ylim(heights.min() - room, heights.max() + room)
     if data.numbers.width is not None:
@@ -130,9 +130,9 @@ def _pair(figure: Figure, grid: Grid, at: tuple[int, int], data: PanelData | Non
     show_relief(right, data, stage)
     show_scale(right, stage)
     shares = data.numbers.completeness, data.numbers.good_share
-    label = "{} points, {} right".format(*(number(share, ".0%") for share in shares))
+    words = "{} points, {} right".format(*(number(share, ".0%") for share in shares))
     left.text(
-        0.5, -0.05, label, transform=left.transAxes, ha="center", va="top", color=FAINT, fontsize=6
+        0.5, -0.05, words, transform=left.transAxes, ha="center", va="top", color=FAINT, fontsize=6
     )
 
 
@@ -140,14 +140,14 @@ def _compared_reliefs(
     axes: tuple[Axes, Axes], gelsight: PanelData | None, contact: PanelData | None
 ) -> None:
     """Show both reliefs with one scale, one enlargement and one size."""
-    available = [panels for panels in (gelsight, contact) if panels is not None]
+    measured = [panels for panels in (gelsight, contact) if panels is not None]
     for place, data in zip(axes, (gelsight, contact), strict=True):
         if data is None:
             no_measurement(place)
         else:
-            show_relief(place, data, stage_for(*available))
-    if available:
-        show_scale(axes[1], stage_for(*available))
+            show_relief(place, data, stage_for(*measured))
+    if measured:
+        show_scale(axes[1], stage_for(*measured))
 
 
 def _cell(axes: Axes, data: PanelData | None, show: Callable[[Axes, PanelData], None]) -> None:
@@ -168,12 +168,12 @@ def _picture(axes: Axes, data: PanelData) -> None:
 def _reasons_near(axes: Axes, data: PanelData) -> None:
     show_codes(axes, np.ma.masked_array(data.reason, ~data.wanted))
     no_ticks(axes)
-    zoom_to_wanted(axes, data)
+    zoom_to_scored(axes, data)
 
 
 def _error_near(axes: Axes, data: PanelData) -> None:
     _error_alone(axes, data)
-    zoom_to_wanted(axes, data)
+    zoom_to_scored(axes, data)
 
 
 def _error_alone(axes: Axes, data: PanelData) -> None:

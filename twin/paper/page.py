@@ -1,4 +1,4 @@
-"""One page with every table and figure, self-contained; it prints."""
+"""One page with every table and figure, self-contained and printable."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from twin.report.words import shown
 
 @dataclass(frozen=True)
 class PageSection:
-    """What stands together on the page: names of tables and figures."""
+    """A section of the page: names of its tables and figures."""
 
     name: str
     title: str
@@ -27,7 +27,7 @@ class PageSection:
 
 
 SECTIONS = (
-    PageSection("claims", "What was to be shown", (), ("claims",)),
+    PageSection("claims", "Targets", (), ("claims",)),
     PageSection(
         "identified",
         "The sensor as identified: paper, twin, fitted or predicted",
@@ -37,12 +37,12 @@ SECTIONS = (
     PageSection("sensor", "Sensor and elastomer", ("concept", "setup", "hardness"), ("hardness",)),
     PageSection(
         "direct",
-        "Metal and clear specimens: direct FPP beside contact-FPP",
+        "Metal and clear specimens: direct FPP and contact-FPP",
         ("direct_and_contact", "missing"),
         ("completeness", "pictures"),
     ),
     PageSection("rods", "Acrylic rods", ("rods",), ("rods",)),
-    PageSection("grid", "Side by side with a GelSight-like sensor", ("grid",)),
+    PageSection("grid", "Comparison with a GelSight-like sensor", ("grid",)),
     PageSection(
         "spheres",
         "Two joined balls",
@@ -51,13 +51,13 @@ SECTIONS = (
     ),
     PageSection(
         "budget",
-        "Where the uncertainty comes from",
+        "Sources of uncertainty",
         (),
         (f"budget_{BALLS}",),
     ),
     PageSection(
         "differences",
-        "Where twin and paper differ, and why",
+        "Differences between twin and paper, and their reasons",
         (),
         (
             "explain_region",
@@ -72,15 +72,15 @@ SECTIONS = (
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What the page shows.
+    """Contents of the page.
 
     Attributes
     ----------
     tables : by name
-    drawn : names of the figures, which lie in `figures` beside the page
-    experiment : whose settings stand for the parameter set
+    drawn : names of the figures in the folder `figures` of the page
+    experiment : its settings are listed as the parameter set
     inputs : spreads of the trials
-    trials : repetitions
+    trials : number of repetitions
     """
 
     tables: Mapping[str, Table]
@@ -109,8 +109,8 @@ def write_paper_page(folder: Path, contents: Contents) -> Path:
     page = Page(
         kind="every table and figure from one parameter set",
         title="Contact-based fringe projection profilometry, reproduced",
-        lead=f"{contents.trials} trials of every repeated measurement; the paper's numbers beside "
-        "those of the twin.",
+        lead=f"{contents.trials} trials of every repeated measurement; the paper's numbers are "
+        "compared with those of the twin.",
         sections=[
             *_sections(tables, contents.drawn),
             Section("parameters", "Parameter set", parameters),
@@ -122,20 +122,20 @@ def write_paper_page(folder: Path, contents: Contents) -> Path:
 
 
 def _sections(tables: Mapping[str, Table], drawn: Collection[str]) -> list[Section]:
-    """Return the sections of which anything is there."""
-    found = []
-    for one in SECTIONS:
-        figures = [_figure(name) for name in one.figures if name in drawn]
-        shown = [tables[name] for name in one.tables if name in tables]
+    """Return the sections with at least one figure or table."""
+    sections = []
+    for part in SECTIONS:
+        figures = [_figure(name) for name in part.figures if name in drawn]
+        shown = [tables[name] for name in part.tables if name in tables]
         if figures or shown:
-            found.append(Section(one.name, one.title, (*one.paragraphs, *figures, *shown)))
-    return found
+            sections.append(Section(part.name, part.title, (*part.paragraphs, *figures, *shown)))
+    return sections
 
 
 def _figure(name: str) -> Figure:
     figure = FIGURES[name]
-    beside = f" Beside the paper's {figure.paper}." if figure.paper else ""
-    return Figure(name, figure.title, figure.caption + beside, figure.title)
+    counterpart = f" Compare with the paper's {figure.paper}." if figure.paper else ""
+    return Figure(name, figure.title, figure.caption + counterpart, figure.title)
 
 
 def _verdicts(tables: Mapping[str, Table]) -> list[Verdict]:
@@ -151,7 +151,7 @@ def _verdicts(tables: Mapping[str, Table]) -> list[Verdict]:
     grade: Grade = "check" if missed else "good"
     return [
         Verdict(
-            question="Does the twin show what the paper shows?",
+            question="Does the twin reproduce the paper?",
             headline=f"{len(met)} of {len(rows)} figures meet their targets",
             grade=grade,
             reasons=tuple(missed) or ("every target is met",),
@@ -161,19 +161,19 @@ def _verdicts(tables: Mapping[str, Table]) -> list[Verdict]:
 
 def _spread_table(inputs: Inputs) -> Table:
     rows, kinds = [], []
-    for name, one in inputs.inputs.items():
-        kinds.append("assumed" if one.source.startswith("assumed") else "")
-        spread = f"{100 * (one.spread or 0):g} %" if one.relative else f"{one.spread or 0:g}"
-        if one.together:
-            low, high = min(one.values), max(one.values)
-            spread = f"{len(one.values)} joint samples, {low:.3g} to {high:.3g}"
+    for name, given in inputs.inputs.items():
+        kinds.append("assumed" if given.source.startswith("assumed") else "")
+        spread = f"{100 * (given.spread or 0):g} %" if given.relative else f"{given.spread or 0:g}"
+        if given.together:
+            low, high = min(given.values), max(given.values)
+            spread = f"{len(given.values)} joint samples, {low:.3g} to {high:.3g}"
         rows.append(
             {
                 "name": name.replace("_", " "),
-                "key": one.key,
-                "distribution": one.distribution,
+                "key": given.key,
+                "distribution": given.distribution,
                 "spread": spread,
-                "source": one.source,
+                "source": given.source,
             }
         )
     columns = (
@@ -183,5 +183,5 @@ def _spread_table(inputs: Inputs) -> Table:
         Column("spread", "standard deviation or half width", kind="number"),
         Column("source", "source"),
     )
-    title = "What differs from trial to trial"
+    title = "Inputs that vary from trial to trial"
     return Table("spreads", title, "", columns, tuple(rows), kinds=tuple(kinds), look="settings")

@@ -1,7 +1,7 @@
-"""Reduced data of one measurement for the figures: thinned arrays and a few numbers.
+"""Data of one measurement for the figures, of reduced size: arrays and a few numbers.
 
-Maps are thinned to at most `MOST_PX` pixels along their longer side; balls and sections are taken
-from all points before. World frame, mm; row 0 is the top.
+Maps are thinned to at most `MOST_PX` pixels along their longer side; balls and sections are
+computed from all points before thinning. World frame, mm; row 0 is the top.
 """
 
 import json
@@ -55,7 +55,7 @@ class PanelBall:
 
 @dataclass(frozen=True)
 class Width:
-    """A rod's width where the section crosses half of its height."""
+    """A rod's width where the section crosses 50 % of its height."""
 
     width_mm: float
     height_mm: float
@@ -66,7 +66,7 @@ class Width:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers of a measurement that the figures print next to the pictures.
+    """Figures that are written next to the pictures.
 
     Attributes
     ----------
@@ -96,15 +96,15 @@ class PanelData:
     Attributes
     ----------
     picture : (row, col) or (row, col, 3) uint8
-        Camera image: fringes from black to saturation, or colours.
+        Image of the camera: fringes from black to saturation, or colours.
     photograph : (row, col, 3) uint8
-        Rendered photograph of the specimen without the sensor.
+        The specimen without sheet.
     points_mm : (row, col, xyz) float32
     valid : (row, col) bool
         Points that were measured.
     true_z_mm : (row, col) float32
     wanted : (row, col) bool
-        Pixels that should have a point.
+        Scored pixels, on which a point is expected.
     reason : (row, col) uint8
         Why a pixel of a fringe measurement has no point, `reconstruction.arrays.Reason`.
     ball_points : (point, ball number, x, y, radial residual) float32, mm
@@ -126,7 +126,7 @@ class PanelData:
 
     @property
     def error_um(self) -> "np.ma.MaskedArray[Any, Any]":
-        """Measured minus true z, (row, col); masked where there is no scored point."""
+        """Measured minus true z, (row, col); masked at pixels not scored or without a point."""
         difference = 1e3 * (self.points_mm[..., 2] - self.true_z_mm).astype(np.float64)
         return np.ma.masked_array(difference, ~(self.valid & self.wanted))
 
@@ -136,13 +136,13 @@ class PanelData:
 
 
 def thinned(values: Any) -> Any:
-    """Keep every nth row and column: heights and codes must not be averaged across edges."""
+    """Return every nth row and column: heights and codes must not be averaged across edges."""
     step = -(-max(values.shape[:2]) // MOST_PX)
     return values[::step, ::step]
 
 
 def write_panel_data(folder: Path, data: PanelData) -> None:
-    """Write arrays and numbers into a folder, which is made."""
+    """Write arrays and numbers into a folder, which is created."""
     folder.mkdir(exist_ok=True)
     arrays = {f.name: getattr(data, f.name) for f in fields(data) if f.name != "numbers"}
     write_npz(folder / ARRAYS_FILE, arrays)
@@ -150,7 +150,7 @@ def write_panel_data(folder: Path, data: PanelData) -> None:
 
 
 def read_panel_data(folder: Path) -> PanelData:
-    """Read the files of `write_panel_data`.
+    """Read the folder of `write_panel_data`.
 
     Raises
     ------
@@ -159,8 +159,8 @@ def read_panel_data(folder: Path) -> PanelData:
     """
     numbers = read_json(folder / NUMBERS_FILE)
     try:
-        with np.load(folder / ARRAYS_FILE, allow_pickle=False) as arrays:
-            arrays = {name: arrays[name] for name in arrays.files}
+        with np.load(folder / ARRAYS_FILE, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
         return PanelData(numbers=_read_numbers(numbers), **arrays)
     except (OSError, ValueError, KeyError, TypeError) as error:
         reason = " ".join(str(error).split())
@@ -170,7 +170,7 @@ def read_panel_data(folder: Path) -> PanelData:
 def _read_numbers(tree: Mapping[str, Any]) -> Numbers:
     width = tree["width"]
     pairs = {key: tuple(tree[key]) for key in ("outline_mm", "scale_mm", "half_field_mm")}
-    # By name: earlier files also hold a nominal radius, which no figure shows.
+    # By name: earlier files also have a nominal radius, which no figure shows.
     names = [field.name for field in fields(PanelBall)]
     balls = tuple(PanelBall(**{name: ball[name] for name in names}) for ball in tree["balls"])
     parts = {"balls": balls, "width": None if width is None else Width(**width)}
@@ -181,7 +181,7 @@ _PICTURE_PX = 500
 
 
 def panel_data_of(measured: Measurement) -> PanelData:
-    """Reduce a measurement to the data of the figures.
+    """Return the data of a measurement for the figures.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def panel_data_of(measured: Measurement) -> PanelData:
     """
     experiment, truth, method = measured.experiment, measured.truth, measured.experiment.method
     true_mm, shown, points = truth.points_world_mm, truth.depth_mm > 0, measured.points
-    scored = wanted_pixels(experiment, truth)
+    wanted = wanted_pixels(experiment, truth)
     lit = points.valid & (truth.lit if method.fringes and method.presses else shown)
     section, true_section = (
         _section(experiment, points[lit].astype(np.float64))
@@ -203,7 +203,7 @@ def panel_data_of(measured: Measurement) -> PanelData:
         points_mm=thinned(points.world_mm).astype(np.float32),
         valid=thinned(points.valid),
         true_z_mm=thinned(true_mm[..., 2]).astype(np.float32),
-        wanted=thinned(scored),
+        wanted=thinned(wanted),
         reason=thinned(points.reason),
         ball_points=_ball_points(points.world_mm, measured.score.spheres),
         section=_columns(section),
@@ -227,10 +227,10 @@ def _numbers(measured: Measurement, true_mm: NDArray[Any], section: RodSection |
     )
 
 
-def _half_field(seen_mm: NDArray[Any]) -> tuple[float, float]:
-    if not len(seen_mm):
+def _half_field(surface_mm: NDArray[Any]) -> tuple[float, float]:
+    if not len(surface_mm):
         return 1.0, 1.0
-    x, y = np.abs(seen_mm[:, :2]).max(axis=0)
+    x, y = np.abs(surface_mm[:, :2]).max(axis=0)
     return float(x), float(y)
 
 
@@ -261,7 +261,7 @@ def _ball_points(points_mm: NDArray[Any], balls: Sequence[SphereScore]) -> Float
 
 
 def _section(experiment: Experiment, points_mm: NDArray[np.float64]) -> RodSection | None:
-    """Cross-section of a single rod, round or rectangular."""
+    """Return the cross-section of a single rod, round or rectangular; None for other specimens."""
     if single_section(experiment.specimen) is None or not len(points_mm):
         return None
     return section_of(points_mm, SECTION_LENGTH_MM, middle_of(shape_of(experiment.specimen)))

@@ -1,4 +1,4 @@
-"""Rendered photograph of the specimen on the stage in soft light, without the sensor."""
+"""Rendered photographs of the specimen on the stage, without sheet, in soft light."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -12,7 +12,7 @@ from twin.optics.view import SceneSurface, SceneView, point
 
 _WIDTH_PX, _HEIGHT_PX, _SAMPLES = 360, 270, 20
 _FROM = (0.5, -0.52, 0.69)
-# Distance of the eye in picture widths: nearly a parallel projection, like a macro lens.
+# The large distance makes the perspective nearly parallel, as with a macro lens.
 _DISTANCE, _ROOM = 7.0, 1.3
 
 
@@ -26,29 +26,27 @@ def photograph_of(experiment: Experiment) -> Picture:
     MissingBackend
         No usable Dr.Jit backend.
     """
-    return _render(
-        _PhotographScene(experiment.model_dump_json(include={"specimen", "stage"}), experiment)
-    )
+    return _render(_Subject(experiment.model_dump_json(include={"specimen", "stage"}), experiment))
 
 
 @dataclass(frozen=True)
-class _PhotographScene:
-    """Specimen and stage to be rendered; `key` identifies them in the cache."""
+class _Subject:
+    """Subject of a photograph; equal if specimen and stage are equal."""
 
     key: str
     experiment: Experiment = field(compare=False)
 
 
 @lru_cache(maxsize=32)
-def _render(scene: _PhotographScene) -> Picture:
-    surfaces = [
+def _render(subject: _Subject) -> Picture:
+    things = [
         SceneSurface.of_mesh(solid.name, solid.mesh, bsdf=solid.bsdf, smooth=True)
-        for solid in solids(scene.experiment)
+        for solid in solids(subject.experiment)
     ]
-    shown = np.concatenate([surface.vertices_mm for surface in surfaces if surface.name != STAGE])
+    shown = np.concatenate([thing.vertices_mm for thing in things if thing.name != STAGE])
     low, high = shown.min(axis=0), shown.max(axis=0)
     middle = (low + high) / 2
     width_mm = _ROOM * float(np.hypot(*(high - low)[:2]))
     eye = middle + _DISTANCE * width_mm * np.array(_FROM)
     view = SceneView(point(eye), point(middle), width_mm, _WIDTH_PX, _HEIGHT_PX)
-    return picture(surfaces, view, _SAMPLES, gray=True)
+    return picture(things, view, _SAMPLES, gray=True)

@@ -1,4 +1,4 @@
-"""What the paper measured and printed: its specimens and methods, and its numbers as data.
+"""The paper's specimens, methods and resolution, and its printed numbers as data.
 
 One parameter set for all of them; the numbers are those of scenes/paper/targets.toml.
 """
@@ -27,12 +27,12 @@ BALLS, NUT = "two_balls", "nut"
 
 @lru_cache
 def identified() -> dict[str, Any]:
-    """Return what `twin identify paper/identify` found; see `twin.identification.summary`."""
+    """Return the summary of `twin identify paper/identify`; see `twin.identification.summary`."""
     return tomllib.loads(asset_path("scenes", "paper/identified").read_text(encoding="utf-8"))
 
 
 def chosen(alternative: str) -> str:
-    """Return the most probable choice of something that the paper leaves open."""
+    """Return the most probable choice of an alternative that the paper does not state."""
     choice: str = identified()["models"][0]["choices"][alternative]
     return choice
 
@@ -45,7 +45,7 @@ WIDTH = {
     "slope_change": "rod_slope_change_width_mm",
 }[chosen("width")]
 FIT = {"geometric": "", "algebraic": "algebraic_"}[chosen("sphere_fit")]
-"""Before the names of a sphere's figures: how the paper most probably fitted."""
+"""Prefix of a sphere's figures by the paper's most probable kind of fit."""
 DIRECT_AND_CONTACT = (NUT, "brick", "ball")
 GRID = ("t_bolt", "bear", BALLS)
 CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
@@ -57,17 +57,17 @@ CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
 BUDGET_OF: Mapping[str, str] = {
     BALLS: "sphere_1_radius_mm",
 }
-"""The figure of each specimen whose uncertainty is ranked."""
+"""By specimen, the figure with a ranked uncertainty budget."""
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely the paper's experiments are worked out; no property of the sensor.
+    """Numerical resolution of the paper's experiments; no property of the sensor.
 
     Attributes
     ----------
-    settings : laid over every experiment
-    cells_mm : the sheet's finest cells by specimen; without one they follow from its thickness
+    settings : override those of every experiment
+    cells_mm : the sheet's finest cells by specimen; default: derived from its thickness
     """
 
     settings: Mapping[str, Any]
@@ -79,9 +79,9 @@ class Resolution:
         return cells | dict(self.settings)
 
 
-# Two by two pixels are read as one: a quarter of the time, and the same projector pixels. The coat
-# has nodes and the sheet cells as wide as where the values were identified, so that both are the
-# same model; objects of pictures alone have those of the nut.
+# Binning 2 x 2: 25 % of the run time with the same projector pixels. Nodes of the coat and cells of
+# the sheet have the sizes used in the identification, so that both are the same model; objects that
+# only occur in pictures have the cells of the nut.
 COARSE = Resolution(
     {"camera.binning": 2, "press.relief_pitch_mm": 0.05},
     dict.fromkeys((BALLS, "ball"), 0.3)
@@ -97,7 +97,7 @@ def experiment_of(name: str, resolution: Resolution = COARSE) -> Experiment:
 
 
 def pressed_face(experiment: Experiment) -> PressedElastomer:
-    """Press one of the paper's specimens; tables and figures that ask for the same one share it."""
+    """Press one of the paper's specimens; tables and figures share equal presses."""
     return press(experiment, _presses()).pressed
 
 
@@ -108,7 +108,7 @@ def _presses() -> Memory:
 
 @lru_cache
 def published() -> dict[str, Any]:
-    """Return the whole file."""
+    """Return the paper's printed numbers, the whole file."""
     return tomllib.loads(asset_path("scenes", "paper/targets").read_text(encoding="utf-8"))
 
 
@@ -120,5 +120,5 @@ def rows_of(table: str) -> list[dict[str, Any]]:
 
 def mean_of(table: str, method: str, key: str) -> float:
     """Return the mean over both balls of one of the paper's columns."""
-    found = [float(row[key]) for row in rows_of(table) if row["method"] == method]
-    return sum(found) / len(found)
+    values = [float(row[key]) for row in rows_of(table) if row["method"] == method]
+    return sum(values) / len(values)

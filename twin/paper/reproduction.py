@@ -1,16 +1,16 @@
-"""What a reproduction measures, each thing once: cases in stores of `twin.study` under one folder.
+"""Measurements of a reproduction, each made once: cases in stores of `twin.study` in one folder.
 
 | in work/ | content |
 |---|---|
-| calibration.json | what a calibration of the rig leaves open |
+| calibration.json | covariance of the rig after its calibration |
 | calibrations/ | those of the GelSight-like sensor, each made once |
 | trials/NAME/ | studies of the repeated measurements; `twin report` draws their uncertainty |
 | gelsight/ | the repeated presses under the GelSight-like sensor |
 | budgets/, nut/, measured/ | steps of the budgets, the bare nut, the cases of the figures |
 | cases/NAME/METHOD | links to the cases of the figures, among them nominal trials, by these names |
 
-What tables and figures need together is measured together (`Reproduction.measure`): no worker waits
-for the end of one study before the next begins.
+All cases that the requested tables and figures need are run in one queue (`Reproduction.measure`):
+no worker waits for the end of a study.
 """
 
 import os
@@ -52,7 +52,7 @@ from twin.pipeline.comparison import case_for
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.propagation.budget import Part, part_of
 from twin.study.cases import Case, Cases, case_of
-from twin.study.measuring import PLAINLY, Measuring, RigCovariance, calibrated
+from twin.study.measuring import DEFAULT_MEASURING, Measuring, RigCovariance, calibrated
 from twin.study.outcome import SweepOutcome
 from twin.study.store import Store
 from twin.study.sweep import CaseGroup, run_groups
@@ -61,23 +61,23 @@ from twin.study.worker import MakeMeasurer
 from twin.study.workers import Workers, local_workers
 
 ROUGHNESS = (0.05, 0.1, 0.2, 0.4)
-# Of the camera from the vertical; the projector stands opposite, as far from the camera as ever.
+# Of the camera from the vertical; the projector is opposite, at a constant angle to the camera.
 CAMERA_TILT_DEG = (0.0, 6.25, 12.5)
-# Sixteen pixels read as one take a quarter of the time; the table says so.
 _FOR_FIGURES = Measuring(further=files_for_figures)
+# Binning 4 x 4 takes 25 % of the run time; a note of the table states it.
 _BARE_NUT = {"modality": "direct_fpp", "camera.binning": 4}
 
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """One run: where it works and what it is to do.
+    """One run of the reproduction: its folder, number of trials, resolution and workers.
 
     Attributes
     ----------
-    work : folder of what was measured
+    work : folder of the measurements
     trials : repetitions of every repeated measurement
     resolution : of every experiment; no property of the sensor
-    workers : who measures; the result is the same with any
+    workers : for the measurements; the result is the same with any
     """
 
     work: Path
@@ -89,11 +89,11 @@ class Reproduction:
 
     @cached_property
     def rigs(self) -> RigCovariance:
-        """What a calibration leaves open of the rig, which is the same for all specimens."""
+        """Covariance of the rig after its calibration, which is the same for all specimens."""
         return calibrated(self.work, self._experiment(BALLS), BOARD, self.watch)
 
     def measure(self, names: Collection[str]) -> None:
-        """Measure groups side by side; what tables and figures ask for afterwards is then there.
+        """Measure groups in parallel; tables and figures then read their stored cases.
 
         Parameters
         ----------
@@ -101,8 +101,10 @@ class Reproduction:
 
         Raises
         ------
-        InputError : a folder cannot be used
-        MissingBackend : no usable Dr.Jit backend
+        InputError
+            A folder cannot be used.
+        MissingBackend
+            No usable Dr.Jit backend.
         """
         groups = [self._group(name) for name in GROUPS if name in names]
         if "measured" in names:
@@ -126,10 +128,10 @@ class Reproduction:
         return {name[-1].upper(): self.fringe_trials(name) for name in RODS}
 
     def budget(self, name: str) -> list[Part]:
-        """Return what every input adds: by the pressed face, and of balls the optics by the chain.
+        """Return the part of every input: by the pressed face; of the balls' optics by the chain.
 
-        Two renders for each optical input are spent on the balls only; in the trials of a rod the
-        optics stay in the row of the noise.
+        Optical inputs, with two renders each, are varied for the balls only; in the trials of a rod
+        the row of the noise includes the optics.
 
         Raises
         ------
@@ -138,23 +140,23 @@ class Reproduction:
         MissingBackend
             No usable Dr.Jit backend.
         """
-        found = self._figures("budgets")
-        parts = [self._part_of(BUDGET_OF[name], some, found) for some in self._budget_cases(name)]
+        figures, output = self._figures("budgets"), BUDGET_OF[name]
+        parts = [self._part_of(output, cases, figures) for cases in self._budget_cases(name)]
         return [part for some in parts for part in some]
 
     def _budget_cases(self, name: str) -> list[list[Case]]:
         experiment, given = self._experiment(name), handling().inputs
-        optics = {title: one for title, one in given.items() if one.group == "optics"}
+        optics = {title: i for title, i in given.items() if i.group == "optics"}
         cases = [alone_cases(experiment, given, face_only=True)]
         if name == BALLS:
             cases.append(alone_cases(experiment, optics))
         return cases
 
     def _part_of(
-        self, output: str, cases: Sequence[Case], found: Mapping[str, Mapping[str, Any]]
+        self, output: str, cases: Sequence[Case], by_digest: Mapping[str, Mapping[str, Any]]
     ) -> list[Part]:
         """Return the parts of the inputs among these cases."""
-        values = {(one.settings[INPUT], one.settings[STEP]): found[one.digest] for one in cases}
+        values = {(c.settings[INPUT], c.settings[STEP]): by_digest[c.digest] for c in cases}
         middle = {step: figures[output] for (title, step), figures in values.items() if not title}
         parts = []
         for title in dict.fromkeys(title for title, _ in values if title):
@@ -163,7 +165,7 @@ class Reproduction:
             }
             part = part_of(title, handling().inputs[title], middle | steps)
             if part is None:
-                raise InputError(f"budget of {output}: {title}: no such figure beside the nominal")
+                raise InputError(f"budget of {output}: {title}: found no figure at its steps")
             parts.append(part)
         return parts
 
@@ -175,25 +177,26 @@ class Reproduction:
         Raises
         ------
         InputError, MissingBackend
-            As `measure`; or the camera sees nothing of the nut.
+            As `measure`; or the nut is not in the camera's view.
         """
-        found, shares = self._figures("nut"), {}
+        figures, shares = self._figures("nut"), {}
         for case in self._nut_cases():
-            both = [found[case.digest][f"share_{name}"] for name in ("specimen", "specimen_points")]
+            measured = figures[case.digest]
+            both = [measured[f"share_{name}"] for name in ("specimen", "specimen_points")]
             if None in both:
-                raise InputError(f"{NUT}: the camera sees nothing of the specimen")
+                raise InputError(f"{NUT}: the specimen is not in the camera's view")
             shares[case.settings["tilt_deg"], case.settings["alpha"]] = both
         return shares
 
     def _nut_cases(self) -> list[Case]:
         return [
-            case_of({"tilt_deg": tilt, "alpha": alpha}, self._nut_seen(tilt, alpha))
+            case_of({"tilt_deg": tilt, "alpha": alpha}, self._bare_nut_at(tilt, alpha))
             for tilt in CAMERA_TILT_DEG
             for alpha in ROUGHNESS
         ]
 
-    def _nut_seen(self, tilt_deg: float, alpha: float) -> Experiment:
-        """Return the bare nut, seen from so far beside the vertical; triangulation stays."""
+    def _bare_nut_at(self, tilt_deg: float, alpha: float) -> Experiment:
+        """Return the bare nut with the camera tilted, at an unchanged triangulation angle."""
         bare = vary(self._experiment(NUT), _BARE_NUT)
         between_deg = bare.camera.pose.polar_deg + bare.projector.pose.polar_deg
         stated = {"range": [0.0, between_deg], "source": "varied to find what the nut shows"}
@@ -219,15 +222,15 @@ class Reproduction:
 
     def _figure_cases(self) -> dict[tuple[str, Method], Case]:
         """Return the cases of the figures that are no nominal trial, by specimen and method."""
-        asked = [(name, method) for names, methods in CASES for name in names for method in methods]
+        pairs = [(name, method) for names, methods in CASES for name in names for method in methods]
         return {
             (name, method): self._case(name, method)
-            for name, method in asked
+            for name, method in pairs
             if not (name in _REPEATED and method == "contact_fpp")
         }
 
     def _nominal(self, name: str) -> CaseGroup:
-        """Return the nominal trial alone of a repeated measurement: on the true rig."""
+        """Return the nominal trial of a repeated measurement, on the true rig, as its own group."""
         record, folder = (
             fringe_study(self._experiment(name), self.trials),
             self.work / _trials(name),
@@ -240,11 +243,11 @@ class Reproduction:
 
     def _case(self, name: str, method: Method) -> Case:
         experiment = self._experiment(name)
-        told = {"specimen": name, "method": TRAITS[method].title}
-        return case_of(told, case_for(experiment, method, plan_of(0)))
+        settings = {"specimen": name, "method": TRAITS[method].title}
+        return case_of(settings, case_for(experiment, method, plan_of(0)))
 
     def _figures(self, name: str) -> dict[str, dict[str, Any]]:
-        """Measure what a group lacks, and return its figures by digest."""
+        """Measure the missing cases of a group, and return its figures by digest."""
         group = self._group(name)
         (outcome,) = run_groups([group], self.workers, self.watch)
         return _figures(group.cases.run, group.folder, outcome)
@@ -259,13 +262,13 @@ class Reproduction:
         match name:
             case "gelsight":
                 cases = colour_cases(self._experiment(BALLS), self.trials)
-                # Side by side: those under one calibration of the sensor.
+                # Cases with the same calibration of the sensor are consecutive.
                 cases.sort(key=lambda case: case.experiment.seed)
                 make = Measuring(more=figures_by_decoder, calibrations=self._calibrations)
                 return _group(folder, cases, make)
             case "budgets":
                 parts = [part for of in BUDGET_OF for part in self._budget_cases(of)]
-                return _group(folder, [case for part in parts for case in part], PLAINLY)
+                return _group(folder, [case for part in parts for case in part], DEFAULT_MEASURING)
             case "measured":
                 return _group(
                     folder,
@@ -295,7 +298,7 @@ _REPEATED = (*RODS, BALLS)
 TRIALS_OF_RODS = tuple(_trials(name) for name in RODS)
 TRIALS_OF_BALLS = ("gelsight", _trials(BALLS))
 GROUPS = (*TRIALS_OF_RODS, "gelsight", "measured", _trials(BALLS), "budgets", "nut")
-"""Folders of what is measured, those of long cases first: short ones fill the end."""
+"""Folders of the groups, those with long cases first: short cases fill the end of the queue."""
 
 
 def _group(folder: Path, cases: Iterable[Case], make: MakeMeasurer) -> CaseGroup:
@@ -305,24 +308,24 @@ def _group(folder: Path, cases: Iterable[Case], make: MakeMeasurer) -> CaseGroup
 def _figures(
     cases: Sequence[Case], folder: Path, outcome: SweepOutcome
 ) -> dict[str, dict[str, Any]]:
-    """Return the figures of cases, by digest; a repeated trial that was refused has the reason.
+    """Return the figures of cases by digest; of a failed repeated trial, the reason.
 
     Raises
     ------
     InputError
         Another case failed, or a case could not be saved.
     """
-    store, found = Store(folder), {}
+    store, figures = Store(folder), {}
     for case in cases:
         content = store.read(case.digest) or {"failure": outcome.unsaved.get(case.digest, "lost")}
         if "metrics" not in content and _is_repeated(case) and "failure" in content:
-            # A drawn sheet may hold less than its pressure: one trial less, and told.
+            # The drawn sheet may have no equilibrium at the drawn pressure: the tables count it.
             content["metrics"] = {REFUSED: content["failure"]}
         if "metrics" not in content:
             at = f", trial {case.settings[TRIAL]}" if TRIAL in case.settings else ""
             raise InputError(f"{case.experiment.name}{at}: {content['failure']}")
-        found[case.digest] = content["metrics"]
-    return found
+        figures[case.digest] = content["metrics"]
+    return figures
 
 
 def _is_repeated(case: Case) -> bool:
@@ -330,16 +333,16 @@ def _is_repeated(case: Case) -> bool:
 
 
 def link(path: Path, target: Path) -> None:
-    """Make a symbolic link, or let an earlier one lead there.
+    """Create a symbolic link, or replace an earlier link.
 
     Raises
     ------
     InputError
-        There is something else.
+        The path is a file or folder.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and not path.is_symlink():
-        raise InputError(f"{path}: is in the way; move or delete it")
+        raise InputError(f"{path}: found a file or folder, allowed a link; move or delete it")
     with suppress(FileNotFoundError):
         path.unlink()
     path.symlink_to(os.path.relpath(target, path.parent))

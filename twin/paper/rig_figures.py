@@ -100,7 +100,7 @@ def draw_concept(stem: Path, experiment: Experiment, pressed: PressedElastomer) 
 
 
 def _cover(axes: Axes, experiment: Experiment) -> None:
-    """Draw the fields of camera and projector as pyramids from pinhole to the undeformed face."""
+    """Draw the fields of view as pyramids from the pinholes to the undeformed face."""
     rig = true_calibration(experiment)
     for device, pose, colour in (
         (rig.camera, rig.T_world_from_cam, MEASURED),
@@ -159,7 +159,7 @@ def _label(axes: Axes, text: str, at_px: Any, offset_pt: tuple[float, float]) ->
 _SECTION_SAMPLES, _STRIPES = 401, 14
 _SILICONE, _BODY, _COAT = "#cfe3f1", "#d9cdb8", "#7a7f87"
 _SHOWN_DISTANCE = 21.0
-"""Distance (mm) from the sheet to the devices in the drawing; about 0.1 x the true distance."""
+"""Distance of the devices from the sheet in the drawing, mm; the true one is about 10 x larger."""
 
 
 def draw_principle(axes: Axes, experiment: Experiment, pressed: PressedElastomer) -> None:
@@ -177,7 +177,7 @@ def draw_principle(axes: Axes, experiment: Experiment, pressed: PressedElastomer
 def _section(
     axes: Axes, experiment: Experiment, pressed: PressedElastomer, span: tuple[float, float]
 ) -> float:
-    """Draw the sheet and the specimen that presses into it; return the specimen's lowest z."""
+    """Draw the sheet and the specimen in section; return the specimen's lowest z, mm."""
     trace = trace_through_apexes(experiment)
     s_mm = np.linspace(*span, _SECTION_SAMPLES)
     coated = face_profile(pressed, trace, s_mm)
@@ -218,7 +218,7 @@ def _devices(axes: Axes, experiment: Experiment, span: tuple[float, float]) -> N
         ("projector", rig.T_world_from_proj, FIT, _STRIPES),
     ):
         at_mm = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
-        # A projector outside the plane of the section is drawn inclined to one side as well.
+        # An offset perpendicular to the section's plane is drawn as an offset in this plane.
         along = float(at_mm[:2] @ direction) or float(np.hypot(*at_mm[:2]))
         tip = _SHOWN_DISTANCE * np.array([along, at_mm[2]])
         _fan(axes, tip, span, colour, stripes)
@@ -267,7 +267,7 @@ def _labels(
         (0, lowest - 5.5), (0, lowest - 1.7), mutation_scale=9, color=INK, lw=1.0
     )
     axes.add_patch(lift)
-    labels = f"z stage lifts {pressed.depth_mm:g} mm\nafter first touch"
-    axes.text(1.0, lowest - 3.6, labels, fontsize=7, va="center")
+    travel = f"z stage lifts {pressed.depth_mm:g} mm\nafter first touch"
+    axes.text(1.0, lowest - 3.6, travel, fontsize=7, va="center")
     axes.plot([left - 5, right + 6], [9.0, 9.0], color=FAINT, lw=0.6, ls=(0, (4, 3)), zorder=0)
     axes.text(left - 5.5, 9.3, "distances above\nnot to scale", fontsize=5.5, color=FAINT)

@@ -1,4 +1,4 @@
-"""Surfaces of the set-up for a view: sheet, specimen, stage and frame, camera and projector.
+"""Scene objects of the set-up: sheet, specimen, stage and frame, camera and projector.
 
 Poses, sheet, relief and specimen are those of the experiment. Housings, frame and stage are
 schematic: the paper shows them in a photograph without dimensions. World frame, mm.
@@ -22,7 +22,7 @@ ALUMINIUM, DARK, CREAM = (0.42, 0.44, 0.48), (0.05, 0.05, 0.06), (0.75, 0.75, 0.
 CAMERA_BLUE, PROJECTOR_ORANGE = (0.10, 0.30, 0.55), (0.75, 0.30, 0.08)
 # Matte, as in a cut-away drawing: clear silicone under its coat would be a dark slit.
 SILICONE = (0.50, 0.72, 0.88)
-# Gaps between coat, silicone and specimen: the renderer cannot order coincident faces.
+# Coincident faces would flicker: the coat floats over the silicone, which floats over the specimen.
 _APART_MM = 0.02
 _RENDER_PITCH_MM = 0.1
 _FRINGE_DARK, _FRINGE_BRIGHT = 0.08, 0.62
@@ -140,7 +140,7 @@ def device_things(experiment: Experiment) -> list[SceneSurface]:
 
 
 def _level_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the pose rotated so that its optical axis passes through the world's origin."""
+    """Return the pose rotated so that it looks at the world's origin, without the lens offset."""
     forward = -pose[:3, 3] / np.linalg.norm(pose[:3, 3])
     down = pose[:3, 1] - (pose[:3, 1] @ forward) * forward
     down /= np.linalg.norm(down)

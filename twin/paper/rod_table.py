@@ -10,7 +10,7 @@ from twin.paper.trials import REFUSED, Trial
 from twin.report.table import PAPER, TWIN, Cell, Column, Table
 
 _WIDTHS = {
-    "rod_width_mm": "between its flanking valleys at half of its height",
+    "rod_width_mm": "at 50 % of its height above the flanking valleys",
     "rod_break_width_mm": "between the breaks of its slope",
     "rod_slope_change_width_mm": "between the places where its slope changes fastest",
 }
@@ -18,15 +18,15 @@ _COMPENSATED = "compensated_bar_1_width_mm"
 
 
 def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
-    """Width of the rods over repeated presses; `trials` by name of the rod: A, B, C."""
+    """Return the widths of the rods over repeated presses; `trials` by name of the rod: A, B, C."""
     rows: list[dict[str, Cell]] = []
     for published in rows_of("rods"):
         rod = {"rod": published["name"], "reference": published["reference"]}
         keys = ("mean", "abs_error", "sd", "cv_percent")
         paper: dict[str, Cell] = {key: published[key] for key in keys}
         rows.append(rod | {"source": PAPER, "trials": PAPER_TRIALS} | paper)
-        found = trials.get(published["name"], ())
-        rows += [rod | row for row in _rod_rows(found, published["reference"])]
+        repeated = trials.get(published["name"], ())
+        rows += [rod | row for row in _rod_rows(repeated, published["reference"])]
     return Table(
         "rods",
         "Width of acrylic rods, mm",
@@ -49,10 +49,10 @@ def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
         (
             f"Width of the coat's crest, {_WIDTHS[WIDTH]}, over the mean section of 2 mm in the "
             "middle of the rod.",
-            "'true coat' is the same width of the coat itself: the elastomer's share of the error.",
-            "'rigid bar' is what `twin compensate` finds behind the measured coat, believing in "
-            "the nominal sheet, its air, and the nominal rounding of the edges, whatever was "
-            "drawn: what one does not know of them is in its SD. The paper compensates nothing.",
+            "'true coat' is the same width of the true coat: the elastomer's share of the error.",
+            "'rigid bar' is the width by `twin compensate` from the measured coat, with the "
+            "nominal sheet, back pressure and edge rounding instead of the drawn ones: the SD "
+            "includes the effect of their deviations. The paper does not compensate.",
         ),
     )
 
@@ -60,7 +60,7 @@ def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
 def _rod_rows(trials: Sequence[Trial], reference_mm: float) -> Iterator[dict[str, Cell]]:
     for some in subsets(trials):
         width = spread_of(values_of(some, WIDTH))
-        failed = sum(not {"rod_failure", REFUSED}.isdisjoint(one.figures) for one in some)
+        failed = sum(not {"rod_failure", REFUSED}.isdisjoint(trial.figures) for trial in some)
         row: dict[str, Cell] = {"source": TWIN, "trials": len(some), "failed": failed}
         if width is not None:
             face = spread_of(values_of(some, f"true_face_{WIDTH}"))
@@ -109,5 +109,5 @@ def hardness_table() -> Table:
             Column("source", "source of the hardness"),
         ),
         tuple(rows),
-        ("Of the three hardnesses the paper prints only mix A's, 20; its graph has no numbers.",),
+        ("Of the three hardnesses the paper states only mix A's, 20; its graph has no numbers.",),
     )

@@ -1,11 +1,11 @@
-"""Reproduce the paper: measure what its tables and figures need, each thing once, and write them.
+"""Reproduce the paper: run the measurements of its tables and figures once, and write these.
 
 | in the folder | content |
 |---|---|
-| tables.json, tables.md | every table, the paper's rows beside the twin's, and the claims |
+| tables.json, tables.md | every table with the paper's and the twin's rows, and the claims |
 | figures/NAME.png, NAME.pdf | every figure |
 | report.html | all of it on one page |
-| work/ | what was measured: calibration, trials, cases; an interrupted run goes on from here |
+| work/ | measurements: calibration, trials, cases; an interrupted run is resumed from these |
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -79,22 +79,22 @@ def difference_tables(run: Reproduction) -> list[Table]:
     """Return the experiments on where twin and paper differ."""
     run.watch("differences", 0.0)
     balls = experiment_of(BALLS, run.resolution)
-    found = [region_table(balls), height_scale_table(balls.score.roi_radius_mm)]
+    tables = [region_table(balls), height_scale_table(balls.score.roi_radius_mm)]
     run.watch("differences", 1.0)
-    return [*found, nut_table(run.bare_nut())]
+    return [*tables, nut_table(run.bare_nut())]
 
 
 def sensor_tables(run: Reproduction) -> list[Table]:
-    """Return what was identified, beside the trials of balls and rods."""
+    """Return the tables of the identification, compared with the trials of balls and rods."""
     balls = run.ball_trials()
     trials = {"balls": balls[CONTACT_FPP], "gelsight": balls[GELSIGHT]}
-    for letter, found in run.rod_trials().items():
-        trials |= {f"{form}_{letter.lower()}": found for form in ("bar", "round")}
+    for letter, repeated in run.rod_trials().items():
+        trials |= {f"{form}_{letter.lower()}": repeated for form in ("bar", "round")}
     return identified_tables(trials)
 
 
 def object_tables(run: Reproduction) -> list[Table]:
-    """Return what is seen of the objects of the paper's pictures."""
+    """Return the tables on the objects of the paper's pictures."""
     cases = run.all_cases()
     return [completeness_table(cases), pictures_table(cases)]
 
@@ -121,7 +121,7 @@ _NEEDS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked for: repetitions, names of tables or figures (empty: all), all pixels."""
+    """Requested repetitions, names of tables or figures (empty: all), and full resolution."""
 
     trials: int
     only: tuple[str, ...] = ()
@@ -137,24 +137,24 @@ class Request:
 
     @property
     def tables(self) -> list[str]:
-        """Groups of tables that are asked for."""
+        """Requested groups of tables."""
         return [name for name in TABLES if not self.only or name in self.only]
 
     @property
     def figures(self) -> list[str]:
-        """Figures that are asked for."""
+        """Requested figures."""
         return [name for name in FIGURES if not self.only or name in self.only]
 
     @property
     def measured(self) -> set[str]:
-        """Groups of measurements that all of it needs."""
+        """Groups of measurements for the requested tables and figures."""
         drawn = {"measured"} if any(FIGURES[name].cases for name in self.figures) else set()
         return drawn.union(*(_NEEDS.get(name, ()) for name in self.tables))
 
 
 @dataclass(frozen=True)
 class Reproduced:
-    """What a run left: the page, and the claims in lines."""
+    """Result of a run: the page, and the claims as lines."""
 
     page: Path
     lines: tuple[str, ...]
@@ -163,17 +163,17 @@ class Reproduced:
 def reproduce(
     out: Path, request: Request, watch: ProgressCallback = no_progress, workers: int = 1
 ) -> Reproduced:
-    """Make everything asked for and write it into `out`; what lies there already is used.
+    """Write the requested tables and figures into `out`; measurements stored there are used.
 
     Parameters
     ----------
-    workers : processes that measure side by side; the result is the same with any number
+    workers : number of parallel processes; the result is the same with any number
 
     Raises
     ------
     InputError
-        `out` holds something else or cannot be written, another process works there, or a press
-        or fit fails.
+        `out` has other content or cannot be written, another process uses it, or a press or fit
+        fails.
     MissingBackend
         No usable Dr.Jit backend.
     """
@@ -181,11 +181,11 @@ def reproduce(
     resolution = FINE if request.full else COARSE
     with (
         alone_in(out),
-        lasting(local_workers(workers)) as kept,
+        lasting(local_workers(workers)) as pool,
         adding(out, *_NAMES) as folder,
     ):
         _make_folder(out / WORK)
-        run = Reproduction(out / WORK, request.trials, resolution, watch, kept)
+        run = Reproduction(out / WORK, request.trials, resolution, watch, pool)
         return _reproduce(out, folder, request, run)
 
 
@@ -206,7 +206,7 @@ def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> 
         for name, figure in drawn.items():
             try:
                 figure.result()
-            except BrokenExecutor:  # a worker died: what fails here is told
+            except BrokenExecutor:  # a worker died: draw here, where an error is reported
                 draw_figure(name, run.work / "cases", figures_folder(folder))
     _write_tables(folder, tables, request)
     balls = experiment_of(BALLS, run.resolution)
@@ -218,27 +218,27 @@ def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> 
 
 
 def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
-    """Make the tables of the named groups, and judge the claims by them."""
-    found = {table.name: table for name in names for table in TABLES[name](run)}
-    claims = claims_of(found)
-    return found | ({"claims": claims_table(claims)} if claims else {})
+    """Return the tables of the named groups, and the claims judged by them."""
+    tables = {table.name: table for name in names for table in TABLES[name](run)}
+    claims = claims_of(tables)
+    return tables | ({"claims": claims_table(claims)} if claims else {})
 
 
 def _draw(
     run: Reproduction, out: Path, names: Sequence[str], drawers: Executor
 ) -> dict[str, "Future[None]"]:
-    """Hand out the figures by name; first their cases are measured."""
+    """Submit the figures to the workers, after their cases are measured; return them by name."""
     folder, cases, steps = figures_folder(out), run.work / "cases", count(1)
     if any(FIGURES[name].cases for name in names):
         cases = run.all_cases()
 
-    def told(_: "Future[None]") -> None:
+    def report(_: "Future[None]") -> None:
         run.watch("figures", next(steps) / len(names))
 
     run.watch("figures", 0.0)
     drawn = {name: drawers.submit(draw_figure, name, cases, folder) for name in names}
     for figure in drawn.values():
-        figure.add_done_callback(told)
+        figure.add_done_callback(report)
     return drawn
 
 

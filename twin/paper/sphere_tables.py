@@ -36,9 +36,9 @@ _COMPENSATED = (
     Column("compensated_sd", "its SD"),
 )
 _OBJECT = (
-    "'rigid ball' is what `twin compensate` finds behind the measured coat, from the thickness, "
-    "modulus and pressure of the nominal sheet: in a single press with its predicted standard "
-    "deviation. Its truth is 4 mm; the paper compensates nothing."
+    "'rigid ball' is the radius by `twin compensate` from the measured coat, with thickness, "
+    "modulus and pressure of the nominal sheet; of a single press with its predicted standard "
+    "deviation. The true radius is 4 mm. The paper does not compensate."
 )
 
 Trials = Mapping[str, Sequence[Trial]]
@@ -46,12 +46,12 @@ Trials = Mapping[str, Sequence[Trial]]
 
 @dataclass(frozen=True)
 class Reading:
-    """How the spheres of a method are read.
+    """Evaluation of the spheres of a method: region and kind of the fit.
 
     Attributes
     ----------
-    region : which points are fitted, in words
-    kind : of the figures, what stands between the ball's number and their names
+    region : of the fitted points, in words
+    kind : part of the figures' names between the ball's number and the quantity
     """
 
     method: str
@@ -64,11 +64,11 @@ class Reading:
 
     @property
     def key(self) -> dict[str, Cell]:
-        """Cells that tell the reading."""
+        """Cells that identify the evaluation."""
         return {"method": self.method, "source": TWIN, "region": self.region}
 
 
-# The paper states neither region: what was identified, and the largest that there is.
+# The paper states neither region: the identified region, and the largest possible one.
 IDENTIFIED, OWN = "as identified", "the balls' footprint"
 READINGS = (
     Reading(GELSIGHT, OWN, region_name(FOOTPRINT_MM)),
@@ -76,26 +76,26 @@ READINGS = (
     Reading(CONTACT_FPP, IDENTIFIED, FIT),
 )
 _REGIONS = (
-    "The paper states no region. As identified: the one that explains contact-FPP's rows, the same "
-    f"for both methods. The balls' footprint, {FOOTPRINT_MM:g} mm: all that GelSight sees of them, "
-    "which explains its RMSE."
+    "The paper states no region. As identified: the region that explains contact-FPP's rows, the "
+    f"same for both methods. The balls' footprint, {FOOTPRINT_MM:g} mm: all of the balls' points "
+    "by GelSight, which explains its RMSE."
 )
 
 
 def _readings(trials: Trials) -> Iterator[tuple[Reading, Sequence[Trial]]]:
     for reading in READINGS:
-        if found := trials.get(reading.method):
-            yield reading, found
+        if repeated := trials.get(reading.method):
+            yield reading, repeated
 
 
 def sphere_fit_table(trials: Trials) -> Table:
-    """One representative press of each method: trial 0, the nominal one, with the true rig."""
+    """Return the fit of one press of each method: the nominal trial 0, with the true rig."""
     rows: list[dict[str, Cell]] = [
         {"source": PAPER, **{key: row[key] for key in ("method", "sphere", *_FIT)}}
         for row in rows_of("sphere_fit")
     ]
-    for reading, found in _readings(trials):
-        rows += [_fit_row(reading, ball, found[0]) for ball in BALLS]
+    for reading, repeated in _readings(trials):
+        rows += [_fit_row(reading, ball, repeated[0]) for ball in BALLS]
     return Table(
         "sphere_fit",
         "Sphere fit on two joined 8 mm balls, mm",
@@ -114,8 +114,8 @@ def sphere_fit_table(trials: Trials) -> Table:
         _sorted(rows),
         (
             "The twin's rows are its nominal press with the true rig; the next table has spreads.",
-            "'true coat' is the same fit over the coat itself at the same pixels: what the "
-            "elastomer did, before anything was measured.",
+            "'true coat' is the same fit to the true coat at the same pixels: the effect of the "
+            "elastomer without errors of measurement.",
             _OBJECT,
             _REGIONS,
         ),
@@ -144,12 +144,12 @@ def _fit_row(reading: Reading, ball: int, trial: Trial) -> dict[str, Cell]:
 
 
 def _compensated(ball: int) -> str:
-    """Name of the radius of the rigid ball, found from the coat."""
+    """Return the name of the rigid ball's radius, estimated from the coat."""
     return f"{COMPENSATED}sphere_{ball}_radius"
 
 
 def repeated_fit_table(trials: Trials) -> Table:
-    """Fitted radius and RMSE over repeated presses: the first five, and all."""
+    """Return fitted radius and RMSE over repeated presses: the first five, and all."""
     rows: list[dict[str, Cell]] = [
         {
             "method": row["method"],
@@ -162,8 +162,8 @@ def repeated_fit_table(trials: Trials) -> Table:
         }
         for row in rows_of("repeated_fit")
     ]
-    for reading, found in _readings(trials):
-        rows += [row for ball in BALLS for row in _repeated_rows(reading, ball, found)]
+    for reading, repeated in _readings(trials):
+        rows += [row for ball in BALLS for row in _repeated_rows(reading, ball, repeated)]
     return Table(
         "repeated_fit",
         "Repeated sphere fit on two joined 8 mm balls, mm",
@@ -182,8 +182,8 @@ def repeated_fit_table(trials: Trials) -> Table:
         ),
         _sorted(rows),
         (
-            "Every trial puts the specimen back, presses anew and draws noise and calibration; "
-            "spreads of the inputs are in scenes/paper/trials.toml.",
+            "In every trial the specimen is placed and pressed again, with new noise and another "
+            "calibration; spreads of the inputs are in scenes/paper/trials.toml.",
             _OBJECT,
             _REGIONS,
         ),
@@ -215,8 +215,8 @@ def _repeated_rows(
 
 
 def subsets(trials: Sequence[Trial]) -> list[Sequence[Trial]]:
-    """Return the paper's five trials and all of ours; trial 0 is no repetition."""
-    repeated = [one for one in trials if one.number]
+    """Return the first five trials, as many as the paper's, and all; trial 0 is no repetition."""
+    repeated = [trial for trial in trials if trial.number]
     first = repeated[:PAPER_TRIALS]
     return [first] if len(first) == len(repeated) else [first, repeated]
 
@@ -226,11 +226,11 @@ def uncertainty_table(trials: Trials) -> Table:
     rows: list[dict[str, Cell]] = [
         {"source": PAPER, "trials": PAPER_TRIALS, **row} for row in rows_of("uncertainty")
     ]
-    for reading, found in _readings(trials):
+    for reading, repeated in _readings(trials):
         for ball in BALLS:
-            for some in subsets(found):
-                # Trial 0 holds the calibrations.
-                budget = budget_of([*found[:1], *some], reading.named(ball, "radius_mm"))
+            for some in subsets(repeated):
+                # Trial 0 has the figures under each calibration.
+                budget = budget_of([*repeated[:1], *some], reading.named(ball, "radius_mm"))
                 if budget is not None:
                     rows.append(_budget_row(reading, ball, len(some), budget))
     return Table(
@@ -247,17 +247,17 @@ def uncertainty_table(trials: Trials) -> Table:
         ),
         _sorted(rows),
         (
-            "u_rep = SD / sqrt(n) as in the paper: it shrinks with n, the SD does not.",
-            "u_cal is measured: root mean square over the trials of what the drawn calibration "
-            "changes. contact-FPP: rigs drawn from the covariance of the rendered 12-pose "
-            "calibration. GelSight: five calibrations, each on reference presses of its own.",
+            "u_rep = SD / sqrt(n) as in the paper: it decreases with n, the SD does not.",
+            "u_cal is measured: root mean square over the trials of the radius change by the drawn "
+            "calibration. contact-FPP: rigs drawn from the covariance of the rendered 12-pose "
+            "calibration. GelSight: five calibrations, each with its own reference presses.",
         ),
     )
 
 
 def budget_of(trials: Sequence[Trial], name: str) -> Budget | None:
     """Return the budget of one figure, a radius; None without repetitions of press or rig."""
-    repeated = [one for one in trials if one.number]
+    repeated = [trial for trial in trials if trial.number]
     radius = spread_of(values_of(repeated, name))
     u_cal = calibration_uncertainty(trials, name)
     if radius is None or radius.u_rep is None or u_cal is None:
@@ -268,27 +268,28 @@ def budget_of(trials: Sequence[Trial], name: str) -> Budget | None:
 def calibration_uncertainty(trials: Sequence[Trial], name: str) -> float | None:
     """Return the standard uncertainty that the calibration gives to a fitted radius `name`, mm.
 
-    Fringes: root mean square over the trials of what the drawn rig changes; trial 0 has the true
+    Fringes: root mean square over the trials of the change by the drawn rig; trial 0 has the true
     rig and does not count. Photometric stereo has no true calibration: standard deviation over
-    several, all on the image of trial 0. None where nothing was calibrated twice.
+    several calibrations, all on the image of trial 0. None with fewer than two calibrations.
     """
     changes = [
-        float(one.figures[name]) - float(one.figures[f"true_rig_{name}"])
-        for one in trials
-        if one.number and None not in (one.figures.get(name), one.figures.get(f"true_rig_{name}"))
+        float(trial.figures[name]) - float(trial.figures[f"true_rig_{name}"])
+        for trial in trials
+        if trial.number
+        and None not in (trial.figures.get(name), trial.figures.get(f"true_rig_{name}"))
     ]
     redone = [
         value
-        for one in trials
-        for key, value in one.figures.items()
+        for trial in trials
+        for key, value in trial.figures.items()
         if key.startswith("calibration_") and key.endswith(name) and value is not None
     ]
     return root_mean_square(np.array(changes)) if changes else _sd(redone)
 
 
 def _sd(values: Sequence[float]) -> float | None:
-    found = spread_of(values)
-    return None if found is None else found.sd
+    spread = spread_of(values)
+    return None if spread is None else spread.sd
 
 
 def _budget_row(reading: Reading, ball: int, n: int, budget: Budget) -> dict[str, Cell]:

@@ -56,18 +56,18 @@ class Budget:
 
 def values_of(trials: Iterable[Trial], name: str) -> np.ndarray:
     """Return a figure of every trial that has it, (n,) float."""
-    found = [one.figures[name] for one in trials if one.figures.get(name) is not None]
-    return np.array(found, np.float64)
+    values = [trial.figures[name] for trial in trials if trial.figures.get(name) is not None]
+    return np.array(values, np.float64)
 
 
 def spread_of(values: Sequence[float] | np.ndarray) -> Spread | None:
     """Return mean and spread; None without a value."""
-    found = np.asarray(values, np.float64)
-    if not found.size:
+    sample = np.asarray(values, np.float64)
+    if not sample.size:
         return None
-    sd = float(found.std(ddof=1)) if found.size > 1 else None
-    low, high = np.percentile(found, (_LOW, _HIGH))
-    return Spread(float(found.mean()), sd, int(found.size), float(low), float(high))
+    sd = float(sample.std(ddof=1)) if sample.size > 1 else None
+    low, high = np.percentile(sample, (_LOW, _HIGH))
+    return Spread(float(sample.mean()), sd, int(sample.size), float(low), float(high))
 
 
 def root_mean_square(values: np.ndarray) -> float:

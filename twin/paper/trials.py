@@ -1,4 +1,4 @@
-"""The paper's repeated measurements: studies of trials, and a GelSight-like sensor beside them."""
+"""The paper's repeated measurements: trials of contact-FPP, and of a GelSight-like sensor."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -38,50 +38,50 @@ Figures = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Trial:
-    """One repetition: its number, 0 for the nominal one, and what was measured."""
+    """One repetition: its number, 0 for the nominal trial, and its measured figures."""
 
     number: int
     figures: Figures
 
 
 def handling() -> Inputs:
-    """Return what differs from trial to trial in the handling and the piece."""
+    """Return the inputs of handling and specimen that vary from trial to trial."""
     return load_inputs(INPUTS)
 
 
 @lru_cache
 def inputs() -> Inputs:
-    """Return what differs from trial to trial: handling, and joint samples of the identified."""
+    """Return all inputs of the trials: handling, and joint samples of the identified fields."""
     given = handling()
-    found = identified()
+    summary = identified()
     drawn = {
         name: Input(
-            group=_GROUPS[one["path"].partition(".")[0]],
-            key=one["path"],
+            group=_GROUPS[field["path"].partition(".")[0]],
+            key=field["path"],
             distribution="choice",
             together="posterior",
-            values=tuple(found["draws"][name]),
-            # GelSight has a gel of its own, and no air: it shares the travel alone.
-            methods=() if one["path"] == "press.depth_mm" else ("contact_fpp",),
-            optional=one["path"].startswith("specimen."),  # bars have edges, balls have none
-            source=one["source"],
+            values=tuple(summary["draws"][name]),
+            # GelSight has another gel and no back pressure: only the travel is common.
+            methods=() if field["path"] == "press.depth_mm" else ("contact_fpp",),
+            optional=field["path"].startswith("specimen."),  # bars have edges, balls have none
+            source=field["source"],
         )
-        for name, one in found["fields"].items()
+        for name, field in summary["fields"].items()
     }
     return given.model_copy(update={"inputs": given.inputs | drawn})
 
 
 def fringe_study(experiment: Experiment, trials: int) -> StudyRecord:
     """Return the repeated contact-FPP measurement of a specimen."""
-    told = experiment.specimen.kind in {"two_balls", "bars"}
-    return record_of(experiment, inputs(), trials, budget=False, compensated=told)
+    compensated = experiment.specimen.kind in {"two_balls", "bars"}
+    return record_of(experiment, inputs(), trials, budget=False, compensated=compensated)
 
 
 def plan_of(trial: int) -> PhotometricPlan:
     """Return sensor and decoder of a trial; its reference presses are one of five sets."""
     seed = inputs().seed + trial % CALIBRATIONS
     settings: dict[str, Any] = {**PAPER_DECODER, "seed": seed}
-    # The z stage goes as far: a thin sheet gives way at forces that a gel on a window hardly feels.
+    # Equal travel, not equal force: the thin sheet's force hardly indents a gel on a window.
     return PhotometricPlan(settings=settings, match="depth")
 
 
@@ -94,15 +94,15 @@ def colour_cases(experiment: Experiment, trials: int) -> list[Case]:
     Raises
     ------
     InputError
-        A press of contact-FPP, whose force the sensor shares, fails.
+        A press of contact-FPP fails; its load is needed.
     """
-    # What is scored comes from the experiment, as specimen and load do.
+    # The scored region is that of the experiment, like specimen and load.
     experiment = vary(experiment, {"score.regions_mm": [FOOTPRINT_MM]})
-    given, found = inputs(), []
+    given, cases = inputs(), []
     for number in range(trials + 1):
         drawn = draw(experiment, given.inputs, given.seed, number)
-        found.append(_colour_case(TRIALS, drawn, number))
-    return found + [_colour_case(CALIBRATION, experiment, n) for n in range(CALIBRATIONS)]
+        cases.append(_colour_case(TRIALS, drawn, number))
+    return cases + [_colour_case(CALIBRATION, experiment, n) for n in range(CALIBRATIONS)]
 
 
 def _colour_case(part: str, experiment: Experiment, number: int) -> Case:
@@ -112,32 +112,32 @@ def _colour_case(part: str, experiment: Experiment, number: int) -> Case:
 
 def figures_by_decoder(done: Measurement) -> dict[str, Any]:
     """Return the balls' figures of one image by every decoder, each under its name."""
-    found: dict[str, Any] = {}
-    for one in done.colours.decoded:
-        found |= _by_decoder(one)
-    return found
+    figures: dict[str, Any] = {}
+    for decoded in done.colours.decoded:
+        figures |= _by_decoder(decoded)
+    return figures
 
 
-def _by_decoder(one: DecodedImage) -> dict[str, Any]:
+def _by_decoder(decoded: DecodedImage) -> dict[str, Any]:
     return {
-        f"{one.colour_map}_{one.integration}_{name}": value
-        for name, value in metrics(one.score).items()
+        f"{decoded.colour_map}_{decoded.integration}_{name}": value
+        for name, value in metrics(decoded.score).items()
         if name.startswith("sphere_") or name == "z_rmse_um"
     }
 
 
-def trials_among(cases: Sequence[Case], found: Mapping[str, Figures]) -> list[Trial]:
+def trials_among(cases: Sequence[Case], by_digest: Mapping[str, Figures]) -> list[Trial]:
     """Return the trials in their order, by the figures of each case's digest.
 
-    Trial 0 has the balls' radii under every calibration, too.
+    Trial 0 also has the balls' radii under every calibration.
     """
     redone = {
         f"calibration_{case.settings[TRIAL]}_{name}": value
         for case in cases
         if case.settings[PART] == CALIBRATION
-        for name, value in found[case.digest].items()
+        for name, value in by_digest[case.digest].items()
         if name.startswith("sphere_") and name.endswith("_radius_mm") and "true" not in name
     }
     numbered = {case.settings[TRIAL]: case for case in cases if case.settings[PART] == TRIALS}
-    trials = [Trial(number, found[numbered[number].digest]) for number in sorted(numbered)]
+    trials = [Trial(number, by_digest[numbered[number].digest]) for number in sorted(numbered)]
     return [Trial(0, {**trials[0].figures, **redone}), *trials[1:]]

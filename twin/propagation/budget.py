@@ -1,7 +1,8 @@
-"""Ranked uncertainty budget: what each input alone adds to a measurand, and what noise adds.
+"""Ranked uncertainty budget: contributions of each input, of noise and of calibration.
 
 By first and second differences over one standard uncertainty of each input (JCGM 100, 5.1.3 and
-5.1.2, note), beside the standard deviation of the trials, in which all inputs are drawn together.
+5.1.2, note), for comparison with the standard deviation of the trials, in which all inputs are
+drawn together.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +17,7 @@ from twin.study.trials import HIGH, LOW, MIDDLE
 
 @dataclass(frozen=True)
 class Part:
-    """What one source adds to the standard uncertainty of a measurand, in the measurand's unit.
+    """Contribution of one source to the standard uncertainty of a measurand, in its unit.
 
     Attributes
     ----------
@@ -30,59 +31,61 @@ class Part:
     u: float
 
 
-def part_of(name: str, one: Input, found: Mapping[str, float]) -> Part | None:
-    """Return what an input adds, from the measurand at its steps and at the nominal value.
+def part_of(name: str, distributed: Input, by_step: Mapping[str, float]) -> Part | None:
+    """Return the contribution of an input, from the measurand at its steps and the nominal value.
 
     Parameters
     ----------
-    found : measurand by step: nominal, low and high; of a choice by value
+    name : of the input
+    distributed : the input
+    by_step : measurand by step: nominal, low and high; of a choice by value
 
     Returns
     -------
     Part or None
-        None where a step has no value: the press failed, or there was nothing to fit.
+        None if a step has no value: the press or the fit failed.
     """
-    if one.distribution == "choice":
-        weights = np.array(one.weights or [1.0] * len(one.values))
-        values = [found.get(f"{value:g}") for value in one.values]
+    if distributed.distribution == "choice":
+        weights = np.array(distributed.weights or [1.0] * len(distributed.values))
+        values = [by_step.get(f"{value:g}") for value in distributed.values]
         if None in values:
             return None
         taken, shares = np.array(values, np.float64), weights / weights.sum()
         u = float(np.sqrt(shares @ (taken - shares @ taken) ** 2))
-        return Part(name, one.group, one.key, u)
-    if one.spread == 0.0:
-        return Part(name, one.group, one.key, 0.0)
-    ends = [found.get(step) for step in (LOW, MIDDLE, HIGH)]
+        return Part(name, distributed.group, distributed.key, u)
+    if distributed.spread == 0.0:
+        return Part(name, distributed.group, distributed.key, 0.0)
+    ends = [by_step.get(step) for step in (LOW, MIDDLE, HIGH)]
     if None in ends:
         return None
-    return Part(name, one.group, one.key, spread_of_parabola(*map(float, ends)))  # type: ignore[arg-type]
+    return Part(name, distributed.group, distributed.key, spread_of_parabola(*map(float, ends)))  # type: ignore[arg-type]
 
 
 def spread_of_parabola(low: float, middle: float, high: float) -> float:
     """Return the standard deviation of the parabola through three points, of a normal input.
 
-    They lie one standard uncertainty apart. A specimen at rest is symmetric in tilt and yaw: there
-    the slope is nothing and the bend, 1/2 (f'' u^2)^2, is all.
+    The points are spaced by one standard uncertainty. An untilted specimen is symmetric in tilt and
+    yaw: there the slope is 0 and the variance is that of the bend, 1/2 (f'' u^2)^2.
     """
     slope, bend = (high - low) / 2, high + low - 2 * middle
     return float(np.hypot(slope, bend / np.sqrt(2.0)))
 
 
 def noise_part(repeated: FloatArray) -> Part | None:
-    """Return what noise adds: the standard deviation of repeats (n,) with new noise alone."""
+    """Return the contribution of noise: standard deviation of repeats (n,) that differ in noise."""
     if repeated.size < 2:
         return None
     return Part("noise and decoding", "camera", "", float(repeated.std(ddof=1)))
 
 
 def noise_left(differences: FloatArray, parts: Sequence[Part]) -> Part | None:
-    """Return noise from trials: what they differ from the face by, less what the optics add.
+    """Return noise from trials: variance of measurement minus true face, less that of the optics.
 
     Parameters
     ----------
     differences : (n,) float
-        Measurand with the true rig less that of the true face, by trial.
-    parts : those of group "optics" are in the differences, and are taken off once
+        Measurand with the true rig minus that of the true face, by trial.
+    parts : the variances of group "optics" are in the differences, and are subtracted once
     """
     if differences.size < 2:
         return None
@@ -93,7 +96,7 @@ def noise_left(differences: FloatArray, parts: Sequence[Part]) -> Part | None:
 
 
 def calibration_part(differences: FloatArray) -> Part | None:
-    """Return what the calibration adds, from what another one changes (n,) on the same images."""
+    """Return the calibration's contribution, from changes (n,) by recalibration on equal images."""
     if differences.size < 2:
         return None
     return Part("calibration", "rig", "", float(differences.std(ddof=1)))
@@ -110,6 +113,6 @@ def together(parts: Sequence[Part]) -> float:
 
 
 def shares(parts: Sequence[Part]) -> list[float]:
-    """Return the share of the variance of each part, 0 to 1; all 0 where nothing adds anything."""
+    """Return the share of the variance of each part, 0 to 1; all 0 if all parts are 0."""
     whole = sum(part.u**2 for part in parts)
     return [part.u**2 / whole if whole else 0.0 for part in parts]

@@ -39,10 +39,10 @@ class Stability:
     Attributes
     ----------
     digits : significant decimal digits of the standard uncertainty that the trials support, 0 to 2
-    errors : twice the standard deviation of mean, standard uncertainty and both ends of the
-        symmetric interval, which must not exceed the tolerance; without interval the first two
+    errors : two standard deviations of mean, standard uncertainty and both ends of the symmetric
+        interval, which must not exceed the tolerance; without interval the first two
     tolerance : of one digit, or of as many as are supported (7.9.2)
-    trials_for_one_digit : how many one digit would take, about
+    trials_for_one_digit : approximate number of trials that support one digit
     """
 
     digits: int
@@ -52,7 +52,7 @@ class Stability:
 
     @property
     def weakest(self) -> str:
-        """What of the result is known worst."""
+        """Name of the statistic with the largest error."""
         return _STATISTICS[int(np.argmax(self.errors))]
 
 
@@ -83,26 +83,27 @@ def distribution_of(values: ArrayLike, coverage: float = COVERAGE) -> Distributi
 
     Raises
     ------
-    ValueError : fewer than two values, or a coverage that is not between 0 and 1
+    ValueError
+        Fewer than two values, or a coverage that is not between 0 and 1.
     """
-    found = np.asarray(values, np.float64)
-    if found.ndim != 1 or found.size < 2 or not 0.0 < coverage < 1.0:
+    measured = np.asarray(values, np.float64)
+    if measured.ndim != 1 or measured.size < 2 or not 0.0 < coverage < 1.0:
         raise ValueError("a distribution needs two values or more, and a coverage between 0 and 1")
     return Distribution(
-        values=found,
-        mean=float(found.mean()),
-        standard_uncertainty=float(found.std(ddof=1)),
-        symmetric=symmetric_interval(found, coverage),
-        shortest=shortest_interval(found, coverage),
+        values=measured,
+        mean=float(measured.mean()),
+        standard_uncertainty=float(measured.std(ddof=1)),
+        symmetric=symmetric_interval(measured, coverage),
+        shortest=shortest_interval(measured, coverage),
         coverage=coverage,
-        stability=stability_of(found, coverage),
+        stability=stability_of(measured, coverage),
     )
 
 
 def symmetric_interval(values: FloatArray, coverage: float = COVERAGE) -> Interval | None:
     """Return the probabilistically symmetric coverage interval (JCGM 101, 7.7.2).
 
-    None where trials are too few to leave two of them outside: below 40 for 95 %.
+    None if fewer than two trials would be outside: below 40 trials for 95 %.
     """
     if not _enough(values, coverage):
         return None
@@ -122,12 +123,12 @@ def shortest_interval(values: FloatArray, coverage: float = COVERAGE) -> Interva
 
 def _inside(values: FloatArray, coverage: float) -> int:
     """Return q of JCGM 101, 7.7.1: p M, or its nearest integer."""
-    # 0.95 * 100 is 95 but for its last bit.
+    # 0.95 * 100 differs from 95 in the last bit.
     return floor(round(coverage * values.size, 9) + 0.5)
 
 
 def _first(values: FloatArray, coverage: float) -> int:
-    """Return r of JCGM 101, 7.7.2: half of what is left out, rounded up."""
+    """Return r of JCGM 101, 7.7.2: 50 % of the trials outside the interval, rounded up."""
     return -(-(values.size - _inside(values, coverage)) // 2)
 
 
@@ -144,12 +145,11 @@ def tolerance_of(standard_uncertainty: float, digits: int) -> float:
 
 
 def stability_of(values: FloatArray, coverage: float = COVERAGE) -> Stability | None:
-    """Tell which digits the trials support; None where the values do not differ.
+    """Return the number of digits that the trials support; None if all values are equal.
 
-    As in JCGM 101, 7.9.4, twice the standard deviations of mean, standard uncertainty and interval
-    ends must not exceed the tolerance. The guide takes them from blocks of trials; so does this
-    where there are 10^4 or more. Of a measurement that takes seconds there are hundreds in all:
-    then they come from resampling these with replacement (bootstrap).
+    As in JCGM 101, 7.9.4, two standard deviations of mean, standard uncertainty and interval ends
+    must not exceed the tolerance. They are computed from blocks of trials, as in the guide, for
+    10^4 trials or more, and otherwise by resampling the trials with replacement (bootstrap).
     """
     spread = float(values.std(ddof=1))
     if not spread > 1e-12 * float(np.abs(values).max()):
@@ -157,27 +157,27 @@ def stability_of(values: FloatArray, coverage: float = COVERAGE) -> Stability | 
     errors = _errors(values, coverage)
     supported = [n for n in (1, 2) if max(errors) <= tolerance_of(spread, n)]
     digits = max(supported, default=0)
-    wanted = tolerance_of(spread, 1)
-    more = ceil(values.size * (max(errors) / wanted) ** 2)
+    one_digit = tolerance_of(spread, 1)
+    more = ceil(values.size * (max(errors) / one_digit) ** 2)
     return Stability(digits, errors, tolerance_of(spread, max(digits, 1)), more)
 
 
 def _errors(values: FloatArray, coverage: float) -> tuple[float, ...]:
-    """Twice the standard deviations of the statistics of all values."""
+    """Return two standard deviations of the statistics of all values."""
     if values.size >= _LEAST_FOR_BLOCKS:
         drawn = values[: values.size // _BLOCKS * _BLOCKS].reshape(_BLOCKS, -1)
         share = 1.0 / np.sqrt(_BLOCKS)  # 7.9.4 g: of the mean over the blocks
     else:
         rng, share = np.random.default_rng(0), 1.0
         drawn = values[rng.integers(0, values.size, (_RESAMPLES, values.size))]
-    return tuple(2.0 * share * float(one.std(ddof=1)) for one in _statistics(drawn, coverage))
+    return tuple(2.0 * share * float(s.std(ddof=1)) for s in _statistics(drawn, coverage))
 
 
 def _statistics(drawn: FloatArray, coverage: float) -> Sequence[FloatArray]:
-    """Mean, standard deviation and ends of the symmetric interval of rows (resample, trial)."""
-    found = [drawn.mean(axis=1), drawn.std(axis=1, ddof=1)]
+    """Return mean, standard deviation and ends of the symmetric interval, each (resample,)."""
+    statistics = [drawn.mean(axis=1), drawn.std(axis=1, ddof=1)]
     if _enough(drawn[0], coverage):
         first, inside = _first(drawn[0], coverage), _inside(drawn[0], coverage)
         ordered = np.sort(drawn, axis=1)
-        found += [ordered[:, first - 1], ordered[:, first + inside - 1]]
-    return found
+        statistics += [ordered[:, first - 1], ordered[:, first + inside - 1]]
+    return statistics

@@ -1,4 +1,4 @@
-"""Trials as a person meets them: as labelled arrays, and measurands in pictures."""
+"""Presentation of trials: labelled arrays, and measurands as texts and plots."""
 
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ def trial_arrays(result: "Uncertainty", absent: float = np.nan) -> LabelledArray
 
     Parameters
     ----------
-    absent : stands where a trial lacks the figure
+    absent : value of a figure in trials without it
     """
     rows = [row for row in result.table.rows if row.get(PART) == TRIALS]
     keys = [given.key for given in result.inputs().values()]

@@ -1,4 +1,4 @@
-"""What the trials of a study say of a measurand, read from the study's store."""
+"""Uncertainty of measurands from the trials of a study, read from the study's store."""
 
 import json
 from collections import Counter
@@ -50,7 +50,7 @@ MAIN = (
     "completeness",
     "force_n",
 )
-"""Measurands where none is named, as far as a measurement has them."""
+"""Default measurands, as far as a measurement has them."""
 _MOST_OTHERS = 4
 
 Row = Mapping[str, Any]
@@ -63,13 +63,13 @@ class Measurand:
     Attributes
     ----------
     name : with its unit
-    nominal : in trial 0, with the true rig; None where that has no value
+    nominal : in trial 0, with the true rig; None if that has no value
     distribution : over the trials that have a value
-    missing : trials without a value: they failed, or had nothing to fit
-    parts : of the budget, the largest first; empty where the study made none
-    undetermined : inputs whose part is not known, because a step has no value
+    missing : trials without a value: the measurement or the fit failed
+    parts : of the budget, the largest first; empty without a budget
+    undetermined : inputs without a part, because a step has no value
     correlations : with the inputs, the strongest first
-    effects : Sobol' indices, where they were asked for
+    effects : Sobol' indices, if they were requested
     """
 
     name: str
@@ -89,7 +89,7 @@ class Measurand:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What the trials of a study say.
+    """Uncertainties from the trials of a study.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Uncertainty:
         """Return trials and measurands as texts by name; u is the standard uncertainty."""
         failed = sum(self.failures.values())
         trials = f"{self.trials}, {failed} failed" if failed else f"{self.trials}"
-        measurands = {name: measurand_in_short(one) for name, one in self.measurands.items()}
+        measurands = {name: measurand_in_short(m) for name, m in self.measurands.items()}
         return {"trials": trials} | measurands
 
     def plot(self) -> "Drawing":
@@ -128,32 +128,32 @@ class Uncertainty:
 
     @property
     def trials(self) -> int:
-        """Trials that were asked for; the nominal one is none of them."""
+        """Number of requested trials, without the nominal measurement."""
         return self.table.record.study.sampling.count or 0
 
     @property
     def experiment(self) -> Experiment:
-        """What was repeated."""
+        """The nominal experiment, which was repeated."""
         record = self.table.record
         return nominal(record.study, record.base)
 
     def inputs(self) -> dict[str, Input]:
-        """Return the inputs that count for the experiment."""
+        """Return the inputs that apply to the experiment."""
         return counting_for(self.experiment, self.table.record.study.inputs)
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures of all measurands, with the unit at the end of each name."""
-        found: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "trials": self.trials,
             "failed_trials": sum(self.failures.values()),
         }
-        for one in self.measurands.values():
-            found |= _metrics_of(one)
-        return found
+        for measurand in self.measurands.values():
+            figures |= _metrics_of(measurand)
+        return figures
 
 
 def is_uncertainty(folder: Path) -> bool:
-    """Tell whether a folder is the store of a study of trials."""
+    """Return True if a folder is the store of a study of trials."""
     if not is_regular(folder / STUDY_FILE):
         return False
     return read_record(folder).study.sampling.method == "trials"
@@ -170,29 +170,30 @@ def read_uncertainty(
 
     Raises
     ------
-    InputError : the folder holds no study of trials, fewer than two trials have a value, or no
-        trial has a figure of that name
+    InputError
+        The folder is no study of trials, fewer than two trials have a value, or no trial has a
+        figure of that name.
     """
     if not is_uncertainty(folder):
-        raise InputError(f"{folder}: holds no trials; give the -o DIR of twin uncertainty")
+        raise InputError(f"{folder}: found no trials; give the -o DIR of twin uncertainty")
     table = read_table(folder)
     trials = _part(table.rows, TRIALS)
     failures = Counter(row["reason"] for row in trials if row["state"] == "failed" and row[TRIAL])
-    asked = list(measurands or table.record.study.metrics) or _main(trials)
+    names = list(measurands or table.record.study.metrics) or _main(trials)
     known = {name for row in trials for name, value in row.items() if is_number(value)}
-    known -= {TRIAL, *(one.key for one in table.record.study.inputs.values())}
-    unknown = [name for name in asked if name not in known]
+    known -= {TRIAL, *(given.key for given in table.record.study.inputs.values())}
+    unknown = [name for name in names if name not in known]
     if unknown:
-        told = ", ".join(sorted(n for n in known if not n.startswith(TRUE_RIG)))
+        allowed = ", ".join(sorted(n for n in known if not n.startswith(TRUE_RIG)))
         why = "; ".join(failures) if failures else "no trial is finished; run it again"
-        raise InputError(f"measurand {unknown[0]}: found in no trial, allowed {told or why}")
+        raise InputError(f"measurand {unknown[0]}: found in no trial, allowed {allowed or why}")
     effects = _read_effects(folder, table.record)
-    found = {name: _measurand(table, name, coverage, effects.get(name, ())) for name in asked}
-    return Uncertainty(table, found, failures)
+    by_name = {name: _measurand(table, name, coverage, effects.get(name, ())) for name in names}
+    return Uncertainty(table, by_name, failures)
 
 
 def _main(trials: Sequence[Row]) -> list[str]:
-    """Return the main figures that differ, or the first other ones."""
+    """Return the main figures that vary over the trials, or the first other figures."""
     some = [row for row in trials if row["state"] == "done"]
     if not some:
         return list(MAIN[:1])
@@ -216,14 +217,14 @@ def _measurand(
     with_value = [row for row in drawn if is_number(row.get(name))]
     values = _values(with_value, name)
     if values.size < 2:
-        raise InputError(f"measurand {name}: {values.size} trials have it, 2 or more are needed")
+        raise InputError(f"measurand {name}: found in {values.size} trials, needed 2; add trials")
     middle = next((row.get(name) for row in rows if not row[TRIAL]), None)
     study = table.record.study
     inputs = counting_for(nominal(study, table.record.base), study.inputs)
     parts, undetermined = _budget(table, name, inputs, with_value)
     pairs = [
-        correlation_of(title, [row[one.key] for row in with_value], values)
-        for title, one in inputs.items()
+        correlation_of(title, [row[given.key] for row in with_value], values)
+        for title, given in inputs.items()
     ]
     return Measurand(
         name,
@@ -232,7 +233,7 @@ def _measurand(
         len(drawn) - len(with_value),
         tuple(ranked(parts)),
         tuple(undetermined),
-        tuple(sorted(filter(None, pairs), key=lambda one: -abs(one.rank))),
+        tuple(sorted(filter(None, pairs), key=lambda pair: -abs(pair.rank))),
         tuple(effects),
     )
 
@@ -240,15 +241,15 @@ def _measurand(
 def _budget(
     table: StudyTable, name: str, inputs: Mapping[str, Input], trials: Sequence[Row]
 ) -> tuple[list[Part], list[str]]:
-    """Return what each input alone, noise and calibration add; and the inputs that do not tell."""
+    """Return the parts of inputs, noise and calibration; and the inputs without a part."""
     if not table.record.study.sampling.budget:
         return [], []
     alone = [row for row in _part(table.rows, ALONE) if is_number(row.get(name))]
     middle = {row[STEP]: row[name] for row in alone if not row[INPUT]}
     parts, undetermined = [], []
-    for title, one in inputs.items():
+    for title, given in inputs.items():
         steps = middle | {row[STEP]: row[name] for row in alone if row[INPUT] == title}
-        part = part_of(title, one, steps)
+        part = part_of(title, given, steps)
         if part is None:
             undetermined.append(title)
         else:
@@ -261,7 +262,7 @@ def _budget(
 
 
 def _calibration_changes(table: StudyTable, name: str, trials: Sequence[Row]) -> FloatArray:
-    """Return what another calibration changes, (n,): of fringes on the same images."""
+    """Return the change by another calibration, (n,); with fringes, on the same images."""
     both = [row for row in trials if is_number(row.get(f"{TRUE_RIG}{name}"))]
     if both:
         return _values(both, name) - _values(both, f"{TRUE_RIG}{name}")
@@ -276,45 +277,48 @@ def _values(rows: Iterable[Row], name: str) -> FloatArray:
     return np.array([row[name] for row in rows if is_number(row.get(name))], np.float64)
 
 
-def _metrics_of(one: Measurand) -> dict[str, Any]:
-    found, name = one.distribution, one.name
-    stability = found.stability
+def _metrics_of(measurand: Measurand) -> dict[str, Any]:
+    result, name = measurand.distribution, measurand.name
+    stability = result.stability
     figures: dict[str, Any] = {
-        f"trials_of_{name}": int(found.values.size),
-        f"nominal_{name}": one.nominal,
-        f"mean_{name}": found.mean,
-        f"standard_uncertainty_{name}": found.standard_uncertainty,
-        f"budget_standard_uncertainty_{name}": one.from_budget,
+        f"trials_of_{name}": int(result.values.size),
+        f"nominal_{name}": measurand.nominal,
+        f"mean_{name}": result.mean,
+        f"standard_uncertainty_{name}": result.standard_uncertainty,
+        f"budget_standard_uncertainty_{name}": measurand.from_budget,
         f"supported_digits_of_{name}": None if stability is None else stability.digits,
     }
-    for title, interval in (("interval", found.symmetric), ("shortest_interval", found.shortest)):
+    for title, interval in (
+        ("interval", result.symmetric),
+        ("shortest_interval", result.shortest),
+    ):
         figures[f"{title}_low_{name}"] = None if interval is None else interval.low
         figures[f"{title}_high_{name}"] = None if interval is None else interval.high
     return figures | {
-        f"uncertainty_by_{part.name}_{name}".replace(" ", "_"): part.u for part in one.parts
+        f"uncertainty_by_{part.name}_{name}".replace(" ", "_"): part.u for part in measurand.parts
     }
 
 
 def effects_as_json(record: StudyRecord, effects: Mapping[str, Sequence[Effect]]) -> dict[str, Any]:
-    """Return Sobol' indices for `SOBOL_FILE`, with the name of what they were computed from."""
-    found = {name: [asdict(one) for one in some] for name, some in effects.items()}
-    return {"schema_version": 1, "of": _mark(record), "effects": found}
+    """Return Sobol' indices for `SOBOL_FILE`, with a digest of the experiment and inputs."""
+    by_name = {name: [asdict(effect) for effect in some] for name, some in effects.items()}
+    return {"schema_version": 1, "of": _mark(record), "effects": by_name}
 
 
 def _mark(record: StudyRecord) -> str:
-    inputs = {name: one.model_dump(mode="json") for name, one in record.study.inputs.items()}
+    inputs = {name: given.model_dump(mode="json") for name, given in record.study.inputs.items()}
     return f"{digest(record.base)} {json.dumps(inputs, sort_keys=True)}"
 
 
 def _read_effects(folder: Path, record: StudyRecord) -> dict[str, list[Effect]]:
-    """Read Sobol' indices; those of another experiment or of other inputs are none."""
+    """Read Sobol' indices; empty if they are of another experiment or of other inputs."""
     path = folder / SOBOL_FILE
     if not is_regular(path):
         return {}
-    kept = read_json(path)
-    if kept.get("of") != _mark(record):
+    content = read_json(path)
+    if content.get("of") != _mark(record):
         return {}
     try:
-        return {name: [Effect(**one) for one in some] for name, some in kept["effects"].items()}
+        return {name: [Effect(**row) for row in some] for name, some in content["effects"].items()}
     except (KeyError, TypeError, AttributeError):
-        raise InputError(f"{path}: damaged; delete it, or ask for --sobol again") from None
+        raise InputError(f"{path}: damaged; delete it, or run with --sobol again") from None

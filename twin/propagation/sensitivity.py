@@ -1,4 +1,4 @@
-"""Which input moves a measurand: correlations over the trials, and Sobol' indices."""
+"""Sensitivity of a measurand to the inputs: correlations over the trials, and Sobol' indices."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from twin.study.trials import InputDistribution, counting_for, deviation_of, sta
 
 @dataclass(frozen=True)
 class Correlation:
-    """How an input and a measurand go together over the trials.
+    """Correlation of an input with a measurand over the trials.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Correlation:
 def correlation_of(name: str, inputs: ArrayLike, values: ArrayLike) -> Correlation | None:
     """Return the correlation of an input (n,) with a measurand (n,).
 
-    None with fewer than three trials, or where one of both does not differ.
+    None with fewer than three trials, or if input or measurand is constant.
     """
     x, y = np.asarray(inputs, np.float64), np.asarray(values, np.float64)
     if x.size < 3 or not np.ptp(x) or not np.ptp(y):
@@ -50,7 +50,7 @@ def correlation_of(name: str, inputs: ArrayLike, values: ArrayLike) -> Correlati
 
 
 def presses_of_sobol(inputs: Mapping[str, Input], experiment: Experiment, base_points: int) -> int:
-    """Return how many presses `sobol_of_face` costs: base points x (inputs + 2)."""
+    """Return the number of presses of `sobol_of_face`: base points x (inputs + 2)."""
     return base_points * (len(_of_face(inputs, experiment)) + 2)
 
 
@@ -63,45 +63,46 @@ def sobol_of_face(
     seed: int = 0,
     watch: ProgressCallback = no_progress,
 ) -> dict[str, list[Effect]]:
-    """Return Sobol' indices of figures of the pressed face: the cheap stage, without light.
+    """Return Sobol' indices of figures of the pressed face, without rendering.
 
     First order and total, by `scipy.stats.sobol_indices` over the inputs' own distributions, with
-    95 % bootstrap intervals. Costs base points x (inputs + 2) presses for all figures together.
+    95 % bootstrap intervals. All figures together need base points x (inputs + 2) presses.
 
     Parameters
     ----------
-    inputs : those of the optics leave the face alone and have no index
+    inputs : inputs of the optics do not change the face and have no index
     measurands : such as sphere_1_radius_mm, rod_width_mm, force_n, relief_peak_mm; those that the
-        face does not have are left out
+        face does not have are omitted
     base_points : a power of 2
 
     Raises
     ------
-    InputError : `base_points` is no power of 2; a press fails; the face has none of the figures;
-        nothing is pressed
+    InputError
+        `base_points` is no power of 2, a press fails, the face has none of the figures, or the
+        modality has no press.
     """
     if base_points < 2 or base_points & (base_points - 1):
         raise InputError(f"--sobol {base_points}: allowed a power of 2, for example 64")
     if not experiment.method.presses:
-        raise InputError(f"--sobol: modality = '{experiment.modality}' presses nothing; leave it")
+        raise InputError(f"--sobol: modality = '{experiment.modality}' has no press; omit --sobol")
     counting, memory = _of_face(inputs, experiment), Memory()
     if not counting:
-        raise InputError("--sobol: found no input that moves the pressed face; leave it")
-    nominal = [one.nominal_in(experiment) for one in counting.values()]
+        raise InputError("--sobol: found no input that changes the pressed face; omit --sobol")
+    nominal = [given.nominal_in(experiment) for given in counting.values()]
     dists = [deviation_of(o, at) for o, at in zip(counting.values(), nominal, strict=True)]
     columns = sobol_points(dists, base_points, seed).T
-    found = []
+    rows: list[dict[str, Any]] = []
     for done, column in enumerate(columns):
         watch("presses", done / len(columns))
         values = (float(at + step) for at, step in zip(nominal, column, strict=True))
-        keys = (one.key for one in counting.values())
-        found.append(_face(experiment, dict(zip(keys, values, strict=True)), memory))
-        _refuse_unknown(measurands, found[0])
+        keys = (given.key for given in counting.values())
+        rows.append(_face(experiment, dict(zip(keys, values, strict=True)), memory))
+        _require_known(measurands, rows[0])
     watch("presses", 1.0)
     return {
-        name: sobol_effects([row[name] for row in found], list(counting))
+        name: sobol_effects([row[name] for row in rows], list(counting))
         for name in measurands
-        if all(is_number(row.get(name)) for row in found)
+        if all(is_number(row.get(name)) for row in rows)
     }
 
 
@@ -113,7 +114,7 @@ def _face(experiment: Experiment, drawn: Mapping[str, float], memory: Memory) ->
         raise InputError(f"--sobol: {error}") from None
 
 
-def _refuse_unknown(measurands: Sequence[str], figures: Mapping[str, Any]) -> None:
+def _require_known(measurands: Sequence[str], figures: Mapping[str, Any]) -> None:
     numbers = sorted(name for name, value in figures.items() if is_number(value))
     if not set(numbers) & set(measurands):
         raise InputError(
@@ -123,21 +124,21 @@ def _refuse_unknown(measurands: Sequence[str], figures: Mapping[str, Any]) -> No
 
 
 def _of_face(inputs: Mapping[str, Input], experiment: Experiment) -> dict[str, Input]:
-    """Return the inputs that move the face."""
+    """Return the inputs that change the pressed face."""
     return {
-        name: one
-        for name, one in counting_for(experiment, inputs).items()
-        if one.group != "optics" and standard_uncertainty(one, one.nominal_in(experiment)) > 0
+        name: given
+        for name, given in counting_for(experiment, inputs).items()
+        if given.group != "optics" and standard_uncertainty(given, given.nominal_in(experiment)) > 0
     }
 
 
 def sobol_points(
     distributions: Sequence[InputDistribution], base_points: int, seed: int
 ) -> FloatArray:
-    """Return the inputs (input, n) at which a model is asked."""
+    """Return the inputs (input, n) at which a model is evaluated."""
     rng = np.random.default_rng(seed)
     shares = saltelli_shares(len(distributions), base_points, rng)
-    return np.array([one.ppf(column) for one, column in zip(distributions, shares.T, strict=True)])
+    return np.array([d.ppf(column) for d, column in zip(distributions, shares.T, strict=True)])
 
 
 def sobol_effects(values: ArrayLike, names: Sequence[str]) -> list[Effect]:

@@ -1,4 +1,4 @@
-"""Repeat a measurement with its inputs drawn anew: the study of an experiment's uncertainty.
+"""Repeat a measurement with new draws of its inputs: the study of an experiment's uncertainty.
 
 | in the folder | content |
 |---|---|
@@ -51,7 +51,7 @@ MOST_TRIALS = 1_000_000
 _PARTS = {
     TRIALS: "trials with the nominal one",
     ALONE: "with one input varied or none, without noise",
-    NOISE: "repeats with new noise alone",
+    NOISE: "repeats that differ only in noise",
     CALIBRATION: "with another calibration of the sensor",
 }
 _ABSENT = 9.969209968386869e36  # netCDF's own fill value of doubles
@@ -71,31 +71,33 @@ def uncertainty(
     coverage: float = COVERAGE,
     watch: ProgressCallback = no_progress,
 ) -> Uncertainty:
-    """Repeat a measurement with its inputs drawn anew, and say what any of its figures is worth.
+    """Repeat a measurement with new draws of its inputs, and return its figures' uncertainty.
 
     Parameters
     ----------
     experiment : Experiment, Path or str
         The nominal measurement, its file, or the name of a shipped one.
     inputs : Inputs, mapping or str
-        What differs: a file, the name of a shipped one, or tables by name.
-    n : trials, at least 2; the nominal measurement comes on top
+        The varied inputs: a file, the name of a shipped file, or tables by name.
+    n : number of trials, at least 2, in addition to the nominal measurement
     folder : path, optional
-        Where the trials are kept; what lies there is not measured again.
-    measurands : figures of the measurement, such as "sphere_1_radius_mm"; by default the main ones
+        Where the trials are stored; cases already there are not measured again.
+    measurands : figures of the measurement, such as "sphere_1_radius_mm"; default: the main figures
     calibration : {"drawn", "true"}
         A new calibration of the rig in each trial, or the true rig.
-    budget : also vary each input alone, for the ranked budget: two measurements per input
+    budget : also vary each input separately, for the ranked budget: two measurements per input
     seed : of all draws; default: that of the inputs
     workers : Workers or int
-        Who computes; a number of processes on this machine.
+        The workers, or a number of processes on this machine.
     coverage : probability of the coverage intervals
 
     Raises
     ------
-    InputError : an input leads to no number, a drawn value is not allowed, the nominal measurement
-        cannot be made or has no such figure, or the folder cannot be used
-    MissingBackend : no usable Dr.Jit backend
+    InputError
+        An input's key is no number of the experiment, a drawn value is not allowed, the nominal
+        measurement fails or has no such figure, or the folder cannot be used.
+    MissingBackend
+        No usable Dr.Jit backend.
     """
     base = load_experiment(experiment) if isinstance(experiment, (str, Path)) else experiment
     require_experiment(base)
@@ -104,9 +106,9 @@ def uncertainty(
     who = local_workers(workers) if isinstance(workers, int) else workers
     if folder is not None:
         sweep(record, Path(folder), who, watch=watch)
-        found = read_uncertainty(Path(folder), measurands, coverage)
-        write_uncertainty(Path(folder), found)
-        return found
+        result = read_uncertainty(Path(folder), measurands, coverage)
+        write_uncertainty(Path(folder), result)
+        return result
     with tempfile.TemporaryDirectory() as scratch:
         sweep(record, Path(scratch), who, watch=watch)
         return read_uncertainty(Path(scratch), measurands, coverage)
@@ -128,12 +130,13 @@ def record_of(
     Parameters
     ----------
     measurands : figures that the nominal measurement must have; none: it must have points
-    compensated : also find the object behind the coat in each trial; default: where that can be,
-        but not under a slab, whose object takes some seconds to fit
+    compensated : also estimate the object behind the coat in each trial; default: if the layer
+        can be compensated, but not under a slab, where the fit takes some seconds
 
     Raises
     ------
-    ConfigError : one line per problem of the inputs; or a number of trials that is not allowed
+    ConfigError
+        One line per problem of the inputs; or a number of trials that is not allowed.
     """
     if not 2 <= n <= MOST_TRIALS:
         raise ConfigError(f"trials: found {n}, allowed 2 to {MOST_TRIALS}")
@@ -160,22 +163,22 @@ def record_of(
 def plan_in_words(
     record: StudyRecord, folder: Path, workers: int, sobol: int | None = None
 ) -> list[str]:
-    """Say what the trials of a record would measure, how many cases, and how long as far as known.
+    """Return lines on the planned trials: inputs, number of cases, and estimated run time.
 
     Parameters
     ----------
-    folder : where they would be kept: what lies there is not measured again
+    folder : store of the trials; cases already there are not measured again
     sobol : base points of Sobol' indices of the pressed face
     """
     experiment, cases = nominal(record.study, record.base), record.cases()
     varied = counting_for(experiment, record.study.inputs)
-    lines = [f"{one.key}: {_in_words(one, experiment)}" for one in varied.values()]
-    idle = [one.key for name, one in record.study.inputs.items() if name not in varied]
+    lines = [f"{given.key}: {_in_words(given, experiment)}" for given in varied.values()]
+    idle = [given.key for name, given in record.study.inputs.items() if name not in varied]
     if idle:
-        lines.append(f"not in the experiment, left out: {', '.join(idle)}")
+        lines.append(f"not in the experiment, ignored: {', '.join(idle)}")
     counts = Counter(case.settings[PART] for case in cases.run)
     lines.append(
-        ", ".join(f"{counts[part]} {told}" for part, told in _PARTS.items() if counts[part])
+        ", ".join(f"{counts[part]} {words}" for part, words in _PARTS.items() if counts[part])
     )
     board = drawn_board(record.study, record.base)
     if board:
@@ -184,14 +187,14 @@ def plan_in_words(
     if sobol is not None:
         presses = presses_of_sobol(record.study.inputs, experiment, sobol)
         seconds = duration(presses * press_seconds(experiment))
-        lines.append(f"Sobol' indices: {presses} presses more, about {seconds}")
+        lines.append(f"Sobol' indices: {presses} further presses, about {seconds}")
     return lines
 
 
-def _in_words(one: Input, experiment: Experiment) -> str:
-    at = one.nominal_in(experiment)
-    drawn = one.distribution.replace("_", " ")
-    return f"{at:.5g}, standard uncertainty {standard_uncertainty(one, at):.3g} ({drawn})"
+def _in_words(given: Input, experiment: Experiment) -> str:
+    at = given.nominal_in(experiment)
+    drawn = given.distribution.replace("_", " ")
+    return f"{at:.5g}, standard uncertainty {standard_uncertainty(given, at):.3g} ({drawn})"
 
 
 def _inputs(given: Inputs | Mapping[str, Input | Mapping[str, Any]] | str | Path) -> Inputs:
@@ -213,30 +216,31 @@ def _validated(kind: Any, tree: Mapping[str, Any]) -> Any:
 
 
 def write_uncertainty(
-    folder: Path, found: Uncertainty, effects: Mapping[str, Sequence[Effect]] | None = None
+    folder: Path, result: Uncertainty, effects: Mapping[str, Sequence[Effect]] | None = None
 ) -> None:
     """Write result.json, experiment.toml and trials.nc into the store of the trials.
 
-    Its study remembers the measurands, so that a report drawn again shows the same.
+    The stored study states the measurands, so that a report drawn again shows the same.
 
     Raises
     ------
-    InputError : it cannot be written
+    InputError
+        The files cannot be written.
     """
-    record = found.table.record
-    metrics = {"metrics": tuple(found.measurands)}
+    record = result.table.record
+    metrics = {"metrics": tuple(result.measurands)}
     write_record(folder, replace(record, study=record.study.model_copy(update=metrics)))
     names = [RESULT_FILE, EXPERIMENT_FILE, TRIALS_FILE, *([SOBOL_FILE] if effects else [])]
     with adding(folder, *names) as made:
-        write_trials(made / TRIALS_FILE, found)
-        write_result(made, COMMAND, found.experiment, found.metrics())
+        write_trials(made / TRIALS_FILE, result)
+        write_result(made, COMMAND, result.experiment, result.metrics())
         if effects:
-            write_json(made / SOBOL_FILE, effects_as_json(found.table.record, effects))
+            write_json(made / SOBOL_FILE, effects_as_json(result.table.record, effects))
 
 
-def write_trials(path: Path, found: Uncertainty) -> None:
+def write_trials(path: Path, result: Uncertainty) -> None:
     """Write inputs and figures of every trial as netCDF-4, one (trial) variable each.
 
     A figure that a trial lacks has the missing value.
     """
-    write_arrays(path, trial_arrays(found, _ABSENT))
+    write_arrays(path, trial_arrays(result, _ABSENT))

@@ -297,7 +297,7 @@ def _specimen(
 def _cell(figures: Path, outcome: Outcome, measured: Measurement | None) -> Section:
     """Return one specimen by one method; without a measurement only why."""
     name, method = f"{outcome.name}_{outcome.method}", TRAITS[outcome.method]
-    title = f"{method.title}: {method.told}"
+    title = f"{method.title}: {method.explanation}"
     if measured is None:
         return Section(name, title, (Note(f"Could not be measured: {outcome.failure}", "failure"),))
     link = Markup('{} <a href="{}">Report of this measurement</a>').format(

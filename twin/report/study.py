@@ -39,7 +39,7 @@ from twin.report.table import Column, Table
 from twin.report.words import NONE
 from twin.results.rows import is_number
 from twin.study.feasibility import feasibility_in_words
-from twin.study.pictures import CasePicture, kept_picture
+from twin.study.pictures import CasePicture, stored_picture
 from twin.study.sensitivity import Effect, effects_of, without
 from twin.study.table import (
     StudyTable,
@@ -119,7 +119,7 @@ def _shown(
     best = ranked_rows(done, objectives) if usable_rows(done, objectives) else []
     effects = {name: effects_of(table, name) for name in metrics}
     digests = [str(row["case"]) for row in designs_of(best, table.axes)]
-    pictures = {digest: kept_picture(folder, digest) for digest in digests}
+    pictures = {digest: stored_picture(folder, digest) for digest in digests}
     return Shown(
         table,
         rows,

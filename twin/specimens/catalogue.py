@@ -1,9 +1,8 @@
 """Shapes and bodies of configured specimens in their pose, of any registered kind.
 
-A specimen gives its shape in its own frame; its pose (a rigid motion, world = rotation @ body +
-shift, mm) and the height of its foremost point are applied here, the same way for every kind.
-z counts from the touched plane, upwards: the specimen comes from below, so its foremost point is
-its highest.
+A specimen defines its shape in its own frame; this module applies its pose (a rigid motion, world =
+rotation @ body + shift, mm) and the height of its foremost point. z is measured upwards from the
+touched plane: the specimen presses from below, so that its foremost point is its highest.
 Groups are several specimens on one stage; any specimen is one closed body per part.
 """
 
@@ -26,7 +25,7 @@ AnySpecimen = TypeVar("AnySpecimen", bound=Specimen)
 
 
 def unposed(specimen: AnySpecimen) -> AnySpecimen:
-    """Return a specimen without pose and material: the key under which its shape is cached."""
+    """Return a specimen without pose and material: the key of its shape in the cache."""
     return type(specimen)(**specimen.model_dump(exclude=set(Specimen.model_fields) - {"kind"}))
 
 
@@ -66,8 +65,8 @@ def height_above_lowest(specimen: Specimen, x_mm: FloatArray, y_mm: FloatArray) 
 
     Returns
     -------
-    (row, col) float, mm; distance from the plane of first touch, counted away from the elastomer: 0
-        at the foremost point, inf where there is no specimen. Exact, not a paraboloid.
+    (row, col) float, mm; distance from the plane of first touch, away from the elastomer: 0 at
+        the foremost point, inf outside the specimen. Exact, not a paraboloid.
     """
     return np.maximum(shape_of(specimen).height_above_lowest(x_mm, y_mm), 0.0)
 
@@ -85,7 +84,7 @@ class Assembly:
 
     @property
     def bottom_mm(self) -> float:
-        """Height of the point farthest back of all parts."""
+        """Height of the lowest point of all parts."""
         return min(part.bottom_mm for part in self.parts)
 
     def placed(self, pose: Placement) -> "Assembly":
@@ -123,7 +122,7 @@ class Body:
     #: the part's name in a group, else the specimen's kind
     name: str
     mesh: "trimesh.Trimesh"
-    #: None where the experiment names none
+    #: None if the experiment names none
     material: Material | None
 
 
@@ -137,7 +136,7 @@ def bodies(specimen: Specimen, touched_z_mm: float = 0.0) -> tuple[Body, ...]:
     Returns
     -------
     One per part of a group, in the file's order; a part without a material has the group's.
-    Overlapping parts stay separate here. Every other kind is one body, named by its kind
+    Overlapping parts remain separate here. Every other kind is one body, named by its kind
     """
     shape, parts = shape_of(specimen), specimen.components
     if not parts or not isinstance(shape, Assembly):

@@ -1,6 +1,6 @@
 """Shapes in closed form: joined balls, and a cylinder with rounded edges.
 
-mm. The specimen comes from below, so its foremost point is its highest.
+mm. The specimen presses from below, so that its foremost point is its highest.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from twin.specimens.solids import united
 if TYPE_CHECKING:
     import trimesh
 
-# Level 6 has 82 k facets; its chords stay within 0.3 um of a 4 mm ball.
+# Level 6 has 82 k facets; the error of its chords is at most 0.3 um for a 4 mm ball.
 _SUBDIVISIONS = 6
 _NECK_OVER_RADIUS = 0.1
 
@@ -34,7 +34,7 @@ class SphereCluster:
 
     @property
     def bottom_mm(self) -> float:
-        """Height of the point farthest back."""
+        """Height of the lowest point."""
         return min(ball.z_mm - ball.radius_mm for ball in self.balls)
 
     def placed(self, pose: Placement) -> "SphereCluster":
@@ -62,7 +62,7 @@ class SphereCluster:
         return self.balls
 
     def distances(self) -> tuple[SignedDistance, ...]:
-        """Return the distance to each ball; the neck that joins them is out of reach."""
+        """Return the distance to each ball; the neck between them is omitted."""
         from twin.specimens.distance import BallDistance
 
         return tuple(BallDistance((b.x_mm, b.y_mm, b.z_mm), b.radius_mm) for b in self.balls)
@@ -82,9 +82,9 @@ class SphereCluster:
         Notes
         -----
         Balls that touch in a point only (separation = diameter) or not at all are joined by a
-        thin cylinder between their centres, a tenth of the radius thick: a body that hangs
-        together in one point is not watertight. The neck lies 0.9 radii behind the apexes, so
-        `height_above_lowest` leaves it out: no admissible press reaches it.
+        thin cylinder between their centres with 0.1 x their radius: bodies that touch in one point
+        are not watertight. The neck is 0.9 radii below the apexes, where no admissible press
+        reaches it; `height_above_lowest` therefore omits it.
         """
         body = united([_tessellate(ball) for ball in self.balls] + _necks(self.balls))
         body.apply_translation((0.0, 0.0, touched_z_mm))
@@ -128,8 +128,8 @@ _SECTIONS, _EDGE_STEPS = 256, 16
 class Cylinder(Shape):
     """A cylinder with rounded edges.
 
-    Its surface is where the distance function is zero. That function is convex, so Newton's steps
-    along a vertical ray from above approach the surface from outside and never cross it.
+    Its surface is the zero set of the distance function. That function is convex, so that Newton's
+    steps along a vertical ray from above approach the surface from outside and never cross it.
     """
 
     #: (xyz) middle
@@ -147,7 +147,7 @@ class Cylinder(Shape):
 
     @property
     def bottom_mm(self) -> float:
-        """Height of the point farthest back."""
+        """Height of the lowest point."""
         return float(self.middle_mm[2] - self._reach(2))
 
     def placed(self, pose: Placement) -> "Cylinder":
@@ -171,7 +171,7 @@ class Cylinder(Shape):
         x, y = np.meshgrid(x_mm - self.middle_mm[0], y_mm - self.middle_mm[1])
         height = np.full(x.shape, np.inf)
         near = (np.abs(x) <= self._reach(0)) & (np.abs(y) <= self._reach(1))
-        # z counts from above the middle; the body lies within `start` of it.
+        # z is relative to the middle; the body is within `start` of it.
         start = self._reach(2) + _EXACT_MM
         z = self._descend(x[near], y[near], start)
         height[near] = np.where(np.isnan(z), np.inf, -self.middle_mm[2] - z)
@@ -194,7 +194,7 @@ class Cylinder(Shape):
         return body
 
     def _reach(self, direction: int) -> float:
-        """Return how far the body extends from its middle along a world axis."""
+        """Return the extent of the body from its middle along a world axis."""
         along = abs(float(self.axis[direction]))
         across = np.sqrt(max(0.0, 1 - along**2))
         core = self.half_length_mm - self.edge_radius_mm
@@ -202,7 +202,7 @@ class Cylinder(Shape):
         return float(along * core + across * disc + self.edge_radius_mm)
 
     def _descend(self, x: FloatArray, y: FloatArray, start_mm: float) -> FloatArray:
-        """Return z of the upper surface over points (n,), NaN where the ray misses the body."""
+        """Return z of the upper surface over points (n,), NaN if the ray misses the body."""
         z = np.full(x.shape, start_mm)
         missed = np.zeros(x.shape, dtype=bool)
         for _ in range(_PASSES):
@@ -211,7 +211,7 @@ class Cylinder(Shape):
             moving = (distance > _EXACT_MM) & ~missed
             if not moving.any():
                 break
-            # A ray that grazes the body leaves it at once: any far z will do.
+            # A ray that grazes the body exits at once: any large z is correct.
             z = np.where(moving, z - distance / np.maximum(rise, _GRAZING), z)
             missed |= z < -start_mm
         return np.where(missed, np.nan, z)

@@ -1,8 +1,8 @@
-"""Signed distances to rigid bodies, with gradient and Hessian: what a sheet that wraps them asks.
+"""Signed distances to rigid bodies with gradient and Hessian, for the contact of a sheet.
 
-Frame of the shape: z = 0 is the plane of first touch, the body lies below; mm. Negative inside.
-Bodies with a closed form are here, meshes are in `sampled_distance`. All are exact outside. Inside
-they are smooth down to the radius of their rounded edges, where the nearest face changes.
+Frame of the shape: z = 0 is the plane of first touch, the body is below; mm. Negative inside.
+This module has bodies with a closed form; meshes are in `sampled_distance`. All are exact outside.
+Inside they are smooth up to a depth of the edge radius, at which the nearest face changes.
 """
 
 from collections.abc import Callable
@@ -20,24 +20,24 @@ from reconstruction.machine import threads
 from twin.shape import Distances, Shape, SignedDistance
 
 _BAND = 8192
-# A sharper edge has no curvature that a Newton step could use. Rounded like this it lies 4 um
-# deeper, and the surface is the same everywhere else.
+# The curvature of a sharper edge is too large for Newton steps. With this radius the edge is 4 um
+# lower; all other parts of the surface are unchanged.
 SHARPEST_MM = 0.01
 _TINY_MM = 1e-9
 
-# No fused multiply-add: the same bytes whatever the make of the CPU.
+# No fused multiply-add: the same bytes on every CPU type.
 _OPTIONS = {"nogil": True, "_nrt": False, "error_model": "numpy"}
 _SOURCES = ("distance.py", "sampled_distance.py", "triangles.py")
 _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, _SOURCES)
 
 
 def compiled(function: Function) -> Function:
-    """Compile on first call and keep the result on disk; it is given all arrays."""
+    """Compile on first call and cache on disk; the caller allocates all arrays."""
     return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
 
 
 def nested(function: Function) -> Function:
-    """Compile for other kernels alone: Python cannot call it."""
+    """Compile for calls from other kernels only, not from Python."""
     return compile_and_keep(function, _OPTIONS | NESTED, _SOURCE_DIGEST)
 
 
@@ -60,7 +60,7 @@ class BallDistance:
 
 @dataclass(frozen=True, eq=False)
 class CylinderDistance:
-    """Distance to a cylinder with rounded edges; sharper ones than `SHARPEST_MM` are so rounded."""
+    """Distance to a cylinder with rounded edges; the least edge radius is `SHARPEST_MM`."""
 
     #: (xyz) middle
     middle_mm: FloatArray
@@ -79,7 +79,7 @@ class CylinderDistance:
 
 @dataclass(frozen=True, eq=False)
 class BoxDistance:
-    """Distance to a block with rounded edges; sharper ones than `SHARPEST_MM` are so rounded."""
+    """Distance to a block with rounded edges; the least edge radius is `SHARPEST_MM`."""
 
     #: (xyz) middle
     middle_mm: FloatArray
@@ -98,7 +98,7 @@ class BoxDistance:
 
 @dataclass(frozen=True)
 class HalfSpace:
-    """Distance to what lies behind a plane: normal . point - offset."""
+    """Distance to the half-space behind a plane: normal . point - offset."""
 
     #: (xyz) unit vector that points out of the material
     normal: tuple[float, float, float]
@@ -111,7 +111,7 @@ class HalfSpace:
 
 @dataclass(frozen=True)
 class RoundWall:
-    """Distance to all that lies farther than a radius from the z axis."""
+    """Distance to the space outside a cylinder about the z axis."""
 
     radius_mm: float
 
@@ -122,7 +122,7 @@ class RoundWall:
 
 @dataclass(frozen=True)
 class RectangularInside:
-    """The free inside of a rectangular frame, centred."""
+    """Opening of a rectangular frame, centred."""
 
     half_x_mm: float
     half_y_mm: float
@@ -130,18 +130,18 @@ class RectangularInside:
 
 @dataclass(frozen=True)
 class RoundInside:
-    """The free inside of a round frame, centred."""
+    """Opening of a round frame, centred."""
 
     radius_mm: float
 
 
 def plate(z_mm: float) -> SignedDistance:
-    """Return all that lies below a height."""
+    """Return the half-space below a height."""
     return HalfSpace((0.0, 0.0, 1.0), z_mm)
 
 
 def frame_wall(outline: RectangularInside | RoundInside) -> tuple[SignedDistance, ...]:
-    """Return the walls round the free inside of a frame, upright and without end."""
+    """Return the walls round the opening of a frame, vertical and unbounded."""
     if isinstance(outline, RoundInside):
         return (RoundWall(outline.radius_mm),)
     x, y = -outline.half_x_mm, -outline.half_y_mm
@@ -156,9 +156,9 @@ def frame_wall(outline: RectangularInside | RoundInside) -> tuple[SignedDistance
 def is_clear_of(
     body: SignedDistance, low_mm: FloatArray, high_mm: FloatArray, reach_mm: float
 ) -> bool:
-    """Tell whether a plane or a wall is out of reach of a whole box, given by two corners (xyz).
+    """Return True if a plane or a wall is out of reach of a whole box, given by two corners (xyz).
 
-    False for other bodies, which must be asked point by point.
+    False for all other bodies, which must be evaluated point by point.
     """
     if isinstance(body, HalfSpace):
         normal = np.array(body.normal)
@@ -176,7 +176,7 @@ def over_points(
 ) -> Distances:
     """Call `kernel(points, reach, (distance, gradient, hessian), body)` over bands of points.
 
-    The results start as zeros. Each point is a matter of its own, so the bands do not show.
+    The results start as zeros. Points are independent, so that results do not depend on the bands.
     """
     points = np.ascontiguousarray(points_mm, dtype=np.float64)
     count = len(points)
@@ -197,7 +197,7 @@ def over_points(
 
 @cache
 def _pool(workers: int) -> ThreadPoolExecutor:
-    # A press asks some thousand times, and starting threads takes as long as a coarse sheet.
+    # A press evaluates thousands of times; starting threads would take as long as a coarse sheet.
     return ThreadPoolExecutor(workers, thread_name_prefix="distance")
 
 
@@ -230,7 +230,7 @@ def _cylinder(
     out: Distances,
     body: tuple[FloatArray, FloatArray, float, float, float],
 ) -> None:
-    """In the plane through the axis: distance to a rectangle, grown by the edge's radius."""
+    """In the plane through the axis: distance to a rectangle, offset by the edge's radius."""
     distance, gradient, hessian = out
     middle, axis, core_radius, core_length, edge = body
     ax, ay, az = axis[0], axis[1], axis[2]
@@ -268,7 +268,7 @@ def _cylinder(
 def _beyond_core(
     at: FloatArray, rotation: FloatArray, core: FloatArray, over: FloatArray, sign: FloatArray
 ) -> tuple[float, int]:
-    """Note how far a point lies beyond each face; return its distance and the foremost face."""
+    """Set the distance of a point beyond each face; return its distance and the nearest face."""
     squared, foremost = 0.0, 0
     for k in range(3):
         along = rotation[0, k] * at[0] + rotation[1, k] * at[1] + rotation[2, k] * at[2]
@@ -277,16 +277,16 @@ def _beyond_core(
         squared += max(over[k], 0.0) ** 2
         if over[k] > over[foremost]:
             foremost = k
-    # Over one face alone the root would cost the last digit.
-    alone = squared <= max(over[foremost], 0.0) ** 2
-    return over[foremost] if alone else np.sqrt(squared), foremost
+    # Over a single face, a root would have a rounding error in the last digit.
+    single_face = squared <= max(over[foremost], 0.0) ** 2
+    return over[foremost] if single_face else np.sqrt(squared), foremost
 
 
 @nested
 def _bend(
     n: FloatArray, rotation: FloatArray, over: FloatArray, far: float, hessian: FloatArray
 ) -> None:
-    """Set (I - n n) / far within the axes along which the point lies beyond the core."""
+    """Set (I - n n) / far in the axes along which the point is beyond the core."""
     for p in range(3):
         for q in range(p, 3):
             bend = -n[p] * n[q]
@@ -305,7 +305,7 @@ def _boxed(points: FloatArray, reach: float, out: Distances, body: Box) -> None:
 
 @compiled
 def _box(points: FloatArray, reach: float, out: Distances, body: Box, lines: FloatArray) -> None:
-    """Distance to the core, grown by the edge's radius; nearest face inside the core."""
+    """Distance to the core, offset by the edge's radius; nearest face inside the core."""
     distance, gradient, hessian = out
     middle, rotation, core, edge = body
     at, over, n = lines[0], lines[1], lines[2]
@@ -338,7 +338,7 @@ def _half_space(
         at = normal[0] * points[i, 0] + normal[1] * points[i, 1] + normal[2] * points[i, 2]
         distance[i] = at - offset
         if distance[i] <= reach:
-            for k in range(3):  # as a slice it compiles text for its errors, two seconds of it
+            for k in range(3):  # a slice would compile error texts, which takes 2 s
                 gradient[i, k] = normal[k]
 
 

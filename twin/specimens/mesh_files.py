@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 _FILE_TYPES = (".stl", ".ply", ".obj")
 _MOST_BYTES = 2**30
-# trimesh would take it for the last vertex: a body of another form, closed all the same.
+# trimesh would read it as the last vertex, which gives a closed body of wrong shape.
 _NUMBERED_FROM_0 = re.compile(rb"^[ \t]*+f[ \t]++(?:\S++[ \t]++)*?0(?:/|\s|$)", re.MULTILINE)
-# In the file's own units, which may be metres. Beyond them distances are lost in rounding.
+# In the file's units, possibly metres. Beyond these limits rounding dominates distances.
 _EXTENT = 1e-6, 1e6
-# Bodies that a sensor can press or image; less is a part that fits whose file is in metres.
+# Bodies that a sensor can press or image; smaller sizes result from files in metres.
 _SIZE_MM = 0.1, 1000.0
-# Volume over that of a cube of its size, far below a needle's: less has no inside.
+# Volume relative to a cube of the same size, far below a needle's: less has no interior.
 _LEAST_FILL = 1e-8
 
 
@@ -33,11 +33,11 @@ def read_closed_mesh(key: str, name: str) -> "trimesh.Trimesh":
     Parameters
     ----------
     key : key of the experiment file that names it, for messages
-    name : path of an STL, PLY or OBJ file; `scenes/...` finds shipped ones too
+    name : path of an STL, PLY or OBJ file; `scenes/...` for shipped files
 
     Raises
     ------
-    InputError : the file is missing, no mesh, empty, not watertight or without an inside
+    InputError : the file is missing, no mesh, empty, not watertight or without volume
     """
     import trimesh
 
@@ -46,20 +46,20 @@ def read_closed_mesh(key: str, name: str) -> "trimesh.Trimesh":
     kind = path.suffix[1:].lower()
     if kind == "obj" and _NUMBERED_FROM_0.search(content):
         raise InputError(
-            f"{key}: {path}: a face names vertex 0, but an OBJ counts from 1; export it again"
+            f"{key}: {path}: a face refers to vertex 0, but OBJ indices start at 1; export it again"
         )
-    # Numbers of any size overflow in what trimesh derives; they are told below.
+    # Large numbers overflow in trimesh's derived quantities; they are reported below.
     with np.errstate(all="ignore"):
         try:
-            # Not by its name: a mesh may name pictures and materials, which would be opened, too.
+            # As bytes: given a name, trimesh would also open images and materials.
             surface = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
-        except Exception as error:  # each of trimesh's readers raises its own
+        except Exception as error:  # trimesh's readers raise different types
             reason = one_line(error) or type(error).__name__
             raise InputError(f"{key}: {path}: cannot be read ({reason})") from error
         _require_numbers(f"{key}: {path}", surface)
         surface = _welded(surface)
         _require_closed(f"{key}: {path}", surface)
-        if surface.volume < 0.0:  # every triangle seen from the wrong side
+        if surface.volume < 0.0:  # every triangle has the wrong orientation
             surface.invert()
     return surface
 
@@ -90,26 +90,28 @@ def read_body_mm(key: str, name: str, scale_key: str, mm_per_unit: float) -> "tr
 
 
 def _welded(surface: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """Join vertices at the same position, which files split by normal, texture and material."""
+    """Merge vertices at the same position; files split them by normal, texture and material."""
     import trimesh
 
     joined = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     joined.merge_vertices()
     a, b, c = joined.faces.T
-    joined.update_faces((a != b) & (b != c) & (c != a))  # slivers that joining made lines
+    joined.update_faces((a != b) & (b != c) & (c != a))  # triangles that merging made lines
     return joined
 
 
 def _require_numbers(where: str, surface: object) -> None:
-    """Refuse what is no surface in space."""
+    """Raise InputError if a file has no triangles with finite vertices of plausible size."""
     import trimesh
 
     if not isinstance(surface, trimesh.Trimesh) or not len(surface.faces):
-        raise InputError(f"{where}: holds no triangles")
+        raise InputError(f"{where}: found no triangles; give a closed surface")
     if not np.isfinite(surface.vertices).all():
-        raise InputError(f"{where}: holds vertices that are no numbers; export it again")
+        raise InputError(f"{where}: found vertices that are no numbers; export it again")
     if surface.faces.min() < 0 or surface.faces.max() >= len(surface.vertices):
-        raise InputError(f"{where}: its triangles name vertices that it lacks; export it again")
+        raise InputError(
+            f"{where}: found triangles that refer to missing vertices; export it again"
+        )
     size, (least, most) = float(surface.extents.max()), _EXTENT
     if not least <= size <= most:
         raise InputError(
@@ -119,30 +121,30 @@ def _require_numbers(where: str, surface: object) -> None:
 
 
 def _require_closed(where: str, surface: "trimesh.Trimesh") -> None:
-    """Refuse what encloses no body."""
+    """Raise InputError if a surface is not closed, not oriented or without volume."""
     if not surface.is_watertight:
         import trimesh
 
         open_edges = len(trimesh.grouping.group_rows(surface.edges_sorted, require_count=1))
-        found = f"{open_edges} open edges" if open_edges else "edges of more than two triangles"
+        fault = f"{open_edges} open edges" if open_edges else "edges of more than two triangles"
         raise InputError(
-            f"{where}: not watertight ({found}); close it, for example "
+            f"{where}: not watertight ({fault}); close it, for example "
             "with pytetwild or the repair tool of your mesh editor"
         )
     if not surface.is_winding_consistent:
         raise InputError(
-            f"{where}: its triangles face both inwards and outwards; let your mesh editor make "
-            "their normals agree"
+            f"{where}: its triangles face both inwards and outwards; unify their normals with "
+            "a mesh editor"
         )
     if not abs(surface.volume) > _LEAST_FILL * float(surface.extents.max()) ** 3:
-        raise InputError(f"{where}: encloses no volume; give a body that has an inside")
+        raise InputError(f"{where}: encloses no volume; give a body with an interior")
 
 
 def _find(key: str, name: str) -> Path:
     path = mesh_path(name)
     if not is_regular(path):
-        found = "not a file" if path.exists() else "no such file"
-        raise InputError(f"{key}: {name}: {found}")
+        fault = "not a file" if path.exists() else "no such file"
+        raise InputError(f"{key}: {name}: {fault}")
     if path.suffix.lower() not in _FILE_TYPES:
         raise InputError(f"{key}: {name}: not a mesh, allowed: {', '.join(_FILE_TYPES)}")
     return path

@@ -1,6 +1,6 @@
 """Specimens as triangle meshes.
 
-The upper side of a mesh as a height map is found by vertical rays, exact at every cell.
+The upper side of a mesh as a height map is computed with vertical rays, exact at every cell.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 class MeshShape(Shape):
     """A closed surface of triangles."""
 
-    #: the surface in the frame in which it was made
+    #: the surface in its original frame
     body: "trimesh.Trimesh"
-    #: how it was moved since
+    #: motion from the original frame
     pose: Placement = UNMOVED
-    #: its distance in a pose in closed form, where there is one
+    #: function that returns its closed-form distance in a pose, if there is one
     exact: Callable[[Placement], SignedDistance] | None = None
 
     @cached_property
     def surface(self) -> "trimesh.Trimesh":
-        """The surface in place."""
+        """The surface in its pose."""
         moved = self.body.copy()
         moved.apply_transform(self.pose.matrix)
         return moved
@@ -43,7 +43,7 @@ class MeshShape(Shape):
 
     @property
     def bottom_mm(self) -> float:
-        """Height of the vertex farthest back."""
+        """Height of the lowest vertex."""
         return float(self.surface.bounds[0, 2])
 
     def placed(self, pose: Placement) -> "MeshShape":
@@ -98,7 +98,7 @@ def uniform_along_y(outline_xz_mm: Sequence[tuple[float, float]], length_y_mm: f
 _BATCH = 2_000_000
 # A ray through an edge belongs to both triangles, so that no gap opens between them.
 _ON_EDGE_MM = 1e-9
-# Triangles of less area seen from above stand upright: their neighbours carry the outline.
+# Triangles with a smaller projected area are vertical: their neighbours define the outline.
 _EDGE_ON_MM2 = 1e-14
 
 
@@ -112,7 +112,7 @@ def upper_side(triangles_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> 
 
     Returns
     -------
-    (row, col) float, mm; -inf where no triangle is met
+    (row, col) float, mm; -inf if the vertical ray has no hit
     """
     order_x, order_y = np.argsort(x_mm, kind="stable"), np.argsort(y_mm, kind="stable")
     sorted_x, sorted_y = x_mm[order_x], y_mm[order_y]
@@ -127,13 +127,13 @@ def upper_side(triangles_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> 
         which = scan[which]
         z = _height(triangles[owner[which]], sorted_x[col], sorted_y[row[which]])
         np.maximum.at(top, (row[which], col), z)
-    found = np.zeros_like(top)
-    found[np.ix_(order_y, order_x)] = top
-    return found
+    highest = np.zeros_like(top)
+    highest[np.ix_(order_y, order_x)] = top
+    return highest
 
 
 def _doubled_area(triangles: FloatArray) -> FloatArray:
-    """Return twice the signed area seen from above."""
+    """Return twice the signed area of the projection on the xy plane."""
     ab, ac = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
 
@@ -145,7 +145,7 @@ def _limits(values_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _covered(
     lines_mm: FloatArray, low_mm: FloatArray, high_mm: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return the first grid line within each interval, and how many there are."""
+    """Return the first grid line within each interval, and the number of grid lines."""
     first = np.searchsorted(lines_mm, low_mm - _ON_EDGE_MM, side="left")
     after = np.searchsorted(lines_mm, high_mm + _ON_EDGE_MM, side="right")
     return first, np.maximum(after - first, 0)
@@ -159,7 +159,7 @@ def _expanded(first: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _crossing(triangles: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where the line y = const enters and leaves each triangle, along x."""
+    """Return x at which the line y = const enters and exits each triangle."""
     begin, end = triangles[..., :2], np.roll(triangles, -1, axis=1)[..., :2]
     rise = end[..., 1] - begin[..., 1]
     level = np.abs(rise) <= _ON_EDGE_MM

@@ -12,7 +12,7 @@ def row_width_mm(widths_mm: tuple[float, ...], gap_mm: float) -> float:
 
 
 def middles_mm(widths_mm: tuple[float, ...], gap_mm: float) -> tuple[float, ...]:
-    """Return the places of the parts of a centred row."""
+    """Return the x positions of the parts of a centred row."""
     places = [widths_mm[0] / 2]
     for left, right in pairwise(widths_mm):
         places.append(places[-1] + left / 2 + gap_mm + right / 2)
@@ -23,9 +23,9 @@ def middles_mm(widths_mm: tuple[float, ...], gap_mm: float) -> tuple[float, ...]
 def plate_under(
     outline_mm: tuple[float, float], thickness_mm: float, margin_mm: float, edge_radius_mm: float
 ) -> MeshShape:
-    """Return the plate under a row, its upper face z = 0, its edges rounded as the row's.
+    """Return the plate under a row, its upper face z = 0, its edges rounded as those of the row.
 
-    No cut edge is perfectly sharp, and a thin sheet would touch such an edge point by point.
+    No cut edge is perfectly sharp; on a sharp edge the contact of a thin sheet would be pointwise.
 
     Parameters
     ----------
@@ -37,6 +37,6 @@ def plate_under(
 
 
 def require_edge(edge_radius_mm: float, sides_mm: tuple[float, ...]) -> None:
-    """Raise ValueError if an edge's rounding exceeds a quarter of the thinnest side."""
+    """Raise ValueError if an edge's radius exceeds 0.25 x the thinnest side."""
     thinnest = min(sides_mm)
-    require_at_most("edge_radius_mm", edge_radius_mm, thinnest / 4, f"a quarter of {thinnest:g}")
+    require_at_most("edge_radius_mm", edge_radius_mm, thinnest / 4, f"0.25 x {thinnest:g}")

@@ -1,9 +1,10 @@
 """Signed distance to a closed mesh: sampled on a lattice, interpolated by cubic B-splines.
 
-The interpolant is C2: facets of a round surface blend into each other. Its coefficients come from
-the nodes next to them, c = (-f[-1] + 8 f[0] - f[1]) / 6 along each axis: exact for cubics, so of
-fourth order, without the spread of the interpolating spline's prefilter. Bricks of the lattice are
-therefore made when a point first falls into them, in any order, with the same bytes.
+The interpolant is C2 and smooths the facets of a round surface. Its coefficients depend on
+neighbouring nodes only, c = (-f[-1] + 8 f[0] - f[1]) / 6 along each axis: exact for cubics, hence
+of fourth order, without the long range of the interpolating spline's prefilter. Bricks of the
+lattice are therefore computed when a point is first inside them; their bytes do not depend on the
+order.
 """
 
 from dataclasses import dataclass
@@ -25,11 +26,11 @@ from twin.specimens.triangles import (
     unsigned_samples,
 )
 
-#: Distance between nodes. Edges and creases are rounded by about as much.
+#: Distance between nodes, and approximate rounding of edges and creases.
 PITCH_MM = 0.05
-# Cells of the lattice along a brick, which holds coefficients, and along a block of samples.
+# Cells of the lattice along a brick (of coefficients), and along a block (of samples).
 _BRICK, _BLOCK = 8, 4
-# A brick's coefficients come from the nodes of 4 blocks along each axis, from the block before it.
+# A brick's coefficients depend on 4 blocks of nodes per axis, from the block before it on.
 _BLOCKS = np.stack(np.meshgrid(*3 * (np.arange(-1, 3),), indexing="ij"), axis=-1)
 _MARGIN_MM = 1.0
 _UNMADE = -1
@@ -41,7 +42,7 @@ _GATHERED = 256
 class MeshDistance:
     """Distance to a closed mesh in a pose."""
 
-    #: in the frame in which it was made: poses share its samples
+    #: in its original frame: all poses share its samples
     body: trimesh.Trimesh
     pose: Placement
     pitch_mm: float = PITCH_MM
@@ -64,19 +65,19 @@ def _field(vertices: bytes, faces: bytes, pitch_mm: float) -> "SampledField":
 
 
 class _Store:
-    """A table of cubes, few of which are made."""
+    """A sparse table of cubes."""
 
     def __init__(self, low: IntArray, count: IntArray, side: int) -> None:
-        #: (xyz) place of the first cube
+        #: (xyz) index of the first cube
         self.low = low
-        #: (x, y, z) which of the contents
+        #: (x, y, z) index into the contents
         self.slot = np.full(count, _UNMADE, np.int32)
-        #: (slot, x, y, z); more than are in use
+        #: (slot, x, y, z), with unused slots at the end
         self.contents = np.zeros((64, side, side, side))
         self._used = 0
 
     def add(self, cubes: IntArray, contents: FloatArray) -> None:
-        """Enter the contents of cubes (n, xyz)."""
+        """Store the contents of cubes (n, xyz)."""
         first, end = self._used, self._used + len(contents)
         if end > len(self.contents):
             room = np.zeros((2 * end, *self.contents.shape[1:]))
@@ -87,12 +88,12 @@ class _Store:
         self._used = end
 
     def slots(self, cubes: IntArray) -> npt.NDArray[np.int32]:
-        """Return which contents belong to cubes (..., xyz)."""
+        """Return the indices of the contents of cubes (..., xyz)."""
         return np.asarray(self.slot[tuple(np.moveaxis(cubes - self.low, -1, 0))])
 
 
 class SampledField:
-    """The signed distance to one mesh, made on demand within a margin round it."""
+    """The signed distance to one mesh, computed on demand within a margin round it."""
 
     def __init__(self, tree: TriangleTree, pitch_mm: float) -> None:
         self._tree, self._pitch_mm, self._lock = tree, pitch_mm, Lock()
@@ -111,13 +112,13 @@ class SampledField:
             return over_points(_interpolated, points, reach_mm, table, made.contents)
 
     def _begin(self, margin_mm: float) -> None:
-        """Forget all bricks, and be ready for those within a margin."""
+        """Delete all bricks, and allocate the tables for a margin."""
         self._margin_mm, brick_mm = margin_mm, _BRICK * self._pitch_mm
         corners = self._tree.corners_mm.reshape(-1, 3)
         low = np.floor((corners.min(axis=0) - margin_mm) / brick_mm).astype(np.int64)
         count = np.floor((corners.max(axis=0) + margin_mm) / brick_mm).astype(np.int64) - low + 1
         self._bricks = _Store(low, count, _BRICK + 3)
-        #: (x, y, z) no point of the brick is nearer than this, mm; NaN: not asked yet
+        #: (x, y, z) lower bound of the brick's distances, mm; NaN: not computed yet
         self._least_mm = np.full(count, np.nan)
         low, count = _BRICK // _BLOCK * low - 1, _BRICK // _BLOCK * count + 2
         self._blocks = _Store(low, count, _BLOCK)
@@ -128,14 +129,14 @@ class SampledField:
     def _touched(
         self, points: FloatArray, reach_mm: float, frame: tuple[FloatArray, FloatArray, float]
     ) -> IntArray:
-        """Return the bricks (n, xyz) that these points need and that are not made."""
-        asked = np.zeros(self._bricks.slot.shape, np.bool_)
+        """Return the bricks (n, xyz) that these points need and that are not computed."""
+        needed = np.zeros(self._bricks.slot.shape, np.bool_)
         table = (*frame, self._bricks.low, self._least_mm, self._bricks.slot)
-        _ask(points, float(reach_mm), table, asked)
-        return np.argwhere(asked) + self._bricks.low
+        _mark_needed(points, float(reach_mm), table, needed)
+        return np.argwhere(needed) + self._bricks.low
 
     def _make(self, bricks: IntArray, reach_mm: float) -> None:
-        """Bound bricks, and make those within reach."""
+        """Bound the distances of bricks, and compute the bricks within reach."""
         if len(bricks) == 0:
             return
         least = self._least_of(bricks)
@@ -146,14 +147,14 @@ class SampledField:
             self._bricks.add(part, _coefficients(self._nodes_of(part)))
 
     def _least_of(self, bricks: IntArray) -> FloatArray:
-        """Return what no point of each brick falls below, -inf where one may be inside."""
+        """Return the lower bound of each brick's distances, -inf if a point may be inside."""
         middles, radius = middles_mm(bricks, _BRICK, self._pitch_mm)
         beyond_nodes = np.sqrt(3) * self._pitch_mm
         least = distances_mm(self._tree, middles) - (radius + beyond_nodes)
         return np.where(self._columns.inside(middles), -np.inf, least)
 
     def _sample(self, bricks: IntArray) -> None:
-        """Make what is missing of the blocks round bricks."""
+        """Compute the missing blocks round bricks."""
         round_them = (bricks[:, None] * (_BRICK // _BLOCK) + _BLOCKS.reshape(-1, 3)).reshape(-1, 3)
         blocks = np.unique(round_them[self._blocks.slots(round_them) == _UNMADE], axis=0)
         if len(blocks) == 0:
@@ -172,7 +173,7 @@ class SampledField:
 
 
 def _coefficients(samples: FloatArray) -> FloatArray:
-    """Return the quasi-interpolant's coefficients (n, x, y, z), a node less on every side."""
+    """Return the quasi-interpolant's coefficients (n, x, y, z), one node fewer on every side."""
     for axis in (1, 2, 3):
         f = np.moveaxis(samples, axis, 0)
         samples = np.moveaxis((8 * f[1:-1] - f[:-2] - f[2:]) / 6, 0, axis)
@@ -180,7 +181,7 @@ def _coefficients(samples: FloatArray) -> FloatArray:
 
 
 Table = tuple[FloatArray, FloatArray, float, IntArray, FloatArray, npt.NDArray[np.int32]]
-#: What a point is worked out in: brick and cell, weights, sums, derivatives.
+#: Work arrays of a point: brick and cell, weights, sums, derivatives.
 Scratch = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]
 
 
@@ -198,8 +199,8 @@ def _in_body(
 
 
 @compiled
-def _ask(points: FloatArray, reach: float, table: Table, asked: BoolImage) -> None:
-    """Mark the bricks that are unknown, or near enough and not sampled."""
+def _mark_needed(points: FloatArray, reach: float, table: Table, needed: BoolImage) -> None:
+    """Mark the bricks that have no bound, or are within reach and not sampled."""
     rotation, shift, pitch, low, least, slot = table
     for n in range(len(points)):
         x, y, z = _in_body(points[n], rotation, shift, pitch)
@@ -211,12 +212,12 @@ def _ask(points: FloatArray, reach: float, table: Table, asked: BoolImage) -> No
         if i >= slot.shape[0] or j >= slot.shape[1] or k >= slot.shape[2]:
             continue
         if slot[i, j, k] == _UNMADE and not least[i, j, k] > reach:
-            asked[i, j, k] = True
+            needed[i, j, k] = True
 
 
 @nested
 def _weigh(t: float, weight: FloatArray) -> None:
-    """Set the cubic B-splines over a cell, their first and second derivatives (3, 4)."""
+    """Set the cubic B-splines of a cell and their first and second derivatives (3, 4)."""
     u = 1 - t
     weight[0, 0], weight[0, 3] = u * u * u / 6, t * t * t / 6
     weight[0, 1] = (4 - 6 * t * t + 3 * t * t * t) / 6
@@ -286,7 +287,7 @@ def _contract(
 def _turn_back(
     f: FloatArray, rotation: FloatArray, pitch: float, gradient: FloatArray, hessian: FloatArray
 ) -> None:
-    """Turn gradient and Hessian from the body's frame, in pitches, to that of the shape."""
+    """Rotate gradient and Hessian from the body's frame, in pitches, to that of the shape."""
     slope = (f[1, 0, 0] / pitch, f[0, 1, 0] / pitch, f[0, 0, 1] / pitch)
     bend = (
         (f[2, 0, 0] / pitch**2, f[1, 1, 0] / pitch**2, f[1, 0, 1] / pitch**2),

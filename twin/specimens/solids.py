@@ -1,7 +1,7 @@
-"""Closed bodies to build specimens from: prisms, turned parts, and their booleans. All in mm.
+"""Closed bodies for specimens: prisms, turned parts, and their booleans. All in mm.
 
-trimesh and manifold3d are imported where a body is made: reading an experiment imports this module,
-and they take longer than all the rest of it.
+trimesh and manifold3d are imported in functions: reading an experiment imports this module, and
+their import would take longer than the rest of reading.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     import manifold3d
     import trimesh
 
-#: Facets round a full turn. 2 degrees each: a chord stays within 0.6 um of a 4 mm radius.
+#: Facets per turn, 2 degrees each: the error of a chord is at most 0.6 um at a radius of 4 mm.
 SECTIONS = 180
-# Edges shorter than this vanish after a boolean; a tenth of the elastomer's finest relief.
+# Shorter edges are removed after a boolean; 0.1 x the elastomer's finest relief pitch.
 _TOLERANCE_MM = 1e-4
 
 
@@ -88,7 +88,7 @@ def moved(
 
 
 def united(bodies: Sequence["trimesh.Trimesh"]) -> "trimesh.Trimesh":
-    """Join bodies as they are; unlike `union` without removing short edges."""
+    """Unite bodies; unlike `union` without removing short edges."""
     import trimesh
 
     return bodies[0] if len(bodies) == 1 else trimesh.boolean.union(bodies, engine="manifold")
@@ -105,14 +105,14 @@ def without(body: "trimesh.Trimesh", *holes: "trimesh.Trimesh") -> "trimesh.Trim
 
 
 def common(bodies: Sequence["trimesh.Trimesh"]) -> "trimesh.Trimesh":
-    """Keep what all bodies share."""
+    """Return the intersection of all bodies."""
     return _combined(bodies, "Intersect")
 
 
 def _combined(
     bodies: Sequence["trimesh.Trimesh"], operation: Literal["Add", "Subtract", "Intersect"]
 ) -> "trimesh.Trimesh":
-    """Combine in double precision: single precision leaves needles where facets nearly meet."""
+    """Combine in double precision: single precision creates needles at nearly coincident facets."""
     import manifold3d
 
     manifolds = [
@@ -133,14 +133,14 @@ def level_set(
     edge_mm: float,
     refined: int,
 ) -> "trimesh.Trimesh":
-    """Mesh where a function of (x, y, z) is zero, negative inside, and split each edge.
+    """Mesh the zero set of a function of (x, y, z), negative inside, and split each edge.
 
     Parameters
     ----------
     level_mm : signed level
-    box_mm : (x, y, z low, x, y, z high) float, mm; box that holds the body
+    box_mm : (x, y, z low, x, y, z high) float, mm; box that contains the body
     edge_mm : edge of the facets before they are split
-    refined : pieces of each edge; the new vertices lie on the flat facets
+    refined : pieces of each edge; the new vertices are on the flat facets
     """
     import manifold3d
 
@@ -178,21 +178,21 @@ def height_grid_body(
     rim = np.concatenate((index[0], index[1:, -1], index[-1, -2::-1], index[-2:0:-1, 0]))
     base = top[rim] * [1, 1, 0] + [0, 0, base_z_mm]
     below, middle = z_mm.size + np.arange(rim.size), base.mean(axis=0)
-    # The base's facets look down.
+    # The base's facets face down.
     fan = (np.roll(below, -1), below, np.full_like(below, z_mm.size + rim.size))
     facets = (grid_facets(*z_mm.shape), _wall(rim, below), np.stack(fan, axis=-1))
     return closed_mesh(np.concatenate((top, base, middle[None])), np.concatenate(facets))
 
 
 def _wall(rim: IntArray, below: IntArray) -> IntArray:
-    """Return the facets between the rim, counter-clockwise seen from above, and the base."""
+    """Return the facets between the rim, counter-clockwise in a view from above, and the base."""
     after, below_after = np.roll(rim, -1), np.roll(below, -1)
     return np.stack((rim, below, below_after, rim, below_after, after), axis=-1).reshape(-1, 3)
 
 
-@lru_cache(maxsize=1)  # asked for the same grid again and again, while one face is looked at
+@lru_cache(maxsize=1)  # consecutive calls have the same grid
 def grid_facets(rows: int, cols: int) -> IntArray:
-    """Return (2 (rows-1) (cols-1), 3) vertex indices, counter-clockwise seen from +z; read-only."""
+    """Return (2 (rows-1) (cols-1), 3) vertex indices, counter-clockwise from +z; read-only."""
     corner = np.arange(rows * cols).reshape(rows, cols)[:-1, :-1, None]
     two_triangles = np.array([0, 1, cols + 1, 0, cols + 1, cols])
     facets = np.asarray((corner + two_triangles).reshape(-1, 3))
@@ -207,7 +207,7 @@ def arc(
     last_deg: float,
     step_deg: float = 360 / SECTIONS,
 ) -> list[tuple[float, float]]:
-    """Return points on an arc at most `step_deg` apart; the centre itself for radius 0."""
+    """Return points on an arc in steps of at most `step_deg`; the centre for radius 0."""
     if radius_mm == 0:
         return [centre_mm]
     steps = int(np.ceil(abs(last_deg - first_deg) / step_deg - 1e-9)) + 1

@@ -2,7 +2,7 @@
 
 Basic profile of ISO 68-1: flanks at 60 degrees to each other, flat crests of pitch / 8 on the
 major diameter D, flat roots of pitch / 4 on the minor diameter D - (5/4) H, H = (sqrt(3)/2) pitch.
-A bolt's shank is this body itself, a nut's hole is the body that is cut out.
+The body is a bolt's shank, or is cut out as a nut's hole.
 """
 
 from math import sqrt
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 Thread = Annotated[float, Field(ge=1, le=30)]
 Pitch = Annotated[float, Field(ge=0.2, le=4)]
 MOST_TURNS = 60
-"""A finer or longer thread makes only facets below the resolution of any camera."""
+"""Limit of threads: more turns have only facets below the resolution of any camera."""
 
-# Axial places of the profile's kinks within one pitch, beginning with the root's flat.
+# Axial positions of the profile's kinks within one pitch, from the root's flat on.
 _KINKS = np.array([0.0, 4.0, 9.0, 11.0]) / 16
 
 
@@ -34,19 +34,19 @@ def minor_diameter_mm(major_mm: float, pitch_mm: float) -> float:
 def screw(
     major_mm: float, pitch_mm: float, low_mm: float, high_mm: float, sections: int = SECTIONS
 ) -> "trimesh.Trimesh":
-    """Return a right-handed threaded rod about z that covers z = low to high and a bit more.
+    """Return a right-handed threaded rod about z, longer than z = low to high at both ends.
 
     Parameters
     ----------
-    low_mm, high_mm : heights between which the thread is complete; the ends beyond them are ragged,
-        to be cut
+    low_mm, high_mm : heights between which the thread is complete; the ends beyond them are
+        incomplete and to be cut off
     sections : facets round one turn
 
     Notes
     -----
     The surface is a grid over angle and kink of the profile, sheared so that its lines follow the
     helix; one turn further is the same line one pitch higher. Both ends are closed by fans to a
-    point of the axis, which cannot meet the flanks: the ends lie on the root.
+    point of the axis, which cannot intersect the flanks: the ends are on the root.
     """
     turns = int(np.ceil((high_mm - low_mm) / pitch_mm)) + 3
     start = low_mm - 1.5 * pitch_mm
@@ -65,7 +65,7 @@ def screw(
 def _sides(rows: int, sections: int) -> IntArray:
     """Return the facets between the lines of the helix."""
     index = np.arange(rows * sections).reshape(rows, sections)
-    # Beyond the last column comes the first one, one pitch (four kinks) higher.
+    # The last column is followed by the first, one pitch (four kinks) higher.
     beyond = np.concatenate((index[4:, 0], np.full(4, -1)))
     index = np.concatenate((index, beyond[:, None]), axis=1)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]

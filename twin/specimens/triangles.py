@@ -1,12 +1,12 @@
-"""Exact distance of lattice nodes to a triangle mesh, and which of them lie inside.
+"""Exact distance of lattice nodes to a triangle mesh, and which nodes are inside.
 
-Node (i, j, k) of a lattice lies at (i, j, k) times the pitch in the body's frame. A cell is a cube
-of n^3 nodes: cell (a, b, c) begins with node (n a, n b, n c). Nothing depends on which other cells
-are asked for.
+Node (i, j, k) of a lattice is at (i, j, k) times the pitch in the body's frame. A cell is a cube
+of n^3 nodes: cell (a, b, c) starts with node (n a, n b, n c). Results of a cell do not depend on
+which cells are computed together.
 
-A node lies inside a closed mesh where its surface winds round it: seen along z from above a node,
-as many facets look up as down where it is outside. Needles and shared edges do no harm to that, as
-they would to a sign taken from normals; bodies that overlap within one mesh are joined.
+A node is inside a closed mesh if the winding number of the surface round it is not zero: above an
+outside node, as many facets face up as down. Unlike a sign from normals, this is robust against
+needles and shared edges. Overlapping bodies within one mesh are united.
 """
 
 from collections.abc import Callable
@@ -27,18 +27,18 @@ _DEEPEST = 64
 
 @dataclass(frozen=True, eq=False)
 class TriangleTree:
-    """The triangles of a closed mesh, and boxes round ever larger groups of them.
+    """The triangles of a closed mesh, and a binary tree of boxes round groups of them.
 
-    Triangles are sorted along a Z-order curve (Morton 1966) and taken in pairs. Box 1 holds all,
-    box n holds boxes 2 n and 2 n + 1, the last half of the boxes hold the pairs.
+    Triangles are sorted along a Z-order curve (Morton 1966) and grouped in pairs. Box 1 contains
+    all, box n contains boxes 2 n and 2 n + 1; the second half of the boxes contains the pairs.
     """
 
     #: (n, corner, xyz) mm, all of them
     corners_mm: FloatArray
-    #: (n, corner, xyz) mm, sorted; without those that have no area: they are met on their
+    #: (n, corner, xyz) mm, sorted; without those of zero area, which are on their
     #: neighbours' edges
     sorted_mm: FloatArray
-    #: (box, low or high, xyz) mm; one that holds nothing is infinitely far
+    #: (box, low or high, xyz) mm; an empty box is infinitely far
     boxes_mm: FloatArray
 
     @classmethod
@@ -54,7 +54,7 @@ class TriangleTree:
 
 
 def _keys(points_mm: FloatArray) -> IntArray:
-    """Return the places of points along a Z-order curve."""
+    """Return the positions of points along a Z-order curve."""
     low = points_mm.min(axis=0)
     step = max(float((points_mm.max(axis=0) - low).max()), 1e-9) / (2**_KEY_BITS - 1)
     steps = ((points_mm - low) / step).astype(np.int64)
@@ -82,7 +82,7 @@ def _boxes(triangles_mm: FloatArray) -> FloatArray:
 
 
 def middles_mm(cells: IntArray, nodes: int, pitch_mm: float) -> tuple[FloatArray, float]:
-    """Return the middles (n, xyz) of the cells' nodes, and how far a node may be from them."""
+    """Return the middles (n, xyz) of the cells' nodes, and the largest distance of a node."""
     middles = (cells.astype(np.float64) * nodes + (nodes - 1) / 2) * pitch_mm
     return middles, float(np.sqrt(3) / 2 * (nodes - 1) * pitch_mm)
 
@@ -141,7 +141,7 @@ def _squared(corners: FloatArray, x: float, y: float, z: float) -> float:
 
 @nested
 def _nearest_shares(uu: float, uv: float, vv: float, up: float, vp: float) -> tuple[float, float]:
-    """Return how much of the sides u and v leads to the point of a triangle nearest to p."""
+    """Return the coordinates along the sides u and v of a triangle's point nearest to p."""
     up_b, vp_b, up_c, vp_c = up - uu, vp - uv, up - uv, vp - vv
     a, b, c = up_b * vp_c - up_c * vp_b, up_c * vp - up * vp_c, up * vp_b - up_b * vp
     toward_c, toward_b = vp_b - up_b, up_c - vp_c
@@ -179,7 +179,7 @@ def _nearest(
     guess: int,
     waiting: tuple[IntArray, FloatArray],
 ) -> tuple[float, int]:
-    """Return the squared distance to the nearest triangle, and which it is."""
+    """Return the squared distance to the nearest triangle, and its index."""
     triangles, boxes = tree
     stack, least = waiting
     x, y, z = at
@@ -218,11 +218,11 @@ def _sample(
     waiting: tuple[IntArray, FloatArray],
     samples: FloatArray,
 ) -> None:
-    """Set the distances of cells' nodes, beginning with what was nearest to the node before."""
+    """Set the distances of cells' nodes; the first guess is the previous node's triangle."""
     count = samples.shape[1]
     half = (count - 1) / 2
     for n in range(len(middles)):
-        # Afresh for each cell: where rounding decides, its neighbours must not show.
+        # New for each cell: rounding must not depend on the cells before it.
         guess = 0
         for i in range(count):
             for j in range(count):
@@ -233,8 +233,8 @@ def _sample(
                     samples[n, i, j, k] = np.sqrt(squared)
 
 
-# A node's column leaves the lattice by this many pitches, so that it meets no edge: not by a ratio
-# that a designer's dimensions would have.
+# Offset of a node's column from the lattice, in pitches, so that it crosses no edge: no ratio of
+# usual dimensions.
 _ASIDE = (0.6180339e-6, 0.4142135e-6)
 
 
@@ -246,10 +246,10 @@ class Columns:
     corners_mm: FloatArray
     nodes: int
     pitch_mm: float
-    #: (xy) place of the first cell, and (xy) number of them
+    #: (xy) index of the first cell, and (xy) number of cells
     low: IntArray
     count: IntArray
-    #: (place + 1) where the list of each cell begins, and all members
+    #: (cell + 1) start of the list of each cell, and all members
     start: IntArray
     member: IntArray
 
@@ -257,17 +257,17 @@ class Columns:
     def of(
         cls, corners_mm: FloatArray, nodes: int, pitch_mm: float, low: IntArray, count: IntArray
     ) -> "Columns":
-        """Sort the triangles by the cells that their outline, seen along z, may meet."""
+        """Sort the triangles by the cells that their projection along z may overlap."""
         cell_mm = nodes * pitch_mm
         begin, end = corners_mm.min(axis=1)[:, :2], corners_mm.max(axis=1)[:, :2]
-        # A pitch of slack on both sides: a column stands beside its node, at most beyond the last.
+        # One pitch of margin on both sides, because a column is offset from its node.
         first = np.floor((begin - pitch_mm) / cell_mm).astype(np.int64) - low
         last = np.floor((end + pitch_mm) / cell_mm).astype(np.int64) - low
         lists = _sorted_in(np.maximum(first, 0), np.minimum(last, count - 1), count)
         return cls(corners_mm, nodes, pitch_mm, low, count, *lists)
 
     def negate_inside(self, cells: IntArray, samples: FloatArray) -> None:
-        """Negate the samples (n, x, y, z) of the cells' nodes that lie inside."""
+        """Negate the samples (n, x, y, z) of the cells' nodes that are inside."""
 
         def negate(band: slice) -> None:
             place, count = (cells[band], self.pitch_mm), self.nodes
@@ -277,7 +277,7 @@ class Columns:
         over_bands(negate, len(cells))
 
     def inside(self, points_mm: FloatArray) -> BoolImage:
-        """Tell which points (n, xyz) lie inside."""
+        """Return which points (n, xyz) are inside."""
         cells = np.floor(points_mm / (self.nodes * self.pitch_mm)).astype(np.int64)
         inside = np.zeros(len(points_mm), np.bool_)
         points = points_mm + np.array([*_ASIDE, 0.0]) * self.pitch_mm
@@ -285,7 +285,7 @@ class Columns:
         return inside
 
     def _over(self, cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Return begin and end of each cell's list, and all members."""
+        """Return start and end of each cell's list, and all members."""
         x, y = (cells[:, :2] - self.low).T
         place = x * self.count[1] + y
         return self.start[place], self.start[place + 1], self.member
@@ -293,7 +293,7 @@ class Columns:
 
 @nested
 def _left_of(a: FloatArray, b: FloatArray, x: float, y: float) -> bool:
-    """Tell whether a point is left of a line from a to b: right of the same line from b to a."""
+    """Return True if a point is left of the line from a to b: right of the line from b to a."""
     if a[0] < b[0] or (a[0] == b[0] and a[1] < b[1]):
         return bool((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) > 0)
     return not (a[0] - b[0]) * (y - b[1]) - (a[1] - b[1]) * (x - b[0]) > 0
@@ -301,7 +301,7 @@ def _left_of(a: FloatArray, b: FloatArray, x: float, y: float) -> bool:
 
 @nested
 def _crossing(corners: FloatArray, x: float, y: float) -> tuple[int, float]:
-    """Return the facet's side seen from above (+1, -1, 0 where missed), and z of the crossing."""
+    """Return the sign of the facet's normal along z (0: no crossing), and z of the crossing."""
     a, b, c = corners[0], corners[1], corners[2]
     left = _left_of(a, b, x, y)
     if left != _left_of(b, c, x, y) or left != _left_of(c, a, x, y):
@@ -317,7 +317,7 @@ def _crossing(corners: FloatArray, x: float, y: float) -> tuple[int, float]:
 def _covered(
     corners: FloatArray, axis: int, pitch: float, first: int, count: int
 ) -> tuple[int, int]:
-    """Return begin and end of those of a cell's nodes, along x or y, that a facet may cover."""
+    """Return start and end of the cell's nodes, along x or y, that a facet may cover."""
     a, b, c = corners[0, axis], corners[1, axis], corners[2, axis]
     begin = np.ceil(min(a, b, c) / pitch - 1e-3) - first
     end = np.floor(max(a, b, c) / pitch + 1e-3) - first + 1
@@ -332,9 +332,9 @@ def _negate(
     below: IntArray,
     samples: FloatArray,
 ) -> None:
-    """Negate what lies inside; below[i, j, k] is for the windings of column i, j.
+    """Negate the samples of inside nodes.
 
-    Those of the facets that have just k of the column's nodes below them.
+    below[i, j, k] receives the winding of the facets with k nodes of column i, j below them.
     """
     begin, end, member = lists
     cells, pitch = place
@@ -380,7 +380,7 @@ def _inside(
 
 
 def _sorted_in(first: IntArray, last: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
-    """Return lists of the boxes first..last that hold each place of a grid, row by row."""
+    """Return lists of the boxes first..last that contain each cell of a grid, row by row."""
     sides = np.maximum(last - first + 1, 0)
     places = sides[:, 0] * sides[:, 1]
     member = np.repeat(np.arange(len(first)), places)

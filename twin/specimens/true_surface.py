@@ -1,7 +1,7 @@
-"""The true surface of a specimen where it ended up: what a measured object is compared with.
+"""The true surface of a specimen in its final position: reference of a measured object.
 
-World frame, mm. Closed forms where there are some, otherwise the exact distance to the triangles:
-the sampled distance that a wrapping sheet uses rounds edges by its lattice.
+World frame, mm. Closed forms if there are any, otherwise the exact distance to the triangles: the
+sampled distance of the contact of a sheet rounds edges by its lattice.
 """
 
 from dataclasses import dataclass
@@ -15,21 +15,21 @@ from twin.specimens.catalogue import Assembly
 from twin.specimens.meshes import MeshShape
 from twin.specimens.triangles import Columns, TriangleTree, distances_mm
 
-# A few facets per cell: each point over a cell asks all of them on which side of it they are.
+# A few facets per cell: each point over a cell is tested against all of them.
 _FACETS_PER_CELL = 8
 _REACH_MM = 1e6
 
 
 @dataclass(frozen=True, eq=False)
 class TrueSurface:
-    """A specimen's surface, raised from first touch to its place, and grown by a skin.
+    """A specimen's surface, raised from first touch to its final height, and offset by a skin.
 
     Attributes
     ----------
     shape : at first touch: its foremost point is z = 0
     raised_mm : world z of that point
-    skin_mm : thickness of what lies between specimen and measured face: a point is at distance 0
-        where it lies so far outside of the specimen, along the normal
+    skin_mm : thickness of the layer between specimen and measured face: points at this distance
+        from the specimen, along its normal, have distance 0
     """
 
     shape: Shape
@@ -39,8 +39,8 @@ class TrueSurface:
     def distance_mm(self, points_mm: FloatArray) -> FloatArray:
         """Return the signed distance (n,) of points (n, xyz), positive outside."""
         local = points_mm - np.array([0.0, 0.0, self.raised_mm])
-        found = [part.distance_mm(local) for part in self._parts]
-        return np.asarray(np.min(found, axis=0) - self.skin_mm)
+        distances = [part.distance_mm(local) for part in self._parts]
+        return np.asarray(np.min(distances, axis=0) - self.skin_mm)
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Return world z (row, col) of the upper side over columns x and rows y; -inf: none."""
@@ -48,7 +48,7 @@ class TrueSurface:
 
     @cached_property
     def _parts(self) -> "list[_Closed | _Facets]":
-        return [_part(one) for one in _leaves(self.shape)]
+        return [_part(leaf) for leaf in _leaves(self.shape)]
 
 
 def _leaves(shape: Shape) -> list[Shape]:
@@ -64,8 +64,8 @@ class _Closed:
     shape: Shape
 
     def distance_mm(self, points_mm: FloatArray) -> FloatArray:
-        found = [one.evaluate(points_mm, _REACH_MM)[0] for one in self.shape.distances()]
-        return np.asarray(np.min(found, axis=0))
+        distances = [body.evaluate(points_mm, _REACH_MM)[0] for body in self.shape.distances()]
+        return np.asarray(np.min(distances, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,14 +85,14 @@ class _Facets:
         return cls(TriangleTree.of(corners_mm), Columns.of(corners_mm, 1, cell, low, count))
 
     def distance_mm(self, points_mm: FloatArray) -> FloatArray:
-        found = distances_mm(self.tree, points_mm)
+        distances = distances_mm(self.tree, points_mm)
         under = self._over(points_mm)
         inside = self.columns.inside(points_mm[under])
-        found[np.flatnonzero(under)[inside]] *= -1
-        return found
+        distances[np.flatnonzero(under)[inside]] *= -1
+        return distances
 
     def _over(self, points_mm: FloatArray) -> BoolImage:
-        """Tell which points lie within the outline: only there are lists of facets."""
+        """Return which points are within the outline, in which there are lists of facets."""
         cells = np.floor(points_mm[:, :2] / self.columns.pitch_mm) - self.columns.low
         return np.asarray(np.all((cells >= 0) & (cells < self.columns.count), axis=1))
 

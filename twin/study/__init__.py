@@ -1,1 +1,1 @@
-"""Design-space sweeps: many virtual measurements that share what they have in common."""
+"""Design-space sweeps: many virtual measurements that reuse each other's stage results."""

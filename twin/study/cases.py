@@ -1,6 +1,6 @@
-"""Cases of a study: points of the design space, and at each a validated experiment.
+"""Cases of a study: validated experiments at the points of the design space.
 
-A point takes one level of every axis; a case has the name that its content gives it.
+A point has one level of every axis. The name of a case is a digest of its content.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ from reconstruction.errors import InputError
 from twin.config import ConfigError, Experiment, digest, vary
 from twin.config.loading import by_method
 from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
-from twin.study.measuring import AS_IT_IS, Conditions
+from twin.study.measuring import NOMINAL_CONDITIONS, Conditions
 from twin.study.needed import (
     bound_needed,
     compensation_needed,
@@ -35,7 +35,7 @@ def points_of(study: Study) -> list[Point]:
 
     Raises
     ------
-    InputError : more cases than a study may have, or a study that finds its points as it goes
+    InputError : more cases than a study may have, or a study that chooses its points while it runs
     """
     method = study.sampling.method
     if method in ("optimise", "gradient", "trials"):
@@ -52,7 +52,7 @@ def points_of(study: Study) -> list[Point]:
 
 
 def point_count(study: Study) -> int:
-    """Return how many points a study has, without making them."""
+    """Return the number of points of a study, without building them."""
     count, axes = study.sampling.count or 0, len(study.axis)
     match study.sampling.method:
         case "grid":
@@ -69,17 +69,17 @@ def point_count(study: Study) -> int:
 
 
 def cases_per_point(study: Study) -> int:
-    """Return how many cases a study has at each point, before constraints."""
+    """Return the number of cases at each point of a study, before constraints."""
     return study.repeats * max(1, len(study.modalities))
 
 
 def point_at(axes: tuple[Axis, ...], shares: FloatArray) -> Point:
-    """Return the point at a place (axis,) of the unit cube."""
+    """Return the point at the coordinates (axis,) of the unit cube."""
     return tuple(axis.level_at(float(u)) for axis, u in zip(axes, shares, strict=True))
 
 
 def shares_of(study: Study) -> FloatArray:
-    """Return places (point, axis) in the unit cube for a study that samples."""
+    """Return coordinates (point, axis) in the unit cube for a study that samples."""
     from scipy.stats import qmc  # takes half a second to load, and a grid needs none
 
     count, axes = study.sampling.count or 1, len(study.axis)
@@ -97,7 +97,7 @@ def shares_of(study: Study) -> FloatArray:
 
 
 def _sobol(axes: int, count: int, rng: np.random.Generator) -> FloatArray:
-    """Scrambled Sobol' points; the first `count` of the next power of two, drawn whole."""
+    """Draw scrambled Sobol' points: the first `count` of a set of 2^k points."""
     from scipy.stats import qmc
 
     exponent = int(np.ceil(np.log2(max(count, 1))))
@@ -105,7 +105,7 @@ def _sobol(axes: int, count: int, rng: np.random.Generator) -> FloatArray:
 
 
 def saltelli_shares(axes: int, count: int, rng: np.random.Generator) -> FloatArray:
-    """Rows A, B and A with column i from B, for Saltelli et al. (2010), blocks one after another.
+    """Return the rows of A, of B, and of A with column i from B, for Saltelli et al. (2010).
 
     Saltelli, A. et al.: Variance based sensitivity analysis of model output. Computer Physics
     Communications 181, 259-270 (2010), table 2.
@@ -146,42 +146,42 @@ class Case:
     ----------
     settings : value of every axis by its title, with `modality` and `seed` where they are varied
     digest : name of the case in the store
-    conditions : how it is measured, beside what its experiment says
+    conditions : of the measurement, in addition to its experiment
     """
 
     settings: Mapping[str, Any]
     experiment: Experiment
     digest: str
-    conditions: Conditions = AS_IT_IS
+    conditions: Conditions = NOMINAL_CONDITIONS
 
 
 def case_of(
-    settings: Mapping[str, Any], experiment: Experiment, conditions: Conditions = AS_IT_IS
+    settings: Mapping[str, Any], experiment: Experiment, conditions: Conditions = NOMINAL_CONDITIONS
 ) -> Case:
-    """Return a case under its name: the experiment's, unless the conditions are others."""
+    """Return a case with its digest: of the experiment, and of conditions that are not nominal."""
     name = digest(experiment)
-    if conditions != AS_IT_IS:
-        said = asdict(conditions)
-        if conditions.bound == AS_IT_IS.bound:  # so that older stores keep their names
-            del said["bound"]
+    if conditions != NOMINAL_CONDITIONS:
+        described = asdict(conditions)
+        if conditions.bound == NOMINAL_CONDITIONS.bound:  # so that older stores keep their names
+            del described["bound"]
         if not conditions.derivatives:
-            del said["derivatives"]
+            del described["derivatives"]
         if conditions.layer is None:
-            del said["layer"]
+            del described["layer"]
         else:
-            said["layer"] = conditions.layer.model_dump(mode="json")
-        named = f"{name} {json.dumps(said, sort_keys=True)}"
+            described["layer"] = conditions.layer.model_dump(mode="json")
+        named = f"{name} {json.dumps(described, sort_keys=True)}"
         name = hashlib.blake2b(named.encode(), digest_size=8).hexdigest()
     return Case(settings, experiment, name, conditions)
 
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """Cases of a study in its own order, and how many its constraints leave out.
+    """Cases of a study in its own order, and the number that its constraints exclude.
 
     Attributes
     ----------
-    step : 1 for all cases; n for those of every n-th point, for a first look
+    step : 1 for all cases; n for the cases of every n-th point, for a preview
     """
 
     run: tuple[Case, ...]
@@ -189,7 +189,7 @@ class Cases:
     step: int = 1
 
     def unique(self) -> list[Case]:
-        """Return the cases, those of the same content once."""
+        """Return the cases without duplicates of the same content."""
         return list({case.digest: case for case in self.run}.values())
 
 
@@ -202,7 +202,7 @@ def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = No
 
     Raises
     ------
-    ConfigError : cases that are no valid experiment: each problem once, with a case that has it
+    ConfigError : cases that are no valid experiment: each problem once, with an example
     InputError : too many points
     """
     cases, excluded = [], 0
@@ -211,9 +211,9 @@ def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = No
         try:
             made = list(_cases_at(study, base, point))
         except ConfigError as error:
-            where = ", ".join(f"{t} = {v}" for t, v in _settings(study, point).items())
+            example = ", ".join(f"{t} = {v}" for t, v in _settings(study, point).items())
             for line in str(error).splitlines():
-                problems.setdefault(line.removeprefix(f"{base.name}: "), where)
+                problems.setdefault(line.removeprefix(f"{base.name}: "), example)
             if len(problems) >= _MOST_PROBLEMS:
                 break
             continue
@@ -221,7 +221,7 @@ def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = No
         excluded += len(made) - len(allowed)
         cases += allowed
     if problems:
-        lines = (f"{study.name}: {line} (at {where})" for line, where in problems.items())
+        lines = (f"{study.name}: {line} (at {example})" for line, example in problems.items())
         raise ConfigError("\n".join(lines))
     if not cases:
         raise ConfigError(f"{study.name}: no case is left, constraints exclude all {excluded}")
@@ -253,7 +253,7 @@ def _settings(study: Study, point: Point) -> dict[str, Any]:
 
 
 def field_of(experiment: Experiment, path: str) -> Any:
-    """Value at a dotted path; None where there is none, as for the name of a metric."""
+    """Return the value at a dotted path; None if the path is no field, as the name of a metric."""
     node: Any = experiment
     for name in path.split("."):
         node = node.get(name) if isinstance(node, dict) else getattr(node, name, None)
@@ -261,7 +261,7 @@ def field_of(experiment: Experiment, path: str) -> Any:
 
 
 def quantity(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint) -> float | None:
-    """Value that a constraint bounds; None without a metric that it needs, and for x / 0."""
+    """Return the value that a constraint bounds; None if a metric is missing, and for x / 0."""
     parts = _parts(experiment, figures, bound)
     if parts is None or 0.0 in parts[1:]:
         return None
@@ -269,7 +269,7 @@ def quantity(experiment: Experiment, figures: Mapping[str, Any], bound: Constrai
 
 
 def meets(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint) -> bool:
-    """Tell whether a case meets a bound; a quantity that does not exist meets none."""
+    """Return True if a case satisfies a bound; False if its quantity does not exist."""
     number = quantity(experiment, figures, bound)
     return number is not None and bound.holds_for(number)
 
@@ -277,16 +277,16 @@ def meets(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint)
 def _parts(
     experiment: Experiment, figures: Mapping[str, Any], bound: Constraint
 ) -> list[float] | None:
-    """Numbers whose value or ratio is bounded; None when one of them is not there."""
+    """Return the bounded number, or numerator and denominator; None if any is missing."""
     names = [bound.value] if bound.per is None else [bound.value, bound.per]
-    found = [figures.get(name, field_of(experiment, name)) for name in names]
-    if not all(isinstance(value, (int, float)) for value in found):
+    values = [figures.get(name, field_of(experiment, name)) for name in names]
+    if not all(isinstance(value, (int, float)) for value in values):
         return None
-    return [float(value) for value in found]
+    return [float(value) for value in values]
 
 
 def _admits(constraints: tuple[Constraint, ...], experiment: Experiment) -> bool:
-    """Tell whether a case may run: bounds on its fields alone hold; others wait for its result."""
+    """Return True if all bounds on fields only hold; bounds on figures are checked afterwards."""
     return all(
         _parts(experiment, {}, bound) is None or meets(experiment, {}, bound)
         for bound in constraints

@@ -1,4 +1,4 @@
-"""What is plain of a study before its first case runs: figures that no case will have."""
+"""Checks of a study before its first case runs: its cases must have the figures it names."""
 
 import difflib
 from collections.abc import Iterable
@@ -14,41 +14,41 @@ from twin.study.record import StudyRecord
 
 
 def check_figures(record: StudyRecord, cases: Iterable[Case]) -> None:
-    """Refuse metrics and objectives that no case can have, and constraints on nothing.
+    """Check that the metrics, objectives and constraints of a study name figures of its cases.
 
     Raises
     ------
-    InputError : the figure, the nearest name, and where all names are told
+    InputError : a figure that no case can have, with the nearest names
     """
     study = record.study
-    asked = [("metrics", name) for name in study.metrics]
-    asked += [("objectives", one.metric) for one in study.goals]
-    bounds = [name for one in study.constraint for name in (one.value, one.per) if name]
-    asked += [("constraint", name) for name in bounds if "." not in name]
-    if not asked:
+    requested = [("metrics", name) for name in study.metrics]
+    requested += [("objectives", entry.metric) for entry in study.goals]
+    bounds = [name for entry in study.constraint for name in (entry.value, entry.per) if name]
+    requested += [("constraint", name) for name in bounds if "." not in name]
+    if not requested:
         return
     known = _known(record.base, cases)
-    if study.sampling.method == "trials":  # whose figures are those of noisy measurements
+    if study.sampling.method == "trials":  # bounds are not computed for trials
         known = {name for name in known if not is_bound_name(name)}
-    for where, name in asked:
+    for where, name in requested:
         if name.removeprefix(TRUE_RIG) not in known:
             close = difflib.get_close_matches(name, known, n=2, cutoff=0.5)
             hint = f"; did you mean {' or '.join(close)}?" if close else ""
             raise InputError(
-                f"{where}: no case of this study has a figure '{name}'{hint} docs/evaluation.md "
-                "and docs/sweeps.md tell all"
+                f"{where}: no case of this study has a figure '{name}'{hint}; docs/evaluation.md "
+                "and docs/sweeps.md list all figures"
             )
 
 
 def _known(base: Experiment, cases: Iterable[Case]) -> set[str]:
-    """Return the figures of all cases; those that differ in numbers alone are asked once."""
-    found, seen = set(DERIVED), set[str]()
+    """Return the figures of all cases; cases that differ only in numbers are evaluated once."""
+    names, kinds = set(DERIVED), set[str]()
     for experiment in (base, *(case.experiment for case in cases)):
         kind = _kind_of(experiment)
-        if kind not in seen:
-            seen.add(kind)
-            found |= figure_names(experiment)
-    return found
+        if kind not in kinds:
+            kinds.add(kind)
+            names |= figure_names(experiment)
+    return names
 
 
 def _kind_of(experiment: Experiment) -> str:

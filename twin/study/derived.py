@@ -1,17 +1,18 @@
-"""Figures that follow from a case's description and its result: the designer's own.
+"""Figures for the design of a sensor, computed from a case's experiment and result.
 
 | name | meaning |
 |---|---|
-| half_contrast_pitch_mm | pitch of grooves of which the coat keeps half; 0 where nothing is lost; a
-thin sheet: of ridges as high as the specimen's, or a fingerprint's, under its back pressure |
-| tenth_contrast_pitch_mm | pitch of which it keeps a tenth |
-| groove_contrast_kept | share of a grating's relief that the coat keeps (slab: closed form) |
-| groove_over_error | RMS of its grooves on the coat over z_rmse: below 1 they drown in the error |
-| radius_bias_mm | radius of the ball's true coated face less that of the ball: what the slab does |
+| half_contrast_pitch_mm | pitch of grooves at which the relief of the coat is 50 % of the
+grating's; 0 without loss; thin sheet: ridges of the specimen's (or a fingerprint's) height,
+under the back pressure |
+| tenth_contrast_pitch_mm | pitch at which the relief of the coat is 10 % of the grating's |
+| groove_contrast_kept | relief of the coat over relief of the grating (slab: closed form) |
+| groove_over_error | RMS of the grooves on the coat over z_rmse: below 1 the error is larger |
+| radius_bias_mm | radius of the true coated face minus radius of the ball: effect of the slab |
 | depth_over_thickness | travel of the press over the slab's thickness |
 | force_per_depth_n_per_mm | force over travel |
 
-They are not in result.json; tables, constraints and objectives know them beside its metrics.
+They are not in result.json; tables, constraints and objectives accept them like its metrics.
 """
 
 import math
@@ -67,7 +68,7 @@ def _grating(experiment: Experiment) -> NominalGrating:
 def _groove_contrast(experiment: Experiment, metrics: Metrics) -> float:
     pitch_mm = _grating(experiment).pitch_mm
     if experiment.elastomer.layout == "contact_face":
-        return 1.0  # while the grooves are filled
+        return 1.0  # as long as the grooves are filled
     if _is_sheet(metrics):
         return _ridges(experiment).shown(pitch_mm)
     waves = 2 * np.pi * experiment.elastomer.thickness_mm / pitch_mm
@@ -75,9 +76,9 @@ def _groove_contrast(experiment: Experiment, metrics: Metrics) -> float:
 
 
 def _groove_over_error(experiment: Experiment, metrics: Metrics) -> float:
-    kept = _groove_contrast(experiment, metrics)
+    contrast = _groove_contrast(experiment, metrics)
     # A sine of height h from crest to root has an RMS of h / sqrt(8).
-    rms_um = 1e3 * kept * _grating(experiment).depth_mm / math.sqrt(8.0)
+    rms_um = 1e3 * contrast * _grating(experiment).depth_mm / math.sqrt(8.0)
     return rms_um / _number(metrics, "z_rmse_um")
 
 
@@ -97,20 +98,20 @@ DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
 }
 
 OF_A_MEASUREMENT = ("groove_over_error", "radius_bias_mm")
-"""Those that need more than the press."""
+"""Derived figures that need a measurement in addition to the press."""
 
 
 def with_derived(
     experiment: Experiment, metrics: Metrics, wanted: Iterable[str] = tuple(DERIVED)
 ) -> dict[str, Metric]:
-    """Return a case's figures and the derived ones among `wanted` that its result allows.
+    """Return a case's figures and those derived figures of `wanted` that can be computed.
 
-    What follows from a figure that does not exist (None) does not exist either, and is left out.
+    A derived figure is left out if any figure that it needs is missing or None.
     """
-    found = dict(metrics)
+    figures = dict(metrics)
     for name in wanted:
         try:
-            found[name] = DERIVED[name](experiment, metrics)
+            figures[name] = DERIVED[name](experiment, metrics)
         except (KeyError, StopIteration, ZeroDivisionError):
-            continue  # no such ball or groove, nothing was pressed, or nothing measured
-    return found
+            continue  # no such ball or groove, no press, or no measured point
+    return figures

@@ -1,12 +1,12 @@
 """Compute the cases of a study that its store lacks, on any `concurrent.futures.Executor`.
 
 One case per worker is computed first and reports which fields its stages read; the other cases
-follow in batches that share stages. When a worker dies, its batch is queued again, and the case
-that it was computing runs alone. A case is recorded as failed when its worker died three times
-while it ran alone.
+follow in batches that share stages. When a worker dies, its batch is queued again; the case that it
+was computing runs in isolation: no other case runs at the same time. A case is recorded as failed
+when its worker died three times during an isolated run.
 
-Several studies can run together (`run_together`): while the first study has no batch to submit,
-because its first or last cases are being computed, batches of the next study are submitted.
+Several studies can run together (`run_together`): while a study has no batch to submit, because its
+first or last cases are being computed, batches of the next study are submitted.
 """
 
 import time
@@ -19,14 +19,14 @@ from dataclasses import dataclass, field
 from reconstruction.errors import InputError
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.study.cases import Case
-from twin.study.measuring import PLAINLY, StageReads
+from twin.study.measuring import DEFAULT_MEASURING, StageReads
 from twin.study.order import batches_of, in_sharing_order
 from twin.study.outcome import SweepOutcome
 from twin.study.store import Store, write_failure
 from twin.study.worker import DIED, Batch, BatchReport, MakeMeasurer, Report, compute
 from twin.study.workers import Workers
 
-_STRIKES = 3
+_MOST_DEATHS_EACH = 3
 _ROUNDS_AHEAD = 4  # if the first cases fail, or another run computes them
 _MOST_DEATHS = 10  # in a row, with no case finished between them
 _FIRST_REASONS = 3
@@ -41,26 +41,26 @@ class Run:
     Attributes
     ----------
     done : called with the reports of every batch, for example to enter them into an index
-    tell : called with a sentence for each of the first reasons of failure, while cases still run
+    tell : called with a message for each of the first reasons of failure, while cases still run
     """
 
     store: Store
     workers: Workers
     keep: tuple[str, ...] = ()
-    make_measurer: MakeMeasurer = PLAINLY
+    make_measurer: MakeMeasurer = DEFAULT_MEASURING
     watch: ProgressCallback = no_progress
     done: Callable[[Sequence[Report]], None] = lambda _: None
     tell: Callable[[str], None] = lambda _: None
     _missing: list[Case] = field(default_factory=list)
     _queue: deque[list[Case]] = field(default_factory=deque)
-    _alone: deque[list[Case]] = field(default_factory=deque)
-    _strikes: Counter[str] = field(default_factory=Counter)
+    _isolated: deque[list[Case]] = field(default_factory=deque)
+    _isolated_deaths: Counter[str] = field(default_factory=Counter)
     _reports: dict[str, Report] = field(default_factory=dict)
     _reads: StageReads = ()
     _rounds_left: int = 0
     _batched: bool = False
-    _at_work: int = 0
-    _told: set[str] = field(default_factory=set)
+    _running: int = 0
+    _reported: set[str] = field(default_factory=set)
 
     def __call__(self, cases: Iterable[Case]) -> SweepOutcome:
         """Compute the cases that the store lacks.
@@ -72,21 +72,21 @@ class Run:
         return run_together([(self, cases)], self.workers, self.watch)[0]
 
     def begin(self, cases: Iterable[Case]) -> None:
-        """Determine which cases the store lacks."""
+        """Determine the cases that are not in the store."""
         self._reports = {}
         self.store.abandoned()
         known = self.store.finished()
         self._missing = [case for case in cases if case.digest not in known]
-        self._rounds_left, self._batched, self._at_work = _ROUNDS_AHEAD, False, 0
+        self._rounds_left, self._batched, self._running = _ROUNDS_AHEAD, False, 0
 
     @property
     def total(self) -> int:
-        """Cases that the store lacked."""
+        """Number of cases that were not in the store."""
         return len(self._missing)
 
     @property
     def ended(self) -> int:
-        """How many of them have ended."""
+        """Number of these cases that have ended."""
         return sum(report.state != "elsewhere" for report in self._reports.values())
 
     def outcome(self, seconds: float) -> SweepOutcome:
@@ -100,25 +100,25 @@ class Run:
         )
 
     def next_batch(self) -> list[Case] | None:
-        """Take the next batch; None: there is none, or the rest depends on batches at work."""
-        if not (self._queue or self._alone or self._at_work):
+        """Take the next batch; None: there is none, or the rest depends on running batches."""
+        if not (self._queue or self._isolated or self._running):
             self._refill()
         return self._taken(self._queue)
 
-    def next_alone(self) -> list[Case] | None:
+    def next_isolated(self) -> list[Case] | None:
         """Take a case during which a worker died: no other case may run at the same time."""
-        return self._taken(self._alone)
+        return self._taken(self._isolated)
 
     def _taken(self, queue: deque[list[Case]]) -> list[Case] | None:
         if not queue:
             return None
-        self._at_work += 1
+        self._running += 1
         return queue.popleft()
 
-    def put_back(self, batch: list[Case], *, alone: bool) -> None:
+    def put_back(self, batch: list[Case], *, isolated: bool) -> None:
         """Return a batch to its queue: the executor did not accept it."""
-        self._at_work -= 1
-        (self._alone if alone else self._queue).appendleft(batch)
+        self._running -= 1
+        (self._isolated if isolated else self._queue).appendleft(batch)
 
     def _refill(self) -> None:
         """Queue the first cases; then all others; then those that another run was computing."""
@@ -142,44 +142,44 @@ class Run:
             time.sleep(_WAIT_FOR_OTHERS_S)
             self._queue.append(left)
 
-    def enter(self, found: BatchReport) -> None:
+    def enter(self, report: BatchReport) -> None:
         """Record the report of a batch."""
-        self._at_work -= 1
+        self._running -= 1
         # A case that failed has not been through all stages.
-        if not self._reads and found.cases[-1].state in ("done", "unsaved"):
-            self._reads = found.reads if any(found.reads) else ()
-        self._enter(found.cases)
+        if not self._reads and report.cases[-1].state in ("done", "unsaved"):
+            self._reads = report.reads if any(report.reads) else ()
+        self._enter(report.cases)
 
-    def lost(self, batches: list[list[Case]], *, alone: bool) -> None:
-        """Queue the batches of a dead worker again; the cases that it was computing run alone.
+    def lost(self, batches: list[list[Case]], *, isolated: bool) -> None:
+        """Queue the batches of a dead worker again; cases that it was computing run in isolation.
 
         Parameters
         ----------
-        alone : the batch was a case that ran alone, which gets one more strike
+        isolated : the batch was a case in isolation, which is charged with the death
         """
         suspects, known = set(self.store.abandoned()), self.store.finished()
         for batch in batches:
-            self._at_work -= 1
+            self._running -= 1
             self._enter([Report(case.digest, "done") for case in batch if case.digest in known])
             left = [case for case in batch if case.digest not in known]
-            if alone:
-                self._strike(left)
+            if isolated:
+                self._charge(left)
                 continue
-            self._alone.extend([case] for case in left if case.digest in suspects)
+            self._isolated.extend([case] for case in left if case.digest in suspects)
             innocent = [case for case in left if case.digest not in suspects]
             if innocent:
                 self._queue.appendleft(innocent)
 
-    def _strike(self, cases: list[Case]) -> None:
+    def _charge(self, cases: list[Case]) -> None:
         for case in cases:
-            self._strikes[case.digest] += 1
-            if self._strikes[case.digest] >= _STRIKES:
+            self._isolated_deaths[case.digest] += 1
+            if self._isolated_deaths[case.digest] >= _MOST_DEATHS_EACH:
                 self._give_up(case)
             else:
-                self._alone.append([case])
+                self._isolated.append([case])
 
     def _give_up(self, case: Case) -> None:
-        reason = f"its worker died {_STRIKES} times (killed, out of memory, or a crash)"
+        reason = f"its worker died {_MOST_DEATHS_EACH} times (killed, out of memory, or a crash)"
         try:
             with self.store.claimed(case.digest), self.store.writing(case.digest) as folder:
                 write_failure(folder, case.experiment, DIED, reason)
@@ -190,13 +190,15 @@ class Run:
 
     def _enter(self, reports: Sequence[Report]) -> None:
         self._reports |= {report.digest: report for report in reports}
-        self._tell_new(reports)
+        self._report_failures(reports)
         self.done(reports)
 
-    def _tell_new(self, reports: Sequence[Report]) -> None:
-        for reason in dict.fromkeys(one.reason for one in reports if one.state == "failed"):
-            if reason not in self._told and len(self._told) < _FIRST_REASONS:
-                self._told.add(reason)
+    def _report_failures(self, reports: Sequence[Report]) -> None:
+        for reason in dict.fromkeys(
+            report.reason for report in reports if report.state == "failed"
+        ):
+            if reason not in self._reported and len(self._reported) < _FIRST_REASONS:
+                self._reported.add(reason)
                 self.tell(f"a case failed: {reason}")
 
     def batch(self, cases: list[Case]) -> Batch:
@@ -230,67 +232,67 @@ def run_together(
         run.begin(cases)
     runs = [run for run, _ in parts]
     if any(run.total for run in runs):
-        _Together(runs, workers, watch).to_the_end()
+        _Together(runs, workers, watch).run_to_end()
     seconds = time.perf_counter() - start
     return [run.outcome(seconds) for run in runs]
 
 
 @dataclass
 class _Together:
-    """Runs at work on one executor.
+    """Runs that share an executor.
 
     Attributes
     ----------
     _pending : batches that the executor has, and their runs, by their futures
-    _alone : the only pending batch is a case during which a worker died before
+    _isolated : the only pending batch is a case during which a worker died before
     """
 
     runs: list[Run]
     workers: Workers
     watch: ProgressCallback
     _pending: dict["Future[BatchReport]", tuple[Run, list[Case]]] = field(default_factory=dict)
-    _alone: bool = False
+    _isolated: bool = False
     _deaths: int = 0
 
-    def to_the_end(self) -> None:
+    def run_to_end(self) -> None:
         executor = self.workers.open()
         try:
             while True:
-                broken = not self._hand_out(executor)
+                broken = not self._submit(executor)
                 if not (self._pending or broken):
                     return
-                if self._take_in() or broken:
+                if self._collect() or broken:
                     executor = self._after_death(executor)
         finally:
             (self.workers.release or self.workers.close)(executor)
 
-    def _hand_out(self, executor: Executor) -> bool:
+    def _submit(self, executor: Executor) -> bool:
         """Submit some batches per worker; False: the executor is broken and has no batch."""
-        while len(self._pending) < (1 if self._alone else _AHEAD * self.workers.count):
-            found = self._next()
-            if found is None:
+        while len(self._pending) < (1 if self._isolated else _AHEAD * self.workers.count):
+            assigned = self._next()
+            if assigned is None:
                 break
-            run, batch = found
+            run, batch = assigned
             try:
-                self._pending[executor.submit(compute, run.batch(batch))] = found
+                self._pending[executor.submit(compute, run.batch(batch))] = assigned
             except BrokenProcessPool:
-                run.put_back(batch, alone=self._alone)
+                run.put_back(batch, isolated=self._isolated)
                 return bool(self._pending)
         return True
 
     def _next(self) -> tuple[Run, list[Case]] | None:
-        """Take the next batch of any run; if no run has one, a case that has to run alone."""
-        self._alone = False
+        """Take the next batch of any run; if no run has one, a case that needs isolation."""
+        self._isolated = False
         for run in self.runs:
             if (batch := run.next_batch()) is not None:
                 return run, batch
         for run in self.runs if not self._pending else ():
-            if (batch := run.next_alone()) is not None:
-                self._alone = True
+            if (batch := run.next_isolated()) is not None:
+                self._isolated = True
                 return run, batch
         return None
 
-    def _take_in(self) -> bool:
+    def _collect(self) -> bool:
         """Wait for reports; True if a worker died."""
         died = False
         for future in wait(self._pending, return_when=FIRST_COMPLETED).done:
@@ -320,11 +322,11 @@ class _Together:
         self.workers.close(executor)
         self._deaths += 1
         if self._deaths > _MOST_DEATHS:
-            raise InputError("workers: found dying one after another; use -j 1 to see why")
+            raise InputError("workers: died one after another; use -j 1 to see the reason")
         before = self._ended()
         for run in self.runs:
             lost = [batch for owner, batch in self._pending.values() if owner is run]
-            run.lost(lost, alone=self._alone)
+            run.lost(lost, isolated=self._isolated)
         self._pending.clear()
         if self._ended() > before:
             self._report_progress()

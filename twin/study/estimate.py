@@ -33,7 +33,7 @@ class Estimate:
 
     Attributes
     ----------
-    step : 1 where all cases were looked at; n where it was one of n, and the rest is scaled
+    step : 1 if all cases were examined; n if every n-th was examined, and the sums were scaled
     """
 
     cases: int
@@ -46,7 +46,7 @@ class Estimate:
 
 
 def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> Estimate:
-    """Estimate time and disk of the cases that a store lacks."""
+    """Estimate run time and disk space of the cases that are not in the store."""
     known = store.finished() if store.exists() else set()
     unique = cases.unique()
     missing = [case for case in unique if case.digest not in known]
@@ -58,14 +58,14 @@ def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> E
         known=(len(unique) - len(missing)) * cases.step,
         excluded=cases.excluded * cases.step,
         seconds=work * cases.step / workers + _calibration_seconds(record, store),
-        disk_bytes=cases.step * sum(_case_bytes(record.study, one.experiment) for one in missing),
+        disk_bytes=cases.step * sum(_case_bytes(record.study, case.experiment) for case in missing),
         free_bytes=shutil.disk_usage(folder).free,
         step=cases.step,
     )
 
 
 def _calibration_seconds(record: StudyRecord, store: Store) -> float:
-    """Seconds, in one process, of the calibration that drawn rigs rest on; 0 where it is kept."""
+    """Return the time (s, one process) of the calibration for drawn rigs; 0 if it is cached."""
     board = drawn_board(record.study, record.base)
     if not board or (store.folder / CALIBRATION_FILE).is_file():
         return 0.0
@@ -78,7 +78,7 @@ def _pressing(experiment: Experiment) -> str:
 
 
 def press_seconds(experiment: Experiment) -> float:
-    """Return about how long one press takes."""
+    """Return the approximate time of a press, s."""
     scene = experiment
     case = PressInput(scene.mechanics, scene.specimen, scene.elastomer, scene.press)
     wraps = any(model.wraps for model in possible_models(case))
@@ -100,24 +100,24 @@ def _case_seconds(experiment: Experiment) -> float:
 
 
 def _case_bytes(study: Study, experiment: Experiment) -> float:
-    kept = _BYTES_PER_CASE
+    bytes_per_case = _BYTES_PER_CASE
     if "points" in study.keep:
-        kept += _BYTES_PER_PIXEL["points"] * _pixels(experiment)
+        bytes_per_case += _BYTES_PER_PIXEL["points"] * _pixels(experiment)
     if "capture" in study.keep:
-        kept += _BYTES_PER_FRAME_PIXEL * _frame_pixels(experiment)
-    return kept + (_PRESS_BYTES if "press" in study.keep else 0)
+        bytes_per_case += _BYTES_PER_FRAME_PIXEL * _frame_pixels(experiment)
+    return bytes_per_case + (_PRESS_BYTES if "press" in study.keep else 0)
 
 
-def estimate_line(found: Estimate) -> str:
+def estimate_line(estimated: Estimate) -> str:
     """Return an estimate in one line."""
-    looked = f"about {counted(found.cases, 'case')}, one point of {found.step} looked at"
-    parts = [counted(found.cases, "case") if found.step == 1 else looked]
-    if found.excluded:
-        parts.append(f"{found.excluded} more excluded by constraints")
-    if found.known:
-        parts.append(f"{found.known} of them known")
-    parts.append(f"about {duration(found.seconds)}")
-    parts.append(f"{_size(found.disk_bytes)} of {_size(found.free_bytes)} free disk")
+    preview = f"about {counted(estimated.cases, 'case')}, from one point in {estimated.step}"
+    parts = [counted(estimated.cases, "case") if estimated.step == 1 else preview]
+    if estimated.excluded:
+        parts.append(f"{estimated.excluded} more excluded by constraints")
+    if estimated.known:
+        parts.append(f"{estimated.known} of them in the store")
+    parts.append(f"about {duration(estimated.seconds)}")
+    parts.append(f"{_size(estimated.disk_bytes)} of {_size(estimated.free_bytes)} free disk")
     return ", ".join(parts)
 
 

@@ -1,9 +1,9 @@
-"""Which finished designs are feasible: every constraint holds, and every tolerance is met.
+"""Feasibility of finished designs: all constraints hold, and all tolerances are met.
 
-A constraint judges a field or a figure as it was measured. A tolerance of a `[[measurand]]` judges
-the measured value with its expanded uncertainty U (ISO 14253-1): "cannot tell" is not met. Of
-repeats, which differ by their seed only, each must be feasible: else the best design would be the
-one with the luckiest noise.
+A constraint limits a field or a measured figure. A tolerance of a `[[measurand]]` limits
+the measured value with its expanded uncertainty U (ISO 14253-1): every verdict except "within"
+counts as not met. Of repeats, which differ by their seed only, each must be feasible: else the best
+design would be selected by its noise.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,26 +20,26 @@ from twin.study.cases import Case, quantity
 Row = Mapping[str, Any]
 
 UNMET = "unmet"
-"""Key of a row: the conditions that it misses, with the values that it has."""
+"""Key of a row: the conditions that it does not meet, with its values."""
 TOLERANCES = "all tolerances of [[measurand]] are met, with U"
 _PERCENT = 100.0
 
 
 def has_tolerances(experiment: Experiment) -> bool:
     """Whether a measurand of the experiment states a tolerance."""
-    return any(tolerance_of(one) is not None for one in measurands_of(experiment))
+    return any(tolerance_of(measurand) is not None for measurand in measurands_of(experiment))
 
 
 def unmet_conditions(
     case: Case, figures: Mapping[str, Any], bounds: Iterable[Constraint]
 ) -> dict[str, str]:
-    """Return the conditions that a finished case does not meet, each with the value it has."""
-    found: dict[str, str] = {}
+    """Return the conditions that a finished case does not meet, each with its value."""
+    unmet: dict[str, str] = {}
     for bound in bounds:
         number = quantity(case.experiment, figures, bound)
         if number is None or not bound.holds_for(number):
-            found[bound.title] = "no value" if number is None else f"{number:.6g}"
-    return found | dict(_beyond_tolerance(figures))
+            unmet[bound.title] = "no value" if number is None else f"{number:.6g}"
+    return unmet | dict(_beyond_tolerance(figures))
 
 
 def _beyond_tolerance(figures: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
@@ -51,7 +51,7 @@ def _beyond_tolerance(figures: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
 
 
 def _judged(figures: Mapping[str, Any]) -> list[str]:
-    """Measurands with a tolerance, as their figures begin: object_NAME."""
+    """Return the prefixes (object_NAME) of the figures of measurands with a tolerance."""
     ends = "_verdict"
     return [name.removesuffix(ends) for name in figures if name.endswith(ends)]
 
@@ -64,7 +64,7 @@ def _margin(figures: Mapping[str, Any], name: str) -> tuple[float, str] | None:
 
 
 def beyond_tolerances(figures: Mapping[str, Any]) -> float:
-    """Return by how much the tolerances are missed in total, in um, of a coverage in percent.
+    """Return the sum of all excesses over tolerances, in um (of a coverage: in percent).
 
     0: all are met, or none is judged; infinite: a judged measurand has no value.
     """
@@ -76,13 +76,13 @@ def beyond_tolerances(figures: Mapping[str, Any]) -> float:
 
 
 def spread_over_repeats(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> None:
-    """Make designs infeasible of which a repeat is not feasible, or failed; rows are changed."""
+    """Mark a design as infeasible if any repeat is infeasible or failed; changes the rows."""
     designs: dict[str, list[dict[str, Any]]] = {}
     for row, case in zip(rows, cases, strict=True):
         settings = {name: value for name, value in case.settings.items() if name != "seed"}
         designs.setdefault(repr(settings), []).append(row)
     for repeats in designs.values():
-        missed = sum(one["state"] == "failed" or one["feasible"] is False for one in repeats)
+        missed = sum(row["state"] == "failed" or row["feasible"] is False for row in repeats)
         for row in repeats if missed else ():
             if row["feasible"]:
                 row["feasible"] = False
@@ -99,7 +99,7 @@ def unmet_counts(rows: Iterable[Row]) -> dict[str, int]:
 
 
 def feasibility_in_words(rows: Sequence[Row]) -> str:
-    """Say how many of the finished cases are feasible, and which conditions the others miss."""
+    """Return a text: the number of feasible finished cases, and the conditions that were missed."""
     done = [row for row in rows if row.get("feasible") is not None]
     feasible = sum(bool(row["feasible"]) for row in done)
     missed = "; ".join(f"{count} miss: {name}" for name, count in unmet_counts(done).items())

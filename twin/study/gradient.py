@@ -1,8 +1,9 @@
-"""Search down the derivatives of a bound: each point is a case, whose result holds its derivatives.
+"""Gradient search for the least bound: each point is a case with the derivatives in its result.
 
-Fields that move neither press nor camera are differentiated (`twin.pipeline.gradients`); by others
-the bound is seen from a second case beside. Nothing of the search is stored: run again, it asks for
-the same points, finds them in the store and goes on.
+Derivatives by fields that move neither press nor camera are computed by automatic differentiation
+(`twin.pipeline.gradients`); by all other fields, from the difference to a second case nearby. The
+state of the search is not stored: a second run requests the same points, reads their results from
+the store and continues.
 """
 
 from collections.abc import Callable
@@ -23,14 +24,14 @@ from twin.study.record import StudyRecord, unbounded
 from twin.study.store import Store
 
 RunCases = Callable[[StudyRecord, Cases], SweepOutcome]
-_BESIDE = 1e-3  # of an axis
+_DIFFERENCE = 1e-3  # of an axis
 _TOLERANCE = 1e-5  # of the logarithm of the objective, and of a bound's excess by its limit
 _INSIDE = 2.0 * _TOLERANCE
-"""How far within a bound, by its limit, the search aims: what it accepts is then within."""
+"""Margin to a bound, relative to its limit: an accepted point is then within the bound."""
 
 
 def descend(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutcome]:
-    """Search until the bound falls no more, or as many cases are measured as are allowed.
+    """Search until the bound decreases no more, or the allowed number of cases is measured.
 
     Parameters
     ----------
@@ -63,74 +64,74 @@ def _starts(count: int, axes: int, seed: int) -> FloatArray:
 
 
 class _SpentError(Exception):
-    """All cases that are allowed are measured."""
+    """The allowed number of cases is measured."""
 
 
 @dataclass
 class _BoundDescent:
-    """Values and slopes of the logarithm of the objective over the unit cube of the axes."""
+    """Values and gradients of the logarithm of the objective over the unit cube of the axes."""
 
     record: StudyRecord
     plan: GradientSearch
     store: Store
     run: RunCases
     outcomes: list[SweepOutcome] = field(default_factory=list)
-    _found: dict[bytes, tuple[float, FloatArray]] = field(default_factory=dict)
+    _cached: dict[bytes, tuple[float, FloatArray]] = field(default_factory=dict)
     _places: list[FloatArray] = field(default_factory=list)
 
     def from_place(self, start: FloatArray) -> None:
-        """Search from one place of the unit cube."""
+        """Search from a point of the unit cube."""
         minimize(
             lambda place: self.at(place)[0],
             start,
             jac=lambda place: self.at(place)[1],
             bounds=[(0.0, 1.0)] * len(start),
-            constraints=[self._bound(one, side) for one, side in self._sides()],
+            constraints=[self._bound(bound, side) for bound, side in self._sides()],
             method="SLSQP",
             options={"ftol": _TOLERANCE, "maxiter": self.plan.evaluations},
         )
 
     def at(self, place: FloatArray) -> tuple[float, FloatArray]:
-        """Return the logarithm of the objective, and its slope by each axis' share."""
+        """Return the logarithm of the objective, and its derivative by each axis' share."""
         place = np.clip(place, 0.0, 1.0)
         key = place.tobytes()
-        if key not in self._found:
-            self._found[key] = self._measured(place)
-        return self._found[key]
+        if key not in self._cached:
+            self._cached[key] = self._measured(place)
+        return self._cached[key]
 
     def _measured(self, place: FloatArray) -> tuple[float, FloatArray]:
-        asked = [place]
+        points = [place]
         named = self._case(place).conditions.derivatives
         differed = [n for n, a in enumerate(self.record.study.axis) if a.path not in named]
         for axis in differed:
-            beside = place.copy()
-            beside[axis] += _BESIDE if place[axis] < 0.5 else -_BESIDE
-            asked.append(beside)
-        figures = self._figures_of(asked)
+            shifted = place.copy()
+            shifted[axis] += _DIFFERENCE if place[axis] < 0.5 else -_DIFFERENCE
+            points.append(shifted)
+        figures = self._figures_of(points)
         sign = 1.0 if self.plan.objective.goal == "minimise" else -1.0
         value = _number(figures[0], self.plan.objective.metric)
         slope = np.zeros(len(place))
-        for n, one in enumerate(self.record.study.axis):
+        for n, axis_plan in enumerate(self.record.study.axis):
             if n not in differed:
-                name = f"{self.plan.objective.metric}_by_{one.path}"
+                name = f"{self.plan.objective.metric}_by_{axis_plan.path}"
                 slope[n] = _number(figures[0], name) / value * self._stretch(n, place[n])
-        for n, beside, other in zip(differed, asked[1:], figures[1:], strict=True):
-            change = np.log(_number(other, self.plan.objective.metric) / value)
-            slope[n] = change / (beside[n] - place[n])
+        for n, shifted, shifted_figures in zip(differed, points[1:], figures[1:], strict=True):
+            change = np.log(_number(shifted_figures, self.plan.objective.metric) / value)
+            slope[n] = change / (shifted[n] - place[n])
         return sign * float(np.log(value)), sign * slope
 
     def _stretch(self, axis: int, share: float) -> float:
-        """Return the change of an axis' value by its share."""
-        one = self.record.study.axis[axis]
-        assert one.low is not None  # the validator's
-        assert one.high is not None
-        if one.scale == "log":
-            ratio = float(one.high / one.low)
-            return float(one.low * ratio**share * np.log(ratio))
-        return float(one.high - one.low)
+        """Return the derivative of an axis' value by its share."""
+        span = self.record.study.axis[axis]
+        assert span.low is not None  # the validator's
+        assert span.high is not None
+        if span.scale == "log":
+            ratio = float(span.high / span.low)
+            return float(span.low * ratio**share * np.log(ratio))
+        return float(span.high - span.low)
 
     def _figures_of(self, places: list[FloatArray]) -> list[dict[str, object]]:
-        """Measure places that are new, and return the figures of all."""
+        """Measure the points and return their figures."""
         if len(self._places) + len(places) > self.plan.evaluations:
             raise _SpentError
         self._places += places
@@ -138,8 +139,8 @@ class _BoundDescent:
         cases = [self._case(place) for place in places]
         record = replace(self.record, points=points)
         self.outcomes.append(self.run(record, Cases(tuple(cases), 0)))
-        found = [self.store.read(case.digest) or {} for case in cases]
-        return [one.get("metrics") or {} for one in found]
+        results = [self.store.read(case.digest) or {} for case in cases]
+        return [result.get("metrics") or {} for result in results]
 
     def _case(self, place: FloatArray) -> Case:
         study = self.record.study

@@ -1,10 +1,10 @@
 """Index of a store in SQLite: state and figures of every case, for quick reading.
 
-The folders are the truth. The index is brought up to date from them whenever it is opened to read:
-a row keeps a digest of itself with size and time of the files that it was read from, and is read
-anew where that no longer holds. It is made anew when it is missing or damaged; where it cannot be
-written it is done without. No write-ahead log: several hosts may share a store, and that needs
-their memory to be one.
+The case folders are authoritative. The index is updated from them whenever it is opened to read: a
+row has a digest of its content and of the size and time of its source files; if the digest differs,
+the files are read again. A missing or damaged index is built again; if it cannot be written, cases
+are read from their folders. No write-ahead log: it needs shared memory, and several hosts may share
+a store.
 """
 
 import hashlib
@@ -36,7 +36,7 @@ _TABLE = (
 
 @dataclass(frozen=True)
 class Entry:
-    """One case as the index knows it; a damaged one is never entered, and read each time."""
+    """A case in the index; a damaged case is never entered, and is read each time."""
 
     digest: str
     state: str
@@ -52,9 +52,9 @@ class Index:
         self._store, self._path = store, store.folder / INDEX_FILE
 
     def enter(self, reports: Sequence[Report]) -> None:
-        """Enter what a batch of cases gave.
+        """Enter the results of a batch of cases.
 
-        What cannot be entered (full disk, damaged index) is made up for when it is read.
+        Results that cannot be entered (full disk, damaged index) are entered at the next reading.
         """
         entries = [
             Entry(r.digest, r.state, r.reason, r.seconds, {})
@@ -66,15 +66,15 @@ class Index:
         self._try_to_write([entry for entry in entries if entry is not None])
 
     def entries(self) -> dict[str, Entry]:
-        """Return all cases by digest, those of the folders for certain."""
+        """Return all cases by digest, in agreement with the folders."""
         known = self._known()
         there = self._store.finished()
         stale = {d for d, e in known.items() if d not in there and e.state != "unsaved"}
         new = [d for d in there if d not in known or known[d].state == "unsaved"]
         fresh = [e for e in (entry_of(self._store, d) for d in sorted(new)) if e is not None]
         self._try_to_write(fresh, stale)
-        found = known | {entry.digest: entry for entry in fresh}
-        return {digest: entry for digest, entry in found.items() if digest not in stale}
+        entries = known | {entry.digest: entry for entry in fresh}
+        return {digest: entry for digest, entry in entries.items() if digest not in stale}
 
     def _connection(self) -> sqlite3.Connection:
         connection = sqlite3.connect(self._path, timeout=_WAIT_S)
@@ -108,8 +108,10 @@ class Index:
             self._write([entry for entry in entries if entry.state != DAMAGED], stale)
 
     def _write(self, entries: Iterable[Entry], stale: Iterable[str] = ()) -> None:
-        told = [(e.digest, e.state, e.reason, e.seconds, json.dumps(e.figures)) for e in entries]
-        rows = [(*row, _mark(self._store, row)) for row in told]
+        contents = [
+            (e.digest, e.state, e.reason, e.seconds, json.dumps(e.figures)) for e in entries
+        ]
+        rows = [(*row, _mark(self._store, row)) for row in contents]
         gone = [(digest,) for digest in stale]
         if not rows and not gone:
             return
@@ -119,19 +121,20 @@ class Index:
 
 
 def _mark(store: Store, row: Sequence[Any]) -> str:
-    """Return a digest of a row and of how the files stand that it was read from."""
-    folder, found = store.path_of(str(row[0])), list[Any](row)
+    """Return a digest of a row and of the size and time of its source files."""
+    folder, parts = store.path_of(str(row[0])), list[Any](row)
     for name in (RESULT_FILE, FAILURE_FILE, TIMINGS_FILE, MANIFEST_FILE):
         with suppress(OSError, ValueError):
             state = (folder / name).stat()
-            found += [name, state.st_size, state.st_mtime_ns]
-    return hashlib.blake2b(json.dumps(found).encode(), digest_size=16).hexdigest()
+            parts += [name, state.st_size, state.st_mtime_ns]
+    return hashlib.blake2b(json.dumps(parts).encode(), digest_size=16).hexdigest()
 
 
 def entry_of(store: Store, digest: str) -> Entry | None:
-    """Read a case from its folder; None when it is not there.
+    """Read a case from its folder; None if there is no folder.
 
-    A case whose files cannot be read is `DAMAGED`, with the file as its reason: it costs itself.
+    A case with unreadable files is `DAMAGED`, with the file as its reason; other cases are
+    unaffected.
     """
     folder = store.path_of(digest)
     if not os.path.lexists(folder):
@@ -150,7 +153,7 @@ def _whole(folder: Path, digest: str) -> Entry:
         if not is_regular(path):
             continue
         if not is_ours(folder, name, known):
-            raise InputError(f"{path}: is not as it was written")
+            raise InputError(f"{path}: was changed after it was written")
         if name == RESULT_FILE:
             return Entry(digest, "done", "", seconds, _part(path, "metrics", dict))
         return Entry(digest, "failed", _part(path, "failure", str), seconds, {})
@@ -158,7 +161,7 @@ def _whole(folder: Path, digest: str) -> Entry:
 
 
 def _part(path: Path, key: str, kind: type, absent: dict[str, Any] | None = None) -> Any:
-    """One value of a JSON file; `absent` is what a missing file would hold."""
+    """Return a value of a JSON file; `absent` is the default content of a missing file."""
     content = read_json(path) if absent is None or is_regular(path) else absent
     if not isinstance(content.get(key), kind):
         raise InputError(f"{path}: has no '{key}'")

@@ -13,17 +13,17 @@ from twin.study.record import StudyRecord
 
 
 def unmeasurable(cases: Sequence[Case]) -> dict[str, list[Case]]:
-    """Return the cases that no run can measure, by reason.
+    """Return the cases that cannot be measured, by reason.
 
-    The checks are watched for the fields that they read, so that cases with the same values there
-    are checked once: seeds, codes and exposures cost nothing.
+    The fields that the checks read are recorded, so that cases with the same values of these fields
+    are checked once: cases that differ in seed, code or exposure only need no further check.
     """
     known: dict[tuple[FieldPath, ...], dict[tuple[bytes, ...], str]] = {}
-    found: dict[str, list[Case]] = {}
+    cases_by_reason: dict[str, list[Case]] = {}
     for case in cases:
-        seen = ((reasons, values_at(case.experiment, paths)) for paths, reasons in known.items())
+        checked = ((reasons, values_at(case.experiment, paths)) for paths, reasons in known.items())
         reason = next(
-            (reasons[values] for reasons, values in seen if values in reasons),
+            (reasons[values] for reasons, values in checked if values in reasons),
             None,
         )
         if reason is None:
@@ -32,8 +32,8 @@ def unmeasurable(cases: Sequence[Case]) -> dict[str, list[Case]]:
             paths = reads.paths
             known.setdefault(paths, {})[values_at(case.experiment, paths)] = reason
         if reason:
-            found.setdefault(reason, []).append(case)
-    return found
+            cases_by_reason.setdefault(reason, []).append(case)
+    return cases_by_reason
 
 
 def _problem(case: Case, reads: Reads) -> str:
@@ -45,7 +45,7 @@ def _problem(case: Case, reads: Reads) -> str:
 
 
 def probes_of(record: StudyRecord) -> list[Case]:
-    """Return cases along the axes of a search: ends and middle, the other axes in their middle.
+    """Return cases along each axis of a search: ends and middle, all other axes at their middle.
 
     Raises
     ------
@@ -69,4 +69,4 @@ def _along_axes(record: StudyRecord) -> Iterator[tuple[str, Point]]:
         ends = (axis.level_at(share) for share in (0.0, 0.5, 1.0))
         for level in chain(axis.levels(), ends if axis.is_continuous else ()):
             point = (*middle[:number], level, *middle[number + 1 :])
-            yield repr([one.label for one in point]), point
+            yield repr([coordinate.label for coordinate in point]), point

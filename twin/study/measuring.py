@@ -1,8 +1,8 @@
-"""What a worker does for one case: measure it, sharing stages with the cases before it.
+"""Measurement of one case by a worker, with the stage results of earlier cases.
 
-Trials measure with a rig as a calibration would have found it. The calibration of a rig on rendered
-board poses states a covariance, from which such rigs are drawn: what differs from the true rig is
-what a new calibration adds, not an assumed number.
+Trials measure with a calibrated rig in place of the true rig. The calibration of a rig on rendered
+board poses gives a covariance, from which these rigs are drawn: their deviation from the true rig
+is the error of a calibration, not an assumed number.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,7 +45,7 @@ CALIBRATION_FILE = "calibration.json"
 
 @dataclass(frozen=True)
 class RigCovariance:
-    """How well a calibration knows a rig; compared and hashed by content.
+    """Covariance of the parameters of a calibrated rig; compared and hashed by content.
 
     Attributes
     ----------
@@ -57,11 +57,11 @@ class RigCovariance:
 
     @classmethod
     def of(cls, rows: Sequence[Sequence[float]] | FloatArray) -> "RigCovariance":
-        """Take a covariance, (24, 24)."""
+        """Return a covariance from its rows, (24, 24)."""
         return cls(tuple(tuple(map(float, row)) for row in rows))
 
     def draw(self, true: Calibration, seed: int, trial: int) -> Calibration:
-        """Return a rig as one calibration found it; trial 0 is the true rig."""
+        """Return the rig as estimated by a calibration; trial 0 is the true rig."""
         if not trial:
             return true
         covariance = np.array(self.rows, np.float64)
@@ -71,12 +71,12 @@ class RigCovariance:
             RigEstimate(true.camera, true.projector, true.T_proj_from_cam, np.eye(4)[None])
         )
         vector[:POSES] += step
-        found = unpack(vector, true.camera, true.projector)
-        # The world hangs on the camera: a calibrated world frame of its own would move every point
-        # alike, which no fitted radius or width feels.
-        world_from_proj = true.T_world_from_cam @ np.linalg.inv(found.T_proj_from_cam)
+        estimate = unpack(vector, true.camera, true.projector)
+        # The world frame is fixed to the camera: an error of the calibrated world frame would move
+        # all points alike, which changes no fitted radius or width.
+        world_from_proj = true.T_world_from_cam @ np.linalg.inv(estimate.T_proj_from_cam)
         return Calibration(
-            found.camera, found.projector, true.T_world_from_cam, world_from_proj, true.layers
+            estimate.camera, estimate.projector, true.T_world_from_cam, world_from_proj, true.layers
         )
 
 
@@ -95,10 +95,10 @@ def _correlated(covariance: FloatArray, normal: FloatArray) -> FloatArray:
 def calibrated(
     folder: Path, experiment: Experiment, board: str, watch: ProgressCallback = no_progress
 ) -> RigCovariance:
-    """Return how well a calibration on rendered board poses knows the experiment's rig.
+    """Return the covariance of the experiment's rig, calibrated on rendered board poses.
 
-    Kept in the folder, with its figures, and taken from there where rig, board and versions are the
-    same.
+    The covariance and the figures are stored in the folder, and read from there if rig, board and
+    versions are the same.
 
     Raises
     ------
@@ -109,17 +109,17 @@ def calibrated(
         "digest": f"{digest(experiment)} {shown.model_dump_json()}",
         "versions": versions(),
     }
-    kept = read_json(path) if path.is_file() else {}
-    if {name: kept.get(name) for name in mark} == mark:
-        return RigCovariance.of(kept["covariance"])
+    stored = read_json(path) if path.is_file() else {}
+    if {name: stored.get(name) for name in mark} == mark:
+        return RigCovariance.of(stored["covariance"])
     done = calibrate_rendered(experiment, shown, watch=watch)
     rows = done.result.adjustment.covariance[:POSES, :POSES].tolist()
     replace_json(path, mark | {"figures": calibration_metrics(done), "covariance": rows})
     return RigCovariance.of(rows)
 
 
-def seen_with(done: Measurement, rig: Calibration) -> Measurement:
-    """Return a measurement with fringes as it is when its images are triangulated with a rig."""
+def retriangulated(done: Measurement, rig: Calibration) -> Measurement:
+    """Return a measurement with fringes after triangulation of its images with another rig."""
     images, options = done.fringes, options_of(done.experiment.decode)
     decoded = images.reconstruction.decoded
     maps = Reconstruction(decoded, triangulate(decoded, rig, options.use, options.tolerance))
@@ -143,24 +143,24 @@ MoreFigures = Callable[[Measurement], Metrics]
 FurtherFiles = Callable[[Measurement], Callable[[Path], None]]
 
 TRUE_RIG = "true_rig_"
-"""What figures begin with that were measured on the same images with the true rig."""
+"""Prefix of figures that were measured on the same images with the true rig."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """How a case is measured, beside what its experiment says.
+    """Conditions of a measurement in addition to its experiment.
 
     Attributes
     ----------
-    trial : repetition, which keys the noise of the camera and the draw of a rig
-    board : what the calibration rests on from which the rig is drawn; empty: the true rig
+    trial : number of the repetition: seeds the noise of the camera and the draw of a rig
+    board : calibration target of the calibration from which the rig is drawn; empty: the true rig
     seed : of the drawn rigs
     face_only : press, and evaluate the coated face itself: no light, noise or calibration
-    bound : "beside": also how well each dimension can be known; "alone": press, trace and say that,
-        without frames, noise and decoding
+    bound : "beside": measure, and compute the bound on the uncertainty of each dimension; "alone":
+        press, trace and compute the bounds only, without frames, noise and decoding
     derivatives : fields by which the bounds are differentiated; figures BOUND_by_FIELD
-    layer : what is believed of elastomer and load, by which the object behind the coat is found;
-        figures compensated_NAME; None: it is not
+    layer : assumed elastomer and load, to reconstruct the object behind the coat; figures
+        compensated_NAME; None: no reconstruction
     """
 
     trial: int = 0
@@ -172,17 +172,17 @@ class Conditions:
     layer: SensorLayer | None = None
 
 
-AS_IT_IS = Conditions()
+NOMINAL_CONDITIONS = Conditions()
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a case gave.
+class CaseResult:
+    """Figures and arrays of a measured case.
 
     Attributes
     ----------
     figures : as in result.json of `twin measure`
-    write : puts the arrays asked for into the case's folder
+    write : writes the requested arrays into the case's folder
     """
 
     figures: Metrics
@@ -191,16 +191,16 @@ class Answer:
 
 @dataclass
 class CaseMeasurer:
-    """Measures case after case; one per process, for it keeps the stages' latest results.
+    """Measures case after case; one instance per process, as it caches the stages' latest results.
 
     Attributes
     ----------
     keep : arrays to write per case: "press", "capture", "points"
     rigs : from which drawn rigs are drawn
     more : further figures of a measurement
-    further : makes further files of a nominal measurement, whose trial is 0; returns what writes
-        them
-    calibrations : folder in which those of photometric sensors are kept; None: they are not
+    further : prepares additional files of a nominal measurement (trial 0); returns a function that
+        writes them
+    calibrations : folder that caches the calibrations of photometric sensors; None: no cache
     """
 
     keep: tuple[str, ...] = ()
@@ -209,51 +209,53 @@ class CaseMeasurer:
     further: FurtherFiles | None = None
     calibrations: Path | None = None
     memory: Memory = field(default_factory=Memory)
-    _asked_before: dict[str, int] = field(default_factory=dict, init=False)
+    _computed_before: dict[str, int] = field(default_factory=dict, init=False)
 
-    def __call__(self, experiment: Experiment, conditions: Conditions = AS_IT_IS) -> Answer:
+    def __call__(
+        self, experiment: Experiment, conditions: Conditions = NOMINAL_CONDITIONS
+    ) -> CaseResult:
         """Measure one case.
 
         Raises
         ------
         InputError, MissingBackend : as `twin.pipeline.measure`
         """
-        self._asked_before = self.memory.asked()
+        self._computed_before = self.memory.asked()
         self.memory.calibrations = self.calibrations
         if conditions.face_only:
-            return Answer(face_figures(experiment, press(experiment, self.memory).pressed))
+            return CaseResult(face_figures(experiment, press(experiment, self.memory).pressed))
         if conditions.derivatives:
-            return Answer(_with_derivatives(experiment, conditions.derivatives, self.memory))
+            return CaseResult(_with_derivatives(experiment, conditions.derivatives, self.memory))
         if conditions.bound == "alone":
-            pressed, found = bounds_alone(experiment, self.memory)
+            pressed, figures = bounds_alone(experiment, self.memory)
             if conditions.layer:
-                found |= object_bounds(experiment, conditions.layer, self.memory)
-            return Answer(found, lambda folder: self._write_press(folder, pressed))
-        beside = conditions.bound == "beside"
+                figures |= object_bounds(experiment, conditions.layer, self.memory)
+            return CaseResult(figures, lambda folder: self._write_press(folder, pressed))
+        with_bounds = conditions.bound == "beside"
         done = measure(
             experiment,
             memory=self.memory,
             trial=conditions.trial,
-            bound=beside,
+            bound=with_bounds,
             layer=conditions.layer,
         )
         rigs = self.rigs
         if conditions.board and rigs is not None and experiment.method.fringes:
             exact = {**metrics(done.score), **done.object.figures, **self._more(done)}
             true = done.fringes.capture.calibration
-            done = seen_with(done, rigs.draw(true, conditions.seed, conditions.trial))
+            done = retriangulated(done, rigs.draw(true, conditions.seed, conditions.trial))
             done = _compensated(done, conditions)
             figures = {f"{TRUE_RIG}{name}": value for name, value in exact.items()}
             figures |= {**done.metrics, **self._more(done)}
-            return Answer(figures, lambda folder: write_kept(folder, done, self.keep))
+            return CaseResult(figures, lambda folder: write_kept(folder, done, self.keep))
         done = _compensated(done, conditions)
         figures = {**done.metrics, **self._more(done)}
-        if beside and conditions.layer:
+        if with_bounds and conditions.layer:
             figures |= object_bounds(experiment, conditions.layer, self.memory)
-        return Answer(figures, self._writer(done, conditions))
+        return CaseResult(figures, self._writer(done, conditions))
 
     def _writer(self, done: Measurement, conditions: Conditions) -> Callable[[Path], None]:
-        # What may fail is made now: writing is only about the disk.
+        # Computed now, as it may fail: `write` then only accesses the disk.
         further = self.further if conditions.trial == 0 else None
         write_further = None if further is None else further(done)
 
@@ -272,8 +274,8 @@ class CaseMeasurer:
         return {} if self.more is None else self.more(done)
 
     def reads(self) -> StageReads:
-        """Fields that each stage looked at for the latest case, first stage first."""
-        before = self._asked_before
+        """Return the fields that each stage read for the latest case, first stage first."""
+        before = self._computed_before
         return tuple(
             paths if computed + recalled > before.get(name, 0) else ()
             for name, computed, recalled, paths in self.memory.stages()
@@ -288,15 +290,15 @@ def _with_derivatives(
     experiment: Experiment, paths: tuple[str, ...], memory: Memory
 ) -> dict[str, Metric]:
     figures, slopes = bound_gradient(experiment, paths, memory)
-    found = dict(figures)
+    figures_by_name = dict(figures)
     for name, values in slopes.items():
-        found |= {f"{name}_by_{p}": float(v) for p, v in zip(paths, values, strict=True)}
-    return found
+        figures_by_name |= {f"{name}_by_{p}": float(v) for p, v in zip(paths, values, strict=True)}
+    return figures_by_name
 
 
 @dataclass(frozen=True)
 class Measuring:
-    """Makes the measurer of a worker; equal ones share it."""
+    """Factory of a worker's measurer; equal factories share a measurer."""
 
     rigs: RigCovariance | None = None
     more: MoreFigures | None = None
@@ -308,4 +310,4 @@ class Measuring:
         return CaseMeasurer(keep, self.rigs, self.more, self.further, self.calibrations)
 
 
-PLAINLY = Measuring()
+DEFAULT_MEASURING = Measuring()

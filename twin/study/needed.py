@@ -1,7 +1,7 @@
-"""How much of a measurement a study needs: what its metrics, goals and constraints name.
+"""Stages that a study needs, by the figures in its metrics, goals and constraints.
 
-A study that names bounds alone (and figures of the press) presses and traces, but renders no frame,
-draws no noise and decodes nothing.
+A study that names only bounds (and figures of the press) runs the press and the ray tracing,
+without frames, noise and decoding.
 """
 
 from typing import Literal
@@ -19,9 +19,9 @@ _WITHOUT_FRAMES = {*OF_A_PRESS, "exposure_ms", "warnings"}
 
 
 def bound_needed(study: Study) -> Bound:
-    """Tell whether bounds are asked for, and whether anything but them.
+    """Return whether bounds are needed, and whether a measurement is needed in addition.
 
-    A search without `metrics` needs what it searches by; any other study without them, everything.
+    Without `metrics` a search needs its objectives and constraints, any other study all figures.
     """
     names = named_figures(study)
     if not any(is_bound_name(name) for name in names):
@@ -32,19 +32,19 @@ def bound_needed(study: Study) -> Bound:
 
 
 def compensation_needed(study: Study) -> bool:
-    """Tell whether figures of the object behind the coat are named."""
+    """Return True if figures of the object behind the coat are named."""
     return of_the_object(named_figures(study))
 
 
 def layer_for(experiment: Experiment) -> SensorLayer | None:
-    """Return what an experiment says of elastomer, load and form; None where no object is found."""
+    """Return elastomer, load and form of an experiment; None if the object is not reconstructed."""
     if not may_compensate(experiment):
         return None
     return sensor_layer_of(experiment).model_copy(update={"specimen": experiment.specimen})
 
 
 def derivatives_needed(study: Study, experiment: Experiment) -> tuple[str, ...]:
-    """Return the fields that a gradient search needs derivatives by: those that have some."""
+    """Return the fields by which the bounds are differentiated in a gradient search."""
     if study.gradient is None:
         return ()
     known = differentiated(experiment)
@@ -56,7 +56,7 @@ def _known_without(name: str) -> bool:
 
 
 def named_figures(study: Study) -> list[str]:
-    """Return the figures that a study names: metrics, goals, and what constraints bound."""
-    bounds = [name for one in study.constraint for name in (one.value, one.per) if name]
-    goals = [one.metric for one in study.goals]
+    """Return the figures that a study names in metrics, goals and constraints."""
+    bounds = [name for limit in study.constraint for name in (limit.value, limit.per) if name]
+    goals = [goal.metric for goal in study.goals]
     return [*study.metrics, *goals, *(name for name in bounds if "." not in name)]

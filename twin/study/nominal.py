@@ -1,7 +1,6 @@
-"""The nominal measurement of a study of trials: it is made first, and stops the study if it fails.
+"""The nominal measurement of a study of trials: it runs first, and stops the study if it fails.
 
-Trials are variations of it: where it cannot be measured, hardly any of them can, and each would
-fail for the same reason.
+Trials are variations of it: if it cannot be measured, most trials fail for the same reason.
 """
 
 import difflib
@@ -21,17 +20,17 @@ from twin.study.trials import PART, TRIAL, TRIALS
 def nominal_case(cases: Cases) -> Case:
     """Return trial 0 of the cases of a study of trials."""
     return next(
-        one for one in cases.run if one.settings[PART] == TRIALS and not one.settings[TRIAL]
+        case for case in cases.run if case.settings[PART] == TRIALS and not case.settings[TRIAL]
     )
 
 
 def check_nominal(record: StudyRecord, case: Case, store: Store) -> None:
-    """Refuse a study of trials whose nominal measurement failed or lacks the measurands.
+    """Raise InputError if the nominal measurement of trials failed or lacks a measurand.
 
     Parameters
     ----------
-    case : the nominal one; nothing is checked where the store does not hold it, because another run
-        computes it or it could not be saved
+    case : the nominal case; no check if it is not in the store, because another run computes it or
+        it could not be saved
 
     Raises
     ------
@@ -44,23 +43,23 @@ def check_nominal(record: StudyRecord, case: Case, store: Store) -> None:
     if "failure" in content:
         file = store.path_of(case.digest) / FAILURE_FILE
         raise InputError(
-            f"{name}: the nominal measurement failed, so nothing else is measured: "
+            f"{name}: the nominal measurement failed, so no trial is measured: "
             f"{content['failure']} (see {file}); change the experiment"
         )
     for line in _lacking(record.study, content.get("metrics") or {}):
-        raise InputError(f"{name}: {line}; nothing else is measured")
+        raise InputError(f"{name}: {line}; no trial is measured")
 
 
 def _lacking(study: Study, figures: dict[str, Any]) -> list[str]:
-    """Return what the nominal measurement lacks of the measurands, or of any point."""
+    """Return messages on missing measurands of the nominal measurement, or missing points."""
     absent = why_absent(figures)
     if not study.metrics:
         return [f"the nominal measurement has {absent}"] if absent else []
-    return [_missing(one, figures, absent) for one in study.metrics if _has_none(one, figures)]
+    return [_missing(name, figures, absent) for name in study.metrics if _has_none(name, figures)]
 
 
 def _has_none(name: str, figures: dict[str, Any]) -> bool:
-    """Whether a figure is neither a number nor words, as the press model is."""
+    """Return True if a figure has neither a number nor a text."""
     return figures.get(name.removeprefix(TRUE_RIG)) is None
 
 
@@ -69,7 +68,7 @@ def _missing(name: str, figures: dict[str, Any], absent: str) -> str:
         return f"measurand {name}: the nominal measurement has no value of it" + (
             f" ({absent})" if absent else ""
         )
-    known = [one for one, value in figures.items() if is_number(value)]
+    known = [figure for figure, value in figures.items() if is_number(value)]
     close = difflib.get_close_matches(name, known, n=2, cutoff=0.5)
     hint = f"did you mean {' or '.join(close)}" if close else f"allowed {', '.join(sorted(known))}"
     return f"measurand {name}: the nominal measurement has no such figure; {hint}"

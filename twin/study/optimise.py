@@ -1,8 +1,8 @@
-"""Search the design space with Optuna: ask for a batch, measure it, tell the results, go on.
+"""Search the design space with Optuna: repeatedly sample a batch, measure it, return the results.
 
-Nothing of the search itself is stored. Sampler and seed are fixed, and results are told in the
-order in which they were asked for, so the same study asks for the same points: run again, it finds
-what it has measured already in the store and goes on from there, on any number of workers.
+The state of the search is not stored. Sampler and seed are fixed, and the sampler receives results
+in the order of its proposals, so a study always has the same points. A second run reads the
+measured points from the store and continues, on any number of workers.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,14 +29,14 @@ from twin.study.table import cost_of
 if TYPE_CHECKING:
     import optuna
 
-_MOST_ASKED = 200  # for one point
+_MOST_PROPOSALS = 200  # for one point
 
 RunCases = Callable[[StudyRecord, Cases], SweepOutcome]
 """Computes the cases that the store lacks, and keeps the record."""
 
 
 def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutcome]:
-    """Search until as many points as there are trials are measured.
+    """Search until the number of measured points is the number of trials.
 
     Parameters
     ----------
@@ -57,41 +57,42 @@ def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutc
     search, points, outcomes = _search(record.study, plan), list[Point](), list[SweepOutcome]()
     while len(points) < plan.trials:
         count = min(plan.batch, plan.trials - len(points))
-        asked = [_ask(search, record) for _ in range(count)]
-        points += [one.point for one in asked]
-        batch = Cases(tuple(case for one in asked for case in one.cases), 0)
+        proposals = [_propose(search, record) for _ in range(count)]
+        points += [proposal.point for proposal in proposals]
+        batch = Cases(tuple(case for proposal in proposals for case in proposal.cases), 0)
         outcomes.append(run(replace(record, points=tuple(points)), batch))
-        _refuse_unknown(plan, asked, Store(folder))
-        for one in asked:
-            _tell(search, one.trial, _figures(record.study, plan, one.cases, Store(folder)))
+        _check_objectives(plan, proposals, Store(folder))
+        for proposal in proposals:
+            values = _search_values(record.study, plan, proposal.cases, Store(folder))
+            _tell(search, proposal.trial, values)
     return outcomes
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What the search wants to know: the figures of these cases."""
+class _Proposal:
+    """A proposed point and its cases, one per repeat."""
 
     trial: "optuna.Trial"
     point: Point
     cases: tuple[Case, ...]
 
 
-def _ask(search: "optuna.Study", record: StudyRecord) -> _Asked:
-    """Ask until a point is a valid experiment that the constraints on its fields admit."""
+def _propose(search: "optuna.Study", record: StudyRecord) -> _Proposal:
+    """Sample points until one is a valid experiment that the constraints on its fields admit."""
     distributions = {axis.title: _distribution(axis) for axis in record.study.axis}
-    for _ in range(_MOST_ASKED):
+    for _ in range(_MOST_PROPOSALS):
         trial = search.ask(fixed_distributions=distributions)
         point = point_of(record.study, trial.params)
         try:
-            return _Asked(trial, point, cases_of(record.study, record.base, [point]).run)
+            return _Proposal(trial, point, cases_of(record.study, record.base, [point]).run)
         except ConfigError as error:
-            told = str(error)
+            reason = str(error)
             _tell(search, trial, None)
-    raise InputError(f"{told}; the search found no point that may be measured in {_MOST_ASKED}")
+    raise InputError(f"{reason}; found no valid point in {_MOST_PROPOSALS} proposals")
 
 
 def point_of(study: Study, params: dict[str, Any]) -> Point:
-    """Return the point that a trial's parameters stand for."""
+    """Return the point of a trial's parameters."""
     return tuple(
         axis.level_of(params[axis.title])
         if axis.is_continuous
@@ -100,13 +101,17 @@ def point_of(study: Study, params: dict[str, Any]) -> Point:
     )
 
 
-def _refuse_unknown(plan: Optimise, asked: Sequence[_Asked], store: Store) -> None:
-    """Refuse an objective that no measured case of a batch has, not even as one that is absent."""
-    found = [_found(case, store) for one in asked for case in one.cases]
+def _check_objectives(plan: Optimise, proposals: Sequence[_Proposal], store: Store) -> None:
+    """Raise InputError if no measured case of a batch has an objective as a figure."""
+    measured = [_figures_of(case, store) for proposal in proposals for case in proposal.cases]
     known = {
-        name: value for figures in found if figures is not None for name, value in figures.items()
+        name: value
+        for figures in measured
+        if figures is not None
+        for name, value in figures.items()
     }
-    unknown = [one.metric for one in plan.objectives if one.metric not in {*known, *DERIVED}]
+    names = [objective.metric for objective in plan.objectives]
+    unknown = [name for name in names if name not in {*known, *DERIVED}]
     if unknown and known:
         raise InputError(
             f"optimise.objectives: found {', '.join(unknown)}, allowed "
@@ -114,26 +119,26 @@ def _refuse_unknown(plan: Optimise, asked: Sequence[_Asked], store: Store) -> No
         )
 
 
-def _found(case: Case, store: Store) -> dict[str, Any] | None:
-    """Figures of a case and what follows from them; None when it failed."""
-    found = (store.read(case.digest) or {}).get("metrics")
-    return None if found is None else with_derived(case.experiment, found)
+def _figures_of(case: Case, store: Store) -> dict[str, Any] | None:
+    """Return the figures and derived figures of a case; None if it failed."""
+    figures = (store.read(case.digest) or {}).get("metrics")
+    return None if figures is None else with_derived(case.experiment, figures)
 
 
-def _figures(
+def _search_values(
     study: Study, plan: Optimise, cases: Sequence[Case], store: Store
 ) -> tuple[list[float], list[float]] | None:
-    """Objectives, the mean over repeats; excesses over constraints and tolerances, the largest.
+    """Return the mean objectives over repeats, and the largest excesses over limits.
 
-    None where a case failed, or lacks an objective (no point was measured): no number would be
-    true. Objectives that are to grow are counted negative.
+    None if a case failed or lacks an objective (no point was measured). The limits are those of
+    constraints and tolerances. Objectives to maximise are counted negative.
     """
     values, excesses = [], []
     for case in cases:
-        figures = _found(case, store) or {}
-        if not all(is_number(figures.get(one.metric)) for one in plan.objectives):
+        figures = _figures_of(case, store) or {}
+        if not all(is_number(figures.get(objective.metric)) for objective in plan.objectives):
             return None
-        values.append([cost_of(figures, one) for one in plan.objectives])
+        values.append([cost_of(figures, objective) for objective in plan.objectives])
         excesses.append([_excess(case, figures, bound) for bound in study.constraint])
         if has_tolerances(case.experiment):
             excesses[-1].append(beyond_tolerances(figures))
@@ -149,14 +154,14 @@ def _excess(case: Case, figures: Mapping[str, Any], bound: Constraint) -> float:
 def _tell(
     search: "optuna.Study",
     trial: "optuna.Trial",
-    found: tuple[list[float], list[float]] | None,
+    result: tuple[list[float], list[float]] | None,
 ) -> None:
     from optuna.trial import TrialState
 
-    if found is None:
+    if result is None:
         search.tell(trial, state=TrialState.FAIL)
         return
-    values, excesses = found
+    values, excesses = result
     for number, excess in enumerate(excesses):
         trial.set_constraint(f"constraint_{number}", excess)
     search.tell(trial, values)
@@ -168,7 +173,7 @@ def _search(study: Study, plan: Optimise) -> "optuna.Study":
     except ModuleNotFoundError:
         raise missing("sampling.method = 'optimise'", "Optuna", "sweep") from None
     seed = study.sampling.seed
-    # constant_liar is marked experimental; without it a batch asks for one place many times.
+    # constant_liar is marked experimental; without it a batch has the same point many times.
     with warnings_ignored(optuna.exceptions.ExperimentalWarning):
         samplers: dict[str, Callable[[], optuna.samplers.BaseSampler]] = {
             "tpe": lambda: optuna.samplers.TPESampler(

@@ -1,8 +1,7 @@
 """The order in which cases of a study are computed, so that neighbours share their stages.
 
-What a stage looks at is known from the cases computed ahead: the others are sorted by the values in
-these fields, first stage first, so that neighbours share their stages. A wrong order costs time,
-never a result.
+The cases that are computed first report which fields each stage reads. All further cases are sorted
+by the values of these fields, first stage first. The order changes the run time, but no result.
 """
 
 from collections import Counter
@@ -18,9 +17,9 @@ BATCHES_PER_WORKER, LEAST_BATCHES_PER_WORKER = 6, 3
 
 
 def in_sharing_order(cases: Sequence[Case], reads: StageReads) -> list[tuple[Key, Case]]:
-    """Sort cases by what each stage would see of them; the first of a kind keeps its place.
+    """Sort cases by the values that each stage reads, in the order of their first occurrence.
 
-    Methods have stages of the same name, but share few: their cases are kept apart first.
+    Methods have stages of the same name, but share few results: cases are sorted by method first.
     """
     reads = ((("modality",),), *reads)
     ranks: list[dict[Hashable, int]] = [{} for _ in reads]
@@ -35,11 +34,12 @@ def in_sharing_order(cases: Sequence[Case], reads: StageReads) -> list[tuple[Key
 
 
 def batches_of(keyed: Sequence[tuple[Key, Case]], workers: int) -> list[list[Case]]:
-    """Cut sorted cases into batches, several per worker, rather between stages than within.
+    """Cut sorted cases into several batches per worker, preferably where stages differ.
 
-    The last ones have half the size, so that workers end at about the same time. Cases that share
-    the first stage in which any differ stay together where there are enough such groups: the
-    worker that has, say, the sensor's calibration is not always the one that is free.
+    The last batches have half the size, so that workers end at about the same time. Cases that
+    share the first stage in which any cases differ are in one batch if there are enough such
+    groups: the next free worker may not have that stage's result, for example the sensor's
+    calibration.
     """
     if not keyed:
         return []
@@ -54,7 +54,7 @@ def batches_of(keyed: Sequence[tuple[Key, Case]], workers: int) -> list[list[Cas
 
 
 def _largest_group(keyed: Sequence[tuple[Key, Case]]) -> int:
-    """Return how many cases at most share the first stage in which any of them differ."""
+    """Return the largest number of cases that share the first stage in which any cases differ."""
     for level in range(len(keyed[0][0])):
         sizes = Counter(key[level] for key, _ in keyed)
         if len(sizes) > 1:
@@ -63,7 +63,7 @@ def _largest_group(keyed: Sequence[tuple[Key, Case]]) -> int:
 
 
 def _cut(keyed: list[tuple[Key, Case]], level: int, most: int) -> list[list[tuple[Key, Case]]]:
-    """Split by the stages from `level` on; small neighbours of one stage go together."""
+    """Split by the stages from `level` on; join small neighbouring parts of a stage."""
     if len(keyed) <= most:
         return [keyed]
     if level == len(keyed[0][0]):

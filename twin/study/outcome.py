@@ -72,7 +72,7 @@ class SweepOutcome:
         InputError : the store cannot be read
         """
         table = self.table
-        goals = [one.metric for one in table.record.study.goals]
+        goals = [goal.metric for goal in table.record.study.goals]
         names = dict.fromkeys((*goals, *table.metrics))
         return draw_rows(table.done(), (*table.axes, "case")[0], [*names])
 

@@ -1,8 +1,8 @@
-"""What a case looks like, small: the camera's image, measured heights and their error.
+"""Pictures of cases at reduced size: the camera's image, measured heights and their error.
 
-Cases keep figures, not arrays. The few designs that a report shows are measured once more, by the
-same path and so with the same bytes, and kept as DIR/pictures/DIGEST.npz: a report draws these
-files and measures nothing.
+A store has the figures of a case, not its arrays. The few designs that a report shows are measured
+again by the same pipeline, thus with the same bytes, and stored as DIR/pictures/DIGEST.npz. A
+report reads these files and measures no case.
 """
 
 from collections.abc import Iterable, Sequence
@@ -33,16 +33,16 @@ _MOST_PX = 360
 
 @dataclass(frozen=True, eq=False)
 class CasePicture:
-    """One case in camera pixels, thinned out; row 0 is the top, and nothing is NaN.
+    """Reduced maps of a case in camera pixels, without NaN; row 0 is the top.
 
     Attributes
     ----------
     seen : (row, col) or (row, col, rgb) uint8
         First phase frame, 255 at saturation, or the colour image of photometric stereo.
     z_mm, measured : (row, col) float32 and bool
-        Measured world z, and where there is a measurement.
+        Measured world z, and mask of the pixels with a measurement.
     error_um, scored : (row, col) float32 and bool
-        Measured minus true z, and where both are.
+        Measured minus true z, and mask of the pixels with both.
     true_z_mm : (2,) float64
         Lowest and highest true z in the image.
     width_mm : () float64
@@ -61,12 +61,12 @@ class CasePicture:
 def picture_best(
     folder: Path, objectives: Sequence[Objective] = (), watch: ProgressCallback = no_progress
 ) -> dict[str, str]:
-    """Measure the best designs of a study for their pictures, unless the store holds these.
+    """Make the pictures of the best designs of a study that the store does not contain.
 
     Returns
     -------
     dict
-        Why designs have no picture, by digest.
+        Reasons why designs have no picture, by digest.
 
     Raises
     ------
@@ -84,20 +84,20 @@ def picture_best(
 def pictures_of(
     store: Store, cases: Iterable[Case], watch: ProgressCallback = no_progress
 ) -> tuple[dict[str, CasePicture], dict[str, str]]:
-    """Return the pictures of cases by digest, and for those that have none the reason.
+    """Return the pictures of cases by digest, and the reasons for missing pictures.
 
-    What the store keeps is read; the others are measured, in the order given, and kept.
+    Pictures in the store are read; other cases are measured in the given order, and stored.
 
     Raises
     ------
     InputError : the store cannot be written
     """
-    found: dict[str, CasePicture] = {}
+    pictures: dict[str, CasePicture] = {}
     failed: dict[str, str] = {}
     wanted, memory = list(cases), Memory()
     for number, case in enumerate(wanted, start=1):
         try:
-            found[case.digest] = _picture(store, case, memory)
+            pictures[case.digest] = _picture(store, case, memory)
         except InputError as error:
             failed[case.digest] = str(error)
         except RuntimeError as error:
@@ -105,11 +105,11 @@ def pictures_of(
                 raise
             failed[case.digest] = str(error)
         watch("pictures", number / len(wanted))
-    return found, failed
+    return pictures, failed
 
 
-def kept_picture(folder: Path, digest: str) -> CasePicture | None:
-    """Return the picture of a case that a store holds; None when it holds none."""
+def stored_picture(folder: Path, digest: str) -> CasePicture | None:
+    """Return the stored picture of a case; None if there is none."""
     return read_picture(_file(folder, digest))
 
 
@@ -119,17 +119,17 @@ def _file(folder: Path, digest: str) -> Path:
 
 def _picture(store: Store, case: Case, memory: Memory) -> CasePicture:
     path = _file(store.folder, case.digest)
-    kept = read_picture(path)
-    if kept is not None:
-        return kept
-    store.check_versions()  # other versions would measure something else than the table tells
+    stored = read_picture(path)
+    if stored is not None:
+        return stored
+    store.check_versions()  # other versions could give other values than the table
     picture = take_picture(case.experiment, memory)
     write_picture(path, picture)
     return picture
 
 
 def take_picture(experiment: Experiment, memory: Memory) -> CasePicture:
-    """Measure a case as its study did, and thin it out.
+    """Measure a case as its study did, and return its reduced maps.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def take_picture(experiment: Experiment, memory: Memory) -> CasePicture:
 
 
 def picture_of(done: Measurement) -> CasePicture:
-    """Average the image; take every n-th height, which must not be averaged across edges."""
+    """Average the image; take every n-th height, as an average over an edge is no height."""
     points, truth = done.points, done.truth
     z_mm, true_z_mm = points.world_mm[..., 2], truth.points_world_mm[..., 2]
     scored = points.valid & wanted_pixels(done.experiment, truth)
@@ -174,7 +174,7 @@ def write_picture(path: Path, picture: CasePicture) -> None:
 def read_picture(path: Path) -> CasePicture | None:
     """Read a picture; None when it is missing or damaged."""
     try:
-        kept = read_arrays(path)
-        return CasePicture(**{name: kept[name] for name in CasePicture.__annotations__})
+        arrays = read_arrays(path)
+        return CasePicture(**{name: arrays[name] for name in CasePicture.__annotations__})
     except (InputError, KeyError):
         return None

@@ -1,4 +1,4 @@
-"""The study that a store was last run with, so that the folder explains itself."""
+"""The study of the latest run on a store, written into its folder."""
 
 import math
 from collections.abc import Sequence
@@ -23,14 +23,14 @@ _MOST_LOOKED_AT = 500
 
 @dataclass(frozen=True, eq=False)
 class StudyRecord:
-    """A study, its base experiment and, where they are found as it runs, its points."""
+    """A study, its base experiment and, for a search, the points so far."""
 
     study: Study
     base: Experiment
     points: tuple[Point, ...] | None = None
 
     def cases(self) -> Cases:
-        """Return the study's cases so far; of a search by derivatives also those out of bounds."""
+        """Return the study's cases so far; of a gradient search also those out of bounds."""
         if self.study.sampling.method == "trials":
             return trial_cases(self.study, self.base)
         if self.study.gradient is not None:
@@ -38,26 +38,26 @@ class StudyRecord:
         return cases_of(self.study, self.base, self.points)
 
     def first_look(self) -> Cases:
-        """Return all cases of a small study; of a large one those of points far apart."""
+        """Return all cases of a small study; of a large study the cases of every n-th point."""
         if self.study.sampling.method == "trials" or self.points is not None:
             return self.cases()
         points = points_of(self.study)
         step = -(-len(points) * cases_per_point(self.study) // _MOST_LOOKED_AT)
-        while math.gcd(step, len(points)) > 1:  # or only some levels of an axis would be seen
+        while math.gcd(step, len(points)) > 1:  # or only some levels of an axis would be included
             step += 1
         return replace(cases_of(self.study, self.base, points[::step]), step=step)
 
 
 def unbounded(study: Study) -> Study:
-    """Return a study without constraints: a search by derivatives keeps them by itself.
+    """Return a study without constraints, for a gradient search, which applies them itself.
 
-    It may look beyond a bound on its way; such a case is in the table, and not feasible.
+    The search may measure points out of bounds; such a case is in the table, and not feasible.
     """
     return study.model_copy(update={"constraint": ()})
 
 
 def write_record(folder: Path, record: StudyRecord) -> None:
-    """Write the record into a store, whole at once.
+    """Write the record into a store in one atomic step.
 
     Raises
     ------

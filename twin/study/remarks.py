@@ -1,7 +1,6 @@
-"""What the results of a study's cases warn of: each kind once, with its cases and a remedy.
+"""Warnings in the results of a study: each kind once, with its cases and a remedy.
 
-A warning of one case is easily missed among a hundred. Texts that differ in numbers only are one
-kind; its remark shows the first of them.
+Warnings that differ in numbers only are of one kind; its remark shows the text of the first case.
 """
 
 import re
@@ -22,7 +21,7 @@ _NO_POINT = (
 _NOTHING_TO_SCORE = (
     "no pixel that ought to give a point: move specimen or camera until the specimen is in view"
 )
-# What makes a press touch more, of a model that wraps the object and of others.
+# Fields that increase the contact area, by whether the press model wraps the object.
 _TOUCHES = {
     True: "raise press.back_pressure_kpa, or the travel, press.depth_mm",
     False: "raise press.force_n or press.depth_mm",
@@ -43,7 +42,7 @@ class Remark:
     digests: tuple[str, ...]
 
     def in_words(self, of: int) -> str:
-        """Say how many of so many cases have it."""
+        """Return the warning with its number of cases among `of` cases."""
         return f"{len(self.digests)} of {counted(of, 'case')}: {self.text}"
 
 
@@ -71,9 +70,9 @@ def _warned(figures: Mapping[str, Any]) -> Iterator[str]:
     if nothing:
         yield nothing
     for name in ("warnings", "unfitted_balls"):
-        found = figures.get(name)
-        if isinstance(found, (list, tuple)):
-            yield from found
+        warnings = figures.get(name)
+        if isinstance(warnings, (list, tuple)):
+            yield from warnings
     for name, why in figures.items():
         if name.endswith("_why") and why and not nothing and not name.startswith(TRUE_RIG):
             yield f"{name.removesuffix('_why')} has no value: {why}"
@@ -89,4 +88,4 @@ def _nothing_measured(figures: Mapping[str, Any]) -> str:
     if model is None:
         return "no point of the object: move specimen or camera until the specimen is in view"
     remedy = _TOUCHES[model_of(str(model)).wraps]
-    return f"no point of the object (the press touches nothing that the camera sees): {remedy}"
+    return f"no point of the object (no contact in view of the camera): {remedy}"

@@ -1,9 +1,9 @@
-"""Which axis moves a figure, and how much: shares of variance, or elementary effects.
+"""Effect of each axis on a figure: shares of variance, or elementary effects.
 
-Three answers, by how the points were drawn. FloatArray are means over repeats.
+The method depends on the sampling of the points. Values are means over repeats.
 
 - grid: share of the variance of the figure over all cases that each axis explains by itself
-  (correlation ratio); exact for the grid, no interval. What is left to 1 are interactions.
+  (correlation ratio); exact for the grid, no interval. The remainder to 1 is due to interactions.
 - saltelli: first-order and total Sobol' indices with 95 % bootstrap intervals, by
   `scipy.stats.sobol_indices` (Saltelli et al., Computer Physics Communications 181, 259-270, 2010).
 - morris: mean absolute elementary effect over the whole axis, mu*, and its spread sigma.
@@ -27,7 +27,7 @@ _DRAWS = 1000
 
 @dataclass(frozen=True)
 class Effect:
-    """One axis' effect on one figure.
+    """Effect of an axis on a figure.
 
     Attributes
     ----------
@@ -44,10 +44,10 @@ class Effect:
 
 
 def effects_of(table: StudyTable, metric: str) -> list[Effect]:
-    """Return the effect of every axis on a figure; empty where the points cannot tell.
+    """Return the effect of every axis on a figure; empty if the points do not determine it.
 
-    Points without the figure (failed, missing, or nothing measured: see `without`) are left out of
-    grids; the other designs lose the whole walk or row that they belong to.
+    Points without the figure (failed, missing, or no measured point: see `without`) are left out of
+    grids; from the other designs their whole walk or row is left out.
     """
     study = table.record.study
     axes = [axis.title for axis in study.axis]
@@ -70,13 +70,13 @@ def without(table: StudyTable, metric: str) -> int:
 
 
 def _by_point(table: StudyTable, study: Study, metric: str) -> FloatArray | None:
-    """Figure of every point in order, NaN where it is missing; None if points were excluded."""
+    """Return the figure of every point in order, or NaN; None if points were excluded."""
     repeats = study.repeats * max(1, len(study.modalities))
     cells = (row.get(metric) for row in table.rows)
-    found = np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
-    if len(found) != len(shares_of(study)) * repeats:
+    values = np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
+    if len(values) != len(shares_of(study)) * repeats:
         return None
-    return np.asarray(found.reshape(-1, repeats).mean(axis=1))
+    return np.asarray(values.reshape(-1, repeats).mean(axis=1))
 
 
 def _grid_effects(table: StudyTable, axes: Sequence[str], metric: str) -> list[Effect]:
@@ -84,12 +84,12 @@ def _grid_effects(table: StudyTable, axes: Sequence[str], metric: str) -> list[E
     values = np.array([float(row[metric]) for row in rows])
     if len(values) < 2 or np.ptp(values) == 0.0:
         return []
-    found = []
+    effects = []
     for axis in axes:
         labels = [str(row[axis]) for row in rows]
         share = correlation_ratio(values, labels)
-        found.append(Effect(axis, share, share, share))
-    return found
+        effects.append(Effect(axis, share, share, share))
+    return effects
 
 
 def correlation_ratio(values: FloatArray, labels: Sequence[str]) -> float:
@@ -105,8 +105,8 @@ def correlation_ratio(values: FloatArray, labels: Sequence[str]) -> float:
 def saltelli_effects(blocks: FloatArray, axes: Sequence[str]) -> list[Effect]:
     """Return Sobol' indices from values (block, row) of the blocks A, B, A with B's column i.
 
-    Rows that lack a value are left out, and further ones until their number is a power of two, as
-    `scipy.stats.sobol_indices` asks.
+    Rows without a value are left out, and further rows until their number is a power of two, as
+    `scipy.stats.sobol_indices` requires.
     """
     blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
     if blocks.shape[1] < 2:
@@ -116,8 +116,8 @@ def saltelli_effects(blocks: FloatArray, axes: Sequence[str]) -> list[Effect]:
     def indices(rows: IntArray) -> FloatArray:
         a, b, mixed = blocks[0, rows], blocks[1, rows], blocks[2:, rows]
         taken = {"f_A": a[None], "f_B": b[None], "f_AB": mixed[:, None]}
-        found = stats.sobol_indices(func=taken, n=whole)
-        return np.stack([np.atleast_1d(found.first_order), np.atleast_1d(found.total_order)])
+        sobol = stats.sobol_indices(func=taken, n=whole)
+        return np.stack([np.atleast_1d(sobol.first_order), np.atleast_1d(sobol.total_order)])
 
     first, total = indices(np.arange(whole))
     low, high = _interval(lambda rows: indices(rows)[0], whole)

@@ -1,19 +1,19 @@
 """The store of a study: one folder per finished case, whole or not there.
 
     DIR/study.json, store.json     the study that was run last; versions
-    DIR/cases/DIGEST/              result.json, experiment.toml, timings.json, arrays asked for;
+    DIR/cases/DIGEST/              result.json, experiment.toml, timings.json, requested arrays;
                                    or failure.json in place of result.json
-    DIR/index.sqlite               the same figures for quick reading; made anew when it is missing
-    DIR/aside/DIGEST.N             damaged cases that hold what was not written there
-    DIR/.parts/DIGEST.PID/         what is being written; never looked at by a reader
-    DIR/.locks                     one byte range per case, held by whoever computes it
+    DIR/index.sqlite               the same figures for quick reading; built again if missing
+    DIR/aside/DIGEST.N             damaged cases with files that `twin` did not write
+    DIR/.parts/DIGEST.PID/         cases that are being written; never read
+    DIR/.locks                     one byte range per case, locked by the process that computes it
 
-A case is written under `.parts`, synchronised to the disk and renamed, so a killed run leaves
-nothing that looks like a result.
+A case is written under `.parts`, synchronised to the disk and renamed, so a case folder of a killed
+run is never incomplete.
 
-Locks are the system's record locks, on one byte of one file each (`twin.locks`): they vanish with
-their process, however it ends, and work across the hosts of a shared file system that has them
-(NFS 4, Lustre, local).
+Locks are the system's record locks, each on one byte of the file `.locks` (`twin.locks`). The
+system releases them when their process ends for any reason; they work across the hosts of a shared
+file system that has record locks (NFS 4, Lustre, local).
 """
 
 import itertools
@@ -43,9 +43,9 @@ from twin.output import (
     write_json,
 )
 
-# Opened once per process: closing any handle of a file would drop all locks on it.
+# Opened once per process: closing any handle of a file would release all locks on it.
 _open_files: dict[Path, int] = {}
-# Record locks do not keep the threads of one process apart.
+# Record locks exclude other processes, but not other threads of the same process.
 _held: set[tuple[Path, str]] = set()
 _holding = threading.Lock()
 
@@ -80,7 +80,7 @@ def _opened(file: Path) -> int:
 
 STORE_FILE, FAILURE_FILE, TIMINGS_FILE = "store.json", "failure.json", "timings.json"
 COMMAND = "sweep"
-# In the place of a digest, for a run as a whole.
+# Used in place of a digest, for the lock of a run as a whole.
 _RUN = "f" * 16
 _CASES, _PARTS, _LOCKS, _ASIDE = "cases", ".parts", ".locks", "aside"
 _NAMES = ("study.json",)
@@ -88,19 +88,19 @@ _PART = re.compile(r"[0-9a-f]+\.[0-9]+(\.old)?")
 
 
 class Store:
-    """A folder of cases; cheap to make, safe to use from many processes at once."""
+    """A folder of cases; quick to construct, safe to use from many processes at the same time."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.absolute()
         self.cases = self.folder / _CASES
 
     def open(self, inputs: Iterable[Path] = ()) -> None:
-        """Make the folder if needed, and check that it is a store of these versions.
+        """Create the folder if needed, and check that it is a store of these versions.
 
         Raises
         ------
         InputError : the folder is something else, cannot be written, or was made by other versions;
-            or an input lies in it, see `claim`
+            or it contains an input, see `claim`
         """
         claim(self.folder, COMMAND, _NAMES, inputs)
         try:
@@ -110,21 +110,21 @@ class Store:
         self.check_versions()
 
     def exists(self) -> bool:
-        """Tell whether the folder is a store."""
+        """Return True if the folder is a store."""
         return is_regular(self.folder / STORE_FILE)
 
     def path_of(self, digest: str) -> Path:
-        """Folder of a finished or failed case."""
+        """Return the folder of a finished or failed case."""
         return self.cases / digest
 
     def finished(self) -> set[str]:
-        """Digests of all cases that lie in the store, failed ones among them."""
+        """Return the digests of all cases in the store, including failed cases."""
         if not self.cases.is_dir():  # killed before there was one
             return set()
         return {entry.name for entry in os.scandir(self.cases)}
 
     def read(self, digest: str) -> dict[str, Any] | None:
-        """Content of a case's result.json or failure.json; None when it is not there."""
+        """Return the content of a case's result.json or failure.json; None if there is neither."""
         for name in (RESULT_FILE, FAILURE_FILE):
             path = self.path_of(digest) / name
             if is_regular(path):
@@ -132,9 +132,9 @@ class Store:
         return None
 
     def forget(self, digest: str) -> None:
-        """Remove a case, whole at once, so that it is computed again; it may be damaged.
+        """Remove a case, damaged or not, in one atomic step, so that it is computed again.
 
-        What holds anything that `twin` did not write is put aside, under `aside/`.
+        A case folder with files that `twin` did not write is moved to `aside/`.
         """
         if not _is_own(self.path_of(digest)):
             self._put_aside(digest)
@@ -157,7 +157,7 @@ class Store:
 
     @contextmanager
     def writing(self, digest: str) -> Iterator[Path]:
-        """Yield a folder that becomes the case's when the block ends well."""
+        """Yield a folder that becomes the case's folder if the block ends without an exception."""
         part = self.folder / _PARTS / f"{digest}.{os.getpid()}"
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir()
@@ -171,7 +171,7 @@ class Store:
 
     @contextmanager
     def claimed(self, digest: str) -> Iterator[bool]:
-        """Hold a case; yields False when another process or thread holds it.
+        """Lock a case; yield False if another process or thread has locked it.
 
         Raises
         ------
@@ -185,12 +185,12 @@ class Store:
             if mine:
                 _release(file, digest)
 
-    def alone(self) -> AbstractContextManager[bool]:
-        """Hold the store as a run at work; yields False when another one does already."""
+    def exclusive(self) -> AbstractContextManager[bool]:
+        """Lock the store for a run; yield False if another run has locked it."""
         return self.claimed(_RUN)
 
     def abandoned(self) -> list[str]:
-        """Remove what dead processes left half-written; return the digests of their cases."""
+        """Remove incomplete cases of dead processes; return their digests."""
         left = []
         for part in sorted((self.folder / _PARTS).iterdir()):
             if not _PART.fullmatch(part.name):
@@ -206,7 +206,7 @@ class Store:
         try:
             part.rename(self.path_of(digest))
         except OSError:
-            if not self.path_of(digest).is_dir():  # someone without locks was first: same content
+            if not self.path_of(digest).is_dir():  # a process without locks was first: same content
                 raise
         make_names_durable(self.cases)
 
@@ -217,38 +217,38 @@ class Store:
                 write_json(made / STORE_FILE, content)
         for folder in (self.cases, self.folder / _PARTS):
             folder.mkdir(exist_ok=True)
-        if not (self.folder / _LOCKS).exists():  # closing it once more would drop all its locks
+        if not (self.folder / _LOCKS).exists():  # closing it again would release all its locks
             (self.folder / _LOCKS).touch()
 
     def check_versions(self) -> None:
-        """Check that the cases of the store are of these versions.
+        """Check that the cases of the store were computed with the installed versions.
 
         Raises
         ------
-        InputError : they are of others
+        InputError : they were computed with other versions
         """
-        known, now = read_json(self.folder / STORE_FILE).get("versions", {}), versions()
-        changed = [name for name in now if name != "python" and known.get(name) != now[name]]
+        stored, now = read_json(self.folder / STORE_FILE).get("versions", {}), versions()
+        changed = [name for name in now if name != "python" and stored.get(name) != now[name]]
         if changed:
-            told = ", ".join(f"{name} {known.get(name)} (now {now[name]})" for name in changed)
+            changes = ", ".join(f"{name} {stored.get(name)} (now {now[name]})" for name in changed)
             raise InputError(
-                f"{self.folder}: its cases were computed with {told}; choose another -o DIR, "
-                "so that one table holds one version's figures"
+                f"{self.folder}: its cases were computed with {changes}; choose another -o DIR, "
+                "so that all figures of a table have the same versions"
             )
 
 
 def _is_own(case: Path) -> bool:
-    """Tell whether a case's folder holds only what was written there, changed perhaps."""
+    """Return True if all files of a case's folder were written by `twin`, even if changed since."""
     try:
         return case.is_dir() and foreign(case, read_manifest(case), changed=False) is None
-    except (InputError, OSError):  # its manifest is none, or cannot be read
+    except (InputError, OSError):  # the manifest is invalid, or cannot be read
         return False
 
 
 def write_failure(
     folder: Path, experiment: Experiment, kind: str, reason: str, trace: str = ""
 ) -> None:
-    """Write why a case could not be computed, and the case."""
+    """Write the reason of a case's failure, and its experiment."""
     write_text(folder / EXPERIMENT_FILE, to_toml(experiment))
     content = {"schema_version": 1, "kind": kind, "failure": reason, "trace": trace}
     write_json(folder / FAILURE_FILE, content)

@@ -14,7 +14,7 @@ from twin.study.cases import Case, Cases
 from twin.study.engine import Run, run_together
 from twin.study.gradient import descend
 from twin.study.index import DAMAGED, Index, entry_of
-from twin.study.measuring import PLAINLY, Measuring, calibrated
+from twin.study.measuring import DEFAULT_MEASURING, Measuring, calibrated
 from twin.study.nominal import check_nominal, nominal_case
 from twin.study.optimise import optimise
 from twin.study.outcome import SweepOutcome
@@ -27,10 +27,10 @@ from twin.study.workers import Workers, lasting
 
 
 def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) -> int:
-    """Remove failures from a store so that they run again; returns how many.
+    """Remove failures from a store so that they run again; returns their number.
 
-    What an experiment asked for in vain it asks for in vain again, so by default only crashes and
-    unexpected errors are forgotten.
+    A failure that is due to the experiment itself would occur again, so by default only crashes and
+    unexpected errors are removed.
     """
     forgotten = 0
     for case in cases:
@@ -42,14 +42,14 @@ def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) ->
 
 
 def forget_damaged(store: Store, cases: Sequence[Case]) -> dict[str, str]:
-    """Remove cases whose files cannot be read, so that they run again; returns why, by digest."""
+    """Remove cases with unreadable files, so that they run again; returns reasons by digest."""
     forgotten = {}
     for case in cases:
         entry = entry_of(store, case.digest)
         if entry is None or entry.state != DAMAGED:
             continue
         with store.claimed(case.digest) as mine:
-            if mine:  # or another run is at it
+            if mine:  # else another run computes it
                 store.forget(case.digest)
                 forgotten[case.digest] = entry.reason
     return forgotten
@@ -58,34 +58,34 @@ def forget_damaged(store: Store, cases: Sequence[Case]) -> dict[str, str]:
 def _kind_of(failure: Path) -> str:
     try:
         return str(read_json(failure).get("kind"))
-    except InputError:  # another run forgot it first
+    except InputError:  # another run has removed it
         return ""
 
 
 @dataclass(frozen=True)
 class _Session:
-    """A store at work; notes what was asked of it."""
+    """A store during a run, with the digests of the requested cases."""
 
     store: Store
     compute: Run
     retry: bool
-    asked: list[str] = field(default_factory=list)
+    requested: list[str] = field(default_factory=list)
     damaged: dict[str, str] = field(default_factory=dict)
 
     def run(self, cases: Cases) -> SweepOutcome:
         return self.compute(self.wanted(cases))
 
     def wanted(self, cases: Cases) -> list[Case]:
-        """Return the cases, once each, with those forgotten that are to run again."""
+        """Return the cases without duplicates; failures that are to run again are removed."""
         wanted = cases.unique()
-        self.asked.extend(case.digest for case in wanted)
+        self.requested.extend(case.digest for case in wanted)
         self.damaged.update(forget_damaged(self.store, wanted))
         forget_failures(self.store, wanted, every=self.retry)
         return wanted
 
     def whole(self, outcome: SweepOutcome) -> SweepOutcome:
-        """Return the outcome with how all the cases stand that were asked for."""
-        standing = _standing(Index(self.store), self.asked)
+        """Return the outcome with the states of all requested cases."""
+        standing = _standing(Index(self.store), self.requested)
         return replace(outcome, damaged=self.damaged, folder=self.store.folder, **standing)
 
 
@@ -101,15 +101,15 @@ def sweep(
     inputs: Sequence[Path] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> SweepOutcome:
-    """Compute all cases of a study that its store lacks.
+    """Compute all cases of a study that are not in its store.
 
     Parameters
     ----------
     folder : the store; made when it is not there
     cases : the record's, where they are made already
-    retry : also run again what failed for a reason that lies in the experiment
-    make_measurer : makes what measures a case; importable by the workers. Default: `Measuring`,
-        after a calibration of the rig where trials draw theirs
+    retry : also run cases again that failed because of their experiment
+    make_measurer : factory of the measurer of a case; importable by the workers. Default:
+        `Measuring`, after a calibration of the rig where trials draw theirs
     inputs : files that the folder must not hold
     tell : is called with a sentence if another run uses the store, and with the reasons of the
         first failures
@@ -134,7 +134,7 @@ def sweep(
         before: list[SweepOutcome] = []
         if of_trials:
             cases = cases or record.cases()
-            first, make = nominal_case(cases), make_measurer or PLAINLY
+            first, make = nominal_case(cases), make_measurer or DEFAULT_MEASURING
             before.append(
                 _measure_nominal(record, store, workers, first, make=make, watch=watch, retry=retry)
             )
@@ -161,7 +161,7 @@ def _measure_nominal(
     watch: ProgressCallback,
     retry: bool,
 ) -> SweepOutcome:
-    """Measure the nominal case of trials, which has the true rig, before any calibration.
+    """Measure the nominal case of trials, with the true rig, before any calibration.
 
     Raises
     ------
@@ -181,27 +181,27 @@ def _measure_nominal(
 
 @dataclass(frozen=True, eq=False)
 class CaseGroup:
-    """Cases that lie in one store, and what measures them.
+    """Cases of one store, and the factory of their measurer.
 
     Attributes
     ----------
-    record : the study that they are, which the store remembers; None: they are none
+    record : study of the cases, which is written into the store; None: the cases are no study
     """
 
     folder: Path
     cases: Cases
-    make_measurer: MakeMeasurer = PLAINLY
+    make_measurer: MakeMeasurer = DEFAULT_MEASURING
     record: StudyRecord | None = None
 
 
 def run_groups(
     groups: Sequence[CaseGroup], workers: Workers, watch: ProgressCallback = no_progress
 ) -> list[SweepOutcome]:
-    """Compute what the stores of several groups lack, on the same workers: `run_together`.
+    """Compute the missing cases of several stores on the same workers: `run_together`.
 
     Parameters
     ----------
-    groups : each with a folder of its own; in the order in which they are handed out
+    groups : each with its own folder; in order of priority
 
     Raises
     ------
@@ -215,11 +215,11 @@ def run_groups(
     with ExitStack() as stack:
         sessions = [stack.enter_context(_session_of(group, workers, watch)) for group in groups]
         parts = [
-            (one.compute, one.wanted(group.cases))
-            for one, group in zip(sessions, groups, strict=True)
+            (session.compute, session.wanted(group.cases))
+            for session, group in zip(sessions, groups, strict=True)
         ]
         outcomes = run_together(parts, workers, watch)
-    return [one.whole(outcome) for one, outcome in zip(sessions, outcomes, strict=True)]
+    return [session.whole(outcome) for session, outcome in zip(sessions, outcomes, strict=True)]
 
 
 def _session_of(
@@ -241,34 +241,34 @@ def _session(
     tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[_Session]:
     try:
-        with store.alone() as alone, lasting(workers) as kept:
-            if not alone:
-                tell(f"{store.folder}: another run is at work there; both share the cases left")
-            run = Run(store, kept, keep, make, watch, Index(store).enter, tell)
+        with store.exclusive() as exclusive, lasting(workers) as lasting_workers:
+            if not exclusive:
+                tell(f"{store.folder}: another run is active; both share the remaining cases")
+            run = Run(store, lasting_workers, keep, make, watch, Index(store).enter, tell)
             yield _Session(store, run, retry)
     finally:
-        store.abandoned()  # what workers left that were ended at once
+        store.abandoned()  # incomplete cases of terminated workers
 
 
 def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Measuring:
-    """Return what measures the cases of a study; calibrates the rig where its trials draw rigs.
+    """Return the measurer factory of a study; calibrates the rig if its trials draw rigs.
 
-    The rig is calibrated in this process: its last digits depend on how many threads the linear
-    algebra has, and these must not depend on the workers.
+    The rig is calibrated in this process: its last digits depend on the number of threads of the
+    linear algebra, which must not depend on the workers.
     """
     board = drawn_board(record.study, record.base)
     if not board:
-        return PLAINLY
+        return DEFAULT_MEASURING
     return Measuring(calibrated(folder, nominal(record.study, record.base), board, watch))
 
 
-def _standing(index: Index, asked: Sequence[str]) -> dict[str, Any]:
-    """How many of the cases asked for are done, their warnings, and why the others failed."""
+def _standing(index: Index, requested: Sequence[str]) -> dict[str, Any]:
+    """Return the number of finished requested cases, their warnings, and reasons of failure."""
     entries = index.entries()
-    found = [entries[digest] for digest in dict.fromkeys(asked) if digest in entries]
+    stored = [entries[digest] for digest in dict.fromkeys(requested) if digest in entries]
     failures: dict[str, list[str]] = {}
-    for entry in found:
+    for entry in stored:
         if entry.state == "failed":
             failures.setdefault(entry.reason, []).append(entry.digest)
-    done = {entry.digest: entry.figures for entry in found if entry.state == "done"}
+    done = {entry.digest: entry.figures for entry in stored if entry.state == "done"}
     return {"finished": len(done), "failures": failures, "remarks": remarks_of(done)}

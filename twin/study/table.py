@@ -1,6 +1,6 @@
 """The table of a study, one row per case in the study's own order, and its best designs.
 
-The best are the Pareto front of what is to become small or large.
+The best designs are the Pareto front of the objectives.
 """
 
 import io
@@ -44,10 +44,10 @@ class StudyTable:
 
     Attributes
     ----------
-    axes : headings of what is varied
-    metrics : headings of what was found
-    rows : one mapping by heading per case; a figure that a case lacks is None, and `reason` says
-        why, or which conditions a case that is not feasible misses
+    axes : headings of the varied fields
+    metrics : headings of the figures
+    rows : one mapping by heading per case; a missing figure is None; `reason` has the reason, or
+        the conditions that an infeasible case does not meet
     cases : in the order of the rows
     remarks : warnings of the cases, the most frequent first
     """
@@ -61,7 +61,7 @@ class StudyTable:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """What makes a case feasible: the constraints, and tolerances where any is stated."""
+        """Conditions of feasibility: the constraints, and tolerances if any is stated."""
         judged = any(has_tolerances(case.experiment) for case in self.cases)
         bounds = tuple(bound.title for bound in self.record.study.constraint)
         return (*bounds, *((TOLERANCES,) if judged else ()))
@@ -72,7 +72,7 @@ class StudyTable:
         return (*self.axes, *_HEAD, *self.metrics)
 
     def done(self) -> list[Mapping[str, Any]]:
-        """Rows of the cases that have figures."""
+        """Return the rows of the cases with figures."""
         return [row for row in self.rows if row["state"] == "done"]
 
 
@@ -81,7 +81,7 @@ def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTa
 
     Parameters
     ----------
-    derived : the derived figures to add; pitches of a sheet take a tenth of a second a case
+    derived : the derived figures to add; pitches of a sheet take 0.1 s per case
 
     Raises
     ------
@@ -99,22 +99,22 @@ def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTa
     if record.study.repeats > 1:
         spread_over_repeats(rows, cases)
     known = [entries[case.digest] for case in cases if case.digest in entries]
-    remarks = remarks_of({one.digest: one.figures for one in known if one.state == "done"})
+    remarks = remarks_of({entry.digest: entry.figures for entry in known if entry.state == "done"})
     return StudyTable(record, axes, metrics, tuple(map(_explained, rows)), cases, remarks)
 
 
 def _metrics(
     record: StudyRecord, cases: Iterable[Case], entries: Mapping[str, Entry]
 ) -> tuple[str, ...]:
-    found = [entries[case.digest].figures for case in cases if case.digest in entries]
-    known = dict.fromkeys(name for figures in found for name in figures)
-    asked = record.study.metrics
-    unknown = [name for name in asked if name not in known and name not in DERIVED]
+    figures_of_cases = [entries[case.digest].figures for case in cases if case.digest in entries]
+    known = dict.fromkeys(name for figures in figures_of_cases for name in figures)
+    requested = record.study.metrics
+    unknown = [name for name in requested if name not in known and name not in DERIVED]
     if unknown and known:
         raise InputError(
             f"metrics: found {', '.join(unknown)}, allowed {', '.join(sorted({*known, *DERIVED}))}"
         )
-    return asked or tuple(known)
+    return requested or tuple(known)
 
 
 def _row(
@@ -122,8 +122,8 @@ def _row(
 ) -> dict[str, Any]:
     state = entry.state if entry else "missing"
     known = entry.figures if entry else {}
-    found = with_derived(case.experiment, known, derived) if known else {}
-    figures = {name: _cell(value) for name, value in found.items()}
+    all_figures = with_derived(case.experiment, known, derived) if known else {}
+    figures = {name: _cell(value) for name, value in all_figures.items()}
     head: dict[str, Any] = {
         "case": case.digest,
         "state": state,
@@ -138,16 +138,16 @@ def _row(
 
 
 def _explained(row: dict[str, Any]) -> dict[str, Any]:
-    """Add to the reason which conditions a case misses, unless it has a reason already."""
+    """Set an empty reason to the conditions that a case does not meet."""
     missed = "; ".join(f"{name}: {value}" for name, value in row[UNMET].items())
     return row if row["reason"] or not missed else row | {"reason": f"not feasible: {missed}"}
 
 
 def _reason(entry: Entry) -> str:
-    """Why a case has no figures, or not all of them."""
+    """Return the reason why figures of a case are missing."""
     unfitted = entry.figures.get("unfitted_balls")
-    told = entry.reason or why_absent(entry.figures)
-    return told or (_cell(unfitted) if unfitted else "")
+    reason = entry.reason or why_absent(entry.figures)
+    return reason or (_cell(unfitted) if unfitted else "")
 
 
 def _cell(value: Any) -> Any:
@@ -190,7 +190,7 @@ def write_parquet(table: StudyTable, path: Path) -> None:
 
 
 def _column(values: list[Any]) -> list[Any]:
-    """Return values of one type: whole and other numbers together are numbers, else text."""
+    """Return values of one type: integers and floats become floats, other mixtures text."""
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) <= 1:
         return values
@@ -204,15 +204,13 @@ Row = Mapping[str, Any]
 
 
 def objective_of(text: str) -> Objective:
-    """Read "METRIC" (to be small) or "+METRIC" (to be large), as on a command line."""
+    """Read "METRIC" (to minimise) or "+METRIC" (to maximise), as on a command line."""
     goal: Any = "maximise" if text.startswith("+") else "minimise"
     return Objective(metric=text.removeprefix("+"), goal=goal)
 
 
 def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
-    """Return the feasible rows that no other beats in one objective without losing in another.
-
-    Rows of the front come by the first objective, best first.
+    """Return the Pareto front of the feasible rows, sorted by the first objective, best first.
 
     Raises
     ------
@@ -222,25 +220,28 @@ def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]
     usable = usable_rows(rows, objectives)
     if not usable:
         raise InputError(_why_none(rows, names))
-    costs = np.array([[cost_of(row, one) for one in objectives] for row in usable])
-    front = [row for row, kept in zip(usable, on_front(costs), strict=True) if kept]
+    costs = np.array([[cost_of(row, objective) for objective in objectives] for row in usable])
+    front = [row for row, is_best in zip(usable, on_front(costs), strict=True) if is_best]
     return sorted(front, key=lambda row: cost_of(row, objectives[0]))
 
 
 def _why_none(rows: Sequence[Row], names: Sequence[str]) -> str:
-    """Say why no design is the best: none has the objectives, or none that has them is feasible."""
+    """Return the reason why no row is the best: no objectives, or no feasible row with them."""
     if any(all(is_number(row.get(name)) for name in names) for row in rows):
         return f"no feasible case has {', '.join(names)}: {feasibility_in_words(rows)}"
     known = sorted({n for row in rows for n, v in row.items() if isinstance(v, float)})
-    return f"no feasible case has {', '.join(names)}; there are {', '.join(known) or 'no figures'}"
+    allowed = ", ".join(known) or "none, as no case has figures"
+    return f"no feasible case has {', '.join(names)}; allowed {allowed}"
 
 
 def nearest_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
     """Return the finished rows that have all objectives, the fewest missed conditions first.
 
-    For a study without a feasible case. Equal ones come by the first objective.
+    For a study without a feasible case. Rows with equal counts are sorted by the first objective.
     """
-    some = [row for row in rows if all(is_number(row.get(one.metric)) for one in objectives)]
+    some = [
+        row for row in rows if all(is_number(row.get(objective.metric)) for objective in objectives)
+    ]
     return sorted(some, key=lambda row: (len(row[UNMET]), cost_of(row, objectives[0])))
 
 
@@ -257,23 +258,23 @@ def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Ro
     return sorted(usable_rows(rows, objectives), key=lambda row: cost_of(row, objectives[0]))
 
 
-def goals_of(table: StudyTable, asked: Sequence[Objective] = ()) -> list[Objective]:
-    """Return what makes a design good: what is asked for, what the study says, or a small error."""
+def goals_of(table: StudyTable, requested: Sequence[Objective] = ()) -> list[Objective]:
+    """Return the objectives: the given ones, those of the study, or the first error figure."""
     named = [name for name in table.metrics if "rmse" in name or "error" in name]
     first = (*named, *table.metrics)[0]
-    return list(asked or table.record.study.goals) or [Objective(metric=first)]
+    return list(requested or table.record.study.goals) or [Objective(metric=first)]
 
 
 def designs_of(rows: Sequence[Row], axes: Sequence[str]) -> list[Row]:
-    """Return the first rows of different designs, as many as a report shows in pictures."""
-    found: dict[str, Row] = {}
+    """Return the first row of each design, up to the number of pictures in a report."""
+    designs: dict[str, Row] = {}
     for row in rows:
-        found.setdefault(repr([row[axis] for axis in axes if axis != "seed"]), row)
-    return list(found.values())[:MOST_DESIGNS]
+        designs.setdefault(repr([row[axis] for axis in axes if axis != "seed"]), row)
+    return list(designs.values())[:MOST_DESIGNS]
 
 
 def usable_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
-    """Return the feasible rows that have all objectives: who measured nothing cannot win."""
+    """Return the feasible rows that have all objectives."""
     names = [objective.metric for objective in objectives]
     return [
         row for row in rows if row.get("feasible") and all(is_number(row.get(n)) for n in names)
@@ -281,15 +282,15 @@ def usable_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Ro
 
 
 def on_front(costs: FloatArray) -> BoolImage:
-    """Tell which rows (case,) of costs (case, objective) no other row dominates."""
-    kept = np.ones(len(costs), bool)
+    """Return the rows (case,) of costs (case, objective) that no other row dominates."""
+    on_front_mask = np.ones(len(costs), bool)
     for i, cost in enumerate(costs):
         better = np.all(costs <= cost, axis=1) & np.any(costs < cost, axis=1)
-        kept[i] = not better.any()
-    return kept
+        on_front_mask[i] = not better.any()
+    return on_front_mask
 
 
 def cost_of(row: Row, objective: Objective) -> float:
-    """Return what is to become small: an objective that is to grow counts negative."""
+    """Return the value to minimise: an objective to maximise counts negative."""
     value = float(row[objective.metric])
     return value if objective.goal == "minimise" else -value

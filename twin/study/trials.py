@@ -1,13 +1,13 @@
-"""Cases of a study that repeats a measurement: trials, and what each input does alone.
+"""Cases of a study that repeats a measurement: trials, and variations of single inputs.
 
-Trial 0 is the nominal measurement. In every other trial all inputs are drawn anew (JCGM 101, 7.3),
-the camera's noise is new, and the rig is as one calibration found it. For the budget each input is
-set to one standard uncertainty below and above its nominal value, without noise, and the nominal
-measurement is repeated with new noise alone.
+Trial 0 is the nominal measurement. In every other trial all inputs are drawn (JCGM 101, 7.3), the
+camera has a new noise, and the rig is drawn from the covariance of a calibration. For the budget
+each input is set to one standard uncertainty below and above its nominal value, without noise. In
+addition, the nominal measurement is repeated with new noise only.
 
-A draw depends on the root seed, the input's name and the trial alone: the order of inputs, other
-inputs and the instrument do not change it. Inputs that are drawn together share a name, and so take
-the same place of their lists: a sample of a joint distribution.
+A draw depends only on the root seed, the input's name and the trial: the order of inputs, other
+inputs and the instrument do not change it. Inputs that are drawn together share a name, and so use
+the same index into their lists: a sample of a joint distribution.
 """
 
 from collections.abc import Iterator, Mapping
@@ -33,9 +33,9 @@ TRIALS, NOISE, CALIBRATION, ALONE = "trial", "noise", "calibration", "alone"
 """Parts of a study of trials."""
 
 NOISE_REPEATS = 20
-"""Their standard deviation is then known to 16 % (one standard uncertainty)."""
+"""Relative standard uncertainty of their standard deviation: 16 %."""
 CALIBRATIONS = 5
-"""Of a photometric sensor: each takes some fifty reference presses, and trials take turns."""
+"""Of a photometric sensor: each needs about 50 reference presses; trial i uses i mod 5."""
 MIDDLE, LOW, HIGH = "nominal", "low", "high"
 
 
@@ -44,25 +44,25 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
 
     Raises
     ------
-    ConfigError : a key leads to no number, or a drawn value is not allowed: the first of each
+    ConfigError : a key is no number, or a drawn value is not allowed: the first of each
     """
     experiment = nominal(study, base)
     count = study.sampling.count or 0
     if not counting_for(experiment, study.inputs):
         raise ConfigError(f"{study.name}: inputs: none of them is in {experiment.name}; add one")
-    # A trial's own sheet is what its user does not know: all take the nominal one.
+    # The user does not know the sheet of a trial: all trials assume the nominal sheet.
     layer = layer_for(experiment) if study.sampling.compensated else None
-    found = list(_trials(study, experiment, layer))
+    cases = list(_trials(study, experiment, layer))
     if study.sampling.budget:
-        found += alone_cases(experiment, study.inputs, layer=layer)
-        found += _repeats(experiment, min(count, NOISE_REPEATS), layer)
+        cases += alone_cases(experiment, study.inputs, layer=layer)
+        cases += _repeats(experiment, min(count, NOISE_REPEATS), layer)
         if study.sampling.calibration == "drawn" and not experiment.method.fringes:
-            found += _recalibrated(experiment)
-    return Cases(tuple(found), 0)
+            cases += _recalibrated(experiment)
+    return Cases(tuple(cases), 0)
 
 
 def nominal(study: Study, base: Experiment) -> Experiment:
-    """Return what a study of trials repeats: its base, by the method that it names."""
+    """Return the experiment that a study of trials repeats: its base with the study's method."""
     return vary(base, by_method(study.modalities[0])) if study.modalities else base
 
 
@@ -103,31 +103,32 @@ def alone_cases(
 ) -> list[Case]:
     """Return each input's cases below and above its nominal value, and the nominal one.
 
-    A choice among values is set to each of them. No noise, true rig; with `face_only` the face
-    alone, which the optics leave alone; with a `layer` also the object behind the coat.
+    A choice among values is set to each of them. No noise, true rig. With `face_only` only the face
+    is evaluated, which does not depend on the optics; with a `layer` also the object behind the
+    coat.
 
     Raises
     ------
-    ConfigError : a key leads to no number, or such a value is not allowed
+    ConfigError : a key is no number, or such a value is not allowed
     """
     silent = vary(experiment, {"camera.noise": False})
     conditions = Conditions(face_only=face_only, layer=layer)
     settings: dict[str, Any] = {PART: ALONE, INPUT: "", STEP: MIDDLE}
-    found = [case_of(settings, silent, conditions)]
-    for name, one in counting_for(experiment, inputs).items():
-        if face_only and one.group == "optics":
+    cases = [case_of(settings, silent, conditions)]
+    for name, variable in counting_for(experiment, inputs).items():
+        if face_only and variable.group == "optics":
             continue
-        for step, value in _steps(one, one.nominal_in(experiment)).items():
-            varied = vary(silent, {one.key: value})
-            settings = {PART: ALONE, INPUT: name, STEP: step, one.key: value}
-            found.append(case_of(settings, varied, conditions))
-    return found
+        for step, value in _steps(variable, variable.nominal_in(experiment)).items():
+            varied = vary(silent, {variable.key: value})
+            settings = {PART: ALONE, INPUT: name, STEP: step, variable.key: value}
+            cases.append(case_of(settings, varied, conditions))
+    return cases
 
 
-def _steps(one: Input, nominal: float) -> dict[str, float]:
-    if one.distribution == "choice":
-        return {f"{value:g}": value for value in one.values}
-    u = standard_uncertainty(one, nominal)
+def _steps(variable: Input, nominal: float) -> dict[str, float]:
+    if variable.distribution == "choice":
+        return {f"{value:g}": value for value in variable.values}
+    u = standard_uncertainty(variable, nominal)
     return {LOW: nominal - u, HIGH: nominal + u} if u else {}
 
 
@@ -157,7 +158,7 @@ class InputDistribution(Protocol):
 
 @dataclass(frozen=True)
 class Choice:
-    """A distribution over a few values, in the order in which they are given."""
+    """A discrete distribution over given values."""
 
     values: tuple[float, ...]
     shares: tuple[float, ...]
@@ -167,7 +168,7 @@ class Choice:
         return float(random_state.choice(self.values, p=self.shares))
 
     def ppf(self, q: ArrayLike, /) -> FloatArray:
-        """Return the value at a cumulated share, (...) float."""
+        """Return the value at a cumulative share, (...) float."""
         ends = np.cumsum(self.shares)
         at = np.searchsorted(ends, np.asarray(q), side="left")
         return np.asarray(self.values, np.float64)[np.minimum(at, len(self.values) - 1)]
@@ -178,7 +179,7 @@ class Choice:
         return float(np.sqrt(shares @ (values - shares @ values) ** 2))
 
 
-def deviation_of(one: Input, nominal: float) -> InputDistribution:
+def deviation_of(variable: Input, nominal: float) -> InputDistribution:
     """Return the distribution of an input's deviation from its nominal value.
 
     Uniform, triangular and arcsine are symmetric with the half width `spread` (JCGM 101, 6.4.2,
@@ -186,53 +187,53 @@ def deviation_of(one: Input, nominal: float) -> InputDistribution:
     """
     from scipy import stats  # takes half a second to load, and only trials need it
 
-    if one.distribution == "choice":
-        weights = np.array(one.weights or [1.0] * len(one.values))
-        values = tuple(value - nominal for value in one.values)
+    if variable.distribution == "choice":
+        weights = np.array(variable.weights or [1.0] * len(variable.values))
+        values = tuple(value - nominal for value in variable.values)
         return Choice(values, tuple((weights / weights.sum()).tolist()))
-    spread = (one.spread or 0.0) * (abs(nominal) if one.relative else 1.0)
+    spread = (variable.spread or 0.0) * (abs(nominal) if variable.relative else 1.0)
     if not spread:
         return Choice((0.0,), (1.0,))
     wide: dict[str, Any] = {"loc": -spread, "scale": 2.0 * spread}
-    found: InputDistribution
-    match one.distribution:
+    deviation: InputDistribution
+    match variable.distribution:
         case "uniform":
-            found = stats.uniform(**wide)
+            deviation = stats.uniform(**wide)
         case "triangular":
-            found = stats.triang(0.5, **wide)
+            deviation = stats.triang(0.5, **wide)
         case "arcsine":
-            found = stats.arcsine(**wide)
+            deviation = stats.arcsine(**wide)
         case "student_t":
-            found = stats.t(one.degrees_of_freedom, scale=spread)
+            deviation = stats.t(variable.degrees_of_freedom, scale=spread)
         case _:
-            found = _normal(one, nominal, spread)
-    return found
+            deviation = _normal(variable, nominal, spread)
+    return deviation
 
 
-def _normal(one: Input, nominal: float, sigma: float) -> InputDistribution:
+def _normal(variable: Input, nominal: float, sigma: float) -> InputDistribution:
     from scipy import stats
 
-    if one.at_least is one.at_most is None:
+    if variable.at_least is variable.at_most is None:
         return stats.norm(scale=sigma)  # type: ignore[no-any-return]
-    low = -np.inf if one.at_least is None else (one.at_least - nominal) / sigma
-    high = np.inf if one.at_most is None else (one.at_most - nominal) / sigma
+    low = -np.inf if variable.at_least is None else (variable.at_least - nominal) / sigma
+    high = np.inf if variable.at_most is None else (variable.at_most - nominal) / sigma
     if not low < high:
-        raise ConfigError(f"inputs: {one.key}: at_least is not below at_most; exchange them")
+        raise ConfigError(f"inputs: {variable.key}: at_least is not below at_most; exchange them")
     return stats.truncnorm(low, high, scale=sigma)  # type: ignore[no-any-return]
 
 
-def standard_uncertainty(one: Input, nominal: float) -> float:
+def standard_uncertainty(variable: Input, nominal: float) -> float:
     """Return the standard deviation of an input (JCGM 100, 4.3.7)."""
-    return float(deviation_of(one, nominal).std())
+    return float(deviation_of(variable, nominal).std())
 
 
 def counting_for(experiment: Experiment, inputs: Mapping[str, Input]) -> dict[str, Input]:
     """Return the inputs that can change an experiment's result."""
-    return {name: one for name, one in inputs.items() if one.counts_for(experiment)}
+    return {name: variable for name, variable in inputs.items() if variable.counts_for(experiment)}
 
 
 def draw(experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: int) -> Experiment:
-    """Return the experiment as it is in one trial; trial 0 is the nominal one.
+    """Return the experiment of a trial; trial 0 is the nominal experiment.
 
     Raises
     ------
@@ -244,19 +245,20 @@ def draw(experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: 
 def drawn_values(
     experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: int
 ) -> dict[str, float]:
-    """Return the values of one trial by dotted path; of trial 0 the nominal ones."""
-    found = {}
-    for name, one in counting_for(experiment, inputs).items():
-        found[one.key] = nominal = one.nominal_in(experiment)
+    """Return the values of a trial by dotted path; of trial 0 the nominal values."""
+    values = {}
+    for name, variable in counting_for(experiment, inputs).items():
+        values[variable.key] = nominal = variable.nominal_in(experiment)
         if trial:
-            key = keyed_sequence(seed, f"trial {one.together or name}", trial)
+            key = keyed_sequence(seed, f"trial {variable.together or name}", trial)
             rng = np.random.default_rng(key)
-            found[one.key] = nominal + float(deviation_of(one, nominal).rvs(random_state=rng))
-    return found
+            deviation = deviation_of(variable, nominal).rvs(random_state=rng)
+            values[variable.key] = nominal + float(deviation)
+    return values
 
 
 def drawn_board(study: Study, base: Experiment) -> str:
-    """Return the board whose calibration trials draw their rigs from; empty: the true rig."""
+    """Return the board of the calibration from which trials draw rigs; empty: the true rig."""
     plan = study.sampling
     if plan.method != "trials" or plan.calibration == "true":
         return ""

@@ -19,10 +19,10 @@ from twin.config import Experiment
 from twin.pipeline import Memory
 from twin.results.parts import write_result, write_timings
 from twin.study.measuring import (
-    AS_IT_IS,
-    PLAINLY,
-    Answer,
+    DEFAULT_MEASURING,
+    NOMINAL_CONDITIONS,
     CaseMeasurer,
+    CaseResult,
     Conditions,
     StageReads,
 )
@@ -32,27 +32,29 @@ State = Literal["done", "failed", "elsewhere", "known", "unsaved"]
 UNEXPECTED, DIED = "unexpected", "died"
 _WATCH_EVERY_S = 0.5
 
-# Renderer and caches of one process serve one case at a time, whatever the executor's threads do.
+# Renderer and caches of a process can be used by one case at a time; executors may have threads.
 _one_at_a_time = threading.Lock()
 
 
 class Measurer(Protocol):
-    """Something that answers a case."""
+    """Interface of a measurer of cases."""
 
-    def __call__(self, experiment: Experiment, conditions: Conditions = AS_IT_IS, /) -> Answer:
+    def __call__(
+        self, experiment: Experiment, conditions: Conditions = NOMINAL_CONDITIONS, /
+    ) -> CaseResult:
         """Measure one case."""
 
     def reads(self) -> StageReads:
-        """Fields that each stage looked at for the latest case, first stage first."""
+        """Return the fields that each stage read for the latest case, first stage first."""
 
 
 MakeMeasurer = Callable[[tuple[str, ...]], Measurer]
-"""Takes what a study keeps; called once per process."""
+"""Called once per process, with the names of the arrays to write."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Cases for one worker, in the order in which they share most.
+    """Cases for one worker, in the order in which they share most stages.
 
     Attributes
     ----------
@@ -64,19 +66,19 @@ class Batch:
     store: Path
     cases: tuple[tuple[str, Experiment, Conditions], ...]
     keep: tuple[str, ...] = ()
-    make_measurer: MakeMeasurer = PLAINLY
+    make_measurer: MakeMeasurer = DEFAULT_MEASURING
 
 
 @dataclass(frozen=True)
 class Report:
-    """What became of one case.
+    """Outcome of a case.
 
     Attributes
     ----------
-    state : done or failed (and in the store), known (was there already), elsewhere (another run
-        computes it), unsaved (could not be written)
-    seconds : spent on it, 0 unless computed now
-    reason : why it failed or could not be saved
+    state : done or failed (and in the store), known (was in the store already), elsewhere (another
+        run computes it), unsaved (could not be written)
+    seconds : run time, 0 unless computed now
+    reason : of a failure, or why the case could not be saved
     """
 
     digest: str
@@ -87,7 +89,7 @@ class Report:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """What became of a batch; `reads` of its last measured case, for the order of the others."""
+    """Outcome of a batch; `reads` of its last measured case, to sort the remaining cases."""
 
     cases: tuple[Report, ...]
     reads: StageReads = ()
@@ -109,9 +111,9 @@ def compute(batch: Batch) -> BatchReport:
 
 
 def die_with(parent: int) -> None:
-    """Begin a worker: its parent's plug-ins, and a watch that ends it when its parent is gone.
+    """Start a worker: load its parent's plug-ins, and end the process when the parent has ended.
 
-    The parent's number is handed over: it may be gone before this process has asked for it.
+    The parent's process id is an argument, as the parent may end before this process could read it.
     """
 
     def watch() -> None:
@@ -126,15 +128,15 @@ def die_with(parent: int) -> None:
 
 @lru_cache(maxsize=1)
 def _memory() -> Memory:
-    """Return what this process keeps of its latest stages, whatever is asked about their results.
+    """Return the cache of this process' latest stages, shared by all measurers.
 
-    One for all, as it holds stacks of frames.
+    One cache, as it contains stacks of frames.
     """
     return Memory()
 
 
 def forget_stages() -> None:
-    """Let the next case of this process be computed from its beginning, as by a new worker."""
+    """Clear the cached stages, so that the next case is computed as by a new worker."""
     _measurer.cache_clear()
     _memory.cache_clear()
 
@@ -148,7 +150,7 @@ def _measurer(make: MakeMeasurer, keep: tuple[str, ...]) -> Measurer:
 
 
 def _limited_threads(measurer: Measurer) -> AbstractContextManager[None]:
-    """Limit the renderer to this process' threads, where a measurer uses it."""
+    """Limit the renderer to this process' number of threads, if a measurer uses it."""
     if not isinstance(measurer, CaseMeasurer):
         return nullcontext()
     from twin.optics.session import renderer_threads
@@ -166,10 +168,10 @@ def _compute_case(
         if not mine:
             return Report(digest, "elsewhere")
         try:
-            found = _into_store(store, digest, experiment, conditions, measurer)
+            report = _into_store(store, digest, experiment, conditions, measurer)
         except OSError as error:
             return Report(digest, "unsaved", reason=_unsaved(error))
-    return replace(found, seconds=time.perf_counter() - start)
+    return replace(report, seconds=time.perf_counter() - start)
 
 
 def _into_store(
@@ -177,15 +179,15 @@ def _into_store(
 ) -> Report:
     start = time.perf_counter()
     with store.writing(digest) as folder:
-        answer = _answer(measurer, experiment, conditions)
-        if isinstance(answer, _Failure):
-            write_failure(folder, experiment, answer.kind, answer.reason, answer.trace)
+        result = _measured(measurer, experiment, conditions)
+        if isinstance(result, _Failure):
+            write_failure(folder, experiment, result.kind, result.reason, result.trace)
         else:
-            write_result(folder, "measure", experiment, answer.figures)
-            answer.write(folder)
+            write_result(folder, "measure", experiment, result.figures)
+            result.write(folder)
         write_timings(folder, {"case": time.perf_counter() - start})
-    if isinstance(answer, _Failure):
-        return Report(digest, "failed", reason=answer.reason)
+    if isinstance(result, _Failure):
+        return Report(digest, "failed", reason=result.reason)
     return Report(digest, "done")
 
 
@@ -196,22 +198,22 @@ class _Failure:
     trace: str = ""
 
 
-def _answer(
+def _measured(
     measurer: Measurer, experiment: Experiment, conditions: Conditions
-) -> Answer | _Failure:
-    """Measure; what a case does wrong must not end the others."""
+) -> CaseResult | _Failure:
+    """Measure a case; an error of the case must not end the batch."""
     try:
-        answer = measurer(experiment, conditions)
-        wrong = [n for n, v in answer.figures.items() if isinstance(v, float) and not isfinite(v)]
-        told = f"{', '.join(wrong)}: not finite"
-        return _Failure(UNEXPECTED, told) if wrong else answer
+        result = measurer(experiment, conditions)
+        wrong = [n for n, v in result.figures.items() if isinstance(v, float) and not isfinite(v)]
+        reason = f"{', '.join(wrong)}: not finite"
+        return _Failure(UNEXPECTED, reason) if wrong else result
     except InputError as error:
         return _Failure(type(error).__name__, " ".join(str(error).split()))
     except Exception as error:
         if type(error).__name__ == "MissingBackend" or is_disk_full(error):
             raise
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        return _Failure(UNEXPECTED, told, traceback.format_exc())
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        return _Failure(UNEXPECTED, reason, traceback.format_exc())
 
 
 def _unsaved(error: OSError) -> str:

@@ -36,11 +36,11 @@ def _end(executor: Executor) -> None:
 
 @dataclass(frozen=True)
 class Workers:
-    """Computing processes.
+    """Processes that compute cases.
 
     Attributes
     ----------
-    count : how many compute at the same time
+    count : number of cases computed at the same time
     open : starts them, and starts them again after one of them died
     close : ends them; batches that wait are not started
     release : called at the end of a run, by default to end them
@@ -53,7 +53,7 @@ class Workers:
 
 
 class _Here(Executor):
-    """Computes in this process, within `submit`."""
+    """Executor that computes in this process, within `submit`."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
         future: Future[Any] = Future()
@@ -69,7 +69,7 @@ def local_workers(count: int, cores: int | None = None) -> Workers:
 
     Parameters
     ----------
-    cores : how many they share; 1 worker then is a process of its own. Default: all
+    cores : number of cores that they share; 1 worker is then a separate process. Default: all
 
     Raises
     ------
@@ -86,7 +86,7 @@ def local_workers(count: int, cores: int | None = None) -> Workers:
 
 @contextmanager
 def lasting(workers: Workers) -> Iterator[Workers]:
-    """Keep the workers, and their cached stages, from one run to the next."""
+    """Keep the workers and their cached stages for all runs within the block."""
     held: list[Executor] = []
     try:
         yield replace(
@@ -110,7 +110,7 @@ def opened(workers: Workers) -> Iterator[Executor]:
 
 
 def default_count() -> int:
-    """Return one worker per two cores, but two where there are two or three."""
+    """Return one worker per two cores, but two workers for two or three cores."""
     cores = usable_cores()
     return max(min(cores, 2), cores // 2)
 
@@ -123,11 +123,11 @@ def dask_workers(address: str) -> Workers:
     InputError : dask is not installed, or no scheduler answers
     """
     client = _client(address)
-    found = client.scheduler_info(n_workers=-1)["workers"]
+    workers = client.scheduler_info(n_workers=-1)["workers"]
     client.close()
-    if not found:
+    if not workers:
         raise InputError(f"--cluster {address}: found no workers; start dask worker {address}")
-    return Workers(len(found), lambda: _Cluster(address))
+    return Workers(len(workers), lambda: _Cluster(address))
 
 
 class _Cluster(Executor):
@@ -135,7 +135,7 @@ class _Cluster(Executor):
 
     def __init__(self, address: str) -> None:
         self._client = _client(address)
-        # Never pure: Dask would take two batches of the same content for one.
+        # Never pure: Dask would merge two batches of the same content.
         self._executor = self._client.get_executor(pure=False)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":

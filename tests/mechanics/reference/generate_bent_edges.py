@@ -1,9 +1,9 @@
 """Compute the stored solids of sheets bent over a bar's edges: `python generate_bent_edges.py`.
 
 Plane strain, as in `generate_solid_sheets`: a clamped strip lifted by a bar, frictionless, without
-air. Then nothing touches between the edges, and on both sides of an edge the sheet hangs in its
-tension alone. Stored is by how much farther from the middle of the edge that line of tension passes
-than the sheet's middle would on the edge: above the top, and beside the bar. About fifteen minutes.
+air. Then the sheet is free between the edges, and on both sides of an edge it is loaded only by its
+tension. Stored is the distance of that line of tension from the middle of the edge, less that of
+the sheet's middle on the edge: above the top, and next to the bar. About fifteen minutes.
 """
 
 import json
@@ -25,7 +25,7 @@ STORED = Path(__file__).with_name("bent_edges.json")
 WIDTH_MM = 4.81
 # Hoop strain below 1e-4; elements of 0.01 mm would be lost in the coordinates of a wider ring.
 RING_MM = 1e4
-# skfem finds a point of an element to 1e-12 of it, which those coordinates do not hold.
+# skfem locates a point of an element to 1e-12 of it, which those coordinates do not resolve.
 MappingIsoparametric.invF.__defaults__ = (None, 50, 1e-7)
 
 
@@ -35,7 +35,7 @@ class Edge:
     edge_mm: float
     rim_mm: float
     finest_mm: float
-    #: where the sheet's stuff begins that comes to lie on the edge
+    #: start of the part of the sheet that moves onto the edge
     focus_mm: float
     travels_mm: tuple[float, ...]
 
@@ -52,7 +52,7 @@ CASES = (
 
 
 def solve(case):
-    """Return what a case stores at each travel."""
+    """Return the stored values of a case at each travel."""
     sheets.RING_MM, sheets.RIM_MM = RING_MM, case.rim_mm
     sheets.BAR_MM, sheets.EDGE_MM = WIDTH_MM, case.edge_mm
     bar = sheets.Case(case.thickness_mm, "bar")
@@ -67,7 +67,7 @@ def solve(case):
     still = np.zeros_like(body.grid.nodes_mm)
     at = Equilibrium(np.zeros(body.unknowns), contact, 0.0, contact.evaluate(still, 0.0, None), 0)
     options = NewtonOptions(largest_move_mm=case.finest_mm, tolerance=1e-6)
-    problem, found = Problem(body, sheets._free(bar, body), options), []
+    problem, result = Problem(body, sheets._free(bar, body), options), []
     for aim in (0.02, 0.05, *np.arange(1, round(max(case.travels_mm) / 0.1) + 1) * 0.1):
         try:
             at = press_to(problem, at, float(aim))
@@ -75,13 +75,13 @@ def solve(case):
             print(case.name, end, flush=True)
             break
         if np.abs(np.array(case.travels_mm) - aim).min() < 1e-9:
-            found.append(_hanging(case, body, at))
-            print(case.name, found[-1], flush=True)
-    return found
+            result.append(_hanging(case, body, at))
+            print(case.name, result[-1], flush=True)
+    return result
 
 
 def _hanging(case, body, at):
-    """Return the lines of tension on both sides of the edge, beside its middle."""
+    """Return the lines of tension on both sides of the edge, outside its middle."""
     grid = body.grid
     after = (grid.nodes_mm + body.displacement_mm(at.state)).reshape(
         grid.lines_mm[0].size, grid.lines_mm[1].size, 2
@@ -113,7 +113,7 @@ def main():
         }
         for case in CASES
     }
-    lines = (f"{json.dumps(name)}: {json.dumps(one)}" for name, one in stored.items())
+    lines = (f"{json.dumps(name)}: {json.dumps(values)}" for name, values in stored.items())
     STORED.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 

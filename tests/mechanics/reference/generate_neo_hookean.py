@@ -1,7 +1,7 @@
 """Compute the stored large-strain references: `python generate_neo_hookean.py`.
 
 Each case is the full-size axisymmetric neo-Hookean press (44 x 12 elements, frictionless);
-about half a minute per case. Faces are seen at deformed radii, at unit Young's modulus.
+about half a minute per case. Faces are at deformed radii, at unit Young's modulus.
 """
 
 import json

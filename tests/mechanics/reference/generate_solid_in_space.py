@@ -1,11 +1,11 @@
-"""Compute the stored solids in space that sheets are held against: `python ... [case ...]`.
+"""Compute the stored solids in space for comparison with sheets: `python ... [case ...]`.
 
 Neo-Hookean Q2/Q1 bricks (the project's own) of a clamped sheet of 10 x 10 mm over a short bar:
 neither round nor in plane strain. One quarter, by symmetry; frictionless, along exact signed
-distances. Newton's method starts from the sheet's own face and ends where the solid balances.
+distances. Newton's method starts from the sheet's own face and ends at the solid's equilibrium.
 Elements are finest where it touches and at the rim, where the clamp holds the whole thickness.
-Each case is solved on two meshes; what they differ by is stored beside the finer one. Needs
-pypardiso; about ten minutes a case on idle cores.
+Each case is solved on two meshes; their difference is stored with the result of the finer mesh.
+Needs pypardiso; about ten minutes a case on idle cores.
 """
 
 import json
@@ -36,13 +36,13 @@ from twin.shape import SignedDistance
 
 STORED = Path(__file__).with_name("solid_in_space.json")
 PENALTY_OVER_SHEAR = 60.0
-# Along x and y: the corner of the bar, on which the sheet stands.
+# Along x and y: the corner of the bar, which supports the sheet.
 FOCUS_MM = (0.7, 2.2)
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """How finely: mm, where it touches, between, and how many through the thickness."""
+    """Sizes of elements, mm, in the contact and outside, and their number through the thickness."""
 
     finest_mm: float
     coarsest_mm: float
@@ -64,10 +64,12 @@ class DistanceContact:
 
     def evaluate(self, moved_mm, depth_mm, active):
         at = self.surface.trace @ (self.nodes_mm + moved_mm) - [0.0, 0.0, depth_mm]
-        found = [body.evaluate(at, 1.0) for body in self.bodies]
-        nearest = np.argmin([one[0] for one in found], axis=0)
+        distances = [body.evaluate(at, 1.0) for body in self.bodies]
+        nearest = np.argmin([part[0] for part in distances], axis=0)
         point = np.arange(nearest.size)
-        distance, n, bend = (np.stack(parts)[nearest, point] for parts in zip(*found, strict=True))
+        distance, n, bend = (
+            np.stack(parts)[nearest, point] for parts in zip(*distances, strict=True)
+        )
         raw = self.carried - self.penalty * distance
         touching = raw > 0 if active is None else active
         pressure = np.where(touching, raw, 0.0)
@@ -76,7 +78,7 @@ class DistanceContact:
         return push(self.surface, pressure[:, None] * n, stiffness, pressure)
 
     def settle(self, moved_mm, depth_mm):
-        return self  # a tight sheet carries nothing on the flat between the edges: holes are true
+        return self  # a tight sheet has no pressure on the flat between the edges: holes are real
 
     def carry(self, pressure):
         return replace(self, carried=pressure)
@@ -109,9 +111,9 @@ def solve(case: SpaceCase, mesh: Mesh) -> list[dict]:
 
 def _guess(case, travel_mm, nodes_mm):
     """Return the sheet's displacement: where Newton's method starts, not where it ends."""
-    sheet, found = wrapped(case, travel_mm, 0.1)
+    sheet, result = wrapped(case, travel_mm, 0.1)
     x, y, z = (np.unique(along) for along in nodes_mm.T)
-    place, along_x, along_y = sheet.grid.evaluate(found.control_mm, x, y)
+    place, along_x, along_y = sheet.grid.evaluate(result.control_mm, x, y)
     across = np.cross(along_x, along_y)
     up = across / (across**2).sum(axis=-1)[..., None]
     offset = z - case.thickness_mm / 2
@@ -142,7 +144,7 @@ def _free(grid):
 
 
 def _seen(case, body, at):
-    """Return travel, force (N at 1 MPa) and the upper face's rise at the stored places."""
+    """Return travel, force (N at 1 MPa) and the upper face's rise at the stored points."""
     nodes = body.grid.nodes_mm
     top = nodes[:, 2] == body.grid.edges_mm[2][-1]
     after = (nodes + body.displacement_mm(at.state))[top]
@@ -164,9 +166,9 @@ class _Factors:
         self.solver = PyPardisoSolver(mtype=11)
 
     def __call__(self, matrix, right):
-        found = self.solver.solve(sparse.csr_matrix(matrix), right)
+        result = self.solver.solve(sparse.csr_matrix(matrix), right)
         self.solver.free_memory(everything=True)
-        return found
+        return result
 
 
 def main(names):
@@ -176,11 +178,11 @@ def main(names):
         if names and case.name not in names:
             continue
         coarse, fine = (solve(case, mesh) for mesh in (COARSE, FINE))
-        for one, other in zip(coarse, fine, strict=True):
-            faces = [np.array(part["upper_z_mm"]) for part in (one, other)]
-            other["coarser_um"] = round(1e3 * float(np.abs(faces[0] - faces[1]).max()), 2)
-            other["coarser_force"] = round(one["force"] / other["force"] - 1, 5)
-            print({k: v for k, v in other.items() if k != "upper_z_mm"}, flush=True)
+        for coarser, finer in zip(coarse, fine, strict=True):
+            faces = [np.array(part["upper_z_mm"]) for part in (coarser, finer)]
+            finer["coarser_um"] = round(1e3 * float(np.abs(faces[0] - faces[1]).max()), 2)
+            finer["coarser_force"] = round(coarser["force"] / finer["force"] - 1, 5)
+            print({k: v for k, v in finer.items() if k != "upper_z_mm"}, flush=True)
         stored[case.name] = fine
         lines = (f"{json.dumps(name)}: {json.dumps(stored[name])}" for name in sorted(stored))
         STORED.write_text("{\n" + ",\n".join(lines) + "\n}\n")

@@ -1,4 +1,4 @@
-"""Compute the stored solids that sheets are held against: `python generate_solid_sheets.py`.
+"""Compute the stored solids for comparison with sheets: `python generate_solid_sheets.py`.
 
 Neo-Hookean Q2/Q1 elements (the project's own) of a clamped sheet: round under a ball of R 4,
 frictionless or stuck, and in plane strain under a bar. Plane strain is a ring of vast radius: its
@@ -28,7 +28,7 @@ RIM_MM, BALL_MM, TRAVELS_MM = 10.0, 4.0, (0.5, 1.0, 2.0)
 BAR_MM, EDGE_MM = 4.0, 0.3
 POISSON_RATIO = 0.499
 RING_MM = 1e5
-# As the prototype's: penetration stays far below a micrometre after the augmentations.
+# As the prototype's: penetration remains far below a micrometre after the augmentations.
 PENALTY_OVER_SHEAR = 60.0
 
 
@@ -37,7 +37,7 @@ class Case:
     thickness_mm: float
     #: "free" or "stick" under the ball, "bar" in plane strain
     kind: str
-    #: 1: as stored; 2: half the elements' size, to see what is left
+    #: 1: as stored; 2: half the elements' size, for the remaining error
     fineness: float = 1.0
 
     @property
@@ -75,7 +75,7 @@ class BarContact:
         return push(self.surface, pressure[:, None] * n, stiffness, pressure)
 
     def settle(self, moved_mm, depth_mm):
-        return self  # a tight sheet carries nothing on the flat between the edges: holes are true
+        return self  # a tight sheet has no pressure on the flat between the edges: holes are real
 
     def carry(self, pressure):
         return replace(self, carried=pressure)
@@ -86,7 +86,7 @@ def _square(direction):
 
 
 def solve(case):
-    """Return what a case stores."""
+    """Return the stored values of a case."""
     body, element_mm = _body(case)
     surface = body.grid.surface(5)
     contact = _contact(case, body, surface, element_mm)

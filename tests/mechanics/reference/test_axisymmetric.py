@@ -1,6 +1,6 @@
 """Large strain, axisymmetric: consistency, its small-strain limit, and the linear slab against it.
 
-Stored figures come from `generate_neo_hookean.py` (full size); the presses here are coarse.
+Stored figures are from `generate_neo_hookean.py` (full size); the presses here are coarse.
 """
 
 import json
@@ -58,7 +58,7 @@ def test_the_tangent_is_the_residuals_derivative(
 ) -> None:
     body = MixedBody(grid_of(edges), material, moduli(0.49))
     state, direction = np.random.default_rng(0).normal(size=(2, body.unknowns)) * 0.02
-    if body.grid.axes == 2:  # nothing leaves the axis
+    if body.grid.axes == 2:  # the nodes on the axis remain on it
         for vector in (state, direction):
             body.displacement_mm(vector)[body.grid.nodes_mm[:, 0] == 0, 0] = 0
     step = 1e-4
@@ -103,8 +103,8 @@ def test_contact_stiffness_is_the_forces_derivative(friction: float) -> None:
         contact.evaluate(moved + sign * 1e-5 * along, 0.3, active).force for sign in (1, -1)
     )
     expected = -(ahead - behind) / 2e-5
-    found = contact.evaluate(moved, 0.3, active).stiffness @ along.ravel()
-    np.testing.assert_allclose(found, expected, atol=1e-5 * abs(expected).max())
+    result = contact.evaluate(moved, 0.3, active).stiffness @ along.ravel()
+    np.testing.assert_allclose(result, expected, atol=1e-5 * abs(expected).max())
 
 
 def test_small_strain_mode_is_the_fredholm_solution() -> None:
@@ -155,7 +155,7 @@ def test_sticking_stiffens_the_press_but_hardly_moves_the_face(coarse: Axisymmet
 
 def test_pressure_carries_the_force(coarse: AxisymmetricPress) -> None:
     r, p = coarse.contact_r_mm, coarse.pressure_over_modulus
-    # On the ball the normal leans: its share along the press is the cosine of the slope.
+    # On the ball the normal is inclined: its component along the press is the cosine of the slope.
     force = np.trapezoid(2 * np.pi * np.append(0, r) * np.append(p[0], p), np.append(0, r))
     assert force == pytest.approx(coarse.force_over_modulus_mm2, rel=0.02)
 

@@ -58,7 +58,7 @@ def test_the_mesh_fills_its_box_exactly(block: Tetrahedra) -> None:
 
 
 def test_vertices_snapped_onto_one_another_become_one() -> None:
-    # Two vertices on either side of a box edge, as pytetwild leaves them in one mesh of twenty.
+    # Two vertices on either side of a box edge, as in one of twenty pytetwild meshes.
     box = trimesh.creation.box((2.0, 2.0, 2.0))
     near = np.array(
         [(-1, -0.9985, 0), (-0.997, -1, 0), (-1, -1, 1), (-1, -1, -1), (0, 0, 0)], float
@@ -66,11 +66,11 @@ def test_vertices_snapped_onto_one_another_become_one() -> None:
     far = np.array([(1, -1, 0.5), (-1, 1, 0.5)], float)
     cells = np.array([[0, 1, 2, 4], [1, 0, 3, 4], [1, 5, 2, 4], [0, 2, 6, 4]])
     snapped = tetrahedra._snap(np.vstack((near, far)), box, 0.01)
-    points, kept = tetrahedra._collapse(snapped, cells, 1e-9)
+    points, remaining = tetrahedra._collapse(snapped, cells, 1e-9)
     np.testing.assert_array_equal(snapped[0], snapped[1])
     assert len(points) == 5
-    assert len(kept) == 2
-    assert (np.abs(tetrahedra._volumes(points, kept)) > 0.1).all()
+    assert len(remaining) == 2
+    assert (np.abs(tetrahedra._volumes(points, remaining)) > 0.1).all()
 
 
 def test_patch_of_uniform_strain_is_in_equilibrium(block: Tetrahedra) -> None:
@@ -100,8 +100,8 @@ def test_a_bar_stretches_by_its_modulus(block: Tetrahedra) -> None:
 def test_free_slab_is_the_spectral_one(free_slab: PressedElastomer) -> None:
     """20 x 20 x 4, R 4, d 1, coarse: force 0.8 %, far face 2 um RMS (full size: 0.1 %, 1.5 um max).
 
-    No two meshes are alike. Over 16 of them force was off by 0.13 % (standard deviation), the face
-    by 0.64 +- 0.20 um RMS and 3.1 +- 0.8 um at most, the contact by 8 %: limits lie six of these
+    No two meshes are equal. Over 16 of them force was off by 0.13 % (standard deviation), the face
+    by 0.64 +- 0.20 um RMS and 3.1 +- 0.8 um at most, the contact by 8 %: limits are six of these
     beyond.
     """
     spectral = press(Ball(), SLAB, TO_DEPTH)
@@ -172,7 +172,7 @@ def test_a_domed_pad_from_cad_is_pressed_by_a_ball(tmp_path: Path) -> None:
     middle = np.array([0.0])
     row = np.abs(pressed.face_y_mm).argmin()
     z = np.interp(middle, pressed.face_x_mm, pressed.face_z_mm[row])
-    # The coat lies on the ball, as far as a dome of 1.1 mm facets can: their sag is 10 um.
+    # The coat is on the ball, as far as a dome of 1.1 mm facets can be: their sag is 10 um.
     assert z == pytest.approx(0.5, abs=0.02)
     edge = np.interp(5.5, pressed.face_x_mm, pressed.face_z_mm[row])
     assert edge == pytest.approx(16 - np.sqrt(16**2 - 5.5**2), abs=0.05)
@@ -182,7 +182,7 @@ def test_a_domed_pad_from_cad_is_pressed_by_a_ball(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("child", "message"),
     [
-        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "died by SIGSEGV"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "ended by SIGSEGV"),
         ("import time; time.sleep(60)", "no mesh within 1 s"),
         ("raise ValueError('spoiled')", "failed .*spoiled"),
         (

@@ -55,11 +55,11 @@ def test_a_thick_layer_is_a_half_space() -> None:
     ],
 )
 def test_force_over_hertz_is_the_independent_prototype(chi: float, nu: float, ratio: float) -> None:
-    """Ratios of an implementation of our own made before this one."""
+    """Ratios of an independent earlier implementation of our own."""
     depth = (chi * THICKNESS) ** 2 / RADIUS
     ball = press_ball(RADIUS, depth, THICKNESS, nu, profile="paraboloid")
-    found = ball.force_over_modulus_mm2 / hertz_force(RADIUS, depth, nu)
-    assert found == pytest.approx(ratio, rel=1e-5)
+    result = ball.force_over_modulus_mm2 / hertz_force(RADIUS, depth, nu)
+    assert result == pytest.approx(ratio, rel=1e-5)
 
 
 @pytest.mark.parametrize("base", ["bonded", "slip"])

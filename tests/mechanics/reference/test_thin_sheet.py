@@ -1,4 +1,4 @@
-"""Large strain in space: its small-strain limit, and what a linear slab leaves out of a sheet."""
+"""Large strain in space: its small-strain limit, and the stretching that a linear slab neglects."""
 
 import numpy as np
 import pytest
@@ -42,8 +42,8 @@ def test_contact_stiffness_is_the_forces_derivative(linear: bool) -> None:
     )
     expected = -(ahead - behind) / 2e-5
     assert pushed.active.sum() > 0
-    found = pushed.stiffness @ along.ravel()
-    np.testing.assert_allclose(found, expected, atol=1e-5 * abs(expected).max())
+    result = pushed.stiffness @ along.ravel()
+    np.testing.assert_allclose(result, expected, atol=1e-5 * abs(expected).max())
 
 
 def test_small_strain_mode_is_the_spectral_slab() -> None:
@@ -51,41 +51,41 @@ def test_small_strain_mode_is_the_spectral_slab() -> None:
     slab = SHEET.model_copy(update={"thickness_mm": 3.0})
     specimen, to_depth = Ball(x_mm=1.5), load(control="depth", depth_mm=0.6)
     bricks = Bricks(half=4, through=2, contact=2.0, steps=1)
-    found = press_neo_hookean(specimen, slab, to_depth, bricks=bricks, linear=True)
+    result = press_neo_hookean(specimen, slab, to_depth, bricks=bricks, linear=True)
     spectral = press(specimen, slab, to_depth)
-    assert found.force_n == pytest.approx(spectral.force_n, rel=0.04)
-    np.testing.assert_allclose(found.face_z_mm, spectral.face_z_mm, atol=0.01)
-    assert np.sqrt(np.mean((found.face_z_mm - spectral.face_z_mm) ** 2)) < 5e-3
-    cell_mm2 = float(found.x_mm[1] - found.x_mm[0]) * float(found.y_mm[1] - found.y_mm[0])
-    force_n = found.pressure_kpa.sum() * cell_mm2 * 1e-3
-    assert found.force_n == pytest.approx(force_n, rel=1e-6)
+    assert result.force_n == pytest.approx(spectral.force_n, rel=0.04)
+    np.testing.assert_allclose(result.face_z_mm, spectral.face_z_mm, atol=0.01)
+    assert np.sqrt(np.mean((result.face_z_mm - spectral.face_z_mm) ** 2)) < 5e-3
+    cell_mm2 = float(result.x_mm[1] - result.x_mm[0]) * float(result.y_mm[1] - result.y_mm[0])
+    force_n = result.pressure_kpa.sum() * cell_mm2 * 1e-3
+    assert result.force_n == pytest.approx(force_n, rel=1e-6)
 
 
 def test_a_sheet_that_deflects_by_its_thickness_stretches() -> None:
     """Span 20, h 1, R 4, d 1: full size F / E = 0.0296, the linear slab's force is 23 % lower."""
     to_depth = load(control="depth", depth_mm=0.999)
-    found, spectral = (
+    result, spectral = (
         press_neo_hookean(Ball(), SHEET, to_depth, bricks=COARSE),
         press(Ball(), SHEET, to_depth),
     )
-    assert found.force_n == pytest.approx(0.0296, rel=0.05)
-    assert 0.70 < spectral.force_n / found.force_n < 0.80
+    assert result.force_n == pytest.approx(0.0296, rel=0.05)
+    assert 0.70 < spectral.force_n / result.force_n < 0.80
     # The face's shape errs by far less than the force: the depth is given.
-    error_mm = found.face_z_mm - spectral.face_z_mm
+    error_mm = result.face_z_mm - spectral.face_z_mm
     assert 5e-3 < np.sqrt(np.mean(error_mm**2)) < 20e-3
-    np.testing.assert_allclose(found.face_z_mm, found.face_z_mm[:, ::-1], atol=1e-6)
-    # The rim's coated edge turns outwards: the span's end sees a point a little inside of it.
-    assert np.abs(found.face_z_mm[[0, -1]]).max() < 5e-3
-    assert spectral.validity.warnings != found.validity.warnings == ()
+    np.testing.assert_allclose(result.face_z_mm, result.face_z_mm[:, ::-1], atol=1e-6)
+    # The rim's coated edge turns outwards: the span's end shows a point slightly inside of it.
+    assert np.abs(result.face_z_mm[[0, -1]]).max() < 5e-3
+    assert spectral.validity.warnings != result.validity.warnings == ()
 
 
 def test_force_control_meets_the_force() -> None:
     with_force = load(control="force", force_n=0.01)
     bricks = Bricks(half=4, contact=1.5, steps=2)
-    found = press_neo_hookean(Ball(), SHEET, with_force, bricks=bricks)
-    assert found.force_n == pytest.approx(0.01, rel=1e-3)
+    result = press_neo_hookean(Ball(), SHEET, with_force, bricks=bricks)
+    assert result.force_n == pytest.approx(0.01, rel=1e-3)
     linear_depth_mm = press(Ball(), SHEET, with_force).depth_mm
-    assert 0.7 < found.depth_mm / linear_depth_mm < 1
+    assert 0.7 < result.depth_mm / linear_depth_mm < 1
 
 
 def test_preloads_are_refused_in_one_line() -> None:
@@ -95,14 +95,14 @@ def test_preloads_are_refused_in_one_line() -> None:
 
 
 def test_a_sheet_may_travel_farther_than_it_is_thick() -> None:
-    """Solid elements know no such limit; a pad on its window does."""
+    """Solid elements have no such limit; a pad on its window has it."""
     deep = load(control="depth", depth_mm=1.4)
     bricks = Bricks(half=4, contact=1.5, steps=2)
-    found = press_neo_hookean(Ball(), SHEET, deep, bricks=bricks)
+    result = press_neo_hookean(Ball(), SHEET, deep, bricks=bricks)
     linear = press(Ball(), SHEET, deep, any_depth=True)
-    # The tension of the bent sheet, which the linear slab leaves out, makes up for half of it.
-    assert 0.5 < linear.force_n / found.force_n < 0.7
-    assert found.face_z_mm.max() == pytest.approx(1.4, abs=0.05)
+    # The tension of the bent sheet, which the linear slab neglects, is about 50 % of it.
+    assert 0.5 < linear.force_n / result.force_n < 0.7
+    assert result.face_z_mm.max() == pytest.approx(1.4, abs=0.05)
     pad = SHEET.model_copy(update={"layout": "contact_face"})
     with pytest.raises(PressError, match="not less than the slab's thickness"):
         press_neo_hookean(Ball(), pad, deep, bricks=bricks)

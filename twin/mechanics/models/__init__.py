@@ -57,7 +57,7 @@ class PressInput:
 
         Raises
         ------
-        PressError : the linear slab cannot be pressed so
+        PressError : the linear slab cannot make this press
         SolverError : the solution did not converge
         """
         if isinstance(self._linear, PressError):
@@ -78,14 +78,14 @@ class PressInput:
 
         Raises
         ------
-        PressError : as `linear`, which this rests on
+        PressError : as `linear`, from which it is computed
         """
         bent = self.linear.validity.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT
         return bent and self.elastomer.layout == "opposite_face"
 
 
 class SettledPress(Protocol):
-    """A press whose equilibrium the solver keeps, for derivatives."""
+    """A press with its equilibrium, for derivatives."""
 
     def result(self) -> PressedElastomer:
         """Return the press."""
@@ -95,13 +95,13 @@ class SettledPress(Protocol):
 
 
 class ElastomerModel(elastomer_models.ModelFields):
-    """What each elastomer model states; a model overrides `press` and where it differs."""
+    """Interface of an elastomer model; a model overrides `press`, and the rest if it differs."""
 
     refuses_sheet_keys: ClassVar[bool] = True
     """Whether tack, friction, pre-stretch, a round frame or a soft rim are errors."""
 
     wraps: ClassVar[bool] = False
-    """Whether the coat is a thin sheet that wraps the object, from which the object is found."""
+    """Whether the coat is a thin sheet that wraps the object and determines its shape."""
 
     is_linear_slab: ClassVar[bool] = False
     """Whether it is the exact linear slab: the modulus only scales pressure and force of a press to
@@ -111,14 +111,14 @@ class ElastomerModel(elastomer_models.ModelFields):
     """Cause of `Validity.height_error_mm`, for reports."""
 
     def applies(self, case: PressInput) -> bool:
-        """Whether `auto` may select the model; nothing is solved."""
+        """Whether `auto` may select the model; does not solve."""
         return True
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
         """Return the expected error of the coated face's heights; None: outside the tested range.
 
-        `auto` selects the model with the least one. `case.linear` is there for estimates from the
-        linear solution: it is solved once for all models.
+        `auto` selects the model with the least error. `case.linear` is the linear solution, for
+        estimates that need it: it is solved once for all models.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class ElastomerModel(elastomer_models.ModelFields):
         return None
 
     def check(self, case: PressInput) -> None:
-        """Raise what the model cannot press, before any work.
+        """Raise an error if the model cannot press this, before any work.
 
         Raises
         ------
@@ -142,13 +142,13 @@ class ElastomerModel(elastomer_models.ModelFields):
 
         Raises
         ------
-        PressError : what only the solution shows, and what to change
+        PressError : the solution is outside the model's range; the message states the remedy
         SolverError : the solution did not converge
         """
         raise NotImplementedError(f"{type(self).__name__}.press")
 
     def settle(self, case: PressInput, progress: Progress | None = None) -> SettledPress:
-        """Press, and keep the equilibrium for derivatives.
+        """Press, and return the equilibrium for derivatives.
 
         Raises
         ------
@@ -158,8 +158,8 @@ class ElastomerModel(elastomer_models.ModelFields):
         low, high = SHEET_THICKNESS_MM
         raise PressError(
             f"mechanics.model: found '{self.name}', which has no derivatives; the thin sheet has "
-            f"(opposite_face, no film, {low:g} to {high:g} mm); twin sweep shows what another "
-            "model does"
+            f"(opposite_face, no film, {low:g} to {high:g} mm); twin sweep computes differences of "
+            "any model"
         )
 
 
@@ -168,7 +168,7 @@ MODELS = cast("Registry[ElastomerModel]", elastomer_models.MODELS)
 
 
 def model_of(pressed: str) -> ElastomerModel:
-    """Return the model that pressed, by its name; a plain one if it is not installed."""
+    """Return the model of a result, by its name; a plain one if it is not installed."""
     return MODELS[pressed] if pressed in MODELS else ElastomerModel()
 
 
@@ -185,7 +185,7 @@ def sheet_keys(elastomer: Elastomer) -> list[str]:
 
 
 def refuse_sheet_keys(elastomer: Elastomer, model: str) -> None:
-    """Raise a key that only a thin sheet models.
+    """Raise an error for a key that only a thin sheet models.
 
     Raises
     ------
@@ -196,5 +196,5 @@ def refuse_sheet_keys(elastomer: Elastomer, model: str) -> None:
         low, high = SHEET_THICKNESS_MM
         raise PressError(
             f"elastomer.{keys[0]}: found {getattr(elastomer, keys[0])!r}, which the {model} model "
-            f"does not know; use the sheet model (opposite_face, no film, {low:g} to {high:g} mm)"
+            f"lacks; use the sheet model (opposite_face, no film, {low:g} to {high:g} mm)"
         )

@@ -1,7 +1,6 @@
 """The `fem` model: tetrahedra, for other supports and pads from CAD.
 
-See `twin.mechanics.reference`; scikit-fem and the mesher are loaded when something is checked or
-pressed.
+See `twin.mechanics.reference`; scikit-fem and the mesher are loaded at the first check or press.
 """
 
 from typing import TYPE_CHECKING
@@ -28,7 +27,7 @@ class FemModel(ElastomerModel):
     refuses_sheet_keys = False  # a pad from CAD is not the elastomer that they describe
 
     def check(self, case: PressInput) -> None:
-        """Raise a film, a support that does not fit the layout, or a pad that cannot be read."""
+        """Raise an error for a film, an unsuitable support, or a pad that cannot be read."""
         from twin.mechanics.reference.fem import check_fem
 
         check_fem(case.elastomer, case.mechanics.support)

@@ -13,7 +13,7 @@ from twin.mechanics.validity import SHEET_LIMIT, sheet_estimate_mm
 
 
 class NeoHookeanModel(ElastomerModel):
-    """Neo-Hookean bricks; they have neither film nor back pressure nor weight."""
+    """Neo-Hookean bricks, without film, back pressure and weight."""
 
     name = "neo_hookean"
     summary = "solid elements at large strain, for thick slabs and deep presses"
@@ -27,7 +27,7 @@ class NeoHookeanModel(ElastomerModel):
         return plain and elastomer.layout == "opposite_face"
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
-        """Return the error of a sheet at its limit, beyond which bricks were found to be better.
+        """Return the error of a sheet at its limit, beyond which bricks are more accurate.
 
         None: the elastomer does not stretch, and bricks are the coarser model.
         """
@@ -35,7 +35,7 @@ class NeoHookeanModel(ElastomerModel):
         return limit_mm if case.stretches else None
 
     def check(self, case: PressInput) -> None:
-        """Raise film, back pressure, weight and what no slab can be; any travel is allowed."""
+        """Raise an error for film, back pressure or weight, or an impossible slab; any travel."""
         from twin.mechanics.reference.neo_hookean import check_neo_hookean
 
         refuse_sheet_keys(case.elastomer, self.name)

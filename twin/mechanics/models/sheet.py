@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class SheetModel(ElastomerModel):
-    """A thin sheet with finite rotation and stretch; it leaves out shear through its thickness."""
+    """A thin sheet with finite rotation and stretch; it neglects shear through its thickness."""
 
     name = "sheet"
     summary = "0.05 to 1 mm thick, wraps the specimen"
@@ -45,17 +45,17 @@ class SheetModel(ElastomerModel):
         return sheet_estimate_mm(thickness_mm, ratio) if wraps else None
 
     def check(self, case: PressInput) -> None:
-        """Raise what a thin sheet cannot be."""
+        """Raise an error if a thin sheet does not describe the press."""
         from twin.mechanics.sheet.case import check_sheet
 
         check_sheet(case.shape, case.elastomer, case.load, case.mechanics)
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
-        """Return the sheet in equilibrium; it goes on from a kept one of the same case."""
+        """Return the sheet in equilibrium; starts from a cached one of the same case."""
         return _settled(case, progress).result()
 
     def settle(self, case: PressInput, progress: Progress | None = None) -> "SettledWithTangent":
-        """Press, and keep the sheet."""
+        """Press, and return the sheet with its tangent."""
         return SettledWithTangent(_settled(case, progress))
 
 
@@ -81,8 +81,8 @@ class SettledWithTangent:
 
         Raises
         ------
-        PressError : the sheet sticks, or the change lays it out again
-        SolverError : other equilibria are near this one
+        PressError : the sheet sticks, or the change needs another sheet or grid
+        SolverError : the equilibrium is close to another one
         """
         return self._neighbourhood.press(case.mechanics, case.specimen, case.elastomer, case.load)
 

@@ -13,7 +13,7 @@ class SpectralModel(ElastomerModel):
     is_linear_slab = True
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
-        """Return the effect of large strain; None: stretching is left out, and it counts."""
+        """Return the effect of large strain; None: stretching, which it neglects, matters."""
         return None if case.stretches else case.linear.validity.height_error_mm
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:

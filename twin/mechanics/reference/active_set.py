@@ -1,4 +1,4 @@
-"""Frictionless contact at scattered points with a body that answers one load at a time.
+"""Frictionless contact at scattered points with a body that is solved for one load at a time.
 
 A primal-dual active set (Hintermueller, M., Ito, K., Kunisch, K. (2002): The primal-dual active
 set strategy as a semismooth Newton method. SIAM J. Optim. 13, 865-888), independent of the
@@ -26,7 +26,7 @@ _ROUGH, _FINE = 1e-3, 1e-6
 # (1 - nu^2) / pi at nu = 0.5
 _HALF_SPACE = 0.75 / np.pi
 _FIRST_POINTS = 12
-# Passes without slack, and then the force over the largest and the gap over the depth to overlook.
+# Passes without slack; then the force over the largest, and the gap over the depth, to neglect.
 _PATIENCE, _SLACK = 12, 1e-4
 
 
@@ -37,19 +37,19 @@ class PointContact:
     #: (point,) force over Young's modulus, mm^2
     force: FloatArray
     depth_mm: float
-    #: loads that the body answered
+    #: number of loads for which the body was solved
     loads: int
 
 
 @dataclass(frozen=True)
 class ContactPoints:
-    """Where contact is possible."""
+    """Points where contact is possible."""
 
     #: (point, node) sparse: deflections of the face's nodes to those of the points
     trace: sparse.csr_array
     #: (node, xyz) of which only those in `trace` matter
     nodes_mm: FloatArray
-    #: (point,) yielding of the foundation under a force over modulus, mm per mm^2
+    #: (point,) compliance of the foundation under a force over modulus, mm per mm^2
     yielding: FloatArray
     #: (point,) gap at first touch, inf where there is never contact
     gap_mm: FloatArray
@@ -70,12 +70,12 @@ def press_points(
 
     Raises
     ------
-    PressError : nothing touches
-    SolverError : the contact set did not settle
+    PressError : no point touches
+    SolverError : the contact set did not converge
     """
     known = np.isfinite(points.gap_mm)
     gap = np.where(known, points.gap_mm, 0.0)
-    # Half the depth is about what a ball touches; a force starts with a handful of points.
+    # A ball touches where its gap is below about half the depth; a force starts with a few points.
     foremost = float(np.sort(gap[known])[:_FIRST_POINTS][-1])
     active = known & (gap <= max(0.5 * (depth_mm or 0.0), foremost))
     force = closing = lifting = np.zeros_like(gap)
@@ -96,15 +96,15 @@ def press_points(
             force = closing + depth * lifting
         loads += solve.loads + 1
         raised = deflect(force) + gap - depth
-        # Late passes overlook what is too little to matter: else two neighbours may take turns.
+        # Late passes neglect small violations: otherwise two neighbours may alternate.
         slack = _SLACK if passes > _PATIENCE else 0.0
-        wanted = np.where(active, force > -slack * force.max(), (raised < -slack * depth) & known)
-        settled = np.array_equal(wanted, active)
+        touching = np.where(active, force > -slack * force.max(), (raised < -slack * depth) & known)
+        settled = np.array_equal(touching, active)
         if settled and tolerance == _FINE:
             return PointContact(np.maximum(force, 0.0), depth, loads)
         if settled or passes >= _PATIENCE:
             tolerance = _FINE
-        active = wanted
+        active = touching
     raise SolverError(
         f"press: the contact set did not settle within {_MAX_PASSES} passes; use a finer mesh"
     )
@@ -119,14 +119,14 @@ class _ActiveSolve:
         self.deflect, self.active, self.tolerance, self.loads = deflect, active, tolerance, 0
         trace = sparse.csr_array(points.trace[active])
         nodes = np.unique(trace.indices)
-        apart = np.linalg.norm(points.nodes_mm[nodes][:, None] - points.nodes_mm[nodes], axis=-1)
-        # A node stands for a disc that reaches half way to the next node, with a mean compliance
-        # as at half the disc's radius.
-        nearest = np.where(apart > 0, apart, np.inf).min(axis=1)
-        np.fill_diagonal(apart, nearest / 4)
+        distance = np.linalg.norm(points.nodes_mm[nodes][:, None] - points.nodes_mm[nodes], axis=-1)
+        # A node represents a disc that reaches half way to the next node, with the mean compliance
+        # at half the disc's radius.
+        nearest = np.where(distance > 0, distance, np.inf).min(axis=1)
+        np.fill_diagonal(distance, nearest / 4)
         dense = trace[:, nodes].toarray()
-        guess = dense @ (_HALF_SPACE / apart) @ dense.T + np.diag(points.yielding[active])
-        # The body as a whole gives way, too: one load tells how much.
+        guess = dense @ (_HALF_SPACE / distance) @ dense.T + np.diag(points.yielding[active])
+        # The body as a whole yields as well: one load determines by how much.
         even = np.full(guess.shape[0], 1 / guess.shape[0])
         whole = float(even @ (self._deflected(even) - guess @ even))
         self.factor = cho_factor(guess + max(whole, 0.0), lower=True)

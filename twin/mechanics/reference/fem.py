@@ -45,15 +45,15 @@ class Face:
         z = self.nodes_mm[self.facets.nodes, 2]
         if np.ptp(z) < _FLAT_MM:
             return np.full(np.shape(x_mm), float(z.mean()))
-        return _seen(self._rest, x_mm, y_mm)
+        return _within(self._rest, x_mm, y_mm)
 
     def deflection_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
         """Return the displacement along z at points (...), continuously differentiable."""
-        return _seen(self._raised, x_mm, y_mm)
+        return _within(self._raised, x_mm, y_mm)
 
     @cached_property
     def _rest(self) -> CloughTocher2DInterpolator:
-        # Vertices alone: midpoints of the straight edges lie below a curved face.
+        # Vertices only: midpoints of the straight edges are below a curved face.
         return _surface(self.nodes_mm, self.nodes_mm[:, 2], np.unique(self.facets.nodes[:, :3]))
 
     @cached_property
@@ -101,7 +101,7 @@ def press_pad(
 
     Raises
     ------
-    PressError : a selector chooses nothing, or the specimen misses the pad
+    PressError : a selector chooses no facet, or the specimen misses the pad
     SolverError : the contact did not converge
     """
     body = ElasticBody(mesh, pad.poisson_ratio, pad.holds)
@@ -135,7 +135,7 @@ def _preloaded(body: ElasticBody, touched: Facets, coated: Facets, preload: Prel
 def _deflect(
     body: ElasticBody, facets: Facets, yielding: FloatArray, force: FloatArray
 ) -> FloatArray:
-    """Return what a face and its foundation deflect under forces at the integration points."""
+    """Return the deflection of a face and its foundation under forces at integration points."""
     moved = body.solve(_thrust(body, facets, force))
     return np.asarray(facets.trace @ moved[:, 2] + yielding * force)
 
@@ -148,14 +148,14 @@ def _thrust(body: ElasticBody, facets: Facets, force: FloatArray) -> FloatArray:
 
 
 def _gap(shape: Shape, face: Face) -> FloatArray:
-    """Return the integration points' gaps at first touch, inf beside."""
+    """Return the integration points' gaps at first touch, inf outside the specimen."""
     x, y = face.facets.points_mm[:, :2].T
     reach = 2 * np.abs(face.nodes_mm[:, :2]).max(axis=0)
     field = sample(shape, *reach)
     gap = field.value(x, y) + face.undeformed_mm(x, y)
     if not np.isfinite(gap).any():
-        raise PressError("specimen: lies beside the pad's touched face; move it")
-    # First touch lies between the points: sample the facets near it densely.
+        raise PressError("specimen: outside the pad's touched face; move it")
+    # First touch is between the points: sample the facets near it densely.
     per_facet = gap.reshape(face.facets.nodes.shape[0], -1).min(axis=1)
     near = face.facets.nodes[np.argsort(per_facet)[:40], :3]
     i, j = np.indices((_SAMPLES_PER_FACET + 1,) * 2) / _SAMPLES_PER_FACET
@@ -171,8 +171,8 @@ def _surface(
     return CloughTocher2DInterpolator(nodes[chosen, :2], values[chosen])
 
 
-def _seen(surface: CloughTocher2DInterpolator, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-    """Evaluate within the surface's outline in plan; points on the rim are pulled in a little."""
+def _within(surface: CloughTocher2DInterpolator, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
+    """Evaluate within the surface's outline in plan; points on the rim are moved slightly in."""
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
     inside = [
         np.clip(at, a + 1e-7 * (b - a), b - 1e-7 * (b - a))
@@ -192,17 +192,17 @@ def press_fem(
     count: int = DEFAULT_COUNT,
     timeout_s: float = 60.0,
 ) -> PressedElastomer:
-    """Press `specimen` into `elastomer` as `load` says, by P2/P1 tetrahedra.
+    """Press `specimen` into `elastomer` by `load`, with P2/P1 tetrahedra.
 
     Parameters
     ----------
     elastomer : slab; with a `pad` only its modulus, layout and outline (for the grids) matter
     load : depth or force, preloads and pitches, as for the spectral press
-    support : {"simple", "clamped", "ledge", "bonded", "window"}; what holds the slab; by default a
+    support : {"simple", "clamped", "ledge", "bonded", "window"}; support of the slab; by default a
         simple rim (opposite face) or the window behind a finite pad with free sides (contact face)
     ledge_mm : width of the frame on which a slab on a `ledge` rests, beyond its free span
-    pad : another body than the slab
-    count : about how many tetrahedra
+    pad : a body of another shape in place of the slab
+    count : approximate number of tetrahedra
 
     Returns
     -------
@@ -210,7 +210,7 @@ def press_fem(
 
     Raises
     ------
-    PressError : the specimen lies beside the pad, a film, or a support that does not fit the layout
+    PressError : the specimen is outside the pad, a film, or an unsuitable support for the layout
     SolverError : meshing failed, or the contact did not converge
     """
     check_fem(elastomer, support)
@@ -222,22 +222,20 @@ def press_fem(
     mesh = mesh_pad(shape, body, depth_guess, count=count, timeout_s=timeout_s)
     preload = preload_of(elastomer, load, modulus_kpa)
     aim = {"depth_mm": load.depth_mm, "force_over_modulus_mm2": force}
-    found = press_pad(shape, body, mesh, preload=preload, **aim)
-    check_depth(found.depth_mm, elastomer)
-    return on_grids(_scattered(found), shape, elastomer, load, modulus_kpa)
+    solved = press_pad(shape, body, mesh, preload=preload, **aim)
+    check_depth(solved.depth_mm, elastomer)
+    return on_grids(_scattered(solved), shape, elastomer, load, modulus_kpa)
 
 
 def check_fem(elastomer: Elastomer, support: SlabSupport | None) -> None:
-    """Refuse what this model does not know.
+    """Raise an error for a film or an unsuitable support.
 
     Raises
     ------
     PressError : a film, or a support that does not fit the layout
     """
     if elastomer.film is not None:
-        raise PressError(
-            "elastomer.film: mechanics.model = 'fem' knows no film; remove one of them"
-        )
+        raise PressError("elastomer.film: mechanics.model = 'fem' has no film; remove one of them")
     on_window = elastomer.layout == "contact_face"
     chosen = _support(elastomer, support)
     if (chosen in ("bonded", "window")) != on_window:
@@ -258,17 +256,17 @@ def _depth_guess(shape: Shape, elastomer: Elastomer, force_over_modulus_mm2: flo
     return min(hertz, 0.5 * elastomer.thickness_mm)
 
 
-def _scattered(found: PadPress) -> Scattered:
-    facets = found.touched.facets
+def _scattered(pressed: PadPress) -> Scattered:
+    facets = pressed.touched.facets
     return Scattered(
-        touched=lambda x, y: _deformed(found.touched, x, y),
-        coated=lambda x, y: _deformed(found.coated, x, y),
+        touched=lambda x, y: _deformed(pressed.touched, x, y),
+        coated=lambda x, y: _deformed(pressed.coated, x, y),
         at_mm=facets.points_mm[:, :2],
-        force=found.pressure_over_modulus * facets.plan_mm2,
+        force=pressed.pressure_over_modulus * facets.plan_mm2,
         plan_mm2=facets.plan_mm2,
         points_per_facet=facets.plan_mm2.size // facets.nodes.shape[0],
-        depth_mm=found.depth_mm,
-        iterations=found.iterations,
+        depth_mm=pressed.depth_mm,
+        iterations=pressed.iterations,
     )
 
 

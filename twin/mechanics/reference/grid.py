@@ -60,13 +60,13 @@ class ElementGrid:
 
     @cached_property
     def element_corners(self) -> IntArray:
-        """(element, 2^axes) pressure nodes, numbered apart from the displacement's."""
+        """(element, 2^axes) pressure nodes, numbered separately from the displacement's."""
         return np.asarray(self._pressure.element_dofs.T, dtype=np.int64)
 
     @cached_property
     def corner_shapes(self) -> FloatArray:
         """(point, 2^axes) pressure shape functions at the integration points."""
-        # Shape functions of a grid's elements differ by scale alone: those of the first do.
+        # Shape functions of a grid's elements differ only by scale: those of the first do for all.
         return np.stack([np.asarray(shape[0])[0] for shape in self._pressure.basis], axis=-1)
 
     @cached_property
@@ -92,7 +92,7 @@ class ElementGrid:
     def surface(self, gauss: int) -> "Surface":
         """Return the touched face (z = 0) with `gauss` integration points per element and axis.
 
-        Points follow one another facet by facet, ascending in the first axis, then in the second.
+        Points are in order, facet by facet, ascending in the first axis, then in the second.
         """
         low = self._mesh.facets_satisfying(lambda at: np.isclose(at[-1], self.edges_mm[-1][0]))
         quadratic = self.displacement_element()
@@ -115,7 +115,7 @@ class ElementGrid:
 
     @cached_property
     def _node_of_unknown(self) -> IntArray:
-        """Number in the grid of scikit-fem's unknowns, by where they are."""
+        """Number in the grid of scikit-fem's unknowns, by their position."""
         places = zip(self.lines_mm, self._displacement.doflocs, strict=True)
         halfway = [((line[1:] + line[:-1]) / 2, at) for line, at in places]
         numbers = tuple(np.searchsorted(between, at) for between, at in halfway)
@@ -144,9 +144,9 @@ def trace_of(face: Any, nodes: IntArray, count: int) -> sparse.csr_array:
 
     Parameters
     ----------
-    face : facet basis of scikit-fem; its points follow one another facet by facet
+    face : facet basis of scikit-fem; its points are in order, facet by facet
     nodes : (facet, shape) nodes of the elements behind the facets
-    count : of all nodes
+    count : number of all nodes
     """
     values = np.stack([np.asarray(shape[0]) for shape in face.basis], axis=-1)
     columns = np.broadcast_to(nodes[:, None], values.shape).ravel()
@@ -159,14 +159,14 @@ def trace_of(face: Any, nodes: IntArray, count: int) -> sparse.csr_array:
 
 
 def graded(length_mm: float, count: int, ratio: float) -> FloatArray:
-    """Return count + 1 edges on 0..length whose steps grow by `ratio`."""
+    """Return count + 1 edges on 0..length with steps that increase by the factor `ratio`."""
     steps = ratio ** np.arange(count)
     edges: FloatArray = np.concatenate(([0.0], np.cumsum(steps)))
     return edges * (length_mm / float(steps.sum()))
 
 
 def _in_order(face: Any) -> IntArray:
-    """Return the order of a face's points: facets by their centres, points within by place."""
+    """Return the order of a face's points: facets by their centres, then points by position."""
     at = np.asarray(face.global_coordinates())[-2::-1]
     centres = np.broadcast_to(at.mean(axis=2, keepdims=True), at.shape)
     # The last key counts first; rounded, as points of one line differ in their last digits.

@@ -1,7 +1,7 @@
 """Rubber in mixed form: neo-Hookean and small-strain material, residual and tangent of a body.
 
 At unit Young's modulus: residuals are forces and volumes. Unknowns: displacements node by node,
-then pressures, whatever the elements. Symbols: F deformation gradient, J = det F, mu shear modulus,
+then pressures, for any elements. Symbols: F deformation gradient, J = det F, mu shear modulus,
 K bulk modulus, p pressure-like unknown (the hydrostatic part; tension is positive), P first
 Piola-Kirchhoff stress, cof = J F^-T = dJ/dF.
 
@@ -29,7 +29,7 @@ from twin.mechanics.reference.grid import ElementGrid
 
 @dataclass(frozen=True)
 class Response:
-    """What a material point answers, at unit Young's modulus."""
+    """Response of a material point, at unit Young's modulus."""
 
     #: (..., 3, 3) first Piola-Kirchhoff stress
     stress: FloatArray
@@ -140,20 +140,20 @@ class MixedBody:
         return state[: self.displacements].reshape(-1, self.grid.axes)
 
     def is_admissible(self, state: FloatArray) -> bool:
-        """Tell whether no integration point is turned inside out."""
+        """Return True if no integration point is turned inside out."""
         return bool((np.linalg.det(self._deformation(state)) > 0).all())
 
     def assemble(self, state: FloatArray) -> tuple[FloatArray, sparse.csc_array]:
         """Return the residual (unknown,) and the tangent (unknown, unknown)."""
         grid, weights = self.grid, self.grid.weights
         pressure = state[self._pressure_unknowns] @ grid.corner_shapes.T
-        answer = self.material(self._deformation(state), pressure, self.moduli)
+        response = self.material(self._deformation(state), pressure, self.moduli)
         i, j = np.transpose(grid.components)
-        stress, coupling = answer.stress[..., i, j], answer.coupling[..., i, j]
-        tangent = answer.tangent[..., i[:, None], j[:, None], i, j]
+        stress, coupling = response.stress[..., i, j], response.coupling[..., i, j]
+        tangent = response.tangent[..., i[:, None], j[:, None], i, j]
         residual = np.zeros(self.unknowns)
         forces = _contract(grid.gradient, stress * weights[..., None])
-        volumes = (answer.volume * weights) @ grid.corner_shapes
+        volumes = (response.volume * weights) @ grid.corner_shapes
         np.add.at(residual, self._element_unknowns, np.concatenate((forces, volumes), axis=1))
         blocks = self._blocks(tangent * weights[..., None, None], coupling * weights[..., None])
         rows, columns = self._pattern

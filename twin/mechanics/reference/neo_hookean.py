@@ -1,14 +1,14 @@
 """The `neo_hookean` model: large deflection and strain in space, for sheets and deep presses.
 
-Neo-Hookean Q2/Q1 bricks on a grid that is fine where the linear press makes contact; one half or
-quarter of it where specimen and slab are symmetric. A sheet that deflects by about its thickness
-stretches as it bends, which a linear slab leaves out. World frame, mm; the grid's own z counts
+Neo-Hookean Q2/Q1 bricks on a grid that is fine where the linear press makes contact; 1/2 or
+1/4 of it if specimen and slab are symmetric. A sheet that deflects by about its thickness
+stretches as it bends, which a linear slab neglects. World frame, mm; the grid's own z counts
 from the touched face.
 
 Contact with the rigid height field is frictionless, z along the press; the specimen's surface is
 z = d - S(x, y). Augmented Lagrangian penalty on the overlap d - S - z at integration points in the
-current configuration. Its gradient g = (S_x, S_y, 1) is the surface's normal over its share along
-the press.
+current configuration. Its gradient g = (S_x, S_y, 1) is the surface's normal over its component
+along the press.
 """
 
 from dataclasses import dataclass, replace
@@ -96,7 +96,7 @@ class HeightContact:
         return self
 
     def carry(self, pressure: FloatArray) -> "HeightContact":
-        """Return the contact with another carried pressure."""
+        """Return the contact with a new carried pressure."""
         return replace(self, carried=pressure)
 
     def _shape(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -111,7 +111,7 @@ class HeightContact:
 
 @dataclass(frozen=True)
 class Bricks:
-    """How finely to solve in space."""
+    """Numbers of elements and load steps in space."""
 
     #: elements along each half of x and y
     half: int = 10
@@ -119,7 +119,7 @@ class Bricks:
     through: int | None = None
     #: elements along the half width of a contact
     contact: float = 3.0
-    #: load steps to the depth that the linear slab finds, more where that is over a thickness
+    #: load steps to the depth of the linear slab, more if that is over a thickness
     steps: int = 6
 
 
@@ -131,23 +131,23 @@ def press_neo_hookean(
     bricks: Bricks | None = None,
     linear: bool = False,
 ) -> PressedElastomer:
-    """Press `specimen` into `elastomer` as `load` says, at large strain.
+    """Press `specimen` into `elastomer` by `load`, at large strain.
 
     Parameters
     ----------
     elastomer : flat slab on a simply supported rim, or a pad with free sides bonded to a window
     load : depth or force, and pitches. A free slab may travel farther than it is thick.
-    linear : small strain and contact on the undeformed face by the same elements: what remains
-        against the spectral press is the elements' error
+    linear : small strain and contact on the undeformed face by the same elements: the difference
+        from the spectral press is then the elements' error
 
     Returns
     -------
-    As from the spectral press; faces are seen at deformed positions
+    As from the spectral press; faces are at deformed positions
 
     Raises
     ------
-    PressError : as `press`; also a film or a preload, which this model does not know
-    SolverError : no equilibrium was found
+    PressError : as `press`; also a film or a preload, which this model does not include
+    SolverError : no equilibrium
     """
     fineness, shape = bricks or Bricks(), shape_of(specimen)
     guess = press(specimen, elastomer, load, any_depth=True)
@@ -162,13 +162,13 @@ def press_neo_hookean(
     if load.control == "depth":
         deep = max(1.0, guess.depth_mm / elastomer.thickness_mm)
         steps = int(np.ceil(fineness.steps * deep))
-        found = _march(problem, start, guess.depth_mm, steps)[-1]
+        equilibrium = _load_steps(problem, start, guess.depth_mm, steps)[-1]
     else:
         copies = float(2 ** sum(edge[0] == 0 for edge in grid.edges_mm[:2]))
-        found = _to_force(problem, start, guess, fineness.steps, copies)
+        equilibrium = _to_force(problem, start, guess, fineness.steps, copies)
     if elastomer.layout == "contact_face":
-        check_depth(found.depth_mm, elastomer)
-    scattered = _scattered(body, found, elastomer, linear)
+        check_depth(equilibrium.depth_mm, elastomer)
+    scattered = _scattered(body, equilibrium, elastomer, linear)
     return on_grids(scattered, shape, elastomer, load, modulus_kpa)
 
 
@@ -183,7 +183,7 @@ def _untouched(body: MixedBody, field: HeightField, element_mm: float, linear: b
 
 
 def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:
-    """Refuse what this model does not know.
+    """Raise an error for a film or a preload.
 
     Raises
     ------
@@ -192,12 +192,14 @@ def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:
     modulus_kpa = young_modulus(elastomer).best_kpa
     if elastomer.film is not None or preload_of(elastomer, load, modulus_kpa):
         raise PressError(
-            "mechanics.model = 'neo_hookean' knows neither film, back pressure nor weight; "
+            "mechanics.model = 'neo_hookean' has neither film, back pressure nor weight; "
             "remove elastomer.film, press.back_pressure_kpa and press.gravity_deg"
         )
 
 
-def _march(problem: Problem, start: Equilibrium, depth_mm: float, steps: int) -> list[Equilibrium]:
+def _load_steps(
+    problem: Problem, start: Equilibrium, depth_mm: float, steps: int
+) -> list[Equilibrium]:
     path = [start]
     for aim in np.linspace(start.depth_mm, depth_mm, steps + 1)[1:]:
         path.append(press_to(problem, path[-1], float(aim)))
@@ -207,25 +209,25 @@ def _march(problem: Problem, start: Equilibrium, depth_mm: float, steps: int) ->
 def _to_force(
     problem: Problem, start: Equilibrium, guess: PressedElastomer, steps: int, copies: float
 ) -> Equilibrium:
-    """Press until the force is reached, then between the last two steps."""
+    """Press until the force is reached, then solve between the last two steps."""
     aim = guess.force_n / (guess.young_modulus_kpa * 1e-3) / copies
     below, step = start, guess.depth_mm / steps
     above = press_to(problem, below, below.depth_mm + step)
     while above.pushed.along < aim:
         below, above = above, press_to(problem, above, above.depth_mm + step)
-    found = above
+    equilibrium = above
     low, high = (
         (below.depth_mm, below.pushed.along - aim),
         (above.depth_mm, above.pushed.along - aim),
     )
     for _ in range(_SECANTS):
-        if abs(found.pushed.along - aim) < _FORCE_TOLERANCE * aim:
+        if abs(equilibrium.pushed.along - aim) < _FORCE_TOLERANCE * aim:
             break
         depth = low[0] - low[1] * (high[0] - low[0]) / (high[1] - low[1])
-        found = press_to(problem, below, depth)
-        miss = found.pushed.along - aim
+        equilibrium = press_to(problem, below, depth)
+        miss = equilibrium.pushed.along - aim
         low, high = ((depth, miss), high) if miss < 0 else (low, (depth, miss))
-    return found
+    return equilibrium
 
 
 def _grid(
@@ -251,10 +253,10 @@ def _grid(
 def _edges(
     touched: FloatArray, ends: tuple[float, float], size_mm: float, count: int
 ) -> FloatArray:
-    """Return count + 1 edges, `size_mm` apart at the contacts and farther apart away from them."""
+    """Return count + 1 edges, at a distance of `size_mm` at the contacts and wider elsewhere."""
     fine = np.linspace(*ends, 4001)
     distance = np.abs(fine[:, None] - touched).min(axis=1)
-    # The contact of a stiffening sheet is wider than the linear one.
+    # The contact of a stiffening sheet is wider than that of the linear slab.
     beyond = np.maximum(distance - 0.5 * size_mm, 0.0)
     low, high = 0.05, 20.0
     for _ in range(40):
@@ -267,7 +269,7 @@ def _edges(
 
 
 def _is_symmetric(field: HeightField, axis: int) -> bool:
-    """Tell whether the specimen is its own mirror image about x = 0 (axis 0) or y = 0."""
+    """Return True if the specimen is symmetric about x = 0 (axis 0) or y = 0."""
     height = np.where(np.isfinite(field.height_mm), field.height_mm, 1e3)
     at, flip = ((field.x_mm, np.s_[:, ::-1]), (field.y_mm, np.s_[::-1]))[axis]
     centred = abs(at[0] + at[-1]) < _SYMMETRY_MM
@@ -275,7 +277,7 @@ def _is_symmetric(field: HeightField, axis: int) -> bool:
 
 
 def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
-    """Return the unknowns that support and symmetry leave free."""
+    """Return the unknowns that are free of support and symmetry."""
     nodes = body.grid.nodes_mm
     held = np.zeros(nodes.shape, dtype=bool)
     near = 1e-9 * elastomer.thickness_mm
@@ -284,7 +286,7 @@ def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
             held[np.abs(nodes[:, axis]) < near, axis] = True
         rim = np.abs(np.abs(nodes[:, axis]) - length / 2) < near
         if elastomer.layout == "opposite_face":
-            # As the spectral slab: only the displacement across the rim's side is free.
+            # As the spectral slab: only the displacement normal to the rim's side is free.
             held[rim, 1 - axis] = True
             held[rim, 2] = True
     if elastomer.layout == "contact_face":
@@ -293,29 +295,31 @@ def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
 
 
 def _scattered(
-    body: MixedBody, found: Equilibrium, elastomer: Elastomer, linear: bool
+    body: MixedBody, equilibrium: Equilibrium, elastomer: Elastomer, linear: bool
 ) -> Scattered:
     grid, plane = body.grid, elastomer.touched_plane_mm
-    moved = body.displacement_mm(found.state)
+    moved = body.displacement_mm(equilibrium.state)
     after = grid.nodes_mm + moved
-    seen = np.column_stack((grid.nodes_mm[:, :2] if linear else after[:, :2], after[:, 2] + plane))
+    positions = np.column_stack(
+        (grid.nodes_mm[:, :2] if linear else after[:, :2], after[:, 2] + plane)
+    )
     touched = grid.nodes_mm[:, 2] == 0
     coated = touched if plane == 0 else grid.nodes_mm[:, 2] == grid.edges_mm[2][-1]
-    contact = found.contact
+    contact = equilibrium.contact
     assert isinstance(contact, HeightContact)
-    at = contact.surface.trace @ seen[:, :2]
+    at = contact.surface.trace @ positions[:, :2]
     weight = contact.surface.weight_mm2
-    points = np.column_stack((at, found.pushed.pressure * weight, weight))
+    points = np.column_stack((at, equilibrium.pushed.pressure * weight, weight))
     whole = _mirrored(points, grid)
     return Scattered(
-        touched=_surface(_mirrored(seen[touched], grid)),
-        coated=_surface(_mirrored(seen[coated], grid)),
+        touched=_surface(_mirrored(positions[touched], grid)),
+        coated=_surface(_mirrored(positions[coated], grid)),
         at_mm=whole[:, :2],
         force=whole[:, 2],
         plan_mm2=whole[:, 3],
         points_per_facet=_SURFACE_POINTS**2,
-        depth_mm=found.depth_mm,
-        iterations=found.iterations,
+        depth_mm=equilibrium.depth_mm,
+        iterations=equilibrium.iterations,
         large_strain=not linear,
     )
 
@@ -331,8 +335,8 @@ def _mirrored(points: FloatArray, grid: ElementGrid) -> FloatArray:
 
 
 def _surface(points: FloatArray) -> FaceHeight:
-    """Return z over x and y, continuously differentiable; beyond the outline the nearest."""
-    # Nodes on a plane of symmetry come twice.
+    """Return z over x and y, continuously differentiable; outside the outline that nearest."""
+    # Nodes on a plane of symmetry are in the list twice.
     _, once = np.unique(np.round(points[:, :2], 9), axis=0, return_index=True)
     at, z = points[once, :2], points[once, 2]
     smooth, nearest = CloughTocher2DInterpolator(at, z), NearestNDInterpolator(at, z)

@@ -1,4 +1,4 @@
-"""Press step by step: what contact does to a body, and Newton's method for where it comes to rest.
+"""Load steps of a press: the action of contact on a body, and Newton's method for equilibrium.
 
 Newton's method with contact runs inside an augmented Lagrangian loop. Large steps
 converge, but into spurious pockets without contact near the axis (18 to 60 um at
@@ -45,7 +45,7 @@ def push(
     stiffness: FloatArray,
     pressure: FloatArray,
 ) -> Pushed:
-    """Gather what acts at the points of a surface.
+    """Gather the action of the points of a surface.
 
     Parameters
     ----------
@@ -88,29 +88,29 @@ class MovingContact(Protocol):
         ...
 
     def carry(self, pressure: FloatArray) -> "MovingContact":
-        """Return the contact with another carried pressure."""
+        """Return the contact with a new carried pressure."""
         ...
 
 
 @dataclass(frozen=True)
 class NewtonOptions:
-    """How the equations are solved."""
+    """Parameters of the solution."""
 
-    #: a Newton step moves no node further, mm
+    #: largest displacement of a node in a Newton step, mm
     largest_move_mm: float
     #: largest free residual over the contact force
     tolerance: float = 1e-7
     max_iterations: int = 40
-    #: after so many iterations the contact set is frozen if it chatters
+    #: number of iterations after which the contact set is frozen if it alternates
     patience: int = 12
     augmentations: int = 2
-    #: a failed load step is halved so many times
+    #: number of times that a failed load step is halved
     halvings: int = 5
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A held body."""
+    """A body with its supports."""
 
     body: MixedBody
     #: (n,) unknowns that are not held
@@ -127,7 +127,7 @@ class Equilibrium:
     depth_mm: float
     pushed: Pushed
     iterations: int
-    #: change of the state per mm of the last load step, from which the next one starts ahead
+    #: change of the state per mm of the last load step, for the first guess of the next
     rate: FloatArray | None = None
 
 
@@ -136,7 +136,7 @@ class StepFailedError(Exception):
 
 
 def press_to(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibrium:
-    """Move the object to a depth in one load step, or in several where one fails.
+    """Move the object to a depth in one load step, or in several if that fails.
 
     Raises
     ------
@@ -159,13 +159,15 @@ def press_to(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibri
 
 
 def _step(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibrium:
-    found = replace(start, depth_mm=depth_mm, state=_predicted(problem, start, depth_mm))
+    equilibrium = replace(start, depth_mm=depth_mm, state=_predicted(problem, start, depth_mm))
     for _ in range(problem.options.augmentations + 1):
-        found = _solve(problem, found)
-        found = replace(found, contact=found.contact.carry(found.pushed.pressure))
-    settled = found.contact.settle(problem.body.displacement_mm(found.state), depth_mm)
-    rate = (found.state - start.state) / (depth_mm - start.depth_mm)
-    return replace(found, contact=settled, rate=rate)
+        equilibrium = _solve(problem, equilibrium)
+        pressure = equilibrium.pushed.pressure
+        equilibrium = replace(equilibrium, contact=equilibrium.contact.carry(pressure))
+    moved_mm = problem.body.displacement_mm(equilibrium.state)
+    settled = equilibrium.contact.settle(moved_mm, depth_mm)
+    rate = (equilibrium.state - start.state) / (depth_mm - start.depth_mm)
+    return replace(equilibrium, contact=settled, rate=rate)
 
 
 def _predicted(problem: Problem, start: Equilibrium, depth_mm: float) -> FloatArray:
@@ -216,9 +218,9 @@ def _move(problem: Problem, tangent: sparse.csc_array, residual: FloatArray) -> 
 
 
 def _solve_linear(matrix: sparse.csc_array, right: FloatArray) -> FloatArray:
-    """Solve with a symmetric ordering, and check the outcome."""
-    found: FloatArray = symmetric_lu(matrix).solve(right)
-    if np.abs(matrix @ found - right).max() > _LINEAR_RESIDUAL * np.abs(right).max():
+    """Solve with a symmetric ordering, and check the solution."""
+    solution: FloatArray = symmetric_lu(matrix).solve(right)
+    if np.abs(matrix @ solution - right).max() > _LINEAR_RESIDUAL * np.abs(right).max():
         # Without pivoting an indefinite tangent can lose its digits.
-        found = splu(matrix).solve(right)
-    return found
+        solution = splu(matrix).solve(right)
+    return solution

@@ -1,7 +1,7 @@
-"""An elastic pad of any shape: its surface, what holds it, what is touched, and its tetrahedra.
+"""An elastic pad of any shape: its surface, its supports, its faces and its tetrahedra.
 
-World frame, mm: the specimen comes from below and presses along +z. Facets are chosen by
-selectors, which see the facets' centres and outward normals.
+World frame, mm: the specimen is below and presses along +z. Selectors choose facets by the
+facets' centres and outward normals.
 For one press the tetrahedra are small under the specimen and at the coat above it.
 """
 
@@ -31,9 +31,9 @@ Selector = Callable[[FloatArray, FloatArray], BoolArray]
 SlabSupport = Literal["simple", "clamped", "ledge", "bonded", "window"]
 
 _ON_PLANE_MM = 1e-6
-# Steps from the middle to the rim in which it is tried whether a face covers a rectangle.
+# Number of steps from the middle to the rim in the test whether a face covers a rectangle.
 _COVER_STEPS = 100
-# Directions that the sides across x and across y are held in.
+# Directions in which the sides across x and across y are held.
 _RIM: dict[SlabSupport, tuple[str, str]] = {
     "simple": ("yz", "xz"),
     "clamped": ("xyz", "xyz"),
@@ -44,16 +44,16 @@ _RIM: dict[SlabSupport, tuple[str, str]] = {
 # 19 k unknowns, a dozen seconds and 0.6 GiB.
 DEFAULT_COUNT = 4000
 _SPACING_MM = 0.25
-# A ball touches where it would reach into the undeformed face by about half the depth.
+# A ball touches where it would penetrate the undeformed face by about half the depth.
 _REACH = 0.65
 _COATED_OVER_FINE = 2.0
-# Far away the field is as smooth as the pad is thick.
+# Far from the contact the field is as smooth as the pad is thick.
 _COARSEST_OVER_THICKNESS, _COARSEST_MM = 1.5, 3.0
 
 
 @dataclass(frozen=True)
 class Hold:
-    """Facets whose displacement is held to zero in some directions."""
+    """Facets with zero displacement in some directions."""
 
     where: Selector
     #: of "xyz"
@@ -73,7 +73,7 @@ class Pad:
 
 
 def facing(direction: tuple[float, float, float], within_deg: float = 60.0) -> Selector:
-    """Choose facets whose normal leans from `direction` by less than `within_deg`."""
+    """Choose facets with a normal less than `within_deg` away from `direction`."""
     axis = np.asarray(direction) / np.linalg.norm(direction)
     least = np.cos(np.deg2rad(within_deg))
     return lambda centres, normals: np.asarray(normals @ axis > least)
@@ -89,7 +89,7 @@ def on_plane(axis: Literal["x", "y", "z"], value_mm: float) -> Selector:
 
 
 def both(first: Selector, second: Selector) -> Selector:
-    """Choose the facets that two selectors agree on."""
+    """Choose the facets that both selectors choose."""
     return lambda centres, normals: first(centres, normals) & second(centres, normals)
 
 
@@ -101,11 +101,11 @@ def outside_of(length_x_mm: float, length_y_mm: float) -> Selector:
 
 
 def check_cover(body: trimesh.Trimesh, coated: Selector, elastomer: Elastomer) -> None:
-    """Refuse a rectangle of the elastomer's lengths that a pad's coated face does not cover.
+    """Raise an error if a pad's coated face does not cover a rectangle of the elastomer's lengths.
 
     Raises
     ------
-    PressError : names what was found and the largest rectangle of the same shape that is covered
+    PressError : names the rectangle and the largest one of the same shape that is covered
     """
     chosen = coated(body.triangles_center, body.face_normals)
     if not chosen.any():
@@ -114,7 +114,7 @@ def check_cover(body: trimesh.Trimesh, coated: Selector, elastomer: Elastomer) -
             "enlarge mechanics.pad.facing_deg"
         )
     lengths = elastomer.length_x_mm, elastomer.length_y_mm
-    # Not quite to the rim: a file in single precision keeps lengths to 1e-7.
+    # Slightly inside the rim: a file in single precision has lengths to 1e-7.
     share = np.linspace(-1.0, 1.0, 2 * _COVER_STEPS + 1)
     x, y = (share * (length / 2) * (1 - 1e-6) for length in lengths)
     is_covered = np.isfinite(upper_side(np.asarray(body.triangles[chosen]), x, y))
@@ -167,7 +167,7 @@ def slab_pad(
         holds += (Hold(on_plane("z", thickness_mm)),)
     if support == "ledge":
         holds = (Hold(both(coated, outside_of(*span_mm))),)
-        # The free span as a body of its own within: the mesh then has its edge as a line.
+        # The free span as a body of its own within: its edge is then a line of the mesh.
         body = trimesh.util.concatenate([body, _box(*span_mm, thickness_mm, raised=False)])
     return Pad(body, poisson_ratio, holds, touched, coated)
 
@@ -190,7 +190,7 @@ def mesh_pad(
 
     Raises
     ------
-    PressError : the pad is not closed, or the specimen lies beside it
+    PressError : the pad is not closed, or the specimen is outside it
     SolverError : pytetwild failed
     """
     touched, coated = _spread(pad.body, pad.touched), _spread(pad.body, pad.coated)
@@ -214,7 +214,7 @@ def mesh_pad(
 
 
 def _spread(body: trimesh.Trimesh, where: Selector) -> FloatArray:
-    """Return points (n, xyz) all over the chosen facets."""
+    """Return points (n, xyz) distributed over the chosen facets."""
     chosen = where(body.triangles_center, body.face_normals)
     if not chosen.any():
         chosen = np.ones(len(body.faces), dtype=bool)
@@ -235,7 +235,7 @@ def _zone(shape: Shape, touched: FloatArray, depth_mm: float) -> FloatArray:
 
 
 def _near_in_plan(points: FloatArray, zone: FloatArray) -> FloatArray:
-    """Return which points lie within half as far again from the zone's middle as the zone."""
+    """Return which points are within 1.5 times the zone's radius of its middle."""
     middle = zone[:, :2].mean(axis=0)
     reach = 1.5 * np.linalg.norm(zone[:, :2] - middle, axis=1).max(initial=_SPACING_MM)
     return np.asarray(np.linalg.norm(points[:, :2] - middle, axis=1) <= reach)

@@ -1,7 +1,8 @@
-"""Between grids and scattered points: what a reference asks of a specimen, and what it gives back.
+"""A specimen's heights at scattered points, and a reference's result on the grids of a press.
 
-Specimens answer on grids only; finite elements ask anywhere, with slopes and curvatures: sampled
-once, then bicubic. Scattered results go onto the grids of `PressedElastomer`.
+Specimens have heights on grids only; finite elements need them at any point, with slopes and
+curvatures: sampled once, then bicubic. Scattered results are interpolated on the grids of
+`PressedElastomer`.
 """
 
 from collections.abc import Callable
@@ -20,8 +21,8 @@ from twin.mechanics.press import PressedElastomer
 from twin.mechanics.validity import Validity, contact_validity
 from twin.shape import Shape
 
-# Share of loaded points round a cell from which on it touches: a curved specimen leaves some points
-# of a facet free.
+# Share of loaded points round a cell above which it touches: of a curved specimen some points of a
+# facet are free.
 _TOUCHING = 0.3
 
 # Height error over depth of the default bricks (spectral press at small strain, halved elements).
@@ -41,16 +42,16 @@ class Scattered:
     at_mm: FloatArray
     force: FloatArray
     plan_mm2: FloatArray
-    #: the points run facet by facet
+    #: the points are in order of their facets
     points_per_facet: int
     depth_mm: float
     iterations: int
-    #: solved at large strain: what a linear slab leaves out is in
+    #: solved at large strain, which a linear slab neglects
     large_strain: bool = False
 
 
 def on_grids(
-    found: Scattered, shape: Shape, elastomer: Elastomer, load: Press, modulus_kpa: float
+    solved: Scattered, shape: Shape, elastomer: Elastomer, load: Press, modulus_kpa: float
 ) -> PressedElastomer:
     """Sample a reference's press on the solver's cells and the relief's nodes.
 
@@ -65,35 +66,35 @@ def on_grids(
         face_nodes(length, load) for length in (elastomer.length_x_mm, elastomer.length_y_mm)
     )
     cell_mm2 = float((x[1] - x[0]) * (y[1] - y[0]))
-    pressure = _pressure(found, x, y, cell_mm2)
-    force = float(found.force.sum())
-    face_z = found.coated(*np.meshgrid(nodes_x, nodes_y))
+    pressure = _pressure(solved, x, y, cell_mm2)
+    force = float(solved.force.sum())
+    face_z = solved.coated(*np.meshgrid(nodes_x, nodes_y))
     contact = pressure > 0
     return PressedElastomer(
         x_mm=x,
         y_mm=y,
         pressure_kpa=pressure * modulus_kpa,
         contact=contact,
-        touched_face_mm=found.touched(*np.meshgrid(x, y)),
+        touched_face_mm=solved.touched(*np.meshgrid(x, y)),
         # kPa mm^2 = 1e-3 N
         force_n=force * modulus_kpa * 1e-3,
-        depth_mm=found.depth_mm,
+        depth_mm=solved.depth_mm,
         young_modulus_kpa=modulus_kpa,
         face_x_mm=nodes_x,
         face_y_mm=nodes_y,
         face_z_mm=face_z,
-        validity=_validity(found, shape, elastomer, (x, y, contact), float(np.abs(face_z).max())),
-        iterations=found.iterations,
+        validity=_validity(solved, shape, elastomer, (x, y, contact), float(np.abs(face_z).max())),
+        iterations=solved.iterations,
         converged=True,
     )
 
 
 def check_depth(depth_mm: float, elastomer: Elastomer) -> None:
-    """Refuse a force that needs as deep a press as the slab is thick.
+    """Raise an error if a force needs a depth of the slab's thickness or more.
 
     Raises
     ------
-    PressError : it does
+    PressError : the depth is too large
     """
     if depth_mm >= elastomer.thickness_mm:
         raise PressError(
@@ -103,45 +104,45 @@ def check_depth(depth_mm: float, elastomer: Elastomer) -> None:
 
 
 def _validity(
-    found: Scattered,
+    solved: Scattered,
     shape: Shape,
     elastomer: Elastomer,
     cells: tuple[FloatArray, FloatArray, BoolArray],
     peak_mm: float,
 ) -> Validity:
     judge = partial(contact_validity, shape, elastomer, cells)
-    judged = judge(found.depth_mm, peak_mm)
-    if not found.large_strain:
+    judged = judge(solved.depth_mm, peak_mm)
+    if not solved.large_strain:
         return judged
-    # Depth and deflection need no warning here: those of a press without any remain.
+    # Depth and deflection need no warning here: only those of a press without them remain.
     remaining = judge(0.0, 0.0).warnings
-    error_mm = _ELEMENT_ERROR * found.depth_mm
+    error_mm = _ELEMENT_ERROR * solved.depth_mm
     return replace(judged, height_error_mm=error_mm, warnings=remaining)
 
 
-def _pressure(found: Scattered, x: FloatArray, y: FloatArray, cell_mm2: float) -> FloatArray:
-    """Return pressure over modulus (row, col), 0 where the faces are apart."""
+def _pressure(solved: Scattered, x: FloatArray, y: FloatArray, cell_mm2: float) -> FloatArray:
+    """Return pressure over modulus (row, col), 0 where the faces do not touch."""
     # Pressures of single points ripple: take whole facets.
     at, force, area = (
-        data.reshape(-1, found.points_per_facet, *data.shape[1:])
-        for data in (found.at_mm, found.force, found.plan_mm2)
+        data.reshape(-1, solved.points_per_facet, *data.shape[1:])
+        for data in (solved.at_mm, solved.force, solved.plan_mm2)
     )
     mean, loaded = force.sum(axis=1) / area.sum(axis=1), np.mean(force > 0, axis=1)
     values = np.stack((mean, loaded), axis=1)
-    seen = LinearNDInterpolator(at.mean(axis=1), values, fill_value=0.0)(*np.meshgrid(x, y))
-    near = seen[..., 1] > min(_TOUCHING, 0.5 * float(loaded.max()))
-    pressure: FloatArray = np.where(near, np.maximum(seen[..., 0], 0.0), 0.0)
+    on_cells = LinearNDInterpolator(at.mean(axis=1), values, fill_value=0.0)(*np.meshgrid(x, y))
+    near = on_cells[..., 1] > min(_TOUCHING, 0.5 * float(loaded.max()))
+    pressure: FloatArray = np.where(near, np.maximum(on_cells[..., 0], 0.0), 0.0)
     total = float(pressure.sum()) * cell_mm2
     if total <= 0:
         raise PressError(
             "press: the contact is smaller than a cell; use a finer press.solver_pitch_mm"
         )
-    return np.asarray(pressure * (float(found.force.sum()) / total))
+    return np.asarray(pressure * (float(solved.force.sum()) / total))
 
 
 _LARGEST_GRID = 800
 _FINEST_PITCH_MM = 0.02
-# Beside the specimen the surface is continued for so many cells, out of the spline's reach.
+# Outside the specimen the surface is continued by this number of cells, beyond the spline's reach.
 _REACH_CELLS = 2
 
 
@@ -155,12 +156,12 @@ class HeightField:
     height_mm: FloatArray
 
     def value(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return the height at points (n,), inf beside the specimen."""
+        """Return the height at points (n,), inf outside the specimen."""
         height = np.asarray(self._spline.ev(y_mm, x_mm), dtype=np.float64)
         return np.where(self._is_present(x_mm, y_mm), height, np.inf)
 
     def slope(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (n, [x, y]) first derivatives; continued smoothly beside the specimen."""
+        """Return (n, [x, y]) first derivatives; continued smoothly outside the specimen."""
         along = [self._spline.ev(y_mm, x_mm, dx=dy, dy=dx) for dx, dy in ((1, 0), (0, 1))]
         return np.stack(along, axis=-1)
 
@@ -190,18 +191,18 @@ class HeightField:
 
 
 def sample(shape: Shape, length_x_mm: float, length_y_mm: float) -> HeightField:
-    """Sample a specimen over a centred rectangle, as finely as 800 cells per axis allow.
+    """Sample a specimen over a centred rectangle, with at most 800 cells per axis.
 
     Raises
     ------
-    PressError : the specimen lies beside the rectangle
+    PressError : the specimen is outside the rectangle
     """
     x_low, x_high, y_low, y_high = shape.bounds_mm()
     x = _axis(max(x_low, -length_x_mm / 2), min(x_high, length_x_mm / 2))
     y = _axis(max(y_low, -length_y_mm / 2), min(y_high, length_y_mm / 2))
     height = shape.height_above_lowest(x, y) if x.size and y.size else np.full((1, 1), np.inf)
     if not np.isfinite(height).any():
-        raise PressError("specimen: lies beside the pad's touched face; move it")
+        raise PressError("specimen: outside the pad's touched face; move it")
     return HeightField(x, y, height)
 
 

@@ -1,7 +1,7 @@
 """Linear elasticity on tetrahedra: P2 displacement and P1 pressure (Taylor-Hood), no locking.
 
 At unit Young's modulus: [[A, B^T], [B, -M / K]] with A = int 2 mu (eps:eps - div div / 3),
-B = int q div u, M = int q q. The matrix is factorised once; every load then costs one
+B = int q div u, M = int q q. The matrix is factorised once; each load then takes one
 substitution. Nodes are the vertices followed by the edges' midpoints.
 """
 
@@ -64,7 +64,7 @@ class ElasticBody:
 
         Raises
         ------
-        PressError : nothing was chosen
+        PressError : the selector chooses no facet
         """
         chosen = self._chosen(where)
         if not chosen.size:
@@ -82,10 +82,10 @@ class ElasticBody:
 
     def solve(self, force: FloatArray) -> FloatArray:
         """Return the displacement (node, xyz), mm, under nodal forces (node, xyz) over E."""
-        load, found = np.zeros((2, self._size))
+        load, solution = np.zeros((2, self._size))
         load[self._unknowns] = force
-        found[self._free] = self._factor.solve(load[self._free])
-        return np.asarray(found[self._unknowns])
+        solution[self._free] = self._factor.solve(load[self._free])
+        return np.asarray(solution[self._unknowns])
 
     def residual(self, moved_mm: FloatArray, pressure: FloatArray) -> FloatArray:
         """Return the nodal forces (node, xyz) over E of a displacement and vertex pressures."""

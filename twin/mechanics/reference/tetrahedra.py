@@ -1,8 +1,8 @@
 """Graded tetrahedra of a closed surface, by pytetwild in a child process.
 
-pytetwild can crash (always at epsilon 1e-2) or run for minutes (1e-5): it gets its own process, a
-time limit and an epsilon in between. Its surface strays by about epsilon, so vertices near planar
-faces are put back on them. Its meshes differ from run to run, even with one thread.
+pytetwild can crash (always at epsilon 1e-2) or run for minutes (1e-5): it has its own process, a
+time limit and an epsilon in between. Its surface deviates by about epsilon, so vertices near planar
+faces are moved back on them. Its meshes differ from run to run, even with one thread.
 """
 
 import itertools
@@ -22,15 +22,15 @@ from scipy.spatial import cKDTree
 from reconstruction.arrays import FloatArray, IntArray
 from twin.mechanics.errors import PressError, SolverError
 
-#: points (n, 3) mm to wanted edge lengths (n,) mm
+#: points (n, 3) mm to target edge lengths (n,) mm
 Sizing = Callable[[FloatArray], FloatArray]
 
 _CHILD = Path(__file__).with_name("tetwild_child.py")
-# A planar face this share of the whole surface, or more, is kept exactly plane.
+# Least share of the whole surface of a planar face that is kept exactly plane.
 _PLANE_SHARE = 0.02
 _BACKGROUND_CELLS = 24
 _POOREST_QUALITY = 1e-3
-# Of the edges' length, per distance from where they are finest.
+# Increase of the edges' length per distance from the zone of the finest edges.
 _GROWTH = 0.35
 
 
@@ -60,13 +60,13 @@ class Tetrahedra:
 def tetrahedralize(
     body: trimesh.Trimesh, sizing: Sizing, *, epsilon: float = 1e-3, timeout_s: float = 60.0
 ) -> Tetrahedra:
-    """Fill a closed surface with tetrahedra of the wanted sizes.
+    """Fill a closed surface with tetrahedra of target sizes.
 
     Parameters
     ----------
     body : surface, mm; internal surfaces are kept as mesh faces
-    sizing : wanted edge length per point
-    epsilon : how far the surface may stray, over the diagonal of the bounding box
+    sizing : target edge length per point
+    epsilon : largest deviation of the surface, over the diagonal of the bounding box
     timeout_s : the child is killed after this time
 
     Raises
@@ -82,17 +82,17 @@ def tetrahedralize(
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "surface.npz", Path(folder) / "cells.npz"
         np.savez(source, points=body.vertices, facets=body.faces, epsilon=epsilon, **box)
-        # fTetWild leaves a file in its working folder: it gets ours.
+        # fTetWild writes a file into its working folder: the temporary one.
         command = [sys.executable, "-P", str(_CHILD), str(source), str(target)]
         _run_child(command, timeout_s, folder)
-        with np.load(target) as found:
-            points, cells = found["points"], found["cells"].astype(np.int64)
+        with np.load(target) as mesh:
+            points, cells = mesh["points"], mesh["cells"].astype(np.int64)
     snapped = _snap(points, body, 2 * epsilon * body.scale)
     return _checked(*_collapse(snapped, cells, 1e-9 * body.scale))
 
 
 def graded_towards(zone_mm: FloatArray, fine_mm: float, coarse_mm: float) -> Sizing:
-    """Return edge lengths that grow from `fine_mm` at the zone's points (n, 3) to `coarse_mm`."""
+    """Return edge lengths that increase from `fine_mm` at points (n, 3) to `coarse_mm`."""
     tree = cKDTree(zone_mm)
 
     def sizing(points_mm: FloatArray) -> FloatArray:
@@ -103,7 +103,7 @@ def graded_towards(zone_mm: FloatArray, fine_mm: float, coarse_mm: float) -> Siz
 
 
 def count_estimate(body: trimesh.Trimesh, sizing: Sizing) -> float:
-    """Return about how many tetrahedra a sizing asks for."""
+    """Return the approximate number of tetrahedra for a sizing."""
     low, high = body.bounds
     axes = [np.linspace(a, b, 24) for a, b in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -119,20 +119,20 @@ def _run_child(command: list[str], timeout_s: float, folder: str) -> None:
         )
     except subprocess.TimeoutExpired:
         raise SolverError(
-            f"pytetwild: no mesh within {timeout_s:g} s; ask for fewer tetrahedra"
+            f"pytetwild: no mesh within {timeout_s:g} s; request fewer tetrahedra"
         ) from None
     if ended.returncode < 0:
         name = signal.Signals(-ended.returncode).name
         raise SolverError(
-            f"pytetwild: its process died by {name}; repair the surface or change epsilon"
+            f"pytetwild: its process ended by {name}; repair the surface or change epsilon"
         )
     if ended.returncode:
-        said = (ended.stderr.strip().splitlines() or ["no message"])[-1]
-        raise SolverError(f"pytetwild: failed ({said})")
+        message = (ended.stderr.strip().splitlines() or ["no message"])[-1]
+        raise SolverError(f"pytetwild: failed ({message})")
 
 
 def _background(body: trimesh.Trimesh, sizing: Sizing) -> dict[str, Any]:
-    """Return a box of tetrahedra round the body with the wanted size at its points."""
+    """Return a box of tetrahedra round the body with the target size at its points."""
     low, high = body.bounds
     margin = 0.05 * (high - low).max()
     step = (high - low).max() / _BACKGROUND_CELLS
@@ -143,7 +143,7 @@ def _background(body: trimesh.Trimesh, sizing: Sizing) -> dict[str, Any]:
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     number = np.arange(points.shape[0]).reshape([axis.size for axis in axes])
     cells = []
-    # Kuhn's split: one tetrahedron per order in which the axes are walked.
+    # Kuhn's split: one tetrahedron per permutation of the axes.
     for order in itertools.permutations(range(3)):
         corner, corners = [0, 0, 0], []
         for axis in (*order, None):
@@ -160,7 +160,7 @@ def _background(body: trimesh.Trimesh, sizing: Sizing) -> dict[str, Any]:
 
 
 def _snap(points: FloatArray, body: trimesh.Trimesh, reach_mm: float) -> FloatArray:
-    """Put vertices within reach of the body's large planar faces back on them."""
+    """Move vertices within reach of the body's large planar faces back on them."""
     moved = points.copy()
     for faces, area in zip(body.facets, body.facets_area, strict=True):
         if area < _PLANE_SHARE * body.area:
@@ -175,7 +175,7 @@ def _snap(points: FloatArray, body: trimesh.Trimesh, reach_mm: float) -> FloatAr
 
 
 def _collapse(points: FloatArray, cells: IntArray, reach_mm: float) -> tuple[FloatArray, IntArray]:
-    """Join vertices that snapping put on one place of an edge; drop the cells flattened by that."""
+    """Join vertices that snapping moved to the same point; drop the cells flattened by that."""
     tree = cKDTree(points)
     first = np.arange(len(points))
     pairs = tree.query_pairs(reach_mm, output_type="ndarray")

@@ -1,6 +1,6 @@
-"""Runs pytetwild alone in a process, for `tetrahedra`: it may take the process down with it.
+"""Runs pytetwild in a process of its own, for `tetrahedra`, because it may crash the process.
 
-Called with an input and an output path (npz); imports nothing of the twin, so that it starts fast.
+Arguments: an input and an output path (npz). Imports no module of the twin, so that it starts fast.
 """
 
 import importlib.util
@@ -13,7 +13,7 @@ import numpy as np
 def main(source: str, target: str) -> None:
     """Read the surface and its sizing field, write points and tetrahedra."""
     if importlib.util.find_spec("pyvista") is None:
-        # pytetwild registers an accessor with PyVista on import, which nothing here needs.
+        # pytetwild registers an accessor with PyVista on import, which is not needed here.
         sys.modules["pyvista"] = types.ModuleType("pyvista")
     import pytetwild
 

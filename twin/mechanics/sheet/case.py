@@ -1,4 +1,4 @@
-"""What is pressed into a thin sheet, in the solver's terms: frame, laws, bodies and cells.
+"""The data of a thin-sheet press in the solver's terms: frame, laws, bodies and cells.
 
 World frame, mm, as in `press`; in the solver's own frame z = 0 is the undeformed surface midway
 between the faces. Penalty of contact: the compliance of half a thickness, E* / (h / 4), which fits
@@ -28,7 +28,7 @@ from twin.specimens.distance import RectangularInside, RoundInside, distances_of
 _COMPLIANCE, _STICK_COMPLIANCE = 0.25, 0.5
 _LONGEST_CELL_MM = 1.0
 _TACK_RANGE_MM = 0.08
-# Without a wall nothing but the rim keeps a sheet under pressure out of the frame's material.
+# Without a wall only the rim keeps a sheet under pressure out of the frame's material.
 _WALL_MM = 0.5
 
 
@@ -38,37 +38,37 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Which cells a sheet is laid on."""
+    """The cells of a sheet's grid."""
 
     pitch_mm: float
     rim_mm: float
-    #: of the world's x and y, where cells are of the pitch
+    #: region of the world's x and y with cells of the pitch
     box_mm: Box
-    #: along x and y, where they may be wider than the pitch
+    #: largest widths along x and y where cells may be wider than the pitch
     allowed: tuple[Widths, Widths] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class SheetCase:
-    """What is pressed, in the solver's terms."""
+    """The data of one press in the solver's terms."""
 
     frame: Frame
     laws: Laws
     bodies: Bodies
-    #: how many of the moving bodies are the specimen's own, before its plate
+    #: number of the moving bodies that are the specimen's own, before its plate
     parts: int
     shape: Shape
     sticks: bool
-    #: the finest cells
+    #: width of the finest cells
     cell_mm: float
-    #: the experiment names them
-    asked_cell: bool
-    #: of the specimen's finest grooves, None where it has none
+    #: the experiment specifies the cells
+    is_cell_specified: bool
+    #: pitch of the specimen's finest grooves, None without grooves
     ridge_pitch_mm: float | None
 
     def sheet(self, cells: Cells) -> Sheet:
         """Return the sheet on cells."""
-        # A cohesive range below half a cell would let the sheet jump on from point to point.
+        # With a cohesive range below half a cell the sheet would jump from point to point.
         laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * cells.pitch_mm))
         grid = sheet_grid(self.frame, *self.lines(cells))
         return Sheet(grid, laws, self.bodies, self.touched_z_mm, self.sticks, cells.pitch_mm)
@@ -99,7 +99,7 @@ def sheet_case(
     Raises
     ------
     PressError
-        What a thin sheet cannot be.
+        A thin sheet does not describe the press.
     """
     shape = shape_of(specimen)
     check_sheet(shape, elastomer, load, mechanics)
@@ -120,13 +120,13 @@ def sheet_case(
         shape=shape,
         sticks=elastomer.sticks,
         cell_mm=finest_cell_mm(elastomer, load),
-        asked_cell=load.cell_mm is not None,
+        is_cell_specified=load.cell_mm is not None,
         ridge_pitch_mm=specimen.finest_pitch_mm,
     )
 
 
 def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mechanics) -> None:
-    """Refuse what a thin sheet cannot be, before it is solved.
+    """Raise an error if a thin sheet does not describe the press, before it is solved.
 
     Raises
     ------
@@ -166,11 +166,11 @@ def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mech
 
 
 def _check_force(elastomer: Elastomer, load: Press) -> None:
-    """Refuse a force that tears the sheet, whatever presses.
+    """Raise an error if a force would tear any sheet of these properties.
 
     The rim and the air carry it. Per undeformed length of rim a neo-Hookean sheet pulls with less
     than mu h lambda. Along a rigid rim it keeps its pre-stretch, so that it thins to 1 / (lambda
-    pre_stretch); at one that gives to lambda**-0.5 or less, as a strip does whose sides are free.
+    pre_stretch); at a compliant rim to lambda**-0.5 or less, as a strip with free sides does.
     """
     if load.force_n is None:
         return
@@ -188,10 +188,10 @@ def _check_force(elastomer: Elastomer, load: Press) -> None:
 
 
 def _check_tack(elastomer: Elastomer) -> None:
-    """Refuse a tack that spreads the sheet over the specimen without bound.
+    """Raise an error for a tack that spreads the sheet over the specimen without bound.
 
-    At an area stretch a the adhesion gains W per area and stretching costs mu h (1 - a^-3): where W
-    exceeds mu h nothing stops it before the sheet tears. kPa mm = J/m^2.
+    At an area stretch a the adhesion releases W per area and stretching takes mu h (1 - a^-3): if W
+    exceeds mu h the sheet spreads until it tears. kPa mm = J/m^2.
     """
     most_j_m2 = young_modulus(elastomer).best_kpa / 3 * elastomer.thickness_mm
     if elastomer.tack_j_m2 > most_j_m2:
@@ -203,7 +203,7 @@ def _check_tack(elastomer: Elastomer) -> None:
 
 
 def finest_cell_mm(elastomer: Elastomer, load: Press) -> float:
-    """Return the finest cells: as asked for, or as the thickness needs."""
+    """Return the width of the finest cells: as specified, or as the thickness needs."""
     if load.cell_mm is not None:
         return load.cell_mm
     return float(np.clip(0.75 * elastomer.thickness_mm, 0.075, 0.15))
@@ -224,7 +224,7 @@ def _laws(elastomer: Elastomer, load: Press) -> Laws:
 
 
 def _plate(shape: Shape) -> tuple[SignedDistance, ...]:
-    """Return the plate that the specimen stands on."""
+    """Return the plate under the specimen."""
     return (plate(shape.bottom_mm),)
 
 

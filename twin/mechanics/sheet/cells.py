@@ -1,7 +1,8 @@
-"""Which cells a press needs: where it touches, how fine, and where wider ones describe as much.
+"""The cells of a press: where they are fine, how fine, and where wider cells are sufficient.
 
-Cells are fine in a box round the contact. Along a line on which nothing bends, as along the edge of
-a bar, they are wider there too: a quadratic spline follows what turns little from cell to cell.
+Cells are fine in a box round the contact. Along a line without bending, for example along the edge
+of a bar, they are wider there too: a quadratic spline is accurate if the surface turns little per
+cell.
 """
 
 import numpy as np
@@ -17,19 +18,19 @@ COARSE_CELL_MM = 0.4
 _RIM = 1 / 3
 _MARGIN_MM = 1.5
 # Most cells in the box of contact, some 90,000 unknowns: more take long. And most control points
-# of the sheet, some 230,000 unknowns: more want more than 2 GiB.
+# of the sheet, some 230,000 unknowns: more need more than 2 GiB.
 _MOST_CELLS, _MOST_CONTROLS = 24_000, 78_000
 _WIDENED = 1.02
-# On the way: more coarse cells take minutes for each step of the load. And of cells that are named.
+# Most coarse cells of the load steps: more take minutes for each step. Most cells if specified.
 _MOST_COARSE, _MOST_NAMED = 40_000, 4 * _MOST_CONTROLS
-# Radians that the surface may turn over a wider cell, and no more than over one of the pitch where
-# it bends most. Where that is less than the second number, a touch is lighter than cells resolve.
+# Largest turn of the surface over a wider cell, radians, but at most that over a cell of the pitch
+# where it bends most. If that is below the second number, cells do not resolve so light a touch.
 _TURN, _LIGHTEST_TURN = 0.1, 0.01
 _STRAIGHT = 1e-9
 
 
 def coarse_cells(case: SheetCase) -> Cells:
-    """Return the cells on which a press begins.
+    """Return the cells of the first load steps.
 
     Raises
     ------
@@ -43,8 +44,8 @@ def coarse_cells(case: SheetCase) -> Cells:
         raise PressError(
             f"elastomer.length_x_mm, length_y_mm: found {frame.length_x_mm:g} and "
             f"{frame.length_y_mm:g}, of which a thin sheet takes {count} control points, allowed "
-            f"up to {_MOST_COARSE}: each step of the load would take minutes; shorten them to what "
-            "the camera sees"
+            f"up to {_MOST_COARSE}: each step of the load would take minutes; shorten them to the "
+            "camera's field of view"
         )
     return cells
 
@@ -62,43 +63,43 @@ def cells_between(case: SheetCase, coarse: Sheet, state: SheetState) -> Cells:
 
 
 def finest_cells(case: SheetCase, coarser: Sheet, state: SheetState, pitch_mm: float) -> Cells:
-    """Return cells of a pitch, or wider ones where the rim round the box adds too many.
+    """Return cells of a pitch, or wider ones if the rim round the box adds too many.
 
     Raises
     ------
     PressError
-        Cells that press.cell_mm names take too much memory.
+        The cells of press.cell_mm take too much memory.
     """
     box = _contact_box(case, coarser, state)
     allowed = _allowed(coarser, state, box, pitch_mm)
     while True:
         cells = Cells(pitch_mm, _RIM * pitch_mm, box, allowed)
         count = _count(case, cells)
-        if case.asked_cell and count > _MOST_NAMED:
+        if case.is_cell_specified and count > _MOST_NAMED:
             raise PressError(
                 f"press.cell_mm: found {pitch_mm:g}, of which this contact takes {count} control "
                 f"points, allowed up to {_MOST_NAMED} (some 8 GB); use wider cells"
             )
-        if case.asked_cell or count <= _MOST_CONTROLS:
+        if case.is_cell_specified or count <= _MOST_CONTROLS:
             return cells
         pitch_mm *= _WIDENED
 
 
 def finest_pitch_mm(case: SheetCase, coarse: Sheet, state: SheetState) -> float:
-    """Return the finest cells that a press affords."""
+    """Return the width of the finest cells that a press can afford."""
     return _affordable_mm(case, _contact_box(case, coarse, state))
 
 
 def _affordable_mm(case: SheetCase, box: Box) -> float:
-    """Return the finest cells: wider than the thickness needs where contact is that large."""
-    if case.asked_cell:
+    """Return the width of the finest cells: wider than the thickness needs for large contacts."""
+    if case.is_cell_specified:
         return case.cell_mm
     west, east, south, north = box
     return max(case.cell_mm, float(np.sqrt((east - west) * (north - south) / _MOST_CELLS)))
 
 
 def _contact_box(case: SheetCase, sheet: Sheet, state: SheetState) -> Box:
-    """Return the box of the mounted sheet that touches the specimen, and a margin round it."""
+    """Return the box of the mounted sheet that touches the specimen, with a margin."""
     surface = sheet.surface(state.control_mm)
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
     gap = sheet.gap_mm(surface, touch)[: case.parts].min(axis=0)
@@ -124,11 +125,11 @@ def _contact_box(case: SheetCase, sheet: Sheet, state: SheetState) -> Box:
 def _allowed(
     sheet: Sheet, state: SheetState, box: Box, pitch_mm: float
 ) -> tuple[Widths, Widths] | None:
-    """Return how wide cells may be along x and y, by what a coarser sheet's surface bends.
+    """Return the largest widths of cells along x and y, from the bending of a coarser sheet.
 
-    And by what its gap to the bodies does, which knows ridges that coarser cells do not follow.
-    None for a sheet that sticks or is tacky, whose front moves from point to point, and under the
-    lightest touch.
+    Also from the curvature of its gap to the bodies, which includes ridges finer than the coarser
+    cells. None for a sheet that sticks or is tacky, because the front of its contact moves from
+    point to point, and under the lightest touch.
     """
     if sheet.sticks or sheet.laws.tack > 0:
         return None
@@ -136,9 +137,9 @@ def _allowed(
     west, east, south, north = (end / stretch for end in box)
     x = _samples(sheet.grid.x, west, east, pitch_mm)
     y = _samples(sheet.grid.y, south, north, pitch_mm)
-    felt = _felt(sheet, state, x, y)
-    along_x, along_y = _bends(felt, x, y)
-    most = pitch_mm * max(bend.max() for bend in _bends(felt[..., :3], x, y))
+    sampled = _sampled(sheet, state, x, y)
+    along_x, along_y = _bends(sampled, x, y)
+    most = pitch_mm * max(bend.max() for bend in _bends(sampled[..., :3], x, y))
     if most < _LIGHTEST_TURN:
         return None
     turn = min(_TURN, most)
@@ -149,13 +150,13 @@ def _allowed(
 
 
 def _samples(line: SplineLine, low_mm: float, high_mm: float, pitch_mm: float) -> FloatArray:
-    """Return places a pitch apart, or less, on a part of a line."""
+    """Return points on a part of a line, at distances of a pitch or less."""
     low, high = max(low_mm, line.edges[0]), min(high_mm, line.edges[-1])
     return np.linspace(low, high, max(4, int(np.ceil((high - low) / pitch_mm)) + 1))
 
 
-def _felt(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return (row, col, 3 + bodies) place of the surface, and gaps that saturate beyond reach."""
+def _sampled(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return (row, col, 3 + bodies): position of the surface, and gaps limited to the reach."""
     surface = np.stack(sheet.grid.evaluate(state.control_mm, x, y), axis=-2)[:, :, None]
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
     gaps = np.moveaxis(sheet.gap_mm(surface, touch)[..., 0], 0, -1)
@@ -163,8 +164,8 @@ def _felt(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> Floa
     return np.concatenate((surface[:, :, 0, 0], near), axis=-1)
 
 
-def _bends(felt: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the largest second derivatives along x and y at their places but the ends, 1/mm."""
-    along_x = np.abs(np.diff(felt, 2, axis=1)).max(axis=(0, 2)) / (x[1] - x[0]) ** 2
-    along_y = np.abs(np.diff(felt, 2, axis=0)).max(axis=(1, 2)) / (y[1] - y[0]) ** 2
+def _bends(sampled: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the largest second derivatives along x and y at the points but the ends, 1/mm."""
+    along_x = np.abs(np.diff(sampled, 2, axis=1)).max(axis=(0, 2)) / (x[1] - x[0]) ** 2
+    along_y = np.abs(np.diff(sampled, 2, axis=0)).max(axis=(1, 2)) / (y[1] - y[0]) ** 2
     return along_x, along_y

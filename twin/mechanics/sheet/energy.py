@@ -1,6 +1,6 @@
-"""The sheet on one grid over its bodies: its energy, forces and tangent at any place.
+"""The sheet on one grid with its bodies: its energy, forces and tangent at any position.
 
-One energy with its exact tangent; a convexified one can be asked for in its place.
+One energy with its exact tangent, or optionally with a convexified tangent.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,22 +17,23 @@ from twin.mechanics.sheet.grid import SheetGrid, functions_of, normal_of, thinni
 from twin.mechanics.sheet.kernel import SLOTS, Assembled, assemble_rows, scratch, surface_rows
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
-from twin.mechanics.sheet.point import Asked, Felt
+from twin.mechanics.sheet.point import ContactState, EvaluationOptions
 from twin.mechanics.sheet.rim import RimSpring, rim_springs
 from twin.mechanics.sheet.stencil import Stencil, control_areas, stencil
 from twin.shape import Distances, SignedDistance
 from twin.specimens.distance import is_clear_of
 
-# A band is a block of cell rows that one thread takes; its forces reach two rows beyond it.
+# A band is a block of cell rows for one thread; its forces reach two rows beyond it.
 _BAND_ROWS = 8
-# Shares of the cohesive range: anchored below the first, let go above the second, where the pull is
-# largest. Springs held farther would add to the work of peeling: 10 % at 0.2 mm, 50 % at 0.1 mm.
+# Shares of the cohesive range: anchored below the first, released above the second, where the pull
+# is largest. Springs that act farther would increase the work of peeling: 10 % at 0.2 mm, 50 % at
+# 0.1 mm.
 _GRIPS, _LETS_GO = 0.25, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """What the sheet may touch: bodies that travel with the specimen, and the frame's walls."""
+    """Bodies that may touch the sheet: bodies moving with the specimen, and the frame's walls."""
 
     moving: Sequence[SignedDistance]
     fixed: Sequence[SignedDistance] = ()
@@ -40,7 +41,7 @@ class Bodies:
 
 @dataclass(frozen=True, eq=False)
 class SheetState:
-    """A sheet in equilibrium, or on its way there."""
+    """A sheet in equilibrium, or during the iteration."""
 
     control_mm: FloatArray
     grip: Grip
@@ -51,12 +52,12 @@ class SheetState:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The energy at one place; its forces and tangent stay with the sheet until the next."""
+    """The energy at one position; the sheet stores its forces and tangent until the next."""
 
     energy: float
     control_mm: FloatArray
     surface: FloatArray
-    #: whether the tangent was asked for
+    #: whether the tangent was computed
     tangent: bool
 
     @cached_property
@@ -74,14 +75,14 @@ class System:
 
     @classmethod
     def of(cls, free: BoolArray) -> "System":
-        """Return that of a grid whose control points (row, col, xyz) are free so."""
+        """Return the system of a grid with free control points (row, col, xyz)."""
         pattern = stencil(free)
         return cls(pattern, linear_solver(pattern.start, pattern.columns))
 
 
 @dataclass(eq=False)
 class Sheet:
-    """A sheet on one grid over its bodies: the solver's memory between states."""
+    """A sheet on one grid with its bodies, and the arrays that the solver reuses."""
 
     grid: SheetGrid
     laws: Laws
@@ -89,15 +90,15 @@ class Sheet:
     #: specimen's z = 0 plane in the sheet's frame at zero travel
     touched_z_mm: float
     sticks: bool = False
-    #: cells where it touches
+    #: width of the cells in the contact
     cell_mm: float = 0.0
-    #: of which this is a window: its threads and the systems of its windows are used
+    #: sheet of which this is a window: it shares its threads and the systems of its windows
     whole: "Sheet | None" = None
     system: System = field(init=False)
     pool: ThreadPoolExecutor = field(init=False)
-    #: of a rim that gives; a window ends short of it
+    #: springs of a compliant rim; a window ends before it
     rim: tuple[RimSpring, ...] = field(init=False, default=())
-    #: whose forces and tangent are held
+    #: evaluation that the stored forces and tangent belong to
     latest: Evaluation = field(init=False)
     evaluations: int = field(init=False, default=0)
 
@@ -115,7 +116,7 @@ class Sheet:
         self.area_mm2 = control_areas(self.grid)
 
     def _system_of_window(self) -> System:
-        """Return the one of a window of the same form before, whose factors nobody needs longer."""
+        """Return the system of an earlier window of the same form; its factors are overwritten."""
         form = (self.grid.free.shape, self.grid.free.tobytes())
         if form not in self._systems:
             self._systems[form] = System.of(self.grid.free)
@@ -139,24 +140,24 @@ class Sheet:
         if tangent:
             self._tangent[:] = 0.0
         tangents = self._tangent.reshape(*self._tangent.shape[:2], -1)
-        felt, asked = Felt(laws, touch, lifted), Asked(tangent, convex)
+        data, options = ContactState(laws, touch, lifted), EvaluationOptions(tangent, convex)
         sums = Assembled(energy, self._forces, tangents)
         for parity in (0, 1):  # neighbouring bands write to the same control points
             self._over_bands(
                 rows,
                 parity,
                 lambda a, b: assemble_rows(
-                    (a, b), control_mm, self.grid.rest, felt, asked, scratch(), sums
+                    (a, b), control_mm, self.grid.rest, data, options, scratch(), sums
                 ),
             )
         springs = self._tangent if tangent else None
-        of_rim = sum(one.add(control_mm, self._forces, springs) for one in self.rim)
+        of_rim = sum(spring.add(control_mm, self._forces, springs) for spring in self.rim)
         self.evaluations += 1
         self.latest = Evaluation(float(energy.sum()) + of_rim, control_mm, surface, tangent)
         return self.latest
 
     def surface(self, control_mm: FloatArray) -> FloatArray:
-        """Return (row, col, 4, 3, xyz): place and derivatives at the Gauss points."""
+        """Return (row, col, 4, 3, xyz): position and derivatives at the Gauss points."""
         rows, cols = self.grid.y.cells, self.grid.x.cells
         out = np.zeros((rows, cols, 4, 3, 3))
         for parity in (0, 1):
@@ -171,31 +172,31 @@ class Sheet:
 
     @property
     def reach_mm(self) -> float:
-        """Distance of the middle surface from a body beyond which the two do not feel each other.
+        """Distance of the middle surface from a body beyond which the body has no effect.
 
-        Half a thickness, half as much again where the sheet is compressed, and the tack's range.
+        Half a thickness, 1.5 times that where the sheet is compressed, and the tack's range.
         """
         return 0.75 * self.laws.thickness_mm + self.laws.tack_range_mm
 
     def touch(self, place_mm: FloatArray, travel_mm: float) -> Touch:
         """Return the moving bodies' distances at the sheet's Gauss points (row, col, 4, xyz)."""
         points = self._lowered(place_mm, travel_mm)
-        found = [body.evaluate(points, self.reach_mm) for body in self.bodies.moving]
-        return _stacked(found, place_mm.shape[:3])
+        distances = [body.evaluate(points, self.reach_mm) for body in self.bodies.moving]
+        return _stacked(distances, place_mm.shape[:3])
 
     def _near(self, place_mm: FloatArray, travel_mm: float) -> Touch:
-        """Return the distances to those bodies and walls that the sheet feels anywhere."""
-        found = []
+        """Return the distances to the bodies and walls within reach of any point of the sheet."""
+        distances = []
         sides = (
             (self.bodies.moving, self._lowered(place_mm, travel_mm)),
             (self.bodies.fixed, place_mm.reshape(-1, 3)),
         )
         for bodies, points in sides:
             low, high = box_of(points)
-            asked = [body for body in bodies if not is_clear_of(body, low, high, self.reach_mm)]
-            found += [body.evaluate(points, self.reach_mm) for body in asked]
-        felt = [one for one in found if one[0].min() <= self.reach_mm]
-        return _stacked(felt, place_mm.shape[:3])
+            near = [body for body in bodies if not is_clear_of(body, low, high, self.reach_mm)]
+            distances += [body.evaluate(points, self.reach_mm) for body in near]
+        within_reach = [part for part in distances if part[0].min() <= self.reach_mm]
+        return _stacked(within_reach, place_mm.shape[:3])
 
     def _lowered(self, place_mm: FloatArray, travel_mm: float) -> FloatArray:
         """Return points (n, xyz) in the frame of the specimen."""
@@ -224,7 +225,7 @@ class Sheet:
         return share
 
     def factorise(self, viscosity: float) -> bool:
-        """Factorise the last tangent and a viscosity, kPa/mm; tell whether it is definite."""
+        """Factorise the last tangent plus a viscosity, kPa/mm; return True if it is definite."""
         values = self._tangent.reshape(-1)[self.system.stencil.taken]
         if viscosity:
             weights = np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
@@ -232,11 +233,11 @@ class Sheet:
         return self.system.solver.factorise(values)
 
     def newton_step_mm(self) -> FloatArray:
-        """Return (row, col, xyz): what the last factors make of the last forces."""
+        """Return (row, col, xyz): the step of the last factors for the last forces."""
         return self.answer_mm(self.forces())
 
     def answer_mm(self, forces: FloatArray) -> FloatArray:
-        """Return (row, col, xyz): what the last factors make of forces (unknown,)."""
+        """Return (row, col, xyz): the step of the last factors for forces (unknown,)."""
         step = np.zeros(self._forces.shape)
         step[self.grid.free] = -self.system.solver.solve(forces)
         return step
@@ -275,14 +276,14 @@ class Sheet:
         return square
 
     def regripped(self, state: SheetState) -> SheetState:
-        """Anchor what touches and free what has left: neither raises the energy."""
+        """Anchor points that touch and free points that have left: neither raises the energy."""
         surface = self.surface(state.control_mm)
         touch = self.touch(surface[..., 0, :], state.travel_mm)
         gap = self.gap_mm(surface, touch)
         nearest = gap.argmin(axis=0)[None]
         gap = gap.min(axis=0)
         normal = np.take_along_axis(touch.gradient, nearest[..., None], axis=0)[0]
-        # Tabled distances have gradients that are not quite 1 long; springs need them so.
+        # Tabulated distances have gradients that are not quite 1 long; springs need unit length.
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         reach = self.laws.tack_range_mm if self.laws.tack > 0 else 0.0
         new = ((gap < _GRIPS * reach) & (state.grip.held == 0))[..., None]
@@ -296,17 +297,17 @@ class Sheet:
         return replace(state, grip=grip)
 
     def window(self, rows: slice, cols: slice) -> "Sheet":
-        """Return some of its cells as a sheet of their own, held all round."""
+        """Return some of its cells as a sheet of their own, held along its whole outline."""
         grid = self.grid.window(rows, cols)
         z_mm, cell_mm = self.touched_z_mm, self.cell_mm
         return Sheet(grid, self.laws, self.bodies, z_mm, cell_mm=cell_mm, whole=self)
 
 
-def _stacked(found: list[Distances], shape: tuple[int, ...]) -> Touch:
+def _stacked(distances: list[Distances], shape: tuple[int, ...]) -> Touch:
     """Return bodies' distances, gradients and Hessians at (row, col, 4) points."""
-    count = len(found)
+    count = len(distances)
     return Touch(
-        np.array([one[0] for one in found]).reshape(count, *shape),
-        np.array([one[1] for one in found]).reshape(count, *shape, 3),
-        np.array([one[2] for one in found]).reshape(count, *shape, 3, 3),
+        np.array([part[0] for part in distances]).reshape(count, *shape),
+        np.array([part[1] for part in distances]).reshape(count, *shape, 3),
+        np.array([part[2] for part in distances]).reshape(count, *shape, 3, 3),
     )

@@ -1,8 +1,8 @@
 """Equilibrium of the sheet at one travel: Newton's method on its energy.
 
-Where the exact tangent is not positive definite, viscosity is added or a convexified one replaces
-it for some steps; a line search on the energy and a limit on how far a normal may turn per step
-keep cells from flipping.
+Where the exact tangent is not positive definite, viscosity is added or a convexified tangent
+replaces it for some steps; a line search on the energy and a limit on the turn of a normal per step
+prevent cells from flipping.
 """
 
 from contextlib import suppress
@@ -23,40 +23,40 @@ _REGRIP_EVERY = 4
 #: thickness over its undeformed value
 _FILM = 0.1
 _LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e15
-# A tangent that was not definite is asked again after 1 step, 2, 4 and at most so many.
+# A tangent that was not definite is tried again after 1 step, 2, 4 and at most this number.
 _MOST_CONVEX_STEPS = 16
 _GROWTH = 8.0
 _SPOT_HALF_CELLS, _MOST_SPOTS, _SPOT_STEPS = 10, 8, 12
-# Of the largest residual: what is below is no spot.
+# Of the largest residual: below this a control point is no spot.
 _LEAST_SPOT = 0.05
 # Of a step's promised gain.
 _POOR, _GOOD = 0.5, 0.75
-# Of the fall that the slope at a step's start promises; a quadratic of the step's own length has
-# half of it.
+# Of the decrease that the slope at a step's start predicts; a quadratic of the step's own length
+# has 50 % of it.
 _STILL_STEEP = 0.75
-# Of the energy: a step that promises less is judged by the forces that it leaves.
+# Of the energy: a step that predicts less is judged by the residual forces.
 _ROUNDING, _LEAST_BY_FORCES = 1e-11, 0.25
-# Factors serve a second step where the residual is less than this many times the one asked for.
+# Factors serve a second step if the residual is less than this many times the tolerance.
 _FACTORS_SERVE = 100.0
-# Of a step: a shorter share of it does not tell how near the equilibrium is.
+# Of a step: a shorter share of it does not measure the distance to the equilibrium.
 _NEARLY_WHOLE = 0.9
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """When the sheet counts as being in equilibrium."""
+    """Tolerances of an equilibrium."""
 
     step_mm: float = 2e-4
     residual_kpa: float = 0.02
     most_steps: int = 80
-    #: refuse what is not in equilibrium after the most steps; or take it, as a stop on the way
+    #: raise an error without equilibrium after the most steps; or accept it, during the load steps
     strict: bool = True
-    #: anchors are told again after any step shorter than this, and after every fourth
+    #: anchors are updated after any step shorter than this, and after every fourth
     anchors_from_mm: float = 0.0
 
 
 def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
-    """Return the equilibrium that is reached from `state` by going down in energy.
+    """Return the equilibrium that is reached from `state` by a descent in energy.
 
     Raises
     ------
@@ -68,48 +68,48 @@ def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
 
 @dataclass(frozen=True)
 class _Damping:
-    """What makes a tangent definite: viscosity, and a convex one in its place for some steps."""
+    """Damping that makes a tangent definite: viscosity, and a convex tangent for some steps."""
 
     viscosity: float = 0.0
-    #: so many steps more
+    #: number of further steps with a convex tangent
     convex_steps: int = 0
-    #: for how many the last refusal was
-    refused: int = 0
+    #: number of convex steps after the last indefinite tangent
+    last_convex_steps: int = 0
 
     @property
     def convex(self) -> bool:
-        """The next tangent is to be convex."""
+        """Whether the next tangent is convex."""
         return self.convex_steps > 0
 
     def times(self, factor: float) -> "_Damping":
-        """Return it with more viscosity."""
+        """Return the damping with more viscosity."""
         return replace(self, viscosity=factor * self.viscosity)
 
-    def refusing(self) -> "_Damping":
-        """Return it convex, for twice as many steps as after the refusal before."""
-        steps = min(max(2 * self.refused, 1), _MOST_CONVEX_STEPS)
-        return replace(self, convex_steps=steps, refused=steps)
+    def convexified(self) -> "_Damping":
+        """Return convex damping, for twice as many steps as after the last indefinite tangent."""
+        steps = min(max(2 * self.last_convex_steps, 1), _MOST_CONVEX_STEPS)
+        return replace(self, convex_steps=steps, last_convex_steps=steps)
 
 
 @dataclass(eq=False)
 class _Descent:
-    """A sheet on its way down, and what the last step was like."""
+    """A sheet during the descent, and the results of the last step."""
 
     sheet: Sheet
     state: SheetState
     accuracy: Accuracy
-    #: spots may settle by themselves on the way
+    #: spots may be solved separately during the descent
     spots: bool = False
     control_mm: FloatArray = field(init=False)
-    #: whose forces and tangent the sheet holds
+    #: evaluation that the sheet's forces and tangent belong to
     now: Evaluation = field(init=False)
     damping: _Damping = field(init=False, default=_Damping())
-    #: the last factors serve the next step
+    #: the last factors are used for the next step
     serves: bool = field(init=False, default=False)
     step_mm: FloatArray = field(init=False)
     viscosity: float = field(init=False, default=0.0)
     share: float = field(init=False, default=1.0)
-    #: of the energy, over the one that the quadratic model promises
+    #: decrease of the energy over that of the quadratic model
     gain: float = field(init=False, default=1.0)
 
     def __post_init__(self) -> None:
@@ -117,7 +117,7 @@ class _Descent:
 
     @property
     def here(self) -> SheetState:
-        """The state with the control points as they are."""
+        """The state with the current control points."""
         return replace(self.state, control_mm=self.control_mm)
 
     @property
@@ -126,14 +126,14 @@ class _Descent:
         return float(self.sheet.residuals_kpa().max())
 
     def move(self, control_mm: FloatArray) -> None:
-        """Go to a place, and ask for its forces and tangent."""
+        """Move to control points, and evaluate their forces and tangent."""
         self.control_mm = control_mm
         self.now = self.sheet.evaluate(
             control_mm, self.state, tangent=True, convex=self.damping.convex
         )
 
     def hands_over(self, share: float) -> bool:
-        """Tell whether spots settle after a share of the step, and ask for the next tangent."""
+        """Return True if spots are solved after a share of the step, and need the next tangent."""
         return self.spots and (self.damping.viscosity > 0 or share < 1)
 
     def descend(self) -> None:
@@ -155,13 +155,13 @@ class _Descent:
         self.step_mm, self.viscosity = step, self.damping.viscosity
 
     def anchor(self) -> None:
-        """Anchor what touches and free what has left."""
+        """Anchor points that touch and free points that have left."""
         held, self.state = self.state.grip.held, self.sheet.regripped(self.here)
         if (self.state.grip.held != held).any():
             self.move(self.control_mm)
 
     def damp(self) -> None:
-        """Choose the damping of the next step, and whether factors serve it too."""
+        """Choose the damping of the next step, and whether it uses the last factors."""
         self.serves = (
             not self.serves
             and self.viscosity == 0
@@ -173,7 +173,7 @@ class _Descent:
 
 
 def _settled(descent: _Descent) -> SheetState:
-    """Return the equilibrium that a descent ends in.
+    """Return the equilibrium at the end of a descent.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def _settled(descent: _Descent) -> SheetState:
     sheet, accuracy = descent.sheet, descent.accuracy
     for count in range(accuracy.most_steps):
         descent.descend()
-        _refuse_film(descent.now.surface, descent.state)
+        _check_film(descent.now.surface, descent.state)
         if sheet.sticks and (count % _REGRIP_EVERY == _REGRIP_EVERY - 1 or _is_near(descent)):
             descent.anchor()
         end = _end(descent)
@@ -203,13 +203,13 @@ def _settled(descent: _Descent) -> SheetState:
 
 
 def _is_near(descent: _Descent) -> bool:
-    """Tell whether a whole step was so short that anchors can be told again."""
+    """Return True if a whole step was so short that anchors can be updated."""
     longest_mm = float(np.abs(descent.step_mm).max())
     return descent.share == 1.0 and longest_mm < descent.accuracy.anchors_from_mm
 
 
 def _end(descent: _Descent) -> SheetState | None:
-    """Return the equilibrium after a step, or None where it is not one yet."""
+    """Return the equilibrium after a step, or None if it is not reached."""
     if descent.share <= _NEARLY_WHOLE:
         return None
     rest = _rest_mm(descent, descent.share * descent.step_mm)
@@ -220,17 +220,17 @@ def _end(descent: _Descent) -> SheetState | None:
     gripped = descent.sheet.regripped(descent.here) if descent.sheet.sticks else descent.here
     if not (gripped.grip.held < held).any():
         return gripped
-    # What let go had borne a share of the load.
+    # The released points had carried a part of the load.
     descent.state = gripped
     descent.move(descent.control_mm)
     return gripped if _rest_mm(descent, descent.step_mm) is not None else None
 
 
 def _rest_mm(descent: _Descent, made_mm: FloatArray) -> FloatArray | None:
-    """Return the step that is left after a step made, None where one of them is still long.
+    """Return the remaining step after a step made, None if either is still long.
 
-    With the last factors, so that no factorisation only confirms an equilibrium. Where they
-    hold viscosity they make what is left look short, and the step made counts too.
+    Computed with the last factors, so that no factorisation only confirms an equilibrium. If they
+    include viscosity the remaining step is too short, and the step made counts as well.
     """
     if descent.residual_kpa >= descent.accuracy.residual_kpa:
         return None
@@ -244,23 +244,23 @@ def _rest_mm(descent: _Descent, made_mm: FloatArray) -> FloatArray | None:
 
 
 def _slips(sheet: Sheet, state: SheetState) -> bool:
-    """Tell whether it slips over its bodies, pressed on them: no equilibrium remembers a way.
+    """Return True if the sheet slips on its bodies under pressure: no dependence on the path.
 
-    What is anchored or held by tack ends where its way leads, which large steps would leave; what
-    bears no pressure may be slack, with many equilibria side by side.
+    The equilibrium of an anchored or tacky sheet depends on its path, from which large steps would
+    deviate; a sheet without pressure may be slack, with many equilibria close together.
     """
     return not sheet.sticks and not sheet.laws.tack and state.pressure_kpa > 0
 
 
 def _definite(descent: _Descent, damping: _Damping) -> _Damping:
-    """Factorise the tangent, or where it is not definite a convex one; return what it took."""
+    """Factorise the tangent, or if it is not definite a convex one; return the damping."""
     slips = _slips(descent.sheet, descent.state)
     if not damping.convex:
         viscosity = _exact(descent.sheet, damping, once=slips)
         if viscosity is not None:
             return _Damping(viscosity)
         descent.sheet.evaluate(descent.control_mm, descent.state, tangent=True, convex=True)
-        damping = damping.refusing() if slips else _Damping(convex_steps=1)
+        damping = damping.convexified() if slips else _Damping(convex_steps=1)
     viscosity = max(damping.viscosity, _LEAST_VISCOSITY)
     while not descent.sheet.factorise(viscosity):
         viscosity *= _GROWTH
@@ -270,15 +270,15 @@ def _definite(descent: _Descent, damping: _Damping) -> _Damping:
 
 
 def _exact(sheet: Sheet, damping: _Damping, *, once: bool) -> float | None:
-    """Factorise the exact tangent; return its viscosity, None where it wants too much.
+    """Factorise the exact tangent; return its viscosity, None if it needs too much.
 
-    Of a sheet that slips and after a refusal it is tried `once`: as much as the worst point of such
-    a sheet may need would hold all of it back.
+    For a sheet that slips and after an indefinite tangent it is tried `once`: the viscosity that
+    the worst point of such a sheet may need would slow the whole sheet.
     """
-    viscosity = max(damping.viscosity, _GROWTH) if damping.refused else damping.viscosity
-    if once or damping.refused:
+    viscosity = max(damping.viscosity, _GROWTH) if damping.last_convex_steps else damping.viscosity
+    if once or damping.last_convex_steps:
         return viscosity if sheet.factorise(viscosity) else None
-    # A lowered viscosity that is too low is nearly enough; more makes short steps for long.
+    # A reduced viscosity that is too low is nearly sufficient; more makes short steps for long.
     growth = float(np.sqrt(_GROWTH)) if viscosity else _GROWTH**2
     while not sheet.factorise(viscosity):
         viscosity = max(growth * viscosity, _LEAST_VISCOSITY)
@@ -288,10 +288,10 @@ def _exact(sheet: Sheet, damping: _Damping, *, once: bool) -> float | None:
 
 
 def _adapted(viscosity: float, share: float, gain: float) -> float:
-    """Return the viscosity to try next, after a step's share and its gain over the promised one.
+    """Return the next viscosity, from a step's share and its gain over the predicted gain.
 
     As Levenberg and Marquardt: less after a step that was as good as its model, more after a cut or
-    a poor one.
+    a poor step.
     """
     if share < 1:
         return max(viscosity, _LEAST_VISCOSITY / 2) * min(_GROWTH, 2 / max(share, 1 / _GROWTH))
@@ -305,7 +305,7 @@ def _adapted(viscosity: float, share: float, gain: float) -> float:
 
 
 def _searched(descent: _Descent, step: FloatArray, slope: float) -> tuple[float, Evaluation]:
-    """Return the share of the step that lowers the energy enough, and what is there."""
+    """Return the share of the step that lowers the energy enough, and its evaluation."""
     sheet, now = descent.sheet, descent.now
     if -slope <= _ROUNDING * abs(now.energy):
         return _by_forces(descent, step)
@@ -323,23 +323,23 @@ def _searched(descent: _Descent, step: FloatArray, slope: float) -> tuple[float,
 
 
 def _at(descent: _Descent, control_mm: FloatArray, share: float) -> Evaluation:
-    """Evaluate a share of the step; its tangent too, unless spots ask for another one."""
+    """Evaluate a share of the step; its tangent too, unless spots need a new one."""
     tangent, convex = not descent.hands_over(share), descent.damping.convex
     return descent.sheet.evaluate(control_mm, descent.state, tangent=tangent, convex=convex)
 
 
 def _held(descent: _Descent, place: Evaluation, share: float) -> Evaluation:
-    """Let the sheet hold the forces, and what is needed of the tangent, of one of its places."""
+    """Store the forces and tangent of one of its positions in the sheet, if they are needed."""
     if descent.sheet.latest is place and (place.tangent or descent.hands_over(share)):
         return place
     return _at(descent, place.control_mm, share)
 
 
 def _by_forces(descent: _Descent, step: FloatArray) -> tuple[float, Evaluation]:
-    """Return a whole, half or quarter of a short step, the first that leaves less force.
+    """Return 1, 0.5 or 0.25 of a short step, the first with a smaller residual force.
 
-    Energies differ by less than their rounding here, and a point that begins or ceases to touch may
-    send whole steps to and fro for ever.
+    Energies differ by less than their rounding here, and a point at the edge of the contact may
+    make whole steps alternate for ever.
     """
     before_kpa, share = descent.residual_kpa, 1.0
     while True:
@@ -353,9 +353,9 @@ def _by_forces(descent: _Descent, step: FloatArray) -> tuple[float, Evaluation]:
 def _extended(
     descent: _Descent, step: FloatArray, new: Evaluation, *, share: float, slope: float
 ) -> tuple[float, Evaluation]:
-    """Return the share of the step, doubled while the energy falls as steeply as at its start.
+    """Return the share of the step, doubled while the energy decreases as steeply as at its start.
 
-    As it does where viscosity, and no stiffness of the sheet's, has made the step short.
+    This is so if viscosity, not the sheet's stiffness, has made the step short.
     """
     now, best, largest_mm = descent.now, new, float(np.abs(step).max())
     while (
@@ -371,7 +371,7 @@ def _extended(
 
 
 def _lowers(now: Evaluation, new: Evaluation, slope: float) -> bool:
-    """Tell whether a step lowers the energy enough and turns no normal too far."""
+    """Return True if a step lowers the energy enough and turns no normal too far."""
     bound = now.energy + _SUFFICIENT * slope + 1e-12 * abs(now.energy)
     return bool(new.energy <= bound) and _turn(now, new) > _LARGEST_TURN
 
@@ -380,11 +380,11 @@ def _turn(before: Evaluation, after: Evaluation) -> float:
     """Return the least cosine between the normals of two surfaces."""
     # Component by component: over short rows Numpy takes ten times as long.
     along = zip(np.moveaxis(before.normal, -1, 0), np.moveaxis(after.normal, -1, 0), strict=True)
-    return float(sum(one * other for one, other in along).min())
+    return float(sum(first * second for first, second in along).min())
 
 
-def _refuse_film(surface: FloatArray, state: SheetState) -> None:
-    """Refuse a sheet that flows away: no equilibrium lies behind so thin a film."""
+def _check_film(surface: FloatArray, state: SheetState) -> None:
+    """Raise an error if a sheet flows away: there is no equilibrium after so thin a film."""
     thinnest = float(thinning_of(surface).min())
     if thinnest < _FILM:
         raise SolverError(
@@ -397,11 +397,11 @@ def _refuse_film(surface: FloatArray, state: SheetState) -> None:
 
 
 def _settled_spots(descent: _Descent) -> FloatArray:
-    """Return the control points (row, col, xyz) after spots have settled by themselves.
+    """Return the control points (row, col, xyz) after spots have been solved separately.
 
-    Round an edge the sheet slips over points one by one. As long as one of them is on its way, a
-    step of the whole sheet is short everywhere. A spot is a window of the same sheet, with the same
-    energy: what it gains the sheet gains.
+    Round an edge the sheet slips over points one by one. While one of them moves, a step of the
+    whole sheet is short everywhere. A spot is a window of the same sheet, with the same energy: its
+    decrease is that of the sheet.
     """
     sheet, control = descent.sheet, descent.control_mm.copy()
     rough = replace(descent.accuracy, most_steps=_SPOT_STEPS, strict=False)
@@ -409,14 +409,14 @@ def _settled_spots(descent: _Descent) -> FloatArray:
         inside = _controls(rows, cols)
         grip = Grip(*(part[rows, cols] for part in descent.state.grip))
         start = replace(descent.state, control_mm=control[inside], grip=grip)
-        with suppress(SolverError):  # else the whole sheet has to go on first
+        with suppress(SolverError):  # otherwise the whole sheet has to continue first
             window = _Descent(sheet.window(rows, cols), start, rough)
             control[inside] = _settled(window).control_mm
     return control
 
 
 def _spots(sheet: Sheet, residual_kpa: FloatArray, least_kpa: float) -> list[tuple[slice, slice]]:
-    """Return the cells, (rows, cols), round those control points that are farthest from rest."""
+    """Return the cells, (rows, cols), round the control points with the largest residuals."""
     left = residual_kpa.copy()
     least_kpa = max(_LEAST_SPOT * float(left.max()), least_kpa)
     spots: list[tuple[slice, slice]] = []

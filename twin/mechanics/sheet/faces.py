@@ -1,6 +1,7 @@
 """Both faces of the deformed sheet as height maps over the world's x and y.
 
-The sheet is sampled along itself and seen from above: where it overhangs, its highest part counts.
+The sheet is sampled along itself and projected from above: where it overhangs, its highest part is
+taken.
 """
 
 from dataclasses import dataclass
@@ -15,22 +16,22 @@ from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.grid import SheetGrid
 from twin.mechanics.sheet.splines import subdivided
 
-# As of `specimens.distance`: the same bytes whatever the make of the CPU.
+# As of `specimens.distance`: the same bytes on any type of CPU.
 _OPTIONS = {"nogil": True, "_nrt": False, "error_model": "numpy"}
 _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("faces.py",))
 _FEWEST_PARTS, _MOST_PARTS = 2, 12
 _DEGENERATE_MM2 = 1e-14
-# Of the opening: so far is drawn what follows an edge that the sheet has drawn in.
+# Of the opening: material that an edge has drawn in is drawn up to this.
 _UNDER_THE_FRAME = 1.001
-#: of a step between nodes, and of a triangle's side: so near to an edge is on it
+#: of a step between nodes, and of a triangle's side: a point this near to an edge is on it
 _ON = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The sheet at places along itself, arrays (row, col) of the sampling."""
+    """The sheet at points along itself, arrays (row, col) of the sampling."""
 
-    #: (row, col, xy) places on the mounted sheet
+    #: (row, col, xy) positions on the mounted sheet
     material_mm: FloatArray
     #: (row, col, xyz) surface midway between the faces, and the faces
     middle_mm: FloatArray
@@ -42,7 +43,7 @@ class Sampled:
 
 
 def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
-    """Sample the sheet at no more than about `pitch_mm` where it is fine."""
+    """Sample the sheet at a pitch of about `pitch_mm` or less where its cells are fine."""
     grid, h = sheet.grid, sheet.laws.thickness_mm
     x, y = _places(grid, pitch_mm)
     middle, along_x, along_y = grid.evaluate(state.control_mm, x, y)
@@ -50,7 +51,7 @@ def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
     across = np.cross(along_x, along_y)
     area2 = (across**2).sum(axis=-1)
     offset = h / 2 * across / area2[..., None]
-    found = Sampled(
+    sampled = Sampled(
         material_mm=mounted,
         middle_mm=middle,
         upper_mm=middle + offset,
@@ -58,12 +59,12 @@ def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
         thickness_mm=h / np.sqrt(area2),
         stretch=_principal(along_x, along_y, area2),
     )
-    return _with_margin(found) if grid.frame.rim_compliance_mm2_per_n else found
+    return _with_margin(sampled) if grid.frame.rim_compliance_mm2_per_n else sampled
 
 
-def _with_margin(found: Sampled) -> Sampled:
-    """Return the samples and, up to the frame, what its edge drew in after itself."""
-    parts = {name: _padded(one) for name, one in vars(found).items()}
+def _with_margin(sampled: Sampled) -> Sampled:
+    """Return the samples and, up to the frame, the material that its edge drew in."""
+    parts = {name: _padded(values) for name, values in vars(sampled).items()}
     for name in ("middle_mm", "upper_mm", "lower_mm"):
         place = _UNDER_THE_FRAME * parts["material_mm"]
         place[1:-1, 1:-1] = parts[name][1:-1, 1:-1, :2]
@@ -82,12 +83,12 @@ def height_map(
     y_mm: FloatArray,
     below: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """See a sampled surface from above.
+    """Project a sampled surface from above.
 
     Parameters
     ----------
     surface_mm : (i, j, xyz)
-    values : (i, j, k) carried along
+    values : (i, j, k) interpolated with it
     x_mm, y_mm : (col,) and (row,) evenly spaced nodes
     below : (1 + k,) height and values where there is no sheet
 
@@ -97,13 +98,15 @@ def height_map(
     """
     shape = y_mm.size, x_mm.size
     height = np.full(shape, -np.inf)
-    seen = np.zeros((*shape, values.shape[2]))
+    interpolated = np.zeros((*shape, values.shape[2]))
     grid = np.array([x_mm[0], y_mm[0], x_mm[1] - x_mm[0], y_mm[1] - y_mm[0]])
-    _raster(np.ascontiguousarray(surface_mm), np.ascontiguousarray(values), grid, height, seen)
+    _raster(
+        np.ascontiguousarray(surface_mm), np.ascontiguousarray(values), grid, height, interpolated
+    )
     absent = np.isinf(height)
     height[absent] = below[0]
-    seen[absent] = below[1:]
-    return height, seen
+    interpolated[absent] = below[1:]
+    return height, interpolated
 
 
 def _places(grid: SheetGrid, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
@@ -128,8 +131,8 @@ def _principal(along_x: FloatArray, along_y: FloatArray, area2: FloatArray) -> F
 
 
 @_compiled
-def _raster(surface: Any, values: Any, grid: Any, height: Any, seen: Any) -> None:
-    """Draw the two triangles of each quad; `grid` holds x0, y0, dx, dy of the nodes."""
+def _raster(surface: Any, values: Any, grid: Any, height: Any, interpolated: Any) -> None:
+    """Draw the two triangles of each quad; `grid` is x0, y0, dx, dy of the nodes."""
     x0, y0, dx, dy = grid
     rows, cols = height.shape
     for j in range(surface.shape[0] - 1):
@@ -140,7 +143,7 @@ def _raster(surface: Any, values: Any, grid: Any, height: Any, seen: Any) -> Non
                 area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
                 if abs(area) < _DEGENERATE_MM2:
                     continue
-                # A node on the rim lies on the sheet, whatever its last digit.
+                # A node on the rim is on the sheet, for any last digit.
                 left = max(int(np.ceil((min(a[0], b[0], c[0]) - x0) / dx - _ON)), 0)
                 right = min(int(np.floor((max(a[0], b[0], c[0]) - x0) / dx + _ON)), cols - 1)
                 low = max(int(np.ceil((min(a[1], b[1], c[1]) - y0) / dy - _ON)), 0)
@@ -161,4 +164,4 @@ def _raster(surface: Any, values: Any, grid: Any, height: Any, seen: Any) -> Non
                                     values[j + 1, i + 1, k],
                                     values[ja, ia, k],
                                 )
-                                seen[row, col, k] = va + u * (vb - va) + v * (vc - va)
+                                interpolated[row, col, k] = va + u * (vb - va) + v * (vc - va)

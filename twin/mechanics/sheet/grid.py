@@ -1,4 +1,4 @@
-"""The undeformed sheet on a grid of spline cells, held along its rim or on springs there.
+"""The undeformed sheet on a grid of spline cells, held along its rim or by springs there.
 
 The parameter plane is the sheet's own, unstretched: a pre-stretch of 1.1 means that a sheet of span
 L was cut to L / 1.1. A round sheet is the image of a square, so that its rim is a grid line.
@@ -20,14 +20,14 @@ Rim = Literal["clamped", "simple"]
 
 @dataclass(frozen=True)
 class Frame:
-    """What holds the sheet: its opening in the world, centred on the origin, mm."""
+    """The frame of the sheet: its opening in the world, centred on the origin, mm."""
 
     length_x_mm: float
     length_y_mm: float
     outline: Outline = "rectangular"
     rim: Rim = "clamped"
     pre_stretch: float = 1.0
-    #: of the edge along the frame per line tension, mm per N/mm
+    #: displacement of the edge along the frame per line tension, mm per N/mm
     rim_compliance_mm2_per_n: float = 0.0
 
     @property
@@ -38,7 +38,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class SheetGrid:
-    """Cells (row along y, col along x), their control points and what of them is free."""
+    """Cells (row along y, col along x), their control points, and which components are free."""
 
     frame: Frame
     x: SplineLine
@@ -46,18 +46,18 @@ class SheetGrid:
     rest: Rest
     #: (row + 2, col + 2, 3) control points of the mounted, unloaded sheet, z = 0
     mounted_mm: FloatArray
-    #: (row + 2, col + 2, xyz) what of the control points may move
+    #: (row + 2, col + 2, xyz) components of the control points that may move
     free: npt.NDArray[np.bool_]
 
     def evaluate(
         self, control_mm: FloatArray, x: FloatArray, y: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return (row, col, 3) place and its derivatives along the material's x and y.
+        """Return (row, col, 3) position and its derivatives along the material's x and y.
 
         Parameters
         ----------
         control_mm : (row + 2, col + 2, 3)
-        x, y : (col,) and (row,) places on the parameter lines
+        x, y : (col,) and (row,) points on the parameter lines
         """
         cut = _Map(self.frame, self.x, self.y).sampled(x, y)
         place, by_u, by_v = (
@@ -76,7 +76,7 @@ class SheetGrid:
         return place, along_x, along_y
 
     def window(self, rows: slice, cols: slice) -> "SheetGrid":
-        """Return some of the cells, held where their control points belong to other cells too.
+        """Return some of the cells, held where their control points belong to further cells too.
 
         Its control points are this grid's from the first row and column to two beyond the last.
         """
@@ -94,16 +94,16 @@ class SheetGrid:
             self.free[control] & inside,
         )
 
-    def moved_from(self, other: "SheetGrid", control_mm: FloatArray) -> FloatArray:
-        """Return this grid's control points for the surface that `other`'s describe."""
-        across, along = self.y.interpolated_from(other.y), self.x.interpolated_from(other.x)
-        displaced = control_mm - other.mounted_mm
+    def moved_from(self, source: "SheetGrid", control_mm: FloatArray) -> FloatArray:
+        """Return this grid's control points for the surface of control points of `source`."""
+        across, along = self.y.interpolated_from(source.y), self.x.interpolated_from(source.x)
+        displaced = control_mm - source.mounted_mm
         moved = np.einsum("ai,ijk,bj->abk", across, displaced, along, optimize=True)
         return self.mounted_mm + np.where(self.free, moved, 0.0)
 
 
 def sheet_grid(frame: Frame, x: SplineLine, y: SplineLine) -> SheetGrid:
-    """Lay the sheet on spline lines that cover its unstretched span."""
+    """Create the sheet on spline lines that cover its unstretched span."""
     control = _Map(frame, x, y).control_mm()
     mounted = np.concatenate((control * frame.pre_stretch, np.zeros((y.size, x.size, 1))), axis=2)
     free = np.zeros(mounted.shape, dtype=bool)
@@ -149,8 +149,8 @@ class _Map:
     def sampled(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return (5, row, col): X_u, Y_u, X_v, Y_v and their determinant at places (x, y)."""
         if self.frame.outline == "rectangular":
-            one, none = np.ones((y.size, x.size)), np.zeros((y.size, x.size))
-            return np.stack((one, none, none, one, one))
+            ones, zeros = np.ones((y.size, x.size)), np.zeros((y.size, x.size))
+            return np.stack((ones, zeros, zeros, ones, ones))
         control = self.control_mm()
         (xu, yu), (xv, yv) = (
             np.einsum(
@@ -170,9 +170,9 @@ def functions_of(rest: Rest, rows: slice = slice(None)) -> FloatArray:
 
 
 def normal_of(surface: FloatArray) -> FloatArray:
-    """Return unit normals of (..., 3, xyz) place and derivatives."""
+    """Return unit normals of (..., 3, xyz) position and derivatives."""
     across, stretch = _across(surface)
-    return np.stack([one / stretch for one in across], axis=-1)
+    return np.stack([component / stretch for component in across], axis=-1)
 
 
 def thinning_of(surface: FloatArray) -> FloatArray:
@@ -209,7 +209,7 @@ def _rest(frame: Frame, x: SplineLine, y: SplineLine, control: FloatArray) -> Re
 
 
 def _along_the_sheet(functions: FloatArray, control: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how derivatives along the sheet follow from those along the grid, and its area."""
+    """Return the map of derivatives along the grid to those along the sheet, and its area."""
     rows, cols = functions.shape[:2]
     cell = np.arange(9)
     local = control[
@@ -222,7 +222,7 @@ def _along_the_sheet(functions: FloatArray, control: FloatArray) -> tuple[FloatA
     by = np.eye(5)
     along_x = (by[0] * yv - by[1] * yu) / det
     along_y = (by[1] * xu - by[0] * xv) / det
-    # What is left of the second derivatives after the map's own curvature, then J^-T (.) J^-1.
+    # Second derivatives less the map's own curvature, then J^-T (.) J^-1.
     uu = by[2] - xuu * along_x - yuu * along_y
     vv = by[3] - xvv * along_x - yvv * along_y
     uv = by[4] - xuv * along_x - yuv * along_y

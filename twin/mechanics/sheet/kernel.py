@@ -1,6 +1,6 @@
 """Energy, forces and tangent of the thin sheet, compiled: one cell of splines at a time.
 
-Arrays are (row, col) of cells, then Gauss point; what is summed at one is in `point`.
+Arrays are (row, col) of cells, then Gauss point; the terms at one point are in `point`.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -11,7 +11,14 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray
 from twin.mechanics.sheet.laws import Grip, Rest, inlined, kernel
-from twin.mechanics.sheet.point import Asked, At, Felt, Point, point_scratch, potentials
+from twin.mechanics.sheet.point import (
+    At,
+    ContactState,
+    EvaluationOptions,
+    Point,
+    point_scratch,
+    potentials,
+)
 from twin.mechanics.sheet.tangent import fill_tangent
 
 #: Offsets (row, col) of the upper half of the tangent's stencil, in the order of its slots.
@@ -27,7 +34,7 @@ class Cell(NamedTuple):
     #: (9, 6) functions and derivatives at a point, and (5,) those of one along the grid
     functions: FloatArray
     plain: FloatArray
-    #: (54,) and (6, 81) a point's tangent with its second side taken to the functions
+    #: (54,) and (6, 81) a point's tangent with its second side mapped to the functions
     side: FloatArray
     half: FloatArray
     #: (9, 81) tangent between functions, [i, 9 j + 3 k + l] for j not below i
@@ -35,14 +42,14 @@ class Cell(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What one call of `assemble_rows` works in."""
+    """Scratch arrays of one call of `assemble_rows`."""
 
     point: Point
     cell: Cell
 
 
 class Assembled(NamedTuple):
-    """What `assemble_rows` adds to."""
+    """Sums to which `assemble_rows` adds."""
 
     #: (row,) of each row of cells
     energy: FloatArray
@@ -53,7 +60,7 @@ class Assembled(NamedTuple):
 
 
 def scratch() -> Scratch:
-    """Return what one call of `assemble_rows` works in."""
+    """Return the scratch arrays of one call of `assemble_rows`."""
     cell = Cell(np.zeros((9, 6)), np.zeros(5), np.zeros(54), np.zeros((6, 81)), np.zeros((9, 81)))
     return Scratch(point_scratch(), cell)
 
@@ -62,28 +69,28 @@ def assemble_rows(
     rows: tuple[int, int],
     c: FloatArray,
     rest: Rest,
-    felt: Felt,
-    asked: Asked,
+    state: ContactState,
+    options: EvaluationOptions,
     work: Scratch,
     sums: Assembled,
 ) -> None:
-    """Add the energy, forces and, if asked for, the tangent of some cell rows.
+    """Add the energy, forces and, if requested, the tangent of some cell rows.
 
     Parameters
     ----------
     rows : first row, and the one after the last
     c : (row + 2, col + 2, 3) control points
-    rest, felt, asked : Rest, Felt, Asked
+    rest, state, options : Rest, ContactState, EvaluationOptions
     work : Scratch
     sums : Assembled, added to
     """
-    held, anchor, normal = map(np.ascontiguousarray, felt.grip)
-    plain = felt._replace(grip=Grip(held, anchor, normal))
-    _assemble_rows(rows, np.ascontiguousarray(c), _contiguous(rest), plain, asked, work, sums)
+    held, anchor, normal = map(np.ascontiguousarray, state.grip)
+    plain = state._replace(grip=Grip(held, anchor, normal))
+    _assemble_rows(rows, np.ascontiguousarray(c), _contiguous(rest), plain, options, work, sums)
 
 
 def _contiguous(rest: Rest) -> Rest:
-    """Return it as it lies in a whole sheet: windows of arrays would be compiled for anew."""
+    """Return contiguous arrays, as of a whole sheet: for views Numba would compile again."""
     return Rest(*map(np.ascontiguousarray, rest))
 
 
@@ -92,8 +99,8 @@ def _assemble_rows(
     rows: tuple[int, int],
     c: FloatArray,
     rest: Rest,
-    felt: Felt,
-    asked: Asked,
+    state: ContactState,
+    options: EvaluationOptions,
     work: Scratch,
     sums: Assembled,
 ) -> None:
@@ -108,17 +115,17 @@ def _assemble_rows(
                 weight = rest.area_mm2[j_row, i_col, q]
                 _functions((j_row, i_col, q), rest, N, plain)
                 _place(N, c, j_row, i_col, point.v)
-                total += weight * potentials((j_row, i_col, q), felt, asked, point)
+                total += weight * potentials((j_row, i_col, q), state, options, point)
                 for j in range(9):
                     for k in range(3):
                         x = 0.0
                         for m in range(6):
                             x += N[j, m] * point.force[m, k]
                         F[j_row + j // 3, i_col + j % 3, k] += weight * x
-                if asked.tangent:
-                    fill_tangent(felt.laws, asked.convex, point)
+                if options.tangent:
+                    fill_tangent(state.laws, options.convex, point)
                     _gather(N, weight, point.tangent.reshape(6, 54), cell)
-            if asked.tangent:
+            if options.tangent:
                 for i in range(9):
                     own = S[j_row + i // 3, i_col + i % 3]
                     for j in range(i, 9):

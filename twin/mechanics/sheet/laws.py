@@ -13,11 +13,11 @@ from typing import Any, NamedTuple, TypeVar
 from reconstruction.arrays import FloatArray
 from reconstruction.compiling import NESTED, compile_and_keep, digest_of_sources
 
-# Sums may be reordered for vector units: results are compared with tolerances that know of it.
+# Sums may be reordered for vector units: the tolerances of comparisons allow for it.
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
-    # References to arrays are the callers' to count: counted in every call, they take longer than
-    # the sums.
+    # The callers count references to arrays: counted in every call, they take longer than the
+    # sums.
     "_nrt": False,
     "error_model": "numpy",
     "fastmath": {"contract", "reassoc", "arcp", "nsz"},
@@ -32,12 +32,12 @@ _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, _SOURCES)
 
 
 def kernel(function: Function) -> Function:
-    """Compile on first call and keep the result on disk."""
+    """Compile on first call and store the result on disk."""
     return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
 
 
 def inlined(function: Function) -> Function:
-    """Compile into the callers: for what runs once per Gauss point."""
+    """Compile into the callers: for functions that run once per Gauss point."""
     return compile_and_keep(function, _OPTIONS | NESTED | {"forceinline": True}, _SOURCE_DIGEST)
 
 
@@ -49,7 +49,7 @@ class Rest(NamedTuple):
     #: (row, 2, derivative, 3) and along y
     along_y: FloatArray
     #: (row, col, 4, 5, 5) derivatives (X, Y, XX, YY, XY) along the sheet from those along the grid;
-    #: empty where the two are one
+    #: empty where the two are equal
     turned: FloatArray
     #: (row, col, 4) area of each Gauss point, mm^2
     area_mm2: FloatArray
@@ -118,7 +118,7 @@ def material(
 
     W = h/2 (A + 1/d - 3) + h^3/24 (3 T^2/d^4 - 2 k/d^3 + (B T - k A)/d^2) with A = tr a, d = det a,
     T = a22 b11 + a11 b22 - 2 a12 b12, k = det b, B = tr b: an incompressible neo-Hookean sheet.
-    The gradient goes to g and, if wanted, the Hessian to H.
+    The gradient is written to g and, if requested, the Hessian to H.
     """
     a11, a22, a12, b11, b22, b12 = forms
     A, d, B = a11 + a22, a11 * a22 - a12 * a12, b11 + b22
@@ -163,7 +163,7 @@ def material(
 
 @inlined
 def _add_second_slopes(slopes: tuple[float, float, float], H: FloatArray) -> None:
-    """Add what the second derivatives of d, T and k by the forms make of the Hessian."""
+    """Add the terms of the second derivatives of d, T and k by the forms to the Hessian."""
     by_d, by_T, by_k = slopes
     for n, m, x in (
         (0, 1, by_d), (0, 4, by_T), (1, 3, by_T), (3, 4, by_k),

@@ -23,7 +23,7 @@ _REAL_POSITIVE_DEFINITE = 2
 _MKL_CBWR_AUTO = 2
 _ANALYSE, _FACTORISE, _SOLVE = 11, 22, 33
 _OWN_SETTINGS, _ORDERING, _NESTED_DISSECTION = 1, 2, 3
-# Conditional numerical reproducibility: sums as for so many threads, whatever their number.
+# Conditional numerical reproducibility: sums as for this number of threads, for any number of them.
 _REPRODUCIBLE, _THREADS = 34, 4
 
 
@@ -31,7 +31,7 @@ class LinearSolver(Protocol):
     """Solves systems of one sparsity pattern."""
 
     def factorise(self, values: FloatArray) -> bool:
-        """Factorise the upper triangle's values; tell whether they are positive definite."""
+        """Factorise the upper triangle's values; return True if they are positive definite."""
         ...
 
     def solve(self, right: FloatArray) -> FloatArray:
@@ -41,7 +41,7 @@ class LinearSolver(Protocol):
 
 @contextmanager
 def _named_library() -> Iterator[None]:
-    """Name MKL to pypardiso, which would search all packages for it for every solver."""
+    """Set the path of MKL for pypardiso, which would search all packages for it per solver."""
     given = os.environ.get(_LIBRARY_VARIABLE)
     with environment_variable(_LIBRARY_VARIABLE, given or _library()):
         yield
@@ -61,13 +61,13 @@ class Pardiso:
     """MKL's PARDISO: one symbolic factorisation for all systems of the pattern."""
 
     def __init__(self, start: IntArray, columns: IntArray) -> None:
-        with _named_library():  # importing looks for it already
+        with _named_library():  # the import searches for it already
             from pypardiso import PyPardisoSolver
             from pypardiso.pardiso_wrapper import PyPardisoError
 
             self._refusal: type[Exception] = PyPardisoError
             self._solver: Any = PyPardisoSolver(mtype=_REAL_POSITIVE_DEFINITE)
-        # Newton's next step refines more than the refinement of a solution, two thirds of its time.
+        # Newton's next step refines more than the refinement of a solution, 2/3 of its time.
         self._solver.set_iparm(_OWN_SETTINGS, 1)
         self._solver.set_iparm(_ORDERING, _NESTED_DISSECTION)
         size = start.size - 1
@@ -79,11 +79,11 @@ class Pardiso:
         )
         self._zero = np.zeros((size, 1))
         self._run(_ANALYSE, self._zero)
-        # The factors are the library's memory; at the end of the process they go with it.
+        # The library allocates the factors; at the end of the process they are freed with it.
         weakref.finalize(self, self._solver.free_memory, everything=True).atexit = False
 
     def factorise(self, values: FloatArray) -> bool:
-        """Factorise the upper triangle's values; tell whether they are positive definite."""
+        """Factorise the upper triangle's values; return True if they are positive definite."""
         self._matrix.data = values
         try:
             self._run(_FACTORISE, self._zero)
@@ -93,19 +93,19 @@ class Pardiso:
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Return the solution with the last factors."""
-        found: FloatArray = self._run(_SOLVE, right.reshape(-1, 1)).ravel()
-        return found
+        solution: FloatArray = self._run(_SOLVE, right.reshape(-1, 1)).ravel()
+        return solution
 
     def _run(self, phase: int, right: FloatArray) -> FloatArray:
         self._solver.set_phase(phase)
-        # For this thread and call: the process' own number is the caller's, whose NumPy may use it.
+        # For this thread and call: the process' own number belongs to the caller, and NumPy uses it
         set_threads = self._solver.libmkl.MKL_Set_Num_Threads_Local
         before = set_threads(ctypes.c_int(min(threads(), _THREADS)))
         try:
-            found: FloatArray = self._solver._call_pardiso(self._matrix, right)
+            solution: FloatArray = self._solver._call_pardiso(self._matrix, right)
         finally:
             set_threads(ctypes.c_int(before))
-        return found
+        return solution
 
 
 class SuperLU:
@@ -116,7 +116,7 @@ class SuperLU:
         self._upper = sparse.csr_matrix((np.ones(columns.size), columns, start), shape=(size, size))
 
     def factorise(self, values: FloatArray) -> bool:
-        """Factorise the upper triangle's values; tell whether they are positive definite."""
+        """Factorise the upper triangle's values; return True if they are positive definite."""
         self._upper.data = values
         above = sparse.triu(self._upper, 1)
         whole = (self._upper + above.T).tocsc()
@@ -133,8 +133,8 @@ class SuperLU:
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Return the solution with the last factors."""
-        found: FloatArray = self._factors.solve(right)
-        return found
+        solution: FloatArray = self._factors.solve(right)
+        return solution
 
 
 def linear_solver(start: IntArray, columns: IntArray) -> LinearSolver:
@@ -144,7 +144,7 @@ def linear_solver(start: IntArray, columns: IntArray) -> LinearSolver:
 
 @cache
 def has_pardiso() -> bool:
-    """Tell whether pypardiso and the library behind it are there."""
+    """Return True if pypardiso and its library are installed."""
     try:
         with warnings_ignored(), _named_library():
             import pypardiso  # noqa: F401  # importing loads the library

@@ -1,8 +1,8 @@
-"""The way to a press: travel first, pressure after contact, coarse cells first, fine ones last.
+"""Load stepping of a press: first the travel, then the pressure; coarse cells before fine ones.
 
-Every step starts from the line through the last two states. Only the end of the way must be in
-equilibrium. A step that flows away is halved; where even a small one does, the last state that held
-is told.
+Every step starts from the line through the last two states. Only the last step must be in
+equilibrium. A step in which the sheet flows away is halved; if even a small one does, the error
+states the last stable state.
 """
 
 from collections.abc import Callable
@@ -21,26 +21,26 @@ from twin.mechanics.validity import THINNEST
 
 TRAVEL_STEP_MM, PRESSURE_STEPS_KPA = 0.2, (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0)
 _PRESSURE_STEP_BEYOND_KPA = 2.0
-#: of a step; below, the path has ended
+#: of a step; below this the path has ended
 _SMALLEST_STEP = 1 / 16
-# A stop on the way is no result: where many equilibria lie side by side, as on a slack sheet, the
-# way goes on before one of them is found.
-_MOST_STEPS_ON_THE_WAY = 20
+# A load step is no result: if many equilibria are close together, as on a slack sheet, the next
+# load step starts before one of them is reached.
+_MOST_STEPS_PER_LOAD = 20
 _ROUGH_STEP_MM, _ROUGH_RESIDUAL_KPA = 5e-3, 1.0
-# Straight on is far too far where a tent falls round the specimen.
+# The whole step is far too large where a sheet that spans free moves onto the specimen.
 _PREDICTED_SHARES = (1.0, 0.5, 0.25, 0.0)
 
 Progress = Callable[[float], None]
 
 
 class LimitPressureError(PressError):
-    """No equilibrium was found under a pressure; most often the sheet thins without bound."""
+    """No equilibrium at a pressure; most often because the sheet thins without bound."""
 
     def __init__(self, travel_mm: float, held_kpa: float, lost_kpa: float, reason: str) -> None:
-        holds = f"holds {held_kpa:.2f} kPa" if held_kpa > 0 else "holds no pressure found"
+        stable = f"is stable up to {held_kpa:.2f} kPa" if held_kpa > 0 else "is not stable"
         super().__init__(
-            f"press.back_pressure_kpa: the sheet {holds} at {travel_mm:.3g} mm of travel, and no "
-            f"equilibrium was found towards {lost_kpa:.2f} ({reason}); use less pressure, a "
+            f"press.back_pressure_kpa: the sheet {stable} at {travel_mm:.3g} mm of travel, and has "
+            f"no equilibrium towards {lost_kpa:.2f} kPa ({reason}); use less pressure, a "
             "thicker or a harder sheet"
         )
         self.held_kpa = held_kpa
@@ -49,7 +49,7 @@ class LimitPressureError(PressError):
 
 @dataclass(frozen=True)
 class Loads:
-    """What a state bears."""
+    """Loads of a state."""
 
     travel_mm: float
     pressure_kpa: float = 0.0
@@ -62,11 +62,11 @@ def mounted(grid: SheetGrid) -> SheetState:
     return SheetState(grid.mounted_mm, grip)
 
 
-def waypoints(goal: Loads) -> list[Loads]:
-    """Return the loads at which the path stops: travel in equal steps, then pressure.
+def load_steps(goal: Loads) -> list[Loads]:
+    """Return the load steps of a path: travel in equal steps, then pressure.
 
     The travels before the last do not depend on the goal, so that presses to different travels
-    share the beginning of their paths.
+    share the first steps of their paths.
     """
     count = int(np.ceil(goal.travel_mm / TRAVEL_STEP_MM - 1e-9))
     steps = [*(Loads(_common_travel(k)) for k in range(1, count)), Loads(goal.travel_mm)]
@@ -86,7 +86,7 @@ def follow(
     accuracy: Accuracy,
     shared: list[SheetState] | None = None,
     *,
-    walked: list[SheetState] | None = None,
+    pressed_states: list[SheetState] | None = None,
     progress: Progress | None = None,
 ) -> SheetState:
     """Press from the mounted sheet to `goal`.
@@ -97,40 +97,42 @@ def follow(
     goal : Loads
     accuracy : Accuracy
     shared : list of SheetState, optional
-        States at the first travels of `waypoints`, from earlier paths of this sheet; added to.
-    walked : list of SheetState, optional
-        Takes the states on the way that bear a pressure.
-    progress : called with the share of the stops that is done
+        States at the first travels of `load_steps`, from earlier paths of this sheet; added to.
+    pressed_states : list of SheetState, optional
+        Takes the states of load steps with a pressure.
+    progress : called with the finished share of the load steps
 
     Raises
     ------
     LimitPressureError
-        The sheet holds less than the pressure; names what it still holds.
+        The sheet is not stable at the pressure; states the largest pressure with an equilibrium.
     SolverError
         No equilibrium; names the last travel that had one.
     """
-    stops, shared = waypoints(goal), [] if shared is None else shared
-    on_the_way = _on_the_way(sheet, accuracy)
+    stops, shared = load_steps(goal), [] if shared is None else shared
+    during_load_steps = _during_load_steps(sheet, accuracy)
     common = [stop for stop in stops if _is_common(stop)]
     known = [mounted(sheet.grid), *shared[: len(common)]]
     state, before = known[-1], known[max(len(known) - 2, 0)]
     for number in range(len(known) - 1, len(stops)):
-        state, before = advance(sheet, state, before, stops[number], on_the_way, walked=walked)
+        state, before = advance(
+            sheet, state, before, stops[number], during_load_steps, pressed_states=pressed_states
+        )
         if number == len(shared) and number < len(common):
             shared.append(state)
         if progress is not None:
             progress((number + 1) / len(stops))
     try:
-        found = settle(sheet, state, accuracy)
-        check_thickness(sheet, found)
+        equilibrium = settle(sheet, state, accuracy)
+        check_thickness(sheet, equilibrium)
     except SolverError as error:
         raise _ended(before, goal, error) from error
-    return found
+    return equilibrium
 
 
-def _on_the_way(sheet: Sheet, accuracy: Accuracy) -> Accuracy:
-    less = replace(accuracy, most_steps=_MOST_STEPS_ON_THE_WAY, strict=False)
-    if sheet.sticks:  # its anchors remember where it has been
+def _during_load_steps(sheet: Sheet, accuracy: Accuracy) -> Accuracy:
+    less = replace(accuracy, most_steps=_MOST_STEPS_PER_LOAD, strict=False)
+    if sheet.sticks:  # its anchors depend on its path
         return less
     return replace(
         less,
@@ -140,7 +142,7 @@ def _on_the_way(sheet: Sheet, accuracy: Accuracy) -> Accuracy:
 
 
 def _common_travel(step: int) -> float:
-    # Rounded, so that a goal of 0.6 mm is the third stop and not its neighbour in binary.
+    # Rounded, so that a goal of 0.6 mm is the third step and not its neighbour in binary.
     return round(step * TRAVEL_STEP_MM, 9)
 
 
@@ -156,11 +158,11 @@ def advance(
     goal: Loads,
     accuracy: Accuracy,
     *,
-    walked: list[SheetState] | None = None,
+    pressed_states: list[SheetState] | None = None,
 ) -> tuple[SheetState, SheetState]:
     """Move from `state` to `goal`; return the new state and the one before it.
 
-    `walked` takes the states that bear a pressure.
+    `pressed_states` takes the states with a pressure.
     """
     step = 1.0
     done = 0.0
@@ -177,8 +179,8 @@ def advance(
                 raise _ended(state, goal, error) from error
             continue
         state, before, done = new, state, share
-        if walked is not None and state.pressure_kpa > 0:
-            walked.append(state)
+        if pressed_states is not None and state.pressure_kpa > 0:
+            pressed_states.append(state)
     return state, before
 
 
@@ -189,7 +191,7 @@ def refined(coarse: Sheet, fine: Sheet, state: SheetState) -> SheetState:
     moved = replace(state, control_mm=control, grip=grip)
     if not coarse.sticks:
         return moved
-    # The springs to the anchors keep their stretch; new ones arise where the fine sheet touches.
+    # The springs to the anchors keep their stretch; new ones are added where the fine sheet touches
     stretch = np.where(
         state.grip.held[..., None] > 0,
         coarse.surface(state.control_mm)[..., 0, :] - _lifted(state),
@@ -217,9 +219,9 @@ def _at_points(coarse: SheetGrid, fine: SheetGrid, values: FloatArray) -> FloatA
         fill_value=None,
     )
     y, x = np.meshgrid(fine.y.points.ravel(), fine.x.points.ravel(), indexing="ij")
-    found = table(np.stack((y, x), axis=-1))
+    interpolated = table(np.stack((y, x), axis=-1))
     shape = (fine.y.cells, 2, fine.x.cells, 2, count)
-    moved: FloatArray = found.reshape(shape).transpose(0, 2, 1, 3, 4)
+    moved: FloatArray = interpolated.reshape(shape).transpose(0, 2, 1, 3, 4)
     return np.ascontiguousarray(moved).reshape(fine.y.cells, fine.x.cells, 4, count)
 
 
@@ -233,25 +235,25 @@ def _between(start: Loads, goal: Loads, share: float) -> Loads:
 
 
 def _predicted(sheet: Sheet, state: SheetState, before: SheetState, loads: Loads) -> SheetState:
-    """Return the place of least energy on the line through the last two states, at `loads`.
+    """Return the state of least energy on the line through the last two states, at `loads`.
 
-    Or the last state, if they do not lie on one line of loads.
+    Or the last state, if the three are not on one line of loads.
     """
     there = replace(state, travel_mm=loads.travel_mm, pressure_kpa=loads.pressure_kpa)
     made = np.array([state.travel_mm - before.travel_mm, state.pressure_kpa - before.pressure_kpa])
-    asked = np.array([loads.travel_mm - state.travel_mm, loads.pressure_kpa - state.pressure_kpa])
+    change = np.array([loads.travel_mm - state.travel_mm, loads.pressure_kpa - state.pressure_kpa])
     along = made != 0
-    if along.sum() != 1 or (along != (asked != 0)).any():
+    if along.sum() != 1 or (along != (change != 0)).any():
         return there
-    ratio = min(1.5, float(asked[along][0] / made[along][0]))
-    way = ratio * (state.control_mm - before.control_mm)
-    places = [state.control_mm + share * way for share in _PREDICTED_SHARES]
+    ratio = min(1.5, float(change[along][0] / made[along][0]))
+    step_mm = ratio * (state.control_mm - before.control_mm)
+    places = [state.control_mm + share * step_mm for share in _PREDICTED_SHARES]
     energies = [sheet.evaluate(place, there, tangent=False).energy for place in places]
     return replace(there, control_mm=places[int(np.nanargmin(energies))])
 
 
 def check_thickness(sheet: Sheet, state: SheetState, least: float = THINNEST) -> None:
-    """Refuse a state that is thinner than silicone bears: a sheet on its way to no equilibrium.
+    """Raise an error for a sheet thinner than silicone can be: it would reach no equilibrium.
 
     `least` is of the undeformed thickness.
 

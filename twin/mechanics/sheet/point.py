@@ -2,7 +2,7 @@
 
 The sheet is described by v = (r, r_1, r_2, r_11, r_22, r_12), the surface midway between its
 deformed faces and its derivatives along the undeformed sheet, and by the two fundamental forms
-a = (a11, a22, a12), a_ij = r_i . r_j, and b likewise, b_ij = n . r_ij. All potentials are functions
+a = (a11, a22, a12), a_ij = r_i . r_j, and b, b_ij = n . r_ij. All potentials are functions
 of r, a and b; their derivatives by v follow from
 
     da11 = 2 r_1 . dr_1 (a22, a12 likewise),   db_m = n . dr_m - Gamma_m^e n . dr_e,
@@ -26,20 +26,20 @@ At = tuple[int, int, int]
 Metric = tuple[float, float, float, float]
 
 
-class Felt(NamedTuple):
-    """What the sheet feels: constants of its potentials, bodies near it and where it sticks."""
+class ContactState(NamedTuple):
+    """Data of the potentials: their constants, the bodies near the sheet, and its anchors."""
 
     laws: Laws
     touch: Touch
     grip: Grip
 
 
-class Asked(NamedTuple):
-    """What is asked of an evaluation beside energy and forces."""
+class EvaluationOptions(NamedTuple):
+    """Options of an evaluation in addition to energy and forces."""
 
     #: fill the tangent
     tangent: bool
-    #: leave out of the tangent what can make it indefinite
+    #: omit terms of the tangent that can make it indefinite
     convex: bool
 
 
@@ -64,7 +64,7 @@ class Point(NamedTuple):
 
 
 def point_scratch() -> Point:
-    """Return what one Gauss point is worked out in."""
+    """Return the scratch arrays of one Gauss point."""
     slopes = np.zeros((6, 5))
     slopes[0, 0] = slopes[1, 0] = slopes[3, 4] = slopes[4, 4] = 1.0
     return Point(
@@ -75,14 +75,14 @@ def point_scratch() -> Point:
 
 
 @inlined
-def potentials(at: At, felt: Felt, asked: Asked, point: Point) -> float:
-    """Fill stress, forces and, if wanted, moduli; return the energy per area."""
+def potentials(at: At, state: ContactState, options: EvaluationOptions, point: Point) -> float:
+    """Fill stress, forces and, if requested, moduli; return the energy per area."""
     v, n = point.v, point.normal
-    laws, touch, grip = felt.laws, felt.touch, felt.grip
+    laws, touch, grip = state.laws, state.touch, state.grip
     metric, bending = _geometry(point)
     forms = (metric[0], metric[1], metric[2], *bending)
     total = laws.shear_modulus_kpa * material(
-        forms, laws.thickness_mm, point.material, point.stress, point.modulus, asked.tangent
+        forms, laws.thickness_mm, point.material, point.stress, point.modulus, options.tangent
     )
     for i in range(6):
         point.stress[i] *= laws.shear_modulus_kpa
@@ -92,7 +92,7 @@ def potentials(at: At, felt: Felt, asked: Asked, point: Point) -> float:
     point.at_r[:] = 0.0
     point.cross[:] = 0.0
     for part in range(touch.distance_mm.shape[0]):
-        total += _touch(part, at, metric, laws, touch, asked.convex, point)
+        total += _touch(part, at, metric, laws, touch, options.convex, point)
     if grip.held[at] > 0:
         total += _stick(at, grip, laws.stick_stiffness, point)
     total += laws.weight_kpa * v[0, 2]
@@ -168,7 +168,7 @@ def _touch(
 
 @inlined
 def _stick(at: At, grip: Grip, stiffness: float, point: Point) -> float:
-    """Add the spring to the anchor, along the surface that was touched there; return its energy."""
+    """Add the spring to the anchor, along the touched surface there; return its energy."""
     j_row, i_col, q = at
     normal, total, along = grip.normal[j_row, i_col, q], 0.0, 0.0
     for k in range(3):

@@ -1,8 +1,8 @@
 """Press a specimen into a thin sheet: the `sheet` model, from the experiment's data to its result.
 
 World frame, mm: the coated face of the mounted sheet is z = 0, the sheet spans its frame's opening
-and the specimen, with the plate that it stands on, comes from below and touches the other face at
-travel 0. In the solver's own frame z = 0 is the undeformed surface midway between the faces.
+and the specimen, on its plate, is pressed from below and touches the lower face at travel 0. In the
+solver's own frame z = 0 is the undeformed surface midway between the faces.
 
 Sources: Kirchhoff-Love kinematics with an incompressible neo-Hookean solid, thickness change
 included; quadratic B-splines, 2 x 2 Gauss points. Penalty of contact: the compliance of half a
@@ -43,28 +43,28 @@ from twin.mechanics.sheet.path import (
 from twin.mechanics.sheet.result import contact_force_n, pressed_of
 from twin.mechanics.validity import THINNEST
 
-# Cells of the coarse sheet over those of the fine one, beyond which there are some between them. A
-# sheet thinner than its cells passes edges point by point: from cells nearer to the finest in half
-# of the time.
+# Largest ratio of coarse to fine cells without cells of intermediate width. A sheet thinner than
+# its cells slips over edges point by point: from cells of nearly the finest width in half of the
+# time.
 _WIDEST_RATIO, _WIDEST_RATIO_THIN = 3.0, 1.9
-# A slack sheet of 0.05 mm finds its way in a hundred steps and more, and no half way is nearer.
+# A slack sheet of 0.05 mm needs a hundred steps and more, and a path with half steps is no shorter.
 _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
-# A sheet that sticks meets cells between with its full stiffness: left on its way there, the
-# finest cells begin inside the specimen.
+# On intermediate cells a sheet that sticks has its full contact stiffness: if it is not in
+# equilibrium there, the finest cells start inside the specimen.
 _BETWEEN_STUCK = replace(_BETWEEN, most_steps=150)
 _FINE = Accuracy(residual_kpa=2e-3, most_steps=200, anchors_from_mm=0.03)
 _FORCE_TOLERANCE, _FORCE_STEPS = 1e-3, 40
 # Travel below which a specimen only touches: 0.5 % of a step of the load.
 _FIRST_TOUCH_MM = 1e-3
-# Thickness over its undeformed value of what is told to hold: far from what is refused.
+# Least thickness over its undeformed value of a pressure that is reported: far above the limit.
 _HOLDS = 2 * THINNEST
-# Tried where the way found none that holds: less is no pressure that anybody sets.
+# Tried if no load step is stable: smaller pressures are not used in practice.
 _LOW_PRESSURES_KPA = (0.25, 0.1)
-# Of contact on the way: what yields under it, in cells, at the sheet's shear modulus.
+# Of contact during the load steps: its compliance, in cells, at the sheet's shear modulus.
 _SOFT = 0.125
 _KEPT_PATHS = 4
-# What presses of one path may differ in.
+# Loads in which presses of one path may differ.
 _LOADS = {"control": "depth", "depth_mm": 1.0, "force_n": None, "back_pressure_kpa": 0.0}
 
 
@@ -75,30 +75,30 @@ def press_sheet(
     mechanics: Mechanics,
     progress: Progress | None = None,
 ) -> PressedElastomer:
-    """Press `specimen` into a thin sheet as `load` says.
+    """Press `specimen` into a thin sheet by `load`.
 
     Parameters
     ----------
     specimen : Specimen
-        What is pressed, in its pose; it stands on a plate as wide as the frame's opening.
+        The specimen in its pose; it is on a plate as wide as the frame's opening.
     elastomer : Elastomer
-        Thickness 0.05 to 1 mm, `opposite_face`; its outline, pre-stretch and tack count.
+        Thickness 0.05 to 1 mm, `opposite_face`; its outline, pre-stretch and tack are used.
     load : Press
         Depth or force, back pressure, gravity; `cell_mm` for the solver's finest cells.
     mechanics : Mechanics
         `support` simple or clamped (the default).
-    progress : called with the share that is done
+    progress : called with the finished share
 
     Returns
     -------
     PressedElastomer
-        Both faces as height maps seen from above, with `sheet` fields on the coated face's nodes.
+        Both faces as height maps from above, with `sheet` fields at the coated face's nodes.
 
     Raises
     ------
     PressError
-        The sheet cannot be of this kind, the specimen reaches over the frame, or the sheet gives
-        way under the pressure: the message names the pressure that it still holds.
+        A thin sheet does not describe the press, the specimen reaches over the frame, or the sheet
+        is unstable at the pressure: the message states the largest stable pressure.
     SolverError
         No equilibrium; the message names the last travel that had one.
     """
@@ -107,7 +107,7 @@ def press_sheet(
 
 @dataclass(frozen=True, eq=False)
 class SettledSheet:
-    """A pressed sheet in equilibrium, as the solver holds it."""
+    """A pressed sheet in equilibrium, as the solver's state."""
 
     case: SheetCase
     elastomer: Elastomer
@@ -116,7 +116,7 @@ class SettledSheet:
     state: SheetState
 
     def result(self) -> PressedElastomer:
-        """Return what it tells."""
+        """Return the press as a result."""
         return pressed_of(self.case, self.elastomer, self.load, self.sheet, self.state)
 
 
@@ -141,30 +141,30 @@ def settled_sheet(
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A case on coarse cells, and the states that its presses have in common."""
+    """A case on coarse cells, and the common states of its presses."""
 
     case: SheetCase
     sheet: Sheet
-    #: at the travels that every path goes through, see `waypoints`; grows
+    #: at the common travels of all paths, see `load_steps`; further ones are appended
     states: list[SheetState]
 
 
-#: Paths of this process, the latest last: a study over travel, pressure or force goes on from them.
+#: Paths of this process, the latest last: a study over travel, pressure or force continues them.
 _paths: OrderedDict[str, _Path] = OrderedDict()
 
 
 def forget_paths() -> None:
-    """Let the next press begin at the mounted sheet, as the first of a process does."""
+    """Clear the cached paths, so that the next press starts from the mounted sheet."""
     _paths.clear()
 
 
 def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mechanics) -> _Path:
-    """Return the case's path, kept from an earlier press that differs in its loads alone.
+    """Return the case's path, cached from an earlier press that differs only in its loads.
 
-    What a kept path holds are the same bytes that a new one would find.
+    The states of a cached path have the same bytes as those of a new one.
     """
     same = (specimen, elastomer, load.model_copy(update=_LOADS), mechanics)
-    key = "\n".join(f"{type(one).__name__} {one.model_dump_json()}" for one in same)
+    key = "\n".join(f"{type(part).__name__} {part.model_dump_json()}" for part in same)
     if key not in _paths:
         case = sheet_case(specimen, elastomer, load, mechanics)
         sheet = _soft(case.sheet(coarse_cells(case)))
@@ -176,42 +176,47 @@ def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mech
 
 
 def _equilibrium(path: _Path, load: Press, progress: Progress | None) -> tuple[Sheet, SheetState]:
-    walked: list[SheetState] = []
+    pressed_states: list[SheetState] = []
     try:
-        return _settled(path, load, walked, progress or _silent)
+        return _settled(path, load, pressed_states, progress or _silent)
     except LimitPressureError as limit:
-        asked_kpa = load.back_pressure_kpa
+        requested_kpa = load.back_pressure_kpa
         travel_mm = load.depth_mm or TRAVEL_STEP_MM
-        held_kpa = _held_kpa(path, walked, Loads(travel_mm, asked_kpa))
-        raise LimitPressureError(travel_mm, held_kpa, asked_kpa, limit.reason) from limit
+        stable_kpa = _held_kpa(path, pressed_states, Loads(travel_mm, requested_kpa))
+        raise LimitPressureError(travel_mm, stable_kpa, requested_kpa, limit.reason) from limit
 
 
 def _settled(
-    path: _Path, load: Press, walked: list[SheetState], report: Progress
+    path: _Path, load: Press, pressed_states: list[SheetState], report: Progress
 ) -> tuple[Sheet, SheetState]:
     case, coarse = path.case, path.sheet
     goal = Loads(load.depth_mm or TRAVEL_STEP_MM, load.back_pressure_kpa)
     state = follow(
-        coarse, goal, _ROUGH, path.states, walked=walked, progress=lambda share: report(0.6 * share)
+        coarse,
+        goal,
+        _ROUGH,
+        path.states,
+        pressed_states=pressed_states,
+        progress=lambda share: report(0.6 * share),
     )
     if load.force_n is not None:
         ahead = partial(_between_shares, report, 0.6, 0.7)
         state = _to_force(coarse, state, load.force_n, _ROUGH, ahead)
     try:
         report(0.7)
-        fine, found = _on_fine_cells(case, coarse, state)
+        fine, equilibrium = _on_fine_cells(case, coarse, state)
     except SolverError as error:
         if state.pressure_kpa == 0:
             raise
-        # Coarse cells held what fine ones, which see sharper bends, do not.
+        # Coarse cells are stable where fine ones, which resolve sharper bends, are not.
         raise LimitPressureError(
             state.travel_mm, state.pressure_kpa, state.pressure_kpa, str(error)
         ) from error
     if load.force_n is not None:
         ahead = partial(_between_shares, report, 0.9, 1.0)
-        found = _to_force(fine, found, load.force_n, _FINE, ahead)
+        equilibrium = _to_force(fine, equilibrium, load.force_n, _FINE, ahead)
     report(1.0)
-    return fine, found
+    return fine, equilibrium
 
 
 def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
@@ -222,14 +227,14 @@ def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[S
         try:
             return _finest(*_begun(case, cell_mm, *_between(case, coarse, state)))
         except SolverError:
-            # A sheet that sticks may fold over an edge on cells between, and would stay folded.
+            # A sheet that sticks may fold over an edge on intermediate cells and remain folded.
             if state.pressure_kpa > 0 or not coarse.sticks:
                 raise
     return _finest(*_begun(case, cell_mm, coarse, state))
 
 
 def _between(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
-    """Return a sheet whose cells are between the coarse ones and the finest, nearly at rest."""
+    """Return a sheet with cells between the coarse and the finest, nearly in equilibrium."""
     between = _soft(case.sheet(cells_between(case, coarse, state)))
     accuracy = _BETWEEN_STUCK if between.sticks else _BETWEEN
     return between, settle(between, refined(coarse, between, state), accuracy)
@@ -238,26 +243,26 @@ def _between(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, 
 def _begun(
     case: SheetCase, cell_mm: float, coarser: Sheet, state: SheetState
 ) -> tuple[Sheet, SheetState]:
-    """Return the finest sheet and where it begins.
+    """Return the finest sheet and its first state.
 
-    The coarser one's factors end with this call: what follows is where memory is short.
+    The coarser sheet's factors are freed with this call: memory is short in the next step.
     """
     fine = case.sheet(finest_cells(case, coarser, state, cell_mm))
     return fine, refined(coarser, fine, state)
 
 
 def _finest(fine: Sheet, start: SheetState) -> tuple[Sheet, SheetState]:
-    found = settle(fine, start, _FINE)
-    check_thickness(fine, found)
-    return fine, found
+    equilibrium = settle(fine, start, _FINE)
+    check_thickness(fine, equilibrium)
+    return fine, equilibrium
 
 
 def _soft(sheet: Sheet) -> Sheet:
-    """Return the sheet with contact no stiffer than its cells, for the way.
+    """Return the sheet with contact no stiffer than its cells, for the load steps.
 
-    On cells much wider than it is thick a sheet passes an edge point by point, and the stiffer
-    contact is, the more equilibria lie side by side. A sheet that sticks remembers its way, and
-    keeps the stiffness of its thickness.
+    On cells much wider than its thickness a sheet slips over an edge point by point, and the
+    stiffer the contact is, the more equilibria are close together. The result of a sheet that
+    sticks depends on the path, so it has the contact stiffness of its thickness.
     """
     if sheet.sticks:
         return sheet
@@ -267,30 +272,32 @@ def _soft(sheet: Sheet) -> Sheet:
     return sheet
 
 
-def _held_kpa(path: _Path, walked: list[SheetState], load: Loads) -> float:
-    """Return a pressure below the one asked for that the sheet holds with a margin; 0 where none.
+def _held_kpa(path: _Path, pressed_states: list[SheetState], load: Loads) -> float:
+    """Return a lower pressure than requested that is stable with a margin; 0 if there is none.
 
-    The largest of the way's that has an equilibrium on coarse cells and on those between, or, where
-    that is not found within few steps, the next lower one with an equilibrium on coarse cells.
+    The largest of the load steps with an equilibrium on coarse and on intermediate cells, or, if
+    that is not reached within few steps, the next lower one with an equilibrium on coarse cells.
     """
     tried = False
-    for state in _at_lower_pressures(path, walked, load):
+    for state in _at_lower_pressures(path, pressed_states, load):
         with suppress(SolverError):
-            found = settle(path.sheet, state, _ROUGH)
-            check_thickness(path.sheet, found, _HOLDS)
+            equilibrium = settle(path.sheet, state, _ROUGH)
+            check_thickness(path.sheet, equilibrium, _HOLDS)
             if not tried:
                 tried = True
-                between = _soft(path.case.sheet(cells_between(path.case, path.sheet, found)))
-                start = refined(path.sheet, between, found)
-                found = settle(between, start, replace(_BETWEEN, strict=True))
-                check_thickness(between, found, _HOLDS)
+                between = _soft(path.case.sheet(cells_between(path.case, path.sheet, equilibrium)))
+                start = refined(path.sheet, between, equilibrium)
+                equilibrium = settle(between, start, replace(_BETWEEN, strict=True))
+                check_thickness(between, equilibrium, _HOLDS)
             return float(np.floor(100 * state.pressure_kpa)) / 100
     return 0.0
 
 
-def _at_lower_pressures(path: _Path, walked: list[SheetState], load: Loads) -> Iterator[SheetState]:
-    """Yield states below the pressure asked for, the largest first: the way's, then lower ones."""
-    for state in sorted(walked, key=lambda one: -one.pressure_kpa):
+def _at_lower_pressures(
+    path: _Path, pressed_states: list[SheetState], load: Loads
+) -> Iterator[SheetState]:
+    """Yield states below the requested pressure: load steps, largest first, then lower ones."""
+    for state in sorted(pressed_states, key=lambda step: -step.pressure_kpa):
         if state.pressure_kpa < load.pressure_kpa:
             yield state
     for pressure_kpa in _LOW_PRESSURES_KPA:
@@ -304,14 +311,14 @@ def _silent(share: float) -> None:
 
 
 def _between_shares(report: Progress, low: float, high: float, share: float) -> None:
-    """Report the share of a part of the load steps as one of all of them."""
+    """Report the share of a part of the load steps as a share of all of them."""
     report(low + (high - low) * share)
 
 
 def _to_force(
     sheet: Sheet, state: SheetState, force_n: float, accuracy: Accuracy, progress: Progress
 ) -> SheetState:
-    """Change the travel until specimen and plate bear on the sheet with a force.
+    """Change the travel until specimen and plate press on the sheet with a force.
 
     Raises
     ------
@@ -320,24 +327,25 @@ def _to_force(
     """
     step = TRAVEL_STEP_MM
     before = state
-    found = contact_force_n(sheet, state)
+    reached_n = contact_force_n(sheet, state)
     for number in range(_FORCE_STEPS):
         progress(number / _FORCE_STEPS)
-        if abs(found - force_n) <= _FORCE_TOLERANCE * force_n:
+        if abs(reached_n - force_n) <= _FORCE_TOLERANCE * force_n:
             return state
-        if found > force_n and state.travel_mm < _FIRST_TOUCH_MM:
+        if reached_n > force_n and state.travel_mm < _FIRST_TOUCH_MM:
             raise PressError(
-                f"press.force_n: {force_n:g} N is less than the {found:.3g} N with which air of "
-                f"{state.pressure_kpa:g} kPa presses the sheet on the specimen at first touch; "
+                f"press.force_n: {force_n:g} N is less than the {reached_n:.3g} N with which air "
+                f"of {state.pressure_kpa:g} kPa presses the sheet on the specimen at first touch; "
                 "raise it, or lower press.back_pressure_kpa"
             )
         goal = Loads(max(state.travel_mm + step, state.travel_mm / 2), state.pressure_kpa)
         state, before = advance(sheet, state, state, goal, accuracy)
-        last, found = found, contact_force_n(sheet, state)
-        secant = (force_n - found) * (state.travel_mm - before.travel_mm) / (found - last)
+        last, reached_n = reached_n, contact_force_n(sheet, state)
+        moved_mm = state.travel_mm - before.travel_mm
+        secant = (force_n - reached_n) * moved_mm / (reached_n - last)
         step = float(np.clip(secant, -TRAVEL_STEP_MM, TRAVEL_STEP_MM))
     raise PressError(
-        f"press.force_n: {force_n:g} N is not reached, found {found:.4g} N at "
-        f"{state.travel_mm:.3g} mm of travel; ask for less, control the depth, or use a thicker or "
+        f"press.force_n: {force_n:g} N is not reached, found {reached_n:.4g} N at "
+        f"{state.travel_mm:.3g} mm of travel; lower it, control the depth, or use a thicker or "
         "harder sheet on a narrower rim (elastomer.length_x_mm, length_y_mm)"
     )

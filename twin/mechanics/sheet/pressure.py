@@ -1,8 +1,8 @@
 """Pressure of specimen and plate on the touched face of a sheet in equilibrium, on a grid in plan.
 
-What the sheet feels is a force at each Gauss point. It is spread over that point's quarter of a
-spline cell, and with it over the solver's cells above which that quarter lies: no force is lost, on
-an edge narrower than a cell either. So the sum over the cells is the force.
+The forces on the sheet are at its Gauss points. Each is distributed over that point's quarter of a
+spline cell, and with it over the solver's cells above that quarter: no force is lost, even on an
+edge narrower than a cell. So the sum over the cells is the force.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.splines import SplineLine
 
-# Of a solver cell: as fine is the sheet cut where it is stretched by as much.
+# Parts of the sheet per solver cell, at the stretch of the second number.
 _PARTS_PER_CELL, _STRETCHED = 4.0, 1.5
 
 
@@ -22,7 +22,7 @@ def pressure_on_cells(
     """Return (row, col) vertical force of specimen and plate on the sheet over area in plan, kPa.
 
     Without friction and tack it is the contact's pressure, for p n_z dA = p dx dy. Tack counts as
-    negative, and what friction carries is in.
+    negative, and friction is included.
 
     Parameters
     ----------
@@ -73,14 +73,14 @@ def _contact_slope(gap_mm: FloatArray, laws: Laws) -> FloatArray:
 
 
 class _Cut:
-    """Places along a line, so many in each of its cells that are wanted.
+    """Points along a line, with a given number in each of its cells.
 
     Attributes
     ----------
     places_mm : (n,) ascending
-    cell : (n,) which they lie in
-    half : (n,) 0 or 1, that of the Gauss point whose half of the cell they lie in
-    parts : (n,) places in that half
+    cell : (n,) number of the cell of each point
+    half : (n,) 0 or 1, the Gauss point of each point's half of the cell
+    parts : (n,) number of points in that half
     """
 
     def __init__(self, line: SplineLine, cells: IntArray, halves: IntArray) -> None:
@@ -91,16 +91,16 @@ class _Cut:
         self.places_mm = line.edges[self.cell] + width * (number + 0.5) / (2 * self.parts)
 
 
-def _cut(line: SplineLine, wanted: BoolArray, step_mm: float) -> _Cut:
-    """Cut the wanted cells into parts that are short beside a step."""
-    cells = np.flatnonzero(wanted)
+def _cut(line: SplineLine, loaded: BoolArray, step_mm: float) -> _Cut:
+    """Cut the loaded cells into parts that are short compared with a step."""
+    cells = np.flatnonzero(loaded)
     widths = np.diff(line.edges)[cells]
     halves = np.ceil(widths / 2 * _STRETCHED * _PARTS_PER_CELL / step_mm).astype(np.intp)
     return _Cut(line, cells, halves)
 
 
 def _lower_mm(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return (row, col, xyz) the touched face at places along the sheet."""
+    """Return (row, col, xyz) the touched face at points along the sheet."""
     middle, along_x, along_y = sheet.grid.evaluate(state.control_mm, x, y)
     across = np.cross(along_x, along_y)
     area2 = (across**2).sum(axis=-1, keepdims=True)
@@ -110,7 +110,7 @@ def _lower_mm(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> 
 def _spread(
     values: FloatArray, row: FloatArray, col: FloatArray, shape: tuple[int, int]
 ) -> FloatArray:
-    """Sum values onto cells, (row, col): each on the four around its place, by nearness."""
+    """Sum values onto cells, (row, col): bilinearly on the four cells around each point."""
     total = np.zeros(shape[0] * shape[1])
     low = [
         np.minimum(at.astype(np.intp), count - 2)

@@ -1,4 +1,4 @@
-"""What a sheet in equilibrium tells: faces, contact, force and figures, as a press's result."""
+"""The result of a sheet in equilibrium: faces, contact, force and figures of a press."""
 
 import numpy as np
 
@@ -42,13 +42,15 @@ def pressed_of(
     nodes_x, nodes_y = (
         face_nodes(length, load) for length in (elastomer.length_x_mm, elastomer.length_y_mm)
     )
-    seen = sample(sheet, state, load.relief_pitch_mm)
-    carried = np.concatenate((seen.thickness_mm[..., None], seen.stretch, seen.material_mm), axis=2)
+    sampled = sample(sheet, state, load.relief_pitch_mm)
+    carried = np.concatenate(
+        (sampled.thickness_mm[..., None], sampled.stretch, sampled.material_mm), axis=2
+    )
     flat = np.array([half_mm, mounted_mm, stretch, stretch, 0.0, 0.0])
-    face_z, fields = height_map(seen.upper_mm, carried, nodes_x, nodes_y, flat)
+    face_z, fields = height_map(sampled.upper_mm, carried, nodes_x, nodes_y, flat)
     x, y = _centres(elastomer.length_x_mm, load), _centres(elastomer.length_y_mm, load)
-    touch = _touching(sheet, state, seen.middle_mm, seen.thickness_mm)
-    touched_z, on_cells = height_map(seen.lower_mm, touch, x, y, np.array([-half_mm, 0.0]))
+    touch = _touching(sheet, state, sampled.middle_mm, sampled.thickness_mm)
+    touched_z, on_cells = height_map(sampled.lower_mm, touch, x, y, np.array([-half_mm, 0.0]))
     contact = on_cells[..., 0] > _HALF
     frame_mm = elastomer.length_x_mm / 2, elastomer.length_y_mm / 2
     pitch = float(np.sqrt((x[1] - x[0]) * (y[1] - y[0])))
@@ -84,7 +86,7 @@ def pressed_of(
 
 
 def _fields(carried: FloatArray) -> SheetFields:
-    """Return what the coated face's nodes carry (row, col, 5) by its names."""
+    """Return the named fields of the values (row, col, 5) on the coated face's nodes."""
     return SheetFields(
         thickness_mm=carried[..., 0],
         stretch=carried[..., 1:3],
@@ -98,7 +100,7 @@ def _touching(
 ) -> FloatArray:
     """Return (row, col, 1): 1 where specimen or plate touches.
 
-    A sheet with tack touches as far as the middle of the cohesive range, where its pull is largest.
+    A sheet with tack touches up to the middle of the cohesive range, where its pull is largest.
     """
     lift = np.array([0.0, 0.0, sheet.touched_z_mm + state.travel_mm])
     points = (middle_mm - lift).reshape(-1, 3)

@@ -1,8 +1,8 @@
-"""A rim that gives: the sheet's edge on springs along the frame, each length on its own.
+"""A compliant rim: the sheet's edge on springs along the frame, each length separately.
 
 Glue yields and a clamp lets a sheet creep in. The edge moves in the frame's plane by u under the
-line tension that it bears beyond that of the mounted sheet: k u = N - N_0, k = 1 / compliance, per
-length of the mounted edge. The mounted sheet is at rest: N_0 = mu h (1 - s^-6) along the outward
+line tension in excess of that of the mounted sheet: k u = N - N_0, k = 1 / compliance, per length
+of the mounted edge. The mounted sheet is in equilibrium: N_0 = mu h (1 - s^-6) along the outward
 normal, the tension of an incompressible neo-Hookean sheet that is stretched by s along x and y.
 """
 
@@ -30,7 +30,7 @@ class RimSpring:
     Attributes
     ----------
     axis, end : control points [end] along the grid's axis 0 (rows) or 1 (columns)
-    mounted_mm : (point, xy) where they rest
+    mounted_mm : (point, xy) their positions at rest
     stiffness : (offset, point) mN/mm between a control point and that 0, 1 or 2 further on
     tension : (point, xy) mN of the mounted sheet, outwards
     """
@@ -69,7 +69,7 @@ class RimSpring:
 def rim_springs(
     grid: SheetGrid, laws: Laws, edges: Sequence[tuple[int, int]] = EDGES
 ) -> tuple[RimSpring, ...]:
-    """Return the springs of a grid's edges; none where its frame is rigid."""
+    """Return the springs of a grid's edges; none if its frame is rigid."""
     compliance = grid.frame.rim_compliance_mm2_per_n
     if not compliance:
         return ()
@@ -83,7 +83,7 @@ def _spring(grid: SheetGrid, edge: tuple[int, int], stiffness: float, tension: f
     line = grid.x if axis == 0 else grid.y
     mounted = (grid.mounted_mm[end] if axis == 0 else grid.mounted_mm[:, end])[:, :2]
     by_length = np.stack([_on_cells(line, mounted[:, xy]) for xy in (0, 1)], axis=-1)
-    # Rows run along x: to the right of it is out at the first; columns along y: to the left of it.
+    # Rows run along x: outwards is to the right at the first; columns along y: to the left.
     turned = np.stack((by_length[..., 1], -by_length[..., 0]), axis=-1)
     outwards = turned if (axis == 0) == (end == 0) else -turned
     values = line.table[:, :, 0]

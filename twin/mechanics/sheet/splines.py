@@ -1,4 +1,4 @@
-"""Quadratic B-splines on a graded line: values, derivatives, and the way between two lines."""
+"""Quadratic B-splines on a graded line: values, derivatives, and interpolation between lines."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,22 +14,22 @@ _GROWTH = 0.2
 _SAMPLES = 2001
 #: widest of the cells that may be wider than the pitch
 _WIDEST_PITCHES = 4.0
-#: of the ladder of widths, in each doubling
+#: number of widths of the series in each doubling
 _RUNGS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Widths:
-    """How wide cells may be at ascending places along a line."""
+    """Largest widths of cells at ascending points along a line."""
 
     #: (n,)
     places_mm: FloatArray
     widths_mm: FloatArray
 
     def at(self, places_mm: FloatArray, pitch_mm: float) -> FloatArray:
-        """Return the widths at places, from `pitch_mm` up; they grow no faster than cells may.
+        """Return the widths at points, from `pitch_mm` up; they increase no faster than allowed.
 
-        Of those allowed the next rung below counts, so that last digits move no cell.
+        Each is rounded down to a width of the series, so that last digits move no cell.
         """
         pitches = np.clip(self.widths_mm / pitch_mm, 1.0, _WIDEST_PITCHES)
         rungs = 2.0 ** (np.floor(_RUNGS * np.log2(pitches) + 1e-9) / _RUNGS)
@@ -60,7 +60,7 @@ class SplineLine:
 
     @cached_property
     def greville(self) -> FloatArray:
-        """(function,) places whose values are the coefficients of a straight line."""
+        """(function,) points at which the values are the coefficients of a straight line."""
         knots = self._knots
         return (knots[1:-2] + knots[2:-1]) / 2
 
@@ -102,9 +102,9 @@ class SplineLine:
         np.put_along_axis(full, cell[:, None] + np.arange(3), local[:, derivative], axis=1)
         return full
 
-    def interpolated_from(self, other: "SplineLine") -> FloatArray:
-        """Return (function, other's function): this line's spline through the other's values."""
-        passed = np.linalg.solve(self.matrix(self.greville), other.matrix(self.greville))
+    def interpolated_from(self, source: "SplineLine") -> FloatArray:
+        """Return (function, source function): this line's spline through the values of `source`."""
+        passed = np.linalg.solve(self.matrix(self.greville), source.matrix(self.greville))
         return np.asarray(passed, dtype=np.float64)
 
     @property
@@ -124,9 +124,9 @@ def graded_line(
 ) -> SplineLine:
     """Return cells of about `pitch_mm` within `fine_mm`, wider between it and the ends.
 
-    Within it, too, where wider ones are `allowed`.
+    Within it they are also wider where that is `allowed`.
     At the ends cells are of `rim_mm`: under pressure the sheet bends within less than its thickness
-    where its rim holds it, and what it loses there moves all of its face.
+    at a held rim, and an error there moves all of its face.
     """
     low, high = max(fine_mm[0], ends_mm[0]), min(fine_mm[1], ends_mm[1])
     before = low - _between(low - ends_mm[0], pitch_mm, rim_mm, coarse_mm)[::-1]
@@ -142,7 +142,7 @@ def subdivided(edges: FloatArray, parts: npt.NDArray[np.int64]) -> FloatArray:
 
 
 def _fine(low: float, high: float, pitch_mm: float, allowed: Widths | None) -> FloatArray:
-    """Return the ends of cells of the pitch, or of what is allowed where it is wider."""
+    """Return the ends of cells of the pitch, or of the allowed width if that is larger."""
     if allowed is not None:
         places = np.linspace(low, high, _SAMPLES)
         widths = allowed.at(places, pitch_mm)
@@ -162,7 +162,7 @@ def _between(length_mm: float, pitch_mm: float, rim_mm: float, coarse_mm: float)
 
 
 def _ends(places: FloatArray, widths_mm: FloatArray) -> FloatArray:
-    """Return the ends of cells, but the first, that are as wide as told at even places, or less."""
+    """Return the ends of cells but the first, at most as wide as `widths_mm` at even points."""
     density = 1 / widths_mm
     cells = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2)))
     cells *= (places[-1] - places[0]) / (places.size - 1)

@@ -1,4 +1,4 @@
-"""Where the tangent of a spline grid goes in a sparse matrix, and what its control points weigh."""
+"""Position of a spline grid's tangent in a sparse matrix, and the areas of its control points."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from twin.mechanics.sheet.kernel import SLOTS
 
 @dataclass(frozen=True, eq=False)
 class Stencil:
-    """The tangent's sparsity: where each element of the stencil goes in the upper triangle."""
+    """The tangent's sparsity: the position of each element in the upper triangle."""
 
     start: npt.NDArray[np.int32]
     columns: npt.NDArray[np.int32]
@@ -21,7 +21,7 @@ class Stencil:
 
 
 def control_areas(grid: SheetGrid) -> FloatArray:
-    """Return (row + 2, col + 2) area of the undeformed sheet that each control point carries."""
+    """Return (row + 2, col + 2) area of the undeformed sheet that belongs to each control point."""
     share = (functions_of(grid.rest)[..., 0] * grid.rest.area_mm2[..., None]).sum(axis=2)
     area = np.zeros(grid.free.shape[:2])
     rows, cols = share.shape[:2]
@@ -32,15 +32,17 @@ def control_areas(grid: SheetGrid) -> FloatArray:
 
 
 def stencil(free: npt.NDArray[np.bool_]) -> Stencil:
-    """Return where the tangent of a grid goes whose control points (row, col, xyz) are free so."""
+    """Return the sparsity of the tangent of a grid with free control points (row, col, xyz)."""
     rows, cols, _ = free.shape
     number = np.full((rows + 4, cols + 4, 3), -1, np.int64)
     number[2:-2, 2:-2][free] = np.arange(free.sum())
     own = number[2:-2, 2:-2]
-    other = np.stack([number[2 + b : 2 + b + rows, 2 + a : 2 + a + cols] for b, a in SLOTS], axis=2)
+    coupled = np.stack(
+        [number[2 + b : 2 + b + rows, 2 + a : 2 + a + cols] for b, a in SLOTS], axis=2
+    )
     shape = (rows, cols, len(SLOTS), 3, 3)
     first = np.broadcast_to(own[:, :, None, :, None], shape).ravel()
-    second = np.broadcast_to(other[:, :, :, None, :], shape).ravel()
+    second = np.broadcast_to(coupled[:, :, :, None, :], shape).ravel()
     taken = np.flatnonzero((first >= 0) & (second >= first))
     taken = taken[np.lexsort((second[taken], first[taken]))]
     count = np.bincount(first[taken], minlength=int(free.sum()))

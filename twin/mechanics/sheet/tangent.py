@@ -31,7 +31,7 @@ def fill_tangent(laws: Laws, convex: bool, point: Point) -> None:
     for i in range(3):
         for k in range(3):
             K[0, 0, 3 * i + k] = point.at_r[i, k]
-            for t in range(1, 3):  # the transpose of what is filled above
+            for t in range(1, 3):  # the transpose of the part above
                 K[t, 0, 3 * i + k] = K[0, t, 3 * k + i]
         K[1, 1, 4 * i] += s1
         K[2, 2, 4 * i] += s2
@@ -45,7 +45,7 @@ def fill_tangent(laws: Laws, convex: bool, point: Point) -> None:
 
 @inlined
 def _stress_changes(point: Point) -> None:
-    """Fill what v makes of the stresses: the moduli times the strains' first derivatives."""
+    """Fill the changes of the stresses with v: the moduli times the strains' first derivatives."""
     H, X, n, r1, r2 = point.modulus, point.stress_by_v, point.normal, point.v[1], point.v[2]
     gamma = point.gamma
     for m in range(6):
@@ -75,7 +75,7 @@ def _tension_only(s1: float, s2: float, s12: float) -> tuple[float, float, float
 def _pressure_terms(p: float, point: Point) -> None:
     """Add the second derivatives of p z (r_1 x r_2)_z."""
     K, v, z = point.tangent, point.v, p * point.v[0, 2]
-    # (z, x) and (z, y) lie at 6 and 7, their transposes at 2 and 5; (x, y) at 1, (y, x) at 3.
+    # (z, x) and (z, y) are at 6 and 7, their transposes at 2 and 5; (x, y) at 1, (y, x) at 3.
     for t, sign in ((1, 1.0), (2, -1.0)):
         along_x, along_y = sign * p * v[3 - t, 1], -sign * p * v[3 - t, 0]
         K[t, 0, 6] += along_x

@@ -1,20 +1,20 @@
 """Gray ink with aluminium flakes.
 
 Fraction `1 - flake_fraction` of the surface is ink, the rest a rough conductor (GGX). The ink is a
-diffuse pigment, bare or under a clear binder whose rough face reflects by Fresnel; pigment and
-binder exchange light until it has left (J. L. Saunderson, J. Opt. Soc. Am. 32, 727 (1942)), so a
-binder darkens the pigment. A convex blend of lobes that each reflect at most all light: energy
-conserving by construction.
+diffuse pigment, bare or under a clear binder with a rough Fresnel interface. Light is reflected
+repeatedly between pigment and binder interface (J. L. Saunderson, J. Opt. Soc. Am. 32, 727 (1942)),
+so that a binder darkens the pigment. The blend is convex and each lobe reflects at most all light:
+it conserves energy by construction.
 
-Left out: flakes below the binder's face (they lie bare), and light scattered more than once by one
-rough face (it is lost, as in all single-scattering microfacet models). A white pigment shows what
-is lost: with a binder of index 1.5 and roughness 0.02, 0.1, 0.2, 0.3 it throws back 3, 9, 20, 31 %
-too little facing the camera, 2, 12, 24, 36 % at 80 deg and up to 11, 13, 25, 40 % at 89 deg.
+Left out: flakes below the binder's interface (they are bare), and repeated scattering at one rough
+interface (this light is lost, as in all single-scattering microfacet models). Loss of a white
+pigment under a binder of index 1.5 and roughness 0.02, 0.1, 0.2, 0.3: 3, 9, 20, 31 % at normal
+view, 2, 12, 24, 36 % at 80 deg and up to 11, 13, 25, 40 % at 89 deg.
 
-An object behind a thin ink adds to its reflectance. Of the light on the ink the share R comes back
-from its pigment and T passes. An object that touches it throws the share r of that back, again and
-again between the two (Kubelka and Munk 1931, a layer on a ground; G. Kortuem, Reflectance
-Spectroscopy, Springer 1969): R_contact = R + T^2 r / (1 - R r).
+An object behind a thin ink adds to its reflectance. The ink reflects the share R of incident light
+and transmits T. An object in contact reflects the share r of the transmitted light, repeatedly
+between the two (Kubelka and Munk 1931, a layer on a ground; G. Kortuem, Reflectance Spectroscopy,
+Springer 1969): R_contact = R + T^2 r / (1 - R r).
 """
 
 from collections.abc import Mapping
@@ -33,11 +33,11 @@ from twin.optics.bsdfs import level, microfacets
 class Flakes(Coating):
     """Gray ink with aluminium flakes: a blend of a diffuse and a rough conducting reflector.
 
-    The ink is pigment in a clear binder. With `binder_ior` above 1 the binder's outer face reflects
-    by Fresnel and sends light back to the pigment; at 1 it has no optical face: a matte ink.
+    The ink is pigment in a clear binder. With `binder_ior` above 1 the binder's outer interface
+    reflects by Fresnel, on both sides; at 1 there is no optical interface: a matte ink.
     """
 
-    # Left out of files: it is the kind of a table that names none.
+    # Not written to files: it is the default kind.
     kind: Literal["flakes"] = Field(default="flakes", exclude_if=lambda kind: kind == "flakes")
     base_albedo: Annotated[float, Field(gt=0, lt=1)] = Field(
         description="share of light that the pigment reflects, inside the binder"
@@ -57,16 +57,16 @@ class Flakes(Coating):
     )
     binder_roughness: Annotated[float, Field(ge=0.02, le=0.3)] = Field(
         default=0.1,
-        description="GGX alpha of the binder's face; without effect at binder_ior = 1. Light "
-        "scattered twice on it is lost: of all light on a white pigment 9 % at 0.1, 31 % at 0.3, "
-        "seen 80 deg off the normal 12 and 36 % (index 1.5)",
+        description="GGX alpha of the binder's interface; no effect at binder_ior = 1. The model "
+        "loses light scattered twice at it: 9 % at 0.1 and 31 % at 0.3 on a white pigment; at 80 "
+        "deg off the normal 12 and 36 % (index 1.5)",
     )
-    # Left out where absent: an opaque coat keeps its digest.
+    # Excluded if absent: the digests of opaque coats do not change.
     transmittance: Fraction = Field(
         default=0.0,
         exclude_if=lambda share: share == 0.0,
-        description="share of light that passes the ink; an object that touches the coat throws "
-        "it back and makes the contact brighter (contact_face, photometric_stereo)",
+        description="share of light that the ink transmits; an object in contact reflects it, so "
+        "that the contact is brighter (contact_face, photometric_stereo)",
     )
 
     differentiable = ("base_albedo", "flake_fraction", "flake_roughness")
@@ -82,7 +82,7 @@ class Flakes(Coating):
         if self.base_albedo + self.transmittance > 1:
             raise ValueError(
                 f"transmittance: found {self.transmittance:g}, allowed at most "
-                f"{1 - self.base_albedo:g}, what base_albedo leaves; lower one of them"
+                f"{1 - self.base_albedo:g}, 1 - base_albedo; lower one of them"
             )
         return self
 
@@ -112,19 +112,19 @@ class Flakes(Coating):
             self.binder_roughness,
             int_ior=self.binder_ior,
             ext_ior=1.0,
-            nonlinear=True,  # inter-reflections below the binder meet the pigment again and again
+            nonlinear=True,  # each inter-reflection below the binder multiplies by the albedo
             diffuse_reflectance=albedo,
         )
 
     def albedo_over(self, reflectance: float) -> float | None:
-        """Return the share of light that the ink reflects over an object; None: it is opaque."""
+        """Return the reflectance of the ink over an object; None: the ink is opaque."""
         if not self.transmittance:
             return None
         ink = self.base_albedo
         return ink + self.transmittance**2 * reflectance / (1.0 - ink * reflectance)
 
     def in_medium(self, ior: float) -> Self:
-        """Return the coat in a layer: a matte ink stays, a binder needs at least its index.
+        """Return the coat in a layer: a matte ink as it is; a binder needs at least that index.
 
         Raises
         ------
@@ -133,7 +133,7 @@ class Flakes(Coating):
         if 1.0 < self.binder_ior < ior:
             raise InputError(
                 f"coating.binder_ior: found {self.binder_ior:g}, allowed 1 (matte), or at least "
-                f"{ior:g}, that of the layer around the coat; set it to 1"
+                f"{ior:g}, the index of the layer around the coat; set it to 1"
             )
         relative = {
             "flake_ior": self.flake_ior / ior,
@@ -144,5 +144,5 @@ class Flakes(Coating):
 
     @property
     def is_matte(self) -> bool:
-        """Whether there are neither flakes nor a face of a binder."""
+        """Whether there are neither flakes nor a binder interface."""
         return self.flake_fraction == 0.0 and self.binder_ior == 1.0

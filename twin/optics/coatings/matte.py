@@ -1,4 +1,4 @@
-"""Matte ink: an ideal diffuse reflector (Lambert), whatever layer it touches."""
+"""Matte ink: an ideal diffuse reflector (Lambert) in air and in any layer."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
@@ -11,7 +11,7 @@ from twin.optics.bsdfs import level
 
 @COATINGS.register
 class Matte(Coating):
-    """Matte ink: reflects alike into all directions."""
+    """Matte ink: equal radiance in all directions."""
 
     kind: Literal["matte"] = "matte"
     base_albedo: Annotated[float, Field(gt=0, lt=1)] = Field(

@@ -3,7 +3,7 @@
 Files and their parameters are those of J. Dupuy and W. Jakob, ACM Trans. Graph. 37, 274 (2018).
 Mitsuba's own `measured` needs a spectral variant, and the twin is monochromatic: its table is read
 here at the projector's wavelength. Directions of reflected light between surfaces (render.bounces)
-are drawn by the cosine alone, so a shiny table then takes more `bounce_paths`.
+are sampled by the cosine, so that a glossy table needs more `bounce_paths`.
 """
 
 import struct
@@ -27,12 +27,12 @@ _TYPES = {1: np.uint8, 10: np.float32}
 
 @COATINGS.register
 class Measured(Coating):
-    """A coat whose reflectance was measured by a gonioreflectometer, in air."""
+    """A coat with a reflectance that was measured by a gonioreflectometer, in air."""
 
     kind: Literal["measured"] = "measured"
     file: str = Field(description="table in the RGL material database's format, with spectra")
     wavelength_nm: Annotated[float, Field(ge=300, le=1100)] = Field(
-        description="at which the table is read: write '= projector.wavelength_nm'"
+        description="wavelength of the table's data: '= projector.wavelength_nm'"
     )
 
     def bsdf(self) -> dict[str, Any]:
@@ -40,7 +40,7 @@ class Measured(Coating):
 
         Raises
         ------
-        InputError : there is no such table, or it does not reach to the wavelength
+        InputError : there is no such table, or it does not include the wavelength
         """
         import mitsuba as mi
 
@@ -52,7 +52,7 @@ class Measured(Coating):
         return {"type": _PLUGIN, **parts}
 
     def in_medium(self, ior: float) -> Self:
-        """Refuse a layer: how a coat reflects in it does not follow from its reflectance in air.
+        """Raise InputError: the reflectance in a layer does not follow from that in air.
 
         Raises
         ------
@@ -60,7 +60,7 @@ class Measured(Coating):
         """
         raise InputError(
             "coating.kind: found 'measured', allowed 'flakes' or 'matte' within a layer: the table "
-            "holds in air; remove the layers, or use another coating"
+            "is valid in air; remove the layers, or use another coating"
         )
 
     @property
@@ -136,7 +136,7 @@ def _spherical(direction: Any) -> tuple[Any, Any]:
 
 
 def _unit_square(theta: Any, phi: Any) -> Any:
-    """Return where a table has the directions of these angles."""
+    """Return the coordinates of these angles in a table, 0 to 1."""
     import drjit as dr
     import mitsuba as mi
 
@@ -145,11 +145,11 @@ def _unit_square(theta: Any, phi: Any) -> Any:
 
 @lru_cache(maxsize=2)
 def _fields(file: str, stamp: str) -> dict[str, Any]:
-    """Return the arrays of a table by name; `stamp` differs when the file was written again.
+    """Return the arrays of a table by name; `stamp` changes with the file, for the cache.
 
     Raises
     ------
-    InputError : it is no such table
+    InputError : the file is no such table
     """
     try:
         fields = dict(_arrays(read_bytes(file)))
@@ -166,7 +166,7 @@ def _fields(file: str, stamp: str) -> dict[str, Any]:
 
 
 def _arrays(content: bytes) -> Iterator[tuple[str, Any]]:
-    """Yield name and array of each field: a head of names, types, offsets and shapes, then data."""
+    """Yield name and array of each field; the header has names, types, offsets and shapes."""
     if not content.startswith(b"tensor_file\0"):
         raise ValueError("no tensor file")
     (count,) = struct.unpack_from("<I", content, 14)
@@ -183,7 +183,7 @@ def _arrays(content: bytes) -> Iterator[tuple[str, Any]]:
 
 
 def _at_wavelength(fields: dict[str, Any], wavelength_nm: float) -> Any:
-    """Return the spectra at a wavelength, (phi, theta, row, col), between its neighbours.
+    """Return the spectra interpolated to a wavelength, (phi, theta, row, col).
 
     Raises
     ------

@@ -9,8 +9,8 @@ from twin.config.materials import MATERIALS, OpticalMaterial, Roughness
 from twin.optics.bsdfs import fresnel_at_normal, level, microfacets
 
 SHARP_BELOW_ROUGHNESS = 0.3
-"""Metals below this GGX alpha throw light that only photons find without fireflies: the lobe's
-peak is 1 / (pi alpha^2), 3.5 here and 127 at 0.05."""
+"""Below this GGX alpha, light from the metal to the stage is traced as photons: camera paths would
+cause fireflies: the lobe's peak is 1 / (pi alpha^2), 3.5 here and 127 at 0.05."""
 
 
 @MATERIALS.register
@@ -34,5 +34,5 @@ class Conductor(OpticalMaterial):
 
     @property
     def normal_reflectance(self) -> float:
-        """Fresnel's, against air."""
+        """Fresnel reflectance in air."""
         return fresnel_at_normal(self.ior, self.extinction)

@@ -11,9 +11,9 @@ from twin.optics.bsdfs import fresnel_at_normal, microfacets
 
 @MATERIALS.register
 class Dielectric(OpticalMaterial):
-    """A clear body: refracts, reflects after Fresnel, absorbs along the way (Beer-Lambert).
+    """A clear body: refracts, reflects by Fresnel, absorbs by Beer-Lambert.
 
-    What the camera sees through the middle of a ball may be 20 to 25 % off (docs/specimens.md).
+    Light through the middle of a ball may have an error of 20 to 25 % (docs/specimens.md).
     """
 
     kind: Literal["dielectric"] = "dielectric"
@@ -41,6 +41,6 @@ class Dielectric(OpticalMaterial):
 
     @property
     def normal_reflectance(self) -> float:
-        """Of both faces, without absorption."""
+        """Reflectance of both faces, without absorption."""
         once = fresnel_at_normal(self.ior)
         return 2.0 * once / (1.0 + once)

@@ -10,7 +10,7 @@ from twin.optics.bsdfs import level, microfacets
 
 @MATERIALS.register
 class Plastic(OpticalMaterial):
-    """Opaque pigment below a clear surface that reflects after Fresnel."""
+    """Opaque pigment below a clear surface that reflects by Fresnel."""
 
     kind: Literal["plastic"] = "plastic"
     albedo: Albedo = Field(description="of the pigment, below the surface")

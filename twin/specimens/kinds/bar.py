@@ -13,11 +13,11 @@ from twin.specimens.rows import require_edge
 
 @SPECIMENS.register
 class Bar(Specimen):
-    """A rectangular bar lying along y, cut from sheet, its edges rounded: one known width."""
+    """A rectangular bar along y, cut from sheet, with rounded edges: one known width."""
 
     kind: Literal["bar"] = "bar"
     width_mm: Size = 4.81
-    height_mm: Size = Field(default=1.5, description="assumed: thickness of the sheet it is cut of")
+    height_mm: Size = Field(default=1.5, description="assumed: thickness of the sheet")
     length_mm: Size = 15.0
     edge_radius_mm: OptionalSize = Field(default=0.1, description="assumed: rounding of all edges")
 

@@ -15,7 +15,7 @@ from twin.specimens.rows import middles_mm, plate_under, require_edge, row_width
 
 @SPECIMENS.register
 class Bars(Specimen):
-    """Rectangular bars of one height side by side along y, on a plate: several known widths."""
+    """Parallel rectangular bars of equal height along y, on a plate: several known widths."""
 
     kind: Literal["bars"] = "bars"
     widths_mm: Annotated[tuple[Size, ...], Field(min_length=1, max_length=12)] = Field(
@@ -38,7 +38,7 @@ class Bars(Specimen):
 
     @property
     def middles_mm(self) -> tuple[float, ...]:
-        """Place of each bar's middle along x; the row is centred."""
+        """Position of each bar's middle along x; the row is centred."""
         return middles_mm(self.widths_mm, self.gap_mm)
 
     def shape(self) -> Assembly:
@@ -53,7 +53,7 @@ class Bars(Specimen):
         return Assembly((*bars, plate))
 
     def nominal_features(self) -> tuple[NominalBar | NominalStep, ...]:
-        """Return the bars from -x to +x, and their height over the plate."""
+        """Return the bars from -x to +x, and their height above the plate."""
         gap_mm = self.gap_mm if len(self.widths_mm) > 1 else inf
         sizes = self.length_mm, self.edge_radius_mm
         row = zip(self.middles_mm, self.widths_mm, strict=True)

@@ -39,7 +39,7 @@ _PARTS = (*_MIDDLE, *_PAIRED, *[((-x, y, z), axes) for (x, y, z), axes in _PAIRE
 _CENTRES_MM = np.array([centre for centre, _ in _PARTS])
 _HALF_AXES_MM = np.array([axes for _, axes in _PARTS])
 _LEAST_MM = _HALF_AXES_MM.min(axis=-1)
-# The box that holds the drawing, x, y, z low and high.
+# The box that contains the drawing, x, y, z low and high.
 _BOX_MM = (-6.0, -9.0, -4.0, 6.0, 9.0, 5.0)
 _COARSE_MM, _REFINED = 0.7, 5
 _NEWTON_STEPS, _CLOSE_MM = 5, 1e-9
@@ -47,7 +47,7 @@ _NEWTON_STEPS, _CLOSE_MM = 5, 1e-9
 
 @SPECIMENS.register
 class Bear(Specimen):
-    """A bear ornament lying on its back: a smooth union of ellipsoids, assumed proportions."""
+    """A bear ornament on its back: a smooth union of ellipsoids with assumed proportions."""
 
     kind: Literal["bear"] = "bear"
     length_mm: Annotated[float, Field(ge=5, le=60)] = Field(
@@ -101,7 +101,7 @@ def bear_gradient(points_mm: FloatArray, blend_mm: float) -> FloatArray:
 
 
 def _on_surface(points_mm: FloatArray, blend_mm: float) -> FloatArray:
-    """Move points along the gradient until the level is zero; most are there after two steps."""
+    """Move points along the gradient until the level is zero; most points need two steps."""
     moved_mm, off = points_mm.copy(), np.arange(len(points_mm))
     for _ in range(_NEWTON_STEPS):
         level = bear_level_mm(moved_mm[off], blend_mm)

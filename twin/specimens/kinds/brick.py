@@ -17,15 +17,15 @@ from twin.specimens.solids import arc, box, moved, turned, union, without
 if TYPE_CHECKING:
     import trimesh
 
-# Parts reach this far into each other: faces that only touch do not join.
+# Overlap of the parts: faces that only touch do not unite.
 _INTO_MM = 0.2
-# Facets of the studs' small rounding; a chord stays within 0.2 um of a 0.1 mm radius.
+# Facets of the studs' rounding; the error of a chord is at most 0.2 um at a radius of 0.1 mm.
 _EDGE_STEP_DEG = 6.0
 
 
 @SPECIMENS.register
 class Brick(Specimen):
-    """A toy brick, studs up, hollow below, with tubes that clutch the studs of the next one."""
+    """A toy brick, studs up, hollow below, with tubes that clamp the studs of the brick below."""
 
     kind: Literal["brick"] = "brick"
     studs_x: Annotated[int, Field(ge=1, le=8)] = 2
@@ -43,22 +43,22 @@ class Brick(Specimen):
     def _fits(self) -> "Brick":
         stud = self.stud_diameter_mm
         require_at_most("stud_diameter_mm", stud, 0.7 * self.pitch_mm, "0.7 pitch_mm")
-        require_at_most("play_mm", self.play_mm, 0.1 * self.pitch_mm, "a tenth of pitch_mm")
+        require_at_most("play_mm", self.play_mm, 0.1 * self.pitch_mm, "0.1 pitch_mm")
         edge_limit = min(stud / 4, self.stud_height_mm)
-        why = "stud_height_mm, and a quarter of stud_diameter_mm"
+        why = "stud_height_mm, and 0.25 stud_diameter_mm"
         require_at_most("edge_radius_mm", self.edge_radius_mm, edge_limit, why)
         require_at_most("roof_mm", self.roof_mm, 0.9 * self.height_mm, "0.9 height_mm")
         room = self.pitch_mm - self.play_mm / 2 - self.tube_diameter_mm / 2
-        require_at_most("wall_mm", self.wall_mm, 0.95 * room, "the space beside the tubes")
+        require_at_most("wall_mm", self.wall_mm, 0.95 * room, "the space between wall and tubes")
         return self
 
     @property
     def tube_diameter_mm(self) -> float:
-        """Outer diameter of the tubes: each touches the four studs that stand round it."""
+        """Outer diameter of the tubes: each touches the four studs round it."""
         return sqrt(2) * self.pitch_mm - self.stud_diameter_mm
 
     def shape(self) -> MeshShape:
-        """Stand the brick on its walls, its middle in the origin."""
+        """Place the brick on its walls, its middle in the origin."""
         body = _brick(unposed(self))
         middle_mm = (self.height_mm + self.stud_height_mm) / 2
         return MeshShape(body).placed(raised(-middle_mm))

@@ -1,11 +1,10 @@
 """A fingertip: a plate with ridges that follow a loop or a whorl, with endings and forks.
 
 Its height is depth / 2 times the real part of exp(2 pi i s / pitch) times one vortex
-(u +- i v) / sqrt(u^2 + v^2 + r^2) per minutia, (u, v) the place relative to it: a ridge more on
-one side of it than on the other (Larkin and Fletcher 2007, fingerprints as holograms). s is the
-distance to the core, a line that ends in the middle of the print (loop) or a short piece of line
-(whorl), softened by a quarter of a pitch: so neighbours are one pitch apart, but for what the
-minutiae pull.
+(u +- i v) / sqrt(u^2 + v^2 + r^2) per minutia, (u, v) the position relative to it: one side of a
+minutia has one ridge more (Larkin and Fletcher 2007, fingerprints as holograms). s is the distance
+to the core, a line that ends in the middle of the print (loop) or a short line (whorl), smoothed
+over 0.25 pitches. The spacing of ridges is therefore one pitch, except near minutiae.
 """
 
 from functools import lru_cache
@@ -25,18 +24,18 @@ from twin.specimens.solids import height_grid_body
 if TYPE_CHECKING:
     import trimesh
 
-# Chords stay within depth pi^2 / 4 / 12^2 of a ridge, 1.2 um at 0.07 mm.
+# The error of chords is at most depth pi^2 / 4 / 12^2: 1.2 um at 0.07 mm.
 _STEPS_PER_PITCH = 12
-# Radius of a minutia's core and least distance of two, in pitches.
-_VORTEX, _APART = 0.5, 2.5
-# Half length of a whorl's core over the pitch; a loop's core leaves the print.
+# Radius of a minutia's core and least distance of two minutiae, in pitches.
+_VORTEX, _SPACING = 0.5, 2.5
+# Half length of a whorl's core over the pitch; a loop's core extends beyond the print.
 _WHORL_CORE = 4.0
 _TRIES = 100
 
 
 @SPECIMENS.register
 class Fingerprint(Specimen):
-    """A plate, flat or domed, whose upper side carries the ridges of a fingerprint."""
+    """A plate, flat or domed, with the ridges of a fingerprint on its upper side."""
 
     kind: Literal["fingerprint"] = "fingerprint"
     pitch_mm: Annotated[float, Field(ge=0.3, le=2)] = Field(
@@ -52,7 +51,8 @@ class Fingerprint(Specimen):
         default=30, description="assumed: ridge endings and forks, 20 to 60 in a print"
     )
     pattern_seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(
-        default=1, description="which finger: place and turn of the core, places of the minutiae"
+        default=1,
+        description="of the finger: position and rotation of the core, positions of minutiae",
     )
     length_x_mm: Annotated[float, Field(ge=2, le=40)] = 20.0
     length_y_mm: Annotated[float, Field(ge=2, le=40)] = 20.0
@@ -61,13 +61,13 @@ class Fingerprint(Specimen):
 
     @model_validator(mode="after")
     def _fits(self) -> "Fingerprint":
-        # A steeper furrow is no height field that a press could follow.
+        # A steeper furrow would be no height field, which the press needs.
         require_at_most("depth_mm", self.depth_mm, 0.3 * self.pitch_mm, "0.3 pitch_mm")
         least = hypot(self.length_x_mm, self.length_y_mm) / 2 * 1.25
         if 0 < self.dome_radius_mm < least:
             raise ValueError(
                 f"dome_radius_mm: found {self.dome_radius_mm:g}, allowed 0 or at least {least:.4g},"
-                " 1.25 times half the plate's diagonal"
+                " 0.625 x the plate's diagonal"
             )
         return self
 
@@ -87,7 +87,7 @@ class Fingerprint(Specimen):
 
 
 def ridges_mm(print_: Fingerprint, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-    """Return the ridges' height over the mean surface, same shape as x and y, without the dome."""
+    """Return the ridges' height above the mean surface without dome, same shape as x and y."""
     rng = np.random.default_rng(print_.pattern_seed)
     half = np.array([print_.length_x_mm, print_.length_y_mm]) / 2
     core, turn = rng.uniform(-0.15, 0.15, 2) * half, np.deg2rad(90 + rng.uniform(-20, 20))
@@ -107,12 +107,14 @@ def ridges_mm(print_: Fingerprint, x_mm: FloatArray, y_mm: FloatArray) -> FloatA
 def _minutiae(
     print_: Fingerprint, half_mm: FloatArray, rng: np.random.Generator
 ) -> list[tuple[FloatArray, int]]:
-    """Draw places and senses, as many as there is room for; senses alternate."""
+    """Draw positions and senses, at most as many as fit; senses alternate."""
     places: list[FloatArray] = []
     for _ in range(_TRIES * print_.minutiae):
         place = rng.uniform(-half_mm, half_mm)
-        apart = _APART * print_.pitch_mm
-        if len(places) < print_.minutiae and all(np.hypot(*(place - p)) > apart for p in places):
+        spacing_mm = _SPACING * print_.pitch_mm
+        if len(places) < print_.minutiae and all(
+            np.hypot(*(place - p)) > spacing_mm for p in places
+        ):
             places.append(place)
     return [(place, 1 - 2 * (number % 2)) for number, place in enumerate(places)]
 

@@ -27,6 +27,6 @@ class Flat(Specimen):
         return self
 
     def shape(self) -> Cylinder:
-        """Stand a cylinder up."""
+        """Place a cylinder along z."""
         sizes = self.diameter_mm / 2, self.height_mm / 2, self.edge_radius_mm
         return Cylinder(np.zeros(3), np.array([0.0, 0.0, 1.0]), *sizes)

@@ -18,7 +18,7 @@ _BODY_MM = 2.0
 
 @SPECIMENS.register
 class Grating(Specimen):
-    """A plate with sinusoidal grooves along its y axis: what relief the coat still shows."""
+    """A plate with sinusoidal grooves along its y axis, to test the lateral resolution."""
 
     kind: Literal["grating"] = "grating"
     pitch_mm: Length = 4.0
@@ -29,7 +29,7 @@ class Grating(Specimen):
     slab_fit_paths: ClassVar[tuple[str, ...]] = ("groove_mm", "x_mm")
 
     def shape(self) -> MeshShape:
-        """Make a plate with grooves along y; their crests stand at whole pitches from the middle.
+        """Make a plate with grooves along y; their crests are at whole pitches from the middle.
 
         Crests are at z = `groove_mm` / 2.
         """

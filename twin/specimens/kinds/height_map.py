@@ -36,8 +36,8 @@ class HeightMapFile(Specimen):
     pixel_mm: Length = Field(description="distance between the middles of neighbouring pixels")
     unit_mm: FileUnit | None = Field(
         default=None,
-        description="height of one unit of the file: needed for integers and for other units than "
-        "mm; default of floating-point numbers: 1",
+        description="height of one unit of the file: required for integers and for units other "
+        "than mm; default for floating-point numbers: 1",
     )
     variable: str = Field(default="", description="netCDF: name of the map; default: the only one")
     base_mm: Size = Field(default=2.0, description="thickness below the lowest height")
@@ -64,22 +64,23 @@ class HeightMapFile(Specimen):
         if suffix not in _TYPES:
             raise InputError(f"{_KEY}: {self.file}: no height map, allowed: {', '.join(_TYPES)}")
         try:
-            found = _read_netcdf(path, self.variable) if suffix == ".nc" else (_read(path), "")
+            content = _read_netcdf(path, self.variable) if suffix == ".nc" else (_read(path), "")
         except (InputError, OSError) as error:
             raise InputError(f"{_KEY}: {one_line(error)}") from error
-        if found[0].ndim != 2 or min(found[0].shape) < 2 or found[0].dtype.kind not in "iuf":
-            described = f"{found[0].dtype} of shape {found[0].shape}"
+        values = content[0]
+        if values.ndim != 2 or min(values.shape) < 2 or values.dtype.kind not in "iuf":
+            described = f"{values.dtype} of shape {values.shape}"
             raise InputError(f"{_KEY}: {self.file}: found {described}, allowed numbers (row, col)")
-        return found
+        return content
 
     def _scale_mm(self, values: NDArray[Any], unit: str) -> float:
         """Return mm per unit of the file."""
         if self.unit_mm is not None:
             return self.unit_mm
         if values.dtype.kind != "f" or unit not in ("", "mm"):
-            found = f"the unit '{unit}'" if unit else f"integers ({values.dtype})"
+            kind = f"the unit '{unit}'" if unit else f"integers ({values.dtype})"
             raise InputError(
-                f"specimen.unit_mm: missing; {self.file} holds {found}: add the height in mm "
+                f"specimen.unit_mm: missing; {self.file} has {kind}: add the height in mm "
                 "of one unit"
             )
         return 1.0
@@ -87,7 +88,7 @@ class HeightMapFile(Specimen):
     def _check(self, z_mm: FloatArray) -> None:
         if not np.isfinite(z_mm).all():
             raise InputError(
-                f"{_KEY}: {self.file}: holds heights that are no numbers; fill them in"
+                f"{_KEY}: {self.file}: found heights that are no numbers; fill them in"
             )
         if z_mm.size > _MOST_PIXELS:
             raise InputError(
@@ -118,11 +119,11 @@ def _read_netcdf(path: Path, variable: str) -> tuple[NDArray[Any], str]:
     from reconstruction.netcdf import read_arrays
 
     arrays = read_arrays(path)
-    maps = {name: one for name, one in arrays.variables.items() if one[1].ndim == 2}
+    maps = {name: item for name, item in arrays.variables.items() if item[1].ndim == 2}
     chosen = [variable] if variable else list(maps)
     if len(chosen) != 1 or chosen[0] not in maps:
-        found = f"'{variable}'" if variable else "no name"
+        given = f"'{variable}'" if variable else "no name"
         names = ", ".join(maps) or "none, the file has no map"
-        raise InputError(f"{path}: variable: found {found}, allowed: {names}")
+        raise InputError(f"{path}: variable: found {given}, allowed: {names}")
     _, values, attributes = maps[chosen[0]]
     return values, str(attributes.get("units", ""))

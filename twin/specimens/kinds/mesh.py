@@ -10,9 +10,9 @@ from twin.config.specimen_base import SPECIMENS, Specimen
 from twin.specimens.mesh_files import read_body_mm
 from twin.specimens.meshes import MeshShape
 
-# Below this a body may be one whose file is in metres or inches.
+# Below this size a body may have a file in metres or inches.
 _DOUBTFUL_MM = 1.0
-# Rows: the file's axes that become x, y and z, for each axis that may face the elastomer.
+# Rows: the file's axes that become x, y and z, for each allowed value of `up`.
 _UP = {
     "+z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
@@ -51,7 +51,7 @@ class MeshFile(Specimen):
         return MeshShape(surface)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return a warning if the mesh is so small that its file may be in metres or inches."""
+        """Return a warning if the size of the mesh suggests a file in metres or inches."""
         size_mm = float(self.shape().body.extents.max())
         if size_mm >= _DOUBTFUL_MM:
             return ()

@@ -25,7 +25,7 @@ _X, _Y, _Z = np.eye(3)
 
 @SPECIMENS.register
 class Nut(Specimen):
-    """A hex nut lying flat, with a real helical thread (ISO 68-1 basic profile); default M6."""
+    """A hex nut on its face, with a real helical thread (ISO 68-1 basic profile); default M6."""
 
     kind: Literal["nut"] = "nut"
     thread_mm: Thread = Field(default=6.0, description="major diameter of the thread")
@@ -34,18 +34,18 @@ class Nut(Specimen):
     height_mm: Size = Field(default=5.2, description="ISO 4032: 4.9 to 5.2 for M6")
     chamfer_mm: OptionalSize = Field(
         default=1.1,
-        description="how far the 30 deg chamfer cuts the corners, radially; ISO 4032: bearing face "
+        description="radial depth of the 30 deg chamfer at the corners; ISO 4032: bearing face "
         "of at least 8.9 for M6",
     )
     countersink_mm: OptionalSize = Field(
         default=6.4,
-        description="diameter of the 120 deg countersinks, none if below the hole's; "
+        description="diameter of the 120 deg countersinks, none if smaller than the hole; "
         "ISO 4032: 6 to 6.75 for M6",
     )
 
     @model_validator(mode="after")
     def _fits(self) -> "Nut":
-        require_at_most("pitch_mm", self.pitch_mm, self.thread_mm / 4, "a quarter of thread_mm")
+        require_at_most("pitch_mm", self.pitch_mm, self.thread_mm / 4, "0.25 thread_mm")
         require_at_most("height_mm", self.height_mm, MOST_TURNS * self.pitch_mm, "60 turns")
         limit = 0.9 * self.across_flats_mm
         require_at_most("thread_mm", self.thread_mm, limit, "0.9 across_flats_mm")
@@ -57,7 +57,7 @@ class Nut(Specimen):
 
     @property
     def face_radius_mm(self) -> float:
-        """Radius of the circle where the chamfer begins."""
+        """Radius of the circle at which the chamfer starts."""
         return self.across_flats_mm / sqrt(3) - self.chamfer_mm
 
     def shape(self) -> MeshShape:
@@ -87,7 +87,7 @@ def _nut(nut: Nut) -> "trimesh.Trimesh":
 
 
 def _chamfered(face_radius_mm: float, corner_mm: float, half_mm: float) -> "trimesh.Trimesh":
-    """Return a disc with 30 degree chamfers that begin at the face radius."""
+    """Return a disc with 30 degree chamfers that start at the face radius."""
     import trimesh
 
     rim = corner_mm * 1.1
@@ -95,13 +95,13 @@ def _chamfered(face_radius_mm: float, corner_mm: float, half_mm: float) -> "trim
     upper = [(rim, half_mm - fall), (face_radius_mm, half_mm)]
     lower = [(face_radius_mm, -half_mm), (rim, fall - half_mm)]
     disc = turned([(0.0, -half_mm), *lower, *upper, (0.0, half_mm)])
-    # Half a facet on: the hexagon's corners shall not fall on the disc's edges.
+    # Rotated by half a facet: the hexagon's corners must not be on the disc's edges.
     disc.apply_transform(trimesh.transformations.rotation_matrix(np.pi / SECTIONS, _Z))
     return disc
 
 
 def _countersink(radius_mm: float, half_mm: float, side: int) -> "trimesh.Trimesh":
-    """Return a cone for the upper (+1) or lower (-1) face, reaching beyond it."""
+    """Return a cone for the upper (+1) or lower (-1) face, which extends beyond it."""
     depth_mm = radius_mm * _COUNTERSINK_SLOPE
     rim = (2 * radius_mm, half_mm + depth_mm)
     cone = turned([(0.0, half_mm - depth_mm), rim, (0.0, half_mm + 2 * depth_mm)])

@@ -1,4 +1,4 @@
-"""A lying cylinder."""
+"""A horizontal cylinder."""
 
 from typing import ClassVar, Literal
 
@@ -13,7 +13,7 @@ from twin.specimens.closed_form import Cylinder, require_cylinder_edge
 
 @SPECIMENS.register
 class Rod(Specimen):
-    """A cylinder lying along the specimen's x axis, its ends flat: a line contact."""
+    """A cylinder along the specimen's x axis with flat ends: a line contact."""
 
     kind: Literal["rod"] = "rod"
     diameter_mm: Length = 4.8

@@ -17,7 +17,7 @@ from twin.specimens.rows import middles_mm, plate_under, row_width_mm
 
 @SPECIMENS.register
 class Rods(Specimen):
-    """Rods lying side by side along y, cemented to a plate (the paper's acrylic rods)."""
+    """Parallel rods along y, cemented to a plate (the paper's acrylic rods)."""
 
     kind: Literal["rods"] = "rods"
     diameters_mm: Annotated[tuple[Size, ...], Field(min_length=1, max_length=12)] = Field(
@@ -35,28 +35,26 @@ class Rods(Specimen):
     @model_validator(mode="after")
     def _fits(self) -> "Rods":
         thinnest = min(self.diameters_mm)
-        half = "half the thinnest rod's diameter"
+        half = "0.5 x the thinnest rod's diameter"
         require_at_most("bead_mm", self.bead_mm, thinnest / 2, half)
-        require_at_most(
-            "edge_radius_mm", self.edge_radius_mm, thinnest / 4, f"a quarter of {thinnest:g}"
-        )
+        require_at_most("edge_radius_mm", self.edge_radius_mm, thinnest / 4, f"0.25 x {thinnest:g}")
         require_at_most("edge_radius_mm", self.edge_radius_mm, self.length_mm / 4, "of length_mm")
         return self
 
     @property
     def middles_mm(self) -> tuple[float, ...]:
-        """Place of each rod's axis along x; the row is centred.
+        """Position of each rod's axis along x; the row is centred.
 
-        Neighbours of unlike diameter stand on the same plate, so their clearance is measured
-        between their outlines seen from above.
+        All rods are on one plate; the clearance of neighbours with unequal diameters is that of
+        their outlines in top view.
         """
         return middles_mm(self.diameters_mm, self.gap_mm)
 
     def shape(self) -> Assembly:
         """Lay the rods along y on the plate's upper face, z = 0, each in a bead of cement.
 
-        The rods touch the plate along a line: a bead between the two makes one body of them. It
-        stays below the rods, where neither elastomer nor light from above finds it.
+        The rods touch the plate along a line; a bead of cement unites rod and plate to one body. It
+        is below the rods, out of reach of elastomer and light from above.
         """
         rods = list(zip(self.middles_mm, self.diameters_mm, strict=True))
         cylinders = [self._lying(x, diameter) for x, diameter in rods]

@@ -15,7 +15,7 @@ _BASE_MM = 2.0
 
 @SPECIMENS.register
 class Step(Specimen):
-    """Two flat levels; the one at +x is the higher."""
+    """Two flat levels; the level at +x is the higher."""
 
     kind: Literal["step"] = "step"
     height_mm: Size = 0.5
@@ -28,14 +28,14 @@ class Step(Specimen):
     @model_validator(mode="after")
     def _fits(self) -> "Step":
         limit = min(self.height_mm, self.length_x_mm / 4)
-        why = "height_mm, and a quarter of length_x_mm"
+        why = "height_mm, and 0.25 length_x_mm"
         require_at_most("edge_radius_mm", self.edge_radius_mm, limit, why)
         return self
 
     def shape(self) -> MeshShape:
-        """Raise the level at +x; the lower one is z = 0, the riser is in x = 0."""
+        """Raise the level at +x; the lower level is z = 0, the riser is in x = 0."""
         x, height, edge = self.length_x_mm / 2, self.height_mm, self.edge_radius_mm
-        # Counter-clockwise, so the rounding is passed from the upper level down.
+        # Counter-clockwise: the arc runs from the upper level down.
         rounding = arc((edge, height - edge), edge, 90, 180)
         foot = [] if edge == height else [(0.0, 0.0)]
         outline = [(x, -_BASE_MM), (x, height), *rounding, *foot, (-x, 0.0), (-x, -_BASE_MM)]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import trimesh
 
 _X, _Y, _Z = np.eye(3)
-# Rotations that bring the bolt's own axes (shank along -z, head's long side along y) into place.
+# Rotations from the bolt's axes (shank along -z, head's long side along y) to the specimen's.
 _FACING: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {
     "side": (-_Z, _Y, _X),
     "tip": (-_X, _Y, -_Z),
@@ -32,7 +32,7 @@ class TBolt(Specimen):
 
     kind: Literal["t_bolt"] = "t_bolt"
     facing: Literal["side", "tip", "head"] = Field(
-        default="side", description="what meets the elastomer; side: it lies along x"
+        default="side", description="part that touches the elastomer; side: the bolt is along x"
     )
     thread_mm: Thread = Field(default=5.0, description="major diameter of the thread")
     pitch_mm: Pitch = Field(default=0.8, description="ISO 261 coarse: 0.8 for M5")
@@ -50,14 +50,14 @@ class TBolt(Specimen):
 
     @model_validator(mode="after")
     def _fits(self) -> "TBolt":
-        require_at_most("pitch_mm", self.pitch_mm, self.thread_mm / 4, "a quarter of thread_mm")
+        require_at_most("pitch_mm", self.pitch_mm, self.thread_mm / 4, "0.25 thread_mm")
         require_at_most("shank_mm", self.shank_mm, MOST_TURNS * self.pitch_mm, "60 turns")
         require_at_most("thread_mm", self.thread_mm, 0.99 * self.head_width_mm, "head_width_mm")
         require_at_most("head_width_mm", self.head_width_mm, self.head_length_mm, "head_length_mm")
         return self
 
     def shape(self) -> MeshShape:
-        """Lay or stand the bolt, the middle of its length in the origin."""
+        """Orient the bolt, the middle of its length in the origin."""
         bolt = _bolt(unposed(self.model_copy(update={"facing": "side"})))
         length_below = self.shank_mm + self.neck_mm
         centred = moved(bolt, 0.0, 0.0, (length_below - self.head_height_mm) / 2)
@@ -69,7 +69,7 @@ def _bolt(bolt: TBolt) -> "trimesh.Trimesh":
     """Join head (above z = 0), neck and shank (below it)."""
     half, inside_mm = bolt.head_width_mm / 2, bolt.head_height_mm / 2
     head = prism(_hammer(bolt.head_length_mm / 2, half), 0.0, bolt.head_height_mm)
-    # Each part reaches into the one above it: faces that only touch do not join.
+    # Each part overlaps the part above it: faces that only touch do not unite.
     neck = box((-half, -half, -bolt.neck_mm), (half, half, inside_mm))
     tip_mm = -bolt.neck_mm - bolt.shank_mm
     thread = screw(bolt.thread_mm, bolt.pitch_mm, tip_mm, inside_mm)
@@ -87,7 +87,7 @@ def _hammer(half_length_mm: float, half_width_mm: float) -> FloatArray:
 
 
 def _shank(thread_mm: float, pitch_mm: float, tip_mm: float, top_mm: float) -> "trimesh.Trimesh":
-    """Return the shank's envelope: a cylinder whose tip is chamfered at 45 degrees."""
+    """Return the shank's envelope: a cylinder with a tip chamfered at 45 degrees."""
     root, outer = minor_diameter_mm(thread_mm, pitch_mm) / 2 * 0.95, thread_mm
     profile = [(0.0, tip_mm), (root, tip_mm), (outer, tip_mm + outer - root), (outer, top_mm)]
     return turned([*profile, (0.0, top_mm)])

@@ -13,7 +13,7 @@ from twin.specimens.closed_form import SphereCluster
 
 @SPECIMENS.register
 class TwoBalls(Specimen):
-    """Two joined balls side by side along the specimen's x axis (the paper's artefact)."""
+    """Two joined balls in a row along the specimen's x axis (the paper's artefact)."""
 
     kind: Literal["two_balls"] = "two_balls"
     diameter_mm: Length = 8.0

@@ -1,10 +1,10 @@
-"""What single images of an unknown set look like: level, axis of the stripes, their frequency.
+"""Features of the images of an unknown set: level, axis of the stripes, their frequency.
 
-Of every image some lines along its rows and along its columns are kept, at full resolution. Each
-value is put between the darkest and the brightest that its pixel shows in the whole set, u in
-[0, 1], so that coat, object and lighting drop out; pixels that hardly change are left out.
-
-An image that varies along projector columns differs within the lines along rows, and is steady
+Of every image some lines along its rows and along its columns are used, at full resolution. Each
+value is normalised to the darkest and brightest value of its pixel in the whole set, u in [0, 1],
+which removes coat, object and lighting. Pixels that hardly change are excluded.
+An image that varies along projector columns differs within the lines along rows, and is uniform
+within those along columns. Frequencies are peaks of the mean power spectrum of the lines.
 within those along columns. Frequencies are peaks of the mean power spectrum of the lines.
 """
 
@@ -24,15 +24,15 @@ from reconstruction.patterns import Axis
 
 SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".exr", ".pgm", ".npy")
 LINES = 64
-# A pixel takes part where it changes by this share of what the well-lit ones change.
+# A pixel is used if it changes by at least this share of the change of well-lit pixels.
 LIT_SHARE = 0.3
 # Variance of u below which an image is uniform; its mean beyond which it is white or black.
 UNIFORM, WHITE, BLACK = 0.03, 0.7, 0.3
-# Variance of u and ratio of both directions from which stripes of little contrast are seen.
+# Variance of u and ratio of both directions above which stripes of little contrast are detected.
 FAINT, FAINT_RATIO = 0.001, 2.5
-# From this ratio of both directions on the axis of stripes is certain.
+# Above this ratio of both directions the axis of stripes is certain.
 CERTAIN = 3.0
-# A pixel whose u comes that close to 0 or 1 is dark or bright.
+# A pixel is dark or bright if its u is within this distance of 0 or 1.
 EXTREME = 0.15
 NAMED = {
     "white": ("white", "bright", "full_on"),
@@ -45,8 +45,8 @@ PADDED = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """One image of a set.
+class ImageFeatures:
+    """Features of one image of a set.
 
     Parameters
     ----------
@@ -72,18 +72,18 @@ class Look:
 
     @property
     def lines(self) -> FloatImage:
-        """Those along its axis."""
+        """Lines along its axis."""
         return self.along[self.axis]
 
     @property
     def is_lit(self) -> BoolImage:
-        """Where those along its axis are lit."""
+        """Lit samples of the lines along its axis."""
         return self.lit[self.axis]
 
 
 @dataclass(frozen=True)
 class FrameGroup:
-    """Images that stand in one [[frames]] table.
+    """Images of one [[frames]] table.
 
     Parameters
     ----------
@@ -102,19 +102,19 @@ class FrameGroup:
 
 
 @dataclass(frozen=True, eq=False)
-class LookedAt:
-    """A folder of images.
+class FolderFeatures:
+    """Features of a folder of images.
 
     Parameters
     ----------
-    looks : of the images of the size that most have, in natural order
+    features : of the images of the most frequent size, in natural order
     left_out : files of another size
-    channel : which was read of colour images
-    largest : value found; dtype : of the images
-    darkest_dn : what pixels without light read
+    channel : the channel that was read of colour images
+    largest : largest value; dtype : of the images
+    darkest_dn : value of pixels without light
     """
 
-    looks: tuple[Look, ...]
+    features: tuple[ImageFeatures, ...]
     left_out: tuple[str, ...]
     channel: Channel
     largest: float
@@ -122,8 +122,8 @@ class LookedAt:
     darkest_dn: float
 
 
-def look_at(folder: Path) -> LookedAt:
-    """Look at all images of a folder and of the folders in it.
+def analyse_folder(folder: Path) -> FolderFeatures:
+    """Return the features of all images of a folder and its subfolders.
 
     Raises
     ------
@@ -140,14 +140,14 @@ def look_at(folder: Path) -> LookedAt:
     first = [_read(path) for path in files]
     sizes = Counter(image.shape[:2] for image, _ in first)
     size = sizes.most_common(1)[0][0]
-    kept = [k for k, (image, _) in enumerate(first) if image.shape[:2] == size]
+    same_size = [k for k, (image, _) in enumerate(first) if image.shape[:2] == size]
     names = [path.relative_to(folder).as_posix() for path in files]
-    images = [first[k][0] for k in kept]
-    looks = _looks([names[k] for k in kept], images)
-    return LookedAt(
-        looks,
-        tuple(name for k, name in enumerate(names) if k not in kept),
-        "green" if any(first[k][1] for k in kept) else "",
+    images = [first[k][0] for k in same_size]
+    features = _all_features([names[k] for k in same_size], images)
+    return FolderFeatures(
+        features,
+        tuple(name for k, name in enumerate(names) if k not in same_size),
+        "green" if any(first[k][1] for k in same_size) else "",
         max(float(image.max()) for image in images),
         images[0].dtype.name,
         float(np.percentile(np.min([image[::7, ::7] for image in images], axis=0), 1.0)),
@@ -155,7 +155,7 @@ def look_at(folder: Path) -> LookedAt:
 
 
 def _read(path: Path) -> tuple[Image, bool]:
-    """Return an image, of colours the green one, and whether it has colours."""
+    """Return an image, the green channel of colour images, and whether it has colours."""
     try:
         return read_image(path), False
     except CaptureError:
@@ -166,7 +166,7 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and path.is_file()
 
 
-def _looks(names: Sequence[str], images: Sequence[Image]) -> tuple[Look, ...]:
+def _all_features(names: Sequence[str], images: Sequence[Image]) -> tuple[ImageFeatures, ...]:
     rows, cols = (_places(length) for length in images[0].shape)
     along: dict[Axis, FloatArray] = {
         "column": np.stack([image[rows] for image in images]).astype(np.float64),
@@ -174,11 +174,11 @@ def _looks(names: Sequence[str], images: Sequence[Image]) -> tuple[Look, ...]:
     }
     low = {axis: lines.min(axis=0) for axis, lines in along.items()}
     span = {axis: lines.max(axis=0) - low[axis] for axis, lines in along.items()}
-    bright = max(float(np.percentile(one, 95.0)) for one in span.values())
+    bright = max(float(np.percentile(lines, 95.0)) for lines in span.values())
     if bright <= 0.0:
         raise CaptureError("all images are the same; give the frames of a sequence")
-    lit = {axis: one > LIT_SHARE * bright for axis, one in span.items()}
-    found = []
+    lit = {axis: lines > LIT_SHARE * bright for axis, lines in span.items()}
+    features = []
     for k, name in enumerate(names):
         u = {
             axis: np.where(
@@ -186,28 +186,30 @@ def _looks(names: Sequence[str], images: Sequence[Image]) -> tuple[Look, ...]:
             )
             for axis in along
         }
-        found.append(_look(name, u, lit))
-    return tuple(found)
+        features.append(_image_features(name, u, lit))
+    return tuple(features)
 
 
 def _places(length: int) -> NDArray[np.int_]:
-    """Return evenly spaced lines, the margins left out."""
+    """Return evenly spaced lines, without the margins."""
     return np.unique(np.linspace(0.05 * length, 0.95 * length - 1, LINES).astype(int))
 
 
-def _look(name: str, u: dict[Axis, FloatArray], lit: dict[Axis, BoolImage]) -> Look:
+def _image_features(
+    name: str, u: dict[Axis, FloatArray], lit: dict[Axis, BoolImage]
+) -> ImageFeatures:
     mean = float(u["column"].sum() / max(lit["column"].sum(), 1))
     strengths = {axis: _strength(u[axis], lit[axis]) for axis in u}
     column, row = strengths["column"], strengths["row"]
     axis: Axis = "column" if column >= row else "row"
     certainty = max(column, row) / max(min(column, row), 1e-9)
     whole = float(np.var(u["column"][lit["column"]])) if lit["column"].any() else 0.0
-    along = {one: np.where(lit[one], u[one] - 0.5, 0.0) for one in u}
+    along = {a: np.where(lit[a], u[a] - 0.5, 0.0) for a in u}
     kind = _kind(whole, mean, certainty)
     between = np.abs(along[axis][lit[axis]]) < 0.5 - EXTREME
     frequency = peak(along[axis]) if kind in ("striped", "faint") else 0.0
     smooth = float(np.mean(between)) if between.size else 0.0
-    return Look(name, mean, kind, axis, certainty, frequency, smooth, along, lit)
+    return ImageFeatures(name, mean, kind, axis, certainty, frequency, smooth, along, lit)
 
 
 def _kind(variance: float, mean: float, certainty: float) -> str:
@@ -219,7 +221,7 @@ def _kind(variance: float, mean: float, certainty: float) -> str:
 
 
 def _strength(u: FloatArray, is_lit: BoolImage) -> float:
-    """Return how much u varies within lines: its variance, and its steps from pixel to pixel."""
+    """Return the variation of u within lines: its variance and its steps from pixel to pixel."""
     count = np.maximum(is_lit.sum(axis=1), 1)
     mean = u.sum(axis=1) / count
     variance = np.where(is_lit, (u - mean[:, np.newaxis]) ** 2, 0.0).sum(axis=1) / count
@@ -229,7 +231,7 @@ def _strength(u: FloatArray, is_lit: BoolImage) -> float:
 
 
 def spectrum(lines: FloatImage) -> FloatArray:
-    """Return the Fourier transform of each line less its mean, windowed, (line, frequency)."""
+    """Return the Fourier transform of each line minus its mean, windowed, (line, frequency)."""
     count = lines.shape[1]
     window = np.hanning(count)
     mean = (lines * window).sum(axis=1, keepdims=True) / window.sum()
@@ -242,7 +244,7 @@ def peak(lines: FloatImage) -> float:
     return float(max(int(np.argmax(power)), 1) / (PADDED * lines.shape[1]))
 
 
-def named(look: Look) -> set[str]:
-    """Return what the name of an image says."""
-    padded = f"_{look.file.lower()}_"
+def named(image: ImageFeatures) -> set[str]:
+    """Return the kind and axis that the name of an image contains."""
+    padded = f"_{image.file.lower()}_"
     return {name for name, parts in NAMED.items() if any(part in padded for part in parts)}
