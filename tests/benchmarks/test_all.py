@@ -131,20 +131,20 @@ def test_the_better_of_two_speeds_counts():
         for name in ("up", "down")
     )
     case = BenchmarkCase("pace", "", figures, lambda: {"up": [3.0], "down": [3.0]})
-    found = again(case, {"up": MeanOfRuns(2.0), "down": MeanOfRuns(2.0)})
-    assert found == {"up": MeanOfRuns(3.0), "down": MeanOfRuns(2.0)}
+    result = again(case, {"up": MeanOfRuns(2.0), "down": MeanOfRuns(2.0)})
+    assert result == {"up": MeanOfRuns(3.0), "down": MeanOfRuns(2.0)}
 
 
 def test_only_and_quick_choose_cases(desk, capsys):
     assert bench.main(["--quick"]) == 0
     assert last_line(capsys)["figures"] == 1
     bench.main(["--update"])
-    kept = read_baselines(desk.baselines).figures["z_um"]
+    baseline = read_baselines(desk.baselines).figures["z_um"]
     desk.values = {"z_um": [9.0, 9.0, 9.1], "over": [2.5]}
     assert bench.main(["--update", "--only", "pace"]) == 0
-    found = read_baselines(desk.baselines).figures
-    assert found["z_um"] == kept
-    assert found["over"].estimate == MeanOfRuns(2.5)
+    result = read_baselines(desk.baselines).figures
+    assert result["z_um"] == baseline
+    assert result["over"].estimate == MeanOfRuns(2.5)
 
 
 @pytest.mark.parametrize("arguments", [["--only", "nothing"], ["--check", "--update"], ["--what"]])
@@ -167,9 +167,9 @@ def test_damaged_baselines_are_status_2(desk, capsys):
 def test_a_broken_case_does_not_stop_the_rest(desk, capsys):
     desk.values["z_um"] = RuntimeError("no light")
     assert bench.main([]) == 1
-    found = last_line(capsys)
-    assert found["failed"] == ["height"]
-    assert found["figures"] == 1
+    result = last_line(capsys)
+    assert result["failed"] == ["height"]
+    assert result["figures"] == 1
 
 
 def test_a_case_that_gives_other_figures_is_broken(desk, capsys):
@@ -183,10 +183,10 @@ def test_baselines_come_back_as_written(tmp_path):
         tmp_path / "b.toml",
         StatedRow("demo", "demo", "120 s", "15 s", "time", "2026-01-01"),
     )
-    kept = Baseline(MeanOfRuns(1.25, 0.03, 4), "2026-01-02", "numpy 2", "2 cores")
-    written = Baselines({"z_um": kept, "gone": kept}, (stated,))
+    baseline = Baseline(MeanOfRuns(1.25, 0.03, 4), "2026-01-02", "numpy 2", "2 cores")
+    written = Baselines({"z_um": baseline, "gone": baseline}, (stated,))
     write_baselines(written, ["z_um"], path)
-    assert read_baselines(path) == Baselines({"z_um": kept}, (stated,))
+    assert read_baselines(path) == Baselines({"z_um": baseline}, (stated,))
 
 
 @pytest.mark.parametrize(

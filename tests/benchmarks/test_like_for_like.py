@@ -17,7 +17,7 @@ def test_a_stack_is_compared_with_shadow_rays_and_without(mi, monkeypatch):
     times = {"with": 6.0, "without": 4.5, "stock": 5.0}
     monkeypatch.setattr(stock, "render_frame", lambda *_: "stock")
     monkeypatch.setattr("benchmarks._harness.seconds", lambda call: times[call()])
-    found = stack.against_one_frame(
+    speed_ratios = stack.against_one_frame(
         SimpleNamespace(
             frames=54,
             stock_scene=lambda: None,
@@ -25,7 +25,7 @@ def test_a_stack_is_compared_with_shadow_rays_and_without(mi, monkeypatch):
             with_shadow_rays=lambda: SimpleNamespace(trace=lambda: "with"),
         )
     )
-    assert found == {
+    assert speed_ratios == {
         "stack_with_shadow_rays_over_one_frame": 1.2,
         "stack_without_shadow_rays_over_one_frame": 0.9,
         "stack_with_shadow_rays_s": 6.0,
@@ -42,8 +42,8 @@ def test_shadow_rays_are_traced_when_asked_for(mi):
 
 
 def test_a_sweep_leads_with_one_process():
-    found = sweep.gains(per_point_s=0.5, in_process_s=1.7, alone_s=18.5)
-    assert list(found.items()) == [
+    speed_ratios = sweep.gains(per_point_s=0.5, in_process_s=1.7, alone_s=18.5)
+    assert list(speed_ratios.items()) == [
         ("over_one_process", 3.4),
         ("over_one_by_one", 37.0),
         ("points_per_hour", 7200),

@@ -75,7 +75,7 @@ def test_one_run_in_a_hundred_raises_a_false_alarm():
     drawn = rng.normal(size=(runs, figures, 2, 5))
     plain = alarms = 0
     for run in drawn:
-        pairs = [(MeanOfRuns.of(found), MeanOfRuns.of(base)) for found, base in run.tolist()]
+        pairs = [(MeanOfRuns.of(measured), MeanOfRuns.of(base)) for measured, base in run.tolist()]
         alarms += not all(judge(ACCURACY, *pair, figures).passed for pair in pairs)
         plain += any(
             abs(a.value - b.value) > 3 * math.hypot(a.standard_uncertainty, b.standard_uncertainty)
@@ -88,8 +88,8 @@ def test_one_run_in_a_hundred_raises_a_false_alarm():
 
 def test_a_true_change_of_eight_spreads_is_found():
     rng = np.random.default_rng(6)
-    found, base = (MeanOfRuns.of(rng.normal(mean, 1.0, 5).tolist()) for mean in (8.0, 0.0))
-    assert not judge(ACCURACY, found, base, 30).passed
+    measured, base = (MeanOfRuns.of(rng.normal(mean, 1.0, 5).tolist()) for mean in (8.0, 0.0))
+    assert not judge(ACCURACY, measured, base, 30).passed
 
 
 def test_speed_fails_when_worse_by_the_factor():
@@ -134,8 +134,8 @@ def test_absolute_figures_fail_beyond_twice_their_target_only():
 
 
 def test_mean_and_standard_uncertainty():
-    found = MeanOfRuns.of([1.0, 2.0, 3.0])
-    assert found == MeanOfRuns(2.0, pytest.approx(1.0 / math.sqrt(3.0)), 3)
+    measured = MeanOfRuns.of([1.0, 2.0, 3.0])
+    assert measured == MeanOfRuns(2.0, pytest.approx(1.0 / math.sqrt(3.0)), 3)
     assert MeanOfRuns.of([4.0]) == MeanOfRuns(4.0, 0.0, 1)
     for bad in ([], [math.nan], [1.0, math.inf]):
         with pytest.raises(ValueError, match="finite"):
@@ -145,7 +145,9 @@ def test_mean_and_standard_uncertainty():
 def test_no_figure_is_blind():
     """A limit larger than the figure detects no change, unless the target ends there as well."""
     known = read_baselines(BASELINES).figures
-    guarded = [one for one in FIGURES.values() if one.kind == "accuracy" and one.name in known]
+    guarded = [
+        figure for figure in FIGURES.values() if figure.kind == "accuracy" and figure.name in known
+    ]
     assert len(guarded) > 30
     blind = []
     for figure in guarded:

@@ -34,19 +34,23 @@ DEFAULT = "def area(radius_mm: float, margin: int = 1) -> float:"
 
 
 @pytest.fixture
-def found(tmp_path):
+def mutants(tmp_path):
     (tmp_path / "one.py").write_text(SOURCE, encoding="utf-8")
     return mutants_of(tmp_path, "one.py")
 
 
-def changes(found, function):
-    return {(one.operator, one.before, one.after) for one in found if one.function == function}
+def changes(mutants, function):
+    return {
+        (mutant.operator, mutant.before, mutant.after)
+        for mutant in mutants
+        if mutant.function == function
+    }
 
 
-def test_each_operator_changes_what_it_names(found):
-    assert changes(found, MODULE) == {("constant", "HALF = 0.5", "HALF = (0.51)")}
+def test_each_operator_changes_what_it_names(mutants):
+    assert changes(mutants, MODULE) == {("constant", "HALF = 0.5", "HALF = (0.51)")}
     whole = "return -radius_mm * np.sin(radius_mm - HALF)"
-    assert changes(found, "area") == {
+    assert changes(mutants, "area") == {
         ("off_by_one", DEFAULT, DEFAULT.replace("= 1)", "= (2))")),
         ("multiply_divide", whole, "return (-radius_mm / np.sin(radius_mm - HALF))"),
         ("drop_factor", whole, "return (-radius_mm)"),
@@ -55,37 +59,37 @@ def test_each_operator_changes_what_it_names(found):
         ("add_subtract", whole, "return -radius_mm * np.sin((radius_mm + HALF))"),
         ("drop_term", whole, "return -radius_mm * np.sin((radius_mm))"),
     }
-    assert {change[0] for change in changes(found, "Disc.sums")} == {
+    assert {change[0] for change in changes(mutants, "Disc.sums")} == {
         "add_subtract", "axis", "arguments", "comparison", "off_by_one"
     }  # fmt: skip
 
 
-def test_messages_checks_and_drawing_are_left_alone(found):
-    assert {one.function for one in found} == {MODULE, "area", "Disc.sums"}
-    assert not any("- 1" in one.before or "< 0" in one.before for one in found)
+def test_messages_checks_and_drawing_are_left_alone(mutants):
+    assert {mutant.function for mutant in mutants} == {MODULE, "area", "Disc.sums"}
+    assert not any("- 1" in mutant.before or "< 0" in mutant.before for mutant in mutants)
 
 
-def test_a_mutant_is_one_change_of_the_source(found):
-    for one in found:
-        text = one.applied(SOURCE)
+def test_a_mutant_is_one_change_of_the_source(mutants):
+    for mutant in mutants:
+        text = mutant.applied(SOURCE)
         assert ast.dump(ast.parse(text)) != ast.dump(ast.parse(SOURCE))
         same = [a == b for a, b in zip(text.split("\n"), SOURCE.split("\n"), strict=True)]
         assert same.count(False) == 1
-        assert not same[one.place[0] - 1]
+        assert not same[mutant.place[0] - 1]
 
 
-def test_names_survive_when_lines_move(found, tmp_path):
+def test_names_survive_when_lines_move(mutants, tmp_path):
     (tmp_path / "one.py").write_text("# one\n# two\n" + SOURCE, encoding="utf-8")
     moved = mutants_of(tmp_path, "one.py")
-    assert [one.name for one in moved] == [one.name for one in found]
-    assert [one.place[0] for one in moved] == [one.place[0] + 2 for one in found]
-    assert len({one.name for one in found}) == len(found)
+    assert [mutant.name for mutant in moved] == [mutant.name for mutant in mutants]
+    assert [mutant.place[0] for mutant in moved] == [mutant.place[0] + 2 for mutant in mutants]
+    assert len({mutant.name for mutant in mutants}) == len(mutants)
 
 
-def test_a_draw_depends_on_names_and_seed(found):
-    assert drawn(found, 99, 1) != drawn(found, 99, 2)
-    without = [one for one in found if one.function != "area"]
-    left = [one for one in drawn(found, 99, 1) if one.function != "area"]
+def test_a_draw_depends_on_names_and_seed(mutants):
+    assert drawn(mutants, 99, 1) != drawn(mutants, 99, 2)
+    without = [mutant for mutant in mutants if mutant.function != "area"]
+    left = [mutant for mutant in drawn(mutants, 99, 1) if mutant.function != "area"]
     assert left == drawn(without, 99, 1)
 
 
@@ -97,13 +101,13 @@ def test_rooms_and_known_mutants_are_of_this_tree():
     known = equivalent | accepted
     sources = {name.split("::")[0] for name in known}
     assert sources <= {file for room in rooms.values() for file in room["sources"]}
-    made = {one.name for file in sources for one in mutants_of(ROOT, file)}
+    made = {mutant.name for file in sources for mutant in mutants_of(ROOT, file)}
     assert set(known) <= made
     assert all(len(reason) > 10 for reason in known.values())
 
 
 def test_those_killed_by_time_are_killed():
     ends = ("killed", "timed_out", "survived", "unseen", "equivalent", "equivalent")
-    found = summary({"room": Counter(ends)})
-    assert (found["judged"], found["killed"], found["equivalent"]) == (4, 2, 2)
-    assert (found["timed_out"], found["shares"]) == (1, {"room": 0.5})
+    counts = summary({"room": Counter(ends)})
+    assert (counts["judged"], counts["killed"], counts["equivalent"]) == (4, 2, 2)
+    assert (counts["timed_out"], counts["shares"]) == (1, {"room": 0.5})

@@ -73,7 +73,7 @@ def test_each_template_measures_its_object(mi, name, tmp_path, capsys):
     if pages:
         return
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "Does the sensor measure the object?" in page
+    assert "How accurately is the object measured?" in page
     assert page.index("within tolerance") < page.index('id="object"')
 
 

@@ -19,10 +19,10 @@ ROOT = Path(__file__).parents[2]
 
 def test_damage_changes_a_file_and_says_how():
     content = b"a = 1\nb = [1, 2]\nc = 'x'\n" * 20
-    told = {damaged_bytes(content, random.Random(seed))[1] for seed in range(200)}
+    faults = {damaged_bytes(content, random.Random(seed))[1] for seed in range(200)}
     changed = sum(damaged_bytes(content, random.Random(seed))[0] != content for seed in range(200))
     assert changed > 190
-    names = {part for one in told for part in one.split("+")}
+    names = {part for fault in faults for part in fault.split("+")}
     assert names == {"flip", "cut", "truncate", "double", "token", "zero", "number", "line"}
 
 
@@ -62,9 +62,9 @@ def test_misbehaviour_is_seen(tmp_path, ending, end):
         return 0
 
     limit_s = 0.2 if end == "hang" else LIMIT_S
-    found = run_case(_seed_of("arguments"), stock, scratch, command, limit_s)
-    assert found.end == end
-    assert found.is_bad
+    result = run_case(_seed_of("arguments"), stock, scratch, command, limit_s)
+    assert result.end == end
+    assert result.is_bad
 
 
 @pytest.fixture
@@ -95,10 +95,10 @@ def test_commands_survive_damaged_input(stock):
         text=True,
         check=False,
     )
-    found = json.loads(done.stdout.splitlines()[-1])
-    bad = {key: value for key, value in found.items() if key.endswith("s") and key != "cases"}
+    result = json.loads(done.stdout.splitlines()[-1])
+    bad = {key: value for key, value in result.items() if key.endswith("s") and key != "cases"}
     assert done.returncode == 0, done.stdout
-    assert found["cases"] == 8
-    assert found["told"] > 2
+    assert result["cases"] == 8
+    assert result["told"] > 2
     assert not any(bad[name] for name in ("tracebacks", "hangs", "crashes", "partial_outputs"))
     assert not bad["foreign_changes"]

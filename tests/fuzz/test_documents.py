@@ -34,12 +34,12 @@ def _refused_in_lines(error: InputError) -> None:
 @given(tree=documents(Experiment))
 def test_an_experiment_is_valid_or_refused_in_lines(tree):
     try:
-        found = validate_experiment(tree)
+        result = validate_experiment(tree)
     except InputError as error:
         _refused_in_lines(error)
     else:
-        assert validate_experiment(found.model_dump(mode="json")) == found
-        assert to_toml(found)
+        assert validate_experiment(result.model_dump(mode="json")) == result
+        assert to_toml(result)
 
 
 @pytest.mark.parametrize(
@@ -50,11 +50,11 @@ def test_an_experiment_is_valid_or_refused_in_lines(tree):
 def test_a_shipped_experiment_with_faults_is_valid_or_refused_in_lines(name, data):
     tree = load_experiment(name).model_dump(mode="json")
     try:
-        found = validate_experiment(data.draw(damaged(tree)))
+        result = validate_experiment(data.draw(damaged(tree)))
     except InputError as error:
         _refused_in_lines(error)
     else:
-        assert validate_experiment(found.model_dump(mode="json")) == found
+        assert validate_experiment(result.model_dump(mode="json")) == result
 
 
 @pytest.mark.parametrize(
@@ -64,11 +64,11 @@ def test_a_shipped_experiment_with_faults_is_valid_or_refused_in_lines(name, dat
 @given(data=st.data())
 def test_a_part_is_valid_or_refused_in_lines(model, data):
     try:
-        found = validated(model, data.draw(documents(model)))
+        result = validated(model, data.draw(documents(model)))
     except InputError as error:
         _refused_in_lines(error)
     else:
-        assert isinstance(found, model)
+        assert isinstance(result, model)
 
 
 @pytest.mark.parametrize("text", ["1.2.3 mm", ". mm", "1e5e5 mm", "--1 mm"])

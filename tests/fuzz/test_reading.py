@@ -36,7 +36,7 @@ def _circle(path):
 
 @pytest.mark.parametrize("read", [regular_file, read_bytes, read_text, read_toml, read_json])
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (_fifo, "found a pipe, allowed a file"),
         (_device, "found a device, allowed a file"),
@@ -45,10 +45,10 @@ def _circle(path):
         (lambda path: None, "No such file"),
     ],
 )
-def test_what_is_no_file_is_not_opened(tmp_path, read, make, told):
+def test_what_is_no_file_is_not_opened(tmp_path, read, make, message):
     path = tmp_path / "x.toml"
     make(path)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         read(path)
     assert str(caught.value).startswith(f"{path}: cannot be read: ")
     assert "\n" not in str(caught.value)
@@ -72,7 +72,7 @@ def test_a_file_that_is_too_large_is_refused_with_both_sizes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("a = 1\nb = ?", "x: not valid TOML: .*line 2"),
         ("a = " + "9" * 5000, "a number has more than 4300 digits"),
@@ -85,8 +85,8 @@ def test_a_file_that_is_too_large_is_refused_with_both_sizes(tmp_path):
         ("a." * 400_000 + "a = 1", "line 1: found a key of more than 64 parts"),
     ],
 )
-def test_toml_that_cannot_be_is_one_line(text, told):
-    with pytest.raises(InputError, match=told) as caught:
+def test_toml_that_cannot_be_is_one_line(text, message):
+    with pytest.raises(InputError, match=message) as caught:
         parse_toml(text, "x")
     assert "\n" not in str(caught.value)
 
@@ -114,7 +114,7 @@ def test_toml_that_no_hand_wrote_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("{", "cannot be read"),
         ("[1]", "found list, allowed a JSON object"),
@@ -122,10 +122,10 @@ def test_toml_that_no_hand_wrote_is_refused(tmp_path):
         ('{"a": ' + "9" * 5000 + "}", "a number has more than 4300 digits"),
     ],
 )
-def test_json_that_cannot_be_is_one_line(tmp_path, text, told):
+def test_json_that_cannot_be_is_one_line(tmp_path, text, message):
     path = tmp_path / "x.json"
     path.write_text(text)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         read_json(path)
     assert re.match(r"[^\n]{1,300}$", str(caught.value))
 

@@ -97,7 +97,7 @@ def test_the_summary_holds_rows_worth_and_joint_draws(folder):
 def test_the_page_lists_unexplained_rows_and_useful_measurements(folder):
     text = (folder / "report.html").read_text()
     assert "held: unexplained, +" in text
-    assert "What one more measurement would decide" in text
+    assert "Expected gain of one more measurement" in text
     assert 'id="corner"' in text
     assert (folder / "figures" / "corner.png").stat().st_size > 0
 

@@ -103,7 +103,7 @@ def test_a_study_on_two_processes_measures_with_it(mi, experiment, tmp_path):
     twin("sweep", study, "-o", out, "-j", 2, "--plugin", PLUGIN)
     results = [json.loads(file.read_text("utf-8")) for file in out.rglob("result.json")]
     assert len(results) == 2
-    exposures = sorted(one["metrics"]["exposure_ms"] for one in results)
+    exposures = sorted(result["metrics"]["exposure_ms"] for result in results)
     assert exposures[1] > exposures[0]  # the darker enamel needs more
 
 
@@ -127,7 +127,7 @@ def test_the_option_may_be_anywhere_but_after_the_end_of_options():
 
 
 def test_an_installed_package_brings_a_kind(tmp_path):
-    """The package's entry point alone: no plug-in is named."""
+    """Only the package's entry point registers it: no plug-in is named."""
     (tmp_path / "enamel.py").write_text(PLUGIN.read_text(encoding="utf-8"), encoding="utf-8")
     installed = tmp_path / "enamel-1.0.dist-info"
     installed.mkdir()

@@ -1,6 +1,6 @@
 """The examples of docs/extend.md as one installed package: a kind of every seam.
 
-The package is found by its entry points alone, in a process of its own.
+The package is found only by its entry points, in a separate process.
 """
 
 import json
@@ -114,12 +114,12 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def twin(installed: Path, *words: object) -> str:
-    """Run a command of its own process with the package installed; return what it printed."""
+    """Run a command in a separate process with the package installed; return its output."""
     return python(installed, "from twin.cli import main; main()", *words)
 
 
 def python(installed: Path, code: str, *words: object) -> str:
-    """Run code in a process of its own with the package installed; return what it printed."""
+    """Run code in a separate process with the package installed; return its output."""
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, words)],
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(installed)])},
@@ -238,7 +238,7 @@ np.testing.assert_allclose(integrate(slopes, 0.05, name), height_mm, atol=1e-12)
 
 
 def test_slopes_are_integrated_by_another_scheme(installed: Path) -> None:
-    """A periodic surface comes back exactly, with its scale."""
+    """A periodic surface is integrated exactly, including its scale."""
     python(installed, PERIODIC_SURFACE)
     assert "'frankot_chellappa'" in twin(installed, "keys", "photometric.integration")
 

@@ -82,7 +82,7 @@ def record_analytically(experiment: Experiment, pressed: PressedElastomer) -> Re
 
 
 def meet_face(experiment: Experiment, pressed: PressedElastomer) -> Truth:
-    """Where the ray of each pixel centre meets the coated face, by fixed-point iteration."""
+    """Intersection of each pixel centre's ray with the coated face, by fixed-point iteration."""
     rig = true_calibration(experiment)
     camera, centre = rig.camera, rig.T_world_from_cam[:3, 3]
     row, col = np.mgrid[: camera.height_px, : camera.width_px]

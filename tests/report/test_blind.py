@@ -31,22 +31,24 @@ def recording(experiment, pressed):
 
 @pytest.fixture(scope="module")
 def blind(experiment, pressed, recording, tmp_path_factory):
-    """Folder of a measurement whose camera saw nothing but its black level."""
-    seen = recording.capture
-    dark = np.full_like(seen.stack, seen.sensor.black_level_dn)
-    capture = Capture(dark, seen.patterns, seen.sensor, seen.calibration, seen.bit_depth)
-    found = reconstruct(capture, options_of(experiment.decode))
+    """Folder of a measurement with all pixels at the camera's black level."""
+    recorded = recording.capture
+    dark = np.full_like(recorded.stack, recorded.sensor.black_level_dn)
+    capture = Capture(
+        dark, recorded.patterns, recorded.sensor, recorded.calibration, recorded.bit_depth
+    )
+    reconstruction = reconstruct(capture, options_of(experiment.decode))
     folder = tmp_path_factory.mktemp("blind") / "result"
     folder.mkdir()
     exposed = Recording(recording.radiance, capture, recording.exposure_ms)
-    write_measurement(folder, "measure", evaluate(experiment, pressed, exposed, found))
+    write_measurement(folder, "measure", evaluate(experiment, pressed, exposed, reconstruction))
     return folder
 
 
-def with_points(reconstruction, kept):
-    """The same reconstruction with these pixels (row, col) alone."""
+def with_points(reconstruction, visible):
+    """The same reconstruction with only these pixels (row, col)."""
     points = reconstruction.point_map
-    reason = np.where(kept, points.mask_reason, 8).astype(points.mask_reason.dtype)
+    reason = np.where(visible, points.mask_reason, 8).astype(points.mask_reason.dtype)
     sparse = PointMap(points.points_world_mm, points.sigma_xyz_mm, reason, points.T_world_from_cam)
     return Reconstruction(reconstruction.decoded, sparse)
 
@@ -81,33 +83,35 @@ def test_figures_that_take_more_points_than_there_are(experiment, recording):
     spread_out = np.flatnonzero(near)[:: near.sum() // 5]
 
     def figures(count):
-        kept = np.zeros(near.shape, bool)
-        kept.ravel()[spread_out[:count]] = True
-        return metrics(score(experiment, with_points(whole, kept), recording.truth))
+        visible = np.zeros(near.shape, bool)
+        visible.ravel()[spread_out[:count]] = True
+        return metrics(score(experiment, with_points(whole, visible), recording.truth))
 
-    one = figures(1)
-    assert one["z_rmse_um"] > 0.0
-    assert one["error_over_sigma"] is None
+    single = figures(1)
+    assert single["z_rmse_um"] > 0.0
+    assert single["error_over_sigma"] is None
     assert figures(4)["sphere_1_rmse_mm"] is None
     assert figures(5)["sphere_1_rmse_mm"] > 0.0
 
 
 def test_a_single_point_has_a_report_without_a_spread(experiment, blind, recording):
     whole = reconstruct(recording.capture, options_of(experiment.decode))
-    kept = np.zeros(whole.point_map.valid.shape, bool)
-    kept.ravel()[np.flatnonzero(whole.point_map.valid & recording.truth.lit)[0]] = True
-    one = with_points(whole, kept)
+    visible = np.zeros(whole.point_map.valid.shape, bool)
+    visible.ravel()[np.flatnonzero(whole.point_map.valid & recording.truth.lit)[0]] = True
+    single = with_points(whole, visible)
     scored = read_measurement(blind)
-    found = score(experiment, one, recording.truth)
-    seen = replace(
+    rated = score(experiment, single, recording.truth)
+    measured = replace(
         scored,
-        metrics={**scored.metrics, **metrics(found)},
-        images=Fringes(recording.capture, one),
+        metrics={**scored.metrics, **metrics(rated)},
+        images=Fringes(recording.capture, single),
         truth=recording.truth,
-        score=found,
+        score=rated,
     )
-    assert "normalised error (error / predicted sigma) – " in " ".join(verdicts(seen)[0].reasons)
-    assert "a single point has no spread" in discussion(seen)[0]
+    assert "normalised error (error / predicted sigma) – " in " ".join(
+        verdicts(measured)[0].reasons
+    )
+    assert "a single point has no spread" in discussion(measured)[0]
 
 
 def test_shares_of_no_pixel_are_absent(experiment, recording):

@@ -45,9 +45,9 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def figures(done, folder):
     with pytest.MonkeyPatch.context() as patch:
-        found = kept_figures(patch, drawn)
+        actual = kept_figures(patch, drawn)
         drawn.draw_calibration(folder, done)
-    return found
+    return actual
 
 
 def test_every_picture_is_drawn(figures, folder):
@@ -89,8 +89,8 @@ def test_points_are_the_residuals_of_the_poses(figures, folder):
     assert [label.get_text() for label in axes.get_xticklabels()] == ["flat", "tilted"]
     for colour, values in ((MEASURED, (0.01, 0.04)), (FIT, (0.02, 0.03)), (TRUE_FACE, (0.001,))):
         for place, value in enumerate(values):
-            found = colour_at(folder / "pose_residuals.png", axes, place, value)
-            np.testing.assert_allclose(found, rgb(colour), atol=10)
+            actual = colour_at(folder / "pose_residuals.png", axes, place, value)
+            np.testing.assert_allclose(actual, rgb(colour), atol=10)
 
 
 def test_the_matrix_is_the_correlation_of_free_parameters(figures, folder):
@@ -101,8 +101,8 @@ def test_the_matrix_is_the_correlation_of_free_parameters(figures, folder):
     assert [label.get_text() for label in axes.get_xticklabels()] == ["fx", "cx"]
     for (x, y), value in (((0, 0), 1.0), ((1, 0), -0.5)):
         expected = 255.0 * np.array(diverging()((value + 1.0) / 2.0)[:3])
-        found = colour_at(folder / "correlations.png", axes, x, y)
-        np.testing.assert_allclose(found, expected, atol=4)
+        actual = colour_at(folder / "correlations.png", axes, x, y)
+        np.testing.assert_allclose(actual, expected, atol=4)
 
 
 def test_errors_are_shown_over_their_expanded_uncertainty(figures, folder):

@@ -17,7 +17,7 @@ from twin.pipeline.comparison import compare, methods_named, read_outcomes
 from twin.report.bare import REASON_WORDS, discussion, missing_shares, verdicts
 from twin.report.comparison import comparison_table, write_comparison
 from twin.report.measurement import summary_table, write_report
-from twin.report.pixel_panels import error_um, true_scale, wanted
+from twin.report.pixel_panels import error_um, scored_pixels, true_scale
 from twin.report.words import percent, split_unit
 from twin.results.folder import read_measurement
 
@@ -52,7 +52,7 @@ depth_mm = 0.5
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A metal ball, and one that does not say what it is made of."""
+    """A metal ball, and a ball without a stated material."""
     folder = tmp_path_factory.mktemp("experiments")
     metal = '[specimen.material]\nuse = "materials/metals/steel"'
     (folder / "ball.toml").write_text(BALL.format(material=metal))
@@ -121,8 +121,8 @@ def test_page_shows_every_method_and_needs_no_network(compared):
 
 
 def test_both_methods_are_put_on_the_object_itself(compared):
-    """One reference, the ball's own surface, beside what each method is scored on; each with how
-    much of the ball that is. The ball's radius is a row of its own.
+    """All methods are compared with the surface of the ball, in addition to their own scored
+    surface, with the share of the ball that has points. The ball's radius is a separate row.
     """
     page = (compared / "report.html").read_text(encoding="utf-8")
     for row in ("object: deviation, RMS", "object: form", "radius 1: deviation (µm)"):
@@ -137,9 +137,9 @@ def test_both_methods_are_put_on_the_object_itself(compared):
 
 
 def test_the_coat_is_measured_better_than_the_metal(compared):
-    """Why the project exists: a steel ball alone is mirror and shadow, its coat is matte.
+    """Purpose of the project: a bare steel ball has reflections and shadows, its coat is matte.
 
-    It was below 0.5 while the filter masked four pixels around every gap in the metal's fringes.
+    The share was below 0.5 while the filter masked four pixels around every gap in the fringes.
     """
     cases = json.loads((compared / "result.json").read_text())["cases"]
     good = {case["method"]: case["figures"]["good_share"] for case in cases}
@@ -183,7 +183,7 @@ def test_error_map_is_what_is_scored(direct):
     assert np.sqrt(np.mean(errors.compressed() ** 2)) == pytest.approx(
         direct.figures["z_rmse_um"], rel=1e-4
     )
-    assert not errors[~wanted(direct)].count()
+    assert not errors[~scored_pixels(direct)].count()
 
 
 def test_heights_are_scaled_by_the_truth_not_by_wrong_points(direct):
@@ -222,14 +222,14 @@ def test_report_redraws_the_same_bytes(compared, tmp_path):
 def test_finished_measurements_are_kept_and_failures_stay_in_their_cell(
     compared, files, tmp_path, monkeypatch, capsys
 ):
-    """The ball is there already, so nothing may be measured; the bare one has no material."""
+    """The ball's result exists, so it must not be measured; the bare ball has no material."""
     out = tmp_path / "out"
     shutil.copytree(compared, out)
-    kept = contents(out / "ball")
+    before = contents(out / "ball")
     names = [str(files / "ball.toml"), str(files / "bare.toml")]
     command = ["compare", *names, "-o", str(out), "--methods", "direct_fpp", *SETTINGS]
     assert run(command) == 0
-    assert contents(out / "ball") == kept
+    assert contents(out / "ball") == before
     assert not (out / "bare").exists() or not list((out / "bare").iterdir())
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Could not be measured: specimen.material: found none" in page
@@ -237,21 +237,21 @@ def test_finished_measurements_are_kept_and_failures_stay_in_their_cell(
 
 
 def test_another_experiment_of_that_name_is_measured_anew(compared, tmp_path, monkeypatch):
-    out, asked = tmp_path / "out", []
+    out, requests = tmp_path / "out", []
     shutil.copytree(compared, out)
 
     def refuse(folder, command, case, watch, memory):
-        asked.append(case.modality)
+        requests.append(case.modality)
         raise InputError("measured\nagain")
 
     monkeypatch.setattr(comparison, "measure_into", refuse)
     same = load_experiment(compared / "ball" / "direct_fpp" / "experiment.toml")
-    assert all(one.reused and not one.failure for one in compare([same], FRINGES, out))
-    assert asked == []
+    assert all(outcome.reused and not outcome.failure for outcome in compare([same], FRINGES, out))
+    assert requests == []
     noisier = same.model_copy(update={"seed": same.seed + 1})
     outcomes = compare([noisier], FRINGES, out)
-    assert asked == list(FRINGES)
-    assert {one.failure for one in outcomes} == {"measured again"}
+    assert requests == list(FRINGES)
+    assert {outcome.failure for outcome in outcomes} == {"measured again"}
 
 
 def test_nothing_measured_is_a_failure(files, tmp_path, mi):

@@ -122,7 +122,7 @@ def test_pixel_of_the_rig(finished, experiment):
 
 
 def test_section_shows_the_specimen_against_the_clear_face(experiment, pressed):
-    """Why: contact means that both profiles coincide; elsewhere the specimen lies below."""
+    """In the contact both profiles coincide; elsewhere the specimen is below the face."""
     trace = trace_through_apexes(experiment)
     low, high = slab_span(experiment, trace)
     s_mm = np.linspace(low, high, 2001)
@@ -172,13 +172,13 @@ def test_one_moved_ball_is_drawn_where_it_is(experiment, tmp_path, monkeypatch):
     )
     for axes, x_mm, y_mm, values in maps:
         (shown,) = axes.images
-        found = np.asarray(np.ma.filled(shown.get_array(), 0.0))
-        np.testing.assert_allclose(found.max(), values.max(), rtol=1e-6)
+        errors = np.asarray(np.ma.filled(shown.get_array(), 0.0))
+        np.testing.assert_allclose(errors.max(), values.max(), rtol=1e-6)
         left, right, bottom, top = shown.get_extent()
         assert shown.origin == "lower"
-        row, col = np.unravel_index(np.argmax(found), found.shape)
-        x = left + (right - left) * (col + 0.5) / found.shape[1]
-        y = bottom + (top - bottom) * (row + 0.5) / found.shape[0]
+        row, col = np.unravel_index(np.argmax(errors), errors.shape)
+        x = left + (right - left) * (col + 0.5) / errors.shape[1]
+        y = bottom + (top - bottom) * (row + 0.5) / errors.shape[0]
         own = np.unravel_index(np.argmax(values), values.shape)
         assert (x, y) == pytest.approx((x_mm[own[1]], y_mm[own[0]]), abs=x_mm[1] - x_mm[0])
     for axes in (to_scale, enlarged):

@@ -29,8 +29,8 @@ def test_maps_are_looked_up_by_camera_pixel(finished):
     truth = read_measurement(finished).truth
     with xarray.open_dataset(finished / "truth.nc", engine="h5netcdf") as data:
         assert data["z_mm"].dims == ("row", "col")
-        found = data["z_mm"].sel(row=17, col=29)
-        assert float(found) == truth.points_world_mm[17, 29, 2]
+        z_mm = data["z_mm"].sel(row=17, col=29)
+        assert float(z_mm) == truth.points_world_mm[17, 29, 2]
 
 
 def test_truth_comes_back_and_has_the_same_bytes(finished, tmp_path):
@@ -43,7 +43,7 @@ def test_truth_comes_back_and_has_the_same_bytes(finished, tmp_path):
 
 
 def test_a_full_disk_is_an_ordinary_error(finished):
-    """HDF5 is not told: the process lives, and the first failure is raised."""
+    """HDF5 gets no error code: the process continues, and the first failure is raised."""
     truth = read_truth(finished / "truth.nc")
     with pytest.raises(OSError, match="No space left on device"):
         write_truth(Path("/dev/full"), truth)
@@ -51,7 +51,7 @@ def test_a_full_disk_is_an_ordinary_error(finished):
 
 @pytest.mark.parametrize("value", ["absent", "many", ["none"]])
 def test_a_result_without_a_figure_is_refused(finished, tmp_path, value):
-    """A word, or nothing, is no figure; null is one that does not exist."""
+    """A word or a missing key is rejected as a figure; null is a figure without a value."""
     folder = tmp_path / "result"
     shutil.copytree(finished, folder)
     result = json.loads((folder / "result.json").read_text())

@@ -1,4 +1,4 @@
-"""What the region of a sphere fit decides: from the apex up to the ball's footprint."""
+"""Influence of the region of a sphere fit: from the apex up to the ball's footprint."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Photometric stereo beside contact-FPP on one press: files, figures and pages.
+"""Photometric stereo compared with contact-FPP on the same press: files, figures and pages.
 
 The sensor has few reference presses, those of tests/pipeline: rendered once for both.
 """
@@ -20,7 +20,7 @@ from twin.config import load_experiment
 from twin.config.methods import METHODS
 from twin.manifest import MANIFEST_FILE, manifest_lines, write_manifest
 from twin.pipeline.comparison import PhotometricPlan, compare
-from twin.report.comparison import gist_of, press_in_words, ratio_table, write_comparison
+from twin.report.comparison import press_in_words, ratio_table, summary_of, write_comparison
 from twin.report.measurement import summary_table, write_report
 from twin.report.photometric import decoder_table, verdicts
 from twin.report.photometric_figures import decoder_error_um, true_heights_mm, true_slopes
@@ -74,59 +74,59 @@ def result(compared):
 
 
 @pytest.fixture(scope="module")
-def seen(result):
+def gel_result(result):
     return read_measurement(result)
 
 
 @pytest.fixture(scope="module")
-def gists(compared, seen):
+def summaries(compared, gel_result):
     coat = read_measurement(compared / "ball" / "contact_fpp")
-    return {"contact_fpp": gist_of(coat), "photometric_stereo": gist_of(seen)}
+    return {"contact_fpp": summary_of(coat), "photometric_stereo": summary_of(gel_result)}
 
 
 def figures_of(folder):
     return json.loads((folder / "result.json").read_text())["metrics"]
 
 
-def test_both_coats_feel_the_same_force(compared, gists):
-    """Expected: one force, to what the solver leaves (0.1 %); a bonded gel yields less to it.
+def test_both_coats_feel_the_same_force(compared, summaries):
+    """Expected: equal force within the solver's tolerance (0.1 %); a bonded gel yields less.
 
     Specimen and scoring are the experiment's; gel, lamps and camera are the other sensor's.
     """
-    coat, gel = (figures_of(compared / "ball" / name) for name in gists)
+    coat, gel = (figures_of(compared / "ball" / name) for name in summaries)
     assert coat["depth_mm"] == 0.4
     assert gel["force_n"] == pytest.approx(coat["force_n"], rel=1e-3)
     assert gel["depth_mm"] < 0.6 * coat["depth_mm"]
-    ours, theirs = (one.experiment for one in gists.values())
+    ours, theirs = (summary.experiment for summary in summaries.values())
     assert (ours.specimen, ours.score) == (theirs.specimen, theirs.score)
     assert ours.elastomer != theirs.elastomer
-    assert press_in_words(gists).startswith("The same force, two elastomers")
+    assert press_in_words(summaries).startswith("Two elastomers, same force")
 
 
-def test_each_layout_has_one_truth_mesh(compared, gists):
-    for name in gists:
+def test_each_layout_has_one_truth_mesh(compared, summaries):
+    for name in summaries:
         face = trimesh.load(compared / "ball" / name / "coated_face.ply")
         peak_mm = figures_of(compared / "ball" / name)["relief_peak_mm"]
         assert face.vertices[:, 2].max() == pytest.approx(peak_mm, rel=1e-3)
         assert np.hypot(*face.vertices[face.vertices[:, 2].argmax(), :2]) < 0.2
 
 
-def test_comparison_shows_both_and_needs_no_network(compared, gists):
+def test_comparison_shows_both_and_needs_no_network(compared, summaries):
     page = (compared / "report.html").read_text(encoding="utf-8")
-    reports = {f"ball/{name}/report.html" for name in gists}
-    assert page.count("data:image/png;base64,") == 1 + 4 * len(gists)
+    reports = {f"ball/{name}/report.html" for name in summaries}
+    assert page.count("data:image/png;base64,") == 1 + 4 * len(summaries)
     for target in re.findall(r"""(?:src|href)\s*=\s*["']([^"']{0,60})""", page):
         assert target.startswith("data:") or target in reports, target
-    for text in ("photometric stereo", "contact-FPP", "The same force", "vendor 2025", "look-up"):
+    for text in ("photometric stereo", "contact-FPP", "same force", "vendor 2025", "look-up"):
         assert text in page
 
 
-def test_ratios_are_those_of_the_stored_figures(result, gists):
+def test_ratios_are_those_of_the_stored_figures(result, summaries):
     """Expected: every decoder's mean sphere-fit RMSE over contact-FPP's; no row of the paper."""
     with (result / "decoders.csv").open() as file:
         stored = list(csv.DictReader(file))
-    base_mm = gists["contact_fpp"].figures["sphere_1_rmse_mm"]
-    rows = ratio_table(gists).rows
+    base_mm = summaries["contact_fpp"].figures["sphere_1_rmse_mm"]
+    rows = ratio_table(summaries).rows
     assert len(rows) == 1 + len(stored) == 7
     for row, line in zip(rows[1:], stored, strict=True):
         ratio = float(line["sphere_1_rmse_mm"]) / base_mm
@@ -138,16 +138,16 @@ def test_a_browser_opens_it(result, tmp_path):
     assert_readable(result / "report.html", tmp_path)
 
 
-def test_report_is_whole(result, seen):
+def test_report_is_whole(result, gel_result):
     page = (result / "report.html").read_text(encoding="utf-8")
     assert {path.stem for path in (result / "figures").iterdir()} == FIGURES
     assert page.count("data:image/png;base64,") == len(FIGURES)
     for target in re.findall(r"""(?:src|href)\s*=\s*["']([^"']{0,40})""", page):
         assert target.startswith("data:"), target
-    for table in (decoder_table(seen), fit_table(seen)):
+    for table in (decoder_table(gel_result), fit_table(gel_result)):
         for line in (line for body in table.bodies() for line in body):
             assert all(escape(cell.text) in page for cell in line.cells)
-    assert len(verdicts(seen)) == 3
+    assert len(verdicts(gel_result)) == 3
 
 
 def test_report_redraws_the_same_page(result, tmp_path):
@@ -159,56 +159,58 @@ def test_report_redraws_the_same_page(result, tmp_path):
     assert (again / "report.html").read_bytes() == (result / "report.html").read_bytes()
 
 
-def test_console_table(result, seen):
+def test_console_table(result, gel_result):
     table = summary_table(read_measurement(result))
     assert all(len(line) <= 100 for line in table.splitlines())
-    assert f"{seen.figures['z_rmse_um']:.2f} um RMS" in table
+    assert f"{gel_result.figures['z_rmse_um']:.2f} um RMS" in table
     assert "look-up table, vendor 2024" in table
 
 
-def test_decoders_read_back_as_measured(result, seen, tmp_path):
-    """The page decodes the stored image anew: the same figures as when it was measured."""
-    write_decoders(tmp_path / "again.csv", seen.colours.decoded)
+def test_decoders_read_back_as_measured(result, gel_result, tmp_path):
+    """The page decodes the stored image again: the same figures as in the measurement."""
+    write_decoders(tmp_path / "again.csv", gel_result.colours.decoded)
     assert (tmp_path / "again.csv").read_bytes() == (result / "decoders.csv").read_bytes()
-    assert seen.colours.own.errors.z_rmse_um == pytest.approx(seen.figures["z_rmse_um"], rel=1e-9)
+    assert gel_result.colours.own.errors.z_rmse_um == pytest.approx(
+        gel_result.figures["z_rmse_um"], rel=1e-9
+    )
 
 
-def test_error_map_is_what_is_scored(seen):
-    for one in seen.colours.decoded:
-        errors = decoder_error_um(seen, one).compressed()
-        assert len(errors) == one.errors.points
-        assert np.sqrt(np.mean(errors**2)) == pytest.approx(one.errors.z_rmse_um, rel=1e-5)
+def test_error_map_is_what_is_scored(gel_result):
+    for decoder in gel_result.colours.decoded:
+        errors = decoder_error_um(gel_result, decoder).compressed()
+        assert len(errors) == decoder.errors.points
+        assert np.sqrt(np.mean(errors**2)) == pytest.approx(decoder.errors.z_rmse_um, rel=1e-5)
 
 
-def test_true_slopes_are_those_of_the_true_heights(seen):
+def test_true_slopes_are_those_of_the_true_heights(gel_result):
     """Setup: slopes from the stored normals against differences of the stored heights.
 
     Expected: alike in size and sign within the contact. 0.03: the pixels of the truth are bent by
     refraction by up to 1 %, and differences over two pixels (127 um) smooth slopes of up to 0.4 and
     those of a texture of 1.4 um and 0.1 mm: 0.02 RMS, of which they miss a third.
     """
-    z_mm, pitch_mm = true_heights_mm(seen).data, seen.colours.calibration.pitch_mm
+    z_mm, pitch_mm = true_heights_mm(gel_result).data, gel_result.colours.calibration.pitch_mm
     down, right = np.gradient(z_mm, pitch_mm)
     inside = np.hypot(*np.indices(z_mm.shape) - np.array([119.5, 159.5])[:, None, None]) < 12
-    slopes = true_slopes(seen)
-    for found, expected in ((slopes[0], down), (slopes[1], right)):
-        assert np.abs(found - expected)[inside].max() < 0.03
+    slopes = true_slopes(gel_result)
+    for actual, expected in ((slopes[0], down), (slopes[1], right)):
+        assert np.abs(actual - expected)[inside].max() < 0.03
         assert np.abs(expected[inside]).max() > 0.1
 
 
 @pytest.mark.parametrize("scale", [0.6, 1.0, 1.3])
-def test_height_scale_is_that_of_the_heights(seen, scale):
+def test_height_scale_is_that_of_the_heights(gel_result, scale):
     """Setup: the true heights, scaled and shifted, as if measured."""
-    heights_mm = scale * seen.truth.points_world_mm[..., 2] + 0.05
-    found = replace(seen.colours.heights, height_mm=heights_mm)
-    scored = score_heights(seen.experiment, found, seen.truth).against_truth
+    heights_mm = scale * gel_result.truth.points_world_mm[..., 2] + 0.05
+    heights = replace(gel_result.colours.heights, height_mm=heights_mm)
+    scored = score_heights(gel_result.experiment, heights, gel_result.truth).against_truth
     assert scored.height_scale == pytest.approx(scale, rel=1e-5)
 
 
-def test_points_of_the_view_are_the_heights(seen):
-    points = seen.points
-    np.testing.assert_array_equal(points.valid, seen.colours.own.heights.valid)
-    np.testing.assert_allclose(points.world_mm[..., 2], seen.colours.own.heights.height_mm)
+def test_points_of_the_view_are_the_heights(gel_result):
+    points = gel_result.points
+    np.testing.assert_array_equal(points.valid, gel_result.colours.own.heights.valid)
+    np.testing.assert_allclose(points.world_mm[..., 2], gel_result.colours.own.heights.height_mm)
     assert points.sigma_z_mm is None
 
 
@@ -221,10 +223,10 @@ def test_a_report_without_its_image_is_refused(result, tmp_path, capsys):
     assert "image.png: cannot be read: No such file" in capsys.readouterr().err
 
 
-def test_a_load_that_one_layout_cannot_take_is_told(mi, tmp_path, gists):
+def test_a_load_that_one_layout_cannot_take_is_told(mi, tmp_path, summaries):
     """Setup: 60 N on an 8 mm ball, more than the 4.25 mm gel can give way to.
 
-    Expected: the cell tells the depth it would need, the page that there is no one press.
+    Expected: the cell states the required depth, the page that the presses cannot be compared.
     """
     experiment = tmp_path / "ball.toml"
     experiment.write_text(HARD)
@@ -233,5 +235,5 @@ def test_a_load_that_one_layout_cannot_take_is_told(mi, tmp_path, gists):
     assert run([*command, "--methods", "photometric_stereo", "--match", "force"]) == 2
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Could not be measured: press" in page
-    missing = gists | {"photometric_stereo": None}
-    assert "could not be brought to one press" in press_in_words(missing)
+    missing = summaries | {"photometric_stereo": None}
+    assert "cannot be compared" in press_in_words(missing)

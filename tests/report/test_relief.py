@@ -1,4 +1,4 @@
-"""Reliefs in figures: where points appear, what hides what, and that all drawers take a grid."""
+"""Reliefs in figures: positions of points, occlusion, and that all drawers accept a grid."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def view(turn_deg: float, lift_deg: float = 35.0) -> SceneView:
 
 
 def yellow(picture) -> np.ndarray:
-    """Pixels of the upper end of the scale, whatever the light; (row, col) bool."""
+    """Pixels of the upper end of the scale in any illumination; (row, col) bool."""
     red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
     return (red > 2 * blue + 40) & (green > 2 * blue + 40)
 
@@ -34,17 +34,17 @@ def yellow(picture) -> np.ndarray:
 @pytest.mark.parametrize("turn_deg", [0, 50, 130, 180, 230, 310])
 def test_a_point_appears_where_the_view_projects_it(turn_deg):
     """Setup: the level plane, one square of it coloured otherwise. Expected: its projection."""
-    seen = view(turn_deg)
+    scene_view = view(turn_deg)
     marked = surface(values=lambda x, y: ((abs(x - 4) < 1.1) & (abs(y + 3) < 1.1)).astype(float))
-    found = np.argwhere(yellow(relief_picture(marked, seen)))[:, ::-1].mean(axis=0)
-    np.testing.assert_allclose(found, seen.project((4.0, -3.0, 0.0)), atol=2.0)
+    centre_px = np.argwhere(yellow(relief_picture(marked, scene_view)))[:, ::-1].mean(axis=0)
+    np.testing.assert_allclose(centre_px, scene_view.project((4.0, -3.0, 0.0)), atol=2.0)
 
 
 @pytest.mark.parametrize("turn_deg", [0, 50, 130, 180, 230, 310])
 def test_a_ridge_hides_what_is_behind_it(turn_deg):
-    """Setup: a ring wall of height 4 around a marked floor, seen at 20 deg: nothing of it appears.
+    """Setup: a ring wall of height 4 around a marked floor, seen at 20 deg. Expected: no floor.
 
-    Why: cells are painted from far to near for every direction of the view.
+    Cells are painted from far to near for every direction of the view.
     """
     wall = surface(
         lambda x, y: np.where(abs(np.hypot(x, y) - 6) < 1, 4.0, 0.0),
@@ -60,13 +60,19 @@ def test_heights_are_enlarged():
 
     peak = surface(lambda x, y: np.exp(-(x**2 + y**2) / 4))
     plain, enlarged = view(0), replace(view(0), enlarged=5.0)
-    tops = [np.argwhere(yellow(relief_picture(peak, one)))[:, 0].min() for one in (plain, enlarged)]
+    tops = [
+        np.argwhere(yellow(relief_picture(peak, scene_view)))[:, 0].min()
+        for scene_view in (plain, enlarged)
+    ]
     assert tops[0] - tops[1] == pytest.approx(4.0 * np.cos(np.deg2rad(35)) * 160 / 40, abs=3.0)
 
 
 def test_a_jump_is_not_joined():
-    """Setup: a step of 8 mm in a grid of 0.5 mm. Expected: its cells alone are left out."""
-    step = {one: surface(lambda x, y: np.where(x > 0.1, 8.0, 0.0), cut=one) for one in (5.0, None)}
+    """Setup: a step of 8 mm in a grid of 0.5 mm. Expected: only its cells are left out."""
+    step = {
+        cut_mm: surface(lambda x, y: np.where(x > 0.1, 8.0, 0.0), cut=cut_mm)
+        for cut_mm in (5.0, None)
+    }
     assert step[None].cells.all()
     assert (~step[5.0].cells).sum() == NODES - 1
     assert len(step[5.0].triangles) == 2 * step[5.0].cells.sum()
@@ -77,8 +83,8 @@ def test_holes_stay_white_and_light_only_dims():
     rgba = shaded(holed, 2.0)
     holes = np.isnan(holed.grid_mm[..., 2])
     assert (rgba[holes] == 1.0).all()
-    one = rgba[~holes][:, :3] / np.maximum(holed.rgb.reshape(*holes.shape, 3)[~holes], 1e-6)
-    np.testing.assert_allclose(one, one[:, :1].repeat(3, axis=1), atol=1e-6)
+    ratio = rgba[~holes][:, :3] / np.maximum(holed.rgb.reshape(*holes.shape, 3)[~holes], 1e-6)
+    np.testing.assert_allclose(ratio, ratio[:, :1].repeat(3, axis=1), atol=1e-6)
     assert (shaded(surface(np.nan), 1.0) == 1.0).all()
 
 
@@ -87,8 +93,8 @@ def test_the_renderer_draws_a_grid_too(mi):
     from twin.optics.picture import picture
 
     half = surface(lambda x, y: np.where(x > 0.1, np.nan, 0.0))
-    seen = view(0, 60.0)
-    painted, rendered = relief_picture(half, seen), picture([half], seen, 16)
-    apart = (painted < 250).any(axis=-1) != (rendered < 250).any(axis=-1)
+    scene_view = view(0, 60.0)
+    painted, rendered = relief_picture(half, scene_view), picture([half], scene_view, 16)
+    differs = (painted < 250).any(axis=-1) != (rendered < 250).any(axis=-1)
     assert (painted < 250).any(axis=-1).sum() > 1000
-    assert apart.mean() < 0.02
+    assert differs.mean() < 0.02

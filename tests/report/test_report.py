@@ -33,10 +33,10 @@ FIGURES = {
 def reported(finished, tmp_path_factory):
     folder = tmp_path_factory.mktemp("reported") / "result"
     shutil.copytree(finished, folder)
-    seen = []
-    path = write_report(folder, lambda stage, fraction: seen.append((stage, fraction)))
+    progress = []
+    path = write_report(folder, lambda stage, fraction: progress.append((stage, fraction)))
     assert path == folder / "report.html"
-    return folder, path.read_text(encoding="utf-8"), seen
+    return folder, path.read_text(encoding="utf-8"), progress
 
 
 def test_every_figure_exists_and_is_in_the_page(reported):
@@ -71,9 +71,9 @@ def test_page_tells_result_warnings_and_assumptions(reported, experiment):
     assert "paper" not in page.split("<main")[1].split("Appendix")[0]
     for warning in measured.warnings:
         assert warning.replace("'", "&#39;") in page
-    other = ("stage", "lamps", "photometric")  # what only other methods read is not shown
-    told = [p for n, p in experiment.provenance.items() if n.partition(".")[0] not in other]
-    assumed = [p for p in told if p.source.startswith("assumed")]
+    foreign = ("stage", "lamps", "photometric")  # sections of other methods are not shown
+    origins = [p for n, p in experiment.provenance.items() if n.partition(".")[0] not in foreign]
+    assumed = [p for p in origins if p.source.startswith("assumed")]
     assert page.count('<tr class="assumed">') == len(assumed) > 0
 
 
@@ -86,14 +86,14 @@ def test_its_first_printed_page_is_a_certificate(reported, experiment, tmp_path)
     page = reported[0] / "report.html"
     text = page.read_text(encoding="utf-8")
     alone = text.partition('<section class="certificate">')[2].partition("</section>")[0]
-    for told in (
+    for text in (
         "Measurands",
         "U: expanded uncertainty",
         "radius 1",
         "mitsuba",
         digest(experiment),
     ):
-        assert told in alone, told
+        assert text in alone, text
     with browser(tmp_path) as tab:
         tab.open(page.as_uri())
         shown = "getComputedStyle(document.querySelector('.certificate')).display"
@@ -111,9 +111,9 @@ def test_same_result_gives_same_bytes_wherever_it_lies(reported, finished, tmp_p
 
 
 def test_progress_grows_to_one(reported):
-    _, _, seen = reported
-    assert {stage for stage, _ in seen} == {"report"}
-    fractions = [fraction for _, fraction in seen]
+    _, _, progress = reported
+    assert {stage for stage, _ in progress} == {"report"}
+    fractions = [fraction for _, fraction in progress]
     assert fractions == sorted(fractions)
     assert (fractions[0], fractions[-1]) == (0.0, 1.0)
 
@@ -163,7 +163,7 @@ def test_folder_that_is_no_result_is_refused(tmp_path):
 
 
 def test_nothing_here_measures():
-    """Reports read results of the pipeline; what presses, renders and reconstructs is not there."""
+    """Reports import no module that presses, renders or reconstructs, only those for results."""
     read = {"calibration", "colour_images", "comparison", "compensation", "progress"}
     for path in (Path(__file__).parents[2] / "twin" / "report").glob("*.py"):
         text = path.read_text(encoding="utf-8")
@@ -179,7 +179,7 @@ def test_needs_no_renderer():
 
 
 @pytest.mark.parametrize(
-    ("patterns", "told"),
+    ("patterns", "text"),
     [
         ({"code": "complementary_gray"}, ", complementary Gray code, white"),
         ({"code": "gray"}, ", Gray code, white"),
@@ -190,8 +190,8 @@ def test_needs_no_renderer():
          ", heterodyne periods of 18.25 px, white"),
     ],
 )  # fmt: skip
-def test_glance_names_the_code(finished, patterns, told):
+def test_glance_names_the_code(finished, patterns, text):
     scored = read_measurement(finished)
     changed = vary(scored.experiment, {f"patterns.{key}": value for key, value in patterns.items()})
     line = glance(replace(scored, experiment=changed)).row(part="patterns")
-    assert told in line["description"]
+    assert text in line["description"]

@@ -22,16 +22,16 @@ def figures(draw, count=6):
     return [Figure(f"figure_{n}", "", "", "", draw) for n in range(count)]
 
 
-def drawn(folder, draw, beside=lambda: None, count=6):
-    """Draw figures that write who drew them; returns that by name, and how often was told."""
-    told = []
+def drawn(folder, draw, first_task=lambda: None, count=6):
+    """Draw figures that write their process id; return the ids by name and the number of steps."""
+    steps = []
     draw_side_by_side(
         figures(draw, count),
         lambda figure: folder / figure.name,
-        lambda: told.append(1),
-        beside=beside,
+        lambda: steps.append(1),
+        first_task=first_task,
     )
-    return {path.name: int(path.read_text()) for path in folder.iterdir()}, len(told)
+    return {path.name: int(path.read_text()) for path in folder.iterdir()}, len(steps)
 
 
 def note_who(path):
@@ -39,7 +39,7 @@ def note_who(path):
 
 
 def until_another_has_drawn(folder):
-    """Return what waits until the second process has drawn something."""
+    """Return a function that waits until the second process has drawn a figure."""
 
     def wait():
         while not any(folder.iterdir()):
@@ -65,9 +65,9 @@ def test_two_processes_write_the_report_of_one(finished, tmp_path):
 
 
 def test_the_second_process_draws_while_something_else_is_done(tmp_path):
-    found, told = drawn(tmp_path, note_who, until_another_has_drawn(tmp_path))
-    assert len(found) == told == 6
-    assert set(found.values()) - {os.getpid()}, "the second process drew nothing"
+    process_ids, steps = drawn(tmp_path, note_who, until_another_has_drawn(tmp_path))
+    assert len(process_ids) == steps == 6
+    assert set(process_ids.values()) - {os.getpid()}, "the second process drew no figure"
 
 
 def test_what_fails_in_the_second_process_is_drawn_here(tmp_path):
@@ -78,27 +78,27 @@ def test_what_fails_in_the_second_process_is_drawn_here(tmp_path):
             raise ValueError("not here")
         note_who(path)
 
-    found, told = drawn(tmp_path, draw, partial(time.sleep, 0.05))
-    assert set(found.values()) == {here}
-    assert len(found) == told == 6
+    process_ids, steps = drawn(tmp_path, draw, partial(time.sleep, 0.05))
+    assert set(process_ids.values()) == {here}
+    assert len(process_ids) == steps == 6
 
 
 @pytest.fixture
 def copies(monkeypatch):
     """Process numbers of the copies that were started."""
-    found, fork = [], os.fork
+    children, fork = [], os.fork
 
     def noted():
         number = fork()
-        found.append(number)
+        children.append(number)
         return number
 
     monkeypatch.setattr(os, "fork", noted)
-    return found
+    return children
 
 
 def is_ended(copy):
-    """Tell whether a child has ended and was waited for."""
+    """Return True if a child has ended and was waited for."""
     try:
         os.waitpid(copy, os.WNOHANG)
     except ChildProcessError:
@@ -115,9 +115,9 @@ def test_a_second_process_that_hangs_is_ended(tmp_path, monkeypatch, copies):
             time.sleep(60)
         note_who(path)
 
-    found, told = drawn(tmp_path, draw, partial(time.sleep, 0.05))
-    assert set(found.values()) == {here}
-    assert len(found) == told == 6
+    process_ids, steps = drawn(tmp_path, draw, partial(time.sleep, 0.05))
+    assert set(process_ids.values()) == {here}
+    assert len(process_ids) == steps == 6
     (copy,) = copies
     assert is_ended(copy)
 
@@ -133,12 +133,12 @@ def test_a_failure_here_ends_the_second_process(tmp_path, copies):
 
 
 def test_a_signal_to_the_second_process_is_not_ours(tmp_path):
-    here, told = os.getpid(), []
+    here, signals = os.getpid(), []
     read, write = os.pipe()
     os.set_blocking(write, False)
     os.set_blocking(read, False)
     before = signal.set_wakeup_fd(write)
-    handler = signal.signal(signal.SIGTERM, lambda *_: told.append(1))
+    handler = signal.signal(signal.SIGTERM, lambda *_: signals.append(1))
 
     def draw(path):
         if os.getpid() != here:
@@ -147,9 +147,9 @@ def test_a_signal_to_the_second_process_is_not_ours(tmp_path):
         note_who(path)
 
     try:
-        found, _ = drawn(tmp_path, draw, partial(time.sleep, 0.05))
-        assert set(found.values()) == {here}
-        assert not told
+        process_ids, _ = drawn(tmp_path, draw, partial(time.sleep, 0.05))
+        assert set(process_ids.values()) == {here}
+        assert not signals
         with pytest.raises(BlockingIOError):
             os.read(read, 1)
     finally:
@@ -171,15 +171,15 @@ def test_the_second_process_keeps_no_file_of_ours_open(tmp_path):
                     os.fstat(lock.fileno())
             note_who(path)
 
-        found, _ = drawn(folder, draw, until_another_has_drawn(folder))
-    assert set(found.values()) - {here}, "the second process failed"
+        process_ids, _ = drawn(folder, draw, until_another_has_drawn(folder))
+    assert set(process_ids.values()) - {here}, "the second process failed"
 
 
 def test_one_core_draws_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(side_by_side, "threads", lambda: 1)
-    found, told = drawn(tmp_path, note_who)
-    assert set(found.values()) == {os.getpid()}
-    assert len(found) == told == 6
+    process_ids, steps = drawn(tmp_path, note_who)
+    assert set(process_ids.values()) == {os.getpid()}
+    assert len(process_ids) == steps == 6
 
 
 def test_nothing_to_draw_is_no_failure(tmp_path):

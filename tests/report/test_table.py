@@ -57,7 +57,7 @@ def test_table_fits_a_terminal_and_tells_the_rest(finished):
 
 
 def test_warnings_are_printed_themselves(finished):
-    """A report that was not drawn cannot tell them: --no-report pointed to it."""
+    """With --no-report there is no page with the warnings, to which the terminal referred."""
     scored = read_measurement(finished)
     texts = ["the contact is 3 cells wide: " + "use finer cells, " * 9, "second"]
     table = summary_table(replace(scored, metrics={**scored.metrics, "warnings": texts}))
@@ -108,7 +108,7 @@ def test_discussion_of_a_thin_sheet_tells_of_stretch_and_not_of_the_slab(finishe
     sheet |= {"thinnest_mm": 0.1567, "steepest_deg": 61.2}
     wrapped = replace(scored, metrics={**scored.metrics, **sheet})
     text = " ".join(discussion(wrapped))
-    assert "stretched up to 1.23 times, 0.157 mm thick where it is thinnest" in text
+    assert "largest stretch is 1.23, the smallest thickness 0.157 mm" in text
     assert "low-pass" in " ".join(discussion(scored))
     assert "low-pass filter: T(q)" not in text
     assert "shear through the thickness" in judge_press(wrapped).reasons[0]
@@ -138,7 +138,7 @@ def test_a_coat_on_the_touching_face_is_not_a_slab_that_filters(finished):
     scored = read_measurement(finished)
     on_window = vary(scored.experiment, {"elastomer.layout": "contact_face"})
     text = " ".join(discussion(replace(scored, experiment=on_window)))
-    assert "has the ball's shape" in text
+    assert "has the shape of the ball" in text
     assert "low-pass" not in text
     assert "free span" not in text
 

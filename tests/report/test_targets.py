@@ -1,4 +1,4 @@
-"""Cards at the head of a page: a missed target is never green, and says so in words."""
+"""Cards at the head of a page: a missed target is never green, and is marked "missed"."""
 
 from types import SimpleNamespace
 
@@ -42,14 +42,14 @@ def test_all_targets_met():
 )
 def test_one_missed_target_is_not_good_and_says_missed(missed, grade):
     """The bias of the phase filter missed its target on a green card."""
-    found = card(**missed)
-    assert found.grade == grade
-    assert [line.startswith("missed: ") for line in found.reasons].count(True) == 1
+    verdict = card(**missed)
+    assert verdict.grade == grade
+    assert [line.startswith("missed: ") for line in verdict.reasons].count(True) == 1
 
 
 def test_the_worst_target_is_the_grade():
     targets = [target("a", met=True), target("b", met=False), JudgedTarget("c", "poor")]
-    found = judged("?", "!", targets, ("d",))
-    assert found.grade == "poor"
-    assert found.reasons == ("a", "missed: b", "missed: c", "d")
+    verdict = judged("?", "!", targets, ("d",))
+    assert verdict.grade == "poor"
+    assert verdict.reasons == ("a", "missed: b", "missed: c", "d")
     assert judged("?", "!", []).grade == "good"

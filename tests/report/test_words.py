@@ -17,7 +17,7 @@ UNIT_WORDS = {
     for unit in ("mm", "um", "nm", "px", "deg", "rad", "kpa", "percent", "dn", "mw", "ms", "kg")
     for power in ("", "2", "3")
 } | {"m2", "m3"}
-"""Words of a name that can be nothing but a unit."""
+"""Words of a name that can only be a unit."""
 
 
 def fields_of_models(kind=BaseModel):
@@ -32,10 +32,10 @@ def names():
     """All keys of all files, and the figures of every kind of experiment."""
     for module in pkgutil.walk_packages(twin.config.__path__, "twin.config."):
         importlib.import_module(module.name)
-    found = set(fields_of_models()) | set(DERIVED)
+    field_names = set(fields_of_models()) | set(DERIVED)
     for name in EXPERIMENTS:
-        found |= figure_names(load_experiment(name))
-    return sorted(found)
+        field_names |= figure_names(load_experiment(name))
+    return sorted(field_names)
 
 
 EXPERIMENTS = (
@@ -90,8 +90,8 @@ def test_a_phrase_of_the_sheets_keys():
 
 
 def test_a_sentence_of_the_terminal_keeps_its_abbreviations_on_a_page():
-    """A comparison's page said "180.7 um rms"."""
-    told = "object: deviation 180.7 um RMS on the 44 % of it; 3 um +- 2 um (k = 2)"
-    assert printed_sentence(told) == (
+    """A comparison's page contained "180.7 um rms"."""
+    line = "object: deviation 180.7 um RMS on the 44 % of it; 3 um +- 2 um (k = 2)"
+    assert printed_sentence(line) == (
         "Object: deviation 180.7 µm RMS on the 44 % of it; 3 µm ± 2 µm (k = 2)"
     )

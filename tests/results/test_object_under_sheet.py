@@ -13,7 +13,7 @@ from tests.results.test_object_score import STEP, experiment, score_of
 from twin.config import load_experiment
 from twin.config.sensor_layer import load_sensor_layer
 from twin.optics.stack import Truth
-from twin.report.object import told
+from twin.report.object import measurand_in_words
 from twin.results.object_score import ObjectScore, score_object
 from twin.results.under_sheet import more_contact, sheet_compensation
 
@@ -64,7 +64,7 @@ def test_the_radius_is_that_of_the_object(wrapped):
 
 
 def test_the_first_figure_in_words_is_the_object(wrapped):
-    words = told(wrapped.quantity("radius_1"))
+    words = measurand_in_words(wrapped.quantity("radius_1"))
     assert words.startswith("radius 1: 4.00") or words.startswith("radius 1: 3.99")
     before, after = words.split("apparent in the coat: ")
     assert "±" in before
@@ -95,7 +95,7 @@ def test_a_slab_shows_no_length_of_the_object():
     assert ball.value is None
     assert "twin compensate" in ball.why
     assert ball.coat == pytest.approx(4.0, abs=1e-3)
-    assert "apparent in the coat: 4.0" in told(ball)
+    assert "apparent in the coat: 4.0" in measurand_in_words(ball)
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def test_best_designs_in_pictures(base, tmp_path, taken):
     assert drawn(tmp_path) == write_study(tmp_path).read_text() == text
     assert len(taken) == 5
     next((tmp_path / "pictures").iterdir()).write_bytes(b"damaged")
-    assert "Without pictures: not taken yet" in write_study(tmp_path).read_text()
+    assert "Without pictures: not drawn yet" in write_study(tmp_path).read_text()
     assert len(taken) == 5  # the report itself measures no case
     assert drawn(tmp_path) == text
     assert len(taken) == 6

@@ -1,4 +1,4 @@
-"""What a preview shows: what was moved, by the press and the trace of a measurement."""
+"""A preview shows the changed values, with the press and the trace of a measurement."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_moved_back_it_is_the_same(preview, first):
 
 
 def test_a_thinner_sheet_shows_more_of_the_balls(preview, first):
-    """Peak of the coat at the same travel, as the press alone has it."""
+    """The peak of the coat at the same travel equals that of the press stage."""
     thin = preview.show({"elastomer.thickness_mm": 2.0})
     experiment = load_experiment("examples/slab_balls", {"elastomer.thickness_mm": 2.0})
     alone = press(experiment.specimen, experiment.elastomer, experiment.press)
@@ -65,20 +65,20 @@ def test_a_press_that_is_refused_says_so(preview):
 
 def test_controls_stay_within_their_sources():
     experiment = load_experiment("examples/slab_balls")
-    controls = {one.key: one for one in slider_ranges(experiment)}
+    controls = {slider.key: slider for slider in slider_ranges(experiment)}
     assert {"camera.pose.polar_deg", "elastomer.thickness_mm", "specimen.yaw_deg"} <= set(controls)
-    for key, one in controls.items():
-        assert one.low <= one.value <= one.high
+    for key, slider in controls.items():
+        assert slider.low <= slider.value <= slider.high
         origin = experiment.provenance.get(key)
         if origin and origin.range:
-            assert origin.range[0] <= one.low
-            assert one.high <= origin.range[1]
+            assert origin.range[0] <= slider.low
+            assert slider.high <= origin.range[1]
     assert "press.force_n" not in controls
 
 
 def test_linked_values_are_not_moved_by_themselves():
     """The gel layer follows the elastomer."""
-    keys = {one.key for one in slider_ranges(load_experiment("examples/gel_on_window"))}
+    keys = {slider.key for slider in slider_ranges(load_experiment("examples/gel_on_window"))}
     assert "elastomer.thickness_mm" in keys
     assert "press.force_n" in keys
     assert not any(key.startswith("layers") for key in keys)

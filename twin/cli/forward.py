@@ -325,7 +325,7 @@ def _write_with_report(
 
     write_told(folder, command, done)
     stored = as_stored(folder, done)
-    write_report(folder, watch, measured=stored, draw=partial(draw_side_by_side, beside=write))
+    write_report(folder, watch, measured=stored, draw=partial(draw_side_by_side, first_task=write))
     return stored
 
 

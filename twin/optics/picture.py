@@ -19,11 +19,11 @@ from twin.optics.view import SceneSurface, SceneView
 Picture = Levels
 
 MOST_BOUNCES = 12
-"""Enough for light to leave a hollow clear body: each wall takes two."""
+"""Sufficient for light paths through a hollow clear body: two bounces per wall."""
 
-# The sky lights from everywhere; two lamps, high on the left and low on the right, model the form.
+# The sky is uniform; two lamps, high on the left and low on the right, give the shading.
 _SKY, _KEY, _FILL = 0.5, 1.15, 0.4
-# Half the edge of a lamp, in widths of the picture: large and dim, or clear bodies sparkle.
+# Half the edge of a lamp, in picture widths: large and dim, to avoid fireflies in clear bodies.
 _LAMP = 1.0
 _PRIMARIES = 3
 
@@ -44,7 +44,7 @@ def picture(
     surfaces : at least one, all names different
     samples : paths per pixel
     gray : True: one pass instead of three, for surfaces without colours
-    bounces : most surfaces that light meets; 4 do where nothing is clear
+    bounces : maximum number of surfaces on a light path; 4 suffice without clear materials
 
     Returns
     -------
@@ -76,7 +76,7 @@ def _scene(
 
     sensor = perspective_sensor(view.pinhole, view.world_from_eye, samples)
     sensor["film"]["pixel_format"] = "luminance_alpha"
-    # One more than bounces: Mitsuba counts the way to the lamp.
+    # One more than bounces: Mitsuba counts the path to the lamp.
     integrator = {"type": "path", "max_depth": bounces + 1, "hide_emitters": True}
     return mi.load_dict(
         {

@@ -1,4 +1,4 @@
-"""Scene description of all 3-D pictures: surfaces, lines and views. It draws nothing.
+"""Scene description of all 3-D pictures: surfaces, lines and views, independent of the drawer.
 
 World frame, mm. Each output medium has one drawer:
 
@@ -225,4 +225,4 @@ class SceneDescription:
     @property
     def names(self) -> tuple[str, ...]:
         """Labels of surfaces and lines."""
-        return (*(one.name for one in self.surfaces), *(one.name for one in self.lines))
+        return (*(part.name for part in self.surfaces), *(part.name for part in self.lines))

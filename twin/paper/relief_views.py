@@ -15,7 +15,7 @@ from twin.paper.panels import PanelData, Picture
 from twin.report.canvas import FAINT, add_colorbar, no_ticks
 from twin.report.relief import enlargement, height_scale_of, relief_picture
 
-# The light comes from the left, a little from behind.
+# The light is on the left, slightly behind.
 _LIGHT_DEG = 287.0
 _LIFT_RAD = float(np.arctan2(0.66, 0.75))
 _MARGIN_MM = 3.0
@@ -23,12 +23,12 @@ _MARGIN_MM = 3.0
 
 @dataclass(frozen=True)
 class ReliefView:
-    """How reliefs that are compared are shown alike.
+    """Common view and scale of reliefs that are compared.
 
     Attributes
     ----------
     scale_mm : ends of the colour scale
-    centre_mm, half_mm : middle of what is shown, world xy, and half of its width
+    centre_mm, half_mm : centre of the shown region, world xy, and half of its width
     gain : enlargement of z
     """
 
@@ -39,14 +39,14 @@ class ReliefView:
 
 
 def stage_for(*shown: PanelData) -> ReliefView:
-    """Return one way of showing several measurements."""
-    low = min(one.numbers.scale_mm[0] for one in shown)
-    high = max(one.numbers.scale_mm[1] for one in shown)
-    outlines = np.array([one.numbers.outline_mm for one in shown])
+    """Return the common view of several measurements."""
+    low = min(data.numbers.scale_mm[0] for data in shown)
+    high = max(data.numbers.scale_mm[1] for data in shown)
+    outlines = np.array([data.numbers.outline_mm for data in shown])
     x_low, y_low = (float(v) for v in outlines[:, ::2].min(axis=0))
     x_high, y_high = (float(v) for v in outlines[:, 1::2].max(axis=0))
-    wanted = max(x_high - x_low, y_high - y_low) / 2 + _MARGIN_MM
-    half = min(wanted, max(one.numbers.half_field_mm[0] for one in shown))
+    needed_mm = max(x_high - x_low, y_high - y_low) / 2 + _MARGIN_MM
+    half = min(needed_mm, max(data.numbers.half_field_mm[0] for data in shown))
     gain = enlargement(2 * half, high - low)
     return ReliefView((low, high), ((x_low + x_high) / 2, (y_low + y_high) / 2), half, gain)
 
@@ -59,7 +59,7 @@ def draw_relief(
 
 
 def show_relief(axes: Axes, data: PanelData, stage: ReliefView, bar: bool = False) -> None:
-    """Show the measured surface with its enlargement, and a colour bar when asked for."""
+    """Show the measured surface with its enlargement of z, and optionally a colour bar."""
     axes.imshow(draw_relief(data, stage))
     no_ticks(axes)
     axes.spines[:].set_visible(False)
@@ -80,12 +80,12 @@ def _surface(data: PanelData, stage: ReliefView) -> SceneSurface:
     """Return the points near the middle and near the scale as a surface over camera pixels."""
     points = data.points_mm
     away = np.abs(points[..., :2] - np.array(stage.centre_mm)).max(axis=-1)
-    # Wildly wrong points would hide all others; half the height range beyond it is room enough.
+    # Outliers would conceal all other points; keep a margin of 50 % of the height range.
     low, high = stage.scale_mm
     room = (high - low) / 2
     z = points[..., 2]
-    kept = data.valid & (away <= stage.half_mm) & (z >= low - room) & (z <= high + room)
-    shown = np.where(kept[..., np.newaxis], points, np.nan)
+    shown_points = data.valid & (away <= stage.half_mm) & (z >= low - room) & (z <= high + room)
+    shown = np.where(shown_points[..., np.newaxis], points, np.nan)
     scale = height_scale_of(low, high)
     return SceneSurface.of_grid("heights", shown, shown[..., 2], scale, cut=CUT_OVER_TYPICAL)
 

@@ -1,7 +1,7 @@
-"""Report of an adopted rig: what is known and what assumed, and the captured beside the rendered.
+"""Report of an adopted rig: known and assumed fields, and captured compared with rendered frames.
 
-The rendered capture is that of the measured surface by the adopted rig, recorded and decoded like
-the real one: where images, histograms, noise, modulation and sigma agree, the twin may be trusted.
+The twin renders the measured surface with the adopted rig, then records and decodes the frames
+like the real ones. The twin is valid where images, histograms, noise, modulation and sigma agree.
 """
 
 from functools import partial
@@ -41,7 +41,7 @@ _REAL, _TWIN = "captured", "rendered"
 
 
 def write_adopted_page(
-    folder: Path, found: Adopted, given: Given, watch: ProgressCallback = no_progress
+    folder: Path, adopted: Adopted, given: Given, watch: ProgressCallback = no_progress
 ) -> Path:
     """Render the captured scene with the adopted rig, and write the page and its figures.
 
@@ -51,27 +51,27 @@ def write_adopted_page(
     InputError : the page cannot be written
     """
     watch(STAGE, 0.0)
-    scene = Scene(found.capture, found.points, found.placed.origin_mm)
-    twin = render_again(found.experiment, scene)
-    return write_page(folder / REPORT_FILE, _page(found, twin, given), watch)
+    scene = Scene(adopted.capture, adopted.points, adopted.placed.origin_mm)
+    twin = render_again(adopted.experiment, scene)
+    return write_page(folder / REPORT_FILE, _page(adopted, twin, given), watch)
 
 
-def _page(found: Adopted, twin: Rendered, given: Given) -> Page:
+def _page(adopted: Adopted, twin: Rendered, given: Given) -> Page:
     names = ", ".join(path.name for path in given.captures)
     return Page(
         kind="adopted rig",
         title=given.captures[0].name.replace("_", " "),
-        lead=f"The twin of the rig that took {names}; what they do not tell is that of "
-        f"{given.model}.",
-        sections=[_beside(found, twin), _noise(found), _fields(found)],
-        warned="What to know" if found.notes else "",
-        warnings=found.notes,
+        lead=f"Twin of the rig that recorded {names}. Values that these captures do not determine "
+        f"are those of {given.model}.",
+        sections=[_frames_section(adopted, twin), _noise(adopted), _fields(adopted)],
+        warned="Remarks" if adopted.notes else "",
+        warnings=adopted.notes,
         wide=True,
     )
 
 
-def _beside(found: Adopted, twin: Rendered) -> Section:
-    rows = tuple(_ratio_row(*one) for one in ratios(found, twin))
+def _frames_section(adopted: Adopted, twin: Rendered) -> Section:
+    rows = tuple(_ratio_row(*entry) for entry in ratios(adopted, twin))
     columns = (
         Column("what", "over the image (medians)"),
         Column("real", _REAL, 4, kind="number"),
@@ -83,31 +83,32 @@ def _beside(found: Adopted, twin: Rendered) -> Section:
         Figure(
             "images",
             "White and a phase frame",
-            "Digital numbers of the captured frames and of the rendered ones, on one scale; right, "
-            "the share of pixels at each level.",
+            "Digital numbers (DN) of the captured and of the rendered frames on the same scale. "
+            "Right: share of the pixels (%) at each level.",
             "Captured and rendered images in pairs, and their histograms.",
-            partial(_draw_images, found.capture, twin.capture),
+            partial(_draw_images, adopted.capture, twin.capture),
         ),
         Figure(
             "maps",
             "Modulation and sigma",
-            "Amplitude of the fringes along the columns, and predicted standard deviation of the "
-            "column, captured and rendered on one scale; gray: no value.",
+            "Fringe amplitude (DN) and predicted standard deviation of the decoded projector "
+            "column (px), from the captured and the rendered frames on the same scale; gray: no "
+            "value.",
             "Maps of modulation and sigma in pairs.",
-            partial(_draw_maps, found.points, twin.points),
+            partial(_draw_maps, adopted.points, twin.points),
         ),
     ]
-    return Section("beside", "Captured beside rendered", tuple(blocks))
+    return Section("beside", "Captured and rendered frames", tuple(blocks))
 
 
-def ratios(found: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
-    """Return what is compared, captured and rendered, over pixels valid in both."""
-    inside = found.points.point_map.valid & twin.points.point_map.valid
-    real, made = found.points, twin.points
+def ratios(adopted: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
+    """Return name, captured and rendered median of each quantity, over pixels valid in both."""
+    inside = adopted.points.point_map.valid & twin.points.point_map.valid
+    real, made = adopted.points, twin.points
     compared: list[tuple[str, NDArray[Any], NDArray[Any]]] = []
-    if found.capture.patterns.uniform:
+    if adopted.capture.patterns.uniform:
         compared += [
-            (f"{kind} frame, DN", _frame(found.capture, kind), _frame(twin.capture, kind))
+            (f"{kind} frame, DN", _frame(adopted.capture, kind), _frame(twin.capture, kind))
             for kind in ("white", "black")
         ]
     for name, field in (
@@ -123,19 +124,19 @@ def ratios(found: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
     if not inside.any():
         return []
     medians = [
-        (name, float(np.median(one[inside])), float(np.median(other[inside])))
-        for name, one, other in compared
+        (name, float(np.median(captured[inside])), float(np.median(rendered[inside])))
+        for name, captured, rendered in compared
     ]
-    return medians + _sparkle_ratios(found, twin)
+    return medians + _sparkle_ratios(adopted, twin)
 
 
-def _sparkle_ratios(found: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
+def _sparkle_ratios(adopted: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
     """Return the local contrast of the coat, captured and rendered."""
-    own, made = found.sparkle, coat_sparkle(twin.capture, twin.points)
+    own, made = adopted.sparkle, coat_sparkle(twin.capture, twin.points)
     if own is None or made is None:
         return []
-    what = "contrast of the coat from pixel to pixel, %"
-    return [(what, 100.0 * own.contrast, 100.0 * made.contrast)]
+    name = "contrast of the coat from pixel to pixel, %"
+    return [(name, 100.0 * own.contrast, 100.0 * made.contrast)]
 
 
 def _frame(capture: Capture, kind: str) -> FloatArray:
@@ -143,48 +144,50 @@ def _frame(capture: Capture, kind: str) -> FloatArray:
     return np.asarray(capture.stack[number], dtype=np.float64)
 
 
-def _ratio_row(what: str, real: float, twin: float) -> Row:
+def _ratio_row(name: str, real: float, twin: float) -> Row:
     ratio = twin / real if real else None
-    return {"what": what, "real": real, "twin": twin, "ratio": ratio}
+    return {"what": name, "real": real, "twin": twin, "ratio": ratio}
 
 
-def _noise(found: Adopted) -> Section:
-    if found.noise is None:
-        return Section("noise", "Noise", ("The captures do not tell the camera's noise.",))
-    gain = found.noise.gain_dn_per_e
+def _noise(adopted: Adopted) -> Section:
+    if adopted.noise is None:
+        return Section(
+            "noise", "Noise", ("The camera's noise cannot be determined from these captures.",)
+        )
+    gain = adopted.noise.gain_dn_per_e
     figure = Figure(
         "noise",
         "Photon transfer",
-        f"Variance of a pixel over its mean, {found.noise_from}; bars: one standard uncertainty. "
-        f"Line: gain {gain.value:.4g} +- {gain.uncertainty:.2g} DN per electron, chi-square "
-        f"{found.noise.chi2_per_bin:.3g} per bin. Dashed: what capture.toml stated.",
+        f"Variance of a pixel (DN²) over its mean (DN), {adopted.noise_from}; bars: one standard "
+        f"uncertainty. Line: gain {gain.value:.4g} +- {gain.uncertainty:.2g} DN per electron, "
+        f"chi-square {adopted.noise.chi2_per_bin:.3g} per bin. Dashed: as stated in capture.toml.",
         "Variance over mean with a straight line.",
-        partial(_draw_noise, found),
+        partial(_draw_noise, adopted),
     )
-    chi2 = found.two_period_chi2
-    told = (
-        "No second capture of the scene with another period was given: that sigma is honest is "
-        "not checked by one."
+    chi2 = adopted.two_period_chi2
+    remark = (
+        "The predicted sigma is not checked: this needs a second capture of the scene with another "
+        "fringe period."
         if chi2 is None
-        else f"Two periods of the scene differ by {chi2:.3g} of their variances (1: sigma is "
-        "honest)."
+        else "Captures with two fringe periods: squared difference over the predicted variance "
+        f"{chi2:.3g} (1: the predicted sigma is right)."
     )
-    return Section("noise", "Noise", (figure, Note(told)))
+    return Section("noise", "Noise", (figure, Note(remark)))
 
 
-def _fields(found: Adopted) -> Section:
+def _fields(adopted: Adopted) -> Section:
     columns = (
         Column("field", "field"),
         Column("value", "value"),
         Column("range", "95 % interval"),
         Column("source", "source"),
     )
-    told = list(rows_of(found.tables))
-    rows = tuple(_field_row(*one) for one in told)
-    kinds = tuple("assumed" if one[3].startswith("assumed") else "" for one in told)
+    entries = list(rows_of(adopted.tables))
+    rows = tuple(_field_row(*entry) for entry in entries)
+    kinds = tuple("assumed" if entry[3].startswith("assumed") else "" for entry in entries)
     note = (
-        "Shaded: assumed, as no capture tells it; its interval is the model's plausible range. "
-        "The same stands in rig.toml."
+        "Shaded: assumed value, which no capture determines; its interval is the model's plausible "
+        "range. rig.toml contains the same values."
     )
     table = Table("fields", "", "", columns, rows, (note,), kinds)
     return Section("fields", "Every field and its source", (table,))
@@ -198,7 +201,7 @@ def _text(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, (list, tuple)):
-        return ", ".join(_text(one) for one in value)
+        return ", ".join(_text(entry) for entry in value)
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
@@ -215,22 +218,22 @@ def _shown_frames(capture: Capture) -> list[tuple[str, FloatArray]]:
 def _draw_images(real: Capture, twin: Capture, path: Path) -> None:
     pairs = list(zip(_shown_frames(real), _shown_frames(twin), strict=False))
     with drawing(path, 11.0, 0.3 + 3.0 * len(pairs)) as figure:
-        for row, ((name, one), (_, other)) in enumerate(pairs):
+        for row, ((name, captured), (_, rendered)) in enumerate(pairs):
             top = 0.4 + 3.0 * row
-            limit = round_up(float(np.percentile(one, 99.8)))
-            for left, title, image in ((0.2, _REAL, one), (3.5, _TWIN, other)):
+            limit = round_up(float(np.percentile(captured, 99.8)))
+            for left, title, image in ((0.2, _REAL, captured), (3.5, _TWIN, rendered)):
                 axes = axes_at(figure, left, top, 3.1, 2.3)
                 shown = axes.imshow(image, cmap="gray", vmin=0.0, vmax=limit)
                 axes.set_title(f"{name}, {title}")
                 no_ticks(axes)
             add_colorbar(axes, shown, "DN")
             axes = axes_at(figure, 7.9, top, 2.9, 2.1)
-            _draw_histograms(axes, one, other, limit)
+            _draw_histograms(axes, captured, rendered, limit)
 
 
-def _draw_histograms(axes: Axes, one: FloatArray, other: FloatArray, limit: float) -> None:
+def _draw_histograms(axes: Axes, captured: FloatArray, rendered: FloatArray, limit: float) -> None:
     edges = np.linspace(0.0, limit, _HISTOGRAM_BINS + 1)
-    for image, colour, label in ((one, MEASURED, _REAL), (other, FIT, _TWIN)):
+    for image, colour, label in ((captured, MEASURED, _REAL), (rendered, FIT, _TWIN)):
         share = np.histogram(image, edges)[0] / image.size
         axes.stairs(100.0 * share, edges, color=colour, label=label)
     chart(axes, "", "level (DN)", "pixels (%)")
@@ -241,7 +244,7 @@ def _draw_maps(real: Reconstruction, twin: Reconstruction, path: Path) -> None:
     kinds = (("modulation_dn", "modulation", "DN"), ("sigma_px", "sigma of the column", "px"))
     with drawing(path, 8.4, 6.2) as figure:
         for row, (field, name, unit) in enumerate(kinds):
-            maps = [_masked(one, field) for one in (real, twin)]
+            maps = [_masked(reconstruction, field) for reconstruction in (real, twin)]
             limit = round_up(float(np.nanpercentile(np.ma.filled(maps[0], np.nan), 99)))
             for k, (title, image) in enumerate(zip((_REAL, _TWIN), maps, strict=True)):
                 axes = axes_at(figure, 0.2 + 3.8 * k, 0.4 + 3.0 * row, 3.2, 2.4)
@@ -251,15 +254,15 @@ def _draw_maps(real: Reconstruction, twin: Reconstruction, path: Path) -> None:
             add_colorbar(axes, shown, unit)
 
 
-def _masked(one: Reconstruction, field: str) -> Any:
+def _masked(reconstruction: Reconstruction, field: str) -> Any:
     """Return a map of the columns, hidden where the pixel is masked."""
-    values: FloatImage = getattr(one.decoded.column, field)
-    hidden: BoolImage = ~one.decoded.valid
+    values: FloatImage = getattr(reconstruction.decoded.column, field)
+    hidden: BoolImage = ~reconstruction.decoded.valid
     return np.ma.MaskedArray(values, hidden)
 
 
-def _draw_noise(found: Adopted, path: Path) -> None:
-    noise = found.noise
+def _draw_noise(adopted: Adopted, path: Path) -> None:
+    noise = adopted.noise
     assert noise is not None
     with drawing(path, 7.2, 3.8) as figure:
         axes = axes_at(figure, 0.8, 0.4, 6.0, 2.8)
@@ -274,7 +277,7 @@ def _draw_noise(found: Adopted, path: Path) -> None:
         )
         line = np.linspace(noise.black_level_dn, float(noise.mean_dn.max()), 50)
         axes.plot(line, noise.variance_at(line), color=TRUE_FACE, label="adopted")
-        stated = found.stated.variance_dn2(line)
+        stated = adopted.stated.variance_dn2(line)
         axes.plot(line, stated, "--", color=FAINT, label="stated")
         chart(axes, "", "mean (DN)", "variance (DN²)")
         axes.set_ylim(0.0, 1.3 * float(noise.variance_dn2.max()))

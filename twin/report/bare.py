@@ -1,6 +1,6 @@
-"""The report of a measurement of the bare specimen: how much was measured, and why not the rest.
+"""The report of a measurement of the bare specimen: measured share, and reasons for missing points.
 
-Shares count the pixels that show the specimen: its visible area, as the camera sees it.
+Shares count the camera pixels that show the specimen (its visible area).
 """
 
 from pathlib import Path
@@ -38,7 +38,7 @@ from twin.results.score import wanted_pixels
 METHOD, WARNED = "direct FPP", "Not everything could be fitted"
 
 REASON_WORDS = {
-    Reason.DARK: "no projector light comes back",
+    Reason.DARK: "too dark: no projector light reaches the camera",
     Reason.LOW_MODULATION: "fringes too weak",
     Reason.SATURATED: "saturated",
     Reason.ORDER_UNCERTAIN: "fringe order uncertain",
@@ -82,34 +82,36 @@ def shares(scored: Measurement) -> Table:
         ("pixels with a wrong fringe order", number(figures["wrong_order_pixels"], "d"), ""),
         ("saturated pixel values, whole image", f"{figures['saturated_share']:.2%}", ""),
     ]
-    return pairs("shares", "On the specimen", rows)
+    return pairs("shares", "Points and z errors on the specimen", rows)
 
 
 def verdicts(scored: Measurement) -> list[Verdict]:
-    """Judge how much is measured, and say what keeps the rest from it."""
+    """Judge the measured share, and report why the other pixels have no point."""
     return [_coverage(scored), _missing(scored)]
 
 
 def discussion(scored: Measurement) -> list[str]:
     """Return the paragraphs of the result."""
     if not scored.score.against_truth.points:
-        return ["No pixel of the specimen has a point; the map above says why."]
+        return [
+            "No pixel of the specimen has a point; the map above shows the reason for each pixel."
+        ]
     figures = scored.figures
     wrong_points = figures.known("completeness") - figures.known("good_share")
     return [
         f"{result_in_words(scored)} {percent(wrong_points)} of it has a point with a larger error: "
-        "a decoder that masks by contrast and consistency cannot tell light reflected by another "
-        "surface from direct light.",
+        "a decoder that masks by contrast and consistency cannot distinguish light reflected by "
+        "another surface from direct light.",
     ]
 
 
 def missing_shares(scored: Measurement) -> dict[Reason, float]:
-    """Return the share of the wanted pixels without a point by reason, largest first."""
-    wanted = wanted_pixels(scored.experiment, scored.truth)
-    reasons = scored.fringes.reconstruction.point_map.mask_reason[wanted]
-    found = reason_shares(reasons) if reasons.size else {}
-    found.pop(Reason.VALID, None)
-    return dict(sorted(found.items(), key=lambda entry: -entry[1]))
+    """Return the share of the scored pixels without a point by reason, largest first."""
+    scored_pixels = wanted_pixels(scored.experiment, scored.truth)
+    reasons = scored.fringes.reconstruction.point_map.mask_reason[scored_pixels]
+    shares_by_reason = reason_shares(reasons) if reasons.size else {}
+    shares_by_reason.pop(Reason.VALID, None)
+    return dict(sorted(shares_by_reason.items(), key=lambda entry: -entry[1]))
 
 
 def _coverage(scored: Measurement) -> Verdict:
@@ -133,8 +135,8 @@ def _missing(scored: Measurement) -> Verdict:
     lost = float(np.sum(list(missing.values())))
     first = next(iter(missing), None)
     return Verdict(
-        question="Why do the other pixels have no point?",
-        headline=REASON_WORDS[first] if first else "all pixels have one",
+        question="Why do pixels of the specimen have no measured point?",
+        headline=REASON_WORDS[first] if first else "every pixel has a point",
         grade=grade_of_share(1.0 - lost),
         reasons=tuple(f"{REASON_WORDS[r]}: {percent(share)}" for r, share in missing.items())
         or ("every pixel that shows the specimen has a point",),
@@ -163,11 +165,11 @@ def seen_figure(measured: Measurement) -> Figure:
     return Figure(
         "seen",
         "Frames, heights, errors and missing points",
-        "The same camera pixels in all panels. Frames in digital numbers: black is 0, white is "
-        "saturation. Heights are lit from the upper left, on the scale of the true ones"
-        f"{shading_words(measured)}; white: no point. Errors and reasons are shown on the "
-        f"specimen, the rest is gray. The error scale ends at ± {limit_um:g} µm: points in its end "
-        "colours are not good.",
+        "All panels show the same camera pixels. Frames: digital numbers, black is 0, white is "
+        "saturation. Heights: world z in mm, lit from the upper left, measured and true on the "
+        f"same scale{shading_words(measured)}; white: no point. Errors (measured minus true z) and "
+        "reasons are shown on the specimen only; all other pixels are gray. The error scale ends "
+        f"at ± {limit_um:g} µm, the limit of a good point.",
         "frames, true and measured heights, error and reasons in camera pixels",
         lambda path: draw_seen(path, measured),
     )

@@ -7,14 +7,15 @@ from twin.results.record import Measurement
 
 _BOUND, _SPREAD = "_crb_um", "_spread_um"
 _HOW = (
-    "Before any noise is drawn: the Cramer-Rao bound is the least standard deviation that any "
-    "unbiased fit of the shape to the decoded coordinates can have, the spread that of the fit in "
-    "use, through the filter. What elastomer, calibration and filter bias do is no part of them."
+    "Both are predicted from the noise model. Cramer-Rao bound: smallest standard deviation that "
+    "any unbiased fit of the shape to the decoded coordinates can have. Spread: standard deviation "
+    "of the fit in use, including the phase filter. Errors of elastomer and calibration and the "
+    "bias of the filter are not included."
 )
 
 
 def bound_section(measured: Measurement) -> list[Section]:
-    """Return bounds and spreads; nothing where the measurement says none."""
+    """Return the section of bounds and spreads; empty if the measurement has none."""
     figures = measured.figures
     rows: list[Row] = []
     for name, bound in figures.items():
@@ -30,4 +31,4 @@ def bound_section(measured: Measurement) -> list[Section]:
         Column("spread", "of the fit in use", unit="µm"),
     )
     table = Table("bounds", "Standard deviation by noise", "", columns, tuple(rows))
-    return [Section("bound", "What the light allows", (table, Note(_HOW)))]
+    return [Section("bound", "Precision limit by noise (Cramer-Rao bound)", (table, Note(_HOW)))]

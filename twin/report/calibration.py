@@ -46,10 +46,10 @@ def draw_calibration(folder: Path, done: BoardCalibration) -> None:
 
 def draw_residuals(path: Path, done: BoardCalibration) -> None:
     """Draw the reprojection residual of every feature used, as arrows on both images."""
-    found = done.result.adjustment
-    used = np.concatenate(found.used)
-    measured = np.concatenate(found.measured_px)[used]
-    residuals = np.concatenate(found.residuals_px)[used]
+    result = done.result.adjustment
+    used = np.concatenate(result.used)
+    measured = np.concatenate(result.measured_px)[used]
+    residuals = np.concatenate(result.residuals_px)[used]
     width, height = done.observations[0].camera_size_px
     with drawing(path, 10.2, 4.2) as figure:
         for left, first, device in ((0.7, 0, "camera"), (5.7, 2, "projector")):
@@ -105,11 +105,11 @@ def draw_poses(path: Path, done: BoardCalibration) -> None:
 
 def draw_correlations(path: Path, done: BoardCalibration) -> None:
     """Draw how the errors of the rig's parameters go together."""
-    found = done.result.adjustment
+    result = done.result.adjustment
     names = [parameter.name for parameter in done.result.parameters[:-1]]  # without the baseline
     sigma = np.array([parameter.sigma for parameter in done.result.parameters[:-1]])
     free = np.flatnonzero(sigma > 0.0)
-    shown = found.covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
+    shown = result.covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
     labels = [names[k] for k in free]
     with drawing(path, 7.2, 6.2) as figure:
         axes = axes_at(figure, 1.4, 0.4, 4.6, 4.6)

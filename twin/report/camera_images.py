@@ -1,4 +1,4 @@
-"""Figures of what the camera recorded, and of the decoder's maps; row 0 is the top."""
+"""Figures of the camera frames and of the decoder's maps; row 0 is the top."""
 
 from pathlib import Path
 from typing import Any
@@ -39,8 +39,8 @@ _WIDTH_IN, _SIDE_IN, _TITLE_IN, _PROFILE_IN = 10.0, 0.05, 0.27, 2.6
 
 
 def recorded_section(measured: Measurement) -> Section:
-    """Return what the camera saw of fringes, and what the decoder made of it."""
-    title = "Camera frames and what the decoder made of them"
+    """Return the section of the recorded fringe frames and of the decoded maps."""
+    title = "Camera frames and decoded maps"
     return Section("recorded", title, (frames_figure(measured), decoding_figure(measured)))
 
 
@@ -105,9 +105,9 @@ def _sheet(capture: Capture) -> list[list[PatternFrame]]:
 
 
 def _phases(capture: Capture, axis: Axis) -> list[PatternFrame]:
-    """Frames about a quarter of a period apart."""
+    """Return frames with phase steps of about a quarter of a period."""
     patterns = capture.patterns
-    frames = [one for one in patterns.frames if (one.kind, one.axis) == ("phase", axis)]
+    frames = [frame for frame in patterns.frames if (frame.kind, frame.axis) == ("phase", axis)]
     chosen = sorted({round(k * patterns.steps / 4) for k in range(4)})
     return [frames[n] for n in chosen if n < len(frames)]
 

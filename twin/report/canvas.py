@@ -1,4 +1,4 @@
-"""How every figure looks, and how it reaches the disk: PNG for pages, PDF beside it for print.
+"""Style of all figures, and how they are written: PNG for pages, additionally PDF for print.
 
 Figures use Matplotlib's object interface: no global state, no window system. The same data give
 the same bytes: no date and no version is written into the files.
@@ -34,7 +34,7 @@ MEASURED_FILL = "#a9c8e3"
 GAP = "#e9ecf0"
 """Colour of pixels without a value; in no colour map used here."""
 
-# A scale of errors: noise is shown whole, what is far off beyond its end.
+# A scale of errors covers the noise; outliers are beyond its ends.
 _CORE_PERCENT, _CORES = 68.3, 4.0
 _WIDENED, _LEAST_SPAN_MM = 0.5, 0.2
 
@@ -50,7 +50,7 @@ _STYLE: Any = {
     "axes.titlesize": 10.0,
     "axes.titlelocation": "left",
     "axes.titlepad": 6.0,
-    "axes.titley": 1.0,  # else every tick label is laid out once more, to see what it pushes up
+    "axes.titley": 1.0,  # fixed: an automatic position lays out every tick label a second time
     "axes.axisbelow": True,
     "grid.color": GRID,
     "grid.linewidth": 0.6,
@@ -63,7 +63,7 @@ _STYLE: Any = {
     "legend.fontsize": 8.0,
     "legend.frameon": False,
     "image.interpolation": "nearest",
-    "text.parse_math": False,  # names and labels are anybody's, and "$" is no formula
+    "text.parse_math": False,  # names are user input, in which "$" starts no formula
 }
 
 
@@ -78,7 +78,7 @@ _PRINT: Any = _STYLE | {
     "xtick.labelsize": 6.5,
     "ytick.labelsize": 6.5,
     "legend.fontsize": 6.5,
-    "pdf.fonttype": 42,  # text stays text
+    "pdf.fonttype": 42,  # embed fonts, so that text remains text
 }
 
 
@@ -124,7 +124,7 @@ def _write(figure: Figure, path: Path, dpi: int) -> None:
     undated: Any = {"Software": None}
     if kind == "pdf":
         undated = {"CreationDate": None, "Producer": None, "Creator": None}
-    # The usual level, 6, takes twice the time for a tenth of the size.
+    # The default level, 6, doubles the time and reduces the size by 10 % only.
     packed: Any = {"pil_kwargs": {"compress_level": 3}} if kind == "png" else {}
     memory = io.BytesIO()
     figure.savefig(memory, format=kind, dpi=dpi, metadata=undated, **packed)
@@ -148,7 +148,7 @@ def cyclic() -> Colormap:
 
 
 def round_up(value: float) -> float:
-    """Return the next round number: easy to read, and similar results share a scale."""
+    """Return the next larger round number, so that similar results have the same scale."""
     if not value > 0:
         return 1.0
     decade = 10.0 ** math.floor(math.log10(value))
@@ -160,7 +160,7 @@ def round_up(value: float) -> float:
 def height_scale(z_mm: NDArray[Any]) -> tuple[float, float]:
     """Return the round ends of a scale of heights: 0 and the peak, or lower where z sinks."""
     low, high = float(z_mm.min()), float(z_mm.max())
-    # A free sheet dips by some per cent beside the contact: that needs no scale of its own.
+    # A free sheet dips by some per cent next to the contact: the scale need not include this.
     sinks = low < -0.05 * max(high, 0.0) and low < 0
     top = 0.0 if sinks and high <= 0 else round_up(high)
     return (-round_up(-low) if sinks else 0.0, top)
@@ -174,10 +174,10 @@ def contour_levels(low: float, high: float) -> list[float]:
 
 
 def symmetric_limit(values: NDArray[Any], percent: float = 99.0) -> float:
-    """Return the rounded size that `percent` of the values stay below; 1 when there are none.
+    """Return the rounded magnitude that `percent` of the values do not exceed; 1 without values.
 
-    A few that are far off do not set the scale: it ends at four times what 68 % stay below, which
-    is the standard deviation of noise.
+    Outliers do not set the scale: it ends at most at four times the 68th percentile, which is the
+    standard deviation of normal noise.
     """
     if not values.size:
         return 1.0
@@ -186,9 +186,10 @@ def symmetric_limit(values: NDArray[Any], percent: float = 99.0) -> float:
 
 
 def near_truth(points_mm: FloatArray, true_mm: FloatArray) -> BoolArray:
-    """Tell which points (n, xyz) lie in the box of the true ones, widened by half its span.
+    """Return True for points (n, xyz) in the box of the true ones, widened by half its span.
 
-    What is farther out is wrong, and a picture that shows it shows nothing else.
+    Points farther out are decoding errors; including them would make the true surface too small
+    to see.
     """
     low, high = box_of(true_mm)
     margin = _WIDENED * np.maximum(high - low, _LEAST_SPAN_MM)
@@ -201,7 +202,7 @@ def near_truth(points_mm: FloatArray, true_mm: FloatArray) -> BoolArray:
 def axes_at(
     figure: Figure, left_in: float, top_in: float, width_in: float, height_in: float
 ) -> Axes:
-    """Add axes whose upper left corner lies so far from the figure's, in inches."""
+    """Add axes; `left_in`, `top_in`: upper left corner relative to the figure's, inches."""
     across_in, down_in = figure.get_size_inches()
     return figure.add_axes(
         (
@@ -220,7 +221,7 @@ def add_colorbar(
     extend: Literal["neither", "both", "max"] = "neither",
     side: Literal["right", "below"] = "right",
 ) -> None:
-    """Put a colour bar with its unit beside a map, as long as the map."""
+    """Draw a colour bar with its unit next to a map, as long as the map."""
     figure = axes.get_figure(root=True)
     assert figure is not None
     right = side == "right"
@@ -283,7 +284,7 @@ def draw_map(
 
 
 def no_ticks(axes: Axes) -> None:
-    """Leave a picture without ticks."""
+    """Remove the ticks of a picture."""
     axes.set(xticks=[], yticks=[])
 
 
@@ -307,6 +308,6 @@ def plain_log(axis: Axis) -> None:
 
 
 def plain_spines(axes: Axes) -> None:
-    """Leave only the axes that carry numbers, and a light grid behind the curves."""
+    """Keep only the axes with numbers, and draw a light grid behind the curves."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(visible=True)

@@ -1,4 +1,4 @@
-"""What is printed alone on the first page of a measurement: object, measurands, conditions."""
+"""The first printed page of a measurement: object, measurands, conditions."""
 
 from dataclasses import replace
 
@@ -9,20 +9,21 @@ from twin.report.table import Table, parts
 from twin.results.record import Measurement
 
 _VIRTUAL = (
-    "A virtual measurement: pressed, rendered, exposed and decoded by a digital twin. It says what "
-    "a sensor so built would measure, and is no calibration certificate of any instrument."
+    "A virtual measurement: a digital twin pressed, rendered, exposed and decoded the object. It "
+    "predicts the result of a sensor built to these settings and is no calibration certificate of "
+    "any instrument."
 )
 
 
 def certificate(measured: Measurement) -> tuple[Block, ...]:
     """Return the first printed page of a measurement.
 
-    The object, what was found of it with expanded uncertainty and verdict, the conditions, and the
-    versions and digest by which it can be made again.
+    It lists the measurands with expanded uncertainty and verdict, the conditions, and the versions
+    and digest with which the measurement can be repeated.
     """
     return (
         _head(measured),
-        *_found(measured),
+        *_measurands(measured),
         replace(glance(measured), title="Conditions"),
         parts("certified_with", [("made with", _versions(measured))]),
         Note(_VIRTUAL),
@@ -35,12 +36,12 @@ def _head(measured: Measurement) -> Table:
     return parts("certified", rows)
 
 
-def _found(measured: Measurement) -> list[Table]:
+def _measurands(measured: Measurement) -> list[Table]:
     """Return the measurands, and the deviation where no length of the object was measured."""
-    found = measured.object
-    tables = [quantity_table(measured)] if found.quantities else []
-    lengths = any(one.asked.unit == "mm" for one in found.quantities)
-    if found.seen is not None and found.aligned and not lengths:
+    score = measured.object
+    tables = [quantity_table(measured)] if score.quantities else []
+    lengths = any(quantity.asked.unit == "mm" for quantity in score.quantities)
+    if score.seen is not None and score.aligned and not lengths:
         tables.append(deviation_table(measured))
     return tables
 

@@ -49,8 +49,8 @@ _RATIOS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Gist:
-    """What is compared across methods; without the frames, which take 600 MB at full size."""
+class ComparisonSummary:
+    """Data that are compared across methods; without the frames, which take 600 MB at full size."""
 
     experiment: Experiment
     figures: Figures
@@ -64,7 +64,7 @@ class Quantity:
     """One row of the table under each specimen."""
 
     label: str
-    of: Callable[[Gist], str]
+    of: Callable[[ComparisonSummary], str]
 
 
 def write_comparison(
@@ -74,7 +74,7 @@ def write_comparison(
 
     Parameters
     ----------
-    folder : result folder of `twin compare`; nothing else is read
+    folder : result folder of `twin compare`; no other file is read
     into : existing folder to write into instead
 
     Raises
@@ -114,24 +114,30 @@ def comparison_table(outcomes: Sequence[Outcome]) -> str:
             Column("orders", "wrong orders"),
         ),
         tuple(
-            {"specimen": one.name[:16], "method": one.method, **_short(one.figures)}
-            for one in outcomes
+            {"specimen": outcome.name[:16], "method": outcome.method, **_short(outcome.figures)}
+            for outcome in outcomes
         ),
     )
-    failed = [f"{one.name}, {one.method}: {one.failure}" for one in outcomes if one.failure]
+    failed = [
+        f"{outcome.name}, {outcome.method}: {outcome.failure}"
+        for outcome in outcomes
+        if outcome.failure
+    ]
     return "\n".join([table.as_text().replace(NONE, "-"), *failed])
 
 
-def gist_of(measured: Measurement) -> Gist:
-    """Return what is compared across methods."""
+def summary_of(measured: Measurement) -> ComparisonSummary:
+    """Return the data of a measurement that are compared across methods."""
     images = measured.images
     decoded = images.decoded if isinstance(images, Colours) else []
     of_object = object_rows(measured)
-    return Gist(measured.experiment, measured.figures, measured.score.spheres, decoded, of_object)
+    return ComparisonSummary(
+        measured.experiment, measured.figures, measured.score.spheres, decoded, of_object
+    )
 
 
-def press_in_words(methods: dict[str, Gist | None]) -> str:
-    """Say how the presses of coat and gel compare; empty where only one is pressed.
+def press_in_words(methods: dict[str, ComparisonSummary | None]) -> str:
+    """Return force and depth of both presses in words; empty unless coat and gel are compared.
 
     Parameters
     ----------
@@ -142,41 +148,46 @@ def press_in_words(methods: dict[str, Gist | None]) -> str:
     coat, gel = methods[_COAT], methods[_GEL]
     if coat is None or gel is None:
         return (
-            "The two elastomers could not be brought to one press: the failure is stated below, "
-            "and the other measurement is shown alone."
+            "The presses of the two elastomers cannot be compared, because one of them failed: the "
+            "reason is stated below, and only the other measurement is shown."
         )
     (force_coat, force_gel), (depth_coat, depth_gel) = (
         (coat.figures.known(name), gel.figures.known(name)) for name in ("force_n", "depth_mm")
     )
     if coat.experiment.elastomer == gel.experiment.elastomer:
-        return f"One elastomer, one press: {depth_coat:.3g} mm deep with {force_coat:.3g} N."
-    told = (
+        return f"Same elastomer and same press: {depth_coat:.3g} mm deep with {force_coat:.3g} N."
+    presses = (
         f"contact-FPP is pressed {depth_coat:.3g} mm deep with {force_coat:.3g} N, photometric "
         f"stereo {depth_gel:.3g} mm with {force_gel:.3g} N."
     )
     if _alike(force_coat, force_gel):
-        moduli = " and ".join(f"{one.figures['young_modulus_kpa']:.3g}" for one in (coat, gel))
+        moduli = " and ".join(
+            f"{summary.figures['young_modulus_kpa']:.3g}" for summary in (coat, gel)
+        )
         return (
-            f"The same force, two elastomers: {told} At one force the depth follows from layout, "
+            f"Two elastomers, same force: {presses} At equal force the depth depends on layout, "
             f"thickness and Young's modulus ({moduli} kPa)."
         )
-    shared = "The same depth, two elastomers" if _alike(depth_coat, depth_gel) else "Not one press"
-    return f"{shared}: {told}"
+    alike = _alike(depth_coat, depth_gel)
+    shared = "Two elastomers, same depth" if alike else "Two different presses"
+    return f"{shared}: {presses}"
 
 
-def ratio_table(methods: dict[str, Gist | None]) -> Table | None:
-    """Return every decoder's sphere-fit RMSE beside contact-FPP's; None without both."""
+def ratio_table(methods: dict[str, ComparisonSummary | None]) -> Table | None:
+    """Return the sphere-fit RMSE of contact-FPP and of every decoder; None unless both exist."""
     coat, gel = methods.get(_COAT), methods.get(_GEL)
     if coat is None or gel is None or not gel.decoded or not coat.spheres:
         return None
     base_mm = mean(ball.measured.stats.rmse_mm for ball in coat.spheres)
     of_coat: Row = {"name": TRAITS[_COAT].title, "rmse_um": 1e3 * base_mm, "ratio": 1.0}
     rows = [{**of_coat, "z_rmse_um": coat.figures["z_rmse_um"]}]
-    for one in gel.decoded:
-        found_mm = one.sphere_rmse_mm
-        if found_mm is not None:
-            found = {"rmse_um": 1e3 * found_mm, "ratio": found_mm / base_mm}
-            rows.append({"name": decoder_name(one), "z_rmse_um": one.errors.z_rmse_um, **found})
+    for decoder in gel.decoded:
+        decoder_rmse_mm = decoder.sphere_rmse_mm
+        if decoder_rmse_mm is not None:
+            cells = {"rmse_um": 1e3 * decoder_rmse_mm, "ratio": decoder_rmse_mm / base_mm}
+            rows.append(
+                {"name": decoder_name(decoder), "z_rmse_um": decoder.errors.z_rmse_um, **cells}
+            )
     return Table(
         "ratios",
         "Sphere fits by decoder",
@@ -184,10 +195,10 @@ def ratio_table(methods: dict[str, Gist | None]) -> Table | None:
         _RATIOS,
         tuple(rows),
         (
-            "Mean over the balls of the radial RMSE from a sphere with a free radius. Where the "
-            "region of the fit reaches beyond the contact, the true coat is no sphere either: "
-            "compare with its own RMSE in the table above. The free radius hides a wrong height "
-            "scale; the z error does not.",
+            "Mean over the balls of the radial RMSE (µm) from a sphere with a fitted radius. If "
+            "the region of the fit extends beyond the contact, the true coat is not spherical "
+            "there: compare with the RMSE of the true coat in the table above. The fitted radius "
+            "compensates a wrong height scale; the z error shows it.",
         ),
         look="compared",
     )
@@ -201,11 +212,14 @@ def _page(methods: Sequence[Method], names: list[str], sections: list[Section]) 
     return Page(
         kind="comparison of methods",
         title=title,
-        lead=f"The same specimens; {rigs}; each method with its own automatic or stated exposure.",
+        lead=f"All methods measure the same specimens; {rigs}; each method has its own automatic "
+        "or stated exposure.",
         sections=[
             Section("at_a_glance", "At a glance", (_overview(methods),)),
             *sections,
-            Section("reading", "How to read it", tuple(Note(one) for one in _reading(methods))),
+            Section(
+                "reading", "Definitions", tuple(Note(paragraph) for paragraph in _reading(methods))
+            ),
         ],
         wide=True,
     )
@@ -215,10 +229,10 @@ def _overview(methods: Sequence[Method]) -> Figure:
     colour = ", or the tactile image in colour," if _GEL in methods else ""
     return Figure(
         "overview",
-        "What was recorded and what was measured",
-        f"For each specimen a fringe image as the camera records it (black is 0, white is "
-        f"saturation){colour} and the measured heights, shaded. Pixels without a measurement are "
-        "white.",
+        "Recorded images and measured heights",
+        f"For each specimen a recorded fringe image (digital numbers: black is 0, white is "
+        f"saturation){colour} and the measured heights z as a shaded surface. Pixels without a "
+        "measured point are white.",
         "camera image and measured heights of every specimen, a row per method",
     )
 
@@ -236,17 +250,17 @@ def _reading(methods: Sequence[Method]) -> list[str]:
     return [
         "Direct FPP is scored on every pixel that shows the specimen, shadows and dark flanks "
         "included, against its true surface. Contact-FPP is scored on the coat that camera and "
-        "projector both see, against the true coat: what the elastomer hides of the specimen is no "
-        "error of the optics and is not counted there.",
-        "The rows of the object have one reference for all methods: the specimen itself. Direct "
-        "FPP is compared where the specimen is seen, the others where the elastomer touches it; "
-        "under a thin sheet its local thickness, found from the coat, is subtracted. The column "
-        "next to it is the share of the specimen that this covers.",
+        "projector both see, against the true coat. Details of the specimen that the elastomer "
+        "conceals are no error of the optics and are not counted in the z error.",
+        "Rows that start with 'object' compare all methods with the surface of the specimen "
+        "itself. Direct FPP is compared where the specimen is visible, the other methods where the "
+        "elastomer touches it. Under a thin sheet the local thickness, estimated from the coat, is "
+        "subtracted. A separate row gives the share of the specimen that has such points.",
         *gel,
-        "Errors are along z. A point counts as good when its height errs by no more than the limit "
-        "beside its share; the error scale ends there. A pixel without a measurement has no error. "
-        "The heights of a method share a scale with the true surface that this method sees, not "
-        "with the other methods. P95: 95th percentile of the size of the error.",
+        "Errors are along z. A point is good if its z error does not exceed the limit, which is "
+        "given in brackets after the share; the error scale ends at this limit. Pixels without a "
+        "point have no error. Each method has its own colour scale of heights, that of the true "
+        "surface in its field of view. P95: 95th percentile of the absolute error.",
     ]
 
 
@@ -257,7 +271,7 @@ def _specimen(
     fill: Callable[[str, Method, Measurement | None], None],
 ) -> Section:
     """Draw one specimen by every method, one after the other."""
-    found: dict[str, Gist | None] = {}
+    summaries: dict[str, ComparisonSummary | None] = {}
     cells = []
     for outcome in outcomes:
         measured = None
@@ -265,8 +279,8 @@ def _specimen(
             measured = read_measurement(folder / outcome.name / outcome.method)
         fill(outcome.name, outcome.method, measured)
         cells.append(_cell(figures, outcome, measured))
-        found[outcome.method] = None if measured is None else gist_of(measured)
-    first, press, ratios = outcomes[0], press_in_words(found), ratio_table(found)
+        summaries[outcome.method] = None if measured is None else summary_of(measured)
+    first, press, ratios = outcomes[0], press_in_words(summaries), ratio_table(summaries)
     return Section(
         first.name,
         first.name.replace("_", " "),
@@ -274,7 +288,7 @@ def _specimen(
             *([Note(first.description)] if first.description else []),
             *([press] if press else []),
             *cells,
-            _quantities_table(first.name, found),
+            _quantities_table(first.name, summaries),
             *([ratios] if ratios else []),
         ),
     )
@@ -305,57 +319,64 @@ def _cell(figures: Path, outcome: Outcome, measured: Measurement | None) -> Sect
 
 
 def _shares(measured: Measurement) -> list[Shares]:
-    """Return the wanted pixels in three parts: good, wrong, without a point."""
-    good, found = measured.figures["good_share"], measured.figures["completeness"]
-    if good is None or found is None:
+    """Return the shares of the scored pixels with a good point, a wrong one, and none."""
+    good, measured_share = measured.figures["good_share"], measured.figures["completeness"]
+    if good is None or measured_share is None:
         return []
     limit_um = measured.experiment.score.good_within_um
     return [
         Shares(
             (
                 ("good", f"within {limit_um:g} µm: {percent(good)}", good),
-                ("wrong", f"larger error: {percent(found - good)}", found - good),
-                ("none", f"no point: {percent(1 - found)}", 1 - found),
+                ("wrong", f"larger error: {percent(measured_share - good)}", measured_share - good),
+                ("none", f"no point: {percent(1 - measured_share)}", 1 - measured_share),
             )
         )
     ]
 
 
-def _quantities_table(name: str, found: dict[str, Gist | None]) -> Table:
+def _quantities_table(name: str, summaries: dict[str, ComparisonSummary | None]) -> Table:
     methods = [
-        Column(method, TRAITS[method].title, kind="number") for method in TRAITS if method in found
+        Column(method, TRAITS[method].title, kind="number")
+        for method in TRAITS
+        if method in summaries
     ]
     rows = tuple(
-        {"quantity": one.label}
-        | {method: NONE if gist is None else one.of(gist) for method, gist in found.items()}
-        for one in (*QUANTITIES, *_measurands(found))
+        {"quantity": quantity.label}
+        | {
+            method: NONE if summary is None else quantity.of(summary)
+            for method, summary in summaries.items()
+        }
+        for quantity in (*QUANTITIES, *_measurands(summaries))
     )
     columns = (Column("quantity", "quantity"), *methods)
     return Table(f"{name}_figures", "", "", columns, rows, look="compared")
 
 
-def _measurands(found: dict[str, Gist | None]) -> list[Quantity]:
+def _measurands(summaries: dict[str, ComparisonSummary | None]) -> list[Quantity]:
     """Return a row for each measurand of the object that any method has."""
-    names = dict.fromkeys(name for gist in found.values() if gist for name in gist.measurands)
+    names = dict.fromkeys(
+        name for summary in summaries.values() if summary for name in summary.measurands
+    )
     return [Quantity(name, partial(_measurand, name)) for name in names]
 
 
-def _measurand(name: str, gist: Gist) -> str:
-    return gist.measurands.get(name, NONE)
+def _measurand(name: str, summary: ComparisonSummary) -> str:
+    return summary.measurands.get(name, NONE)
 
 
-def _figure(name: str, form: str) -> Callable[[Gist], str]:
-    """Return what writes a figure; a dash where a method does not have it."""
-    return lambda gist: number(gist.figures.get(name), form)
+def _figure(name: str, form: str) -> Callable[[ComparisonSummary], str]:
+    """Return a function that formats a figure; a dash if a method does not have it."""
+    return lambda summary: number(summary.figures.get(name), form)
 
 
-def _exposure(gist: Gist) -> str:
-    exposure_ms = gist.figures.get("exposure_ms", gist.experiment.camera.exposure_ms)
+def _exposure(summary: ComparisonSummary) -> str:
+    exposure_ms = summary.figures.get("exposure_ms", summary.experiment.camera.exposure_ms)
     return f"{exposure_ms:.3g}" if isinstance(exposure_ms, float) else str(exposure_ms)
 
 
-def _of_balls(figure: Callable[[SphereScore], str]) -> Callable[[Gist], str]:
-    return lambda gist: ", ".join(figure(ball) for ball in gist.spheres) or NONE
+def _of_balls(figure: Callable[[SphereScore], str]) -> Callable[[ComparisonSummary], str]:
+    return lambda summary: ", ".join(figure(ball) for ball in summary.spheres) or NONE
 
 
 QUANTITIES = (
@@ -364,16 +385,17 @@ QUANTITIES = (
     Quantity("object: form, band of 95 % after a best fit (µm)", _figure("object_form_um", ".2f")),
     Quantity(
         "object: share that is touched or seen, and has a point",
-        lambda gist: percent(gist.figures.get("object_coverage_share")),
+        lambda summary: percent(summary.figures.get("object_coverage_share")),
     ),
     Quantity("force of the press (N)", _figure("force_n", ".3g")),
     Quantity("depth of the press (mm)", _figure("depth_mm", ".3g")),
     Quantity("highest point of the coat (mm)", _figure("relief_peak_mm", ".3g")),
-    Quantity("pixels with a point", lambda gist: percent(gist.figures["completeness"])),
+    Quantity("pixels with a point", lambda summary: percent(summary.figures["completeness"])),
     Quantity(
         "pixels with a good point (limit)",
-        lambda gist: (
-            f"{percent(gist.figures['good_share'])} ({gist.experiment.score.good_within_um:g} µm)"
+        lambda summary: (
+            f"{percent(summary.figures['good_share'])} "
+            f"({summary.experiment.score.good_within_um:g} µm)"
         ),
     ),
     Quantity("z error, RMS (µm)", _figure("z_rmse_um", ".2f")),
@@ -393,7 +415,7 @@ QUANTITIES = (
         _of_balls(lambda b: f"{1e3 * b.true_face.stats.rmse_mm:.2f}"),
     ),
 )
-"""What the table under each specimen compares: a new figure is one more line here."""
+"""Rows of the table under each specimen: a new figure is added by a line here."""
 
 
 def _short(metrics: Metrics | None) -> Row:
@@ -410,5 +432,5 @@ def _short(metrics: Metrics | None) -> Row:
 
 
 def _alike(first: float, second: float) -> bool:
-    # A force carried over is rounded to four digits; solvers meet it to better than 0.1 %.
+    # The transferred force is rounded to four digits; solvers match it to better than 0.1 %.
     return abs(first - second) <= 2e-3 * max(abs(first), abs(second))

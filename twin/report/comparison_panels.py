@@ -18,7 +18,7 @@ from twin.results.record import Measurement
 
 @dataclass(frozen=True)
 class Panel:
-    """One small picture of a measurement; `bar` leaves room for a colour bar below it."""
+    """One small picture of a measurement; `bar` adds space for a colour bar below it."""
 
     name: str
     caption: str
@@ -27,14 +27,14 @@ class Panel:
 
 
 def panels_of(measured: Measurement) -> tuple[Panel, ...]:
-    """Return what the camera saw, twice, then heights and error."""
+    """Return two camera images, then heights and error."""
     method = measured.experiment.method
     surface = "coat" if method.presses else "surface"
     heights, error = (partial(show, measured=measured) for show in (show_measured, show_error))
     left_out = "" if method.fringes else " or not evaluated"
     return (
         *(_of_fringes(measured) if method.fringes else _of_colours(measured)),
-        Panel("heights", "measured heights; white: no measurement", True, heights),
+        Panel("heights", "measured heights z (mm); white: no measured point", True, heights),
         Panel("error", f"z error against the true {surface}; gray: no measurement{left_out}", True,
               error),
     )  # fmt: skip
@@ -51,11 +51,11 @@ def _of_fringes(measured: Measurement) -> tuple[Panel, ...]:
     )
 
 
-def _of_colours(seen: Measurement) -> tuple[Panel, ...]:
-    gain = f"difference from the untouched gel, × {DIFFERENCE_GAIN}"
+def _of_colours(measured: Measurement) -> tuple[Panel, ...]:
+    gain = f"difference from the image without contact, × {DIFFERENCE_GAIN}"
     return (
-        Panel("image", "tactile image", False, partial(show_picture, image=seen.picture)),
-        Panel("difference", gain, False, partial(show_picture, image=difference_levels(seen))),
+        Panel("image", "tactile image", False, partial(show_picture, image=measured.picture)),
+        Panel("difference", gain, False, partial(show_picture, image=difference_levels(measured))),
     )
 
 
@@ -66,10 +66,10 @@ _CELL_IN, _CELL_SHARE, _GAP_IN, _LABEL_IN, _HEAD_IN = 1.75, 0.75, 0.06, 0.35, 0.
 def overview(
     path: Path, methods: Sequence[Method], names: Sequence[str]
 ) -> Iterator[Callable[[str, Method, Measurement | None], None]]:
-    """Draw what was seen and the heights: a row per method, two columns per specimen, as PNG.
+    """Draw camera image and heights as PNG: a row per method, two columns per specimen.
 
-    Yields the function that fills the place of one specimen and method: one measurement after the
-    other, because a stack at full size takes 600 MB. None says that there is no measurement.
+    Yields a function that draws the panels of one specimen and method. It is called for one
+    measurement at a time, because a stack at full size takes 600 MB. None: no measurement.
     """
     height_in, pair_in = _CELL_IN * _CELL_SHARE, 2 * _CELL_IN + 3 * _GAP_IN
     down_in = _HEAD_IN + len(methods) * (height_in + _GAP_IN)

@@ -1,4 +1,4 @@
-"""The page of `twin compensate`: the object and its parts, the contact, and what they rest on."""
+"""The page of `twin compensate`: the object and its parts, the contact, and the assumed layer."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -33,12 +33,12 @@ from twin.report.page import REPORT_FILE, Block, Figure, Note, Page, Section, wr
 from twin.report.table import Column, Row, Table
 
 COMPENSATION_PICTURE = "compensation"
-# Edges press many times harder than faces: the scale ends where 99 % of the contact lies below.
+# At edges the pressure is many times that on faces: the scale ends at the 99th percentile.
 _MOST_PERCENT = 99.0
 
 
 def write_compensation_page(
-    folder: Path, told: CompensationResult, name: str, watch: ProgressCallback = no_progress
+    folder: Path, result: CompensationResult, name: str, watch: ProgressCallback = no_progress
 ) -> Path:
     """Write `report.html` and its figure into the folder of a compensation; return the page.
 
@@ -50,23 +50,23 @@ def write_compensation_page(
     ------
     InputError : the page cannot be written
     """
-    used = "Nothing of a specimen's nominal shape is used, but for the rounding of bars' edges."
-    if isinstance(told.found, CompensatedSlab):
-        used = "Of the specimen its form is used, and the numbers that are not fitted."
-        first = _numbers_section(told, told.found)
+    used = "The nominal shape of the specimen is not used, except for the edge radius of bars."
+    if isinstance(result.found, CompensatedSlab):
+        used = "The form of the specimen and its dimensions that are not fitted are assumed."
+        first = _numbers_section(result, result.found)
     else:
-        first = _object_section(told, parts_of(told.found))
+        first = _object_section(result, parts_of(result.found))
     page = Page(
         kind="compensation",
         title=name.replace("_", " "),
-        lead=f"The rigid object behind the measured coat of {name}, by what is known of elastomer "
-        f"and load. {used}",
-        sections=[first, _contact_section(told), _layer_section(told)],
+        lead=f"Shape of the rigid object behind the measured coat of {name}, computed from the "
+        f"coat, the elastomer and the load. {used}",
+        sections=[first, _contact_section(result), _layer_section(result)],
     )
     return write_page(folder / REPORT_FILE, page, watch)
 
 
-def _object_section(told: CompensationResult, parts: list[ObjectPart]) -> Section:
+def _object_section(result: CompensationResult, parts: list[ObjectPart]) -> Section:
     rows: list[Row] = [
         {
             "part": number,
@@ -92,58 +92,63 @@ def _object_section(told: CompensationResult, parts: list[ObjectPart]) -> Sectio
         Column("residual", "RMS from the form, µm", 1),
         Column("pressure", "mean pressure, kPa", 2),
     )
-    blocks: list[Block] = [_picture(told)]
+    blocks: list[Block] = [_picture(result)]
     if rows:
         blocks.append(Table("parts", "", "", columns, tuple(rows)))
     else:
         blocks.append(Note("No part of the contact is wide enough to be fitted."))
-    blocks += _bars(told)
-    blocks.append(Note("u: standard uncertainty, by noise and texture, and by the layer's."))
+    blocks += _bars(result)
+    blocks.append(
+        Note(
+            "u: standard uncertainty from noise and texture and from the uncertainty of the layer."
+        )
+    )
     return Section("object", "The object", tuple(blocks))
 
 
-def _picture(told: CompensationResult) -> Figure:
+def _picture(result: CompensationResult) -> Figure:
     return Figure(
         COMPENSATION_PICTURE,
         "Coat, contact, and a section of the object",
-        "Maps over world x and y. In the section the object is told where the elastomer touches "
-        "it; between, the touched face is free.",
+        "Maps over world x and y (mm): height z of the measured coat (mm), contact pressure (kPa), "
+        "and local thickness (mm) or contact. The section shows the object only where the "
+        "elastomer touches it; elsewhere the touched face is free.",
         "Maps of coat, contact pressure and local thickness; section of coat and object.",
-        partial(draw_compensation, found=told.found),
+        partial(draw_compensation, compensated=result.found),
     )
 
 
-def _numbers_section(told: CompensationResult, found: CompensatedSlab) -> Section:
+def _numbers_section(result: CompensationResult, slab: CompensatedSlab) -> Section:
     """Return the object under a slab: the numbers that were fitted."""
-    fitted = found.fitted
+    fitted = slab.fitted
     rows: list[Row] = [
         {
-            "what": one.name,
-            "begun": one.start,
-            "value": fitted.value(one.name),
-            "sigma": fitted.sigma(one.name),
+            "what": unknown.name,
+            "begun": unknown.start,
+            "value": fitted.value(unknown.name),
+            "sigma": fitted.sigma(unknown.name),
         }
-        for one in fitted.unknowns
+        for unknown in fitted.unknowns
     ]
     columns = (
         Column("what", "number"),
-        Column("begun", "begun at", 4),
+        Column("begun", "start value", 4),
         Column("value", "fitted", 4),
         Column("sigma", "u", 4),
     )
     note = Note(
-        "u: standard uncertainty, by noise, by what is open of the layer, by the grid of the "
-        "contact, and by large strain, which the linear slab leaves out. "
+        "u: standard uncertainty from noise, uncertain layer parameters, the grid of the contact, "
+        "and large strain, which the linear slab model neglects. "
         f"Misfit of the coat {1e3 * fitted.misfit_mm:.2f} µm RMS, chi-square per degree of freedom "
         f"{fitted.chi_square:.2f}."
     )
-    blocks = (_picture(told), Table("numbers", "", "", columns, tuple(rows)), note)
+    blocks = (_picture(result), Table("numbers", "", "", columns, tuple(rows)), note)
     return Section("object", "The object", blocks)
 
 
-def _bars(told: CompensationResult) -> Iterator[Block]:
-    """Yield a table of the bars whose widths were asked for."""
-    figures, rows, notes = told.figures, [], []
+def _bars(result: CompensationResult) -> Iterator[Block]:
+    """Yield a table of the bars that have a width measurand."""
+    figures, rows, notes = result.figures, [], []
     for number in count(1):
         name = f"compensated_bar_{number}"
         if f"{name}_width_mm" not in figures:
@@ -183,11 +188,11 @@ _CONTACT = {
 }
 
 
-def _contact_section(told: CompensationResult) -> Section:
+def _contact_section(result: CompensationResult) -> Section:
     rows: list[Row] = [
-        {"what": what, "value": told.figures[key], "u": told.figures.get(spread), "unit": unit}
-        for key, (what, unit, spread) in _CONTACT.items()
-        if told.figures.get(key) is not None
+        {"what": name, "value": result.figures[key], "u": result.figures.get(spread), "unit": unit}
+        for key, (name, unit, spread) in _CONTACT.items()
+        if result.figures.get(key) is not None
     ]
     columns = (
         Column("what", "figure"),
@@ -199,21 +204,21 @@ def _contact_section(told: CompensationResult) -> Section:
     return Section("contact", "The contact", (table,))
 
 
-def _layer_section(told: CompensationResult) -> Section:
-    rows = tuple(_layer_rows(told))
+def _layer_section(result: CompensationResult) -> Section:
+    rows = tuple(_layer_rows(result))
     columns = [Column("what", "field"), Column("value", "value"), Column("u", "u", 4)]
     if any(row["source"] for row in rows):
         columns.append(Column("source", "source"))
     table = Table("layer", "", "", tuple(columns), rows)
     note = Note(
-        "What has no u is taken as exact. `layer.toml` in this folder holds the same; "
-        "docs/compensation.md tells the limits."
+        "u: standard uncertainty; values without u are assumed exact. `layer.toml` in this folder "
+        "contains the same values; docs/compensation.md states the limits of the method."
     )
-    return Section("layer", "What it rests on", (table, note))
+    return Section("layer", "Elastomer and load that were assumed", (table, note))
 
 
-def _layer_rows(told: CompensationResult) -> Iterator[Row]:
-    layer = told.layer
+def _layer_rows(result: CompensationResult) -> Iterator[Row]:
+    layer = result.layer
     for table in ("elastomer", "press"):
         values: dict[str, Any] = getattr(layer, table).model_dump(mode="json", exclude_none=True)
         for key, value in values.items():
@@ -227,57 +232,65 @@ def _layer_rows(told: CompensationResult) -> Iterator[Row]:
             }
 
 
-def draw_compensation(path: Path, found: Compensated) -> None:
+def draw_compensation(path: Path, compensated: Compensated) -> None:
     """Draw maps of coat, contact pressure and local thickness or contact, and a section, as PNG.
 
     Raises
     ------
     InputError : `path` cannot be written
     """
-    relief, contact = found.relief, found.contact
+    relief, contact = compensated.relief, compensated.contact
     z = relief.heights_mm
     with drawing(path, 10.0, 6.4) as figure:
         places = [axes_at(figure, 0.65 + 3.25 * column, 0.35, 1.9, 2.0) for column in range(3)]
-        draw_map(places[0], z, _extent(found), "Measured coat", "z (mm)", ends=height_scale(z))
-        pressed = found.pressure_kpa[contact]
-        top = round_up(float(np.percentile(pressed, _MOST_PERCENT))) if pressed.size else 1.0
-        shown = np.ma.masked_where(~contact, found.pressure_kpa)
         draw_map(
-            places[1], shown, _extent(found), "Contact pressure", "kPa", ends=(0, top), extend="max"
+            places[0], z, _extent(compensated), "Measured coat", "z (mm)", ends=height_scale(z)
         )
-        if isinstance(found, CompensatedSheet):
-            last = "Local thickness", found.layer.thickness_mm * found.thinning, "mm"
+        pressed = compensated.pressure_kpa[contact]
+        top = round_up(float(np.percentile(pressed, _MOST_PERCENT))) if pressed.size else 1.0
+        shown = np.ma.masked_where(~contact, compensated.pressure_kpa)
+        draw_map(
+            places[1],
+            shown,
+            _extent(compensated),
+            "Contact pressure",
+            "kPa",
+            ends=(0, top),
+            extend="max",
+        )
+        if isinstance(compensated, CompensatedSheet):
+            last = "Local thickness", compensated.layer.thickness_mm * compensated.thinning, "mm"
         else:
             last = "Contact", contact.astype(np.float64), "1: touches"
-        draw_map(places[2], last[1], _extent(found), last[0], last[2])
+        draw_map(places[2], last[1], _extent(compensated), last[0], last[2])
         for axes in places[1:]:
             axes.set_ylabel("")
-        row = _row_of_section(found)
+        row = _row_of_section(compensated)
         for axes in places:
             axes.axhline(relief.y_mm[row], color="black", lw=0.7, ls=(0, (6, 4)))
-        _draw_section(axes_at(figure, 0.65, 3.55, 9.0, 2.3), found, row)
+        _draw_section(axes_at(figure, 0.65, 3.55, 9.0, 2.3), compensated, row)
 
 
-def _row_of_section(found: Compensated) -> int:
+def _row_of_section(compensated: Compensated) -> int:
     """Return the row with the longest contact, the middle one of several."""
-    lengths = found.contact.sum(axis=1)
+    lengths = compensated.contact.sum(axis=1)
     longest = np.flatnonzero(lengths >= 0.98 * lengths.max())
     return int(longest[len(longest) // 2])
 
 
-def _draw_section(axes: Axes, found: Compensated, row: int) -> None:
-    relief, clear = found.relief, found.object_mm[row]
+def _draw_section(axes: Axes, compensated: Compensated, row: int) -> None:
+    relief, clear = compensated.relief, compensated.object_mm[row]
     axes.plot(relief.x_mm, relief.heights_mm[row], color=MEASURED, lw=1.0, label="measured coat")
     axes.plot(clear[:, 0], clear[:, 2], color="0.6", lw=0.8, label="touched face, free")
-    touching = np.where(found.contact[row], clear[:, 2], np.nan)
+    touching = np.where(compensated.contact[row], clear[:, 2], np.nan)
     axes.plot(clear[:, 0], touching, color=FIT, lw=2.0, label="object")
     title = f"Section at y = {relief.y_mm[row]:.2f} mm, along the dashed line"
     chart(axes, title, "x (mm)", "z (mm)")
     legend_above(axes, 3)
 
 
-def _extent(found: Compensated) -> tuple[float, float, float, float]:
-    (step_x, step_y), relief = found.relief.pitch_mm, found.relief
+def _extent(compensated: Compensated) -> tuple[float, float, float, float]:
+    (step_x, step_y), relief = compensated.relief.pitch_mm, compensated.relief
     return (
         float(relief.x_mm[0]) - step_x / 2,
         float(relief.x_mm[-1]) + step_x / 2,

@@ -8,7 +8,7 @@ from twin.mechanics.models import model_of
 from twin.report.bound import bound_section
 from twin.report.camera_images import recorded_section
 from twin.report.experiment import glance, rig_figure
-from twin.report.page import Beside, Grade, JudgedTarget, Section, Verdict, judged, target
+from twin.report.page import Grade, JudgedTarget, Section, TwoColumns, Verdict, judged, target
 from twin.report.press import judge_press, press_figure
 from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import error_figure, height_map_figure, relief_figure
@@ -18,7 +18,7 @@ from twin.results.record import Measurement
 from twin.results.score import SphereScore
 
 METHOD = "contact-FPP"
-WARNED = "The press leaves the range of its model, or not everything could be fitted"
+WARNED = "Warnings: the press is outside the range of its model, or a fit failed"
 MOST_SPREAD_OVER_SIGMA = 1.15
 LEAST_COMPLETENESS = 0.95
 MOST_SATURATED_SHARE = 1e-3
@@ -36,12 +36,12 @@ def _sensor(scored: Measurement) -> Verdict:
     figures = scored.figures
     if not scored.score.against_truth.points:
         return Verdict(
-            question="Is the coated face measured?",
+            question="How accurately is the coated face measured?",
             headline=why_absent(figures),
             grade="poor",
             reasons=(
                 f"{figures['saturated_share']:.1%} of all pixel values saturated",
-                "the reason map below says why each pixel was left out",
+                "the map of masked pixels below shows the reason for each pixel",
             ),
         )
     wrong, share = figures["wrong_order_pixels"], figures.known("completeness")
@@ -65,8 +65,8 @@ def _sensor(scored: Measurement) -> Verdict:
         ),
         *_filter_target(figures),
     ]
-    headline = f"{figures['z_rmse_um']:.2f}\N{NO-BREAK SPACE}µm RMS in z"
-    return judged("Is the coated face measured?", headline, targets)
+    headline = f"z error {figures['z_rmse_um']:.2f}\N{NO-BREAK SPACE}µm RMS"
+    return judged("How accurately is the coated face measured?", headline, targets)
 
 
 def _filter_target(figures: Figures) -> list[JudgedTarget]:
@@ -99,18 +99,18 @@ def _shape(scored: Measurement) -> Verdict:
         f"radius {' and '.join(radii)}\N{NO-BREAK SPACE}mm, "
         f"ball\N{NO-BREAK SPACE}{' and '.join(balls)}\N{NO-BREAK SPACE}mm",
         [target(words, worst <= GOOD_RADIUS_SHARE, otherwise)],
-        ("caused by elastomer and press, not by the optics",),
+        ("this difference is caused by elastomer and press, not by the optics",),
     )
 
 
-# Residuals of fit and truth closer than this are one and the same form.
+# Relative RMSE difference of fit and truth below which both have the same form.
 _SAME_FORM = 0.2
 
 
 def discussion(scored: Measurement) -> list[str]:
     """Return the paragraphs, most important first."""
     if not scored.score.against_truth.points:
-        return ["No pixel has a point; the map of reasons says why."]
+        return ["No pixel has a point; the map of masked pixels shows the reason for each pixel."]
     paragraphs = [_measurement(scored)]
     if scored.score.spheres:
         paragraphs += [_radius(scored), _elastomer(scored), _residuals(scored)]
@@ -118,7 +118,7 @@ def discussion(scored: Measurement) -> list[str]:
 
 
 def _elastomer(scored: Measurement) -> str:
-    """Say how elastomer and layout shape the radius."""
+    """Return how elastomer and layout change the radius, in words."""
     if model_of(str(scored.metrics["mechanics_model"])).wraps:
         return _sheet(scored)
     return _on_window() if scored.experiment.elastomer.layout == "contact_face" else _slab(scored)
@@ -131,9 +131,9 @@ def sentences(measured: Measurement) -> list[str]:
     rms, p95, spread = (
         number(figures[name], ".2f", "-") for name in ("z_rmse_um", "z_p95_um", "error_over_sigma")
     )
-    told = f"{rms} um RMS, {p95} um P95; normalised error {spread}"
+    words = f"{rms} um RMS, {p95} um P95; normalised error {spread}"
     return [
-        f"z error against the true coat: {f'none, {absent}' if absent else told}",
+        f"z error against the true coat: {f'none, {absent}' if absent else words}",
         f"points on {number(figures['completeness'], '.1%', '-')} of the lit pixels, "
         f"{number(figures['wrong_order_pixels'], 'd', '-')} wrong fringe orders; "
         f"force {figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
@@ -141,7 +141,7 @@ def sentences(measured: Measurement) -> list[str]:
 
 
 def pitch_kept_mm(share: float, thickness_mm: float) -> float:
-    """Pitch whose relief the coated face keeps to `share`, from T(q), q = 2 pi h / pitch."""
+    """Return the pitch at which the transfer T(q), q = 2 pi h / pitch, equals `share`."""
 
     def excess(q: float) -> float:
         return float(opposite_transfer(np.array([q]))[0]) - share
@@ -155,14 +155,14 @@ def _measurement(scored: Measurement) -> str:
     cause = "a single point has no spread"
     if spread is not None:
         cause = (
-            "these explain the errors"
+            "noise and filter bias explain the errors"
             if spread <= MOST_SPREAD_OVER_SIGMA
-            else "something systematic adds to these"
+            else "there are further systematic errors"
         )
     return (
         f"Error of z against the true coated face: {figures['z_rmse_um']:.2f} µm RMS, mean "
-        f"{bias_um} µm. Predicted from camera noise and from what the phase filter may take off "
-        f"the relief: σ = {figures['sigma_z_median_um']:.2f} µm (median). Normalised error (robust "
+        f"{bias_um} µm. Predicted from camera noise and the possible bias of the phase filter: "
+        f"σ = {figures['sigma_z_median_um']:.2f} µm (median). Normalised error (robust "
         f"spread of error / predicted σ): {number(spread, '.2f')}; {cause}."
     )
 
@@ -170,7 +170,7 @@ def _measurement(scored: Measurement) -> str:
 def _radius(scored: Measurement) -> str:
     parts = [_radius_of(ball) for ball in scored.score.spheres]
     return (
-        "The fitted radius is that of the coated face: the camera never sees the ball. "
+        "The fitted radius is that of the coated face, because the camera cannot see the ball. "
         + " ".join(parts)
     )
 
@@ -187,34 +187,34 @@ def _radius_of(ball: SphereScore) -> str:
 def _sheet(scored: Measurement) -> str:
     sheet, figures = scored.experiment.elastomer, scored.figures
     return (
-        f"The sheet of {sheet.thickness_mm:g} mm wraps the specimen as far as pressure, tack and "
-        "stretch allow: there the coat lies one local thickness above it, and a ball of radius R "
-        "is measured as R plus that thickness. Beyond the contact the sheet spans freely, and "
-        "its shape says little of the ball. Here it is stretched up to "
-        f"{figures['largest_stretch']:.2f} times, {figures['thinnest_mm']:.3f} mm thick where it "
-        f"is thinnest and up to {figures['steepest_deg']:.0f}° steep."
+        f"Pressure, tack and stretch determine how far the {sheet.thickness_mm:g} mm sheet wraps "
+        "the specimen. In the contact the distance from specimen to coat is the local thickness: "
+        "a ball of radius R is measured as R plus this thickness. Outside the contact the sheet "
+        "spans freely, and its shape contains little information on the ball. Here the largest "
+        f"stretch is {figures['largest_stretch']:.2f}, the smallest thickness "
+        f"{figures['thinnest_mm']:.3f} mm and the largest slope {figures['steepest_deg']:.0f}°."
     )
 
 
 def _on_window() -> str:
     return (
-        "The coat is on the face that touches the ball. Where they touch, it has the ball's shape; "
-        "gel and load decide how large that region is. Beyond it the coat falls away from the "
-        "ball, and a fit that reaches there is of the gel's shape."
+        "The coat is on the face that touches the ball. In the contact, the coat has the shape of "
+        "the ball; gel and load determine the size of the contact. Outside the contact, coat and "
+        "ball separate: a fit region that extends there includes the free shape of the gel."
     )
 
 
 def _slab(scored: Measurement) -> str:
     slab, figures = scored.experiment.elastomer, scored.figures
-    half, tenth = (pitch_kept_mm(share, slab.thickness_mm) for share in (0.5, 0.1))
+    half_mm, low_mm = (pitch_kept_mm(share, slab.thickness_mm) for share in (0.5, 0.1))
     lifted = figures.known("relief_peak_mm") / figures.known("depth_mm")
     return (
-        f"Two effects of the slab shape that radius. It is a low-pass filter: T(q) = (sinh q + q "
-        f"cosh q) / (sinh q cosh q + q), q = 2π · thickness / pitch; with {slab.thickness_mm:g} mm "
-        f"it keeps half the contrast at a pitch of {half:.2f} mm and a tenth at {tenth:.2f} mm, "
-        f"whatever the hardness. And it bends over its free span of {slab.length_x_mm:g} × "
-        f"{slab.length_y_mm:g} mm: the coated face rises by {figures['relief_peak_mm']:.3f} mm, "
-        f"{lifted:.0%} of the press depth."
+        "Two effects of the slab change this radius. First, the slab is a low-pass filter: T(q) = "
+        "(sinh q + q cosh q) / (sinh q cosh q + q), q = 2π · thickness / pitch. With "
+        f"{slab.thickness_mm:g} mm it transmits 50 % of the relief at a pitch of {half_mm:.2f} mm "
+        f"and 10 % at {low_mm:.2f} mm, independent of the hardness. Second, the slab bends over "
+        f"its free span of {slab.length_x_mm:g} × {slab.length_y_mm:g} mm: the coated face rises "
+        f"by {figures['relief_peak_mm']:.3f} mm, {lifted:.0%} of the press depth."
     )
 
 
@@ -224,29 +224,31 @@ def _residuals(scored: Measurement) -> str:
         for ball in scored.score.spheres
     ]
     ours = (
-        "Here measured and true face leave nearly the same RMSE, so the residuals are the form of "
-        "the face and the noise hardly adds to them."
+        "Here measured and true face have nearly the same RMSE: the residuals are the form of the "
+        "face, and noise contributes little."
         if max(ratios) < 1 + _SAME_FORM
         else f"Here the measured RMSE is up to {max(ratios):.1f} times that of the true face: "
         "noise and systematic errors of the measurement add to the form of the face."
     )
     return (
-        "RMSE, MAE and P95 are radial distances from the fitted sphere. Small values say that the "
-        f"face is spherical, not that its radius is the ball's. {ours}"
+        "RMSE, MAE and P95 are radial distances from the fitted sphere. Small values mean that the "
+        f"face is spherical, not that its radius is that of the ball. {ours}"
     )
 
 
 def sections(measured: Measurement) -> list[Section]:
     """Return the page of a measurement of the pressed coat by fringes."""
-    found = [
-        Section("glance", "Experiment", (Beside((glance(measured),), (rig_figure(measured),)),)),
+    blocks = [
+        Section(
+            "glance", "Experiment", (TwoColumns((glance(measured),), (rig_figure(measured),)),)
+        ),
         Section("result", "Result", (*fit_tables(measured), *discussion(measured))),
         recorded_section(measured),
     ]
     if measured.score.against_truth.points:
         relief = (relief_figure(measured), height_map_figure(measured))
         error = (error_figure(measured),)
-        found.append(Section("surface", "Measured surface", relief))
-        found.append(Section("error", "Error against the true coat", error))
+        blocks.append(Section("surface", "Measured surface", relief))
+        blocks.append(Section("error", "Error against the true coat", error))
     pressed = Section("pressed", "Specimen and elastomer", (press_figure(measured),))
-    return [*found, *bound_section(measured), *ball_sections(measured), pressed]
+    return [*blocks, *bound_section(measured), *ball_sections(measured), pressed]

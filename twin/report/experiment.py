@@ -22,7 +22,7 @@ from reconstruction.rig.pinhole import Pinhole
 from twin.config.models import Experiment, Provenance, Specimen
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
-from twin.report.page import Beside, Block, Figure, Folded, Grade, Section
+from twin.report.page import Block, CollapsedSection, Figure, Grade, Section, TwoColumns
 from twin.report.table import Column, Table, pairs, parts
 from twin.report.words import coating_phrase, in_words, label_of, percent, phrase, split_unit
 from twin.results.decoders import decoder_name
@@ -66,7 +66,7 @@ def _colours(measured: Measurement) -> list[tuple[str, str]]:
         (
             "calibration",
             f"{plan.count} rendered presses of balls of {plan.smallest_diameter_mm:g} to "
-            f"{plan.largest_diameter_mm:g} mm, {plan.backgrounds} images of the untouched gel",
+            f"{plan.largest_diameter_mm:g} mm, {plan.backgrounds} images without contact",
         ),
         ("decoding", decoder_name(measured.colours.own)),
     ]
@@ -84,9 +84,9 @@ def _shape(specimen: Specimen) -> str:
     values = specimen.model_dump()
     kind = str(values.pop("kind")).replace("_", " ")
     values.pop("material", None)
-    # A pose of zeros says nothing; a moved or turned specimen is told in full.
-    told = {name: value for name, value in values.items() if value}
-    return f"{kind}: {phrase(told)}" if told else kind
+    # Zeros of the default pose are omitted.
+    stated = {name: value for name, value in values.items() if value}
+    return f"{kind}: {phrase(stated)}" if stated else kind
 
 
 def _coat(measured: Measurement) -> list[tuple[str, str]]:
@@ -100,7 +100,7 @@ def _coat(measured: Measurement) -> list[tuple[str, str]]:
 
 def _stage(measured: Measurement) -> list[tuple[str, str]]:
     material, stage = measured.experiment.specimen.material, measured.experiment.stage
-    assert material is not None  # or nothing would have been rendered
+    assert material is not None  # the renderer requires a material
     return [
         ("material", f"{material.kind}: {phrase(material.model_dump(exclude={'kind'}))}"),
         ("stage", f"matte: {phrase(stage.model_dump())}"),
@@ -176,7 +176,7 @@ _NO_SOURCE = "set in the experiment, or default"
 
 @dataclass(frozen=True)
 class Setting:
-    """One number of the experiment and where it comes from; `path` is what `--set` takes."""
+    """One value of the experiment with its source; `path` is the key for `--set`."""
 
     section: str
     path: str
@@ -191,25 +191,25 @@ GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 
 
 def grade_of_share(share: float) -> Grade:
-    """Judge the share of what is scored that has a good point."""
+    """Return the grade of the share of the scored pixels that have a good point."""
     measured: Grade = "good" if share >= GOOD_SHARE else "check"
     return "poor" if share < POOR_SHARE else measured
 
 
 def result_in_words(measured: Measurement) -> str:
-    """Return how much of what is scored was measured well, in one sentence."""
+    """Return the share of the scored pixels with a good point, as a sentence."""
     method, share = measured.experiment.method, measured.figures["good_share"]
     surface = "specimen's visible area"
     if method.presses:
         surface = "lit coat" if method.fringes else "coat in the evaluated field"
     if share is None:
-        return f"The camera sees nothing of the {surface}."
+        return f"No camera pixel shows the {surface}."
     limit_um = measured.experiment.score.good_within_um
     return f"{percent(share)} of the {surface} has a point within {limit_um:g} µm."
 
 
 def appendix(measured: Measurement) -> Section:
-    """Return what a report ends with, folded: settings, metrics, times per stage, versions."""
+    """Return the collapsed appendix: settings, metrics, times per stage, versions."""
     experiment = measured.experiment
     times = [(name, f"{value:.2f}", "s") for name, value in measured.seconds.items()]
     versions = [(name, str(value), "") for name, value in measured.versions.items()]
@@ -217,11 +217,14 @@ def appendix(measured: Measurement) -> Section:
         "appendix",
         "Appendix",
         (
-            Folded("Every setting that counts here, with its source", settings_blocks(experiment)),
-            Folded(
-                "Every figure, time per stage, versions",
+            CollapsedSection(
+                "All settings that the method reads, with their sources",
+                settings_blocks(experiment),
+            ),
+            CollapsedSection(
+                "All metrics, time per stage, versions",
                 (
-                    Beside(
+                    TwoColumns(
                         (pairs("metrics", "Metrics", _metrics(measured.metrics)),),
                         (
                             *([pairs("timings", "Time per stage", times)] if times else []),
@@ -235,18 +238,18 @@ def appendix(measured: Measurement) -> Section:
 
 
 def settings_blocks(experiment: Experiment) -> tuple[Block, ...]:
-    """Return the settings that count for the experiment's method; folded, where no source is told.
+    """Return the settings that the experiment's method reads; collapsed, where no source is stated.
 
     All of them, and those of other methods, are in `experiment.toml`.
     """
     settings = settings_of(experiment)
-    told = [one for one in settings if one.source]
-    plain = [replace(one, source=_NO_SOURCE) for one in settings if not one.source]
-    folded = Folded(
-        f"{len(plain)} settings of the experiment's own, or defaults, without a stated source",
+    sourced = [setting for setting in settings if setting.source]
+    plain = [replace(setting, source=_NO_SOURCE) for setting in settings if not setting.source]
+    folded = CollapsedSection(
+        f"{len(plain)} settings without a stated source (set in the experiment, or defaults)",
         (_settings_table("plain_settings", plain),),
     )
-    return (_settings_table("settings", told), folded)
+    return (_settings_table("settings", sourced), folded)
 
 
 def _settings_table(name: str, settings: Sequence[Setting]) -> Table:
@@ -263,53 +266,53 @@ def _settings_table(name: str, settings: Sequence[Setting]) -> Table:
         ),
         tuple(
             {
-                "path": one.path,
-                "value": one.value,
-                "unit": one.unit,
-                "source": _marked(one),
-                "range": one.range,
-                "section": one.section,
+                "path": setting.path,
+                "value": setting.value,
+                "unit": setting.unit,
+                "source": _marked(setting),
+                "range": setting.range,
+                "section": setting.section,
             }
-            for one in settings
+            for setting in settings
         ),
         (
-            "Shaded values are assumed: no source gives them. Change them before trusting what "
-            "depends on them.",
+            "Shaded values are assumed: no source states them. Replace them by measured values "
+            "before you rely on results that depend on them.",
         ),
-        kinds=tuple("assumed" if one.assumed else "" for one in settings),
+        kinds=tuple("assumed" if setting.assumed else "" for setting in settings),
         group="section",
         look="settings",
     )
 
 
 def settings_of(experiment: Experiment) -> list[Setting]:
-    """Return the settings that count for the experiment's method, in their order."""
+    """Return the settings that the experiment's method reads, in their order."""
     tree = experiment.model_dump(mode="json", exclude={*_HEAD, *_without_meaning(experiment)})
     return [_setting(path, value, experiment.provenance.get(path)) for path, value in _leaves(tree)]
 
 
 def _without_meaning(experiment: Experiment) -> set[str]:
-    """Return the sections that other methods read."""
+    """Return the names of the sections that the experiment's method does not read."""
     method = experiment.method
     pressed = {"stage"} if method.presses else _OF_COATS
     return pressed | (_OF_LAMPS if method.fringes else _OF_FRINGES)
 
 
 def _metrics(figures: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return the metrics of result.json; warnings stand at the head of the report."""
-    found = []
+    """Return the metrics of result.json except the warnings, which the head of the report shows."""
+    rows = []
     for name, value in figures.items():
         if name != "warnings":
             label, unit = label_of(name)
-            found.append((label, in_words(value), unit))
-    return found
+            rows.append((label, in_words(value), unit))
+    return rows
 
 
 def _marked(setting: Setting) -> str:
     if not setting.assumed:
         return setting.source
-    told = setting.source.removeprefix("assumed").removeprefix(":")
-    return Markup('<span class="tag">assumed</span> {}').format(told)
+    source = setting.source.removeprefix("assumed").removeprefix(":")
+    return Markup('<span class="tag">assumed</span> {}').format(source)
 
 
 def _leaves(node: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -317,8 +320,8 @@ def _leaves(node: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]
         if isinstance(value, dict):
             yield from _leaves(value, f"{prefix}{key}.")
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            for one in value:
-                yield from _leaves(one, f"{prefix}{key}.{one.get('name', '')}.")
+            for setting in value:
+                yield from _leaves(setting, f"{prefix}{key}.{setting.get('name', '')}.")
         elif value is not None:
             yield f"{prefix}{key}", value
 
@@ -342,8 +345,8 @@ def rig_figure(measured: Measurement) -> Figure:
     return Figure(
         "rig",
         "Side view of the rig",
-        "Camera, projector and the fields they cover; lengths in mm, to scale. The elastomer "
-        "should lie where both fields overlap, inside the projector's.",
+        "Camera, projector and their fields of view, projected onto the vertical plane through "
+        "both devices; lengths in mm, to scale. The elastomer should be inside both fields.",
         "side view of camera, projector and elastomer",
         lambda path: draw_rig(path, measured.experiment),
     )
@@ -385,9 +388,9 @@ def _flat(points_world_mm: FloatArray, across: FloatArray) -> FloatArray:
 
 
 def _fan(axes: Axes, device: Pinhole, pose: FloatArray, across: FloatArray, colour: str) -> None:
-    """Shade what a device covers between its pinhole and the undeformed face z = 0."""
+    """Shade a device's field of view between its pinhole and the undeformed face z = 0."""
     rays = np.column_stack([device.seen_corners(), np.ones(4)]) @ pose[:3, :3].T
-    # A grazing ray would meet the plane far away; the drawing ends at twice the standoff.
+    # A grazing ray intersects the plane far away; the drawing ends at 2 x the standoff.
     reach = np.where(rays[:, 2] < 0, pose[2, 3] / np.maximum(-rays[:, 2], 1e-9), np.inf)
     reach = np.minimum(reach, 2 * float(np.linalg.norm(pose[:3, 3])))
     ends = pose[:3, 3] + reach[:, None] * rays
@@ -402,7 +405,7 @@ def _device(axes: Axes, name: str, centre_mm: FloatArray, across: FloatArray, co
     s, z = _flat(centre_mm[None], across)[0]
     axes.plot([s], [z], marker="s", ms=9, color=colour)
     axes.annotate(
-        f"{name}\n{np.linalg.norm(centre_mm):.0f} mm away",
+        f"{name}\ndistance {np.linalg.norm(centre_mm):.0f} mm",
         (s, z),
         xytext=(0, 9),
         textcoords="offset points",

@@ -1,4 +1,4 @@
-"""The report of an identification: what is known of a sensor, what is not, and what would tell."""
+"""The report of an identification: determined and undetermined fields, and useful measurements."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -28,7 +28,10 @@ _DISAGREES = 3.0
 
 
 def write_identified(
-    folder: Path, found: Identified, watch: ProgressCallback = no_progress, into: Path | None = None
+    folder: Path,
+    identified: Identified,
+    watch: ProgressCallback = no_progress,
+    into: Path | None = None,
 ) -> Path:
     """Write `report.html` and `figures/*.png`.
 
@@ -37,85 +40,88 @@ def write_identified(
     InputError
         The page cannot be written.
     """
-    return write_page((into or folder) / REPORT_FILE, page_of(found), watch)
+    return write_page((into or folder) / REPORT_FILE, page_of(identified), watch)
 
 
-def page_of(found: Identified) -> Page:
+def page_of(identified: Identified) -> Page:
     """Return the page of an identification."""
-    problem = found.problem
+    problem = identified.problem
     fitted = len(problem.fitted)
     lead = (
         f"{problem.description or problem.name}: {counted(len(problem.free), 'unknown field')}, "
         f"{counted(fitted, 'row')} fitted, {len(problem.rows) - fitted} held out"
     )
-    if len(found.models) > 1:
-        lead += f", {len(found.models)} combinations of choices"
+    if len(identified.models) > 1:
+        lead += f", {len(identified.models)} combinations of choices"
     return Page(
         kind="identification",
         title=problem.name.replace("_", " "),
         lead=f"{lead}.",
-        sections=[section for section in _sections(found) if section.blocks],
-        verdicts=_verdicts(found),
+        sections=[section for section in _sections(identified) if section.blocks],
+        verdicts=_verdicts(identified),
         numbered=True,
     )
 
 
-def _sections(found: Identified) -> list[Section]:
+def _sections(identified: Identified) -> list[Section]:
     return [
-        Section("fields", "What the rows say of the unknown fields", tuple(_fields(found))),
-        Section("rows", "Measured and predicted", tuple(_rows(found))),
-        Section("models", "Which choices hold", tuple(_models(found))),
-        Section("worth", "What one more measurement would decide", tuple(_worth(found))),
-        Section("emulators", "How well the simulations are learned", tuple(_emulators(found))),
+        Section("fields", "Unknown fields: prior and posterior", tuple(_fields(identified))),
+        Section("rows", "Measured and predicted", tuple(_rows(identified))),
+        Section("models", "Probability of the alternative models", tuple(_models(identified))),
+        Section("worth", "Expected gain of one more measurement", tuple(_worth(identified))),
+        Section("emulators", "Accuracy of the emulators", tuple(_emulators(identified))),
     ]
 
 
-def _verdicts(found: Identified) -> list[Verdict]:
-    open_fields, named = found.undetermined(), found.ridges()
-    told = [f"{name}: the rows say little of it" for name in open_fields]
-    told += [f"only in combination: {ridge_words(one)}" for one in named]
-    known = len(found.problem.free) - len(open_fields)
-    grade: Grade = "good" if not told else "check" if known else "poor"
+def _verdicts(identified: Identified) -> list[Verdict]:
+    open_fields, named = identified.undetermined(), identified.ridges()
+    reasons = [f"{name}: hardly constrained by the rows" for name in open_fields]
+    reasons += [f"only in combination: {ridge_words(ridge)}" for ridge in named]
+    known = len(identified.problem.free) - len(open_fields)
+    grade: Grade = "good" if not reasons else "check" if known else "poor"
     return [
         Verdict(
-            "What is known?",
-            f"{known} of {len(found.problem.free)} fields are narrowed",
+            "Which unknown fields do the measured rows determine?",
+            f"{known} of {len(identified.problem.free)} fields are narrowed",
             grade,
-            tuple(told) or ("every field by itself",),
+            tuple(reasons) or ("each field is determined separately",),
         ),
-        _agreement("Do the fitted rows agree?", [p for p in found.best.predictions if p.fitted]),
+        _agreement(
+            "Do the fitted rows agree with the twin?",
+            [p for p in identified.best.predictions if p.fitted],
+        ),
         *(
-            [_agreement("Are the held-out rows predicted?", held)]
-            if (held := [p for p in found.best.predictions if not p.fitted])
+            [_agreement("Does the twin predict the held-out rows?", held)]
+            if (held := [p for p in identified.best.predictions if not p.fitted])
             else []
         ),
     ]
 
 
 def _agreement(question: str, rows: Sequence[Prediction]) -> Verdict:
-    far = [one for one in rows if abs(one.deviation) > AGREES]
-    worst = max((abs(one.deviation) for one in rows), default=0.0)
+    far = [row for row in rows if abs(row.deviation) > AGREES]
+    worst = max((abs(row.deviation) for row in rows), default=0.0)
     return Verdict(
         question,
         f"{len(rows) - len(far)} of {len(rows)} within two standard deviations",
         "good" if not far else "check" if worst < _DISAGREES else "poor",
-        tuple(f"{one.row}: unexplained, {one.deviation:+.1f} standard deviations" for one in far)
-        or (f"farthest: {worst:.1f} standard deviations",),
+        tuple(f"{row.row}: unexplained, {row.deviation:+.1f} standard deviations" for row in far)
+        or (f"largest difference: {worst:.1f} standard deviations",),
     )
 
 
 def ridge_words(ridge: Ridge) -> str:
-    """Say a ridge: which fields, moved which way, leave the rows as they are."""
+    """Return a ridge in words: the joint change of fields that does not change the rows."""
     first, *rest = ridge.share.items()
-    ways = [f"{name} {'down' if part * first[1] > 0 else 'up'}" for name, part in rest]
-    return f"{first[0]} up with {', '.join(ways)} changes no row"
+    changes = [f"{name} {'down' if part * first[1] > 0 else 'up'}" for name, part in rest]
+    return f"{first[0]} up with {', '.join(changes)} changes no row"
 
 
-def _fields(found: Identified) -> list[Block]:
-    intervals, open_fields = found.intervals(), found.undetermined()
+def _fields(identified: Identified) -> list[Block]:
+    intervals, open_fields = identified.intervals(), identified.undetermined()
     rows = [
         _field_row(name, free, intervals[name], name in open_fields)
-        for name, free in found.problem.free.items()
+        for name, free in identified.problem.free.items()
     ]
     columns = (
         Column("field", "field"),
@@ -129,25 +135,26 @@ def _fields(found: Identified) -> list[Block]:
     )
     ridges = [
         Note(
-            f"Not separable: {ridge_words(one)} (posterior over prior variance across it "
-            f"{one.variance_ratio:.2g}, of the best known of its fields alone {one.open_ratio:.2g})"
+            f"Not separable: {ridge_words(ridge)} (posterior over prior variance: of the "
+            f"combination {ridge.variance_ratio:.2g}, of its best known single field "
+            f"{ridge.open_ratio:.2g})"
         )
-        for one in found.ridges()
+        for ridge in identified.ridges()
     ]
     figure = Figure(
         "corner",
         "",
         "Posterior of the unknown fields over all choices. Diagonal: density, and in orange the "
         "profile of the likelihood (largest over all other fields) of the most probable choices. "
-        "Below: pairs; a narrow slanted band is a combination that the rows cannot take apart. The "
-        "axes span the prior's range.",
+        "Below: joint densities of pairs; a narrow slanted band is a pair of fields that the rows "
+        "cannot separate. The axes span the range of the prior.",
         "Corner plot of the unknown fields",
-        partial(draw_corner, found),
+        partial(draw_corner, identified),
     )
-    return [Table("fields", "", "", columns, tuple(rows)), *ridges, figure, *_priors(found)]
+    return [Table("fields", "", "", columns, tuple(rows)), *ridges, figure, *_priors(identified)]
 
 
-def _priors(found: Identified) -> list[Block]:
+def _priors(identified: Identified) -> list[Block]:
     columns = (
         Column("field", "prior of"),
         Column("towards", "tilted to its"),
@@ -160,42 +167,43 @@ def _priors(found: Identified) -> list[Block]:
     )
     rows: list[Row] = [
         {
-            "field": field_words(one.field, found.problem.free[one.field]),
-            "towards": f"{one.towards} end",
-            "before": one.mean_before,
-            "mean": one.mean,
-            "row_steps": one.row_steps,
-            "row": one.row,
-            "probability": one.probability,
-            "effective": 100.0 * one.effective_share,
+            "field": field_words(shift.field, identified.problem.free[shift.field]),
+            "towards": f"{shift.towards} end",
+            "before": shift.mean_before,
+            "mean": shift.mean,
+            "row_steps": shift.row_steps,
+            "row": shift.row,
+            "probability": shift.probability,
+            "effective": 100.0 * shift.effective_share,
         }
-        for one in found.prior_shifts()
+        for shift in identified.prior_shifts()
     ]
     words = (
-        "What the priors do to the conclusions: each is tilted in turn, twice as dense at one end "
-        "and none at the other. Means, the row whose prediction moves most, and the probability of "
-        "the most probable choices."
+        "Sensitivity to the priors. One prior at a time is replaced by a linear ramp, from a "
+        "factor of two at one end of its range to zero at the opposite end. The table lists the "
+        "mean of the field before and after, the row with the largest change of its prediction, "
+        "and the probability of the most probable choices."
     )
     return [words, Table("priors", "", "", columns, tuple(rows))]
 
 
-def _field_row(name: str, free: Free, one: Marginal, is_open: bool) -> dict[str, str | float]:
+def _field_row(name: str, free: Free, marginal: Marginal, is_open: bool) -> dict[str, str | float]:
     prior = f"{free.low:g} to {free.high:g}" + (", log scale" if free.scale == "log" else "")
     if free.mean is not None and free.sd is not None:
         prior = f"{free.mean:g} ± {free.sd:g} in {prior}"
     return {
         "field": field_words(name, free),
         "prior": prior,
-        "mean": one.mean,
-        "sd": one.sd,
-        "central": f"{one.low_68:.4g} to {one.high_68:.4g}",
-        "wide": f"{one.low_95:.4g} to {one.high_95:.4g}",
+        "mean": marginal.mean,
+        "sd": marginal.sd,
+        "central": f"{marginal.low_68:.4g} to {marginal.high_68:.4g}",
+        "wide": f"{marginal.low_95:.4g} to {marginal.high_95:.4g}",
         "known": "hardly" if is_open else "yes",
         "source": free.source or "",
     }
 
 
-def _rows(found: Identified) -> list[Block]:
+def _rows(identified: Identified) -> list[Block]:
     columns = (
         Column("row", "row"),
         Column("use", "use"),
@@ -209,70 +217,76 @@ def _rows(found: Identified) -> list[Block]:
         Column("deviation", "normalised difference", 2),
         Column("rotated", "when held out", 2),
     )
-    problem, rotated = found.problem, found.best.rotated
+    problem, rotated = identified.problem, identified.best.rotated
     rows = [
         {
-            "row": one.row,
-            "use": "fitted" if one.fitted else "held out",
-            "measured": one.measured,
-            "measured_sd": one.sd,
-            "twin": one.twin.mean,
-            "twin_sd": one.twin.sd,
-            "any_coat": one.any_coat.mean,
-            "any_coat_sd": one.any_coat.sd,
-            "steps": one.steps,
-            "deviation": one.deviation,
-            "rotated": rotated[one.row].deviation if one.row in rotated else None,
+            "row": prediction.row,
+            "use": "fitted" if prediction.fitted else "held out",
+            "measured": prediction.measured,
+            "measured_sd": prediction.sd,
+            "twin": prediction.twin.mean,
+            "twin_sd": prediction.twin.sd,
+            "any_coat": prediction.any_coat.mean,
+            "any_coat_sd": prediction.any_coat.sd,
+            "steps": prediction.steps,
+            "deviation": prediction.deviation,
+            "rotated": rotated[prediction.row].deviation if prediction.row in rotated else None,
         }
-        for one in found.best.predictions
+        for prediction in identified.best.predictions
     ]
     sources = [f"{n}: {row.source}" for n, row in problem.rows.items() if row.source]
     figure = Figure(
         "rows",
         "",
-        "Measured minus predicted with any coat, over the standard deviation of the difference "
-        "(measurement, unknown fields, nuisances, discrepancy, coat, emulator). Filled: fitted, "
-        "open: held out. The band is two standard deviations.",
+        "Measured minus predicted value, averaged over possible coats, divided by the standard "
+        "deviation of the difference (measurement, unknown fields, nuisances, discrepancy, coat, "
+        "emulator). Filled: fitted rows, open: held-out rows. Band: ± two standard deviations.",
         "Normalised difference of every row",
-        partial(draw_rows, found),
+        partial(draw_rows, identified),
     )
-    return [Table("rows", "", "", columns, tuple(rows), tuple(sources)), figure, *_limits(found)]
+    return [
+        Table("rows", "", "", columns, tuple(rows), tuple(sources)),
+        figure,
+        *_limits(identified),
+    ]
 
 
-def _limits(found: Identified) -> list[Block]:
-    limits = found.problem.limits
+def _limits(identified: Identified) -> list[Block]:
+    limits = identified.problem.limits
     if not limits:
         return []
     columns = (
         Column("limit", "limit"),
-        Column("known", "known of it"),
+        Column("known", "known range"),
         Column("sd", "± (1 sd)", 3),
         Column("twin", "twin", 3),
         Column("twin_sd", "± (1 sd) ", 3),
-        Column("before", "met, by the priors alone", 0, "%"),
-        Column("after", "met, given rows and limits", 0, "%"),
+        Column("before", "probability from the priors only", 0, "%"),
+        Column("after", "probability given rows and limits", 0, "%"),
     )
     rows: list[Row] = [
         {
-            "limit": one.limit,
-            "known": limits[one.limit].words,
-            "sd": limits[one.limit].sd,
-            "twin": one.twin.mean,
-            "twin_sd": one.twin.sd,
-            "before": 100.0 * one.before,
-            "after": 100.0 * one.probability,
+            "limit": limit.limit,
+            "known": limits[limit.limit].words,
+            "sd": limits[limit.limit].sd,
+            "twin": limit.twin.mean,
+            "twin_sd": limit.twin.sd,
+            "before": 100.0 * limit.before,
+            "after": 100.0 * limit.probability,
         }
-        for one in found.limits()
+        for limit in identified.limits()
     ]
-    sources = tuple(f"{name}: {one.source}" for name, one in limits.items() if one.source)
-    words = "Figures of which only one side is known; they are fitted as the rows are."
+    sources = tuple(f"{name}: {limit.source}" for name, limit in limits.items() if limit.source)
+    words = (
+        "Figures for which only a lower or an upper limit is known; they are fitted like the rows."
+    )
     return [words, Table("limits", "", "", columns, tuple(rows), sources)]
 
 
-def _models(found: Identified) -> list[Block]:
-    if len(found.models) == 1:
+def _models(identified: Identified) -> list[Block]:
+    if len(identified.models) == 1:
         return []
-    names = list(found.problem.alternatives)
+    names = list(identified.problem.alternatives)
     columns = (
         *(Column(name, name.replace("_", " ")) for name in names),
         Column("prior", "prior probability"),
@@ -281,23 +295,23 @@ def _models(found: Identified) -> list[Block]:
         Column("evidence_sd", "its standard error", 2),
     )
     rows: list[Row] = [
-        dict(one.combination)
+        dict(model.combination)
         | {
-            "prior": one.prior,
-            "probability": one.probability,
-            "evidence": one.posterior.log_evidence,
-            "evidence_sd": one.posterior.log_evidence_sd,
+            "prior": model.prior,
+            "probability": model.probability,
+            "evidence": model.posterior.log_evidence,
+            "evidence_sd": model.posterior.log_evidence_sd,
         }
-        for one in found.models
+        for model in identified.models
     ]
     return [Table("models", "", "", columns, tuple(rows))]
 
 
-def _worth(found: Identified) -> list[Block]:
-    ranked = found.worth()
+def _worth(identified: Identified) -> list[Block]:
+    ranked = identified.worth()
     if not ranked:
         return []
-    fields = list(found.problem.free)
+    fields = list(identified.problem.free)
     columns = (
         Column("row", "measurement"),
         Column("sd", "± (1 sd)", 4),
@@ -307,57 +321,61 @@ def _worth(found: Identified) -> list[Block]:
     )
     rows: list[Row] = [
         {
-            "row": one.row,
-            "sd": found.problem.worth[one.row].sd,
-            "expected_sd": one.expected_sd,
-            **one.shrink,
-            "gain": one.gain,
+            "row": candidate.row,
+            "sd": identified.problem.worth[candidate.row].sd,
+            "expected_sd": candidate.expected_sd,
+            **candidate.shrink,
+            "gain": candidate.gain,
         }
-        for one in ranked
+        for candidate in ranked
     ]
     words = (
-        "What would be left of today's variance of each field (1: nothing gained) if this were "
-        "measured so well; the most telling first."
+        "Remaining share of the present variance of each field (1: no gain) after a measurement "
+        "with the stated standard deviation; the most informative measurement first."
     )
     return [words, Table("worth", "", "", columns, tuple(rows))]
 
 
-def _emulators(found: Identified) -> list[Block]:
+def _emulators(identified: Identified) -> list[Block]:
     columns = (
         Column("row", "figure"),
         Column("rmse", "cross-validated error, RMS", 5),
         Column("sd", "the row's standard deviation", 5),
         Column("missing", "simulations without it", 1, "%"),
     )
-    every = found.problem.figures
+    every = identified.problem.figures
     rows: list[Row] = [
         {
             "row": name,
-            "rmse": one.cross_validated_rmse,
+            "rmse": emulator.cross_validated_rmse,
             "sd": every[name].sd,
-            "missing": 100.0 * one.missing,
+            "missing": 100.0 * emulator.missing,
         }
-        for name, one in found.best.emulators.items()
+        for name, emulator in identified.best.emulators.items()
     ]
-    notes = ("The error of one noisy simulation that the emulator has not seen (leave one out).",)
+    notes = ("Error for one noisy simulation that was left out of the training (leave-one-out).",)
     coarse = [
-        n for n, one in found.best.emulators.items() if one.cross_validated_rmse > every[n].sd
+        n
+        for n, emulator in identified.best.emulators.items()
+        if emulator.cross_validated_rmse > every[n].sd
     ]
-    told = Note(
-        f"Learned less well than measured: {', '.join(coarse)}. The intervals are honest about it, "
-        "and would be narrower with more simulations (design.count) or narrower priors."
+    remark = Note(
+        f"Emulator error larger than the row's standard deviation: {', '.join(coarse)}. The "
+        "intervals include it; more simulations (design.count) or narrower priors reduce it."
     )
     table = Table("emulators", "", "", columns, tuple(rows), notes)
-    return [table, *([told] if coarse else []), _sampling(found)]
+    return [table, *([remark] if coarse else []), _sampling(identified)]
 
 
-def _sampling(found: Identified) -> Note:
-    """Say how far the chains can be trusted: those of the choices that were sampled worst."""
-    worst = min((one.posterior for one in found.models), key=lambda one: one.independent)
-    told = (
+def _sampling(identified: Identified) -> Note:
+    """Return the convergence of the chains, for the choices with the fewest independent samples."""
+    worst = min(
+        (model.posterior for model in identified.models), key=lambda model: model.independent
+    )
+    words = (
         f"The chains ran {worst.steps} steps, autocorrelation time {worst.correlation_time:.0f} "
         f"steps: about {worst.independent:.0f} independent samples."
     )
-    if all(one.posterior.is_converged for one in found.models):
-        return Note(told)
-    return Note(f"{told} That is too short: take the intervals as rough.", kind="failure")
+    if all(model.posterior.is_converged for model in identified.models):
+        return Note(words)
+    return Note(f"{words} The chains are too short: the intervals are approximate.", kind="failure")

@@ -1,4 +1,4 @@
-"""Pictures of an identification: fields in pairs, and rows beside their predictions."""
+"""Figures of an identification: joint densities of field pairs, and differences of the rows."""
 
 from pathlib import Path
 
@@ -30,27 +30,27 @@ _BINS = 36
 
 
 def field_words(name: str, free: Free) -> str:
-    """Return what a field is called, with the unit of its path."""
+    """Return the label of a field with the unit of its path."""
     unit = split_unit(free.path.rsplit(".", 1)[-1])[1]
     words = split_unit(name)[0].replace("_", " ")
     return f"{words} ({unit})" if unit else words
 
 
-def draw_corner(found: Identified, path: Path) -> None:
+def draw_corner(identified: Identified, path: Path) -> None:
     """Draw densities of fields and pairs of fields, with the profiles of the likelihood."""
-    free, values = found.problem.free, found.values
-    count, profiles = len(free), found.profiles()
+    free, values = identified.problem.free, identified.values
+    count, profiles = len(free), identified.profiles()
     panels = count * (_PANEL_IN + _GAP_IN)
     with drawing(path, _LEFT_IN + panels, _TOP_IN + panels + _BELOW_IN) as figure:
-        for row, (name, one) in enumerate(free.items()):
-            for column, other in enumerate(list(free.values())[: row + 1]):
+        for row, (name, upper) in enumerate(free.items()):
+            for column, lower in enumerate(list(free.values())[: row + 1]):
                 left = _LEFT_IN + column * (_PANEL_IN + _GAP_IN)
                 top = _TOP_IN + row * (_PANEL_IN + _GAP_IN)
                 axes = axes_at(figure, left, top, _PANEL_IN, _PANEL_IN)
                 if row == column:
-                    _density(axes, one, values[:, row], profiles[name])
+                    _density(axes, upper, values[:, row], profiles[name])
                 else:
-                    _pair(axes, (other, one), values[:, [column, row]])
+                    _pair(axes, (lower, upper), values[:, [column, row]])
                 _label(axes, list(free.items()), row, column)
 
 
@@ -82,12 +82,12 @@ def _edges(free: Free) -> FloatArray:
 def mark(axis: Axis, free: Free) -> None:
     """Put ends and middle of a field's range on an axis, in plain figures."""
     marks = free.value(np.array([0.0, 0.5, 1.0]))
-    axis.set_ticks(marks.tolist(), labels=[f"{one:.2g}" for one in marks])
+    axis.set_ticks(marks.tolist(), labels=[f"{value:.2g}" for value in marks])
     axis.set_minor_locator(NullLocator())
 
 
 def _label(axes: Axes, free: list[tuple[str, Free]], row: int, column: int) -> None:
-    names = [field_words(name, one) for name, one in free]
+    names = [field_words(name, field) for name, field in free]
     mark(axes.xaxis, free[column][1])
     if row != column:
         mark(axes.yaxis, free[row][1])
@@ -102,16 +102,16 @@ def _label(axes: Axes, free: list[tuple[str, Free]], row: int, column: int) -> N
         axes.tick_params(labelleft=False, which="both")
 
 
-def draw_rows(found: Identified, path: Path) -> None:
+def draw_rows(identified: Identified, path: Path) -> None:
     """Draw the normalised difference of every row."""
-    rows = found.best.predictions
+    rows = identified.best.predictions
     height = 0.9 + 0.26 * len(rows)
     with drawing(path, 7.0, height) as figure:
         axes = axes_at(figure, 2.3, 0.35, 4.4, height - 0.85)
         axes.axvspan(-AGREES, AGREES, color="#eef3f8")
         axes.axvline(0.0, color=FAINT, linewidth=0.8)
         for fitted, face, label in ((True, MEASURED, "fitted"), (False, "white", "held out")):
-            at = [i for i, one in enumerate(rows) if one.fitted == fitted]
+            at = [i for i, prediction in enumerate(rows) if prediction.fitted == fitted]
             axes.plot(
                 [rows[i].deviation for i in at],
                 at,
@@ -120,9 +120,9 @@ def draw_rows(found: Identified, path: Path) -> None:
                 markerfacecolor=face,
                 label=label,
             )
-        axes.set_yticks(range(len(rows)), [one.row for one in rows], color=INK)
+        axes.set_yticks(range(len(rows)), [prediction.row for prediction in rows], color=INK)
         axes.invert_yaxis()
-        farthest = max(3.0, *(abs(one.deviation) for one in rows)) * 1.1
+        farthest = max(3.0, *(abs(prediction.deviation) for prediction in rows)) * 1.1
         axes.set(xlim=(-farthest, farthest), ylim=(len(rows) - 0.5, -0.5))
         axes.set_xlabel("(measured − predicted) / standard deviation of the difference")
         plain_spines(axes)

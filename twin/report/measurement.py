@@ -1,7 +1,7 @@
 """The report of one finished measurement by any method: HTML page, and table for a terminal.
 
 Each method has a module with its judgements (`verdicts`), its sections (`sections`) and the result
-in words for a terminal (`sentences`); what all pages share is put together here.
+in words for a terminal (`sentences`); this module adds the parts that all pages have.
 """
 
 import textwrap
@@ -29,7 +29,7 @@ from twin.results.record import Measurement
 
 
 class MethodReport(Protocol):
-    """What a method's module gives."""
+    """Interface of a method's module."""
 
     METHOD: str
     WARNED: str
@@ -55,9 +55,9 @@ def write_report(
 
     Parameters
     ----------
-    folder : result folder of `twin measure` or `twin demo`; nothing else is read
+    folder : result folder of `twin measure` or `twin demo`; no other file is read
     into : existing folder to write into instead
-    measured : what the folder holds, where that is at hand
+    measured : content of the folder, if it is in memory already
     draw : draws the figures; `draw_side_by_side` of `twin.report.side_by_side`: in two processes
 
     Raises
@@ -93,7 +93,7 @@ def page_of(measured: Measurement) -> Page:
 
 def summary_table(measured: Measurement) -> str:
     """Return the result of a measurement as a short plain-text table, at most 100 columns."""
-    found = [
+    object_text = [
         textwrap.fill(f"object: {line}", 100, subsequent_indent="  ")
         for line in object_lines(measured)
     ]
@@ -102,9 +102,10 @@ def summary_table(measured: Measurement) -> str:
     tail = [f"{fits.title} (mm):", fits.as_text()] if fits else []
     head = f"{measured.experiment.name}, by {measured.experiment.method.title}"
     warnings = [
-        textwrap.fill(f"warning: {one}", 100, subsequent_indent="  ") for one in measured.warnings
+        textwrap.fill(f"warning: {warning}", 100, subsequent_indent="  ")
+        for warning in measured.warnings
     ]
-    return "\n".join([head, *found, *lines, *tail, *measured.score.unfitted, *warnings])
+    return "\n".join([head, *object_text, *lines, *tail, *measured.score.unfitted, *warnings])
 
 
 def _by_method(measured: Measurement) -> MethodReport:

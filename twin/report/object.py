@@ -12,12 +12,12 @@ from twin.results.object_score import MeasuredQuantity
 from twin.results.record import Measurement
 from twin.results.under_sheet import more_contact
 
-# Of the good limit: an object whose points deviate more is not what was measured.
+# Ratio to the good limit above which the deviation of the object's points is graded poor.
 _POOR_DEVIATION = 5.0
-_NOTHING = "no point lies on it"
+_NO_POINT = "no measured point is on the object"
 _NOT_MEASURED = "not measured"
 _ALIGNED = (
-    ("none", "as the sensor gave them"),
+    ("none", "as measured"),
     ("offset", "offset along z taken off"),
     ("offset_tilt", "offset and tilt taken off"),
     ("rigid", "rigid best fit"),
@@ -25,31 +25,33 @@ _ALIGNED = (
 
 
 def object_section(measured: Measurement) -> list[Section]:
-    """Return what the measurement says of the object, and what to do where it says nothing."""
-    found = measured.object
-    if found.seen is None or not (found.aligned or found.quantities):
+    """Return measurands, deviation and remedies of the object; empty if it was not measured."""
+    score = measured.object
+    if score.seen is None or not (score.aligned or score.quantities):
         return []
-    tables: list[Block] = [quantity_table(measured)] if found.quantities else []
-    if found.aligned:
+    tables: list[Block] = [quantity_table(measured)] if score.quantities else []
+    if score.aligned:
         deviation = deviation_table(measured), Note(_how(measured))
         tables = [object_figure(measured), *tables, *deviation]
-    blocks = [*tables, *(Note(one) for one in _remedies(measured))]
+    blocks = [*tables, *(Note(remedy) for remedy in _remedies(measured))]
     return [Section("object", "The object", tuple(blocks))]
 
 
 def object_verdict(measured: Measurement) -> Verdict:
-    """Judge the object: by its tolerances, or by its deviation where none are given."""
-    found, question = measured.object, "Does the sensor measure the object?"
-    judged = [one for one in found.quantities if one.tolerance is not None]
+    """Judge the object by its tolerances, or by its deviation if none are stated."""
+    score, question = measured.object, "How accurately is the object measured?"
+    judged = [quantity for quantity in score.quantities if quantity.tolerance is not None]
     if judged:
-        return Verdict(question, _headline(judged), _grade(judged), tuple(map(told, judged)))
+        return Verdict(
+            question, _headline(judged), _grade(judged), tuple(map(measurand_in_words, judged))
+        )
     figures = measured.figures
     rms_um, share = figures.get("object_rms_um"), figures.get("object_coverage_share")
-    lengths = tuple(told(one) for one in found.quantities[:2])
-    first = next((one for one in found.quantities if one.asked.unit == "mm"), None)
+    lengths = tuple(measurand_in_words(quantity) for quantity in score.quantities[:2])
+    first = next((quantity for quantity in score.quantities if quantity.asked.unit == "mm"), None)
     if rms_um is None or share is None:
         known = first is not None and first.value is not None
-        headline = _short(first) if first is not None and known else _NOTHING
+        headline = _short(first) if first is not None and known else _NO_POINT
         grade: Grade = "check" if known else "poor"
         return Verdict(question, headline, grade, (*lengths, *_remedies(measured)))
     limit_um = measured.experiment.score.good_within_um
@@ -61,33 +63,35 @@ def object_verdict(measured: Measurement) -> Verdict:
         _grade_of_deviation(max(p95_um, rms_um) / limit_um),  # RMS: a few large outliers
         (
             *lengths,
-            f"deviation of its points {deviation}; 95 % deviate by up to {p95_um:.1f} µm (good "
-            f"up to {limit_um:g} µm)",
-            f"{percent(share)} of it {touches(measured.experiment)} and has a point",
+            f"deviation of the points from the true object {deviation}; 95 % deviate by up to "
+            f"{p95_um:.1f} µm (good up to {limit_um:g} µm)",
+            f"{percent(share)} of the object {touches(measured.experiment)} and has a point",
             *_remedies(measured),
-            "state a tolerance in [[measurand]] for a verdict",
+            "for a verdict, state a tolerance in [[measurand]] of the experiment",
         ),
     )
 
 
-def _short(one: MeasuredQuantity) -> str:
+def _short(quantity: MeasuredQuantity) -> str:
     """Write a length with its expanded uncertainty, for a headline."""
-    name = one.asked.name.replace("_", " ")
-    return f"{name}: {one.value:.4f}\N{NO-BREAK SPACE}mm {_interval(one)}"
+    name = quantity.asked.name.replace("_", " ")
+    return f"{name}: {quantity.value:.4f}\N{NO-BREAK SPACE}mm {_interval(quantity)}"
 
 
 def _remedies(measured: Measurement) -> list[str]:
-    """Say what makes more of the object touch; nothing where its dimensions were measured."""
-    found, compensation = measured.object, measured.compensation
-    lengths = [one for one in found.quantities if one.asked.unit == "mm"]
-    nothing = measured.figures.get("object_rms_um") is None
-    if not nothing and (compensation is None or all(one.value is not None for one in lengths)):
+    """Return how to increase the contact; empty if the dimensions of the object were measured."""
+    score, compensation = measured.object, measured.compensation
+    lengths = [quantity for quantity in score.quantities if quantity.asked.unit == "mm"]
+    measurable = measured.figures.get("object_rms_um") is not None
+    if measurable and (
+        compensation is None or all(quantity.value is not None for quantity in lengths)
+    ):
         return []
     if compensation is None:
-        return ["to measure it, press deeper, or look at another part"]
+        return ["to measure the object, press deeper, or measure a different part of it"]
     if compensation.found is None:
         return [compensation.why]
-    return [f"to measure it, {more_contact(compensation.found)}"]
+    return [f"to measure the object, {more_contact(compensation.found)}"]
 
 
 def _grade_of_deviation(over_limit: float) -> Grade:
@@ -97,20 +101,24 @@ def _grade_of_deviation(over_limit: float) -> Grade:
 
 
 def object_sentence(measured: Measurement) -> str:
-    """Say how well the object itself was measured, in ASCII: its dimensions first."""
+    """Return how accurately the object was measured, in ASCII: its dimensions first."""
     return f"object: {'; '.join(object_lines(measured))}"
 
 
 def object_lines(measured: Measurement) -> list[str]:
-    """Return the same statement by statement: dimensions, deviation, what to do."""
-    found, figures = measured.object, measured.figures
-    judged = [one for one in found.quantities if one.tolerance is not None]
+    """Return the result for the object as a list: dimensions, deviation, remedies."""
+    score, figures = measured.object, measured.figures
+    judged = [quantity for quantity in score.quantities if quantity.tolerance is not None]
     if judged:
-        return [_ascii(told(one)) for one in judged]
-    lines = [_ascii(told(one)) for one in found.quantities if one.asked.unit == "mm"]
+        return [_ascii(measurand_in_words(quantity)) for quantity in judged]
+    lines = [
+        _ascii(measurand_in_words(quantity))
+        for quantity in score.quantities
+        if quantity.asked.unit == "mm"
+    ]
     rms_um = figures.get("object_rms_um")
     if rms_um is None:
-        lines.append(_NOTHING)
+        lines.append(_NO_POINT)
     else:
         share = percent(figures.get("object_coverage_share"))
         where = f"on the {share} of it that {touches(measured.experiment)}"
@@ -118,54 +126,59 @@ def object_lines(measured: Measurement) -> list[str]:
     return [*lines, *_remedies(measured)]
 
 
-def told(one: MeasuredQuantity) -> str:
-    """Say what was found of a measurand: the object's value first, with U; then the coat's."""
-    name = one.asked.name.replace("_", " ")
-    verdict = f", {one.decision}" if one.decision else ""
+def measurand_in_words(quantity: MeasuredQuantity) -> str:
+    """Return the result of a measurand in words: the object's value with U, then the coat's."""
+    name = quantity.asked.name.replace("_", " ")
+    verdict = f", {quantity.decision}" if quantity.decision else ""
     coat = ""
-    if one.covered and one.coat is not None:
-        coat = f"; apparent in the coat: {one.coat:.4f} mm"
-    if one.value is None:
-        return f"{name}: not measured, {one.why}{coat}"
-    if one.asked.unit == "share":
-        return f"{name}: {percent(one.value)}{verdict}"
-    if one.asked.unit == "um" or one.nominal is None:
-        unit = "µm" if one.asked.unit == "um" else "mm"
-        return f"{name}: {one.value:.4g} {unit} {_interval(one)}{verdict}{coat}"
-    if _is_lost(one):
-        return f"{name}: object {one.nominal:g} mm, not measured (found: {one.value:.3g} mm)"
-    error = signed(float(one.error or 0.0), 1)
-    chain = f"{one.value:.4f} mm {_interval(one)}, {error} µm from the object's {one.nominal:g} mm"
-    return f"{name}: {chain}{verdict}{coat}"
+    if quantity.covered and quantity.coat is not None:
+        coat = f"; apparent in the coat: {quantity.coat:.4f} mm"
+    if quantity.value is None:
+        return f"{name}: not measured, {quantity.why}{coat}"
+    if quantity.asked.unit == "share":
+        return f"{name}: {percent(quantity.value)}{verdict}"
+    if quantity.asked.unit == "um" or quantity.nominal is None:
+        unit = "µm" if quantity.asked.unit == "um" else "mm"
+        return f"{name}: {quantity.value:.4g} {unit} {_interval(quantity)}{verdict}{coat}"
+    if _is_lost(quantity):
+        return (
+            f"{name}: object {quantity.nominal:g} mm, not measured (fit: {quantity.value:.3g} mm)"
+        )
+    error = signed(float(quantity.error or 0.0), 1)
+    value = f"{quantity.value:.4f} mm {_interval(quantity)}"
+    difference = f"{error} µm from the object's {quantity.nominal:g} mm"
+    return f"{name}: {value}, {difference}{verdict}{coat}"
 
 
-def _interval(one: MeasuredQuantity) -> str:
-    expanded = one.uncertainty.expanded
-    return f"± {expanded:.2g} µm (k = {one.uncertainty.coverage_factor:g})"
+def _interval(quantity: MeasuredQuantity) -> str:
+    expanded = quantity.uncertainty.expanded
+    return f"± {expanded:.2g} µm (k = {quantity.uncertainty.coverage_factor:g})"
 
 
-def _is_lost(one: MeasuredQuantity) -> bool:
-    """Tell whether a length is wrong by more than itself: what was fitted is another thing."""
-    return one.nominal is not None and abs(float(one.error or 0.0)) > 1e3 * one.nominal
+def _is_lost(quantity: MeasuredQuantity) -> bool:
+    """Return True if the error exceeds the nominal length: a different feature was fitted."""
+    return (
+        quantity.nominal is not None and abs(float(quantity.error or 0.0)) > 1e3 * quantity.nominal
+    )
 
 
 def _ascii(text: str) -> str:
-    for other, plain in (("µ", "u"), ("±", "+-"), ("−", "-"), ("\N{NO-BREAK SPACE}", " ")):
-        text = text.replace(other, plain)
+    for sign, plain in (("µ", "u"), ("±", "+-"), ("−", "-"), ("\N{NO-BREAK SPACE}", " ")):
+        text = text.replace(sign, plain)
     return text
 
 
 def _headline(judged: list[MeasuredQuantity]) -> str:
-    within = sum(one.decision == WITHIN for one in judged)
+    within = sum(quantity.decision == WITHIN for quantity in judged)
     if len(judged) == 1:
         return str(judged[0].decision)
     return f"{within} of {len(judged)} within tolerance"
 
 
 def _grade(judged: list[MeasuredQuantity]) -> Grade:
-    if all(one.decision == WITHIN for one in judged):
+    if all(quantity.decision == WITHIN for quantity in judged):
         return "good"
-    return "poor" if any(one.decision == NOT_WITHIN for one in judged) else "check"
+    return "poor" if any(quantity.decision == NOT_WITHIN for quantity in judged) else "check"
 
 
 _QUANTITIES = (
@@ -178,34 +191,32 @@ _QUANTITIES = (
     Column("verdict", "verdict"),
 )
 _APPARENT = Column("coat", "apparent in the coat", kind="number")
-_TRUTH = Column("coat", "truth's (µm)", kind="number")
+_TRUTH = Column("coat", "true surface (µm)", kind="number")
 _PARTS = Column("parts", "parts of u (µm)", kind="number")
 
 
 def quantity_table(measured: Measurement) -> Table:
     """Return the measurands: the object's value, U with its parts, verdict, and the coat's."""
-    found, covered = measured.object, is_covered(measured.experiment)
-    factors = sorted({f"{one.uncertainty.coverage_factor:g}" for one in found.quantities})
-    elastomer = "of the elastomer that is subtracted, " if covered else ""
+    score, covered = measured.object, is_covered(measured.experiment)
+    factors = sorted({f"{quantity.uncertainty.coverage_factor:g}" for quantity in score.quantities})
+    elastomer = "the subtracted elastomer, " if covered else ""
     surface = (
-        "Apparent in the coat: the same of the measured coat, with nothing taken off."
+        "Apparent in the coat: the measurand of the measured coat, thickness not subtracted."
         if covered
-        else "Truth's: the deviation that the true surface seen has, without any error of the "
-        "optics."
+        else "True surface: deviation of the true visible surface, without errors of the optics."
     )
     return Table(
         "measurands",
         "Measurands",
         "",
         (*_QUANTITIES, _APPARENT if covered else _TRUTH, _PARTS),
-        tuple(_row(one) for one in found.quantities),
+        tuple(_row(quantity) for quantity in score.quantities),
         (
-            f"U: expanded uncertainty with k = {', '.join(factors)} (2: about 95 %), of the noise "
-            f"and texture of the points through the fit, {elastomer}and of "
-            "repeatability and calibration where they are stated. Verdict after ISO 14253-1 with "
-            "guard band U: within tolerance by U or more, outside by U or more, or it cannot be "
-            f"told. {surface}",
-            *_absences(found.quantities),
+            f"U: expanded uncertainty with k = {', '.join(factors)} (2: about 95 %). It includes "
+            f"noise and texture of the points, {elastomer}and repeatability and calibration if "
+            "they are stated. Verdict after ISO 14253-1 with guard band U: within tolerance by U "
+            f"or more, outside by U or more, or undecided. {surface}",
+            *_absences(score.quantities),
         ),
         look="compared",
     )
@@ -214,51 +225,54 @@ def quantity_table(measured: Measurement) -> Table:
 def _absences(quantities: tuple[MeasuredQuantity, ...]) -> list[str]:
     """Return one note for each reason why measurands have no value: a column is too narrow."""
     missing: dict[str, list[str]] = {}
-    for one in quantities:
-        if one.value is None and one.why:
-            missing.setdefault(one.why, []).append(one.asked.name.replace("_", " "))
+    for quantity in quantities:
+        if quantity.value is None and quantity.why:
+            missing.setdefault(quantity.why, []).append(quantity.asked.name.replace("_", " "))
     return [f"{', '.join(names)} not measured: {why}." for why, names in missing.items()]
 
 
-def _row(one: MeasuredQuantity) -> dict[str, str]:
-    share, digits = one.asked.unit == "share", 4 if one.asked.unit == "mm" else 2
-    unit = {"mm": " mm", "um": " µm", "share": ""}[one.asked.unit]
-    length = one.asked.unit == "mm"
+def _row(quantity: MeasuredQuantity) -> dict[str, str]:
+    share, digits = quantity.asked.unit == "share", 4 if quantity.asked.unit == "mm" else 2
+    unit = {"mm": " mm", "um": " µm", "share": ""}[quantity.asked.unit]
+    length = quantity.asked.unit == "mm"
     row = {
-        "name": one.asked.name.replace("_", " "),
-        "nominal": NONE if one.nominal is None else f"{one.nominal:g} mm",
-        "limits": _limits(one),
-        "coat": _surface_cell(one),
+        "name": quantity.asked.name.replace("_", " "),
+        "nominal": NONE if quantity.nominal is None else f"{quantity.nominal:g} mm",
+        "limits": _limits(quantity),
+        "coat": _surface_cell(quantity),
     }
-    if _is_lost(one):
-        lost = one.decision or f"found: {one.value:.3g} mm"
+    if _is_lost(quantity):
+        lost = quantity.decision or f"fit: {quantity.value:.3g} mm"
         return row | {"value": _NOT_MEASURED, "verdict": lost}
     return row | {
-        "value": NONE if one.value is None else f"{one.value:.{digits}f}{unit}",
-        "error": NONE if one.error is None or share else signed(one.error, 1),
-        "expanded": NONE if one.value is None or share else f"{one.uncertainty.expanded:.2g}",
-        "parts": NONE if one.value is None or share else _parts(one),
-        "verdict": one.decision or (_NOT_MEASURED if one.why else "none asked" if length else NONE),
+        "value": NONE if quantity.value is None else f"{quantity.value:.{digits}f}{unit}",
+        "error": NONE if quantity.error is None or share else signed(quantity.error, 1),
+        "expanded": NONE
+        if quantity.value is None or share
+        else f"{quantity.uncertainty.expanded:.2g}",
+        "parts": NONE if quantity.value is None or share else _parts(quantity),
+        "verdict": quantity.decision
+        or (_NOT_MEASURED if quantity.why else "no tolerance" if length else NONE),
     }
 
 
-def _surface_cell(one: MeasuredQuantity) -> str:
-    if one.covered:
-        return NONE if one.coat is None else f"{one.coat:.4f} mm"
-    error = one.true_face_error
-    return NONE if error is None or one.asked.unit == "share" else signed(error, 1)
+def _surface_cell(quantity: MeasuredQuantity) -> str:
+    if quantity.covered:
+        return NONE if quantity.coat is None else f"{quantity.coat:.4f} mm"
+    error = quantity.true_face_error
+    return NONE if error is None or quantity.asked.unit == "share" else signed(error, 1)
 
 
-def _parts(one: MeasuredQuantity) -> str:
-    known = one.uncertainty
+def _parts(quantity: MeasuredQuantity) -> str:
+    known = quantity.uncertainty
     parts = known.noise, known.elastomer, known.repeatability, known.calibration
     return ", ".join(f"{u:.2g}" for u in parts)
 
 
-def _limits(one: MeasuredQuantity) -> str:
-    if one.tolerance is None:
+def _limits(quantity: MeasuredQuantity) -> str:
+    if quantity.tolerance is None:
         return NONE
-    low, high = one.tolerance.lower, one.tolerance.upper
+    low, high = quantity.tolerance.lower, quantity.tolerance.upper
     if np.isinf(low):
         return f"up to {high:g}"
     return f"from {low:g}" if np.isinf(high) else f"{low:+g} to {high:+g}".replace("-", "−")
@@ -281,8 +295,8 @@ def deviation_table(measured: Measurement) -> Table:
         "rms": figures.get("object_form_um"),
         "coat": figures.get("true_face_object_form_um"),
     }
-    as_it_is = ", as it is" if measured.object.under_sheet else ""
-    shown = {"rms": "measured", "coat": f"true {_surface(measured)}{as_it_is}"}
+    raw = ", thickness not subtracted" if measured.object.under_sheet else ""
+    shown = {"rms": "measured", "coat": f"true {_surface(measured)}{raw}"}
     return Table(
         "object_deviation",
         "Deviation from the true object, RMS",
@@ -301,41 +315,41 @@ def _surface(measured: Measurement) -> str:
 
 
 def _how(measured: Measurement) -> str:
-    seen = measured.object.seen
-    assert seen is not None  # or there would be no section
-    share = percent(seen.coverage)
+    points = measured.object.seen
+    assert points is not None  # or there would be no section
+    share = percent(points.coverage)
     touched = touches(measured.experiment)
-    skin_mm = seen.surface.skin_mm
+    skin_mm = points.surface.skin_mm
     added = (
-        f" The elastomer's nominal thickness of {skin_mm:g} mm lies between and is taken off along "
-        "the normal, as a stylus' radius is."
+        f" The nominal thickness of the elastomer between, {skin_mm:g} mm, is subtracted along the "
+        "normal, like the radius of a stylus."
         if skin_mm
         else ""
     )
     if measured.object.under_sheet:
         return (
-            "Distances along the normal of the specimen's own surface, of the points of the object "
-            f"that were found behind the coat: {share} of it {touched} and has one. Contact and "
-            "local thickness follow from the measured coat, elastomer and air; the thickness is "
-            "taken off along the normal. The second column is the true coat at the same place, "
-            "with nothing taken off."
+            "Distances along the normal of the true specimen, of the object points computed from "
+            f"the coat: {share} of the specimen {touched} and has such a point. Contact and local "
+            "thickness are computed from the measured coat, the elastomer and the air pressure; "
+            "the thickness is subtracted along the normal. The second column is the true coat at "
+            "the same points, thickness not subtracted."
         )
     return (
-        f"Distances along the normal of the specimen's own surface, of the points where it "
-        f"{touched}: {share} of it. The second column is the same for the true {_surface(measured)}"
-        f" at these pixels: what a perfect measurement would leave.{added}"
+        f"Distances along the normal of the true specimen, of the points where it {touched}: "
+        f"{share} of it. The second column is the same deviation of the true {_surface(measured)} "
+        f"at these pixels, which a measurement without error would have.{added}"
     )
 
 
 def object_rows(measured: Measurement) -> dict[str, str]:
     """Return the measurands by name, with U, as a comparison of methods shows them."""
     rows = {}
-    for one in measured.object.quantities:
-        name = one.asked.name.replace("_", " ")
-        if one.asked.unit == "mm":
+    for quantity in measured.object.quantities:
+        name = quantity.asked.name.replace("_", " ")
+        if quantity.asked.unit == "mm":
             rows[f"{name} (mm)"] = (
-                NONE if one.value is None else f"{one.value:.4f} {_interval(one)}"
+                NONE if quantity.value is None else f"{quantity.value:.4f} {_interval(quantity)}"
             )
-        if one.asked.unit != "share":
-            rows[f"{name}: deviation (µm)"] = number(one.error, "+.1f")
+        if quantity.asked.unit != "share":
+            rows[f"{name}: deviation (µm)"] = number(quantity.error, "+.1f")
     return rows

@@ -38,7 +38,7 @@ _BAND_PIXELS = 1.5
 
 
 def touches(experiment: Experiment) -> str:
-    """Say how a point comes about: the coat touches, or the object is seen."""
+    """Return the condition for a point of the object: the coat touches it, or it is visible."""
     return "is touched" if experiment.method.presses else "is seen"
 
 
@@ -47,37 +47,42 @@ def object_figure(measured: Measurement) -> Figure:
     return Figure(
         "object",
         "Measured relief, true object, deviation and section",
-        "Heights in mm on one scale; points far out are left out. Deviation along the normal, "
-        f"offset taken off, where the specimen {touches(measured.experiment)}; elsewhere gray. "
-        f"The section shows measured points, the specimen's surface{grown(measured)}, and what "
-        f"was fitted; thick points took part.{_behind(measured)}",
+        "Top: measured and true height z (mm) on the same scale; outliers are not shown. Bottom "
+        "left: deviation of the points from the true object along its normal (µm), mean offset in "
+        f"z subtracted, where the specimen {touches(measured.experiment)}; elsewhere gray. Bottom "
+        f"right: section with measured points, the true surface of the specimen{grown(measured)}, "
+        f"and the fitted feature (dashed); large points were used in the fit.{_behind(measured)}",
         "maps of measured relief, true object and deviation, and a section",
         lambda path: draw_object(path, measured),
     )
 
 
 def grown(measured: Measurement) -> str:
-    """Say that the true object is drawn grown by what lies between, if it is."""
-    seen = measured.object.seen
-    return " (grown by the elastomer between)" if seen is not None and seen.surface.skin_mm else ""
+    """Return the offset of the drawn true object in words; empty without elastomer between."""
+    visible = measured.object.seen
+    return (
+        " (offset by the thickness of the elastomer)"
+        if visible is not None and visible.surface.skin_mm
+        else ""
+    )
 
 
 def _behind(measured: Measurement) -> str:
-    """Say where the object's own points come from, if they are not those of the surface seen."""
+    """Return the origin of the object's points in words; empty if they are the visible points."""
     if not measured.object.under_sheet:
         return ""
-    return " Deviation and thick points are of the object, the local thickness of the sheet below."
+    return " Deviation and large points: object points, one local thickness below the coat."
 
 
 def draw_object(path: Path, measured: Measurement) -> None:
     """Draw the picture of `object_figure` as PNG."""
-    found = measured.object
-    seen, aligned = found.seen, found.aligned["offset"]
-    assert seen is not None
-    points, pixel_mm = _shown_points(measured, seen.coat), seen.pixel_mm
-    z_true = np.ma.masked_invalid(seen.heights.z_mm + seen.surface.skin_mm)
+    score = measured.object
+    visible, aligned = score.seen, score.aligned["offset"]
+    assert visible is not None
+    points, pixel_mm = _shown_points(measured, visible.coat), visible.pixel_mm
+    z_true = np.ma.masked_invalid(visible.heights.z_mm + visible.surface.skin_mm)
     low, high = height_scale(points[:, 2])
-    half = seen.heights.pitch_mm / 2
+    half = visible.heights.pitch_mm / 2
     with drawing(path, 10.0, 7.0) as figure:
         cells = average_on_grid(points, points[:, 2], pixel_mm, _MAP_CELLS)
         outline = cells.extent_mm
@@ -86,10 +91,10 @@ def draw_object(path: Path, measured: Measurement) -> None:
             "z (mm)", ends=(low, high), extend="both",
         )  # fmt: skip
         extent = (
-            float(seen.heights.x_mm[0] - half),
-            float(seen.heights.x_mm[-1] + half),
-            float(seen.heights.y_mm[0] - half),
-            float(seen.heights.y_mm[-1] + half),
+            float(visible.heights.x_mm[0] - half),
+            float(visible.heights.x_mm[-1] + half),
+            float(visible.heights.y_mm[0] - half),
+            float(visible.heights.y_mm[-1] + half),
         )
         draw_map(
             axes_at(figure, 5.5, 0.35, 3.5, 2.6), z_true, extent, "true object", "z (mm)",
@@ -97,15 +102,15 @@ def draw_object(path: Path, measured: Measurement) -> None:
         )  # fmt: skip
         deviation_um = 1e3 * aligned.deviation_mm
         limit_um = symmetric_limit(deviation_um)
-        apart_mm = pixel_mm * np.sqrt(seen.measured.touching.sum() / max(len(deviation_um), 1))
+        apart_mm = pixel_mm * np.sqrt(visible.measured.touching.sum() / max(len(deviation_um), 1))
         cells = average_on_grid(aligned.points_mm, deviation_um, float(apart_mm), _MAP_CELLS)
         axes = axes_at(figure, 0.6, 3.95, 3.5, 2.6)
         draw_cells(
-            axes, cells, "deviation, offset taken off", "deviation (µm)",
+            axes, cells, "deviation, offset subtracted", "deviation (µm)",
             cmap=diverging(), ends=(-limit_um, limit_um), extend="both",
         )  # fmt: skip
         axes.set(xlim=outline[:2], ylim=outline[2:])
-        _draw_section(axes_at(figure, 5.7, 3.95, 4.0, 2.6), measured, seen)
+        _draw_section(axes_at(figure, 5.7, 3.95, 4.0, 2.6), measured, visible)
 
 
 def _shown_points(measured: Measurement, coat: ObjectPoints) -> FloatArray:
@@ -125,21 +130,24 @@ def trace_of(experiment: Experiment) -> Trace:
     return Trace(np.array([at.x_mm, at.y_mm]), np.array([np.cos(turn), np.sin(turn)]))
 
 
-def _draw_section(axes: Axes, measured: Measurement, seen: SeenObject) -> None:
-    trace, points = trace_of(measured.experiment), _shown_points(measured, seen.coat)
-    place, z = _band(trace, points, seen.pixel_mm)
+def _draw_section(axes: Axes, measured: Measurement, visible: SeenObject) -> None:
+    trace, points = trace_of(measured.experiment), _shown_points(measured, visible.coat)
+    place, z = _band(trace, points, visible.pixel_mm)
     coat = "measured coat" if measured.experiment.method.presses else "measured"
     axes.plot(place, z, ".", ms=2.0, color=MEASURED_FILL, label=coat)
-    fitted = next((one for one in measured.object.quantities if one.points_mm is not None), None)
+    fitted = next(
+        (quantity for quantity in measured.object.quantities if quantity.points_mm is not None),
+        None,
+    )
     if fitted is not None and fitted.points_mm is not None:
-        used, used_z = _band(trace, fitted.points_mm, seen.pixel_mm)
+        used, used_z = _band(trace, fitted.points_mm, visible.pixel_mm)
         axes.plot(used, used_z, ".", ms=3.5, color=MEASURED, label="fitted")
     grid = np.linspace(float(place.min()), float(place.max()), 600) if len(place) else place
-    true = _true_profile(seen, trace, grid)
+    true = _true_profile(visible, trace, grid)
     axes.plot(grid, true, color=NOMINAL, lw=1.0, label="true object")
     if fitted is not None and fitted.points_mm is not None:
         kind = measurand_of(fitted.asked)
-        for s, line in kind.curves(fitted.points_mm, trace, seen):
+        for s, line in kind.curves(fitted.points_mm, trace, visible):
             axes.plot(s, line, color=FIT, lw=1.2, ls="--")
     low, high = (float(z.min()), float(z.max())) if len(z) else (0.0, 1.0)
     margin = 0.15 * max(high - low, 0.01)
@@ -150,14 +158,14 @@ def _draw_section(axes: Axes, measured: Measurement, seen: SeenObject) -> None:
 
 
 def _band(trace: Trace, points: FloatArray, pixel_mm: float) -> tuple[FloatArray, FloatArray]:
-    """Return place along a section and height of the points beside it, in order."""
+    """Return position along a section and height of the points near it, sorted by position."""
     near = np.abs(trace.offset(points[:, 0], points[:, 1])) <= _BAND_PIXELS * pixel_mm
     place = np.asarray(trace.position(points[near, 0], points[near, 1]), np.float64)
     order = np.argsort(place)
     return place[order], points[near, 2][order]
 
 
-def _true_profile(seen: SeenObject, trace: Trace, place: FloatArray) -> FloatArray:
+def _true_profile(visible: SeenObject, trace: Trace, place: FloatArray) -> FloatArray:
     """World z of the true object's upper side, grown by the skin, along a section; NaN: none."""
-    z = seen.heights.z_mm[seen.heights.cells_of(trace.points(place))] if len(place) else place
-    return np.where(np.isfinite(z), z + seen.surface.skin_mm, np.nan)
+    z = visible.heights.z_mm[visible.heights.cells_of(trace.points(place))] if len(place) else place
+    return np.where(np.isfinite(z), z + visible.surface.skin_mm, np.nan)

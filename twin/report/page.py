@@ -1,7 +1,7 @@
 """The page that all reports are: sections of text, figures and tables in one self-contained file.
 
 A report is data (`Page`); `write_page` draws its figures into `figures/NAME.png`, puts them into
-the page, and writes it whole. What a page may hold is listed in `Block`.
+the page, and writes it atomically. `Block` lists the allowed content of a page.
 """
 
 import base64
@@ -34,10 +34,10 @@ class Figure:
     Attributes
     ----------
     name : of its file, and its place in the page
-    title : what it is, in a few words; empty: the caption says it
-    caption : what it shows, with units, and what to look for
-    alt : its content for those who do not see it
-    draw : writes the PNG; None: it lies in the folder of figures already
+    title : a noun phrase; empty: only the caption is shown
+    caption : plotted quantities with units, and how to judge them
+    alt : text for readers who cannot see the picture
+    draw : writes the PNG; None: the file exists in the folder of figures already
     """
 
     name: str
@@ -48,17 +48,17 @@ class Figure:
 
 
 Drawer = Callable[[Sequence[Figure], Callable[[Figure], Path], Callable[[], None]], None]
-"""Draws figures to where the second argument says, and calls the third after each."""
+"""Draws figures to the path that the second argument returns, and calls the third after each."""
 
 
 def one_by_one(
-    figures: Sequence[Figure], place: Callable[[Figure], Path], told: Callable[[], None]
+    figures: Sequence[Figure], place: Callable[[Figure], Path], step: Callable[[], None]
 ) -> None:
     """Draw figures in their order."""
     for figure in figures:
         if figure.draw is not None:
             figure.draw(place(figure))
-        told()
+        step()
 
 
 @dataclass(frozen=True)
@@ -87,15 +87,17 @@ class JudgedTarget:
 def judged(
     question: str, headline: str, targets: Sequence[JudgedTarget], more: Sequence[str] = ()
 ) -> Verdict:
-    """Return the card of some targets: the worst of their grades, and "missed" at each missed one.
+    """Return the card of some targets: their worst grade, and each missed target marked "missed".
 
     Parameters
     ----------
-    more : reasons that are not judged, behind the targets
+    more : reasons without a grade, listed after the targets
     """
     grades: tuple[Grade, ...] = ("poor", "check", "good")
-    worst: Grade = min((one.grade for one in targets), key=grades.index, default="good")
-    lines = (one.words if one.grade == "good" else f"missed: {one.words}" for one in targets)
+    worst: Grade = min((entry.grade for entry in targets), key=grades.index, default="good")
+    lines = (
+        entry.words if entry.grade == "good" else f"missed: {entry.words}" for entry in targets
+    )
     return Verdict(question, headline, worst, (*lines, *more))
 
 
@@ -106,7 +108,7 @@ def target(words: str, met: bool, otherwise: Grade = "check") -> JudgedTarget:
 
 @dataclass(frozen=True)
 class Note:
-    """A paragraph that is not running text: small print, a verdict, or why something failed."""
+    """A paragraph in a special style: small print, a verdict, or the reason of a failure."""
 
     text: str
     kind: Literal["note", "verdict", "failure"] = "note"
@@ -128,8 +130,8 @@ class Shares:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Two columns; one below the other where the window is narrow."""
+class TwoColumns:
+    """Two columns; the right one is below the left one in a narrow window."""
 
     left: "tuple[Block, ...]"
     right: "tuple[Block, ...]"
@@ -142,10 +144,10 @@ class TurnableView:
     Attributes
     ----------
     name : its place in the page
-    caption : what it shows, and how to turn it
+    caption : plotted quantities, and how to turn the view
     data : JSON for the script
-    homes : views to begin with, one button each
-    parts : what can be shown and hidden
+    homes : predefined views, one button each
+    parts : surfaces and lines that can be shown and hidden
     """
 
     name: str
@@ -156,8 +158,8 @@ class TurnableView:
 
 
 @dataclass(frozen=True)
-class Folded:
-    """What a reader opens to see; closed at first, and not printed."""
+class CollapsedSection:
+    """Blocks that the reader expands; collapsed at first, and not printed."""
 
     title: str
     blocks: "tuple[Block, ...]"
@@ -165,14 +167,25 @@ class Folded:
 
 @dataclass(frozen=True)
 class Section:
-    """What stands together under a heading; sections in sections have smaller headings."""
+    """Blocks under a heading; nested sections have smaller headings."""
 
     name: str
     title: str
     blocks: "tuple[Block, ...]"
 
 
-Block = str | Figure | Table | Note | Gallery | Shares | Beside | TurnableView | Folded | Section
+Block = (
+    str
+    | Figure
+    | Table
+    | Note
+    | Gallery
+    | Shares
+    | TwoColumns
+    | TurnableView
+    | CollapsedSection
+    | Section
+)
 """Text is escaped unless it is `markupsafe.Markup`."""
 
 
@@ -183,14 +196,14 @@ class Page:
     Attributes
     ----------
     kind : of report, above the title
-    title, lead : heading and what stands below it
+    title, lead : heading and the paragraph below it
     sections : in order
     verdicts : cards at its head
     warned, warnings : heading and lines of a box below the cards; no box without lines
     numbered : sections carry numbers
-    contents : a list of the sections stands before them
+    contents : the page has a list of the sections before them
     wide : for tables with many columns
-    certificate : printed alone on the first page, and not shown on a screen
+    certificate : the first printed page; not shown on a screen
     """
 
     kind: str
@@ -218,7 +231,7 @@ def write_page(
     watch: ProgressCallback = no_progress,
     draw: Drawer = one_by_one,
 ) -> Path:
-    """Draw the figures of a page into `figures` beside it, and write it whole or not at all.
+    """Draw the figures of a page into `figures` in its folder, and write the page atomically.
 
     Raises
     ------
@@ -247,7 +260,7 @@ def _as_uri(picture: Path) -> str:
 
 
 def figures_folder(folder: Path) -> Path:
-    """Make the folder of figures beside a page, unless it is there, and return it.
+    """Create the folder of figures next to a page if it does not exist, and return it.
 
     Raises
     ------
@@ -266,19 +279,19 @@ def figures_in(block: Block) -> Iterator[Figure]:
     if isinstance(block, Figure):
         yield block
     inside: Sequence[Block] = ()
-    if isinstance(block, Section | Folded):
+    if isinstance(block, Section | CollapsedSection):
         inside = block.blocks
-    elif isinstance(block, Beside):
+    elif isinstance(block, TwoColumns):
         inside = (*block.left, *block.right)
     elif isinstance(block, Gallery):
         inside = block.figures
-    for one in inside:
-        yield from figures_in(one)
+    for entry in inside:
+        yield from figures_in(entry)
 
 
 @cache
 def _template() -> Template:
-    """Return the template of all pages; an unknown name inside it is an error, not a gap."""
+    """Return the template of all pages; an unknown name inside it raises an error."""
     environment = Environment(
         loader=PackageLoader("twin.report"),
         autoescape=True,

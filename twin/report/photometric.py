@@ -5,12 +5,12 @@ from pathlib import Path
 
 from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
 from twin.report.page import (
-    Beside,
     Figure,
     Grade,
     JudgedTarget,
     Note,
     Section,
+    TwoColumns,
     Verdict,
     judged,
     target,
@@ -33,7 +33,7 @@ from twin.results.decoders import MAP_NAMES, decoder_name
 from twin.results.record import Measurement
 
 METHOD = "photometric stereo"
-WARNED = "The press leaves the range of its model, or not everything could be fitted"
+WARNED = "Warnings: the press is outside the range of its model, or a fit failed"
 GOOD_SCALE_ERROR, POOR_SCALE_ERROR = 0.05, 0.2
 _DECODERS = (
     Column("name", "colour map, integration"),
@@ -45,38 +45,45 @@ _DECODERS = (
 )
 
 
-def sections(seen: Measurement) -> list[Section]:
+def sections(measured: Measurement) -> list[Section]:
     """Return the page of a measurement by photometric stereo."""
-    own, tables = seen.colours.own, (field_table(seen), decoder_table(seen), *fit_tables(seen))
+    own, tables = (
+        measured.colours.own,
+        (field_table(measured), decoder_table(measured), *fit_tables(measured)),
+    )
     seen_in = (
-        _figure(seen, "images"),
-        _figure(seen, "slopes", colour_map=MAP_NAMES[own.colour_map]),
+        _figure(measured, "images"),
+        _figure(measured, "slopes", colour_map=MAP_NAMES[own.colour_map]),
     )
     by_decoder = (
-        relief_figure(seen),
+        relief_figure(measured),
         Note(f"Decoded by: {decoder_name(own)}."),
-        _figure(seen, "heights", shading=shading_words(seen)),
-        _figure(seen, "sections"),
+        _figure(measured, "heights", shading=shading_words(measured)),
+        _figure(measured, "sections"),
     )
     return [
-        Section("glance", "Experiment", (Beside((glance(seen),), (_figure(seen, "sensor"),)),)),
-        Section("result", "Result", (*tables, *discussion(seen))),
-        Section("recorded", "Camera image, and the slopes in it", seen_in),
+        Section(
+            "glance",
+            "Experiment",
+            (TwoColumns((glance(measured),), (_figure(measured, "sensor"),)),),
+        ),
+        Section("result", "Result", (*tables, *discussion(measured))),
+        Section("recorded", "Camera image and slopes", seen_in),
         Section("surface", "Heights by decoder", by_decoder),
-        Section("error", "Error against the true coat", (_figure(seen, "errors"),)),
-        *ball_sections(seen),
-        Section("pressed", "Specimen and gel", (press_figure(seen),)),
+        Section("error", "Error against the true coat", (_figure(measured, "errors"),)),
+        *ball_sections(measured),
+        Section("pressed", "Specimen and gel", (press_figure(measured),)),
     ]
 
 
-def verdicts(seen: Measurement) -> list[Verdict]:
+def verdicts(measured: Measurement) -> list[Verdict]:
     """Judge heights, their scale and the press, in this order."""
-    return [_of_heights(seen), _of_scale(seen), judge_press(seen)]
+    return [_of_heights(measured), _of_scale(measured), judge_press(measured)]
 
 
-def decoder_table(seen: Measurement) -> Table:
+def decoder_table(measured: Measurement) -> Table:
     """Return the figures of every decoder of this image."""
-    decoded = seen.colours.decoded
+    decoded = measured.colours.decoded
     return Table(
         "decoders",
         "Heights by decoder",
@@ -84,60 +91,60 @@ def decoder_table(seen: Measurement) -> Table:
         _DECODERS,
         tuple(
             {
-                "name": decoder_name(one),
-                "scale": one.errors.height_scale,
-                "rms": one.errors.z_rmse_um,
-                "mean": one.errors.z_bias_um,
-                "p95": one.errors.z_p95_um,
-                "good": percent(one.errors.good_share),
+                "name": decoder_name(decoder),
+                "scale": decoder.errors.height_scale,
+                "rms": decoder.errors.z_rmse_um,
+                "mean": decoder.errors.z_bias_um,
+                "p95": decoder.errors.z_p95_um,
+                "good": percent(decoder.errors.good_share),
             }
-            for one in decoded
+            for decoder in decoded
         ),
         (
-            "All decoders have the same image and the same reference presses; bold: the one that "
-            "the experiment names. Height scale: slope of measured over true height. Look-up "
-            "table: binned colours, empty bins filled from their neighbours. Vendor 2025 and 2024: "
-            "the behaviour of the published kits with their error of scale; corrected: the exact "
-            "eigenvalues. P95: 95th percentile of the size of the error.",
+            "All decoders have the same image and the same reference presses; bold: the decoder of "
+            "the experiment. Height scale: slope of the regression of measured on true height. "
+            "Look-up table: binned colours, empty bins filled from their neighbours. Vendor 2025 "
+            "and 2024: integration as in the published kits, with their scale error; corrected: "
+            "with the exact eigenvalues. P95: 95th percentile of the absolute error.",
         ),
-        kinds=tuple("measured" if one is seen.colours.own else "" for one in decoded),
+        kinds=tuple("measured" if decoder is measured.colours.own else "" for decoder in decoded),
     )
 
 
-def field_table(seen: Measurement) -> Table:
+def field_table(measured: Measurement) -> Table:
     """Return the figures of the evaluated field."""
-    figures, limit_um = seen.figures, seen.experiment.score.good_within_um
+    figures, limit_um = measured.figures, measured.experiment.score.good_within_um
     rows = [
         ("pixels of the coat in the evaluated field", str(figures["wanted_pixels"]), ""),
         ("of these with a point", percent(figures["completeness"]), ""),
         (f"with a point within {limit_um:g} µm", percent(figures["good_share"]), ""),
     ]
-    return pairs("field", "In the evaluated field", rows)
+    return pairs("field", "Points in the evaluated field", rows)
 
 
-def discussion(seen: Measurement) -> list[str]:
+def discussion(measured: Measurement) -> list[str]:
     """Return the paragraphs of the result."""
-    own = seen.score.against_truth
+    own = measured.score.against_truth
     mean = NONE if own.z_bias_um is None else signed(own.z_bias_um, 1)
-    found = [
-        f"{result_in_words(seen)} Error of z against the true coat: "
+    paragraphs = [
+        f"{result_in_words(measured)} Error of z against the true coat: "
         f"{number(own.z_rmse_um, '.1f')} µm RMS, mean {mean} µm. Photometric stereo measures "
-        "slopes; slope errors too small to see in any pixel add up to a bow over the field when "
-        "they are integrated.",
-        _on_the_scale(seen),
+        "slopes; their integration accumulates slope errors that are small in each pixel, which "
+        "bends the surface over the whole field.",
+        _on_the_scale(measured),
     ]
-    if seen.score.spheres:
-        found.append(
-            "A sphere fit with a free radius does not see a wrong height scale: a flattened cap is "
-            "nearly a sphere too, of a larger radius. Read its RMSE together with the radius and "
+    if measured.score.spheres:
+        paragraphs.append(
+            "A sphere fit with a free radius does not detect a wrong height scale: a flattened cap "
+            "is nearly a sphere of a larger radius. Compare its RMSE together with the radius and "
             "with the z error of the table above."
         )
-    return found
+    return paragraphs
 
 
-def sentences(seen: Measurement) -> list[str]:
+def sentences(measured: Measurement) -> list[str]:
     """Return the result for a terminal, at most 100 columns wide, in ASCII."""
-    figures = seen.figures
+    figures = measured.figures
     return [
         f"z error against the true coat: {figures['z_rmse_um']:.2f} um RMS, mean "
         f"{figures['z_bias_um']:.2f} um, {figures['z_p95_um']:.2f} um P95",
@@ -145,16 +152,16 @@ def sentences(seen: Measurement) -> list[str]:
         f"{figures['completeness']:.1%} of the field; force "
         f"{figures['force_n']:.3g} N at {figures['depth_mm']:.3g} mm",
         *(
-            f"{decoder_name(one)}: {one.errors.z_rmse_um:.1f} um RMS, scale "
-            f"{number(one.errors.height_scale, '.3f', '-')}"
-            for one in seen.colours.decoded
-            if one is not seen.colours.own
+            f"{decoder_name(decoder)}: {decoder.errors.z_rmse_um:.1f} um RMS, scale "
+            f"{number(decoder.errors.height_scale, '.3f', '-')}"
+            for decoder in measured.colours.decoded
+            if decoder is not measured.colours.own
         ),
     ]
 
 
-def _of_heights(seen: Measurement) -> Verdict:
-    figures, limit_um = seen.figures, seen.experiment.score.good_within_um
+def _of_heights(measured: Measurement) -> Verdict:
+    figures, limit_um = measured.figures, measured.experiment.score.good_within_um
     share = figures.known("good_share")
     words = (
         f"{percent(share)} of the field within {limit_um:g} µm (good from {GOOD_SHARE:.0%}, "
@@ -166,20 +173,21 @@ def _of_heights(seen: Measurement) -> Verdict:
         [JudgedTarget(words, grade_of_share(share))],
         (
             f"a point on {percent(figures['completeness'])}",
-            f"by the decoder {decoder_name(seen.colours.own)}",
+            f"by the decoder {decoder_name(measured.colours.own)}",
         ),
     )
 
 
-def _of_scale(seen: Measurement) -> Verdict:
-    scale, question = seen.figures["height_scale"], "Is the scale of the heights right?"
+def _of_scale(measured: Measurement) -> Verdict:
+    scale, question = measured.figures["height_scale"], "Is the height scale correct?"
     if scale is None:
         return Verdict(question, NONE, "check", ("the true coat is flat: it has no scale",))
     worst = abs(scale - 1)
     otherwise: Grade = "poor" if worst > POOR_SCALE_ERROR else "check"
     words = f"good within {GOOD_SCALE_ERROR:.0%} of 1, poor beyond {POOR_SCALE_ERROR:.0%}"
     others = [
-        (decoder_name(one), number(one.errors.height_scale, ".3f")) for one in seen.colours.decoded
+        (decoder_name(decoder), number(decoder.errors.height_scale, ".3f"))
+        for decoder in measured.colours.decoded
     ]
     return judged(
         question,
@@ -189,23 +197,23 @@ def _of_scale(seen: Measurement) -> Verdict:
     )
 
 
-def _on_the_scale(seen: Measurement) -> str:
+def _on_the_scale(measured: Measurement) -> str:
     scales = {
-        one.integration: number(one.errors.height_scale, ".2f")
-        for one in seen.colours.decoded
-        if one.colour_map == seen.colours.own.colour_map
+        decoder.integration: number(decoder.errors.height_scale, ".2f")
+        for decoder in measured.colours.decoded
+        if decoder.colour_map == measured.colours.own.colour_map
     }
     return (
         "The vendor's programs integrate with a wrong scale that depends on the width of the shape "
-        "and on their version: from the same slopes the heights of this specimen come out "
-        f"{scales['sdk_2025']} (2025) and {scales['sdk_2024']} (2024) of the true ones, "
-        f"and {scales['corrected']} with the exact eigenvalues."
+        "and on the program version. From the same slopes the ratio of integrated to true height "
+        f"of this specimen is {scales['sdk_2025']} (2025), {scales['sdk_2024']} (2024), and "
+        f"{scales['corrected']} with the exact eigenvalues."
     )
 
 
-def _figure(seen: Measurement, name: str, **told: str) -> Figure:
+def _figure(measured: Measurement, name: str, **values: str) -> Figure:
     title, caption, alt, draw = _FIGURES[name]
-    return Figure(name, title, caption.format(**told), alt, lambda path: draw(path, seen))
+    return Figure(name, title, caption.format(**values), alt, lambda path: draw(path, measured))
 
 
 _FIGURES: dict[str, tuple[str, str, str, Callable[[Path, Measurement], None]]] = {
@@ -218,38 +226,38 @@ _FIGURES: dict[str, tuple[str, str, str, Callable[[Path, Measurement], None]]] =
     ),
     "images": (
         "Tactile image",
-        "What the sensor's driver delivers: 8-bit colours after gamma, crop and resize. The dashed "
-        "outline is the evaluated field. Red light comes from the top, green from the right, blue "
-        "from the bottom; there is no lamp on the left.",
+        "Image of the sensor's driver: 8-bit colours after gamma, crop and resize. The dashed "
+        "outline is the evaluated field. The red lamp is at the top, the green one on the right, "
+        "the blue one at the bottom; there is no lamp on the left.",
         "tactile image, background and their difference",
         draw_images,
     ),
     "slopes": (
         "Slopes",
         "Slopes in mm/mm by the {colour_map} map against the true "
-        "coat at the same pixels. Beside a contact the coat lies in the shadow of a lamp, which no "
-        "reference press taught. Everything after this figure is integration.",
+        "coat at the same pixels. Next to a contact the coat is in the shadow of a lamp, for which "
+        "the reference presses contain no data. Heights are computed by integrating these slopes.",
         "measured and true slopes of the coat, and their difference",
         draw_slopes,
     ),
     "heights": (
         "True heights and those of every decoder",
-        "The same image by every decoder, all on the scale of the true coat{shading}; white: no "
-        "measurement. Lengths in mm.",
+        "True height z and the heights that each decoder computes from the same image, all on the "
+        "scale of the true coat{shading}; white: no measurement. Lengths in mm.",
         "true heights and those of every decoder",
         draw_heights,
     ),
     "sections": (
         "Section",
-        "Along the line through the apexes. The wider a shape, the more the vendor's integration "
-        "flattens it.",
+        "Heights (mm) and height errors (µm) of every decoder along the line through the apexes. "
+        "The vendor's integration flattens wide shapes more than narrow ones.",
         "heights and height errors along the section",
         draw_sections,
     ),
     "errors": (
         "Error of z by decoder",
-        "Measured minus true z in the evaluated field, all on one scale, clipped at its ends. "
-        "Nothing is shifted or scaled before comparing.",
+        "Measured minus true z (µm) in the evaluated field, the same clipped scale for all "
+        "decoders. Heights are compared without shift or scaling.",
         "height error of every decoder",
         draw_errors,
     ),

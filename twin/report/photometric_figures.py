@@ -1,6 +1,6 @@
 """Figures of photometric stereo in mm on the coat: sensor, image, slopes, heights, errors, section.
 
-The image is a regular grid on the coat: x grows to the right, y upwards, the middle is the origin.
+The image is a regular grid on the coat: x points right, y up, the origin is the middle.
 """
 
 from pathlib import Path
@@ -48,129 +48,134 @@ _BETWEEN_IN = 0.25  # tick labels of the upper line
 _TICKS_MM = 4.0
 
 
-def extent_mm(seen: Measurement) -> tuple[float, float, float, float]:
+def extent_mm(measured: Measurement) -> tuple[float, float, float, float]:
     """Outline of the image on the coat: left, right, bottom, top."""
-    rows, cols = seen.picture.shape[:2]
+    rows, cols = measured.picture.shape[:2]
     half_x, half_y = (
-        cols * seen.colours.calibration.pitch_mm / 2,
-        rows * seen.colours.calibration.pitch_mm / 2,
+        cols * measured.colours.calibration.pitch_mm / 2,
+        rows * measured.colours.calibration.pitch_mm / 2,
     )
     return (-half_x, half_x, -half_y, half_y)
 
 
-def true_heights_mm(seen: Measurement) -> Masked:
+def true_heights_mm(measured: Measurement) -> Masked:
     """World z of the true coat behind each pixel, (row, col) masked."""
-    z_mm = seen.truth.points_world_mm[..., 2].astype(np.float64)
-    return np.ma.masked_array(z_mm, ~seen.truth.measured)
+    z_mm = measured.truth.points_world_mm[..., 2].astype(np.float64)
+    return np.ma.masked_array(z_mm, ~measured.truth.measured)
 
 
-def decoder_error_um(seen: Measurement, one: DecodedImage) -> Masked:
+def decoder_error_um(measured: Measurement, decoder: DecodedImage) -> Masked:
     """Measured minus true world z in the evaluated field, (row, col) masked."""
-    scored = wanted_pixels(seen.experiment, seen.truth) & one.heights.valid
-    difference = one.heights.height_mm - true_heights_mm(seen).data
+    scored = wanted_pixels(measured.experiment, measured.truth) & decoder.heights.valid
+    difference = decoder.heights.height_mm - true_heights_mm(measured).data
     return np.ma.masked_array(1e3 * difference, ~scored)
 
 
-def true_slopes(seen: Measurement) -> FloatArray:
+def true_slopes(measured: Measurement) -> FloatArray:
     """Slopes of the true coat behind each pixel, (2, row, col), down and to the right."""
-    normals = seen.truth.normals_world.astype(np.float64)
+    normals = measured.truth.normals_world.astype(np.float64)
     upward = np.where(np.abs(normals[..., 2]) > 1e-6, normals[..., 2], 1.0)
     # World y points up, rows count down.
     return np.stack([normals[..., 1] / upward, -normals[..., 0] / upward])
 
 
-def difference_levels(seen: Measurement) -> Levels:
+def difference_levels(measured: Measurement) -> Levels:
     """Image minus background, enlarged, about mid-grey."""
-    change = seen.picture - seen.colours.calibration.background.astype(np.float64)
+    change = measured.picture - measured.colours.calibration.background.astype(np.float64)
     return np.rint(np.clip(128 + DIFFERENCE_GAIN * change, 0, 255)).astype(np.uint8)
 
 
-def draw_images(path: Path, seen: Measurement) -> None:
+def draw_images(path: Path, measured: Measurement) -> None:
     """Draw tactile image, background and their difference, as PNG."""
-    background = np.rint(seen.colours.calibration.background).astype(np.uint8)
+    background = np.rint(measured.colours.calibration.background).astype(np.uint8)
     pictures = {
-        "tactile image": seen.picture,
+        "tactile image": measured.picture,
         "untouched gel (background)": background,
-        f"difference × {DIFFERENCE_GAIN}, grey is none": difference_levels(seen),
+        f"difference × {DIFFERENCE_GAIN}, grey is none": difference_levels(measured),
     }
-    panel_in, height_in = _panel(seen, 3)
+    panel_in, height_in = _panel(measured, 3)
     with drawing(path, _WIDTH_IN, _TOP_IN + height_in + 0.5) as figure:
         for number, (title, picture) in enumerate(pictures.items()):
             axes = _axes(figure, number, _TOP_IN, panel_in, height_in)
-            axes.imshow(picture, extent=extent_mm(seen))
+            axes.imshow(picture, extent=extent_mm(measured))
             axes.set(title=title, xlabel="x (mm)", ylabel="" if number else "y (mm)")
-            _mark_field(axes, seen)
+            _mark_field(axes, measured)
 
 
-def draw_slopes(path: Path, seen: Measurement) -> None:
+def draw_slopes(path: Path, measured: Measurement) -> None:
     """Draw measured and true slopes and their difference, both directions, as PNG."""
-    measured, true = seen.colours.own.heights.slopes.astype(np.float64), true_slopes(seen)
+    slopes, true = measured.colours.own.heights.slopes.astype(np.float64), true_slopes(measured)
     limit = symmetric_limit(true, 99.5)
-    error_limit = symmetric_limit(measured - true, 99.0)
-    panel_in, height_in = _panel(seen, 3)
+    error_limit = symmetric_limit(slopes - true, 99.0)
+    panel_in, height_in = _panel(measured, 3)
     line_in = _TOP_IN + height_in + _BETWEEN_IN
     with drawing(path, _WIDTH_IN, 2 * line_in + _BELOW_IN) as figure:
         for line, (name, at) in enumerate((("to the right", 1), ("downwards", 0))):
             shown = (
-                (f"measured, {name}", measured[at], limit),
+                (f"measured, {name}", slopes[at], limit),
                 (f"true, {name}", true[at], limit),
-                ("measured − true", measured[at] - true[at], error_limit),
+                ("measured − true", slopes[at] - true[at], error_limit),
             )
             for number, (title, values, end) in enumerate(shown):
                 axes = _axes(figure, number, line * line_in + _TOP_IN, panel_in, height_in)
-                mapped = _map(axes, seen, values, end)
+                mapped = _map(axes, measured, values, end)
                 axes.set(title=title)
                 if line:
                     add_colorbar(axes, mapped, "slope (mm/mm)", extend="both", side="below")
 
 
-def draw_heights(path: Path, seen: Measurement) -> None:
+def draw_heights(path: Path, measured: Measurement) -> None:
     """Draw the true heights and those of every decoder, shaded, on one scale, as PNG."""
-    scale, wide_mm, extent = true_scale(seen), width_mm(seen), extent_mm(seen)
-    panel_in, height_in = _panel(seen, 4)
+    scale, wide_mm, extent = true_scale(measured), width_mm(measured), extent_mm(measured)
+    panel_in, height_in = _panel(measured, 4)
     line_in = _TOP_IN + height_in + _BETWEEN_IN
-    lines = _lines(seen)
+    lines = _lines(measured)
     with drawing(path, _WIDTH_IN, len(lines) * line_in) as figure:
         for line, decoders in enumerate(lines):
             top_in = line * line_in + _TOP_IN
             if not line:
                 axes = _axes(figure, 0, top_in, panel_in, height_in)
-                show_z(axes, true_heights_mm(seen), wide_mm, scale, extent=extent)
+                show_z(axes, true_heights_mm(measured), wide_mm, scale, extent=extent)
                 axes.set(title="true coat")
-            for number, one in enumerate(decoders, start=1):
+            for number, decoder in enumerate(decoders, start=1):
                 axes = _axes(figure, number, top_in, panel_in, height_in)
-                z_mm = np.ma.masked_array(one.heights.height_mm, ~one.heights.valid)
+                z_mm = np.ma.masked_array(decoder.heights.height_mm, ~decoder.heights.valid)
                 show_z(axes, z_mm.astype(np.float64), wide_mm, scale, bar=False, extent=extent)
-                axes.set(title=decoder_name(one))
+                axes.set(title=decoder_name(decoder))
 
 
-def draw_errors(path: Path, seen: Measurement) -> None:
+def draw_errors(path: Path, measured: Measurement) -> None:
     """Draw the height error of every decoder on one scale, as PNG."""
-    errors = {id(one): decoder_error_um(seen, one) for one in seen.colours.decoded}
+    errors = {
+        id(decoder): decoder_error_um(measured, decoder) for decoder in measured.colours.decoded
+    }
     limit_um = round_up(
         max(float(np.percentile(np.abs(e.compressed()), 95)) for e in errors.values())
     )
-    panel_in, height_in = _panel(seen, 3)
+    panel_in, height_in = _panel(measured, 3)
     line_in = _TOP_IN + height_in + _BETWEEN_IN
-    lines = _lines(seen)
+    lines = _lines(measured)
     with drawing(path, _WIDTH_IN, len(lines) * line_in + _BELOW_IN) as figure:
         for line, decoders in enumerate(lines):
-            for number, one in enumerate(decoders):
+            for number, decoder in enumerate(decoders):
                 axes = _axes(figure, number, line * line_in + _TOP_IN, panel_in, height_in)
-                shown = _map(axes, seen, errors[id(one)], limit_um)
-                axes.set(title=f"{decoder_name(one)}: {one.errors.z_rmse_um:.1f} µm RMS")
+                shown = _map(axes, measured, errors[id(decoder)], limit_um)
+                axes.set(title=f"{decoder_name(decoder)}: {decoder.errors.z_rmse_um:.1f} µm RMS")
                 if line == len(lines) - 1:
                     add_colorbar(axes, shown, "z error (µm)", extend="both", side="below")
 
 
-def _lines(seen: Measurement) -> list[list[DecodedImage]]:
-    lines = [[one for one in seen.colours.decoded if one.colour_map == kind] for kind in MAP_ORDER]
+def _lines(measured: Measurement) -> list[list[DecodedImage]]:
+    lines = [
+        [decoder for decoder in measured.colours.decoded if decoder.colour_map == kind]
+        for kind in MAP_ORDER
+    ]
     return [line for line in lines if line]
 
 
-def _panel(seen: Measurement, count: int) -> tuple[float, float]:
+def _panel(measured: Measurement, count: int) -> tuple[float, float]:
     """Width and height of one of `count` maps side by side, inches."""
-    rows, cols = seen.picture.shape[:2]
+    rows, cols = measured.picture.shape[:2]
     width_in = (_WIDTH_IN - _LEFT_IN - count * _GAP_IN) / count
     return width_in, width_in * rows / cols
 
@@ -184,13 +189,15 @@ def _axes(figure: Canvas, number: int, top_in: float, width_in: float, height_in
     return axes
 
 
-def _map(axes: Axes, seen: Measurement, values: Any, limit: float) -> Any:
-    return axes.imshow(values, extent=extent_mm(seen), cmap=diverging(), vmin=-limit, vmax=limit)
+def _map(axes: Axes, measured: Measurement, values: Any, limit: float) -> Any:
+    return axes.imshow(
+        values, extent=extent_mm(measured), cmap=diverging(), vmin=-limit, vmax=limit
+    )
 
 
-def _mark_field(axes: Axes, seen: Measurement) -> None:
+def _mark_field(axes: Axes, measured: Measurement) -> None:
     """Outline the part of the coat that is evaluated."""
-    size = seen.experiment.photometric
+    size = measured.experiment.photometric
     corner = (-size.field_x_mm / 2, -size.field_y_mm / 2)
     for colour, width, style in (("white", 1.4, "-"), (INK, 0.7, (0, (6, 4)))):
         axes.add_patch(
@@ -205,20 +212,20 @@ _COLOURS = (MEASURED, FIT, NOMINAL, "#8c6d31", "#7b4173")
 _STYLES = {"polynomial": "-", "table": ":"}
 
 
-def draw_sections(path: Path, seen: Measurement) -> None:
+def draw_sections(path: Path, measured: Measurement) -> None:
     """Draw heights and height errors of every decoder along the section, as PNG."""
-    trace = trace_through_apexes(seen.experiment)
-    left, right, *_ = extent_mm(seen)
+    trace = trace_through_apexes(measured.experiment)
+    left, right, *_ = extent_mm(measured)
     s_mm = np.linspace(left, right, _SAMPLES)
-    true_mm = face_profile(seen.press, trace, s_mm)
+    true_mm = face_profile(measured.press, trace, s_mm)
     with drawing(path, 10.0, 6.9) as figure:
         heights = axes_at(figure, 0.65, 0.35, 9.2, 3.0)
         errors = axes_at(figure, 0.65, 4.0, 9.2, 2.4)
         heights.plot(s_mm, true_mm, color=TRUE_FACE, lw=2.4, alpha=0.6, label="true coat")
-        for one in seen.colours.decoded:
-            found_mm = profile_mm(one, seen, trace, s_mm)
-            _line(heights, s_mm, found_mm, one)
-            _line(errors, s_mm, 1e3 * (found_mm - true_mm), one)
+        for decoder in measured.colours.decoded:
+            found_mm = profile_mm(decoder, measured, trace, s_mm)
+            _line(heights, s_mm, found_mm, decoder)
+            _line(errors, s_mm, 1e3 * (found_mm - true_mm), decoder)
         heights.set(title="Height along the section, z enlarged", ylabel="z (mm)")
         errors.set(title="Measured − true", ylabel="z error (µm)")
         errors.axhline(0.0, color=TRUE_FACE, lw=2.4, alpha=0.6)
@@ -228,26 +235,28 @@ def draw_sections(path: Path, seen: Measurement) -> None:
         heights.legend(loc="upper right")
 
 
-def profile_mm(one: DecodedImage, seen: Measurement, trace: Trace, s_mm: FloatArray) -> FloatArray:
+def profile_mm(
+    decoder: DecodedImage, measured: Measurement, trace: Trace, s_mm: FloatArray
+) -> FloatArray:
     """Return heights of one decoder at positions s, mm; NaN outside the image."""
-    rows, cols = one.heights.height_mm.shape
-    pitch_mm = one.heights.pitch_mm
+    rows, cols = decoder.heights.height_mm.shape
+    pitch_mm = decoder.heights.pitch_mm
     x_mm = (np.arange(cols) - (cols - 1) / 2) * pitch_mm
     y_mm = (np.arange(rows) - (rows - 1) / 2) * pitch_mm
-    upwards = one.heights.height_mm[::-1].astype(np.float64)
+    upwards = decoder.heights.height_mm[::-1].astype(np.float64)
     sample = RegularGridInterpolator((y_mm, x_mm), upwards, bounds_error=False)
     return np.asarray(sample(trace.points(s_mm)[:, ::-1]))
 
 
-def _line(axes: Axes, s_mm: FloatArray, values: FloatArray, one: DecodedImage) -> None:
-    place = [scheme.name for scheme in schemes_in_order()].index(one.integration)
+def _line(axes: Axes, s_mm: FloatArray, values: FloatArray, decoder: DecodedImage) -> None:
+    place = [scheme.name for scheme in schemes_in_order()].index(decoder.integration)
     axes.plot(
         s_mm,
         values,
         color=_COLOURS[place % len(_COLOURS)],
-        ls=_STYLES[one.colour_map],
+        ls=_STYLES[decoder.colour_map],
         lw=1.2,
-        label=decoder_name(one),
+        label=decoder_name(decoder),
     )
 
 
@@ -256,9 +265,9 @@ _ARROW_MM = 3.5
 _LAYER_COLOURS = ("#cfe3f1", "#e3eef6")
 
 
-def draw_sensor(path: Path, seen: Measurement) -> None:
+def draw_sensor(path: Path, measured: Measurement) -> None:
     """Draw the sensor from above and from the side, to scale, as PNG."""
-    experiment = seen.experiment
+    experiment = measured.experiment
     with drawing(path, 5.0, 6.25) as figure:
         _above(axes_at(figure, 0.6, 0.35, 4.1, 3.3), experiment)
         _side(axes_at(figure, 0.6, 4.4, 4.1, 1.35), experiment)
@@ -314,7 +323,7 @@ def _side(axes: Axes, experiment: Experiment) -> None:
     standoff_mm = experiment.camera.pose.standoff_mm
     seen_mm = image_pinhole(experiment).width_px / image_pinhole(experiment).fx_px / 2
     reach_mm = top_mm + 3.0
-    # Air above the window: what is drawn of the fan ends where refraction would bend it.
+    # The fan of rays is drawn in the air above the window, where no layer refracts it.
     ends = [seen_mm * (standoff_mm - z_mm) for z_mm in (top_mm, reach_mm)]
     fan = [(-ends[0], top_mm), (ends[0], top_mm), (ends[1], reach_mm), (-ends[1], reach_mm)]
     axes.add_patch(Polygon(fan, facecolor=MEASURED, alpha=0.15, edgecolor="none"))

@@ -20,7 +20,7 @@ def picture_of(folder: Path) -> str | None:
 
 
 def draw_picture(folder: Path, into: Path) -> Path:
-    """Draw the picture of what `folder` holds into another folder, and return its path.
+    """Draw the picture of the result in `folder` into another folder, and return its path.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Panels in camera pixels, whatever the method: image, heights, error and reasons, pixel on pixel.
+"""Panels in camera pixels, for all methods: image, heights, error and reasons.
 
-All panels of a measurement show the same pixels at the same place, so that a gap in the heights
-can be looked up in the image beside it. Row 0 is the top, as in the image.
+All panels of a measurement show the same pixels at the same position, so that a gap in the heights
+can be compared with the image next to it. Row 0 is the top, as in the image.
 """
 
 from collections.abc import Callable
@@ -50,7 +50,7 @@ _SIDE_IN, _WIDTH_IN, _BAR_IN = 0.02, 3.0, 0.95
 
 @dataclass(frozen=True)
 class ZScale:
-    """How heights that are compared are shown alike.
+    """Common scale of heights that are compared.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ def draw_small(path: Path, show: Callable[[Axes], None], shape: tuple[int, int],
     Parameters
     ----------
     shape : (row, col) of the image
-    bar : leave room for a colour bar below
+    bar : add space for a colour bar below
     """
     inside_in = _WIDTH_IN - 2 * _SIDE_IN
     height_in, below_in = inside_in * shape[0] / shape[1], _BAR_IN if bar else _SIDE_IN
@@ -116,7 +116,7 @@ def show_z(
 
 
 def show_z_error(axes: Axes, error_um: Masked, limit_um: float, bar: bool = True) -> None:
-    """Show errors of z (row, col); beyond the limit they keep the colour of the end."""
+    """Show errors of z (row, col), clipped to ± the limit."""
     colours = diverging().with_extremes(bad=NO_POINT)
     shown = axes.imshow(error_um, cmap=colours, vmin=-limit_um, vmax=limit_um)
     no_ticks(axes)
@@ -131,26 +131,26 @@ def show_codes(axes: Axes, reason: Masked, **options: Any) -> None:
     axes.imshow(reason, cmap=colours, norm=norm, **options)
 
 
-def wanted(measured: Measurement) -> BoolImage:
-    """Pixels that ought to give a point, (row, col)."""
+def scored_pixels(measured: Measurement) -> BoolImage:
+    """Return True for the pixels that should have a point, (row, col)."""
     return wanted_pixels(measured.experiment, measured.truth)
 
 
 def error_um(measured: Measurement) -> Masked:
-    """Measured minus true world z, um, (row, col); masked where there is no wanted point."""
+    """Measured minus true world z, um, (row, col); masked where there is no scored point."""
     points, true_mm = measured.points, measured.truth.points_world_mm
     difference = (points.world_mm[..., 2] - true_mm[..., 2]).astype(np.float64)
-    return np.ma.masked_array(1e3 * difference, mask=~(points.valid & wanted(measured)))
+    return np.ma.masked_array(1e3 * difference, mask=~(points.valid & scored_pixels(measured)))
 
 
 def true_scale(measured: Measurement) -> ZScale:
-    """Return the scale of the true heights that the camera sees; wrong points do not count."""
+    """Return the scale of the true heights in view; wrong measured points do not change it."""
     truth = measured.truth
     return ZScale.of(truth.points_world_mm[truth.depth_mm > 0][:, 2], width_mm(measured))
 
 
 def shading_words(measured: Measurement) -> str:
-    """Say by how much shading enlarges z, in brackets; empty where it does not."""
+    """Return the enlargement of z by the shading, in brackets; empty if it is 1."""
     enlarged = true_scale(measured).enlarged
     return "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
 
@@ -178,8 +178,8 @@ def show_error(axes: Axes, measured: Measurement) -> None:
 
 
 def show_reasons(axes: Axes, measured: Measurement) -> None:
-    """Show why wanted pixels have no point; the others are pale gray."""
-    show_codes(axes, thinned(np.ma.masked_array(measured.points.reason, ~wanted(measured))))
+    """Show why scored pixels have no point; all other pixels are pale gray."""
+    show_codes(axes, thinned(np.ma.masked_array(measured.points.reason, ~scored_pixels(measured))))
     no_ticks(axes)
 
 

@@ -41,12 +41,12 @@ from twin.results.press_derivatives import PressDerivative
 from twin.results.record import Measurement
 
 _SAMPLES = 801
-# Edges press many times harder than faces: above this ratio the scale ends at that percentile.
+# Edges have many times the pressure of faces: above this ratio the scale ends at a percentile.
 _EDGE_PEAK, _MOST_PERCENT = 2.0, 90.0
 _SHEET_MAPS = (
-    " Bottom row: local thickness of the sheet, its larger principal stretch, and the slope of the "
-    "coat. Where the sheet touches, the specimen lies one local thickness behind the coat, along "
-    "the coat's normal."
+    " Bottom row: local thickness of the sheet (mm), its larger principal stretch, and the slope "
+    "of the coat (degrees). In the contact the distance from coat to specimen along the coat's "
+    "normal is the local thickness."
 )
 _SILICONE, _STEEL = "#cfe3f1", "#d9cdb8"
 
@@ -57,9 +57,9 @@ def press_figure(measured: Measurement) -> Figure:
     return Figure(
         "press",
         "Pressed elastomer",
-        "Relief of the coated face in mm, contact pressure in kPa, and the section along the "
-        "dashed line, to scale and with z enlarged. The closer the coated face follows the dashed "
-        "outline of the specimen, the more of its shape the sensor can measure."
+        "Results of the press model: relief of the coated face (mm), contact pressure (kPa), and "
+        "the section along the dashed line, to scale and with z enlarged. The closer the coated "
+        "face follows the dashed outline of the specimen, the more of its shape is measurable."
         + ("" if pressed.sheet is None else _SHEET_MAPS),
         "relief, pressure and sections of the pressed elastomer",
         lambda path: draw_press(path, measured.experiment, pressed),
@@ -74,10 +74,10 @@ def judge_press(measured: Measurement) -> Verdict:
     error_um, peak_um = 1e3 * known("height_error_estimate_mm"), 1e3 * known("relief_peak_mm")
     return Verdict(
         question="Can the press model be trusted?",
-        headline=f"± {error_um:.3g} µm estimated",
+        headline=f"estimated height error ± {error_um:.3g} µm",
         grade="check" if warnings else "good",
         reasons=(
-            f"estimated height error of leaving out {left_out}: "
+            f"the model neglects {left_out}; estimated height error "
             f"{error_um / max(peak_um, 1e-9):.1%} of the relief",
             counted(len(warnings), "warning") + (", listed below" if warnings else " of the press"),
         ),
@@ -103,20 +103,20 @@ def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) ->
 def draw_derivatives(
     path: Path, pressed: PressedElastomer, derivatives: Sequence[PressDerivative]
 ) -> None:
-    """Draw as PNG how the coated face moves with each number, per unit of it: a map each."""
+    """Draw the derivative of the coated face z with respect to each parameter as a map, as PNG."""
     x_mm, y_mm = pressed.face_x_mm, pressed.face_y_mm
     extent_mm = (float(x_mm[0]), float(x_mm[-1]), float(y_mm[0]), float(y_mm[-1]))
     cols, rows = min(len(derivatives), 2), -(-len(derivatives) // 2)
     with drawing(path, 0.3 + 4.9 * cols, 3.8 * rows) as figure:
-        for number, one in enumerate(derivatives):
+        for number, derivative in enumerate(derivatives):
             row, col = divmod(number, 2)
             axes = axes_at(figure, 0.65 + 4.9 * col, 0.35 + 3.8 * row, 3.3, 2.9)
-            most = float(np.abs(one.face_z).max()) or 1.0
-            name, unit = label_of(one.path.rpartition(".")[2])
+            most = float(np.abs(derivative.face_z).max()) or 1.0
+            name, unit = label_of(derivative.path.rpartition(".")[2])
             label = f"dz (mm) per {unit or 'unit'}"
-            title = f"{one.path.partition('.')[0]}: {name}"
+            title = f"{derivative.path.partition('.')[0]}: {name}"
             ends, cmap = (-most, most), diverging()
-            draw_map(axes, one.face_z, extent_mm, title, label, cmap=cmap, ends=ends)
+            draw_map(axes, derivative.face_z, extent_mm, title, label, cmap=cmap, ends=ends)
 
 
 def draw_section(
@@ -145,7 +145,7 @@ def draw_section(
 def _coated_face(
     axes: Axes, experiment: Experiment, pressed: PressedElastomer, trace: Trace
 ) -> None:
-    """Draw the coated face with z enlarged, and the object as a thin draped skin would show it."""
+    """Draw the coated face with z enlarged, and the specimen shifted to the same peak."""
     low, high = slab_span(experiment, trace)
     s_mm = np.linspace(low, high, _SAMPLES)
     coated = face_profile(pressed, trace, s_mm)
@@ -157,7 +157,7 @@ def _coated_face(
     axes.plot(s_mm, coated, color=MEASURED, lw=1.6, label="coated face")
     chart(
         axes,
-        "What the camera sees of it, z enlarged",
+        "Coated face, z enlarged",
         f"{trace.axis} (mm)",
         "z (mm)",
         xlim=(low, high),
@@ -166,7 +166,7 @@ def _coated_face(
 
 
 def _sheet_maps(figure: Canvas, pressed: PressedElastomer, sheet: SheetFields) -> None:
-    """Draw what a thin sheet has beside its heights, on the coated face."""
+    """Draw thickness, stretch and slope of a thin sheet as maps on the coated face."""
     slope_deg = np.rad2deg(np.arccos(np.clip(face_normals(pressed)[..., 2], -1.0, 1.0)))
     maps = (
         ("Local thickness (mm)", sheet.thickness_mm),
@@ -211,7 +211,7 @@ def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
         axes,
         np.ma.masked_where(~pressed.contact, pressed.pressure_kpa),
         (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half),
-        "Pressure where it touches",
+        "Contact pressure",
         "pressure (kPa)",
         ends=(0, top),
         extend="max" if beyond else "neither",
@@ -220,7 +220,7 @@ def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
 
 
 def _pressure_scale(pressed: PressedElastomer) -> tuple[float, bool]:
-    """Return the upper end, and whether pressure goes beyond: edges would hide all the rest."""
+    """Return the upper end of the scale, and whether the pressure at edges exceeds it."""
     peak = float(pressed.pressure_kpa.max())
     touching = pressed.pressure_kpa[pressed.contact]
     most = float(np.percentile(touching, _MOST_PERCENT)) if touching.size else peak
@@ -229,7 +229,7 @@ def _pressure_scale(pressed: PressedElastomer) -> tuple[float, bool]:
 
 
 def _zoom_to_contact(axes: Axes, pressed: PressedElastomer) -> None:
-    """Show the contact with a margin, in the shape of the slab: it is small beside the slab."""
+    """Zoom to the contact with a margin, in the aspect ratio of the slab."""
     rows, cols = np.nonzero(pressed.contact)
     if not rows.size:
         return
@@ -237,11 +237,11 @@ def _zoom_to_contact(axes: Axes, pressed: PressedElastomer) -> None:
     spans = (float(x[-1] - x[0]), float(y[-1] - y[0]))
     needed = (float(np.ptp(x[cols])), float(np.ptp(y[rows])))
     share = min(1.0, 1.3 * max(n / span for n, span in zip(needed, spans, strict=True)) + 0.05)
-    for set_limits, span, found in (
+    for set_limits, span, touching in (
         (axes.set_xlim, spans[0], x[cols]),
         (axes.set_ylim, spans[1], y[rows]),
     ):
-        middle = (float(found.min()) + float(found.max())) / 2
+        middle = (float(touching.min()) + float(touching.max())) / 2
         set_limits(middle - share * span / 2, middle + share * span / 2)
 
 
@@ -255,14 +255,16 @@ def draw_transfer(path: Path, transfer: ContactTransfer) -> None:
     """Draw kept relief against pitch, closed form and computed, as PNG."""
     with drawing(path, 7.0, 3.6) as figure:
         axes = axes_at(figure, 0.7, 0.55, 6.0, 2.6)
-        whole, found, what = _labels(transfer)
-        axes.semilogx(transfer.pitch_mm, transfer.closed_form, color=MEASURED, label=whole)
-        axes.semilogx(transfer.pitch_mm, transfer.computed, ".", color=FIT, label=found)
-        for kept, pitch in ((0.5, transfer.half_pitch_mm), (0.1, transfer.tenth_pitch_mm)):
+        closed, solved, layer = _labels(transfer)
+        axes.semilogx(transfer.pitch_mm, transfer.closed_form, color=MEASURED, label=closed)
+        axes.semilogx(transfer.pitch_mm, transfer.computed, ".", color=FIT, label=solved)
+        for share, pitch in ((0.5, transfer.half_pitch_mm), (0.1, transfer.tenth_pitch_mm)):
             if pitch > 0:
-                axes.plot([pitch], [kept], "o", color="black", markersize=4)
-                axes.annotate(f" {kept:.0%} at {pitch:.2f} mm", (pitch, kept), va="top", fontsize=8)
-        axes.set_xlabel(f"pitch of the groove (mm), {what} {transfer.thickness_mm:g} mm thick")
+                axes.plot([pitch], [share], "o", color="black", markersize=4)
+                axes.annotate(
+                    f" {share:.0%} at {pitch:.2f} mm", (pitch, share), va="top", fontsize=8
+                )
+        axes.set_xlabel(f"pitch of the groove (mm), {layer} {transfer.thickness_mm:g} mm thick")
         axes.set_ylabel("share of the relief on the coat")
         axes.set_ylim(0.0, 1.05)
         plain_log(axes.xaxis)
@@ -271,8 +273,8 @@ def draw_transfer(path: Path, transfer: ContactTransfer) -> None:
 
 
 def _labels(transfer: ContactTransfer) -> tuple[str, str, str]:
-    """Return what the curve is, what the points are, and what is pressed."""
+    """Return the labels of curve and points, and the name of the pressed layer."""
     if transfer.ridge_mm is None:
         return "closed form", "computed by the solver", "slab"
     under = f"ridges of {1e3 * transfer.ridge_mm:g} µm under {transfer.pressure_kpa:g} kPa"
-    return "lying on all of the ridge", under, "sheet"
+    return "in contact with the whole ridge", under, "sheet"

@@ -170,7 +170,7 @@ class ReliefArtist(QuadMesh):
 
 
 def _far_to_near(points_mm: Numbers, axis: int, view: SceneView) -> int:
-    """Return 1 where a grid comes nearer to the eye along an axis, -1 where it recedes."""
+    """Return 1 if a grid approaches the eye along an axis, -1 if it recedes."""
     step_mm = np.nanmean(np.diff(points_mm[..., :2], axis=axis), axis=(0, 1))
     return 1 if step_mm @ view.towards_eye[:2] >= 0 else -1
 

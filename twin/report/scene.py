@@ -145,12 +145,12 @@ def field_rays(device: Pinhole, pose: FloatArray, layers: PlaneLayers | None) ->
 
 
 def ray_path(start_mm: FloatArray, end_mm: FloatArray, layers: PlaneLayers | None) -> FloatArray:
-    """Return the corners of the way that light takes between two points, (corner, xyz), mm.
+    """Return the corners of the light path between two points, (corner, xyz), mm.
 
     Notes
     -----
-    Snell: with w_i the vertical way in medium i of index n_i and s the sine of the angle to the
-    vertical in air, the horizontal way is sum_i w_i s / sqrt(n_i^2 - s^2), which grows with s.
+    Snell: with w_i the vertical path in medium i of index n_i and s the sine of the angle to the
+    vertical in air, the horizontal path is sum_i w_i s / sqrt(n_i^2 - s^2), which increases with s.
     """
     if layers is None or end_mm[2] >= layers.tops_mm[0]:
         return np.stack((start_mm, end_mm))
@@ -172,7 +172,7 @@ def _edges(half_mm: FloatArray, levels: tuple[float, ...]) -> list[FloatArray]:
     """Return the outlines of a rectangle at some heights, and the lines between them."""
     turn = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half_mm
     outlines = [np.column_stack((turn, np.full(5, z))) for z in levels]
-    return [*outlines, *(np.stack([one[at] for one in outlines]) for at in range(4))]
+    return [*outlines, *(np.stack([corner[at] for corner in outlines]) for at in range(4))]
 
 
 def on_nodes(pressed: PressedElastomer, rows: IntArray, cols: IntArray) -> PressedElastomer:

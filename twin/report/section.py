@@ -1,6 +1,6 @@
-"""The vertical plane through a specimen's apexes, and what lies in it.
+"""The vertical plane through a specimen's apexes, and profiles in it.
 
-Positions along the plane's trace are s, mm, 0 at the middle of the apexes, growing with world x.
+Positions along the plane's trace are s, mm, 0 at the middle of the apexes, increasing with world x.
 """
 
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class Trace:
 
     @property
     def axis(self) -> str:
-        """What the line follows, for labels."""
+        """Label of the direction of the line."""
         return "x" if abs(self.direction[1]) < 1e-9 else "along the section"
 
 
@@ -83,7 +83,7 @@ def touched_profile(
 
 
 def slab_span(experiment: Experiment, trace: Trace) -> tuple[float, float]:
-    """Positions where the trace enters and leaves the slab."""
+    """Return the positions s of both ends of the slab along the trace."""
     half = np.array([experiment.elastomer.length_x_mm, experiment.elastomer.length_y_mm]) / 2
     with np.errstate(divide="ignore"):
         crossings = (np.array([[-1.0], [1.0]]) * half - trace.origin_mm) / trace.direction

@@ -1,11 +1,11 @@
-"""Figures of a page drawn by two processes, while files are written: Matplotlib draws on one core.
+"""Draw the figures of a page in two processes while files are written: Matplotlib uses one core.
 
-Where the platform has no fork (Windows), this process draws all of them.
+On platforms without fork (Windows), this process draws all figures.
 
-The second process is a copy of this one (fork) that has all it draws in its memory: it loads, reads
-and scores nothing. Both take the next figure from one queue, a pipe of numbers. The copy lacks the
-threads of this process, so that it must not render, and it ends without Python's own end. It keeps
-no file of this process open: the lock of a working folder must not outlive its owner.
+The second process is a fork of this one and has the data of the figures in memory: it reads and
+computes no data. Both processes take the next figure from one queue, a pipe of numbers. The fork
+does not have the threads of this process, so that it must not render, and it ends by `os._exit`.
+It closes all files of this process: the lock of a working folder must not outlive its owner.
 """
 
 import gc
@@ -23,7 +23,7 @@ from twin.report.page import Figure
 from twin.working import ENDING_SIGNALS
 
 PATIENCE_S = 60.0
-"""A copy that has not ended so long after this process hangs: a figure takes less than a second."""
+"""Time after which a second process that has not ended is killed; a figure takes less than 1 s."""
 
 _NUMBER = struct.Struct("<H")
 
@@ -31,23 +31,23 @@ _NUMBER = struct.Struct("<H")
 def draw_side_by_side(
     figures: Sequence[Figure],
     place: Callable[[Figure], Path],
-    told: Callable[[], None],
-    beside: Callable[[], object] = lambda: None,
+    step: Callable[[], None],
+    first_task: Callable[[], object] = lambda: None,
 ) -> None:
-    """Draw figures here and in a second process; here alone where there is one core.
+    """Draw figures in this and in a second process; in this process only if there is one core.
 
     Parameters
     ----------
-    place : where a figure's picture goes
-    told : called once for each
-    beside : done here first, while the second process draws already
+    place : returns the path of a figure's picture
+    step : called once per figure
+    first_task : called first in this process, while the second process draws
     """
     queue, left, parent = _queue(len(figures)), dict(enumerate(figures)), os.getpid()
 
-    def draw_taken(told: Callable[[], None]) -> None:
+    def draw_taken(step: Callable[[], None]) -> None:
         for number in _taken(queue):
             _draw(left.pop(number), place)
-            told()
+            step()
 
     def orphaned() -> None:
         if os.getppid() != parent:
@@ -57,13 +57,13 @@ def draw_side_by_side(
         os.fdopen(queue, "rb", buffering=0),
         _second_process(lambda: draw_taken(orphaned), queue) as has_drawn,
     ):
-        beside()
-        draw_taken(told)
+        first_task()
+        draw_taken(step)
         is_drawn = has_drawn()
     for figure in left.values():
-        if not is_drawn:  # what failed there fails here, and is told
+        if not is_drawn:  # a figure that failed there raises its error here
             _draw(figure, place)
-        told()
+        step()
 
 
 def _draw(figure: Figure, place: Callable[[Figure], Path]) -> None:
@@ -72,7 +72,7 @@ def _draw(figure: Figure, place: Callable[[Figure], Path]) -> None:
 
 
 def _queue(count: int) -> int:
-    """Return a pipe with the numbers below `count`, each for the process that reads it first."""
+    """Return a pipe with the numbers below `count`; the process that reads a number draws it."""
     queue, end = os.pipe()
     with os.fdopen(end, "wb") as numbers:
         numbers.write(b"".join(map(_NUMBER.pack, range(count))))
@@ -86,7 +86,7 @@ def _taken(queue: int) -> Iterator[int]:
 
 @contextmanager
 def _second_process(work: Callable[[], None], queue: int) -> Iterator[Callable[[], bool]]:
-    """Let a copy of this process work; yields what waits for it and tells whether it went well."""
+    """Run `work` in a fork; yields a function that waits for it and returns True on success."""
     if threads() < 2 or not hasattr(os, "fork"):
         yield lambda: False
         return
@@ -94,14 +94,14 @@ def _second_process(work: Callable[[], None], queue: int) -> Iterator[Callable[[
     with os.fdopen(alive, "rb", buffering=0):
         try:
             child = _forked(work, (queue, end))
-        except OSError:  # no room for a copy
+        except OSError:  # not enough memory or processes for a fork
             child = None
         finally:
             os.close(end)
         status: list[int] = []
 
         def has_ended_well() -> bool:
-            # Only the copy has the other end, which the system closes when it ends.
+            # Only the fork has the write end, which the system closes when the fork ends.
             if child is None or not select.select([alive], [], [], PATIENCE_S)[0]:
                 return False
             status.append(os.waitpid(child, 0)[1])
@@ -115,36 +115,36 @@ def _second_process(work: Callable[[], None], queue: int) -> Iterator[Callable[[
                 os.waitpid(child, 0)
 
 
-def _forked(work: Callable[[], None], kept: Sequence[int]) -> int:
-    """Start a copy that does some work and ends; `kept` are the files that it has of this one."""
+def _forked(work: Callable[[], None], open_files: Sequence[int]) -> int:
+    """Fork, run `work` in the child and end it; `open_files`: file descriptors that stay open."""
     # Handlers would write into the pipe that ends this process (`working.end_within`).
     held = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
     try:
-        # Of threads that the copy lacks, from Python 3.12 on: it needs none of them.
+        # From Python 3.12 on, a fork of a process with threads warns; the child needs no thread.
         with warnings_ignored(DeprecationWarning):
             child = os.fork()
         if not child:
-            _work_and_end(work, kept, held)
+            _work_and_end(work, open_files, held)
         return child
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
-def _work_and_end(work: Callable[[], None], kept: Sequence[int], mask: object) -> NoReturn:
+def _work_and_end(work: Callable[[], None], open_files: Sequence[int], mask: object) -> NoReturn:
     status = 1
     try:
-        gc.disable()  # a collection would copy all memory that both share
+        gc.disable()  # a collection would copy all shared memory
         signal.set_wakeup_fd(-1)
         for number in ENDING_SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)  # type: ignore[arg-type]
         first = 3
-        for file in sorted(kept):
+        for file in sorted(open_files):
             os.closerange(first, file)
             first = file + 1
         os.closerange(first, os.sysconf("SC_OPEN_MAX"))
         work()
         status = 0
     finally:
-        os._exit(status)  # nothing of the caller's is unwound a second time
+        os._exit(status)  # without unwinding the caller's frames a second time

@@ -1,4 +1,4 @@
-"""Sphere fits: one table for all methods, one figure per ball, and what the region decides."""
+"""Sphere fits: one table for all methods, one figure per ball, and the influence of the region."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -57,7 +57,7 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
     ----------
     decoders : those of photometric stereo that the experiment does not name, too
     """
-    fits = [one for ball in measured.score.spheres for one in _fits(measured, ball, decoders)]
+    fits = [row for ball in measured.score.spheres for row in _fits(measured, ball, decoders)]
     if not fits:
         return None
     coat = "coat" if measured.experiment.method.presses else "surface"
@@ -90,16 +90,16 @@ def fit_tables(measured: Measurement) -> list[Table]:
 def _fits(
     measured: Measurement, ball: SphereScore, decoders: bool
 ) -> Iterator[tuple[dict[str, Cell], str]]:
-    """Yield rows, and how they are shown, of what a ball was measured to be and truly is."""
+    """Yield rows with their style: the measured and the true fit of a ball."""
     coat = "true coat" if measured.experiment.method.presses else "true surface"
     images, nominal_mm = measured.images, ball.nominal.radius_mm
     label = _measured_label(measured) if decoders else _surface_label(measured)
     yield _row(ball.number, label, ball.measured, nominal_mm), "measured"
     if decoders and isinstance(images, Colours):
-        for one in images.decoded:
-            for other in one.score.spheres:
-                if one is not images.own and other.number == ball.number:
-                    yield _row(ball.number, decoder_name(one), other.measured, nominal_mm), ""
+        for decoder in images.decoded:
+            for fit in decoder.score.spheres:
+                if decoder is not images.own and fit.number == ball.number:
+                    yield _row(ball.number, decoder_name(decoder), fit.measured, nominal_mm), ""
     yield _row(ball.number, coat, ball.true_face, nominal_mm), ""
 
 
@@ -127,7 +127,7 @@ def _surface_label(measured: Measurement) -> str:
 
 @dataclass(frozen=True, eq=False)
 class BallView:
-    """What the figure of one ball shows.
+    """Data of the figure of one ball.
 
     Attributes
     ----------
@@ -176,10 +176,10 @@ def _ball_figure(measured: Measurement, view: BallView) -> Figure:
         f"ball_{number}",
         f"Ball {number}",
         f"Points within {radius_mm:g} mm (lateral) of the apex; "
-        f"{_measured_label(measured)}. Radial residuals in µm on a scale of ± {view.limit_um:g} "
-        "µm, the same for all balls. A pattern in the map is the form of the face. Blue points "
-        "should follow the green line, the true face. The dashed line is the ball "
-        "itself, raised to the same peak.",
+        f"{_measured_label(measured)}. Radial residuals (µm) on a scale of ± {view.limit_um:g} "
+        "µm, the same for all balls. A pattern in the map is the form of the face. The blue "
+        "measured points should follow the green line, the true face. Dashed line: the ball, "
+        "shifted to the same peak.",
         f"residual map, histogram and sections of ball {number}",
         lambda path: draw_ball(path, view),
     )
@@ -204,8 +204,8 @@ def _residual_map(axes: Axes, view: BallView) -> None:
     residuals_um = 1e3 * view.ball.measured.residuals_mm
     cells = average_on_grid(view.measured_mm, residuals_um, view.pixel_mm, _MAP_CELLS)
     ends = (-view.limit_um, view.limit_um)
-    told = "Residual from the fitted sphere", "radial residual (µm)"
-    draw_cells(axes, cells, *told, cmap=diverging(), ends=ends, extend="both")
+    labels = "Residual from the fitted sphere", "radial residual (µm)"
+    draw_cells(axes, cells, *labels, cmap=diverging(), ends=ends, extend="both")
 
 
 def _residual_histogram(axes: Axes, view: BallView) -> None:
@@ -336,7 +336,7 @@ def _region_curve(
     usable: BoolImage,
     surface_mm: NDArray[np.floating],
 ) -> RegionCurve:
-    found, nominal = [], ball.nominal
+    fits, nominal = [], ball.nominal
     footprint = region_of(nominal, points_mm, usable, nominal.radius_mm * float(_REGIONS[-1]))
     x_mm, y_mm = points_mm[footprint][:, :2].T
     apart_mm = np.hypot(x_mm - nominal.x_mm, y_mm - nominal.y_mm)
@@ -345,18 +345,18 @@ def _region_curve(
         inside = surface_mm[apart_mm <= region_mm]
         with suppress(FitError):
             fit = fit_sphere(inside[:: 1 + len(inside) // _MOST_POINTS])
-            found.append((region_mm, fit.radius_mm, 1e3 * fit.stats.rmse_mm))
-    return RegionCurve(label, *np.array(found, np.float64).reshape(-1, 3).T)
+            fits.append((region_mm, fit.radius_mm, 1e3 * fit.stats.rmse_mm))
+    return RegionCurve(label, *np.array(fits, np.float64).reshape(-1, 3).T)
 
 
 def _regions_figure(measured: Measurement) -> Figure:
     return Figure(
         "fit_regions",
-        "What the region of the fit decides",
-        "Every ball fitted over the points within a growing distance of its apex (lateral), up to "
-        "its own radius. Where the region reaches beyond the contact the true face is no sphere "
-        "either, and RMSE and radius tell its shape instead of the sensor's error. Vertical line: "
-        "the region of the table.",
+        "Influence of the fit region",
+        "Radial RMSE (µm) and radius (mm) of the sphere fits over the points within a lateral "
+        "distance of the apex, up to the radius of the ball. If the region extends beyond the "
+        "contact, the true face is not spherical, and RMSE and radius describe its shape, not the "
+        "error of the sensor. Vertical line: region of the table above.",
         "RMSE and radius of the sphere fits against the region of the fit",
         lambda path: draw_regions(path, measured),
     )
@@ -385,7 +385,7 @@ def draw_regions(path: Path, measured: Measurement) -> None:
         nominal_mm = sorted({ball.nominal.radius_mm for ball in measured.score.spheres})
         for one_mm in nominal_mm:
             radius.axhline(one_mm, color=NOMINAL, lw=1.0, ls="--")
-        told = "region of the fit (mm from the apex)"
-        chart(rmse, "RMSE", told, "radial RMSE (µm)", ylim=(0.0, None))
-        chart(radius, "Radius; dashed: the ball's own", told, "fitted radius (mm)")
+        label = "region of the fit (mm from the apex)"
+        chart(rmse, "RMSE", label, "radial RMSE (µm)", ylim=(0.0, None))
+        chart(radius, "Radius; dashed: nominal", label, "fitted radius (mm)")
         rmse.legend(loc="upper left", frameon=True, framealpha=0.9, edgecolor="none")

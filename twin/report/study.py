@@ -1,7 +1,7 @@
 """The report of a study as one HTML page: effects, front, best designs, and every case.
 
-It draws what the store of the study holds; `twin.study.pictures.picture_best` measures the best
-designs once more for their pictures.
+It draws the data in the store of the study; `twin.study.pictures.picture_best` measures the best
+designs again for their pictures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,13 +52,13 @@ from twin.study.table import (
 )
 
 _MOST_METRICS, _MOST_PAIRS, _MOST_BEST = 5, 6, 12
-_UNTAKEN = "not taken yet; twin sweep report measures the best designs for their pictures"
+_UNTAKEN = "not drawn yet; twin sweep report measures the best designs and draws them"
 
 Row = Mapping[str, Any]
 
 _SENSITIVITY_WORDS = {
-    "grid": "Share of the variance over all cases that each axis explains by itself; what is left "
-    "to 1 are interactions. Exact for this grid, so there is no interval.",
+    "grid": "Share of the variance over all cases that each axis explains by itself; the remainder "
+    "to 1 is due to interactions. Exact for this grid, so there is no interval.",
     "saltelli": "First-order Sobol' indices with 95 % bootstrap intervals; diamonds: total, with "
     "interactions.",
     "morris": "Mean absolute effect of crossing the whole axis, in the figure's unit, with 95 % "
@@ -68,7 +68,7 @@ _SENSITIVITY_WORDS = {
 
 @dataclass(frozen=True)
 class Shown:
-    """What the page shows of a study."""
+    """Data of a study for its page."""
 
     table: StudyTable
     rows: list[Row]
@@ -91,10 +91,10 @@ def write_study(
 
     Parameters
     ----------
-    folder : the -o DIR of `twin sweep`; nothing else is read
-    objectives : what makes a design good; by default what the study says, or a small error
+    folder : the -o DIR of `twin sweep`; no other file is read
+    objectives : figures to optimise; by default those of the study, or the error
     into : existing folder to write page and figures into instead
-    failed : why designs have no picture, by digest
+    failed : reason why a design has no picture, by digest
 
     Raises
     ------
@@ -106,7 +106,7 @@ def write_study(
 
 
 def _shown(
-    folder: Path, table: StudyTable, asked: Sequence[Objective], failed: Mapping[str, str]
+    folder: Path, table: StudyTable, requested: Sequence[Objective], failed: Mapping[str, str]
 ) -> Shown:
     done = table.done()
     if not done:
@@ -115,7 +115,7 @@ def _shown(
     if not metrics:
         raise InputError("report: no figure is a number in every case; name others in metrics")
     rows = [row for row in done if all(is_number(row.get(name)) for name in metrics)]
-    objectives = goals_of(table, asked)
+    objectives = goals_of(table, requested)
     best = ranked_rows(done, objectives) if usable_rows(done, objectives) else []
     effects = {name: effects_of(table, name) for name in metrics}
     digests = [str(row["case"]) for row in designs_of(best, table.axes)]
@@ -126,7 +126,7 @@ def _shown(
         metrics,
         objectives,
         best,
-        {name: found for name, found in effects.items() if found},
+        {name: effect for name, effect in effects.items() if effect},
         {digest: picture for digest, picture in pictures.items() if picture is not None},
         failed,
     )
@@ -137,9 +137,9 @@ def _page(shown: Shown) -> Page:
     states: dict[str, int] = {}
     for row in shown.table.rows:
         states[row["state"]] = states.get(row["state"], 0) + 1
-    told = "".join(f", {count} {state}" for state, count in states.items())
+    summary = "".join(f", {count} {state}" for state, count in states.items())
     cases = counted(len(shown.table.rows), "case")
-    lead = f"{study.description or study.base}: {cases}{told}."
+    lead = f"{study.description or study.base}: {cases}{summary}."
     conditions = "; ".join(shown.table.conditions)
     return Page(
         kind="design study",
@@ -159,15 +159,15 @@ def _page(shown: Shown) -> Page:
 def remark_lines(table: StudyTable) -> list[str]:
     """Return the warnings of the finished cases, each kind once with its number of cases."""
     done = len({row["case"] for row in table.done()})
-    return [one.in_words(done) for one in table.remarks]
+    return [remark.in_words(done) for remark in table.remarks]
 
 
 def _best(shown: Shown) -> list[Block]:
     if not shown.best:
         return _nearest(shown)
-    goals = ", ".join(f"{one.goal} {one.metric}" for one in shown.objectives)
+    goals = ", ".join(f"{objective.goal} {objective.metric}" for objective in shown.objectives)
     several = len(shown.objectives) > 1
-    order = "No other feasible case beats these" if several else "Feasible cases, best first"
+    order = "Feasible cases on the Pareto front" if several else "Feasible cases, best first"
     columns = [*shown.table.axes, *shown.metrics]
     rows = tuple(_row(row, columns) for row in shown.best[:_MOST_BEST])
     heads = (*_columns(columns), Column("case", "case"))
@@ -178,14 +178,15 @@ def _best(shown: Shown) -> list[Block]:
     ]
     if shown.pictures:
         note = (
-            "Heights of all designs have one scale, errors have one; 99 % of all errors lie on it."
+            "All designs have the same height scale and the same error scale, which includes 99 % "
+            "of all errors."
         )
         blocks.append(Note(note))
     return blocks
 
 
 def _nearest(shown: Shown) -> list[Block]:
-    """Say that no case is feasible, and show those that miss the fewest conditions."""
+    """Return a note that no case is feasible, and the cases that miss the fewest conditions."""
     words = feasibility_in_words(shown.table.rows)
     note = Note(f"No case is feasible: {words}.", "failure")
     some = nearest_rows(shown.table.done(), shown.objectives)[:_MOST_BEST]
@@ -194,7 +195,7 @@ def _nearest(shown: Shown) -> list[Block]:
     columns = [*shown.table.axes, *shown.metrics]
     more = (Column("case", "case"), Column("remark", "missed", kind="reason"))
     rows = tuple(_row(row, columns) for row in some)
-    lead = Note("Not feasible; those that miss the fewest conditions first.")
+    lead = Note("Infeasible cases; those that miss the fewest conditions first.")
     return [
         note,
         lead,
@@ -204,7 +205,7 @@ def _nearest(shown: Shown) -> list[Block]:
 
 def _designs(shown: Shown) -> list[Block]:
     """Return the best designs with their pictures, and why others have none."""
-    found, reasons = list[Block](), dict[str, None]()
+    sections, reasons = list[Block](), dict[str, None]()
     scales = Scales.of(shown.pictures.values()) if shown.pictures else None
     for place, row in enumerate(designs_of(shown.best, shown.table.axes), start=1):
         digest = str(row["case"])
@@ -215,10 +216,10 @@ def _designs(shown: Shown) -> list[Block]:
             gallery = [Gallery(tuple(design_figures(place, settings, picture, scales)), 3)]
         else:
             reasons[shown.failed.get(digest, _UNTAKEN)] = None
-        metrics = " · ".join(f"{one} {_text(row.get(one))}" for one in shown.table.metrics)
+        metrics = " · ".join(f"{metric} {_text(row.get(metric))}" for metric in shown.table.metrics)
         blocks = (Note(metrics), *gallery, Note(_links(digest)))
-        found.append(Section(f"design_{place}", f"{place} · {settings}", blocks))
-    return [*(Note(f"Without pictures: {reason}") for reason in reasons), *found]
+        sections.append(Section(f"design_{place}", f"{place} · {settings}", blocks))
+    return [*(Note(f"Without pictures: {reason}") for reason in reasons), *sections]
 
 
 def _links(digest: str) -> str:
@@ -250,10 +251,11 @@ def _figures(shown: Shown) -> list[Figure]:
 def _front(shown: Shown) -> list[Figure]:
     if len(shown.objectives) < 2 or not shown.best:
         return []
-    names = [one.metric for one in shown.objectives]
+    names = [objective.metric for objective in shown.objectives]
     whole = [row for row in shown.table.done() if all(is_number(row.get(n)) for n in names)]
     return [
-        Figure("front", "Pareto front", "Designs that no other beats in every objective.",
+        Figure("front", "Pareto front", "Two objectives of all cases. Front: feasible designs for "
+               "which no feasible design is better in every objective.",
                "two objectives of all cases with the Pareto front",
                lambda path: draw_front(path, whole, shown.best, shown.objectives))
     ]  # fmt: skip
@@ -281,7 +283,7 @@ def _interactions(rows: list[Row], several: list[tuple[str, str]], metric: str) 
 
 
 def _left_out(shown: Shown) -> str:
-    """Say how many cases the effects of each figure do without."""
+    """Return in words how many cases were left out of the effects of each figure."""
     counts = {name: without(shown.table, name) for name in shown.effects}
     parts = ", ".join(f"{count} without {name}" for name, count in counts.items() if count)
     return f" Cases left out: {parts}." if parts else ""
@@ -296,7 +298,7 @@ def _cases(shown: Shown) -> list[Block]:
     rows = tuple(_row(row, columns) for row in table.rows)
     kinds = tuple(str(row["state"]) for row in table.rows)
     lack = counted(left_out, "finished case lacks", "finished cases lack")
-    notes = [f"{lack} one of the figures and left out of the plots."]
+    notes = [f"{lack} one of the figures; left out of the plots."]
     return [
         *(Note(note) for note in notes if left_out),
         Note(
@@ -333,7 +335,7 @@ def _link(digest: str, file: str, text: str) -> str:
 
 
 def _is_number(rows: Sequence[Row], name: str) -> bool:
-    """Tell whether a figure is a number in more than half of the cases (some have no ball)."""
+    """Return True if a figure is a number in more than 50 % of the cases (some have no ball)."""
     return sum(is_number(row.get(name)) for row in rows) > len(rows) / 2
 
 

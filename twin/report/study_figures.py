@@ -52,7 +52,9 @@ def groups_of(rows: Sequence[Row], axis: str) -> tuple[list[str], list[list[Row]
         levels.sort()
     if len(levels) <= _MOST_LABELS:
         groups = [[row for row in rows if row[axis] == level] for level in levels]
-        return [f"{one:.4g}" if isinstance(one, float) else str(one) for one in levels], groups
+        return [
+            f"{level:.4g}" if isinstance(level, float) else str(level) for level in levels
+        ], groups
     values = numbers(rows, axis)
     edges = np.linspace(values.min(), values.max(), _BINS + 1)
     bins = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
@@ -206,10 +208,10 @@ def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: st
     """Draw sensitivities: one group of bars per figure, intervals where there are any."""
     with drawing(path, 7.2, 0.4 + sum(0.75 + 0.28 * len(e) for e in effects.values())) as figure:
         top = 0.3
-        for metric, found in effects.items():
-            height = 0.28 * len(found)
+        for metric, ranking in effects.items():
+            height = 0.28 * len(ranking)
             place = axes_at(figure, 1.9, top, 4.6, height)
-            draw_effect_bars(place, found, intervals=method != "grid")
+            draw_effect_bars(place, ranking, intervals=method != "grid")
             place.set_title(metric, fontsize=8.5)
             place.set_xlim(left=0.0, right=None if method == "morris" else 1.05)
             top += height + 0.75
@@ -232,7 +234,7 @@ def draw_effect_bars(place: Axes, effects: Sequence[Effect], intervals: bool = T
 
 @dataclass(frozen=True)
 class Scales:
-    """What all designs of a page share.
+    """Common scales of all designs of a page.
 
     Attributes
     ----------
@@ -246,19 +248,19 @@ class Scales:
     @classmethod
     def of(cls, pictures: Iterable[CasePicture]) -> "Scales":
         """Return scales that hold for all pictures, of which there is at least one."""
-        found = list(pictures)
-        z_mm = np.concatenate([picture.true_z_mm for picture in found])
-        errors_um = np.concatenate([picture.error_um[picture.scored] for picture in found])
-        width_mm = max(float(picture.width_mm) for picture in found)
+        shown = list(pictures)
+        z_mm = np.concatenate([picture.true_z_mm for picture in shown])
+        errors_um = np.concatenate([picture.error_um[picture.scored] for picture in shown])
+        width_mm = max(float(picture.width_mm) for picture in shown)
         return cls(ZScale.of(z_mm, width_mm), symmetric_limit(errors_um))
 
 
 def design_figures(
     number: int, settings: str, picture: CasePicture, scales: Scales
 ) -> list[Figure]:
-    """Return the three pictures of one design; `settings` say which it is."""
+    """Return the three pictures of one design; `settings` is its label."""
     colours, shape = picture.seen.ndim == 3, picture.measured.shape
-    seen = "camera image" if colours else "fringe image: black is 0, white is saturation"
+    image_caption = "camera image" if colours else "fringe image: black is 0, white is saturation"
     z_mm = np.ma.masked_array(picture.z_mm.astype(np.float64), ~picture.measured)
     error_um = np.ma.masked_array(picture.error_um, ~picture.scored)
     width_mm = float(picture.width_mm)
@@ -268,7 +270,7 @@ def design_figures(
         no_ticks(axes)
 
     shown: tuple[tuple[str, str, Callable[[Axes], None]], ...] = (
-        ("seen", seen, lambda axes: show_picture(axes, picture.seen)),
+        ("seen", image_caption, lambda axes: show_picture(axes, picture.seen)),
         ("heights", "measured heights; white: no measurement", show_heights),
         ("error", "z error against the true surface; gray: no measurement",
          lambda axes: show_z_error(axes, error_um, scales.error_um)),

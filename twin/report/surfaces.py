@@ -52,10 +52,10 @@ _VIEW = SceneView.around((0.0, 0.0, 0.0), 1.0, *np.deg2rad((28.0, 32.0)))
 
 def z_enlargement(points: SurfacePoints) -> float:
     """Return the factor on z in the 3-D view: a round number, at least 1."""
-    found = at_pixels(points.world_mm, points.valid)
-    if not len(found):
+    box_mm = at_pixels(points.world_mm, points.valid)
+    if not len(box_mm):
         return 1.0
-    return enlargement(float(np.ptp(found[:, 0])), float(np.ptp(found[:, 2])))
+    return enlargement(float(np.ptp(box_mm[:, 0])), float(np.ptp(box_mm[:, 2])))
 
 
 def relief_figure(measured: Measurement) -> Figure:
@@ -64,8 +64,8 @@ def relief_figure(measured: Measurement) -> Figure:
     return Figure(
         "relief",
         "Measured surface",
-        f"3-D view {_enlarged(points)}, lengths in mm, colour is z. Spikes, or steps of a constant "
-        "height, would be wrong fringe orders or false slopes.",
+        f"3-D view of the measured points {_enlarged(points)}, lengths in mm, colour: z. Spikes, "
+        "or steps of a constant height, indicate wrong fringe orders or false slopes.",
         "shaded 3-D view of the measured surface",
         lambda path: draw_relief_view(path, points, measured.pixel_mm),
     )
@@ -78,7 +78,7 @@ def height_map_figure(measured: Measurement) -> Figure:
         "height_map",
         "Height map",
         f"Measured z in top view, lengths in mm, with contours; shading from the upper left, "
-        f"{_enlarged(points)}. Stripes along or across the fringes would be phase errors.",
+        f"{_enlarged(points)}. Stripes along or across the fringes indicate phase errors.",
         "shaded height map of the measured surface",
         lambda path: draw_height_map(path, points, measured.pixel_mm),
     )
@@ -89,10 +89,10 @@ def error_figure(measured: Measurement) -> Figure:
     return Figure(
         "truth_error",
         "Error of z",
-        "Measured minus true z in µm on a scale symmetric about 0; the standard deviation that is "
-        "predicted from camera noise and filter bias; and the distribution of both. A good "
-        "measurement looks like noise, without stripes or outlines, and its histogram follows the "
-        "red curve.",
+        "Left: measured minus true z (µm). Middle: standard deviation of z (µm), predicted from "
+        "camera noise and filter bias. Right: histogram of the errors and the density predicted "
+        "from σ (red curve). In a good measurement the error map shows noise without stripes or "
+        "outlines, and the histogram follows the red curve.",
         "map and histogram of the z error",
         lambda path: draw_truth_error(
             path, measured.fringes.reconstruction, measured.truth, measured.pixel_mm
@@ -159,8 +159,8 @@ def draw_height_map(path: Path, points: SurfacePoints, pixel_mm: float) -> None:
 
 
 def _relief(points: SurfacePoints, pixel_mm: float, cells: int) -> CellMeans:
-    found = at_pixels(points.world_mm, points.valid)
-    return average_on_grid(found, found[:, 2], pixel_mm, cells)
+    near = at_pixels(points.world_mm, points.valid)
+    return average_on_grid(near, near[:, 2], pixel_mm, cells)
 
 
 def _surface(cells: CellMeans) -> SceneSurface:
@@ -213,7 +213,7 @@ def _histogram(axes: Axes, error_um: NDArray[Any], sigma_um: NDArray[Any], limit
         predicted_density(edges, sigma_um),
         color=FIT,
         lw=1.6,
-        label="predicted from σ alone (no bias)",
+        label="predicted from σ (zero mean)",
     )
     chart(
         axes,
@@ -226,9 +226,9 @@ def _histogram(axes: Axes, error_um: NDArray[Any], sigma_um: NDArray[Any], limit
 
 
 def predicted_density(error_um: NDArray[Any], sigma_um: NDArray[Any]) -> FloatArray:
-    """Density of zero-mean normal errors whose sigma differs from pixel to pixel.
+    """Return the density of zero-mean normal errors with a different sigma in each pixel.
 
-    The mixture is taken over quantiles of sigma: enough of them look like all pixels.
+    The mixture is evaluated at quantiles of sigma, which represent all pixels.
     """
     levels = np.quantile(sigma_um, (np.arange(_SIGMAS) + 0.5) / _SIGMAS)
     levels = np.maximum(levels, 1e-9)

@@ -21,7 +21,7 @@ class Column:
     Attributes
     ----------
     key : of the cells
-    heading : what it is; `unit` is written behind it in brackets
+    heading : text; `unit` is appended in brackets
     digits : decimals of its floats
     kind : class of its cells in the page; "number" (right-aligned) where any of them is one
     """
@@ -40,7 +40,7 @@ class Column:
 
 @dataclass(frozen=True)
 class TableText:
-    """One cell as a page shows it; `span` is how many rows it stands for, 0 when another does."""
+    """One cell as a page shows it; `span`: rows that it covers, 0 if a cell above covers it."""
 
     text: str
     kind: str = ""
@@ -63,19 +63,19 @@ class Table:
     Attributes
     ----------
     name : key in tables.json, and its place in a page
-    title : what it shows
-    beside : which table or figure of the paper it stands beside; empty: the twin's alone
+    title : noun phrase
+    paper_item : corresponding table or figure of the paper; empty if there is none
     columns : in order
     rows : cells by column key; None where there is no number
-    notes : what a reader has to know
+    notes : definitions and remarks below the table
     kinds : how each row is shown: "measured" (bold), "reference" (faint), "assumed" (shaded), ""
-    group : column whose equal neighbours are told once
-    look : class of the whole in the page's style sheet
+    group : column in which equal neighbouring cells are merged
+    look : class of the table in the page's style sheet
     """
 
     name: str
     title: str
-    beside: str
+    paper_item: str
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     notes: tuple[str, ...] = ()
@@ -84,15 +84,18 @@ class Table:
     look: str = "figures"
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the table says, not how it looks."""
+        """Return the content of the table without its style; keys as in tables.json."""
         look = ("kinds", "group", "look")
-        return {key: value for key, value in asdict(self).items() if key not in look}
+        names = {"paper_item": "beside"}
+        return {
+            names.get(key, key): value for key, value in asdict(self).items() if key not in look
+        }
 
     def as_markdown(self) -> str:
         """Return heading, table and notes."""
         lines = [f"### {self.title}", ""]
-        if self.beside:
-            lines += [f"Beside {self.beside}.", ""]
+        if self.paper_item:
+            lines += [f"Corresponds to {self.paper_item} of the paper.", ""]
         lines += [_line([c.title for c in self.columns]), _line(["---"] * len(self.columns))]
         lines += [_line(texts) for texts in self._texts()]
         return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), ""])
@@ -110,7 +113,7 @@ class Table:
             for line in lines
         )
 
-    def row(self, **wanted: Cell) -> Row:
+    def row(self, **cells: Cell) -> Row:
         """Return the first row with the given cells.
 
         Raises
@@ -118,9 +121,9 @@ class Table:
         KeyError : there is none
         """
         for row in self.rows:
-            if all(row.get(key) == value for key, value in wanted.items()):
+            if all(row.get(key) == value for key, value in cells.items()):
                 return row
-        raise KeyError(f"{self.name}: no row with {wanted}")
+        raise KeyError(f"{self.name}: no row with {cells}")
 
     def kind_of(self, column: Column) -> str:
         """Return the class of a column's cells."""
@@ -174,7 +177,7 @@ class Table:
 def pairs(
     name: str, title: str, rows: Sequence[tuple[str, str, str]], look: str = "pairs"
 ) -> Table:
-    """Return a table of (what, value, unit) without headings."""
+    """Return a table of (quantity, value, unit) without headings."""
     columns = (Column("what", ""), Column("value", "", kind="number"), Column("unit", ""))
     keys = [column.key for column in columns]
     cells = tuple(dict(zip(keys, row, strict=True)) for row in rows)
@@ -184,7 +187,7 @@ def pairs(
 def parts(name: str, rows: Sequence[tuple[str, str]]) -> Table:
     """Return a table of (part, description) without headings."""
     columns = (Column("part", ""), Column("description", ""))
-    cells = tuple({"part": part, "description": told} for part, told in rows)
+    cells = tuple({"part": part, "description": description} for part, description in rows)
     return Table(name, "", "", columns, cells, look="parts")
 
 

@@ -44,10 +44,10 @@ _HEADINGS = {
     "digits": "digits supported",
 }
 _HOW_TO_READ = (
-    "Of one measurement, not of a mean of several; units are those at the ends of the names. "
-    "Nominal: without any deviation, with the true rig. Intervals: {coverage:.0%}, JCGM 101, 7.7. "
-    "Digits: how many of the standard uncertainty, and as far of the mean and the interval's ends, "
-    "the number of trials supports (JCGM 101, 7.9)."
+    "Values are for a single measurement, not for a mean of several; units are the suffixes of the "
+    "names. Nominal: without any deviation, with the true rig. Intervals: {coverage:.0%}, JCGM "
+    "101, 7.7. Digits: number of digits of the standard uncertainty that the number of trials "
+    "supports (JCGM 101, 7.9); mean and interval are valid to the same decimal place."
 )
 
 
@@ -61,7 +61,7 @@ def write_uncertainty_page(
 
     Parameters
     ----------
-    folder : the -o DIR of `twin uncertainty`, or of a sweep of trials; nothing else is read
+    folder : the -o DIR of `twin uncertainty`, or of a sweep of trials; no other file is read
     into : existing folder to write into instead
     measurands : names; by default those of the study, or the main ones
 
@@ -74,50 +74,52 @@ def write_uncertainty_page(
     return write_page((into or folder) / REPORT_FILE, page, watch)
 
 
-def _page(found: Uncertainty) -> Page:
-    study, name = found.table.record.study, found.experiment.name.replace("_", " ")
+def _page(uncertainty: Uncertainty) -> Page:
+    study, name = uncertainty.table.record.study, uncertainty.experiment.name.replace("_", " ")
     about = f": {study.description}" if study.description else ""
     drawn = study.sampling.calibration == "drawn"
     rig = "a new calibration in each" if drawn else "all with the true rig"
-    shown = found.measurands.values()
+    shown = uncertainty.measurands.values()
     return Page(
         kind="uncertainty",
         title=name,
-        lead=f"{counted(found.trials, 'trial')}{about}; {rig}.",
-        sections=[_results(found), *map(_section, shown), _inputs(found)],
-        warned="Trials that failed, and warnings" if found.failures or found.table.remarks else "",
-        warnings=[*_failed(found), *remark_lines(found.table)],
+        lead=f"{counted(uncertainty.trials, 'trial')}{about}; {rig}.",
+        sections=[_results(uncertainty), *map(_section, shown), _inputs(uncertainty)],
+        warned="Trials that failed, and warnings"
+        if uncertainty.failures or uncertainty.table.remarks
+        else "",
+        warnings=[*_failed(uncertainty), *remark_lines(uncertainty.table)],
         wide=True,
     )
 
 
-def _failed(found: Uncertainty) -> list[str]:
-    return [f"{counted(n, 'trial')} failed: {reason}" for reason, n in found.failures.items()]
+def _failed(uncertainty: Uncertainty) -> list[str]:
+    return [f"{counted(n, 'trial')} failed: {reason}" for reason, n in uncertainty.failures.items()]
 
 
-def _results(found: Uncertainty) -> Section:
+def _results(uncertainty: Uncertainty) -> Section:
     columns = tuple(
         Column(key, heading, kind="" if key == "name" else "number")
         for key, heading in _HEADINGS.items()
     )
-    rows = tuple(_result_row(one) for one in found.measurands.values())
-    coverage = next(iter(found.measurands.values())).distribution.coverage
+    rows = tuple(_result_row(measurand) for measurand in uncertainty.measurands.values())
+    coverage = next(iter(uncertainty.measurands.values())).distribution.coverage
     note = _HOW_TO_READ.format(coverage=coverage)
     return Section("results", "Results", (Table("results", "", "", columns, rows, (note,)),))
 
 
-def _section(one: Measurand) -> Section:
-    label, unit = label_of(one.name)
-    blocks: list[Block] = [*_figures(one), *map(Note, _told(one))]
-    if one.parts:
-        blocks.append(_budget_table(one))
-    if one.correlations:
-        blocks.append(_correlation_table(one))
+def _section(measurand: Measurand) -> Section:
+    label, unit = label_of(measurand.name)
+    blocks: list[Block] = [*_figures(measurand), *map(Note, _remarks(measurand))]
+    if measurand.parts:
+        blocks.append(_budget_table(measurand))
+    if measurand.correlations:
+        blocks.append(_correlation_table(measurand))
     title = f"{label[:1].upper()}{label[1:]}, {unit}" if unit else label
-    return Section(one.name, title, tuple(blocks))
+    return Section(measurand.name, title, tuple(blocks))
 
 
-def _budget_table(one: Measurand) -> Table:
+def _budget_table(measurand: Measurand) -> Table:
     rows: tuple[Row, ...] = tuple(
         {
             "name": part.name.replace("_", " "),
@@ -126,43 +128,49 @@ def _budget_table(one: Measurand) -> Table:
             "u": f"{part.u:.3g}",
             "share": 100.0 * share,
         }
-        for part, share in zip(one.parts, shares(one.parts), strict=True)
+        for part, share in zip(measurand.parts, shares(measurand.parts), strict=True)
     )
     columns = (
         Column("name", "source"),
         Column("group", "of", kind="text"),
         Column("key", "varied", kind="code"),
-        Column("u", "standard uncertainty", unit=split_unit(one.name)[1], kind="number"),
+        Column("u", "standard uncertainty", unit=split_unit(measurand.name)[1], kind="number"),
         Column("share", "share of variance", 1, "%"),
     )
-    return Table(f"budget_of_{one.name}", "Ranked budget", "", columns, rows)
+    return Table(f"budget_of_{measurand.name}", "Ranked budget", "", columns, rows)
 
 
-def _correlation_table(one: Measurand) -> Table:
+def _correlation_table(measurand: Measurand) -> Table:
     rows: tuple[Row, ...] = tuple(
-        {"name": found.name.replace("_", " "), "linear": found.linear, "rank": found.rank}
-        for found in one.correlations
+        {
+            "name": correlation.name.replace("_", " "),
+            "linear": correlation.linear,
+            "rank": correlation.rank,
+        }
+        for correlation in measurand.correlations
     )
     columns = (
         Column("name", "input"),
         Column("linear", "correlation", 2),
         Column("rank", "of ranks", 2),
     )
-    return Table(f"correlations_of_{one.name}", "Correlation over the trials", "", columns, rows)
+    return Table(
+        f"correlations_of_{measurand.name}", "Correlation over the trials", "", columns, rows
+    )
 
 
-def _inputs(found: Uncertainty) -> Section:
+def _inputs(uncertainty: Uncertainty) -> Section:
     rows = []
-    for name, one in found.inputs().items():
-        nominal = one.nominal_in(found.experiment)
+    for name, varied in uncertainty.inputs().items():
+        nominal = varied.nominal_in(uncertainty.experiment)
         rows.append(
             {
                 "name": name.replace("_", " "),
-                "key": one.key,
-                "distribution": one.distribution.replace("_", " "),
+                "key": varied.key,
+                "distribution": varied.distribution.replace("_", " "),
                 "nominal": f"{nominal:.5g}",
-                "u": f"{standard_uncertainty(one, nominal):.3g}",
-                "source": one.source,
+                "u": f"{standard_uncertainty(varied, nominal):.3g}",
+                "source": varied.source,
             }
         )
     columns = (
@@ -173,56 +181,58 @@ def _inputs(found: Uncertainty) -> Section:
         Column("u", "standard uncertainty", kind="number"),
         Column("source", "source", kind="text"),
     )
-    note = "And the camera's noise. Trials with their inputs and all figures: trials.nc."
+    note = (
+        "The camera noise also differs in each trial. Inputs and figures of all trials: trials.nc."
+    )
     table = Table("inputs", "", "", columns, tuple(rows), (note,))
-    return Section("inputs", "What differs from trial to trial", (table,))
+    return Section("inputs", "Inputs varied between trials", (table,))
 
 
-def _told(one: Measurand) -> list[str]:
-    """Say in sentences how far the numbers can be trusted."""
-    found, told = one.distribution, []
-    stability = found.stability
+def _remarks(measurand: Measurand) -> list[str]:
+    """Return notes on the convergence and completeness of the trials."""
+    distribution, remarks = measurand.distribution, []
+    stability = distribution.stability
     if stability is None:
-        told.append("The trials do not differ in this figure.")
+        remarks.append("The trials do not differ in this figure.")
     elif stability.digits:
         digits = "one digit" if stability.digits == 1 else f"{stability.digits} digits"
-        told.append(
+        remarks.append(
             f"The number of trials supports {digits} of the standard uncertainty (JCGM 101, 7.9)."
         )
     else:
-        told.append(
+        remarks.append(
             f"The number of trials supports no digit of the standard uncertainty yet (JCGM 101, "
-            f"7.9): twice the standard error of the {stability.weakest} is "
+            f"7.9): two standard errors of the {stability.weakest} is "
             f"{max(stability.errors):.2g}, allowed {stability.tolerance:.2g}. About "
             f"{stability.trials_for_one_digit} trials would support one digit."
         )
-    if found.symmetric is None:
-        told.append(f"Too few trials for a coverage interval of {found.coverage:.0%}.")
-    if one.from_budget is not None:
-        told.append(
-            f"The parts of the budget combine to {one.from_budget:.3g}, the trials give "
-            f"{found.standard_uncertainty:.3g}; where these differ by more than the trials' own "
-            "scatter, inputs interact or act far from linearly."
+    if distribution.symmetric is None:
+        remarks.append(f"Too few trials for a coverage interval of {distribution.coverage:.0%}.")
+    if measurand.from_budget is not None:
+        remarks.append(
+            f"The parts of the budget combine to {measurand.from_budget:.3g}, the trials give "
+            f"{distribution.standard_uncertainty:.3g}; where these differ by more than the trials' "
+            "own scatter, inputs interact or their effect is strongly nonlinear."
         )
-    if one.undetermined:
-        told.append(f"Not determined, a step has no value: {', '.join(one.undetermined)}.")
-    if one.missing:
-        have = counted(one.missing, "trial has", "trials have")
-        told.append(f"{have} no value; left out.")
-    return told
+    if measurand.undetermined:
+        remarks.append(f"Not determined, a step has no value: {', '.join(measurand.undetermined)}.")
+    if measurand.missing:
+        have = counted(measurand.missing, "trial has", "trials have")
+        remarks.append(f"{have} no value; left out.")
+    return remarks
 
 
-def _result_row(one: Measurand) -> dict[str, str]:
-    found = one.distribution
+def _result_row(measurand: Measurand) -> dict[str, str]:
+    distribution = measurand.distribution
     return {
-        "name": one.name,
-        "n": str(found.values.size),
-        "nominal": _number(one.nominal),
-        "mean": _number(found.mean),
-        "u": f"{found.standard_uncertainty:.3g}",
-        "symmetric": _interval(found.symmetric),
-        "shortest": _interval(found.shortest),
-        "digits": NONE if found.stability is None else str(found.stability.digits),
+        "name": measurand.name,
+        "n": str(distribution.values.size),
+        "nominal": _number(measurand.nominal),
+        "mean": _number(distribution.mean),
+        "u": f"{distribution.standard_uncertainty:.3g}",
+        "symmetric": _interval(distribution.symmetric),
+        "shortest": _interval(distribution.shortest),
+        "digits": NONE if distribution.stability is None else str(distribution.stability.digits),
     }
 
 
@@ -230,105 +240,112 @@ def _number(value: float | None) -> str:
     return NONE if value is None else f"{value:.5g}"
 
 
-def _interval(found: Interval | None) -> str:
-    return NONE if found is None else f"{found.low:.5g} to {found.high:.5g}"
+def _interval(interval: Interval | None) -> str:
+    return NONE if interval is None else f"{interval.low:.5g} to {interval.high:.5g}"
 
 
-def _figures(one: Measurand) -> list[Figure]:
-    percent = f"{one.distribution.coverage:.0%}"
-    found = [
+def _figures(measurand: Measurand) -> list[Figure]:
+    percent = f"{measurand.distribution.coverage:.0%}"
+    figures = [
         Figure(
-            f"distribution_{one.name}",
+            f"distribution_{measurand.name}",
             "",
-            f"Left: the trials, with their mean and, shaded, the probabilistically symmetric "
-            f"{percent} interval; below it the shortest one. Right: mean (line) and mean "
-            "± standard uncertainty (band) after so many trials; they should have become level.",
-            f"histogram of {one.name} over the trials and its convergence",
-            partial(draw_distribution, one=one),
+            f"Left: histogram of the trials with their mean, the probabilistically symmetric "
+            f"{percent} interval (shaded) and the shortest {percent} interval (bar at the bottom). "
+            "Right: mean (line) and mean ± standard uncertainty (band) over the number of trials; "
+            "both should be constant at the end.",
+            f"histogram of {measurand.name} over the trials and its convergence",
+            partial(draw_distribution, measurand=measurand),
         )
     ]
-    if one.parts:
-        found.append(
+    if measurand.parts:
+        figures.append(
             Figure(
-                f"budget_{one.name}",
+                f"budget_{measurand.name}",
                 "",
-                "Standard uncertainty that each source alone adds, the largest first; lines: all "
-                "of them combined, and the standard deviation of the trials." + _sobol_words(one),
-                f"ranked uncertainty budget of {one.name}",
-                partial(draw_budget, one=one),
+                "Standard uncertainty due to each source, the largest first. Lines: all sources "
+                "combined, and the standard deviation of the trials." + _sobol_words(measurand),
+                f"ranked uncertainty budget of {measurand.name}",
+                partial(draw_budget, measurand=measurand),
             )
         )
-    return found
+    return figures
 
 
-def _sobol_words(one: Measurand) -> str:
-    if not one.effects:
+def _sobol_words(measurand: Measurand) -> str:
+    if not measurand.effects:
         return ""
     return (
-        " Right: Sobol' indices of the pressed face alone; bars: first order with 95 % bootstrap "
+        " Right: Sobol' indices of the pressed face only; bars: first order with 95 % bootstrap "
         "intervals, diamonds: total, with interactions."
     )
 
 
-def draw_distribution(path: Path, one: Measurand) -> None:
-    """Draw the histogram with the coverage intervals, and how mean and spread settle."""
+def draw_distribution(path: Path, measurand: Measurand) -> None:
+    """Draw the histogram with the coverage intervals, and the convergence of mean and spread."""
     with drawing(path, 8.6, 3.1) as figure:
-        _draw_histogram(axes_at(figure, 0.6, 0.35, 3.6, 2.2), one)
-        _draw_convergence(axes_at(figure, 5.0, 0.35, 3.4, 2.2), one)
+        _draw_histogram(axes_at(figure, 0.6, 0.35, 3.6, 2.2), measurand)
+        _draw_convergence(axes_at(figure, 5.0, 0.35, 3.4, 2.2), measurand)
 
 
-def _draw_histogram(axes: Axes, one: Measurand) -> None:
-    found = one.distribution
-    axes.hist(found.values, bins="auto" if np.ptp(found.values) else 1, color=MEASURED_FILL)
-    axes.axvline(found.mean, color=MEASURED, label="mean")
-    if one.nominal is not None:
-        axes.axvline(one.nominal, color=NOMINAL, ls="--", label="nominal")
-    if found.symmetric is not None:
+def _draw_histogram(axes: Axes, measurand: Measurand) -> None:
+    distribution = measurand.distribution
+    axes.hist(
+        distribution.values, bins="auto" if np.ptp(distribution.values) else 1, color=MEASURED_FILL
+    )
+    axes.axvline(distribution.mean, color=MEASURED, label="mean")
+    if measurand.nominal is not None:
+        axes.axvline(measurand.nominal, color=NOMINAL, ls="--", label="nominal")
+    if distribution.symmetric is not None:
         axes.axvspan(
-            found.symmetric.low, found.symmetric.high, color=MEASURED_FILL, alpha=0.3, lw=0
+            distribution.symmetric.low,
+            distribution.symmetric.high,
+            color=MEASURED_FILL,
+            alpha=0.3,
+            lw=0,
         )
-    if found.shortest is not None:
-        ends = [found.shortest.low, found.shortest.high]
+    if distribution.shortest is not None:
+        ends = [distribution.shortest.low, distribution.shortest.high]
         axes.plot(ends, [0.02, 0.02], color=FIT, lw=3, transform=axes.get_xaxis_transform())
-    chart(axes, "", _axis_label(one.name), "trials")
+    chart(axes, "", _axis_label(measurand.name), "trials")
     legend_above(axes, 2)
 
 
-def _draw_convergence(axes: Axes, one: Measurand) -> None:
-    values = one.distribution.values
+def _draw_convergence(axes: Axes, measurand: Measurand) -> None:
+    values = measurand.distribution.values
     count = np.arange(2, values.size + 1)
     mean = np.cumsum(values)[1:] / count
     # About the first value: the sum of squares loses its digits where the mean is large.
-    apart = values - values[0]
-    variance = (np.cumsum(apart**2)[1:] - count * (mean - values[0]) ** 2) / (count - 1)
+    offset = values - values[0]
+    variance = (np.cumsum(offset**2)[1:] - count * (mean - values[0]) ** 2) / (count - 1)
     spread = np.sqrt(np.maximum(variance, 0.0))
     axes.fill_between(count, mean - spread, mean + spread, color=MEASURED_FILL, alpha=0.5, lw=0)
     axes.plot(count, mean, color=MEASURED)
-    chart(axes, "", "trials so far", _axis_label(one.name))
+    chart(axes, "", "trials so far", _axis_label(measurand.name))
     axes.ticklabel_format(axis="y", useOffset=False)
 
 
-def draw_budget(path: Path, one: Measurand) -> None:
-    """Draw what each source adds, the largest first; beside it Sobol' indices if there are any."""
-    parts = one.parts[:_MOST_BARS]
+def draw_budget(path: Path, measurand: Measurand) -> None:
+    """Draw the contribution of each source, the largest first, and Sobol' indices if available."""
+    parts = measurand.parts[:_MOST_BARS]
     height = 0.26 * len(parts)
     with drawing(path, 8.6, height + 1.1) as figure:
-        axes = axes_at(figure, 2.0, 0.4, 3.2 if one.effects else 6.2, height)
+        axes = axes_at(figure, 2.0, 0.4, 3.2 if measurand.effects else 6.2, height)
         at = np.arange(len(parts))[::-1]
         axes.barh(at, [part.u for part in parts], color=MEASURED_FILL, height=0.7)
         axes.set_yticks(at, [part.name.replace("_", " ") for part in parts])
-        axes.axvline(one.from_budget or 0.0, color=FAINT, ls="--", label="combined")
-        u = one.distribution.standard_uncertainty
+        axes.axvline(measurand.from_budget or 0.0, color=FAINT, ls="--", label="combined")
+        u = measurand.distribution.standard_uncertainty
         axes.axvline(u, color=FIT, label="of the trials")
-        axes.set(xlabel=f"standard uncertainty, {split_unit(one.name)[1]}", xlim=(0, None))
+        axes.set(xlabel=f"standard uncertainty, {split_unit(measurand.name)[1]}", xlim=(0, None))
         legend_above(axes, 2)
         plain_spines(axes)
-        if one.effects:
-            _draw_effects(axes_at(figure, 6.4, 0.4, 2.0, height), one)
+        if measurand.effects:
+            _draw_effects(axes_at(figure, 6.4, 0.4, 2.0, height), measurand)
 
 
-def _draw_effects(axes: Axes, one: Measurand) -> None:
-    ordered = sorted(one.effects, key=lambda effect: -(effect.total or 0.0))
+def _draw_effects(axes: Axes, measurand: Measurand) -> None:
+    ordered = sorted(measurand.effects, key=lambda effect: -(effect.total or 0.0))
     draw_effect_bars(axes, [replace(e, axis=e.axis.replace("_", " ")) for e in ordered])
     axes.set(xlabel="Sobol' index", xlim=(min(0.0, *(e.value for e in ordered)), 1.05))
 
@@ -338,10 +355,10 @@ def _axis_label(name: str) -> str:
     return f"{label}, {unit}" if unit else label
 
 
-def result_lines(found: Uncertainty) -> list[Mapping[str, str]]:
+def result_lines(uncertainty: Uncertainty) -> list[Mapping[str, str]]:
     """Return mean, standard uncertainty, interval and main source of every measurand, as text."""
     rows: list[Mapping[str, str]] = []
-    for one in found.measurands.values():
-        first = one.parts[0].name.replace("_", " ") if one.parts else NONE
-        rows.append(_result_row(one) | {"first": first})
+    for measurand in uncertainty.measurands.values():
+        first = measurand.parts[0].name.replace("_", " ") if measurand.parts else NONE
+        rows.append(_result_row(measurand) | {"first": first})
     return rows

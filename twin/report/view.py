@@ -1,7 +1,7 @@
 """A scene as a view in a report that the reader turns by dragging.
 
 The page carries the data (surfaces over grids, lines) and a short script that draws them with the
-browser's own WebGL; nothing is loaded.
+browser's own WebGL; no further file is loaded.
 """
 
 import base64
@@ -18,17 +18,17 @@ from twin.results.record import Measurement
 
 
 def view_section(measured: Measurement) -> list[Section]:
-    """Return the section with the view; none where nothing was measured."""
+    """Return the section with the view; empty if no pixel has a point."""
     if not measured.points.valid.any():
         return []
     scene = measured_scene(measured)
     enlarged = scene.views["relief"].enlarged
-    scale = next(one.scale for one in scene.surfaces if one.name == DEVIATION)
+    scale = next(surface.scale for surface in scene.surfaces if surface.name == DEVIATION)
     limit_um = scale.get_clim()[1] if scale is not None else None
     heights = f"enlarged {enlarged:g} times in relief and deviation, and true in the rig"
     caption = (
-        "Drag to turn, scroll to come nearer; arrow keys turn, too. Heights are "
-        f"{heights if enlarged != 1 else 'true'}. "
+        "Measured surface with the rig. Drag or use the arrow keys to turn, scroll to zoom. "
+        f"Heights are {heights if enlarged != 1 else 'true'}. "
         f"Deviation: blue −{limit_um:g} µm, white 0, red {limit_um:g} µm."
     )
     view = TurnableView(
@@ -40,10 +40,11 @@ def view_section(measured: Measurement) -> list[Section]:
 def view_data(scene: SceneDescription) -> dict[str, Any]:
     """Return the input of the script: surfaces, lines, and the first position of each view."""
     lines = [
-        {"name": one.name, "rgb": one.rgb, "points": _as_text(one.ends_mm)} for one in scene.lines
+        {"name": line.name, "rgb": line.rgb, "points": _as_text(line.ends_mm)}
+        for line in scene.lines
     ]
     homes = {name: _home(view) for name, view in scene.views.items()}
-    return {"grids": [_grid(one) for one in scene.surfaces], "lines": lines, "homes": homes}
+    return {"grids": [_grid(surface) for surface in scene.surfaces], "lines": lines, "homes": homes}
 
 
 def _grid(surface: SceneSurface) -> dict[str, Any]:
@@ -83,5 +84,5 @@ def _as_text(values: NDArray[Any]) -> str:
 
 
 def _as_json(data: dict[str, Any]) -> str:
-    # Inside a script element nothing but its own end may look like one.
+    # The data must not contain an end tag of the script element.
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")

@@ -38,7 +38,7 @@ _SUFFIX = re.compile(
 _DERIVATIVE = re.compile(r"(?P<of>[a-z0-9_]+)_by_(?P<field>[a-z0-9_.]+\.[a-z0-9_]+)")
 
 NONE = "–"
-"""Written for what does not exist: a figure of no point, a row that has no such cell."""
+"""Written for a missing value: a figure without points, a row without such a cell."""
 
 _NAMES = {
     "shore_a": "Shore A",
@@ -62,13 +62,13 @@ def split_unit(name: str) -> tuple[str, str]:
         of, unit = split_unit(derivative["of"])
         by, under = split_unit(derivative["field"].rpartition(".")[2])
         return f"{of}_by_{by}", f"{unit or '1'}/{under}" if under else unit
-    found = _SUFFIX.search(name)
-    if found is None:
+    match = _SUFFIX.search(name)
+    if match is None:
         return name, ""
-    over = found["over"] or found["amount"] or found["one"]
-    under = found["under"] or found["inverse"] or found["size"]
+    over = match["over"] or match["amount"] or match["one"]
+    under = match["under"] or match["inverse"] or match["size"]
     unit = _written(over) if over else "1"
-    return name[: found.start()], f"{unit}/{_written(under)}" if under else unit
+    return name[: match.start()], f"{unit}/{_written(under)}" if under else unit
 
 
 def _written(token: str) -> str:
@@ -78,7 +78,7 @@ def _written(token: str) -> str:
 
 
 def label_of(name: str) -> tuple[str, str]:
-    """Return what a metric or setting is called, and its unit."""
+    """Return the label and the unit of a metric or setting."""
     stem, unit = split_unit(name)
     return _NAMES.get(stem, stem.replace("_", " ")), unit
 
@@ -98,7 +98,7 @@ def shown(value: str | float | None, digits: int) -> str:
 
 
 def signed(value: float, digits: int = 3) -> str:
-    """Write a number with its sign, with the minus of print; what rounds to 0 has no minus."""
+    """Write a number with its sign and a typographic minus; a rounded 0 has no minus."""
     return f"{value:+z.{digits}f}".replace("-", "−")
 
 
@@ -141,7 +141,7 @@ def phrase(values: Mapping[str, Any], model: type[BaseModel] | None = None) -> s
     ----------
     model : of the table; a field's title is written in the place of its name
     """
-    titles = {} if model is None else {n: one.title for n, one in model.model_fields.items()}
+    titles = {} if model is None else {n: field.title for n, field in model.model_fields.items()}
     parts = []
     for name, value in values.items():
         if value is not None and not isinstance(value, dict):

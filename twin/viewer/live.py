@@ -1,7 +1,7 @@
-"""The view in the browser: rig, coat, specimen, the camera's image, and what moves them.
+"""The view in the browser: rig, coat, specimen, the camera's image, and sliders.
 
-Viser shows it (the extra `view`). Its threads only note what was moved last; the main thread
-computes, so that a signal ends it as any command.
+Viser (the extra `view`) displays it. Its threads only store the latest slider values; the main
+thread computes, so that a signal ends it like any command.
 """
 
 import gc
@@ -30,7 +30,7 @@ from twin.results.record import Measurement
 from twin.viewer.preview import Preview, PreviewPicture, SliderRange, slider_ranges
 
 _STEPS = 100
-# The measured surface is so far above the coat of the preview, which would hide half of it.
+# Offset of the measured surface above the coat of the preview, which would intersect it.
 _RAISED_MM = (0.0, 0.0, 0.05)
 _MOST_VERTICES = 200_000
 
@@ -49,7 +49,7 @@ def viser_module() -> Any:
 
 
 class LiveView:
-    """What is shown in the browser, and the moves that wait to be computed."""
+    """The scene in the browser, and the slider changes that are not yet computed."""
 
     def __init__(
         self, experiment: Experiment, measured: Measurement | None, host: str, port: int
@@ -60,7 +60,7 @@ class LiveView:
         self._pressed: PressedElastomer | None = None
         self._moved = threading.Event()
         self._moved.set()
-        with redirect_stdout(io.StringIO()):  # it introduces itself there, in a box
+        with redirect_stdout(io.StringIO()):  # viser prints a banner
             self._server = viser.ViserServer(host, port, label="fringe-twin", verbose=False)
         self._server.scene.set_up_direction("+z")
         reach = experiment.camera.pose.standoff_mm
@@ -68,9 +68,9 @@ class LiveView:
         self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
         blank: Levels = np.zeros((8, 8, 3), np.uint8)
         gui = self._server.gui
-        self._told = gui.add_markdown("pressing ...")
-        self._fringes = gui.add_image(blank, label="what the camera sees")
-        self._white = gui.add_image(blank, label="under white light")
+        self._status = gui.add_markdown("pressing ...")
+        self._fringes = gui.add_image(blank, label="camera image: fringes")
+        self._white = gui.add_image(blank, label="camera image: white light")
         for control in slider_ranges(experiment):
             self._add_slider(control)
         if measured is not None:
@@ -78,19 +78,19 @@ class LiveView:
 
     @property
     def address(self) -> str:
-        """Where a browser finds it."""
+        """URL of the view."""
         return f"http://{self._server.get_host()}:{self._server.get_port()}"
 
     def serve(self) -> None:
-        """Compute what was moved last, again and again, until a signal ends it."""
+        """Compute the latest slider values repeatedly, until a signal ends the process."""
         while True:
-            # With a limit: a wait without one would not let a signal through on all systems.
+            # With a time limit: on some systems a wait without one does not handle signals.
             if self._moved.wait(0.2):
                 self._moved.clear()
                 self._update(dict(self._changes))
                 if not gc.get_freeze_count():
-                    # What is there now stays: to look through it again takes half of a picture's
-                    # time, because the renderer's scenes are collected before each.
+                    # Objects that exist now are excluded from later collections, which the renderer
+                    # runs before each picture and which take 50 % of its time.
                     gc.collect()
                     gc.freeze()
 
@@ -115,11 +115,11 @@ class LiveView:
         try:
             shown = self._preview.show(changes)
         except InputError as error:
-            self._told.content = f"**not possible:** {error}"
+            self._status.content = f"**not possible:** {error}"
             return
         self._fringes.image, self._white.image = _rgb(shown.fringes), _rgb(shown.white)
         pressed = shown.pressed
-        self._told.content = (
+        self._status.content = (
             f"force {pressed.force_n:.3g} N, travel {pressed.depth_mm:.3g} mm, coat up to "
             f"{pressed.face_z_mm.max():.3g} mm; picture in {time.perf_counter() - start:.2f} s"
         )
@@ -144,8 +144,8 @@ class LiveView:
         for lines in rig_lines(shown.experiment, elastomer=False):
             ends_mm, scene = lines.ends_mm.reshape(-1, 2, 3), self._server.scene
             scene.add_line_segments(f"/{lines.name}", ends_mm, lines.rgb, thickness=0.2)
-        rig, seen = true_calibration(shown.experiment), _rgb(shown.fringes)
-        self._add_device("/camera", rig.camera, rig.T_world_from_cam, CAMERA_RGB, seen)
+        rig, visible = true_calibration(shown.experiment), _rgb(shown.fringes)
+        self._add_device("/camera", rig.camera, rig.T_world_from_cam, CAMERA_RGB, visible)
         self._add_device("/projector", rig.projector, rig.T_world_from_proj, PROJECTOR_RGB, None)
 
     def _add_device(
@@ -174,14 +174,14 @@ class LiveView:
 
     def _add_measured(self, measured: Measurement) -> None:
         """Show a finished measurement's surface, coloured by its deviation from the truth."""
-        found = measured.fringes.reconstruction.point_map
-        mesh, deviation = surface_mesh(found), deviation_of(measured)
+        measured_surface = measured.fringes.reconstruction.point_map
+        mesh, deviation = surface_mesh(measured_surface), deviation_of(measured)
         if len(mesh.vertices_mm) > _MOST_VERTICES:
             raise InputError(
                 f"view: {len(mesh.vertices_mm)} points, at most {_MOST_VERTICES} are shown live; "
                 "measure with camera.binning = 4, or open surface.ply in a mesh viewer"
             )
-        raised_mm, rgb = mesh.vertices_mm + _RAISED_MM, deviation.rgb[found.valid]
+        raised_mm, rgb = mesh.vertices_mm + _RAISED_MM, deviation.rgb[measured_surface.valid]
         handle = self._draw_surface(
             SceneSurface("measured", raised_mm, mesh.triangles, rgb / 255.0)
         )

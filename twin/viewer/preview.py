@@ -1,7 +1,7 @@
-"""What is seen when one part of an experiment moves: a press and one trace at preview size.
+"""Preview of an experiment when one value changes: a press and one trace at reduced size.
 
-The picture is made by the same press, trace and camera as a measurement's, with a sixteenth of the
-pixels of a full image and a coarser coat; nothing is decoded.
+The picture is computed by the same press, trace and camera as a measurement, with 1/16 of the
+pixels of a full image and a coarser coat; no frame is decoded.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ _COARSE_SOLVER_MM = 0.16
 _COARSE_RELIEF_MM = 0.05
 _COARSE_CELL_MM = 0.3
 _MOST_NODES = 240
-"""Nodes of the coat along a side: a tenth of a millimetre on the paper's sheet."""
+"""Nodes of the coat along a side: a spacing of 0.1 mm on the paper's sheet."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class SliderRange:
     Attributes
     ----------
     key : by dotted path, as `twin keys` lists it
-    label : what it is, with its unit
-    low, high, value : allowed here, and as it stands
+    label : name with its unit
+    low, high, value : ends of the slider and current value
     """
 
     key: str
@@ -52,7 +52,7 @@ class SliderRange:
 
 @dataclass(frozen=True, eq=False)
 class PreviewPicture:
-    """What a preview shows.
+    """Images and press of a preview.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class PreviewPicture:
         )
 
 
-# key, label, how far it may be moved from where it stands
+# key, label, largest change from the current value
 _MOVED: tuple[tuple[str, str, float], ...] = (
     ("camera.pose.standoff_mm", "camera: distance (mm)", 0.3),
     ("camera.pose.polar_deg", "camera: tilt (deg)", 20.0),
@@ -96,16 +96,16 @@ _MOVED: tuple[tuple[str, str, float], ...] = (
     ("press.force_n", "press: force (N)", 0.8),
     ("patterns.period_px", "fringes: period (px)", 0.5),
 )
-# These move by a share of what they are, all others by an amount.
+# The largest change of these is relative to the value, of all others absolute.
 _RELATIVE = ("standoff_mm", "thickness_mm", "depth_mm", "force_n", "period_px")
 _NOT_NEGATIVE = ("polar_deg",)
 
 
 def slider_ranges(experiment: Experiment) -> list[SliderRange]:
-    """Return what can be moved, within the range that its source states or near where it is."""
+    """Return the values with a slider, in the range that the source states or near the value."""
     tree = experiment.model_dump()
-    found = [_control(experiment, tree, *told) for told in _MOVED]
-    return [one for one in found if one is not None]
+    sliders = [_control(experiment, tree, *entry) for entry in _MOVED]
+    return [slider for slider in sliders if slider is not None]
 
 
 def _control(
@@ -128,13 +128,13 @@ def _control(
 
 
 class Preview:
-    """Pictures of one experiment as its parts move; a press is kept while only the rig moves."""
+    """Pictures of one experiment with changed values; reuse the press if only the rig moves."""
 
     def __init__(self, experiment: Experiment) -> None:
         if not (experiment.method.presses and experiment.method.fringes):
             raise InputError(
-                f"view: modality = '{experiment.modality}'; what can be moved live is fringes on a "
-                "coat, modality = 'contact_fpp'"
+                f"view: modality: found '{experiment.modality}', allowed: 'contact_fpp'; the live "
+                "view needs fringes on a coat"
             )
         self._memory = Memory()
         self._full = experiment
@@ -149,7 +149,7 @@ class Preview:
 
         Raises
         ------
-        InputError : a value is not allowed, or the press or the renderer refuses it
+        InputError : a value is not allowed, or the press or the renderer rejects it
         MissingBackend : no usable Dr.Jit backend
         """
         experiment = vary(self._small, changes)
@@ -165,14 +165,14 @@ class Preview:
 
 
 def thinned(pressed: PressedElastomer) -> PressedElastomer:
-    """Return a press with so few nodes on its coat that it is loaded at once."""
+    """Return a press with at most `_MOST_NODES` nodes along a side of its coat."""
     step = max(1, max(pressed.face_z_mm.shape) // _MOST_NODES)
     rows, cols = (np.arange(0, size, step) for size in pressed.face_z_mm.shape)
     return on_nodes(replace(pressed, sheet=None), rows, cols)
 
 
 def _preview_size(experiment: Experiment) -> dict[str, Any]:
-    """Return the changes that leave a picture some 250 pixels wide, and the pattern short."""
+    """Return the changes for a picture about 250 pixels wide and a short pattern."""
     camera, projector, coarse = experiment.camera, experiment.projector, {}
     binning = next((b for b in _BINNINGS if camera.width_px // b >= _ACROSS_PX), 1)
     fewer = max(1, round(camera.width_px / binning / _ACROSS_PX))

@@ -38,7 +38,7 @@
     return made;
   };
 
-  // Two triangles for each cell whose four corners have a height.
+  // Two triangles for each cell with a height at all four corners.
   const facets = (grid, z) => {
     const index = [];
     for (let row = 0; row + 1 < grid.ny; row++) for (let col = 0; col + 1 < grid.nx; col++) {
