@@ -21,24 +21,24 @@ def result(tmp_path_factory):
 
 
 def test_points_and_a_layer_file_give_the_object(result):
-    assert isinstance(result.found, CompensatedSheet)
+    assert isinstance(result.compensated, CompensatedSheet)
     assert result.figures["part_1_form"] == "ball"
     assert result.figures["part_1_radius_mm"] == pytest.approx(4.0, abs=3e-3)
 
 
 def test_both_results_have_a_short_text(result):
-    force = rf"force {result.found.force_n:.3g} N \(standard uncertainty .* N\)"
-    shown = rf"contact {result.found.area_mm2:.3g} mm\^2, {force}, highest pressure .* kPa"
+    force = rf"force {result.compensated.force_n:.3g} N \(standard uncertainty .* N\)"
+    shown = rf"contact {result.compensated.area_mm2:.3g} mm\^2, {force}, highest pressure .* kPa"
     assert re.fullmatch(
         rf"<CompensationResult: {shown}, part 1 radius (3\.99|4\.00).. mm>", repr(result)
     )
     assert re.fullmatch(
-        rf"<CompensatedSheet: \d+ x \d+ cells of 0\.\d+ mm, {shown}>", repr(result.found)
+        rf"<CompensatedSheet: \d+ x \d+ cells of 0\.\d+ mm, {shown}>", repr(result.compensated)
     )
 
 
 def test_arrays_are_over_x_and_y_in_mm(result):
-    for data in (result.to_xarray(), result.found.to_xarray()):
+    for data in (result.to_xarray(), result.compensated.to_xarray()):
         assert data["coat_z_mm"].dims == ("y", "x")
         assert data["x"].attrs["units"] == data["thickness_mm"].attrs["units"] == "mm"
         assert data["pressure_kpa"].attrs["units"] == "kPa"
@@ -49,7 +49,7 @@ def test_arrays_are_over_x_and_y_in_mm(result):
 
 
 def test_the_figure_has_a_coat_a_pressure_and_a_section(result):
-    for shown in (result, result.found):
+    for shown in (result, result.compensated):
         drawing = shown.plot()
         assert isinstance(drawing, Drawing)
         assert [axes.get_xlabel() for axes in drawing.axes[:3]] == ["x (mm)"] * 3

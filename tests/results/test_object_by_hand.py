@@ -106,7 +106,7 @@ def test_deviation_and_form_of_a_flat_face():
     """
     plain = requests_of("deviation", alignment="none")
     raised = score_of(experiment(FLAT, measurand=plain), 0.02, 3e-3)
-    (deviation,) = (q for q in raised.quantities if q.asked.name == "one")
+    (deviation,) = (q for q in raised.quantities if q.measurand.name == "one")
     assert deviation.value == pytest.approx(20.0, abs=1e-3)
     assert deviation.uncertainty.noise == pytest.approx(
         3.0 / np.sqrt(len(deviation.points_mm)), rel=1e-4
@@ -121,7 +121,7 @@ def test_deviation_and_form_of_a_flat_face():
 
 def test_coverage_counts_pixels():
     score = score_of(experiment(FLAT, measurand=requests_of("coverage", at_least=0.9)), 0.0, 3e-3)
-    (coverage,) = (q for q in score.quantities if q.asked.name == "one")
+    (coverage,) = (q for q in score.quantities if q.measurand.name == "one")
     assert (coverage.value, coverage.decision) == (1.0, "within tolerance")
     assert coverage.margin == pytest.approx(0.1)
 

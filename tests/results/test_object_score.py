@@ -105,17 +105,17 @@ def test_the_stated_interval_covers_the_truth(specimen):
     case, rng = experiment(specimen), np.random.default_rng(2)
     score = score_of(case, 0.0, 3e-3)
     for quantity in (
-        quantity for quantity in score.quantities if quantity.asked.quantity != "resolution"
+        quantity for quantity in score.quantities if quantity.measurand.quantity != "resolution"
     ):
-        feature = feature_of(features_of(case.specimen), quantity.asked)
-        clean, ratios = score.seen.measured, []
+        feature = feature_of(features_of(case.specimen), quantity.measurand)
+        clean, ratios = score.observed.measured, []
         for _ in range(20):
             noise = np.outer(rng.normal(0, 3e-3, len(clean.points_mm)), [0, 0, 1])
             noisy = replace(clean, points_mm=clean.points_mm + noise)
-            value = fit(quantity.asked, feature, score.seen, noisy)
+            value = fit(quantity.measurand, feature, score.observed, noisy)
             ratios.append((value.value - quantity.value) / (2 * value.noise_mm))
         assert (np.abs(ratios) <= 1).sum() >= 16
-        assert np.std(ratios) > 0.3 or quantity.asked.quantity == "width"
+        assert np.std(ratios) > 0.3 or quantity.measurand.quantity == "width"
 
 
 def test_a_value_gets_its_verdict_from_limits_and_uncertainty():

@@ -80,7 +80,7 @@ def test_what_is_touched_too_little_is_absent_and_says_what_to_do():
     ball = score.quantity("radius_1")
     assert (ball.value, ball.error, score.figures["object_radius_1_mm"]) == (None, None, None)
     assert "0 cells" in ball.why
-    ways = more_contact(score.seen.measured.under)
+    ways = more_contact(score.observed.measured.under)
     assert "press.back_pressure_kpa = " in ways
     assert "press deeper" in ways
     assert "elastomer.tack_j_m2" in ways

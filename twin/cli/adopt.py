@@ -29,8 +29,7 @@ def adopt(
     """Make the twin of a real rig: a rig file with value, range and source of every field.
 
     Poses and lenses are taken from the captures' calibration; noise, gamma and blur are fitted to
-    their frames. All other fields keep the model's value, with "assumed" as source; see
-    docs/adopt.md.
+    their frames. Other fields keep the model's value, source "assumed"; see docs/adopt.md.
 
     Parameters
     ----------

@@ -74,12 +74,12 @@ class CompensationResult:
 
     Attributes
     ----------
-    found : object and contact, (row, col) on the cells of the measured coat
+    compensated : object and contact, (row, col) on the cells of the measured coat
     layer : as it was assumed, or calibrated on a ball
     figures : as in result.json, units in the names
     """
 
-    found: Compensated
+    compensated: Compensated
     layer: SensorLayer
     figures: Mapping[str, Any]
 
@@ -99,15 +99,15 @@ class CompensationResult:
             for name, value in self.figures.items()
             if name.endswith("_radius_mm") and value is not None
         }
-        return in_short(self.found) | radii
+        return in_short(self.compensated) | radii
 
     def plot(self) -> "Drawing":
         """Draw coat, contact pressure, and a section of coat and object: a Matplotlib figure."""
-        return object_drawing(self.found)
+        return object_drawing(self.compensated)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return contact, pressure and both faces over world x and y (mm), as contact.nc."""
-        return contact_arrays(self.found).to_xarray()
+        return contact_arrays(self.compensated).to_xarray()
 
 
 Draw = Callable[[Path, CompensationResult], None]
@@ -154,7 +154,7 @@ def compensate_result(
         result = _compensation(points, layer, experiment)
         watch("compensate", 1.0)
         figures |= result.figures
-        _write(target, measured, result.found, layer)
+        _write(target, measured, result.compensated, layer)
         draw(target, replace(result, figures=figures))
         write_text(target / LAYER_FILE, layer_to_toml(layer))
         write_text(
@@ -322,7 +322,7 @@ def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Me
 
 def _sheet_figures(compensation: SheetCompensation) -> dict[str, Any]:
     """Return figures of the object under a thin sheet; why, where the points show none."""
-    experiment, under = compensation.experiment, compensation.found
+    experiment, under = compensation.experiment, compensation.compensated
     if under is None:
         return {"compensation_failure": compensation.why}
     layer = compensation.layer or sensor_layer_of(experiment)

@@ -40,8 +40,8 @@ def _measurands(measured: Measurement) -> list[Table]:
     """Return the measurands, and the deviation where no length of the object was measured."""
     score = measured.object
     tables = [quantity_table(measured)] if score.quantities else []
-    lengths = any(quantity.asked.unit == "mm" for quantity in score.quantities)
-    if score.seen is not None and score.aligned and not lengths:
+    lengths = any(quantity.measurand.unit == "mm" for quantity in score.quantities)
+    if score.observed is not None and score.aligned and not lengths:
         tables.append(deviation_table(measured))
     return tables
 

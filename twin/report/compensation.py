@@ -51,11 +51,11 @@ def write_compensation_page(
     InputError : the page cannot be written
     """
     used = "The nominal shape of the specimen is not used, except for the edge radius of bars."
-    if isinstance(result.found, CompensatedSlab):
+    if isinstance(result.compensated, CompensatedSlab):
         used = "The form of the specimen and its dimensions that are not fitted are assumed."
-        first = _numbers_section(result, result.found)
+        first = _numbers_section(result, result.compensated)
     else:
-        first = _object_section(result, parts_of(result.found))
+        first = _object_section(result, parts_of(result.compensated))
     page = Page(
         kind="compensation",
         title=name.replace("_", " "),
@@ -114,7 +114,7 @@ def _picture(result: CompensationResult) -> Figure:
         "and local thickness (mm) or contact. The section shows the object only where the "
         "elastomer touches it; elsewhere the touched face is free.",
         "Maps of coat, contact pressure and local thickness; section of coat and object.",
-        partial(draw_compensation, compensated=result.found),
+        partial(draw_compensation, compensated=result.compensated),
     )
 
 

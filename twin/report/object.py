@@ -27,7 +27,7 @@ _ALIGNED = (
 def object_section(measured: Measurement) -> list[Section]:
     """Return measurands, deviation and remedies of the object; empty if it was not measured."""
     score = measured.object
-    if score.seen is None or not (score.aligned or score.quantities):
+    if score.observed is None or not (score.aligned or score.quantities):
         return []
     tables: list[Block] = [quantity_table(measured)] if score.quantities else []
     if score.aligned:
@@ -48,7 +48,9 @@ def object_verdict(measured: Measurement) -> Verdict:
     figures = measured.figures
     rms_um, share = figures.get("object_rms_um"), figures.get("object_coverage_share")
     lengths = tuple(measurand_in_words(quantity) for quantity in score.quantities[:2])
-    first = next((quantity for quantity in score.quantities if quantity.asked.unit == "mm"), None)
+    first = next(
+        (quantity for quantity in score.quantities if quantity.measurand.unit == "mm"), None
+    )
     if rms_um is None or share is None:
         known = first is not None and first.value is not None
         headline = _short(first) if first is not None and known else _NO_POINT
@@ -74,14 +76,14 @@ def object_verdict(measured: Measurement) -> Verdict:
 
 def _short(quantity: MeasuredQuantity) -> str:
     """Write a length with its expanded uncertainty, for a headline."""
-    name = quantity.asked.name.replace("_", " ")
+    name = quantity.measurand.name.replace("_", " ")
     return f"{name}: {quantity.value:.4f}\N{NO-BREAK SPACE}mm {_interval(quantity)}"
 
 
 def _remedies(measured: Measurement) -> list[str]:
     """Return how to increase the contact; empty if the dimensions of the object were measured."""
     score, compensation = measured.object, measured.compensation
-    lengths = [quantity for quantity in score.quantities if quantity.asked.unit == "mm"]
+    lengths = [quantity for quantity in score.quantities if quantity.measurand.unit == "mm"]
     measurable = measured.figures.get("object_rms_um") is not None
     if measurable and (
         compensation is None or all(quantity.value is not None for quantity in lengths)
@@ -89,9 +91,9 @@ def _remedies(measured: Measurement) -> list[str]:
         return []
     if compensation is None:
         return ["to measure the object, press deeper, or measure a different part of it"]
-    if compensation.found is None:
+    if compensation.compensated is None:
         return [compensation.why]
-    return [f"to measure the object, {more_contact(compensation.found)}"]
+    return [f"to measure the object, {more_contact(compensation.compensated)}"]
 
 
 def _grade_of_deviation(over_limit: float) -> Grade:
@@ -114,7 +116,7 @@ def object_lines(measured: Measurement) -> list[str]:
     lines = [
         _ascii(measurand_in_words(quantity))
         for quantity in score.quantities
-        if quantity.asked.unit == "mm"
+        if quantity.measurand.unit == "mm"
     ]
     rms_um = figures.get("object_rms_um")
     if rms_um is None:
@@ -128,17 +130,17 @@ def object_lines(measured: Measurement) -> list[str]:
 
 def measurand_in_words(quantity: MeasuredQuantity) -> str:
     """Return the result of a measurand in words: the object's value with U, then the coat's."""
-    name = quantity.asked.name.replace("_", " ")
+    name = quantity.measurand.name.replace("_", " ")
     verdict = f", {quantity.decision}" if quantity.decision else ""
     coat = ""
     if quantity.covered and quantity.coat is not None:
         coat = f"; apparent in the coat: {quantity.coat:.4f} mm"
     if quantity.value is None:
         return f"{name}: not measured, {quantity.why}{coat}"
-    if quantity.asked.unit == "share":
+    if quantity.measurand.unit == "share":
         return f"{name}: {percent(quantity.value)}{verdict}"
-    if quantity.asked.unit == "um" or quantity.nominal is None:
-        unit = "µm" if quantity.asked.unit == "um" else "mm"
+    if quantity.measurand.unit == "um" or quantity.nominal is None:
+        unit = "µm" if quantity.measurand.unit == "um" else "mm"
         return f"{name}: {quantity.value:.4g} {unit} {_interval(quantity)}{verdict}{coat}"
     if _is_lost(quantity):
         return (
@@ -227,16 +229,16 @@ def _absences(quantities: tuple[MeasuredQuantity, ...]) -> list[str]:
     missing: dict[str, list[str]] = {}
     for quantity in quantities:
         if quantity.value is None and quantity.why:
-            missing.setdefault(quantity.why, []).append(quantity.asked.name.replace("_", " "))
+            missing.setdefault(quantity.why, []).append(quantity.measurand.name.replace("_", " "))
     return [f"{', '.join(names)} not measured: {why}." for why, names in missing.items()]
 
 
 def _row(quantity: MeasuredQuantity) -> dict[str, str]:
-    share, digits = quantity.asked.unit == "share", 4 if quantity.asked.unit == "mm" else 2
-    unit = {"mm": " mm", "um": " µm", "share": ""}[quantity.asked.unit]
-    length = quantity.asked.unit == "mm"
+    share, digits = quantity.measurand.unit == "share", 4 if quantity.measurand.unit == "mm" else 2
+    unit = {"mm": " mm", "um": " µm", "share": ""}[quantity.measurand.unit]
+    length = quantity.measurand.unit == "mm"
     row = {
-        "name": quantity.asked.name.replace("_", " "),
+        "name": quantity.measurand.name.replace("_", " "),
         "nominal": NONE if quantity.nominal is None else f"{quantity.nominal:g} mm",
         "limits": _limits(quantity),
         "coat": _surface_cell(quantity),
@@ -260,7 +262,7 @@ def _surface_cell(quantity: MeasuredQuantity) -> str:
     if quantity.covered:
         return NONE if quantity.coat is None else f"{quantity.coat:.4f} mm"
     error = quantity.true_face_error
-    return NONE if error is None or quantity.asked.unit == "share" else signed(error, 1)
+    return NONE if error is None or quantity.measurand.unit == "share" else signed(error, 1)
 
 
 def _parts(quantity: MeasuredQuantity) -> str:
@@ -315,7 +317,7 @@ def _surface(measured: Measurement) -> str:
 
 
 def _how(measured: Measurement) -> str:
-    points = measured.object.seen
+    points = measured.object.observed
     assert points is not None  # or there would be no section
     share = percent(points.coverage)
     touched = touches(measured.experiment)
@@ -345,11 +347,11 @@ def object_rows(measured: Measurement) -> dict[str, str]:
     """Return the measurands by name, with U, as a comparison of methods shows them."""
     rows = {}
     for quantity in measured.object.quantities:
-        name = quantity.asked.name.replace("_", " ")
-        if quantity.asked.unit == "mm":
+        name = quantity.measurand.name.replace("_", " ")
+        if quantity.measurand.unit == "mm":
             rows[f"{name} (mm)"] = (
                 NONE if quantity.value is None else f"{quantity.value:.4f} {_interval(quantity)}"
             )
-        if quantity.asked.unit != "share":
+        if quantity.measurand.unit != "share":
             rows[f"{name}: deviation (µm)"] = number(quantity.error, "+.1f")
     return rows

@@ -29,7 +29,7 @@ from twin.report.page import Figure
 from twin.report.relief import average_on_grid, draw_cells
 from twin.report.section import Trace, trace_through_apexes
 from twin.results.measurands import measurand_of
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 from twin.results.record import Measurement
 from twin.specimens import shape_of
 
@@ -59,7 +59,7 @@ def object_figure(measured: Measurement) -> Figure:
 
 def grown(measured: Measurement) -> str:
     """Return the offset of the drawn true object in words; empty without elastomer between."""
-    visible = measured.object.seen
+    visible = measured.object.observed
     return (
         " (offset by the thickness of the elastomer)"
         if visible is not None and visible.surface.skin_mm
@@ -77,7 +77,7 @@ def _behind(measured: Measurement) -> str:
 def draw_object(path: Path, measured: Measurement) -> None:
     """Draw the picture of `object_figure` as PNG."""
     score = measured.object
-    visible, aligned = score.seen, score.aligned["offset"]
+    visible, aligned = score.observed, score.aligned["offset"]
     assert visible is not None
     points, pixel_mm = _shown_points(measured, visible.coat), visible.pixel_mm
     z_true = np.ma.masked_invalid(visible.heights.z_mm + visible.surface.skin_mm)
@@ -130,7 +130,7 @@ def trace_of(experiment: Experiment) -> Trace:
     return Trace(np.array([at.x_mm, at.y_mm]), np.array([np.cos(turn), np.sin(turn)]))
 
 
-def _draw_section(axes: Axes, measured: Measurement, visible: SeenObject) -> None:
+def _draw_section(axes: Axes, measured: Measurement, visible: ObjectView) -> None:
     trace, points = trace_of(measured.experiment), _shown_points(measured, visible.coat)
     place, z = _band(trace, points, visible.pixel_mm)
     coat = "measured coat" if measured.experiment.method.presses else "measured"
@@ -146,7 +146,7 @@ def _draw_section(axes: Axes, measured: Measurement, visible: SeenObject) -> Non
     true = _true_profile(visible, trace, grid)
     axes.plot(grid, true, color=NOMINAL, lw=1.0, label="true object")
     if fitted is not None and fitted.points_mm is not None:
-        kind = measurand_of(fitted.asked)
+        kind = measurand_of(fitted.measurand)
         for s, line in kind.curves(fitted.points_mm, trace, visible):
             axes.plot(s, line, color=FIT, lw=1.2, ls="--")
     low, high = (float(z.min()), float(z.max())) if len(z) else (0.0, 1.0)
@@ -165,7 +165,7 @@ def _band(trace: Trace, points: FloatArray, pixel_mm: float) -> tuple[FloatArray
     return place[order], points[near, 2][order]
 
 
-def _true_profile(visible: SeenObject, trace: Trace, place: FloatArray) -> FloatArray:
+def _true_profile(visible: ObjectView, trace: Trace, place: FloatArray) -> FloatArray:
     """World z of the true object's upper side, grown by the skin, along a section; NaN: none."""
     z = visible.heights.z_mm[visible.heights.cells_of(trace.points(place))] if len(place) else place
     return np.where(np.isfinite(z), z + visible.surface.skin_mm, np.nan)

@@ -34,7 +34,7 @@ from twin.optics.stack import Truth
 from twin.results.features import Feature, feature_of, features_of
 from twin.results.figures import Metric
 from twin.results.object_fits import fit, require_determined
-from twin.results.object_points import SeenObject, seen_object
+from twin.results.object_points import ObjectView, seen_object
 from twin.results.prediction import PredictedMaps
 from twin.results.quantities import measurands_of
 from twin.results.score import region_of
@@ -165,7 +165,7 @@ def _expected_fits(
 
 
 def _expected_fit(
-    request: ObjectMeasurand, feature: Feature, observed: SeenObject | None
+    request: ObjectMeasurand, feature: Feature, observed: ObjectView | None
 ) -> _ExpectedFit:
     if observed is None:
         return _ExpectedFit(why="no points of the object are expected")

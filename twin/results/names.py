@@ -112,7 +112,7 @@ def _of_the_object(experiment: Experiment) -> set[str]:
     features = features_of(experiment.specimen)
     unknown = [
         MeasuredQuantity(
-            asked=request,
+            measurand=request,
             nominal=nominal_mm(feature_of(features, request), request),
             value=None,
             true_face=None,

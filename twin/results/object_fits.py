@@ -10,11 +10,11 @@ from reconstruction.errors import FitError
 from twin.config.measurands import ObjectMeasurand
 from twin.results.features import Feature
 from twin.results.measurands import FittedValue, in_ranges, measurand_of
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 
 
 def fit(
-    request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+    request: ObjectMeasurand, feature: Feature, observed: ObjectView, points: ObjectPoints
 ) -> FittedValue:
     """Fit one quantity to measured points, or to the true face's.
 

@@ -139,7 +139,7 @@ class ObjectPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenObject:
+class ObjectView:
     """An object as it was measured.
 
     Attributes
@@ -196,7 +196,7 @@ def seen_object(
     truth: Truth,
     pressed: PressedElastomer | None,
     under: ObjectUnderSheet | None = None,
-) -> SeenObject | None:
+) -> ObjectView | None:
     """Pick the points of the object; None without points on it.
 
     Parameters
@@ -230,7 +230,7 @@ def seen_object(
     measured, known = coat, touching[measured_target]
     if under is not None:
         measured, known = _cells_of(under, heights), under.touches(coat.points_mm[:, :2])
-    return SeenObject(
+    return ObjectView(
         shape=surface.shape,
         surface=surface,
         measured=measured,

@@ -32,7 +32,7 @@ from twin.results.features import Feature, feature_of, features_of
 from twin.results.figures import Metric
 from twin.results.measurands import FittedValue, measurand_of
 from twin.results.object_fits import fit
-from twin.results.object_points import ObjectPoints, SeenObject, is_covered, seen_object
+from twin.results.object_points import ObjectPoints, ObjectView, is_covered, seen_object
 from twin.results.quantities import measurands_of, nominal_mm
 from twin.results.under_sheet import SheetCompensation
 
@@ -55,7 +55,7 @@ class MeasuredQuantity:
     points_mm : (n, xyz) the fitted points; None without a value
     """
 
-    asked: ObjectMeasurand
+    measurand: ObjectMeasurand
     nominal: float | None
     value: float | None
     true_face: float | None
@@ -93,7 +93,7 @@ class MeasuredQuantity:
         return self.tolerance.margin(self.error, self.uncertainty.expanded)
 
     def _deviation_of(self, value: float | None) -> float | None:
-        if self.asked.unit != "mm":
+        if self.measurand.unit != "mm":
             return value
         known = value is not None and self.nominal is not None
         return 1e3 * (value - self.nominal) if known else None  # type: ignore[operator]
@@ -105,12 +105,12 @@ class ObjectScore:
 
     Attributes
     ----------
-    seen : None without points of the object
+    observed : None without points of the object
     quantities : its measurands
     aligned : deviations of the measured points that touch, by alignment
     """
 
-    seen: SeenObject | None
+    observed: ObjectView | None
     quantities: tuple[MeasuredQuantity, ...]
     aligned: dict[Alignment, Deviations]
     figures: dict[str, Metric]
@@ -118,7 +118,7 @@ class ObjectScore:
     @property
     def under_sheet(self) -> bool:
         """Whether the points are those found under a thin sheet, its local thickness taken off."""
-        return self.seen is not None and self.seen.measured.under is not None
+        return self.observed is not None and self.observed.measured.under is not None
 
     def quantity(self, name: str) -> MeasuredQuantity:
         """Return a measurand by its name, such as radius_1.
@@ -128,9 +128,9 @@ class ObjectScore:
         InputError : there is none of that name
         """
         for measured in self.quantities:
-            if measured.asked.name == name:
+            if measured.measurand.name == name:
                 return measured
-        names = ", ".join(measured.asked.name for measured in self.quantities) or "none"
+        names = ", ".join(measured.measurand.name for measured in self.quantities) or "none"
         raise InputError(f"quantity: found {name!r}, allowed: {names}")
 
 
@@ -153,7 +153,7 @@ def score_object(
     InputError : a measurand names a part that the specimen does not have
     """
     requests, features = measurands_of(experiment), features_of(experiment.specimen)
-    under = None if compensation is None else compensation.found
+    under = None if compensation is None else compensation.compensated
     observed = seen_object(experiment, points, truth, pressed, under)
     without = why_not_compensated(experiment, compensation)
     quantities = tuple(
@@ -168,7 +168,7 @@ def score_object(
     return ObjectScore(observed, quantities, measured, figures | summary_of(quantities))
 
 
-def _aligned(observed: SeenObject, points: ObjectPoints) -> dict[Alignment, Deviations]:
+def _aligned(observed: ObjectView, points: ObjectPoints) -> dict[Alignment, Deviations]:
     """Return the deviations of the touching points by alignment; none where there are too few."""
     points_used = points.part(points.touching).thinned().points_mm
     distance = observed.surface.distance_mm
@@ -182,7 +182,7 @@ def _aligned(observed: SeenObject, points: ObjectPoints) -> dict[Alignment, Devi
 
 
 def deviation_figures(
-    observed: SeenObject | None,
+    observed: ObjectView | None,
     measured: dict[Alignment, Deviations],
     true_face: dict[Alignment, Deviations],
 ) -> Iterator[tuple[str, Metric]]:
@@ -213,7 +213,9 @@ def why_not_compensated(
 ) -> str:
     """Return the reason why the coat shows no lengths of the object; empty where it does."""
     elastomer = experiment.elastomer
-    if not is_covered(experiment) or (compensation is not None and compensation.found is not None):
+    if not is_covered(experiment) or (
+        compensation is not None and compensation.compensated is not None
+    ):
         return ""
     if compensation is not None:
         return compensation.why
@@ -226,7 +228,7 @@ def why_not_compensated(
 
 
 def _quantity(
-    request: ObjectMeasurand, feature: Feature, observed: SeenObject | None, without: str
+    request: ObjectMeasurand, feature: Feature, observed: ObjectView | None, without: str
 ) -> MeasuredQuantity:
     """Measure one quantity; `without`: why a covered object has no lengths, empty if it has."""
     value, coat, true_value, why = None, None, None, NOTHING_FOUND
@@ -242,7 +244,7 @@ def _quantity(
         else:
             true_value, _ = _attempt(request, feature, observed, observed.true_face)
     return MeasuredQuantity(
-        asked=request,
+        measurand=request,
         nominal=nominal_mm(feature, request),
         value=None if value is None else _in_unit(request, value.value),
         true_face=None if true_value is None else _in_unit(request, true_value.value),
@@ -274,7 +276,7 @@ def _whole(request: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
 
 
 def _elastomer_mm(
-    request: ObjectMeasurand, feature: Feature, observed: SeenObject | None, value: FittedValue
+    request: ObjectMeasurand, feature: Feature, observed: ObjectView | None, value: FittedValue
 ) -> float:
     """Return a value's standard uncertainty by the uncertain parameters of the subtracted sheet.
 
@@ -295,7 +297,7 @@ def _elastomer_mm(
 
 
 def _attempt(
-    request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+    request: ObjectMeasurand, feature: Feature, observed: ObjectView, points: ObjectPoints
 ) -> tuple[FittedValue | None, str]:
     try:
         value = fit(request, feature, observed, points)
@@ -331,7 +333,7 @@ def tolerance_of(request: ObjectMeasurand) -> Tolerance | None:
 
 def quantity_figures(measured: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
     """Yield the figures of one measurand."""
-    name, unit = f"object_{measured.asked.name}", measured.asked.unit
+    name, unit = f"object_{measured.measurand.name}", measured.measurand.unit
     yield f"{name}_{unit}", measured.value
     if measured.covered:
         yield f"{name}_coat_{unit}", measured.coat
@@ -356,7 +358,7 @@ def summary_of(quantities: tuple[MeasuredQuantity, ...]) -> dict[str, Metric]:
     if not judged:
         return {}
     within = sum(measured.decision == "within tolerance" for measured in judged)
-    margins = [measured.margin for measured in judged if measured.asked.unit != "share"]
+    margins = [measured.margin for measured in judged if measured.measurand.unit != "share"]
     least = None if not margins or None in margins else min(m for m in margins if m is not None)
     return {
         "measurands_judged": len(judged),

@@ -185,9 +185,9 @@ class Measurement:
         """Return the main figures as texts."""
         score = self.score.against_truth
         shown = {
-            measured.asked.name.replace("_", " "): _length(measured)
+            measured.measurand.name.replace("_", " "): _length(measured)
             for measured in self.object.quantities
-            if measured.value is not None and measured.asked.unit == "mm"
+            if measured.value is not None and measured.measurand.unit == "mm"
         }
         shown |= {"points": f"{100 * self.points.valid.mean():.1f} % of all pixels"}
         if score.z_rmse_um is not None:

@@ -113,7 +113,7 @@ class SheetCompensation:
     layer: SensorLayer | None = None
 
     @property
-    def found(self) -> ObjectUnderSheet | None:
+    def compensated(self) -> ObjectUnderSheet | None:
         """The object; None if absent, `why` gives the reason."""
         return None if isinstance(self._outcome, str) else self._outcome
 

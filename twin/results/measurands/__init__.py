@@ -32,7 +32,7 @@ from twin.config.measurands import MEASURANDS, ObjectMeasurand, QuantityKind
 from twin.config.nominal import NominalFeature
 from twin.config.specimen_base import Specimen
 from twin.results.features import Feature
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 
 __all__ = [
     "LEAST_IN_PART",
@@ -114,7 +114,11 @@ class MeasurandKind(QuantityKind):
     nominal_is_limit: bool = False
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+        self,
+        request: ObjectMeasurand,
+        feature: Feature,
+        observed: ObjectView,
+        points: ObjectPoints,
     ) -> FittedValue:
         """Fit the quantity to points, of the object, of the coat, or of the true face.
 
@@ -175,7 +179,7 @@ class MeasurandKind(QuantityKind):
         """
         return ()
 
-    def curves(self, points_mm: FloatArray, line: SectionLine, observed: SeenObject) -> list[Curve]:
+    def curves(self, points_mm: FloatArray, line: SectionLine, observed: ObjectView) -> list[Curve]:
         """Return the fitted shape along a section, to be drawn; [] where none is.
 
         Parameters

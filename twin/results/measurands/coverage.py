@@ -4,7 +4,7 @@ from reconstruction.errors import FitError
 from twin.config.measurands import ObjectMeasurand
 from twin.results.features import Feature
 from twin.results.measurands import MEASURANDS, FittedValue, MeasurandKind
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 
 
 class Coverage(MeasurandKind):
@@ -15,7 +15,11 @@ class Coverage(MeasurandKind):
     unit = "share"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+        self,
+        request: ObjectMeasurand,
+        feature: Feature,
+        observed: ObjectView,
+        points: ObjectPoints,
     ) -> FittedValue:
         """Return the share of the whole specimen."""
         if observed.coverage is None:

@@ -17,7 +17,7 @@ from twin.results.measurands import (
     inside,
 )
 from twin.results.measurands.step_height import step_of
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 
 _PARTS_OF_WAVE = 8
 # Grooves narrower than this part of the contact's blur look touched where the sheet spans them.
@@ -33,7 +33,11 @@ class Depth(MeasurandKind):
     bound_name = "crb_depth_um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+        self,
+        request: ObjectMeasurand,
+        feature: Feature,
+        observed: ObjectView,
+        points: ObjectPoints,
     ) -> FittedValue:
         """Fit the wave, the groove or the step that the specimen has."""
         points = points.part(points.touching)

@@ -6,7 +6,7 @@ from reconstruction.evaluate.deviation import Deviations, deviations, normals_of
 from twin.config.measurands import ObjectMeasurand
 from twin.results.features import Feature
 from twin.results.measurands import MEASURANDS, FittedValue, MeasurandKind, fitted
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 
 
 class RmsDeviation(MeasurandKind):
@@ -17,7 +17,11 @@ class RmsDeviation(MeasurandKind):
     unit = "um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+        self,
+        request: ObjectMeasurand,
+        feature: Feature,
+        observed: ObjectView,
+        points: ObjectPoints,
     ) -> FittedValue:
         """Return the RMS along the normal of the object's surface."""
         used, aligned, upward = aligned_points(request, observed, points, request.alignment)
@@ -25,7 +29,7 @@ class RmsDeviation(MeasurandKind):
 
 
 def aligned_points(
-    request: ObjectMeasurand, observed: SeenObject, points: ObjectPoints, alignment: Alignment
+    request: ObjectMeasurand, observed: ObjectView, points: ObjectPoints, alignment: Alignment
 ) -> tuple[ObjectPoints, Deviations, FloatArray]:
     """Return points of the object, their deviations, and z of the surface's unit normals (n,).
 

@@ -4,7 +4,7 @@ from twin.config.measurands import ObjectMeasurand
 from twin.results.features import Feature
 from twin.results.measurands import MEASURANDS, FittedValue, MeasurandKind, fitted
 from twin.results.measurands.deviation import aligned_points
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 
 
 class Form(MeasurandKind):
@@ -15,7 +15,11 @@ class Form(MeasurandKind):
     unit = "um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+        self,
+        request: ObjectMeasurand,
+        feature: Feature,
+        observed: ObjectView,
+        points: ObjectPoints,
     ) -> FittedValue:
         """Return the band along the normal of the object's surface."""
         used, aligned, upward = aligned_points(request, observed, points, "rigid")

@@ -19,7 +19,7 @@ from twin.results.measurands import (
     enough,
     fitted,
 )
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 
 # Of a rod's or ball's radius: beyond it a wall is too steep to be seen from above.
 _CAP_SHARE = 0.9
@@ -35,7 +35,11 @@ class Radius(MeasurandKind):
     coat_in_contact = True
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+        self,
+        request: ObjectMeasurand,
+        feature: Feature,
+        observed: ObjectView,
+        points: ObjectPoints,
     ) -> FittedValue:
         """Fit a ball, or a cylinder along the rod."""
         if feature.balls:
@@ -52,7 +56,7 @@ class Radius(MeasurandKind):
         """Return the error of a radius by the theory of thin sheets."""
         return (sheet.theory_mm(value_mm),)
 
-    def curves(self, points_mm: FloatArray, line: SectionLine, observed: SeenObject) -> list[Curve]:
+    def curves(self, points_mm: FloatArray, line: SectionLine, observed: ObjectView) -> list[Curve]:
         """Return the arc of a ball."""
         return _arc(points_mm, line) if observed.shape.spheres() else []
 

@@ -18,7 +18,7 @@ from twin.results.measurands import (
     in_ranges,
 )
 from twin.results.measurands.depth import Depth
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 
 KEPT_SHARE = 0.5
 """Of a grating's depth that must be left for it to be resolved: ISO 25178-600's lateral period
@@ -33,7 +33,11 @@ class GratingResolution(MeasurandKind):
     nominal_is_limit = True
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+        self,
+        request: ObjectMeasurand,
+        feature: Feature,
+        observed: ObjectView,
+        points: ObjectPoints,
     ) -> FittedValue:
         """Find the finest pitch that, with all coarser ones, keeps half its depth above noise."""
         finest = None

@@ -18,7 +18,7 @@ from twin.results.measurands import (
     SectionLine,
     fitted,
 )
-from twin.results.object_points import Heights, ObjectPoints, SeenObject
+from twin.results.object_points import Heights, ObjectPoints, ObjectView
 
 # Of a step: levels are known to so much of it.
 _LEVEL_SHARE = 0.1
@@ -33,13 +33,17 @@ class IsoStepHeight(MeasurandKind):
     bound_name = "crb_step_um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+        self,
+        request: ObjectMeasurand,
+        feature: Feature,
+        observed: ObjectView,
+        points: ObjectPoints,
     ) -> FittedValue:
         """Fit two parallel planes to the levels without their edges, see `levels`."""
         step_mm = self.requested_mm(request, feature)
         return step_of(points.part(points.touching), feature, observed, step_mm)
 
-    def curves(self, points_mm: FloatArray, line: SectionLine, observed: SeenObject) -> list[Curve]:
+    def curves(self, points_mm: FloatArray, line: SectionLine, observed: ObjectView) -> list[Curve]:
         """Return both levels."""
         place, z = line.position(points_mm[:, 0], points_mm[:, 1]), points_mm[:, 2]
         middle = (float(z.min()) + float(z.max())) / 2
@@ -52,7 +56,7 @@ class IsoStepHeight(MeasurandKind):
 
 
 def step_of(
-    points: ObjectPoints, feature: Feature, observed: SeenObject, step_mm: float | None
+    points: ObjectPoints, feature: Feature, observed: ObjectView, step_mm: float | None
 ) -> FittedValue:
     """Fit two levels to points, their edges left out as in ISO 5436-1 type A1.
 

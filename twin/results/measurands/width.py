@@ -18,7 +18,7 @@ from twin.results.measurands import (
     fitted,
 )
 from twin.results.measurands.depth import groove_of
-from twin.results.object_points import ObjectPoints, SeenObject
+from twin.results.object_points import ObjectPoints, ObjectView
 from twin.results.under_sheet import ObjectUnderSheet
 
 _SECTION_MM = 2.0
@@ -34,7 +34,11 @@ class SectionWidth(MeasurandKind):
     bound_name = "crb_width_um"
 
     def fit(
-        self, request: ObjectMeasurand, feature: Feature, observed: SeenObject, points: ObjectPoints
+        self,
+        request: ObjectMeasurand,
+        feature: Feature,
+        observed: ObjectView,
+        points: ObjectPoints,
     ) -> FittedValue:
         """Width at half height of a section across; of a V groove its opening, by the flanks."""
         for nominal in feature.specimen.nominal(NominalGroove):
