@@ -37,7 +37,7 @@ def test_flatness_of_a_tilted_noisy_plane():
     np.testing.assert_allclose(found.plane.normal, normal, atol=1e-4)
     assert found.rms_mm == pytest.approx(NOISE_MM / np.sqrt(1.0125), rel=0.03)
     assert found.peak_to_valley_mm < 10 * NOISE_MM
-    assert found.kept.mean() == pytest.approx(0.95, abs=0.01)
+    assert found.inliers.mean() == pytest.approx(0.95, abs=0.01)
 
 
 def test_flatness_of_a_saddle_is_its_height():
@@ -60,7 +60,7 @@ def test_ball_of_exact_points():
     assert found.radius_mm == pytest.approx(4.0, abs=1e-9)
     np.testing.assert_allclose(found.centre_mm, [1.0, -2.0, 3.0], atol=1e-9)
     assert found.form_mm < 1e-9
-    assert found.kept.all()
+    assert found.inliers.all()
 
 
 def test_radius_of_noisy_balls_scatters_as_stated():
@@ -91,7 +91,7 @@ def test_ball_with_gross_outliers(share):
     points[:, 2] = with_outliers(points[:, 2], rng, share)
     found = fit_ball(points)
     assert abs(found.radius_mm - 4.0) < 3 * found.radius_sigma_mm
-    assert found.kept.mean() == pytest.approx(1 - share, abs=0.02)
+    assert found.inliers.mean() == pytest.approx(1 - share, abs=0.02)
     assert abs(fit_sphere(points).radius_mm - 4.0) > 10 * found.radius_sigma_mm
 
 
