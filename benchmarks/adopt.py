@@ -191,9 +191,9 @@ def record(folder: Path, experiment: Experiment) -> tuple[Given, RadianceStack]:
     return given, stacks[0]
 
 
-def orders(found: Adopted, truth: RadianceStack) -> tuple[float, float]:
+def orders(estimate: Adopted, truth: RadianceStack) -> tuple[float, float]:
     """Return the counted and the predicted share of wrong orders along columns."""
-    capture = found.capture
+    capture = estimate.capture
     decoded = decode(
         capture.stack, capture.patterns, capture.sensor, UNFILTERED, response=capture.response
     )

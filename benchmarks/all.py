@@ -41,18 +41,18 @@ def main(arguments: list[str] | None = None) -> int:
     except InputError as error:
         print(f"bench all: {error}", file=sys.stderr)
         return 2
-    found = run_cases(cases)
-    failed = dict(found.broken)
+    results = run_cases(cases)
+    failed = dict(results.broken)
     if chosen.check:
-        failed |= check(cases, found, baselines)
+        failed |= check(cases, results, baselines)
     if chosen.update:
-        update(baselines, found.estimates)
+        update(baselines, results.estimates)
     else:
-        print(table_of(found, baselines))
+        print(table_of(results, baselines))
     for name, reason in failed.items():
         print(f"FAILED {name}: {reason}")
     summary = {
-        "figures": len(found.estimates),
+        "figures": len(results.estimates),
         "failed": list(failed),
         "seconds": round(time.perf_counter() - start),
     }
@@ -91,17 +91,17 @@ def chosen_cases(only: list[str], quick: bool) -> tuple[BenchmarkCase, ...]:
 
 
 def check(
-    cases: tuple[BenchmarkCase, ...], found: CaseResults, baselines: Baselines
+    cases: tuple[BenchmarkCase, ...], results: CaseResults, baselines: Baselines
 ) -> dict[str, str]:
     """Return the failed figures; a speed that fails is measured a second time before."""
     known = baselines.figures
-    failed = failures(cases, found.estimates, known, ACCURACY_FIGURES)
+    failed = failures(cases, results.estimates, known, ACCURACY_FIGURES)
     for case in cases:
         slow = (figure.name for figure in case.figures if figure.kind != "accuracy")
         if any(name in failed and name in known for name in slow):
             print("slower than its limit: measured again")
-            found.estimates.update(again(case, found.estimates))
-    return failures(cases, found.estimates, known, ACCURACY_FIGURES)
+            results.estimates.update(again(case, results.estimates))
+    return failures(cases, results.estimates, known, ACCURACY_FIGURES)
 
 
 def update(baselines: Baselines, estimates: dict[str, MeanOfRuns]) -> None:
@@ -124,10 +124,10 @@ def pages(baselines: Baselines) -> dict[Path, str]:
     }
 
 
-def table_of(found: CaseResults, baselines: Baselines) -> str:
+def table_of(results: CaseResults, baselines: Baselines) -> str:
     """Return a line per figure: result, baseline, target."""
     lines = []
-    for name, estimate in found.estimates.items():
+    for name, estimate in results.estimates.items():
         known, target = baselines.figures.get(name), FIGURES[name].target
         baseline = tables.shown(known.estimate) if known else "none"
         line = f"{name:42s} {tables.shown(estimate):>24s}   baseline {baseline}"

@@ -131,8 +131,8 @@ def gradient_error() -> float:
     prediction, truth = predicted(experiment, pressed, memory)
     share = information_shares(experiment, prediction, truth, pressed.pressed)[METRIC]
 
-    def log_bound(seen: Experiment) -> float:
-        sigma_mm = predicted(seen, press(seen, memory), memory)[0].single_mm
+    def log_bound(observed: Experiment) -> float:
+        sigma_mm = predicted(observed, press(observed, memory), memory)[0].single_mm
         return float(np.sum(share * np.log(np.where(share > 0.0, sigma_mm, 1.0))))
 
     worst = 0.0

@@ -79,14 +79,14 @@ def rendered_balls(quick: bool) -> Figures:
     points = done.fringes.reconstruction.point_map
     layer = sensor_layer.sensor_layer_of(experiment)
     started = time.process_time()
-    found = compensate_points(points, layer)
-    figures = object_figures(found, shape_of(experiment.specimen).spheres())
+    estimate = compensate_points(points, layer)
+    figures = object_figures(estimate, shape_of(experiment.specimen).spheres())
     seconds = time.process_time() - started
     radii = [figures[f"compensated_sphere_{n}_radius_mm"] for n in (1, 2)]
     print(f"balls: {radii} mm, coat {[s.measured.radius_mm for s in done.score.spheres]}")
     return {
         "ball_radius_error_mm": max(abs(radius - RADIUS_MM) for radius in radii),
-        "force_rel": abs(found.force_n / done.press.force_n - 1),
+        "force_rel": abs(estimate.force_n / done.press.force_n - 1),
         "seconds": seconds,
     }
 
@@ -121,10 +121,10 @@ def gel_ball() -> Figures:
         points = np.stack((x, y, z), axis=-1).reshape(-1, 3)
         sigma = np.full(len(points), GEL_NOISE_MM)
         relief = relief_on_frame(points, sigma, SheetOpening(side, side), (SIDE_CELLS, SIDE_CELLS))
-        found = compensate_gel(relief, GelLayer(bonded.deflect, (margin, margin), 1e3))
-        (ball,) = parts_of(found)
+        estimate = compensate_gel(relief, GelLayer(bonded.deflect, (margin, margin), 1e3))
+        (ball,) = parts_of(estimate)
         radii.append(ball.radius_mm / case["radius_mm"] - 1)
-        forces.append(found.force_n / case["force_over_modulus_mm2"] - 1)
+        forces.append(estimate.force_n / case["force_over_modulus_mm2"] - 1)
         print(f"gel, seed {seed}: radius {radii[-1]:+.3%}, force {forces[-1]:+.2%}", flush=True)
     return {
         "contact_face_radius_rel": float(np.abs(radii).max()),
@@ -173,9 +173,9 @@ def thick_slab(seeds: int) -> Figures:
         slab_points(pressed(ball, other, SLAB_TRAVEL_MM).coat_mm, TRIAL_NOISE_MM, seed)
         for seed, ball in enumerate((BALL, OTHER_BALL))
     )
-    found, _ = calibrate_slab(*first, slab_object(layer, BALL), BALL.diameter_mm)
+    calibrated, _ = calibrate_slab(*first, slab_object(layer, BALL), BALL.diameter_mm)
     errors = []
-    for known_layer in (layer, found):
+    for known_layer in (layer, calibrated):
         model = replace(slab_object(known_layer, Ball(diameter_mm=6.3)), theory=False)
         diameter = fit_slab(*second, model).fitted.value(DIAMETER)
         errors.append((diameter - OTHER_BALL.diameter_mm) / 2)

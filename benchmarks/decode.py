@@ -99,7 +99,7 @@ def synthesise(patterns: PatternSet, projector_px: np.ndarray) -> np.ndarray:
 
 def opencv_phase(stack: np.ndarray, patterns: PatternSet) -> list[np.ndarray]:
     """Return wrapped phase and modulation of both axes by a few lines of OpenCV."""
-    found = []
+    results = []
     for axis in AXES:
         real, imag = (np.zeros(stack.shape[1:], np.float32) for _ in range(2))
         for n, frame in enumerate(stack[patterns.index("phase", axis)]):
@@ -107,8 +107,8 @@ def opencv_phase(stack: np.ndarray, patterns: PatternSet) -> list[np.ndarray]:
             level = frame.astype(np.float32)
             cv2.scaleAdd(level, np.cos(angle), real, real)
             cv2.scaleAdd(level, -np.sin(angle), imag, imag)
-        found += cv2.cartToPolar(real, imag)
-    return found
+        results += cv2.cartToPolar(real, imag)
+    return results
 
 
 def fringes_decoder(stack: np.ndarray, patterns: PatternSet) -> Callable[[], object] | None:

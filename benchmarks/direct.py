@@ -34,9 +34,9 @@ def main() -> None:
     parser = quick_parser(__doc__, "484 x 366 instead of 968 x 732")
     binning = 4 if parser.parse_args().quick else 2
     print(activate().variant)
-    found = [measure(name, binning) for name in SPECIMENS]
-    worst = {key: max(figures[key] for figures in found) for key in found[0]}
-    print_figures(worst | {"specimens": len(found), "binning": binning})
+    results = [measure(name, binning) for name in SPECIMENS]
+    worst = {key: max(figures[key] for figures in results) for key in results[0]}
+    print_figures(worst | {"specimens": len(results), "binning": binning})
 
 
 def measure(name: str, binning: int) -> dict[str, float]:
@@ -76,12 +76,12 @@ def energy_gap(experiment: Experiment, seed: int = 3) -> float:
 def phase_noise_px(runs: list[Experiment], stacks: list[Any]) -> float:
     """Spread of the decoded column between two seeds, over the square root of two."""
     patterns = pattern_set(runs[0].projector, runs[0].patterns)
-    found = []
+    results = []
     for run, stack in zip(runs, stacks, strict=True):
         exposed = expose(run, stack, patterns.index("white").start, 0)
-        found.append(decode(exposed.stack, patterns, exposed.sensor))
-    both = found[0].valid & found[1].valid
-    difference = found[0].column.coordinate_px[both] - found[1].column.coordinate_px[both]
+        results.append(decode(exposed.stack, patterns, exposed.sensor))
+    both = results[0].valid & results[1].valid
+    difference = results[0].column.coordinate_px[both] - results[1].column.coordinate_px[both]
     return float(1.4826 * np.median(np.abs(difference - np.median(difference))) / np.sqrt(2))
 
 

@@ -203,10 +203,10 @@ def stored(folder: Path) -> Any:
     from reconstruction.capture.folder import read_capture
     from twin.results.folder import CAPTURE_FOLDER, read_measurement
 
-    found = read_measurement(folder)
+    measurement = read_measurement(folder)
     capture = read_capture(folder / CAPTURE_FOLDER)
-    white = {capture.patterns.index("white").start: found.truth.depth_mm}
-    return replace(found, images=replace(found.images, stored=capture, frames=white))
+    white = {capture.patterns.index("white").start: measurement.truth.depth_mm}
+    return replace(measurement, images=replace(measurement.images, stored=capture, frames=white))
 
 
 if __name__ == "__main__":

@@ -158,15 +158,15 @@ class CommandKiller:
         return KilledRun(at_once, read, is_readable)
 
     def _state(self) -> str:
-        found, known = self._digests(self._out), read_manifest(self._out)
+        observed, known = self._digests(self._out), read_manifest(self._out)
         named = known.lines if known else {}
-        whole = all(is_ours(self._out, path, known) for path in found if path in named)
+        whole = all(is_ours(self._out, path, known) for path in observed if path in named)
         for name, expected in (("earlier", self._earlier), ("later", self._later)):
             kept = {path: expected[path] for path in expected if path in self._kept}
-            there = {path: digest for path, digest in found.items() if path in self._kept}
-            if whole and there == kept and found.keys() == expected.keys():
+            there = {path: digest for path, digest in observed.items() if path in self._kept}
+            if whole and there == kept and observed.keys() == expected.keys():
                 return name
-        return "mixed" if found else "nothing"
+        return "mixed" if observed else "nothing"
 
     def _digests(self, folder: Path) -> dict[str, str]:
         """Return the digests of the judged files, without working folders and the manifest."""
@@ -225,18 +225,18 @@ def kill_commands(
     """Kill every named command an equal number of times; return the figures of all."""
     make_kill_stock(scratch / "stock", Path(sys.executable).with_name("twin"))
     preload()
-    counts, found = Counter[str](), list[KilledRun]()
+    counts, runs = Counter[str](), list[KilledRun]()
     for number, name in enumerate(names):
         place = scratch / name.replace(" ", "_")
         killer = CommandKiller(TARGETS[name], scratch / "stock", place, 1000 * seed + number)
         for killed in killer.kills(kills // len(names) + (number < kills % len(names))):
             counts[name] += 1
-            found.append(killed)
+            runs.append(killed)
             print(name, killed, flush=True)
-    states = Counter(killed.read for killed in found)
+    states = Counter(killed.read for killed in runs)
     return {
         "commands": dict(counts),
         **{name: states[name] for name in ("nothing", "earlier", "later", "mixed")},
-        "ended_by_the_next": sum(killed.at_once == "mixed" != killed.read for killed in found),
-        "unreadable": sum(not killed.is_readable for killed in found),
+        "ended_by_the_next": sum(killed.at_once == "mixed" != killed.read for killed in runs),
+        "unreadable": sum(not killed.is_readable for killed in runs),
     }

@@ -82,9 +82,9 @@ def hertz_force_rel(cells: int = 128) -> float:
         return fft.irfft2(wide, s=kernel.shape)[:cells, :cells]
 
     paraboloid = (x**2 + x[:, None] ** 2) / (2 * radius)
-    found = solve_contact(deflect, paraboloid, DepthControl(depth), 1e-6)
+    solution = solve_contact(deflect, paraboloid, DepthControl(depth), 1e-6)
     force = 4 / 3 * np.sqrt(radius) * depth**1.5
-    return abs(float(found.pressure.sum()) * pitch**2 / force - 1)
+    return abs(float(solution.pressure.sum()) * pitch**2 / force - 1)
 
 
 def fredholm_max_rel() -> float:
@@ -96,9 +96,9 @@ def fredholm_max_rel() -> float:
         for chi, thickness, pitch in ((0.1, 4.0, 0.02), (0.4, 4.0, 0.04), (1.0, 1.5, 0.04)):
             depth = (chi * thickness) ** 2 / 4.0
             pad = elastomer("contact_face", thickness_mm=thickness, poisson_ratio=nu)
-            found = press(Ball(), pad, to_depth(depth, pitch)).force_n
+            force_n = press(Ball(), pad, to_depth(depth, pitch)).force_n
             truth = press_ball(4.0, depth, thickness, nu).force_over_modulus_mm2
-            worst = max(worst, abs(found / truth - 1))
+            worst = max(worst, abs(force_n / truth - 1))
     return worst
 
 
@@ -108,8 +108,8 @@ def free_fem_face_um() -> float:
 
     load = to_depth(1.0)
     reference = press_fem(Ball(), elastomer(), load, timeout_s=120.0)
-    found = press(Ball(), elastomer(), load)
-    return 1e3 * float(np.abs(found.face_z_mm - reference.face_z_mm).max())
+    solution = press(Ball(), elastomer(), load)
+    return 1e3 * float(np.abs(solution.face_z_mm - reference.face_z_mm).max())
 
 
 def nh_face_rms_um(quick: bool) -> float | None:
@@ -119,9 +119,9 @@ def nh_face_rms_um(quick: bool) -> float | None:
     if surface is None:
         return None
     pad = elastomer("contact_face", length_x_mm=24.0, length_y_mm=24.0)
-    found = press(Ball(), pad, to_depth(1.0))
-    middle = found.face_z_mm[found.face_y_mm.size // 2]
-    error = np.interp(r, found.face_x_mm, middle) - surface
+    solution = press(Ball(), pad, to_depth(1.0))
+    middle = solution.face_z_mm[solution.face_y_mm.size // 2]
+    error = np.interp(r, solution.face_x_mm, middle) - surface
     # Over the disc, so each ring has the weight of its circumference.
     return 1e3 * float(np.sqrt(np.average(error**2, weights=r)))
 
@@ -175,15 +175,15 @@ def bonded() -> BondedLayer:
 def solve_free(height_mm: np.ndarray) -> None:
     """Set up and solve, both faces."""
     slab = free()
-    found = solve_on_layer(slab, height_mm, DepthControl(DEPTH_MM))
-    slab.deflect_opposite(found.pressure)
+    solution = solve_on_layer(slab, height_mm, DepthControl(DEPTH_MM))
+    slab.deflect_opposite(solution.pressure)
 
 
 def bonded_force(height_mm: np.ndarray) -> float:
     """Set up and solve; return the force over the modulus, mm2."""
     layer = bonded()
-    found = solve_on_layer(layer, height_mm, DepthControl(DEPTH_MM))
-    return float(found.pressure.sum()) * layer.cell_area_mm2
+    solution = solve_on_layer(layer, height_mm, DepthControl(DEPTH_MM))
+    return float(solution.pressure.sum()) * layer.cell_area_mm2
 
 
 def study() -> None:

@@ -67,12 +67,12 @@ class Scored:
 
 def score(decoder: PhotometricDecoder, press: BallPress, circle: ContactCircle) -> Scored:
     """Measure a press 4 px within its contact's circle."""
-    found, ball_mm = decoder.decode(press.image), press.ball_diameter_mm
-    inside = distance_px(found.height_mm.shape, circle) < circle.radius_px - 4.0
+    result, ball_mm = decoder.decode(press.image), press.ball_diameter_mm
+    inside = distance_px(result.height_mm.shape, circle) < circle.radius_px - 4.0
     places = np.argwhere(inside).astype(float)
     slopes = ball_slopes(circle, ball_mm / 2.0, PITCH_MM, places).T
-    error = np.sqrt(np.mean(np.sum((found.slopes[:, inside] - slopes) ** 2, axis=0)))
-    scale = cap_height_ratio(found.height_mm, circle, ball_mm / 2.0, PITCH_MM)
+    error = np.sqrt(np.mean(np.sum((result.slopes[:, inside] - slopes) ** 2, axis=0)))
+    scale = cap_height_ratio(result.height_mm, circle, ball_mm / 2.0, PITCH_MM)
     return Scored(ball_mm, scale, float(error))
 
 
@@ -145,9 +145,9 @@ def main() -> None:
                 print(f"{kind} {name} {ball_mm:5.2f} mm, n = {len(part):2d}: scale {spread}")
                 figures[f"{kind}_{name}_{ball_mm:g}"] = float(scales.mean())
     for prefix, relighting in (("", False), ("relit_", True)):
-        found = np.array(held_out_drift(presses, still, PhotometricOptions(relighting=relighting)))
-        for ball_mm in np.unique(found[:, 0]):
-            drift = found[found[:, 0] == ball_mm, 1].mean()
+        drifts = np.array(held_out_drift(presses, still, PhotometricOptions(relighting=relighting)))
+        for ball_mm in np.unique(drifts[:, 0]):
+            drift = drifts[drifts[:, 0] == ball_mm, 1].mean()
             figures[f"{prefix}drift_um_{ball_mm:g}"] = float(drift)
     print_figures(figures)
 

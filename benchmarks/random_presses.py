@@ -139,24 +139,24 @@ def code_digest() -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 
-def press_all(seeds: Iterable[int], workers: int, kept: Path | None) -> list[PressOutcome]:
+def press_all(seeds: Iterable[int], workers: int, cache: Path | None) -> list[PressOutcome]:
     """Press at random in processes of their own; reuse the presses of a file, and add to it."""
     known: dict[int, PressOutcome] = {}
-    if kept is not None and kept.exists():
-        lines = map(json.loads, kept.read_text(encoding="utf-8").splitlines())
+    if cache is not None and cache.exists():
+        lines = map(json.loads, cache.read_text(encoding="utf-8").splitlines())
         known = {line["seed"]: PressOutcome(**line) for line in lines}
-    found = [known[seed] for seed in seeds if seed in known]
+    outcomes = [known[seed] for seed in seeds if seed in known]
     left = [seed for seed in seeds if seed not in known]
     context = multiprocessing.get_context("spawn")
     # One press per process, so that its memory is known, and released.
     with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=1) as pool:
         for number, pressed in enumerate(pool.map(outcome, left), 1):
-            found.append(pressed)
+            outcomes.append(pressed)
             print(f"{number} of {len(left)}: {pressed}", flush=True)
-            if kept is not None:
-                with kept.open("a", encoding="utf-8") as file:
+            if cache is not None:
+                with cache.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(asdict(pressed)) + "\n")
-    return found
+    return outcomes
 
 
 def summary(outcomes: list[PressOutcome]) -> dict[str, float | None]:

@@ -127,11 +127,11 @@ def flank_width_mm(
     return ends[1] - ends[0], steepest[1] - steepest[0]
 
 
-def hole_depth_mm(found: PressedElastomer) -> float:
+def hole_depth_mm(face: PressedElastomer) -> float:
     """Return the height of the coat on the nut's ring over that in the middle of its hole."""
-    x, y = np.meshgrid(found.face_x_mm, found.face_y_mm)
+    x, y = np.meshgrid(face.face_x_mm, face.face_y_mm)
     ring, centre = np.abs(np.hypot(x, y) - 4.0) < 0.1, np.hypot(x, y) < 0.1
-    return float(found.face_z_mm[ring].mean() - found.face_z_mm[centre].mean())
+    return float(face.face_z_mm[ring].mean() - face.face_z_mm[centre].mean())
 
 
 def edge_of_flats_mm(x_mm: float) -> float:

@@ -60,10 +60,10 @@ def main(folder: Path) -> None:
 def through(name: str, thickness_mm: float) -> Experiment:
     """Return a scene with another sheet; the thinnest wrinkles on cells that are too wide."""
     cell_mm = 0.1 if thickness_mm < 0.2 else 0.2  # finer ones would not show in such pictures
-    asked = {"press.cell_mm": cell_mm, "press.relief_pitch_mm": 0.04}
+    requested = {"press.cell_mm": cell_mm, "press.relief_pitch_mm": 0.04}
     if (name, thickness_mm) in LESS_AIR_KPA:
-        asked["press.back_pressure_kpa"] = LESS_AIR_KPA[name, thickness_mm]
-    return load_experiment(f"examples/{name}", asked | {"elastomer.thickness_mm": thickness_mm})
+        requested["press.back_pressure_kpa"] = LESS_AIR_KPA[name, thickness_mm]
+    return load_experiment(f"examples/{name}", requested | {"elastomer.thickness_mm": thickness_mm})
 
 
 def kept(path: Path, experiment: Experiment) -> PressedElastomer | None:

@@ -36,17 +36,17 @@ class Judgement:
 
 
 def judge(
-    figure: GuardedFigure, found: MeanOfRuns, baseline: MeanOfRuns, accuracy_figures: int
+    figure: GuardedFigure, result: MeanOfRuns, baseline: MeanOfRuns, accuracy_figures: int
 ) -> Judgement:
     """Compare a figure with its baseline; `accuracy_figures` share the false-alarm rate."""
     if figure.kind == "absolute":
         return Judgement(True, math.inf, "judged by its target only")
     if figure.kind == "speed":
-        return _judge_speed(figure, found.value, baseline.value)
+        return _judge_speed(figure, result.value, baseline.value)
     floor = figure.floor_of(baseline.value)
-    combined = combined_uncertainty(found, baseline, floor)
-    limit = coverage_factor(found, baseline, floor, accuracy_figures) * combined
-    off = abs(found.value - baseline.value)
+    combined = combined_uncertainty(result, baseline, floor)
+    limit = coverage_factor(result, baseline, floor, accuracy_figures) * combined
+    off = abs(result.value - baseline.value)
     # Without any uncertainty only the identical number passes.
     return Judgement(off <= limit, limit, f"off by {off:.2g}, allowed {limit:.2g}")
 
@@ -62,23 +62,23 @@ def judge_target(figure: GuardedFigure, value: float) -> Judgement:
     return Judgement(passed, low / slack if math.isinf(high) else high * slack, text)
 
 
-def combined_uncertainty(found: MeanOfRuns, baseline: MeanOfRuns, floor: float) -> float:
+def combined_uncertainty(result: MeanOfRuns, baseline: MeanOfRuns, floor: float) -> float:
     """Return the standard uncertainty of the difference."""
-    return math.hypot(found.standard_uncertainty, baseline.standard_uncertainty, floor)
+    return math.hypot(result.standard_uncertainty, baseline.standard_uncertainty, floor)
 
 
-def coverage_factor(found: MeanOfRuns, baseline: MeanOfRuns, floor: float, figures: int) -> float:
+def coverage_factor(result: MeanOfRuns, baseline: MeanOfRuns, floor: float, figures: int) -> float:
     """Return Student's two-sided quantile for one of several figures."""
     share = -math.expm1(math.log1p(-FALSE_ALARMS_PER_RUN) / figures)
-    dof = degrees_of_freedom(found, baseline, floor)
+    dof = degrees_of_freedom(result, baseline, floor)
     # Student's quantile; the inverse of its lower tail keeps the digits of a small share.
     return -float(stdtrit(dof, share / 2.0))
 
 
-def degrees_of_freedom(found: MeanOfRuns, baseline: MeanOfRuns, floor: float) -> float:
+def degrees_of_freedom(result: MeanOfRuns, baseline: MeanOfRuns, floor: float) -> float:
     """Return the effective degrees of freedom by Welch and Satterthwaite."""
-    parts = [run.standard_uncertainty**4 / (run.n - 1) for run in (found, baseline) if run.n > 1]
-    combined = combined_uncertainty(found, baseline, floor)
+    parts = [run.standard_uncertainty**4 / (run.n - 1) for run in (result, baseline) if run.n > 1]
+    combined = combined_uncertainty(result, baseline, floor)
     return combined**4 / sum(parts) if sum(parts) else math.inf
 
 

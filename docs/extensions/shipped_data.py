@@ -18,18 +18,20 @@ class Gallery(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the entries."""
-        chosen = [one for one in experiments() if one.name.startswith(f"{self.arguments[0]}/")]
-        return [node for one in chosen for node in entry(one)]
+        chosen = [
+            record for record in experiments() if record.name.startswith(f"{self.arguments[0]}/")
+        ]
+        return [node for record in chosen for node in entry(record)]
 
 
-def entry(one: Shipped) -> list[nodes.Node]:
+def entry(record: Shipped) -> list[nodes.Node]:
     """Return name, line and picture of one experiment."""
-    told = nodes.paragraph("", "", nodes.strong("", "", nodes.literal(text=one.name)))
-    told += prose(f": {one.description}. {first_sentence(one.comment)}".rstrip())
-    file = picture_of(one.name)
-    picture = nodes.image(uri=f"gallery/{file.name}", alt=one.description)
+    heading = nodes.paragraph("", "", nodes.strong("", "", nodes.literal(text=record.name)))
+    heading += prose(f": {record.description}. {first_sentence(record.comment)}".rstrip())
+    file = picture_of(record.name)
+    picture = nodes.image(uri=f"gallery/{file.name}", alt=record.description)
     picture["candidates"] = {"*": f"gallery/{file.name}"}
-    return [told, picture]
+    return [heading, picture]
 
 
 def prose(text: str) -> list[nodes.Node]:
@@ -46,8 +48,10 @@ class ShippedFiles(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
-        found = [one for folder in self.arguments[0].split() for one in files(folder)]
-        return [table(("file", "what it is"), [(one.name, one.comment) for one in found])]
+        records = [record for folder in self.arguments[0].split() for record in files(folder)]
+        return [
+            table(("file", "what it is"), [(record.name, record.comment) for record in records])
+        ]
 
 
 class ExperimentKeys(SphinxDirective):

@@ -244,11 +244,11 @@ def ball_radius(points_mm: FloatArray) -> tuple[FittedDimension, BallFit]:
     FitError : too few or coplanar points
     """
     fit = fit_ball(points_mm)
-    used_mm = points_mm[fit.kept]
+    used_mm = points_mm[fit.inliers]
     normals = used_mm - fit.centre_mm
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     design = np.column_stack([np.ones(len(used_mm)), normals])
-    return _radius(fit.radius_mm, design, normals[:, 2], fit.kept, fit.residuals_mm), fit
+    return _radius(fit.radius_mm, design, normals[:, 2], fit.inliers, fit.residuals_mm), fit
 
 
 def ball_radius_of_all(points_mm: FloatArray) -> FittedDimension:
@@ -274,14 +274,14 @@ def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDime
     FitError : too few points, or the fit does not converge
     """
     fit = fit_cylinder(points_mm, axis)
-    used_mm = points_mm[fit.kept] - fit.point_mm
+    used_mm = points_mm[fit.inliers] - fit.point_mm
     along = used_mm @ fit.axis
     normals = used_mm - np.outer(along, fit.axis)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     across = np.linalg.svd(fit.axis[None])[2][1:]
     sides = normals @ across.T
     design = np.column_stack([np.ones(len(used_mm)), sides, sides * along[:, None]])
-    return _radius(fit.radius_mm, design, normals[:, 2], fit.kept, fit.residuals_mm), fit
+    return _radius(fit.radius_mm, design, normals[:, 2], fit.inliers, fit.residuals_mm), fit
 
 
 def _radius(

@@ -25,7 +25,7 @@ class Flatness:
     ----------
     peak_to_valley_mm, rms_mm : float
         ISO 12781-1's peak-to-valley and RMS flatness deviation, over the inliers.
-    kept : (n,) bool
+    inliers : (n,) bool
         Points that are no outliers.
     plane : PlaneFit
         Through the inliers.
@@ -33,7 +33,7 @@ class Flatness:
 
     peak_to_valley_mm: float
     rms_mm: float
-    kept: BoolImage
+    inliers: BoolImage
     plane: PlaneFit
 
 

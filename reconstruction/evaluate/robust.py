@@ -39,15 +39,15 @@ class BallFit:
         Standard uncertainty of the radius from the scatter of the residuals, taken as independent
         of each other; filtered maps have correlated ones and a larger uncertainty.
     residuals_mm : (n,) float
-        Radial distances of the points kept, positive outside.
-    kept : (n,) bool
+        Radial distances of the inliers, positive outside.
+    inliers : (n,) bool
     """
 
     centre_mm: FloatArray
     radius_mm: float
     radius_sigma_mm: float
     residuals_mm: FloatArray
-    kept: BoolImage
+    inliers: BoolImage
 
     @property
     def form_mm(self) -> float:
@@ -130,15 +130,15 @@ class CylinderFit:
         Unit vector with its largest component positive.
     radius_mm : float
     residuals_mm : (n,) float
-        Radial distances of the points kept, positive outside.
-    kept : (n,) bool
+        Radial distances of the inliers, positive outside.
+    inliers : (n,) bool
     """
 
     point_mm: FloatArray
     axis: FloatArray
     radius_mm: float
     residuals_mm: FloatArray
-    kept: BoolImage
+    inliers: BoolImage
 
     @property
     def stats(self) -> ResidualStats:
@@ -175,7 +175,7 @@ def fit_cylinder(points_mm: ArrayLike, axis: ArrayLike) -> CylinderFit:
         axis=_upright(direction @ frame),
         radius_mm=float(abs(fine[4])),
         residuals_mm=_from_axis(fine, local[used]),
-        kept=used,
+        inliers=used,
     )
 
 

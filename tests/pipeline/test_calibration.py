@@ -212,9 +212,9 @@ def test_capture_is_reconstructed_with_that_calibration(folder, calibrated, tmp_
     points_mm = np.asarray(trimesh.load(tmp_path / "out" / "points.ply").vertices)
     assert len(points_mm) > 0.8 * 484 * 366
     plane = flatness(points_mm)
-    assert plane.kept.mean() > 0.7
+    assert plane.inliers.mean() > 0.7
     assert plane.rms_mm < 2e-3
-    assert abs(np.median(points_mm[plane.kept, 2])) < 1e-3
+    assert abs(np.median(points_mm[plane.inliers, 2])) < 1e-3
     assert np.abs(plane.plane.normal[:2]).max() < 1e-4
 
 

@@ -32,18 +32,18 @@ def test_flatness_of_a_tilted_noisy_plane():
     rng = np.random.default_rng(1)
     x, y = rng.uniform(-5, 5, (2, 20_000))
     z = 0.1 * x - 0.05 * y + rng.normal(0, NOISE_MM, x.size)
-    found = flatness(np.column_stack([x, y, with_outliers(z, rng)]))
+    estimate = flatness(np.column_stack([x, y, with_outliers(z, rng)]))
     normal = np.array([-0.1, 0.05, 1.0]) / np.sqrt(1 + 0.01 + 0.0025)
-    np.testing.assert_allclose(found.plane.normal, normal, atol=1e-4)
-    assert found.rms_mm == pytest.approx(NOISE_MM / np.sqrt(1.0125), rel=0.03)
-    assert found.peak_to_valley_mm < 10 * NOISE_MM
-    assert found.kept.mean() == pytest.approx(0.95, abs=0.01)
+    np.testing.assert_allclose(estimate.plane.normal, normal, atol=1e-4)
+    assert estimate.rms_mm == pytest.approx(NOISE_MM / np.sqrt(1.0125), rel=0.03)
+    assert estimate.peak_to_valley_mm < 10 * NOISE_MM
+    assert estimate.inliers.mean() == pytest.approx(0.95, abs=0.01)
 
 
 def test_flatness_of_a_saddle_is_its_height():
     x, y = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
-    found = flatness(np.column_stack([x.ravel(), y.ravel(), 0.01 * (x * y).ravel()]))
-    assert found.peak_to_valley_mm == pytest.approx(0.02, rel=1e-6)
+    estimate = flatness(np.column_stack([x.ravel(), y.ravel(), 0.01 * (x * y).ravel()]))
+    assert estimate.peak_to_valley_mm == pytest.approx(0.02, rel=1e-6)
 
 
 def cap(rng, count, radius_mm=4.0, half_angle_deg=40.0):
@@ -56,11 +56,11 @@ def cap(rng, count, radius_mm=4.0, half_angle_deg=40.0):
 
 def test_ball_of_exact_points():
     """Expected: to rounding; no point of exact data is excluded."""
-    found = fit_ball(cap(np.random.default_rng(7), 500)[0])
-    assert found.radius_mm == pytest.approx(4.0, abs=1e-9)
-    np.testing.assert_allclose(found.centre_mm, [1.0, -2.0, 3.0], atol=1e-9)
-    assert found.form_mm < 1e-9
-    assert found.kept.all()
+    estimate = fit_ball(cap(np.random.default_rng(7), 500)[0])
+    assert estimate.radius_mm == pytest.approx(4.0, abs=1e-9)
+    np.testing.assert_allclose(estimate.centre_mm, [1.0, -2.0, 3.0], atol=1e-9)
+    assert estimate.form_mm < 1e-9
+    assert estimate.inliers.all()
 
 
 def test_radius_of_noisy_balls_scatters_as_stated():
@@ -71,9 +71,9 @@ def test_radius_of_noisy_balls_scatters_as_stated():
     ratios = []
     for _ in range(60):
         points, normals = cap(rng, 1000)
-        found = fit_ball(points + rng.normal(0, NOISE_MM, (1000, 1)) * normals)
-        ratios.append((found.radius_mm - 4.0) / found.radius_sigma_mm)
-        assert found.stats.rmse_mm == pytest.approx(NOISE_MM, rel=0.15)
+        estimate = fit_ball(points + rng.normal(0, NOISE_MM, (1000, 1)) * normals)
+        ratios.append((estimate.radius_mm - 4.0) / estimate.radius_sigma_mm)
+        assert estimate.stats.rmse_mm == pytest.approx(NOISE_MM, rel=0.15)
     assert abs(np.mean(ratios)) < 4 / np.sqrt(60)
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=4 / np.sqrt(120))
 
@@ -89,10 +89,10 @@ def test_ball_with_gross_outliers(share):
     points, normals = cap(rng, 5000)
     points += rng.normal(0, NOISE_MM, (5000, 1)) * normals
     points[:, 2] = with_outliers(points[:, 2], rng, share)
-    found = fit_ball(points)
-    assert abs(found.radius_mm - 4.0) < 3 * found.radius_sigma_mm
-    assert found.kept.mean() == pytest.approx(1 - share, abs=0.02)
-    assert abs(fit_sphere(points).radius_mm - 4.0) > 10 * found.radius_sigma_mm
+    estimate = fit_ball(points)
+    assert abs(estimate.radius_mm - 4.0) < 3 * estimate.radius_sigma_mm
+    assert estimate.inliers.mean() == pytest.approx(1 - share, abs=0.02)
+    assert abs(fit_sphere(points).radius_mm - 4.0) > 10 * estimate.radius_sigma_mm
 
 
 def test_ball_needs_curvature_and_points():
@@ -113,10 +113,10 @@ def test_cylinder_seen_from_above():
     points[:, 2] = with_outliers(points[:, 2], rng)
     c, s = np.cos(np.deg2rad(8)), np.sin(np.deg2rad(8))
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    found = fit_cylinder(points @ turn.T + (1.0, 2.0, 3.0), (1, 0, 0))
-    assert found.radius_mm == pytest.approx(2.405, abs=5e-4)
-    np.testing.assert_allclose(found.axis, turn[:, 0], atol=2e-4)
-    assert found.stats.rmse_mm == pytest.approx(NOISE_MM, rel=0.05)
+    estimate = fit_cylinder(points @ turn.T + (1.0, 2.0, 3.0), (1, 0, 0))
+    assert estimate.radius_mm == pytest.approx(2.405, abs=5e-4)
+    np.testing.assert_allclose(estimate.axis, turn[:, 0], atol=2e-4)
+    assert estimate.stats.rmse_mm == pytest.approx(NOISE_MM, rel=0.05)
 
 
 @pytest.mark.parametrize("height", [0.3, -0.12])
@@ -124,20 +124,20 @@ def test_step_height_on_a_tilted_ground(height):
     rng = np.random.default_rng(3)
     s = np.linspace(-6, 6, 1201)
     z = 0.02 * s + height * (np.abs(s) < 1.5) + rng.normal(0, NOISE_MM, s.size)
-    found = step_height(s, with_outliers(z, rng), -1.5, 1.5)
-    assert found.height_mm == pytest.approx(height, abs=5e-4)
-    assert found.rms_mm == pytest.approx(NOISE_MM, rel=0.1)
+    estimate = step_height(s, with_outliers(z, rng), -1.5, 1.5)
+    assert estimate.height_mm == pytest.approx(height, abs=5e-4)
+    assert estimate.rms_mm == pytest.approx(NOISE_MM, rel=0.1)
 
 
 def test_width_of_a_rod_at_half_its_height():
     """A half round bar of radius r is 2 r sqrt(1 - 1/4) wide at half its height."""
     s = np.linspace(-6, 6, 2401)
     z = np.sqrt(np.maximum(2.0**2 - s**2, 0.0))
-    found = bar_width(s, z)
+    estimate = bar_width(s, z)
     top = 2.0 - 0.006  # the median over the highest 10 % of the samples is slightly below
-    assert found.height_mm == pytest.approx(top, abs=0.02)
-    expected = 2 * np.sqrt(4.0 - (found.height_mm / 2) ** 2)
-    assert found.width_mm == pytest.approx(expected, abs=1e-4)
+    assert estimate.height_mm == pytest.approx(top, abs=0.02)
+    expected = 2 * np.sqrt(4.0 - (estimate.height_mm / 2) ** 2)
+    assert estimate.width_mm == pytest.approx(expected, abs=1e-4)
 
 
 def test_width_needs_ground_on_both_sides():
@@ -152,9 +152,9 @@ def test_roughness_of_a_fine_wave_on_a_coarse_one():
     x, y = np.meshgrid(np.arange(0, 8, pitch), np.arange(0, 4, pitch))
     fine = 0.004 * np.sin(2 * np.pi * x / 0.137)
     coarse = 0.05 * np.sin(2 * np.pi * x / 16.0) + 0.1 * y
-    found = areal_roughness(fine + coarse, np.ones_like(x, bool), pitch, nesting_mm=0.8)
-    assert found.sq_mm == pytest.approx(0.004 / np.sqrt(2), rel=0.02)
-    assert found.sa_mm == pytest.approx(0.004 * 2 / np.pi, rel=0.02)
+    estimate = areal_roughness(fine + coarse, np.ones_like(x, bool), pitch, nesting_mm=0.8)
+    assert estimate.sq_mm == pytest.approx(0.004 / np.sqrt(2), rel=0.02)
+    assert estimate.sa_mm == pytest.approx(0.004 * 2 / np.pi, rel=0.02)
 
 
 @pytest.mark.parametrize("nesting_mm", [0.0, 0.19, 101.0, 1e300, float("nan")])
@@ -170,8 +170,8 @@ def test_the_filter_passes_half_at_its_nesting_index():
     pitch, length = 0.02, 0.8
     x = np.tile(np.arange(0, 16, pitch), (200, 1))
     wave = 0.01 * np.sin(2 * np.pi * x / length)
-    found = areal_roughness(wave, np.ones_like(x, bool), pitch, nesting_mm=length)
-    assert found.sq_mm == pytest.approx(0.5 * 0.01 / np.sqrt(2), rel=0.03)
+    estimate = areal_roughness(wave, np.ones_like(x, bool), pitch, nesting_mm=length)
+    assert estimate.sq_mm == pytest.approx(0.5 * 0.01 / np.sqrt(2), rel=0.03)
 
 
 @pytest.mark.parametrize(("flank_mm", "inside"), [(0.4, 1.0), (1.0, 0.6), (6.0, 0.05)])
@@ -179,10 +179,10 @@ def test_slope_breaks_at_the_upper_edges_of_a_trapezoid(flank_mm, inside):
     """Expected: the width of the top, up to a sigma less a side on steep flanks, and its middle."""
     s, sigma = np.arange(-12.0, 12.0, 0.05), 0.15
     z = np.clip((4.0 + flank_mm - np.abs(s - 0.3)) / flank_mm, 0.0, 1.0)
-    found = break_width(s, z, sigma)
-    assert 8.0 - 2 * inside * sigma < found.width_mm < 8.0 + 0.005
-    assert (found.left_mm + found.right_mm) / 2 == pytest.approx(0.3, abs=0.01)
-    assert found.height_mm == pytest.approx(1.0, abs=0.01)
+    estimate = break_width(s, z, sigma)
+    assert 8.0 - 2 * inside * sigma < estimate.width_mm < 8.0 + 0.005
+    assert (estimate.left_mm + estimate.right_mm) / 2 == pytest.approx(0.3, abs=0.01)
+    assert estimate.height_mm == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.parametrize("flank_mm", [0.2, 0.6, 1.0, 6.0])
@@ -191,9 +191,9 @@ def test_slope_changes_fastest_at_the_upper_edges_however_steep(flank_mm, height
     """A Gaussian moves no kink; the foot of a flank of four sigma is seen by 0.01 sigma."""
     s, sigma = np.arange(-12.0, 12.0, 0.01), 0.05
     z = height_mm * np.clip((4.0 + flank_mm - np.abs(s - 0.3)) / flank_mm, 0.0, 1.0)
-    found = slope_change_width(s, z, sigma)
-    assert found.width_mm == pytest.approx(8.0, abs=0.002)
-    assert (found.left_mm + found.right_mm) / 2 == pytest.approx(0.3, abs=0.001)
+    estimate = slope_change_width(s, z, sigma)
+    assert estimate.width_mm == pytest.approx(8.0, abs=0.002)
+    assert (estimate.left_mm + estimate.right_mm) / 2 == pytest.approx(0.3, abs=0.001)
 
 
 def test_the_first_edge_counts_where_a_profile_falls_twice():

@@ -12,27 +12,29 @@ from reconstruction.triangulation import PointMap
 def test_a_band_of_95_percent_moves_with_the_percent_round_its_ends():
     """Deviations 0 to 1000: the ends are 25 and 975, each moves as the mean of 21 next to it."""
     values = np.random.default_rng(1).permutation(np.arange(1001.0))
-    found = Deviations(values, np.zeros((1001, 3)), 0.0, 0.0).form(np.ones(1001))
-    assert found.value == pytest.approx(950.0)
+    estimate = Deviations(values, np.zeros((1001, 3)), 0.0, 0.0).form(np.ones(1001))
+    assert estimate.value == pytest.approx(950.0)
     low, high = (values >= 15) & (values <= 35), (values >= 965) & (values <= 985)
-    np.testing.assert_allclose(found.slope[low], -1 / 21)
-    np.testing.assert_allclose(found.slope[high], 1 / 21)
-    assert not found.slope[~(low | high)].any()
+    np.testing.assert_allclose(estimate.slope[low], -1 / 21)
+    np.testing.assert_allclose(estimate.slope[high], 1 / 21)
+    assert not estimate.slope[~(low | high)].any()
 
 
 def test_a_root_mean_square_moves_with_each_deviation():
     """3 and -4 mm: 3.5355 mm; by 3 / (2 * 3.5355) per mm of the first, at half its slope."""
-    found = Deviations(np.array([3.0, -4.0]), np.zeros((2, 3)), 0.0, 0.0).rms(np.array([0.5, 1.0]))
-    assert found.value == pytest.approx(12.5**0.5)
-    np.testing.assert_allclose(found.slope, [0.5 * 3 / (2 * 12.5**0.5), -4 / (2 * 12.5**0.5)])
+    estimate = Deviations(np.array([3.0, -4.0]), np.zeros((2, 3)), 0.0, 0.0).rms(
+        np.array([0.5, 1.0])
+    )
+    assert estimate.value == pytest.approx(12.5**0.5)
+    np.testing.assert_allclose(estimate.slope, [0.5 * 3 / (2 * 12.5**0.5), -4 / (2 * 12.5**0.5)])
 
 
 def test_normals_are_the_slopes_of_the_distance():
     def ball(at):
         return np.linalg.norm(at, axis=1) - 1.0
 
-    found = normals_of(np.array([[0.6, 0.0, 0.8], [0.0, -2.0, 0.0]]), ball)
-    np.testing.assert_allclose(found, [[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]], atol=1e-6)
+    estimate = normals_of(np.array([[0.6, 0.0, 0.8], [0.0, -2.0, 0.0]]), ball)
+    np.testing.assert_allclose(estimate, [[0.6, 0.0, 0.8], [0.0, -1.0, 0.0]], atol=1e-6)
 
 
 @pytest.mark.parametrize(("longest_mm", "triangles"), [(4.95, 20), (5.05, 18)])
@@ -61,16 +63,16 @@ def test_a_bar_at_a_fraction_of_its_height():
     s = np.arange(-20.0, 20.01, 0.125)
     z = np.clip((4.0 - np.abs(s - 1.0)) / 2.0, 0.0, 1.0)
     for fraction, width_mm in ((0.5, 6.0), (0.75, 5.0)):
-        found = bar_width(s, z, fraction)
-        assert found.width_mm == pytest.approx(width_mm)
-        assert (found.left_mm + found.right_mm) / 2 == pytest.approx(1.0)
-        assert found.height_mm == 1.0
+        estimate = bar_width(s, z, fraction)
+        assert estimate.width_mm == pytest.approx(width_mm)
+        assert (estimate.left_mm + estimate.right_mm) / 2 == pytest.approx(1.0)
+        assert estimate.height_mm == 1.0
 
 
 def test_flatness_of_four_corners():
     """Corners at +-1 and -+1 um of a square: no tilt, peak to valley 2 um, RMS 1 um."""
     points = np.array([[0, 0, 1e-3], [1, 0, -1e-3], [0, 1, -1e-3], [1, 1, 1e-3]])
-    found = flatness(points)
-    assert found.peak_to_valley_mm == pytest.approx(2e-3)
-    assert found.rms_mm == pytest.approx(1e-3)
-    np.testing.assert_allclose(found.plane.normal, [0.0, 0.0, 1.0], atol=1e-12)
+    estimate = flatness(points)
+    assert estimate.peak_to_valley_mm == pytest.approx(2e-3)
+    assert estimate.rms_mm == pytest.approx(1e-3)
+    np.testing.assert_allclose(estimate.plane.normal, [0.0, 0.0, 1.0], atol=1e-12)

@@ -124,12 +124,12 @@ def _kept(used: BoolImage) -> dict[str, float]:
 def _plane(points_mm: FloatArray, _: Region) -> dict[str, float]:
     fitted = flatness(points_mm)
     flat = {"flatness_um": 1e3 * fitted.peak_to_valley_mm, "flatness_rms_um": 1e3 * fitted.rms_mm}
-    return _kept(fitted.kept) | flat
+    return _kept(fitted.inliers) | flat
 
 
 def _ball(points_mm: FloatArray, _: Region) -> dict[str, float]:
     fitted = fit_ball(points_mm)
-    return _kept(fitted.kept) | {
+    return _kept(fitted.inliers) | {
         "radius_mm": fitted.radius_mm,
         "radius_sigma_um": 1e3 * fitted.radius_sigma_mm,
         "form_um": 1e3 * fitted.form_mm,
@@ -139,7 +139,7 @@ def _ball(points_mm: FloatArray, _: Region) -> dict[str, float]:
 
 def _cylinder(points_mm: FloatArray, region: Region) -> dict[str, float]:
     fitted = fit_cylinder(points_mm, axis=(1, 0, 0) if region.along == "x" else (0, 1, 0))
-    return _kept(fitted.kept) | {
+    return _kept(fitted.inliers) | {
         "radius_mm": fitted.radius_mm,
         "cylindricity_um": 1e3 * float(np.ptp(fitted.residuals_mm)),
         "rmse_um": 1e3 * rms(fitted.residuals_mm),
