@@ -101,7 +101,7 @@ class Mutant:
 def mutants_of(root: Path, file: str) -> list[Mutant]:
     """Return every mutant of a source file, in the order of its text."""
     source = (root / file).read_text("utf-8")
-    counts, found = Counter[tuple[str, ...]](), []
+    counts, mutants = Counter[tuple[str, ...]](), []
     for node, parents, function in _sites(ast.parse(source), (), MODULE):
         place = (node.lineno, node.col_offset, node.end_lineno, node.end_col_offset)
         for operator, new in _changes(node, parents):
@@ -109,8 +109,8 @@ def mutants_of(root: Path, file: str) -> list[Mutant]:
             lines = (changed.splitlines() for changed in (source, _applied(source, place, text)))
             key = (function, operator, *(line[node.lineno - 1].strip() for line in lines))
             counts[key] += 1
-            found.append(Mutant(file, *key, counts[key], place, text))
-    return found
+            mutants.append(Mutant(file, *key, counts[key], place, text))
+    return mutants
 
 
 def _applied(source: str, place: Place, text: str) -> str:
@@ -159,12 +159,12 @@ def _changes(node: ast.AST, parents: tuple[ast.AST, ...]) -> Iterator[tuple[str,
     """Yield the operators that apply to an expression, and the changed expression."""
     match node:
         case ast.AugAssign(target=target, op=op, value=value) if type(op) in _SWAPPED:
-            operator, other = _SWAPPED[type(op)]
-            yield operator, ast.AugAssign(target, other(), value)
+            operator, swapped = _SWAPPED[type(op)]
+            yield operator, ast.AugAssign(target, swapped(), value)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _SWAPPED:
             if not _is_text(left) and not _is_text(right):
-                operator, other = _SWAPPED[type(op)]
-                yield operator, ast.BinOp(left, other(), right)
+                operator, swapped = _SWAPPED[type(op)]
+                yield operator, ast.BinOp(left, swapped(), right)
                 yield "drop_term" if operator == "add_subtract" else "drop_factor", left
         case ast.UnaryOp(op=ast.USub(), operand=operand):
             yield ("axis", ast.Constant(0)) if _is_axis(parents[-1]) else ("sign", operand)
@@ -383,9 +383,9 @@ def main() -> int:
                 ends[name][end] += 1
                 print(f"{end}: {mutant.name} {accepted.get(mutant.name, '')}", flush=True)
                 print(output * bool(chosen.mutant), end="")
-    found = summary(ends)
-    print(json.dumps(found))
-    return int(found["killed"] < LEAST_SHARE * found["judged"])
+    counts = summary(ends)
+    print(json.dumps(counts))
+    return int(counts["killed"] < LEAST_SHARE * counts["judged"])
 
 
 if __name__ == "__main__":

@@ -55,17 +55,17 @@ class Baselines:
     figures: Mapping[str, Baseline]
     stated: tuple[StatedRow, ...] = ()
 
-    def updated(self, found: Mapping[str, MeanOfRuns], date: str, machine: str) -> "Baselines":
+    def updated(self, estimates: Mapping[str, MeanOfRuns], date: str, machine: str) -> "Baselines":
         """Return these with new values of the measured figures."""
         named = named_versions()
-        new = {name: Baseline(value, date, named, machine) for name, value in found.items()}
+        new = {name: Baseline(value, date, named, machine) for name, value in estimates.items()}
         return replace(self, figures={**self.figures, **new})
 
 
 def named_versions() -> str:
     """Return the versions that can change a figure."""
-    found = versions()
-    return ", ".join(f"{name} {found[name]}" for name in NAMED)
+    installed = versions()
+    return ", ".join(f"{name} {installed[name]}" for name in NAMED)
 
 
 def read_baselines(path: Path) -> Baselines:

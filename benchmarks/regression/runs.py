@@ -25,7 +25,7 @@ class CaseResults:
 
 def run_cases(cases: tuple[BenchmarkCase, ...]) -> CaseResults:
     """Run the cases in turn; a case that fails does not stop the rest."""
-    found = CaseResults()
+    results = CaseResults()
     for number, case in enumerate(cases, start=1):
         print(f"[{number}/{len(cases)}] {case.name}: {case.conditions}", flush=True)
         start = time.perf_counter()
@@ -33,14 +33,14 @@ def run_cases(cases: tuple[BenchmarkCase, ...]) -> CaseResults:
             estimates = estimates_of(case)
         # Any error is a result about the code under test.
         except Exception as error:
-            found.broken[case.name] = f"{type(error).__name__}: {error}"
-            print(f"  BROKEN: {found.broken[case.name]}", flush=True)
+            results.broken[case.name] = f"{type(error).__name__}: {error}"
+            print(f"  BROKEN: {results.broken[case.name]}", flush=True)
             continue
-        found.estimates.update(estimates)
+        results.estimates.update(estimates)
         for name, estimate in estimates.items():
             print(f"  {name} = {estimate.value:.6g} +- {estimate.standard_uncertainty:.2g}")
         print(f"  {time.perf_counter() - start:.0f} s", flush=True)
-    return found
+    return results
 
 
 def estimates_of(case: BenchmarkCase) -> dict[str, MeanOfRuns]:
@@ -84,19 +84,19 @@ def failures(
         for figure in case.figures:
             if figure.name not in estimates:
                 continue
-            found, known = estimates[figure.name], baselines.get(figure.name)
-            if why := _misses(figure, found, known, accuracy_figures):
-                failed[figure.name] = f"case {case.name}, found {found.value:.6g}, {why}"
+            estimate, known = estimates[figure.name], baselines.get(figure.name)
+            if why := _misses(figure, estimate, known, accuracy_figures):
+                failed[figure.name] = f"case {case.name}, found {estimate.value:.6g}, {why}"
     return failed
 
 
 def _misses(
-    figure: GuardedFigure, found: MeanOfRuns, known: Baseline | None, accuracy_figures: int
+    figure: GuardedFigure, estimate: MeanOfRuns, known: Baseline | None, accuracy_figures: int
 ) -> str:
     """Return the limits that a figure misses; empty if none."""
-    promised = judge_target(figure, found.value)
+    promised = judge_target(figure, estimate.value)
     missed = [] if promised.passed else [promised.text]
     if known is None:
         return "; ".join([*missed, "no baseline: ./run bench all --update"])
-    kept = judge(figure, found, known.estimate, accuracy_figures)
-    return "; ".join(missed if kept.passed else [*missed, f"against the baseline {kept.text}"])
+    stable = judge(figure, estimate, known.estimate, accuracy_figures)
+    return "; ".join(missed if stable.passed else [*missed, f"against the baseline {stable.text}"])

@@ -33,8 +33,8 @@ def bounds(surface):
 
 
 def test_view_camera_sees_the_target_in_the_middle_and_z_upright(mi):
-    seen = view_camera()
-    at = seen.project([(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
+    camera = view_camera()
+    at = camera.project([(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
     np.testing.assert_allclose(at[0], (31.5, 23.5), atol=1e-9)
     assert at[1, 1] < at[0, 1]
     assert at[1, 0] == pytest.approx(at[0, 0])
@@ -42,8 +42,8 @@ def test_view_camera_sees_the_target_in_the_middle_and_z_upright(mi):
 
 
 def test_view_straight_down_has_world_y_at_the_top(mi):
-    seen = view_camera(eye=(0.0, 0.0, 50.0))
-    at = seen.project([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0)])
+    camera = view_camera(eye=(0.0, 0.0, 50.0))
+    at = camera.project([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0)])
     assert at[0, 1] < 23.5
     assert at[1, 0] > 31.5
 
@@ -106,8 +106,8 @@ def test_a_cut_sheet_ends_at_the_cut_and_is_closed(experiment, pressed, mi):
     # A sheet leans at its simple support, where its faces are half a thickness off its middle; the
     # air bulges it a little beyond.
     assert half <= high[1] <= half + experiment.elastomer.thickness_mm
-    kept = pressed.face_z_mm[pressed.face_y_mm >= 0.0]
-    assert bounds(coat)[1, 2] == pytest.approx(kept.max() + 0.04, abs=0.01)
+    remaining_mm = pressed.face_z_mm[pressed.face_y_mm >= 0.0]
+    assert bounds(coat)[1, 2] == pytest.approx(remaining_mm.max() + 0.04, abs=0.01)
 
 
 def test_the_specimen_is_where_the_press_put_it(experiment, pressed, mi):
