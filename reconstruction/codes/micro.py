@@ -30,7 +30,7 @@ class MicroCode(PatternCode):
     has_closed_form = False
 
     def images(self, number: int, steps: int) -> int:
-        """Return N of the measuring period, 1 of each further one."""
+        """Return the number of images: `steps` for the measuring period (0), 1 for all others."""
         return 1 if number else steps
 
     def check(self, fringes: AxisFringes) -> None:

@@ -142,12 +142,12 @@ def press_neo_hookean(
 
     Returns
     -------
-    As from the spectral press; faces are at deformed positions
+    Same fields as from `press`; the coated face is given at its deformed positions
 
     Raises
     ------
-    PressError : as `press`; also a film or a preload, which this model does not include
-    SolverError : no equilibrium
+    PressError : for the reasons of `press`; for a film or a preload, which this model lacks
+    SolverError : no equilibrium was reached
     """
     fineness, shape = bricks or Bricks(), shape_of(specimen)
     guess = press(specimen, elastomer, load, any_depth=True)
