@@ -137,6 +137,7 @@ def press_neo_hookean(
     ----------
     elastomer : flat slab on a simply supported rim, or a pad with free sides bonded to a window
     load : depth or force, and pitches. A free slab may travel farther than it is thick.
+    bricks : numbers of elements; None: the defaults of `Bricks`
     linear : small strain and contact on the undeformed face by the same elements: the difference
         from the spectral press is then the elements' error
 
