@@ -61,7 +61,7 @@ def draw(experiment: twin.Experiment, file: Path) -> None:
 
 
 def can_be_seen(experiment: twin.Experiment) -> bool:
-    """Tell whether light reaches the coat: a gel that nobody describes can only be pressed."""
+    """Return True if the scene can be rendered: light must reach the coat through known layers."""
     behind_gel = experiment.elastomer.layout == "contact_face"
     return bool(experiment.layers) or not (behind_gel and experiment.method.fringes)
 

@@ -53,7 +53,7 @@ def first_sentence(text: str) -> str:
 
 
 def has_specimen(file: Path) -> bool:
-    """Tell whether a file, or the one that it stands on, describes a specimen."""
+    """Return True if an experiment file or the scene that it extends describes a specimen."""
     read = tomllib.loads(file.read_text(encoding="utf-8"))
     if "specimen" in read:
         return True

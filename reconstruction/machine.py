@@ -61,7 +61,10 @@ def warnings_ignored(category: type[Warning] = Warning) -> Iterator[None]:
 
 @contextmanager
 def environment_variable(name: str, value: str | None) -> Iterator[None]:
-    """Set an environment variable in a block; one thread at a time enters it; None: no change."""
+    """Set an environment variable inside a `with` block, for one thread at a time.
+
+    With value None the variable keeps its value. At the end the former value is restored.
+    """
     with _PROCESS_WIDE:
         before = os.environ.get(name)
         if value is not None:

@@ -48,7 +48,10 @@ def _walk(group: Any) -> None:
 
 
 def read_matlab(path: str) -> bytes:
-    """Return the numeric arrays of a MATLAB file by their path inside, as npz."""
+    """Return the numeric arrays of a MATLAB file as the bytes of an npz file.
+
+    An array is named by its path in the structures of the file: `outer/inner`.
+    """
     import numpy as np
     from scipy.io import loadmat
 

@@ -239,7 +239,7 @@ class PatternSet:
         return slice(indices[0], indices[-1] + 1) if indices else slice(0, 0)
 
     def profile(self, frame: PatternFrame) -> Levels:
-        """Return the levels along the axis of `frame`, (length,) uint8; uniform: (width,)."""
+        """Return the levels along the axis of `frame`, (pixel,) uint8; uniform frame: along x."""
         if frame not in self.frames:
             raise InputError(f"{frame.name} is no frame of this pattern set")
         bright = self._brightness(frame)

@@ -58,7 +58,7 @@ class Sphere:
 
     @property
     def apex_z_mm(self) -> float:
-        """Height of the ball's foremost point, 0 if the ball is the first to touch."""
+        """Height of the ball's top above the touched plane; 0 for the ball that touches first."""
         return self.z_mm + self.radius_mm
 
 

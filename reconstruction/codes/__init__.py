@@ -199,7 +199,7 @@ class PatternCode:
         return ()
 
     def images(self, number: int, steps: int) -> int:
-        """Return the number of images of a period: `steps`, or 1; number 0 is the measuring one."""
+        """Return the number of images, `steps` or 1, of period `number`; 0: measuring period."""
         return steps
 
     def check(self, fringes: AxisFringes) -> None:
@@ -221,7 +221,7 @@ class PatternCode:
         return np.zeros(coordinate_px.shape)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Whether a list of frames with this layout is of this code; False: state the code."""
+        """Whether frames with this layout identify this code; if not, capture.toml must name it."""
         return False
 
 

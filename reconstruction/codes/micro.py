@@ -30,7 +30,7 @@ class MicroCode(PatternCode):
     has_closed_form = False
 
     def images(self, number: int, steps: int) -> int:
-        """Return N of the measuring period, 1 of each further one."""
+        """Return `steps` if `number` is 0, the measuring period; 1 for any further period."""
         return 1 if number else steps
 
     def check(self, fringes: AxisFringes) -> None:

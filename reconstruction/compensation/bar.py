@@ -96,13 +96,16 @@ class BarUnderSheet:
 
 
 def bending_offset_mm(radius_mm: float, tail_mm: float, turn_rad: float) -> float:
-    """Return d - R, the distance of the line of tension from O beyond the sheet's middle surface.
+    """Return d - R, mm, for the rounded edge of a bar; the module docstring defines both.
+
+    d is the distance of the span's line of tension from the centre of the rounding, R is the
+    radius of the sheet's middle surface there.
 
     Parameters
     ----------
-    radius_mm : of the sheet's middle surface on the edge
-    tail_mm : length over which bending decays
-    turn_rad : angle between the spans on both sides of the edge
+    radius_mm : R
+    tail_mm : l, the length over which bending decays
+    turn_rad : change of the sheet's direction from one side of the edge to the opposite side
     """
     turned = 2 * np.sin(turn_rad / 4)
     if turned * radius_mm > tail_mm:

@@ -136,7 +136,7 @@ class FittedSlab:
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force from the unknowns."""
+        """Standard uncertainty of the force, N, due to the fitted unknowns."""
         slope = self.slopes.force_n
         return float(np.sqrt(slope @ self.covariance @ slope))
 
@@ -202,7 +202,7 @@ class CompensatedSlab(PresentedObject):
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force."""
+        """Standard uncertainty of the force, N, with the error of the linear model."""
         return float(np.hypot(self.fitted.force_sigma_n, self.force_theory * self.force_n))
 
     @property

@@ -23,7 +23,7 @@ LEAST_SHARE = 0.05
 
 
 def untouched_gel(levels: FloatImage, flat: FloatImage, highest: float) -> BoolImage:
-    """Return where the colour is within `highest` levels of the background's, (row, col)."""
+    """Return True, (row, col), where colour and background differ by less than `highest`."""
     difference = levels - flat
     distance = np.einsum("rcb,rcb->rc", difference, difference)
     return np.asarray(distance < highest**2)
@@ -32,16 +32,17 @@ def untouched_gel(levels: FloatImage, flat: FloatImage, highest: float) -> BoolI
 def light_over_background(
     levels: FloatImage, flat: FloatImage, hidden: BoolImage, highest: float
 ) -> FloatArray | None:
-    """Return each channel's light over that of the background, (row, col, 3).
+    """Return the ratio of illumination in an image to that in the background, (row, col, channel).
 
-    None if the share of undeformed gel is too small.
+    The ratio is a quadratic function of image position, fitted per channel to undeformed gel.
+    None if less than `LEAST_SHARE` of the pixels show undeformed gel.
 
     Parameters
     ----------
     levels, flat : (row, col, 3) float32
         Of the image and of the background.
     hidden : (row, col)
-        Printed dots.
+        True at printed dots, which are left out of the fit.
     highest : Euclidean colour difference below which gel counts as undeformed, levels
     """
     undeformed = _far_from_contact(untouched_gel(levels, flat, highest)) & ~hidden
@@ -69,7 +70,7 @@ def _quadratic(shape: tuple[int, int]) -> FloatArray:
 def _factor(
     levels: FloatImage, flat: FloatImage, basis: FloatArray, undeformed: BoolImage, channel: int
 ) -> FloatArray:
-    """Return the factor of a channel's light to that of the background, (row, col).
+    """Return the ratio of a channel's illumination to that in the background, (row, col).
 
     Fitted to differences of levels and not to ratios, which are noisy in dark areas.
     """

@@ -51,11 +51,12 @@ _NEEDS = {
 
 @dataclass(frozen=True)
 class RigField:
-    """One field of the rig.
+    """Value, uncertainty and source of one field of the rig file.
 
     Attributes
     ----------
-    uncertainty : standard; None: stated, and not estimated
+    uncertainty : standard uncertainty in the unit of the field; None: not estimated
+    source : how the value was obtained, for the report
     """
 
     path: str

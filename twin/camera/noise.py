@@ -68,14 +68,14 @@ class Sensor(NamedTuple):
 
 
 class SmallCounts(NamedTuple):
-    """Poisson numbers of means below `FROM_NORMAL`, at equal steps from 0 on.
+    """Tables of the Poisson distribution for means from 0 to `FROM_NORMAL` electrons, equal steps.
 
     Attributes
     ----------
     ends : (mean, count) uint64
-        Words below which a number is at most the count.
+        A 32-bit random word below this value gives at most this count.
     first : (mean, bucket) uint8
-        Count of the least word of a bucket; the highest bits of a word are its bucket.
+        Count for the smallest word of a bucket; the highest bits of a word number its bucket.
     """
 
     ends: NDArray[np.uint64]
@@ -96,7 +96,7 @@ def _inlined(function: Function) -> Function:
 
 @cache
 def small_counts() -> SmallCounts:
-    """Return the tables of small counts."""
+    """Return tables to draw Poisson counts of small mean, in electrons, from random words."""
     mean = np.arange(FROM_NORMAL * _STEPS_PER_ELECTRON + 1)[:, None] / _STEPS_PER_ELECTRON
     ends = np.rint(pdtr(np.arange(_COUNTS), mean) * 2.0**32).astype(np.uint64)
     ends[:, -1] = 1 << 32

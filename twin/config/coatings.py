@@ -99,11 +99,11 @@ class Coating(Model):
         return None
 
     def in_medium(self, ior: float) -> Self:
-        """Return the coat with its indices of refraction against a clear layer that it touches.
+        """Return the coat with indices relative to `ior`, the refractive index around the coat.
 
         Raises
         ------
-        InputError : no coat of this kind can be in that layer
+        InputError : the model of this kind is not valid in a layer with that index
         """
         return self
 

@@ -103,7 +103,7 @@ class Identified:
         return [model.probability for model in self.models]
 
     def intervals(self) -> dict[str, Marginal]:
-        """Return the intervals of the free fields, in their own units, by name."""
+        """Return mean, SD and 68.3 and 95 % intervals of each fitted field by name, in its unit."""
         return {n: interval_of(v) for n, v in zip(self.problem.free, self.values.T, strict=True)}
 
     def ridges(self) -> list[Ridge]:

@@ -9,7 +9,8 @@ which is the implicit function theorem on the contact's equations. At the contac
 pressure is zero, so that the motion of the edge is of second order; that holds where the object is
 round, and on an edge as far as cells resolve its rounding.
 
-Arrays are (row, col) on the layer's cells; pressures are over Young's modulus, which moves no face.
+Arrays are (row, col) on the layer's cells. Pressures are divided by Young's modulus; with a given
+travel, the displacement does not depend on the modulus.
 """
 
 from dataclasses import dataclass, replace
@@ -74,7 +75,7 @@ class SolvedSlab:
 
     @property
     def force_mm2(self) -> float:
-        """Force over Young's modulus."""
+        """Force divided by Young's modulus."""
         return float(self.contact.pressure.sum()) * self.layer.cell_area_mm2
 
     @cached_property

@@ -139,7 +139,7 @@ def rig_of(experiment: Experiment) -> Rig:
 
     Raises
     ------
-    InputError : depth of field with one sample per pixel, which passes one point of the lens
+    InputError : depth of field with one sample per pixel, hence with one point of the lens only
     """
     calibration = true_calibration(experiment)
     lens = ThinLens.of(experiment.camera, calibration.T_world_from_cam)

@@ -137,7 +137,7 @@ def _enough(values: FloatArray, coverage: float) -> bool:
 
 
 def tolerance_of(standard_uncertainty: float, digits: int) -> float:
-    """Return half a unit in the last of so many significant digits (JCGM 101, 7.9.2)."""
+    """Return half a unit of significant digit number `digits` (JCGM 101, 7.9.2)."""
     power = floor(log10(standard_uncertainty)) - (digits - 1)
     if round(standard_uncertainty / 10.0**power) >= 10**digits:  # 0.0996 is 0.10 in one digit
         power += 1

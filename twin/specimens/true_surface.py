@@ -43,7 +43,7 @@ class TrueSurface:
         return np.asarray(np.min(distances, axis=0) - self.skin_mm)
 
     def heights_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return world z (row, col) of the upper side over columns x and rows y; -inf: none."""
+        """Return world z, mm, of the upper side at (row y, column x); -inf outside the specimen."""
         return self.raised_mm - self.shape.height_above_lowest(x_mm, y_mm)
 
     @cached_property

@@ -49,8 +49,8 @@ class RigCovariance:
 
     Attributes
     ----------
-    rows : (24, 24), camera, projector and the motion between them, order of
-        `reconstruction.calibration.parameters`
+    rows : (24, 24), camera, projector and the pose of the projector relative to the camera, in the
+        order and units of `reconstruction.calibration.parameters`
     """
 
     rows: tuple[tuple[float, ...], ...]
@@ -61,7 +61,10 @@ class RigCovariance:
         return cls(tuple(tuple(map(float, row)) for row in rows))
 
     def draw(self, true: Calibration, seed: int, trial: int) -> Calibration:
-        """Return the rig as estimated by a calibration; trial 0 is the true rig."""
+        """Return the true rig plus a random calibration error of this covariance.
+
+        Trial 0 has no error. Equal seed and trial give equal errors.
+        """
         if not trial:
             return true
         covariance = np.array(self.rows, np.float64)

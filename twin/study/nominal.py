@@ -18,7 +18,7 @@ from twin.study.trials import PART, TRIAL, TRIALS
 
 
 def nominal_case(cases: Cases) -> Case:
-    """Return trial 0 of the cases of a study of trials."""
+    """Return the case of the nominal measurement, which is trial 0 of the trials."""
     return next(
         case for case in cases.run if case.settings[PART] == TRIALS and not case.settings[TRIAL]
     )

@@ -53,7 +53,7 @@ class PressInput:
 
     @property
     def linear(self) -> PressedElastomer:
-        """The press of the linear slab; it is solved once.
+        """The pressed elastomer by the linear slab model; computed once.
 
         Raises
         ------
@@ -85,13 +85,13 @@ class PressInput:
 
 
 class SettledPress(Protocol):
-    """A press with its equilibrium, for derivatives."""
+    """An equilibrium of specimen and elastomer, kept to differentiate it by the input fields."""
 
     def result(self) -> PressedElastomer:
-        """Return the press."""
+        """Return the pressed elastomer at this equilibrium."""
 
     def nearby(self, case: PressInput) -> PressedElastomer:
-        """Return the press of slightly changed data, to first order in the change."""
+        """Return the pressed elastomer for a small change of the input, to first order."""
 
 
 class ElastomerModel(elastomer_models.ModelFields):

@@ -34,7 +34,7 @@ class FemModel(ElastomerModel):
         _pad(case.mechanics, case.elastomer)
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
-        """Return the press of a meshed slab or pad."""
+        """Return the pressed elastomer from finite elements of a slab or pad."""
         from twin.mechanics.reference.fem import press_fem
 
         return press_fem(

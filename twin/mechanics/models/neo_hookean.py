@@ -43,7 +43,7 @@ class NeoHookeanModel(ElastomerModel):
         check_neo_hookean(case.elastomer, case.load)
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
-        """Return the press in load steps."""
+        """Return the pressed elastomer, solved in load steps."""
         from twin.mechanics.reference.neo_hookean import press_neo_hookean
 
         return press_neo_hookean(case.specimen, case.elastomer, case.load)

@@ -73,11 +73,11 @@ class SettledWithTangent:
     sheet: "SettledSheet"
 
     def result(self) -> PressedElastomer:
-        """Return the press."""
+        """Return the pressed elastomer at this equilibrium."""
         return self.sheet.result()
 
     def nearby(self, case: PressInput) -> PressedElastomer:
-        """Return the press of slightly changed data, to first order in the change.
+        """Return the pressed elastomer for a small change of the input, to first order.
 
         Raises
         ------

@@ -43,7 +43,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Moduli:
-    """Shear and bulk modulus over Young's modulus."""
+    """Shear and bulk modulus divided by Young's modulus."""
 
     shear: float
     bulk: float

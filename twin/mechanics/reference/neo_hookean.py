@@ -137,17 +137,18 @@ def press_neo_hookean(
     ----------
     elastomer : flat slab on a simply supported rim, or a pad with free sides bonded to a window
     load : depth or force, and pitches. A free slab may travel farther than it is thick.
+    bricks : numbers of elements; None: the defaults of `Bricks`
     linear : small strain and contact on the undeformed face by the same elements: the difference
         from the spectral press is then the elements' error
 
     Returns
     -------
-    As from the spectral press; faces are at deformed positions
+    Same fields as from `press`; the coated face is given at its deformed positions
 
     Raises
     ------
-    PressError : as `press`; also a film or a preload, which this model does not include
-    SolverError : no equilibrium
+    PressError : for the reasons of `press`; for a film or a preload, which this model lacks
+    SolverError : no equilibrium was reached
     """
     fineness, shape = bricks or Bricks(), shape_of(specimen)
     guess = press(specimen, elastomer, load, any_depth=True)

@@ -22,7 +22,7 @@ _LINEAR_RESIDUAL = 1e-6
 
 @dataclass(frozen=True)
 class Pushed:
-    """The action of a contact at one state, over Young's modulus."""
+    """Force, stiffness and pressure of a contact, each divided by Young's modulus."""
 
     #: (displacement unknown,) force on the body
     force: FloatArray
@@ -75,7 +75,14 @@ class MovingContact(Protocol):
         ...
 
     def evaluate(self, moved_mm: FloatArray, depth_mm: float, active: BoolArray | None) -> Pushed:
-        """Return the object's action at a displacement."""
+        """Return force, stiffness and pressure of the contact on the deformed body.
+
+        Parameters
+        ----------
+        moved_mm : displacement unknowns of the body
+        depth_mm : travel of the object
+        active : (point,) points in contact; None: those that carry pressure
+        """
         ...
 
     def settle(self, moved_mm: FloatArray, depth_mm: float) -> "MovingContact":

@@ -233,11 +233,11 @@ class Sheet:
         return self.system.solver.factorise(values)
 
     def newton_step_mm(self) -> FloatArray:
-        """Return (row, col, xyz): the step of the last factors for the last forces."""
+        """Return the Newton step, (row, col, xyz), from the latest forces and factorisation."""
         return self.answer_mm(self.forces())
 
     def answer_mm(self, forces: FloatArray) -> FloatArray:
-        """Return (row, col, xyz): the step of the last factors for forces (unknown,)."""
+        """Return the step, (row, col, xyz), for forces (unknown,) by the latest factorisation."""
         step = np.zeros(self._forces.shape)
         step[self.grid.free] = -self.system.solver.solve(forces)
         return step

@@ -35,7 +35,7 @@ class LinearSolver(Protocol):
         ...
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """Return the solution with the last factors."""
+        """Solve for the right-hand side `right` with the latest factorisation."""
         ...
 
 
@@ -92,7 +92,7 @@ class Pardiso:
         return True
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """Return the solution with the last factors."""
+        """Solve for the right-hand side `right` with the latest factorisation."""
         solution: FloatArray = self._run(_SOLVE, right.reshape(-1, 1)).ravel()
         return solution
 
@@ -132,7 +132,7 @@ class SuperLU:
         return bool((self._factors.U.diagonal() > 0).all())
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """Return the solution with the last factors."""
+        """Solve for the right-hand side `right` with the latest factorisation."""
         solution: FloatArray = self._factors.solve(right)
         return solution
 

@@ -1,4 +1,4 @@
-"""Presses with slightly changed data, to first order, from one pressed sheet.
+"""Equilibria for small changes of the input, to first order, from one pressed sheet.
 
 In equilibrium the forces g on the free control points c are zero, and remain zero if the data p of
 elastomer, press or specimen change (implicit function theorem):
@@ -63,7 +63,7 @@ class Neighbourhood:
     def press(
         self, mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
     ) -> PressedElastomer:
-        """Return the press of slightly changed data, to first order in the change.
+        """Return the pressed elastomer for a small change of the input, to first order.
 
         Raises
         ------

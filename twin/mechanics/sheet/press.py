@@ -116,7 +116,7 @@ class SettledSheet:
     state: SheetState
 
     def result(self) -> PressedElastomer:
-        """Return the press as a result."""
+        """Return the pressed elastomer at this equilibrium."""
         return pressed_of(self.case, self.elastomer, self.load, self.sheet, self.state)
 
 

@@ -124,7 +124,9 @@ class Flakes(Coating):
         return ink + self.transmittance**2 * reflectance / (1.0 - ink * reflectance)
 
     def in_medium(self, ior: float) -> Self:
-        """Return the coat in a layer: a matte ink as it is; a binder needs at least that index.
+        """Return the coat with indices relative to `ior`, the refractive index around the coat.
+
+        A matte ink (`binder_ior` of 1) has no binder interface, so that `ior` does not limit it.
 
         Raises
         ------
