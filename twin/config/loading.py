@@ -105,6 +105,9 @@ def _linked(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
     listed = tree.get("links", {})
     if not isinstance(listed, dict):
         raise ConfigError(f"{where}: links: found a value, allowed a table")
+    for key, named in listed.items():
+        if not isinstance(named, str):
+            raise ConfigError(f"{where}: links.{key}: found {named!r}, allowed the name of a key")
     links = {**listed, **dict(_links_in(tree, ""))}
     try:
         order = [*TopologicalSorter({key: [named] for key, named in links.items()}).static_order()]
