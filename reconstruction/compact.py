@@ -70,7 +70,7 @@ class Half:
 
     @classmethod
     def of(cls, values: NDArray[Any], unit: float) -> "Half":
-        """Round values to half precision; values above the largest are set to it."""
+        """Round values to float16; values above `LARGEST` units are set to `LARGEST` units."""
         scaled = np.minimum(np.asarray(values, np.float32) / np.float32(unit), LARGEST)
         return cls(np.ascontiguousarray(scaled.astype(np.float16)).view(np.uint16), unit)
 
@@ -128,7 +128,7 @@ class RaySpread:
     T_world_from_cam: FloatArray
 
     def expand(self) -> FloatImage:
-        """Return (row, col, xyz) float32 mm, 0 where the depth has no sigma."""
+        """Return sigma along x, y, z, (row, col, xyz) float32 mm; 0 where depth has no sigma."""
         along = self.points_world_mm - self.T_world_from_cam[:3, 3].astype(np.float32)
         per_depth = self._per_depth()[..., None]
         return np.asarray(np.abs(along, out=along) * per_depth, dtype=np.float32)

@@ -33,7 +33,7 @@ class Drawing(Figure):
         super().__init__(figsize=size, facecolor="white", layout=layout)
 
     def png(self) -> bytes:
-        """Return the figure as a PNG file."""
+        """Return the content of a PNG file of the figure."""
         drawn = io.BytesIO()
         self.savefig(drawn, format="png", dpi=_DPI, metadata={"Software": None})
         return drawn.getvalue()

@@ -162,7 +162,7 @@ class PatternSet:
         return periods_px if self.kind.rule is Rule.CHAIN else periods_px[:1]
 
     def images(self, number: int) -> int:
-        """Return the number of images of a period, by its index; 0 is the measuring period."""
+        """Return how many images have the period of index `number`; 0 is the measuring period."""
         return self.kind.images(number, self.steps)
 
     @property

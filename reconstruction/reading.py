@@ -80,7 +80,7 @@ def read_bytes(path: Path | str, most_bytes: int = MOST_DATA_BYTES) -> bytes:
 
     Raises
     ------
-    InputError : as `regular_file`, or it cannot be read
+    InputError : the file cannot be read, is no regular file, or has more than `most_bytes` bytes
     """
     path = regular_file(path, most_bytes)
     try:

@@ -67,16 +67,16 @@ def lock_file(handle: int, *, wait: bool = False) -> None:
 
 @contextmanager
 def locked_folder(place: Path, *, shared: bool) -> Iterator[None]:
-    """Lock an existing folder in a block, without waiting.
+    """Lock an existing folder during a `with` block; raise an error instead of waiting.
 
     Parameters
     ----------
-    shared : other processes may have a shared lock at the same time
+    shared : True: other processes may have a shared lock at the same time; False: no other lock
 
     Raises
     ------
     BlockingIOError : another handle has a lock that excludes this one
-    OSError : the file system, or the platform, has no such locks
+    OSError : the file system or the platform does not support locks of folders
     """
     if not _FCNTL:
         raise _no_locks()

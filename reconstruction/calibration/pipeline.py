@@ -134,9 +134,10 @@ def epipolar_residuals_px(rig: RigEstimate | Calibration, measured_px: FloatArra
 
 
 def pupil_diameter_mm(fit: Adjustment) -> float:
-    """Return the aperture from the blur of tilted boards; 0 if it is not significant.
+    """Return the aperture diameter of the camera lens, mm, from the blur of tilted boards.
 
-    Accurate to about 10 %; for a plausibility check (focal length over f-number) only.
+    0 if the mean square of the pupil is below 3 of its standard uncertainties. The diameter is
+    accurate to about 10 %: use it only to check the f-number (focal length over diameter).
     """
     is_significant = fit.pupil_mm2 > 3.0 * fit.pupil_sigma_mm2
     return 4.0 * float(np.sqrt(fit.pupil_mm2)) if is_significant else 0.0

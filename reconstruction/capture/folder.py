@@ -205,7 +205,7 @@ def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
     Raises
     ------
     CaptureError : a file is missing, damaged or inconsistent, or the frames are clearly
-        in another order
+        not in the order that capture.toml states
     """
     recorded = find_recorded(find_capture(folder))
     stack, scale = read_frames(recorded)

@@ -37,15 +37,15 @@ MOST_ROUNDS = 30
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """State of all bits where one of them changes between neighbouring pixels.
+    """Statistics of all bits at pairs of neighbouring pixels between which a bit changes.
 
     Parameters
     ----------
-    count : (bit,) changes
-    level : (bit, other) mean of the second bit where the first bit changes
-    against, along : (bit, other) share of the changes at which the second bit changes as well, in
-        the opposite or in the same direction
-    mean : (bit,) at all places where any bit changes
+    count : (bit,) number of changes of a bit
+    mean : (bit,) mean value of a bit, 0 to 1, at all places where any bit changes
+    level : (bit, other) mean value of the second bit, 0 to 1, at the changes of the first bit
+    against, along : (bit, other) share of the first bit's changes at which the second bit changes
+        as well, in the opposite (against) or in the same direction (along)
     """
 
     count: IntArray

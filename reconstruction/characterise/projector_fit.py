@@ -92,7 +92,7 @@ class ProjectorFit:
     footprint_px: float
 
     def response(self) -> ProjectorResponse:
-        """Return the response for a decoder."""
+        """Return fitted gamma and blur with their uncertainties, in the form that decoders use."""
         return ProjectorResponse(
             self.gamma.value,
             self.gamma.uncertainty,

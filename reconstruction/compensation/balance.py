@@ -45,14 +45,14 @@ class StretchedCoat:
 
 @dataclass(frozen=True, eq=False)
 class ContactBalance:
-    """Contact and its pressure; arrays (row, col) on the relief's cells.
+    """Cells in contact and their contact pressure; arrays (row, col) on the relief's cells.
 
     Attributes
     ----------
-    pressure_kpa : of the object on the clear face
-    sigma_kpa : its standard uncertainty, from noise and texture of the coat
-    least_kpa : least pressure that counts as contact
-    contact : bool
+    pressure_kpa : pressure of the object on the clear face
+    sigma_kpa : standard uncertainty of the pressure, from noise and texture of the coat
+    least_kpa : smallest pressure that counts as contact
+    contact : bool, True for cells in contact
     upright_mm2 : area of the clear face in each cell, projected along z
     """
 

@@ -66,10 +66,11 @@ class Relief:
         return pitch[0] * pitch[1]
 
     def smoothed(self, sigma_mm: float) -> FloatArray:
-        """Return heights after a Gaussian filter of fourth order, (row, col).
+        """Return heights, mm, after a Gaussian filter of fourth order, (row, col).
 
-        2 G(s) - G(sqrt(2) s) preserves curvature: a plain Gaussian reduces that of a span by 3 % at
-        0.3 mm. Heights are mirrored at the rim, because the clamp keeps the coat level there.
+        The filter 2 G(s) - G(sqrt(2) s), with s = `sigma_mm`, preserves curvature. A plain Gaussian
+        of 0.3 mm would reduce the curvature of a free span by 3 %. Heights are mirrored at the rim,
+        because the clamp keeps the coat horizontal there.
         """
         return 2 * self.blurred(sigma_mm) - self.blurred(np.sqrt(2.0) * sigma_mm)
 

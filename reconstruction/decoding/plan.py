@@ -185,10 +185,11 @@ def _code(patterns: PatternSet, axis: Axis, displacement: float) -> Code:
 
 
 def place_displaced(maps: Maps, patterns: PatternSet) -> None:
-    """Move coordinates and phases that were decoded at x + displacement x period to x.
+    """Subtract the patterns' displacement from decoded coordinates, px, and phases, in place.
 
-    If the number of periods is a power of two, the end of the image repeats the word before it: the
-    two cannot be distinguished, and both are uncertain.
+    The displacement is a share of the period. If the number of periods is a power of two, the end
+    of the image has the same word as an earlier period. The two cannot be distinguished: pixels of
+    both become invalid, with the reason `ORDER_UNCERTAIN`.
     """
     displacement = patterns.kind.displacement
     for k, axis in enumerate(AXES):

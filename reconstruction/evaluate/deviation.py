@@ -49,7 +49,12 @@ class Deviations:
     tilt_deg: float
 
     def rms(self, upward: FloatArray) -> FittedDimension:
-        """Root mean square; `upward` (n,): z component of the surface's normal at each point."""
+        """Return the root mean square of the deviations, mm, with its derivatives.
+
+        Parameters
+        ----------
+        upward : (n,) z component of the surface's unit normal at each point
+        """
         value, count = rms(self.deviation_mm), len(self.deviation_mm)
         slope = upward * self.deviation_mm / max(count * value, 1e-12)
         return FittedDimension(value, slope, self.deviation_mm, np.ones(count, bool))

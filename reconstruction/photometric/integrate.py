@@ -112,7 +112,10 @@ def _frozen(values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class EdgeWeights:
-    """Weights of the steps to the next row, (M-1, N), and to the next column, (M, N-1)."""
+    """Weights of the height differences between neighbouring pixels.
+
+    Shape (M-1, N) for differences to the next row, (M, N-1) for those to the next column.
+    """
 
     to_next_row: FloatArray
     to_next_col: FloatArray

@@ -15,7 +15,7 @@ LearnedAs = Literal["value", "log", "reciprocal"]
 
 
 class Row(Model):
-    """One measured figure."""
+    """One measured value of a figure, with its standard uncertainty."""
 
     experiment: Name
     metric: Metric = Field(
@@ -112,7 +112,7 @@ class Limit(Model):
 
     @property
     def statistic(self) -> Statistic:
-        """Over repeats: the mean."""
+        """Always "mean": a limit applies to the mean over repeats."""
         return "mean"
 
     @property

@@ -69,7 +69,7 @@ class LayerSigma(Model):
 
 
 class PressedBar(Model):
-    """A bar with a flat top: approximate pose and size, near which its walls are fitted."""
+    """Approximate pose and size of a flat-topped bar: start values for the fit of its walls."""
 
     x_mm: Place = Field(default=0.0, description="world x of its middle, within 0.5 mm")
     y_mm: Place = 0.0

@@ -110,7 +110,7 @@ class Likelihood:
         ]
 
     def among(self, others: "Likelihood") -> "Likelihood":
-        """Return the likelihood of these rows, then those of others that are not among them."""
+        """Return the joint likelihood of these rows and of those rows that only `others` has."""
         return replace(
             self,
             rows={**self.rows, **{n: r for n, r in others.rows.items() if n not in self.rows}},

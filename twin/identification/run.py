@@ -60,9 +60,9 @@ def identify(
     Raises
     ------
     ConfigError
-        A choice, or an end of a field's range, does not fit an experiment.
+        An experiment is invalid with one of the choices, or at an end of a field's range.
     InputError
-        A store cannot be used, or too few simulations gave a row's figure.
+        A store of simulations cannot be used, or too few simulations contain a row's figure.
     MissingBackend
         No usable Dr.Jit backend.
     """

@@ -185,7 +185,7 @@ class Ridges:
     height_mm: float
 
     def shown(self, pitch_mm: float) -> float:
-        """Return the coat's relief over the ridge's, crest to root, 0 to 1."""
+        """Return coat height over ridge height, both from crest to root: a ratio of 0 to 1."""
         layer = _Period(self.elastomer, pitch_mm)
         ridge = self.height_mm * (1 - np.cos(2 * np.pi * layer.x_mm / pitch_mm)) / 2
         pressure = _pressure(layer, ridge, self.pressure_kpa / layer.modulus_kpa)

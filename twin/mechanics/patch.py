@@ -90,7 +90,10 @@ class Patch:
 
     @cached_property
     def cell(self) -> float:
-        """Pressure per deflection of a single cell, the diagonal of `apply`."""
+        """Diagonal of `apply`, 1/mm.
+
+        Pressure over modulus on a cell that deflects by 1 mm while all other cells do not deflect.
+        """
         weights = np.full(self.stiffness.shape[1], 2.0)
         weights[0] = 1.0
         if self.cols.padded % 2 == 0:

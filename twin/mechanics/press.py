@@ -241,11 +241,11 @@ def _control(layer: AnyLayer, height: FloatArray, load: Press, modulus_kpa: floa
 
 
 def check_outline(shape: Shape, elastomer: Elastomer) -> None:
-    """Raise an error if a specimen reaches over the elastomer.
+    """Raise an error if a specimen extends beyond the pad, or beyond the slab's free span.
 
     Raises
     ------
-    PressError : names the axis, the specimen's extent and the allowed one
+    PressError : the message states the axis, the specimen's extent and the allowed extent, mm
     """
     x_low, x_high, y_low, y_high = shape.bounds_mm()
     free = elastomer.layout == "opposite_face"

@@ -42,10 +42,10 @@ class Bounces:
 
     Attributes
     ----------
-    most : largest number of reflections after the first; 1 is light reflected twice. Sharp bodies
-        do not count.
-    paths : random continuations per camera sample
-    stage_light : irradiance map of the photons on the stage
+    most : largest number of reflections after the first one; with 1, light is reflected at most
+        twice. Reflections and refractions at clear or polished bodies are not counted.
+    paths : number of random continuations of each camera sample
+    stage_light : irradiance on the stage, computed from photons
     """
 
     most: int

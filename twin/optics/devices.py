@@ -53,8 +53,8 @@ class Device:
     def ray(self, x_px: Any, y_px: Any) -> Any:
         """World ray (`mi.Ray3f`, unit direction) through continuous pixel coordinates.
 
-        With a lens this is its chief ray. Pixels beyond the fold of the distortion have no ray: it
-        has the length 0 and no hit.
+        For a device with a thin lens, it is the chief ray. The distortion polynomial cannot be
+        inverted beyond some radius: for pixels there the ray has length 0 and hits nothing.
         """
         x, y, exists = self._slopes(x_px, y_px)
         right, down, forward = self._axes()

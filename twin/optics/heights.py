@@ -145,7 +145,10 @@ class MarchedHeights:
         return met
 
     def newton_hit(self, ray: Any) -> tuple[Any, Any]:
-        """Return hits of rays from above, without shape, and which are certainly the first."""
+        """Return hits of rays from above, by Newton's method, and whether each is the ray's first.
+
+        The second value is True only if it is certain. The hits do not contain the shape.
+        """
         met = self._meet(ray)
         return met, self.is_free(ray(met.t), -ray.d, met.valid & (met.t < ray.maxt))
 

@@ -218,7 +218,7 @@ class Surfaces:
     stage: Any = None
 
     def is_sharp(self, hit: Any) -> Any:
-        """Return which hits are on a sharp body, `mi.Bool`."""
+        """Return which hits are on a clear or polished body (one of `sharp`), `mi.Bool`."""
         sharp = dr.zeros(mi.Bool, dr.width(hit.t))
         for body in self.sharp:
             sharp |= hit.shape == mi.ShapePtr(body.shape)

@@ -78,11 +78,12 @@ class SceneSurface:
         *,
         cut: float | None = None,
     ) -> "SceneSurface":
-        """Join the neighbours of a grid of points (row, col, xyz), row 0 at the top.
+        """Return a surface of triangles between neighbouring points of a grid.
 
         Parameters
         ----------
-        values : (row, col), coloured by `scale`
+        points_mm : (row, col, xyz), row 0 at the top
+        values : (row, col), shown as colours by `scale`
         cut : cells with an edge this many times longer than the median edge are left out
         """
         cells = _joined(points_mm, cut)

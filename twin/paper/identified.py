@@ -37,7 +37,12 @@ def problem() -> SensorProblem:
 
 
 def identified_tables(trials: Mapping[str, Sequence[Trial]]) -> list[Table]:
-    """Return the tables of fields, rows, choices and worth; `trials` by experiment."""
+    """Return the tables on fields, rows, choices and the value of one more measurement.
+
+    Parameters
+    ----------
+    trials : the trials of each experiment, by its name
+    """
     return [fields_table(), identified_rows_table(trials), choices_table(), worth_table()]
 
 

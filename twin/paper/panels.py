@@ -136,7 +136,10 @@ class PanelData:
 
 
 def thinned(values: Any) -> Any:
-    """Return every nth row and column: heights and codes must not be averaged across edges."""
+    """Return every nth row and column, so that no side has more than `MOST_PX` of them.
+
+    Not averaged: a mean across an edge is neither a height nor a code of the data.
+    """
     step = -(-max(values.shape[:2]) // MOST_PX)
     return values[::step, ::step]
 

@@ -76,14 +76,14 @@ class LitCoat:
 
 @dataclass(frozen=True, eq=False)
 class ColourSensor:
-    """A sensor ready to look at pressed faces; its experiment has a set exposure."""
+    """A simulated sensor that can image pressed faces; its exposure time is set."""
 
     experiment: Experiment
     coat: LitCoat
 
     @classmethod
     def of(cls, experiment: Experiment, coat: LitCoat) -> "ColourSensor":
-        """Set the exposure."""
+        """Return the sensor with the exposure time that its lit coat requires."""
         camera = experiment.camera.model_copy(update={"exposure_ms": coat.exposure_ms})
         return cls(experiment.model_copy(update={"camera": camera}), coat)
 
@@ -100,9 +100,10 @@ class ColourSensor:
 
     @renderer_session()  # no other thread puts a face into the same scene in between
     def image(self, face: "trimesh.Trimesh", number: int) -> Levels:
-        """Return the driver's image of a pressed face, in the light of image `number`.
+        """Return the image of a pressed face as the camera's driver outputs it, with noise.
 
-        With its noise. Between presses the lamps drift; the background has their stated light.
+        `number` selects the noise and the drift of the lamps, which differ between presses. The
+        background images have no drift: their lamps have the stated flux.
         """
         self.coat.scene.put(face)
         rng = np.random.default_rng(seed_sequence(self.experiment, "lamp_drift", number))
@@ -121,7 +122,7 @@ class ColourSensor:
 
     @renderer_session()
     def truth(self, face: "trimesh.Trimesh") -> Truth:
-        """Return the truth behind the final image; lit is the part that is evaluated."""
+        """Return the true surface at the pixels of the final image; `lit`: the evaluated pixels."""
         self.coat.scene.put(face)
         return self.coat.scene.truth(*self._pose(image_pinhole(self.experiment)))
 

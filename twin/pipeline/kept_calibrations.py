@@ -36,7 +36,7 @@ Calibrations = dict[MapKind, SensorCalibration]
 
 @dataclass(frozen=True)
 class KeptCalibrations:
-    """A folder of calibrations, made when the first one is put there."""
+    """Cache of sensor calibrations in a folder; the first `put` creates the folder."""
 
     folder: Path
 

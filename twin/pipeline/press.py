@@ -24,14 +24,17 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class PressedFace:
-    """A press, and the digest of its coated face, which names it wherever it came from."""
+    """A press, and a digest of the heights and the nodes of its coated face.
+
+    Faces with equal values have the same digest, whether they were computed or read from a file.
+    """
 
     pressed: PressedElastomer
     face_digest: str
 
     @classmethod
     def of(cls, pressed: PressedElastomer) -> "PressedFace":
-        """Name the coated face by its heights and their nodes."""
+        """Compute the digest of the coated face from its heights and their nodes."""
         name = hashlib.blake2b(digest_size=16)
         for values in (pressed.face_x_mm, pressed.face_y_mm, pressed.face_z_mm):
             name.update(repr(values.shape).encode() + values.tobytes())

@@ -28,7 +28,10 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Callable[[float], None]]:
-        """Time a stage; yields the function that takes its finished fraction."""
+        """Measure the run time of a stage in a `with` block.
+
+        Yields the function by which the stage reports its finished fraction, 0 to 1.
+        """
         self.watch(name, 0.0)
         start = time.perf_counter()
         yield lambda fraction: self.watch(name, fraction)

@@ -62,7 +62,7 @@ class SlabObject:
 
     @property
     def load(self) -> Press:
-        """The press with its stated travel, or a start value."""
+        """The press, controlled by its stated travel; without one, by a start value of the fit."""
         press = self.layer.press
         start = press.depth_mm or min(0.5, 0.5 * self.layer.elastomer.thickness_mm)
         return Press(
@@ -74,7 +74,7 @@ class SlabObject:
 
 @dataclass(frozen=True, eq=False)
 class PressedCoat:
-    """The coat by the layer's own solution, for values of the named numbers."""
+    """Function that solves the press and returns the coat, for values of the fitted numbers."""
 
     slab: SlabObject
     relief: Relief

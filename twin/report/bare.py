@@ -91,7 +91,7 @@ def verdicts(scored: Measurement) -> list[Verdict]:
 
 
 def discussion(scored: Measurement) -> list[str]:
-    """Return the paragraphs of the result."""
+    """Return the paragraphs that explain the result: share of good points, and wrong points."""
     if not scored.score.against_truth.points:
         return [
             "No pixel of the specimen has a point; the map above shows the reason for each pixel."

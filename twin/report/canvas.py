@@ -302,7 +302,7 @@ def label_panel(axes: Axes, letter: str) -> None:
 
 
 def plain_log(axis: Axis) -> None:
-    """Write the decades of a logarithmic axis as numbers: its own labels are formulas."""
+    """Label the decades of a logarithmic axis with plain text instead of Matplotlib's formulas."""
     axis.set_major_formatter(LogFormatter())
     axis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
 

@@ -237,7 +237,7 @@ def _residuals(scored: Measurement) -> str:
 
 
 def sections(measured: Measurement) -> list[Section]:
-    """Return the page of a measurement of the pressed coat by fringes."""
+    """Return all sections of the report on a pressed coat that is measured by fringes."""
     blocks = [
         Section(
             "glance", "Experiment", (TwoColumns((glance(measured),), (rig_figure(measured),)),)

@@ -31,7 +31,10 @@ from twin.specimens import shape_of
 
 
 def glance(measured: Measurement) -> Table:
-    """Return one line per part of the sensor."""
+    """Return the table that summarises the experiment, one row per part.
+
+    Rows: specimen, coat or stage, camera and light with their settings, digest of the experiment.
+    """
     method = measured.experiment.method
     return parts(
         "experiment",

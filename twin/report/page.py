@@ -29,15 +29,15 @@ Grade = Literal["good", "check", "poor"]
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure.
+    """A picture of a report with its texts.
 
     Attributes
     ----------
-    name : of its file, and its place in the page
+    name : name of the PNG file, without ending
     title : a noun phrase; empty: only the caption is shown
     caption : plotted quantities with units, and how to judge them
     alt : text for readers who cannot see the picture
-    draw : writes the PNG; None: the file exists in the folder of figures already
+    draw : function that writes the PNG to a path; None: the folder of figures has the file already
     """
 
     name: str
@@ -73,11 +73,12 @@ class Verdict:
 
 @dataclass(frozen=True)
 class JudgedTarget:
-    """One figure that is judged, with its limits in words.
+    """A target of the report, and whether the measurement meets it.
 
     Attributes
     ----------
-    grade : "good" where the target is met
+    words : the measured value and its limits, as text
+    grade : "good" if the target is met; "check" or "poor" if not
     """
 
     words: str
@@ -220,7 +221,7 @@ class Page:
 
     @property
     def turns(self) -> bool:
-        """Whether a view is on the page, which needs the script."""
+        """Whether the page has a view that the reader can turn, and so needs the view's script."""
         blocks = (block for section in self.sections for block in section.blocks)
         return any(isinstance(block, TurnableView) for block in blocks)
 

@@ -14,7 +14,10 @@ PICTURES = {"press": PRESS_PICTURE, "render": FRAMES_PICTURE}
 
 
 def picture_of(folder: Path) -> str | None:
-    """Return the name of a folder's one picture; None of a folder that has a report."""
+    """Return the file name of the picture of a result folder.
+
+    None if the folder has no result.json, or if its command writes a report instead.
+    """
     path = folder / RESULT_FILE
     return PICTURES.get(str(read_json(path).get("command"))) if path.is_file() else None
 

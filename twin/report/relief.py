@@ -139,10 +139,11 @@ def _pitch_mm(points_mm: Numbers) -> float:
 
 
 class ReliefArtist(QuadMesh):
-    """A surface over a grid in an oblique view, as one artist: polygons take ten times the time.
+    """A surface over a grid in an oblique view, drawn by Matplotlib as one artist.
 
-    Cells are painted from far to near. In axes of three dimensions Matplotlib calls
-    `do_3d_projection`; in a picture `project` computes the pixels of the corners.
+    One polygon per cell would take ten times as long. Cells are painted from the farthest to the
+    nearest. In 3D axes, Matplotlib calls `do_3d_projection` before it draws; for a plain picture,
+    call `project` to compute the pixel positions of the cells' corners.
     """
 
     def __init__(self, surface: SceneSurface, view: SceneView, rgba: FloatArray) -> None:
@@ -158,11 +159,11 @@ class ReliefArtist(QuadMesh):
         self.set_facecolor(painted)
 
     def project(self, view: SceneView) -> None:
-        """Put the corners at the pixels of a view."""
+        """Set the cells' corners to their pixel positions in a view."""
         self._coordinates = view.project(self._points_mm * (1.0, 1.0, view.enlarged))
 
     def do_3d_projection(self) -> float:
-        """Put the corners at their projections; Matplotlib calls it before it draws."""
+        """Set the cells' corners to their projections; Matplotlib calls this before it draws."""
         axes: Any = self.axes
         x, y, _ = proj_transform(*self._points_mm.reshape(-1, 3).T, axes.get_proj())
         self._coordinates = np.stack([x, y], axis=-1).reshape(*self._points_mm.shape[:2], 2)

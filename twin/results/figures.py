@@ -108,7 +108,7 @@ def warnings_of(metrics: Metrics) -> tuple[str, ...]:
 
 
 def why_absent(figures: Mapping[str, Any]) -> str:
-    """Return the reason why a measurement has no error and no shares; empty where it has."""
+    """Return why a measurement has no error figures; empty if it has target pixels and points."""
     if 0 in (figures.get("lit_pixels"), figures.get("wanted_pixels")):
         return "no pixel that ought to give a point"
     return "no valid point" if figures.get("points") == 0 else ""

@@ -227,7 +227,7 @@ def write_taken(
 
 
 def press_metrics(pressed: PressedElastomer) -> dict[str, Metric]:
-    """Figures of the press, warnings included."""
+    """Return the press's figures by name, for example `force_n`, and its warnings."""
     return {
         "mechanics_model": pressed.model,
         "force_n": pressed.force_n,
@@ -243,7 +243,7 @@ def press_metrics(pressed: PressedElastomer) -> dict[str, Metric]:
 
 
 def sheet_figures(pressed: PressedElastomer) -> dict[str, float]:
-    """Figures of a thin sheet; none of another model."""
+    """Return the figures of a thin sheet by name; {} if the elastomer is no thin sheet."""
     if pressed.sheet is None:
         return {}
     return {

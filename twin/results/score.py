@@ -279,8 +279,8 @@ def order_warnings(
 ) -> list[str]:
     """Return a one-line warning if points of a wrong fringe order cause most of the z error.
 
-    A few on which column and row agree by chance escape the decoder's checks, and err by
-    centimetres.
+    A few such points pass the decoder's checks, because their column and row are consistent by
+    chance; their z errors are centimetres.
     """
     points = reconstruction.point_map
     both = points.valid & wanted_pixels(experiment, truth)
@@ -433,7 +433,11 @@ def _sphere_metrics(
 
 
 def sphere_names(balls: int, region: str = "") -> list[str]:
-    """Return the names of the figures of so many balls."""
+    """Return the names of the sphere figures of balls 1 to `balls`, such as `sphere_1_points`.
+
+    `region` is a further region of the fit, for example `within_1p2_` for 1.2 mm; empty: the main
+    region.
+    """
     numbers = range(1, balls + 1)
     return [f"sphere_{n}_{region}{figure}" for n in numbers for figure in _SPHERE_FIGURES]
 

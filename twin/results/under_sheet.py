@@ -134,7 +134,10 @@ class SheetCompensation:
 def sheet_compensation(
     experiment: Experiment, points: PointMap, layer: SensorLayer | None = None
 ) -> SheetCompensation | None:
-    """Return the compensation's input; None where no thin sheet was pressed."""
+    """Return the input of the compensation for a thin sheet that was measured by fringes.
+
+    None if the method has no press or no fringes, or if the elastomer is no thin sheet.
+    """
     method = experiment.method
     if not (method.fringes and method.presses and may_wrap(experiment.elastomer)):
         return None

@@ -202,7 +202,8 @@ def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = No
 
     Raises
     ------
-    ConfigError : cases that are no valid experiment: each problem once, with an example
+    ConfigError : some cases are no valid experiment, or constraints exclude all cases; the message
+        lists each problem once, with one of its cases
     InputError : too many points
     """
     cases, excluded = [], 0

@@ -258,7 +258,10 @@ def drawn_values(
 
 
 def drawn_board(study: Study, base: Experiment) -> str:
-    """Return the board of the calibration from which trials draw rigs; empty: the true rig."""
+    """Return the board of the simulated calibrations from which the trials draw their rigs.
+
+    Empty if all trials use the true rig.
+    """
     plan = study.sampling
     if plan.method != "trials" or plan.calibration == "true":
         return ""

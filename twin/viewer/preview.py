@@ -52,13 +52,13 @@ class SliderRange:
 
 @dataclass(frozen=True, eq=False)
 class PreviewPicture:
-    """Images and press of a preview.
+    """Simulated images and press that a preview shows.
 
     Attributes
     ----------
-    experiment : at full size, with the changes
-    fringes, white : (row, col) uint8, 255 at saturation
-    pressed : the press that the images show
+    experiment : the experiment at full image size, with the values that the user changed
+    fringes, white : images with fringes and with white light, (row, col) uint8, 255 at saturation
+    pressed : the press that was rendered in both images
     """
 
     experiment: Experiment

@@ -33,7 +33,7 @@ FaceHeight = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Scattered:
-    """A solved press at points; lengths in mm, world frame."""
+    """A press solved by a reference model, at scattered points; mm, world frame."""
 
     #: world z of each face at points (...) of x and y
     touched: FaceHeight

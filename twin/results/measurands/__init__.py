@@ -106,7 +106,7 @@ class MeasurandKind(QuantityKind):
 
     Attributes
     ----------
-    coat_in_contact : of the coat, only points in contact are fitted; False: all of them
+    coat_in_contact : True: a fit to the coat uses only points in contact; False: all points
     nominal_is_limit : `nominal_mm` is the largest allowed value
     """
 
@@ -135,11 +135,11 @@ class MeasurandKind(QuantityKind):
         raise NotImplementedError(f"measurand {self.name!r} has no function fit")
 
     def nominal_mm(self, nominal: NominalFeature) -> float | None:
-        """Return the length as a nominal feature has it; None where the feature has none."""
+        """Return the length, mm, that a nominal feature states; None if it states none."""
         return nominal.lengths_mm.get(self.name)
 
     def requested_mm(self, request: ObjectMeasurand, feature: Feature) -> float | None:
-        """Return the nominal length of a table: its own, or the specimen's; None without any."""
+        """Return the nominal length, mm, of a table, or else of the specimen; None without both."""
         if request.nominal_mm is not None:
             return request.nominal_mm
         known = self.known_mm(feature)
@@ -151,7 +151,7 @@ class MeasurandKind(QuantityKind):
         return [length for length in lengths if length is not None]
 
     def count(self, feature: Feature) -> int | None:
-        """Return how many features a part has that are measured; None where any number may be."""
+        """Return how many such features a part has; None if the number is not limited."""
         return None
 
     def check(self, request: ObjectMeasurand, specimen: Specimen, feature: Feature) -> None:
@@ -169,13 +169,16 @@ class MeasurandKind(QuantityKind):
             )
 
     def defaults(self, feature: Feature) -> Iterator[ObjectMeasurand]:
-        """Yield measurands of a part that need no table, in addition to its nominal lengths."""
+        """Yield the measurands that a part has without a `[[measurand]]` table.
+
+        The nominal lengths of the part are added by the caller.
+        """
         yield from ()
 
     def theory_mm(self, value_mm: float, sheet: CompensatedSheet) -> tuple[float, ...]:
-        """Return standard uncertainties of the value by the theory of the sheet, if there are any.
+        """Return standard uncertainties, mm, that the model of the sheet causes; () if none.
 
-        Those by the sheet's properties are added without this function.
+        Those that the sheet's properties cause are added by the caller.
         """
         return ()
 

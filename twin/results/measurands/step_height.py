@@ -58,17 +58,18 @@ class IsoStepHeight(MeasurandKind):
 def step_of(
     points: ObjectPoints, feature: Feature, observed: ObjectView, step_mm: float | None
 ) -> FittedValue:
-    """Fit two levels to points, their edges left out as in ISO 5436-1 type A1.
+    """Fit two parallel planes to the upper and the lower level of a step.
 
-    Heights are across the specimen's own plane, however it is tilted.
+    Points near the levels' edges are left out, as in ISO 5436-1 type A1. Heights are measured
+    along the specimen's own z axis, also if the specimen is tilted.
 
     Parameters
     ----------
-    step_mm : nominal height; None: from the highest to the lowest cell
+    step_mm : nominal step height; None: the difference between the highest and the lowest cell
 
     Raises
     ------
-    FitError : no point, no step, or no cell is left
+    FitError : there is no point or no step, or a level has no cell after its edges are removed
     """
     if not len(points.points_mm):
         raise FitError("step: no point of the object in the given ranges")

@@ -87,7 +87,10 @@ class Fingerprint(Specimen):
 
 
 def ridges_mm(print_: Fingerprint, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-    """Return the ridges' height above the mean surface without dome, same shape as x and y."""
+    """Return the height of the ridges above the mean surface, mm, at each x and y.
+
+    The dome of the fingertip is not included.
+    """
     rng = np.random.default_rng(print_.pattern_seed)
     half = np.array([print_.length_x_mm, print_.length_y_mm]) / 2
     core, turn = rng.uniform(-0.15, 0.15, 2) * half, np.deg2rad(90 + rng.uniform(-20, 20))

@@ -33,5 +33,5 @@ class Rod(Specimen):
         return Cylinder(np.zeros(3), np.array([1.0, 0.0, 0.0]), *sizes)
 
     def nominal_features(self) -> tuple[NominalRod, ...]:
-        """Return the rod."""
+        """Return the only nominal feature, the cylinder of the rod."""
         return (NominalRod(self.diameter_mm / 2, self.length_mm, self.edge_radius_mm, along="x"),)
