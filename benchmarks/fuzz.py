@@ -2,7 +2,7 @@
 
 Each case is a seed (`benchmarks.fuzzing`). `--seed N` repeats a case and prints it; bad cases are
 printed at once. Last line: {"cases": n, "tracebacks": 0, "hangs": 0, "crashes": 0,
-"partial_outputs": 0, "foreign_changes": 0, "not_told": 0, ...}.
+"partial_outputs": 0, "foreign_changes": 0, "unreported": 0, ...}.
 """
 
 import argparse
@@ -26,7 +26,7 @@ ENDS = {
     "crashes": "crash",
     "partial_outputs": "partial_output",
     "foreign_changes": "foreign_change",
-    "not_told": "not_told",
+    "unreported": "unreported",
     "other_exit_codes": "exit_code",
 }
 
@@ -91,7 +91,7 @@ def summary(outcomes: list[FuzzOutcome]) -> dict[str, object]:
     return (
         {"cases": len(outcomes)}
         | {name: ends[end] for name, end in ENDS.items()}
-        | {"told": ends["told"], "done": ends["done"], "slowest_s": round(slowest_s, 1)}
+        | {"reported": ends["reported"], "done": ends["done"], "slowest_s": round(slowest_s, 1)}
     )
 
 

@@ -89,9 +89,9 @@ def run_number(name: str, key: str, value: float, folder: Path, limit_s: float) 
         arguments += ["-s", f"{path}={_as_toml(path, setting, key)}"]
     end, message, seconds = run_forked(arguments, folder, _limited, limit_s)
     text = (folder / "stderr").read_text()
-    if end == "told" and len(text.split("twin: ")[-1].splitlines()) > 3:
+    if end == "reported" and len(text.split("twin: ")[-1].splitlines()) > 3:
         end = "long"
-    if end == "told" and not (message and key.split(".")[-1] in text):
+    if end == "reported" and not (message and key.split(".")[-1] in text):
         message = f"(another key) {message}"
     if end == "done" and (figure := _absurd(out / "result.json")):
         end, message = "absurd", figure

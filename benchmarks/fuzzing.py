@@ -9,7 +9,7 @@ that case only. Files that no command may change surround the output folder. A c
 - an output folder has no result, or a working folder remains next to it (`partial_output`);
 - a surrounding file was changed, added or removed (`foreign_change`);
 - the exit code is undocumented (`exit_code`), or an error has no message of a few lines
-  (`not_told`).
+  (`unreported`).
 """
 
 import hashlib
@@ -39,7 +39,7 @@ class FuzzOutcome:
 
     Attributes
     ----------
-    end : "told" (an error message), "done", or the kind of misbehaviour
+    end : "reported" (an error message), "done", or the kind of misbehaviour
     message : the last line on stderr
     seconds : wall-clock time
     """
@@ -54,7 +54,7 @@ class FuzzOutcome:
     @property
     def is_bad(self) -> bool:
         """Return True if the program misbehaved."""
-        return self.end not in ("told", "done")
+        return self.end not in ("reported", "done")
 
 
 # ---- targets -----------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ def run_case(
     arguments = [places.get(part, part) for part in arguments]
     before = _digests(scratch / "kept")
     end, message, seconds = run_forked(arguments, scratch, command, limit_s)
-    if end in ("told", "done"):
+    if end in ("reported", "done"):
         end = "partial_output" if _left_behind(scratch / OUT, end == "done" and leads) else end
         end = end if _digests(scratch / "kept") == before else "foreign_change"
     return FuzzOutcome(seed, target, damage, end, message, seconds)
@@ -243,9 +243,9 @@ def run_forked(
     elif code not in _EXIT_CODES:
         end, message = "exit_code", f"{code}: {last}"
     elif code and not (last and len(lines) <= _MOST_LINES):
-        end, message = "not_told", f"{code}, {len(lines)} lines: {last}"
+        end, message = "unreported", f"{code}, {len(lines)} lines: {last}"
     else:
-        end, message = ("told" if code else "done"), last
+        end, message = ("reported" if code else "done"), last
     return end, message, seconds
 
 

@@ -41,7 +41,7 @@ MODULE = "<module>"
 IGNORED = (".git", ".venv", ".ready", "out", ".*_cache", ".hypothesis", "*.pyc", "__pycache__")
 # Messages, checks, readers, writers and drawing are not physics.
 _SKIPPED_FUNCTIONS = re.compile(
-    r"^_?(plot|draw|show|write|read|load|save|told|explain|refuse|warn|in_words|to_xarray|shapes?_of_array"
+    r"^_?(plot|draw|show|write|read|load|save|explain|refuse|warn|in_words|to_xarray|shapes?_of_array"
     r"|require|check)(_|$)|^__(repr|post_init|str)__$|^_repr_"
 )
 _SKIPPED_CALLS = "Column|Table|require_number|watch|progress|cast|compile_and_keep"

@@ -1,10 +1,12 @@
 """Options with several values, as the documentation writes them."""
 
+from pathlib import Path
+
 import pytest
 
 from twin import cli
 from twin.cli.app import app
-from twin.cli.captures import with_repeated_options
+from twin.cli.calibration import with_repeated_options
 
 ALL = ("k1", "k2", "p1", "p2", "k3")
 
@@ -21,7 +23,7 @@ def test_distortion_coefficients_follow_one_option(device: str, names: tuple[str
         ["-o", "out", *one_by_one, "captures"],
     ):
         command, bound, _ = app.parse_args(with_repeated_options(["calibrate", *words]))
-        assert command is cli.captures.calibrate
+        assert command is cli.calibration.calibrate
         assert bound.arguments[f"{device}_distortion"] == names
         assert str(bound.arguments["source"]) == "captures"
 
@@ -31,7 +33,10 @@ def test_other_words_stay_as_they_are() -> None:
     assert with_repeated_options(words) == words
 
 
-def test_the_program_takes_them(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_program_takes_them(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     words = ["calibrate", "--camera-distortion", "k1", "k2", "nowhere", "-o", "out"]
     assert cli.run(words) == 2
     assert "nowhere: no such folder of captures" in capsys.readouterr().err

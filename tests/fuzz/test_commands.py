@@ -42,7 +42,7 @@ def _seed_of(target: str) -> int:
         ("import os; os.mkdir('kept/.half')", "partial_output"),
         ("import os; os.mkdir('kept/out')", "partial_output"),
         ("import sys; sys.exit(7)", "exit_code"),
-        ("import sys; print('x\\n' * 100, file=sys.stderr); sys.exit(2)", "not_told"),
+        ("import sys; print('x\\n' * 100, file=sys.stderr); sys.exit(2)", "unreported"),
     ],
 )
 def test_misbehaviour_is_seen(tmp_path, ending, end):
@@ -99,6 +99,6 @@ def test_commands_survive_damaged_input(stock):
     bad = {key: value for key, value in result.items() if key.endswith("s") and key != "cases"}
     assert done.returncode == 0, done.stdout
     assert result["cases"] == 8
-    assert result["told"] > 2
+    assert result["reported"] > 2
     assert not any(bad[name] for name in ("tracebacks", "hangs", "crashes", "partial_outputs"))
     assert not bad["foreign_changes"]

@@ -133,12 +133,12 @@ def test_scatter_needs_repeats_and_a_mean() -> None:
 def test_the_chains_keep_detailed_balance() -> None:
     """Variance of seven fields when one row measures their sum: 1 - 1 / (7 + 0.25) each.
 
-    6 chains of 1000 independent samples estimate it to 0.5 %; emcee's snooker move with a weight of
-    0.1 narrows it by 1.5 %.
+    10 chains of 1000 independent samples estimate it to 0.4 %; emcee's snooker move with a weight
+    of 0.1 narrows it by 1.5 %.
     """
     problem = linear_problem({"sum": {"value": 1.0, "sd": 0.5}}, fields=7)
     likelihood = likelihood_of(problem, problem.rows, linear_emulators(np.ones((1, 7)), ["sum"]))
-    variance = np.mean([sample(likelihood, seed).z.var(axis=0).mean() for seed in range(6)])
+    variance = np.mean([sample(likelihood, seed).z.var(axis=0).mean() for seed in range(10)])
     assert variance == pytest.approx(1 - 1 / 7.25, rel=0.01)
 
 

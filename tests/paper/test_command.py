@@ -8,7 +8,7 @@ from twin.cli import run
 
 
 def test_one_table_and_one_figure(tmp_path, capsys):
-    """No rendering: the mixes' hardness as table and graph, again the same of two workers."""
+    """No rendering: hardness as table and graph, the same with one worker and with two."""
     out = tmp_path / "paper"
     assert run(["paper", "-o", str(out), "--only", "hardness", "--trials", "2", "-j", "1"]) == 0
     assert f"wrote {out / 'report.html'}" in capsys.readouterr().out
@@ -19,7 +19,7 @@ def test_one_table_and_one_figure(tmp_path, capsys):
     assert "| A |" in (out / "tables.md").read_text(encoding="utf-8")
     assert json.loads((out / "result.json").read_text())["command"] == "paper"
     assert (out / "experiment.toml").is_file()
-    assert run(["paper", "-o", str(out), "--only", "hardness", "--trials", "2"]) == 0
+    assert run(["paper", "-o", str(out), "--only", "hardness", "--trials", "2", "-j", "2"]) == 0
     assert (out / "tables.json").read_bytes() == first
 
 

@@ -65,8 +65,6 @@ def test_the_page_drawn_at_once_is_the_page_drawn_later(done, folder, tmp_path):
     """Expected: the same bytes from the arrays at hand as from those in the folder."""
     at_hand = as_stored(folder, done)
     assert summary_table(at_hand) == summary_table(read_measurement(folder))
-    if done.experiment.method.presses:
-        return  # tests/cli/test_commands.py compares its pages
     pages = []
     for name, measured in (("at_once", at_hand), ("later", read_measurement(folder))):
         (tmp_path / name).mkdir()

@@ -7,6 +7,7 @@ from reconstruction.machine import keep_freed_memory
 
 # These modules register their commands with the application.
 from twin.cli import adopt as adopt
+from twin.cli import calibration as calibration
 from twin.cli import captures as captures
 from twin.cli import forward as forward
 from twin.cli import identify as identify
@@ -35,7 +36,7 @@ def run(arguments: list[str] | None = None) -> int:
 
 def _dispatch(words: list[str]) -> int | None:
     introduce()
-    written = captures.with_repeated_options(load_plugins(words))
+    written = calibration.with_repeated_options(load_plugins(words))
     done = app(written, exit_on_error=False, print_error=False, result_action="return_value")
     return None if done is None else int(done)
 

@@ -1,0 +1,156 @@
+"""Commands for calibrations: of captures of a board, and of the files of other programs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+from twin.cli.app import (
+    Out,
+    Settings,
+    app,
+    load,
+    print_metrics,
+    progress_bars,
+    say,
+)
+
+if TYPE_CHECKING:
+    from twin.config import Experiment
+
+Coefficient = Literal["k1", "k2", "p1", "p2", "k3"]
+_TAKING_COEFFICIENTS = ("--camera-distortion", "--projector-distortion")
+
+
+def with_repeated_options(words: Sequence[str]) -> list[str]:
+    """Write `--camera-distortion k1 k2` as one option for each coefficient.
+
+    Cyclopts assigns either one word to an option or all following words, including the source.
+    """
+    written: list[str] = []
+    option = ""
+    for word in words:
+        if word.startswith("-"):
+            option = word if word in _TAKING_COEFFICIENTS else ""
+        elif option and word in get_args(Coefficient) and written[-1] != option:
+            written.append(option)
+        else:
+            option = option if word in get_args(Coefficient) else ""
+        written.append(word)
+    return written
+
+
+@app.command
+def calibrate(
+    source: Path,
+    /,
+    *,
+    out: Out,
+    board: str = "boards/paper_dots",
+    settings: Settings = None,
+    camera_distortion: tuple[Coefficient, ...] = ("k1",),
+    projector_distortion: tuple[Coefficient, ...] = (),
+    camera_pixel_ratio: float = 1.0,
+    projector_pixel_ratio: float = 1.0,
+    keep_captures: bool = False,
+    as_images: bool = False,
+) -> None:
+    """Calibrate camera and projector on captures of a board, or on rendered ones.
+
+    Parameters
+    ----------
+    source
+        Folder with one capture folder per board pose; or an experiment, to render its rig.
+    board
+        Board file, or the name of a shipped board.
+    camera_distortion, projector_distortion
+        Coefficients to estimate, for example k1 k2.
+    camera_pixel_ratio, projector_pixel_ratio
+        Width of a pixel over its height; 2 for a diamond chip such as 912 x 1140.
+    keep_captures
+        Keep the rendered captures as captures/pose_NN.
+    as_images
+        Keep them as PNG images, as a real camera gives them; camera.bit_depth=8 makes 8-bit ones.
+    """
+    from reconstruction.calibration import AdjustOptions, Freedom
+    from twin.config.board import load_board
+    from twin.output import output_folder
+    from twin.pipeline import calibration
+    from twin.report.calibration import draw_calibration
+
+    shown = load_board(board)
+    freedom = Freedom(
+        camera_distortion,
+        projector_distortion,
+        camera_pixel_ratio=camera_pixel_ratio,
+        projector_pixel_ratio=projector_pixel_ratio,
+    )
+    options = AdjustOptions(freedom)
+    with output_folder(out, [source, Path(board)]) as folder:
+        with progress_bars() as watch:
+            if source.is_dir():
+                done = calibration.calibrate_captures(source, shown, options, watch=watch)
+            else:
+                keep = folder / "captures" if keep_captures or as_images else None
+                rig = _rig(source, settings)
+                done = calibration.calibrate_rendered(
+                    rig, shown, options, keep=keep, as_images=as_images, watch=watch
+                )
+        figures = calibration.write_board_calibration(folder, done)
+        draw_calibration(folder, done)
+    print_metrics(figures)
+    say(f"wrote {out}")
+
+
+@app.command(name="import-calibration")
+def import_calibration(
+    *files: Path,
+    out: Out,
+    camera_size: tuple[int, int] | None = None,
+    projector_size: tuple[int, int] | None = None,
+    unit: Literal["mm", "cm", "m"] = "mm",
+    projector_first: bool = False,
+    standoff_mm: float | None = None,
+) -> None:
+    """Take over a calibration of OpenCV, MATLAB or a scanner program; see docs/calibration.md.
+
+    Parameters
+    ----------
+    files
+        YAML, XML or MAT files that together hold both camera matrices, distortions, R and T.
+    camera_size, projector_size
+        Width and height, px, if no file contains them.
+    unit
+        Of the files' lengths.
+    projector_first
+        The files' first (left) device is the projector.
+    standoff_mm
+        From the camera to the world's origin; default: where both axes come nearest.
+    """
+    from reconstruction.rig.importing import Importing
+    from reconstruction.rig.importing import import_calibration as read
+    from twin.output import output_folder
+    from twin.pipeline.calibration import CALIBRATION_FILE, write_imported
+
+    options = Importing(camera_size, projector_size, unit, projector_first, standoff_mm)
+    imported = read(files, options)
+    with output_folder(out, files) as folder:
+        figures = write_imported(folder, imported)
+    for wanted, name in imported.used.items():
+        say(f"{wanted}: {name}")
+    print_metrics(figures)
+    say(f"wrote {out / CALIBRATION_FILE}")
+
+
+def _rig(source: Path, settings: Settings) -> "Experiment":
+    from reconstruction.errors import InputError
+    from twin.assets import AssetError
+
+    try:
+        return load(source, settings)
+    except AssetError:
+        if source.suffix == ".toml":
+            raise
+        raise InputError(
+            f"{source}: no such folder of captures and no such experiment; give the folder that "
+            "holds one capture folder per board pose, or an experiment such as paper/two_balls"
+        ) from None
