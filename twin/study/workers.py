@@ -28,6 +28,8 @@ _THREAD_VARIABLES = (
 
 _CONNECT_WITHIN = "20s"
 _WAITS_FOR_EVER = sys.version_info < (3, 11, 5)
+# The thread that writes tasks to the workers ends within milliseconds unless its pipe is full.
+_WRITER_ENDS_S = 1.0
 
 
 def _end(executor: Executor) -> None:
@@ -201,13 +203,25 @@ class _LimitedPool(ProcessPoolExecutor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         queue: Any = vars(self).get("_call_queue")
         if _WAITS_FOR_EVER and vars(self).get("_broken") and queue is not None:
-            # The workers are ended: writing to them must fail instead of waiting for a reader
-            # (CPython's issue 94777; its later versions close it themselves).
-            queue._reader.close()
+            _fail_blocked_writer(queue)
         if isinstance(sys.exc_info()[1], KeyboardInterrupt):  # do not wait for running batches
             for child in multiprocessing.active_children():
                 child.terminate()
         super().shutdown(wait, cancel_futures=cancel_futures)
+
+
+def _fail_blocked_writer(queue: Any) -> None:
+    """Let a thread that writes to ended workers fail instead of waiting for a reader.
+
+    CPython's issue 94777; its later versions do this themselves. The thread closes the reader when
+    it ends. Only a blocked one does not: two threads must not close the same descriptor.
+    """
+    writer = queue._thread
+    if writer is None:
+        return
+    writer.join(_WRITER_ENDS_S)
+    if writer.is_alive():
+        queue._reader.close()
 
 
 @contextmanager
