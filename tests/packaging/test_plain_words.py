@@ -24,6 +24,7 @@ ROOT = Path(__file__).parents[2]
 RECORD = Path(__file__).with_name("everyday_words.json")
 MOST_PER_1000 = 3.0
 LEAST_WORDS = 300  # of a folder that is judged: in fewer words one occurrence decides
+SPARE_WORDS = 2  # more than the recorded rate allows: a word such as "nothing" may be the right one
 
 
 def prose(path: Path) -> str:
@@ -100,8 +101,10 @@ def test_everyday_words_are_rare():
 
 def test_no_folder_gets_more_everyday_words():
     for folder, rate in rates().items():
+        everyday, words = counts()[folder]
         most = record()["most_per_1000"].get(folder, MOST_PER_1000)
-        assert rate <= most, f"{folder}: found {rate:.2f} per 1000 words, allowed {most}"
+        message = f"{folder}: found {rate:.2f} per 1000 words, allowed {most}"
+        assert everyday <= most * words / 1000 + SPARE_WORDS, message
 
 
 def test_words_are_counted_outside_code_only():

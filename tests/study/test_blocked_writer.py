@@ -1,4 +1,4 @@
-"""A worker that dies leaves a thread that writes to it: it ends, blocked or not."""
+"""The thread that sends tasks to workers ends after a worker died, whether blocked or not."""
 
 import multiprocessing
 from typing import Any
