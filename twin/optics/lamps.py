@@ -36,11 +36,11 @@ class Emitters:
     ----------
     positions_mm : (emitter, xyz) float
     aims : (emitter, xyz) float, unit vectors
-    exponents : (emitter,) float
+    exponents : (emitter,) float; exponent m of the angular distribution cos^m
     intensity : (emitter, channel) float, mW/sr along the aim; red, green, blue
-    fill : (channel,) float, mW/mm^2 on the undeformed coat
-    mirrored : (emitter,) bool; images of LEDs, with the light that the outer face reflects
-    ior : index of the coat's medium; 1: it is in air, and there are no images
+    fill : (channel,) float; irradiance of the undeformed coat by the fill, mW/mm^2
+    mirrored : (emitter,) bool; True for mirror images of LEDs, whose light the outer face reflects
+    ior : refractive index of the coat's medium; 1: the coat is in air, without mirror images
     """
 
     positions_mm: FloatArray
@@ -59,7 +59,7 @@ class Emitters:
     def irradiance(
         self, points_mm: FloatArray, normals: FloatArray, absorption: float = 0.0
     ) -> FloatArray:
-        """Return the irradiance of each channel, mW/mm^2, without cast shadows.
+        """Return the irradiance at surface points in each channel, mW/mm^2, without cast shadows.
 
         Parameters
         ----------
@@ -93,18 +93,18 @@ def sky_seen(n_z: Any, dark_cap: float) -> Any:
     Parameters
     ----------
     n_z : vertical component of the facet's normal; number, array or Dr.Jit variable
-    dark_cap : as of `Emitters`
+    dark_cap : view factor of the dark cap, see `Emitters.dark_cap`
     """
     return (0.5 * (1.0 + n_z) - dark_cap * n_z) / (1.0 - dark_cap)
 
 
 def reflected_within(cosine: FloatArray, ior: float) -> FloatArray:
-    """Return the Fresnel reflectance of an interface to air for unpolarised light from inside.
+    """Return the Fresnel reflectance for unpolarised light from a medium onto its face to air.
 
     Parameters
     ----------
-    cosine : of the angle to the face's normal, inside
-    ior : inside, relative to air
+    cosine : cosine of the angle in the medium to the normal of the face
+    ior : refractive index of the medium, relative to air
     """
     inside = np.minimum(np.abs(cosine), 1.0)
     outside = np.sqrt(np.maximum(1.0 - ior**2 * (1.0 - inside**2), 0.0))  # 0: total
@@ -119,12 +119,13 @@ def emitters_of(
     *,
     face: OuterFace | None = None,
 ) -> Emitters:
-    """Place the LEDs of all rows, sorted by the rows' names, then their images.
+    """Return the LEDs of all lamps, sorted by the lamps' names, followed by their mirror images.
 
     Parameters
     ----------
     flux : (LED,) float, optional
-        Of each LED, relative to nominal; the fill of a row scales with the mean of its LEDs.
+        Flux of each LED, relative to nominal; None: nominal. The fill of a lamp scales with the
+        mean flux of its LEDs.
     face : outer face of the layers that contain the coat; None: the coat is in air
     """
     rows = [lamps[name] for name in sorted(lamps)]
@@ -152,7 +153,7 @@ def emitters_of(
 
 
 def _with_images(leds: Emitters, face: OuterFace) -> Emitters:
-    """Add the mirror image of every LED in the outer face."""
+    """Return the LEDs, followed by the mirror image of every LED in the outer face."""
     places = leds.positions_mm * (1.0, 1.0, -1.0) + (0.0, 0.0, 2.0 * face.height_mm)
     return replace(
         leds,
@@ -166,7 +167,7 @@ def _with_images(leds: Emitters, face: OuterFace) -> Emitters:
 
 
 def drifted_flux(lamps: Mapping[str, Lamp], rng: np.random.Generator) -> FloatArray | None:
-    """Draw the relative flux of each LED in one press, (LED,); None without drift."""
+    """Draw the flux of each LED in one press, relative to nominal, (LED,); None without drift."""
     rows = [lamps[name] for name in sorted(lamps)]
     if not any(lamp.drift_percent or lamp.led_drift_percent for lamp in rows):
         return None
@@ -180,7 +181,10 @@ def drifted_flux(lamps: Mapping[str, Lamp], rng: np.random.Generator) -> FloatAr
 
 
 def _deviations(drawn: FloatArray) -> FloatArray:
-    """Return deviations from the mean, scaled to the SD of the draws: LEDs share one current."""
+    """Return the draws minus their mean, scaled so that the SD of each remains that of the draws.
+
+    The drift that all LEDs of a lamp share is drawn separately.
+    """
     count = len(drawn)
     return np.asarray((drawn - drawn.mean()) * np.sqrt(count / max(count - 1, 1)))
 
@@ -196,10 +200,11 @@ def _row(lamp: Lamp) -> tuple[FloatArray, FloatArray]:
 
 
 def _heights(count: int) -> FloatArray:
-    """Heights along a tall row, -0.5 to 0.5: evenly distributed, with distant neighbours.
+    """Return the relative heights of the LEDs in a tall row, -0.5 to 0.5, (emitter,).
 
-    Ranks of the van der Corput sequence (Hammersley's points with the positions along the row), so
-    that every part of the row has LEDs at all heights.
+    The heights are evenly distributed, and every part of the row has LEDs at all heights: they are
+    ranks of the van der Corput sequence. With the positions along the row they form Hammersley's
+    points.
     """
     digits = (np.arange(count)[:, np.newaxis] >> np.arange(8)) & 1
     rank = np.argsort(np.argsort(digits @ 0.5 ** np.arange(1, 9)))
@@ -207,17 +212,20 @@ def _heights(count: int) -> FloatArray:
 
 
 def _steps(lamp: Lamp) -> FloatArray:
-    """Centres of equal parts of the row, -0.5 to 0.5; a single LED is in the middle."""
+    """Return the relative positions of the LEDs along a row, -0.5 to 0.5, (emitter,).
+
+    The positions are the centres of equal parts of the row; a single LED is in the middle.
+    """
     return np.asarray((np.arange(lamp.emitters) + 0.5) / lamp.emitters - 0.5)
 
 
 def _intensity(lamp: Lamp) -> FloatArray:
-    """Intensity of each LED along its aim, mW/sr; (emitter, channel)."""
+    """Return the radiant intensity of each LED along its aim, mW/sr, (emitter, channel)."""
     shares = 1.0 + lamp.taper * (0.5 - 6.0 * _steps(lamp) ** 2)
     even = lamp.flux_mw * (lamp.exponent + 1.0) / (2.0 * np.pi)
     return np.outer(even * shares / shares.sum(), _channel(lamp))
 
 
 def _channel(lamp: Lamp) -> FloatArray:
-    """1 at the lamp's channel, else 0."""
+    """Return 1 for the lamp's channel and 0 for the others, (channel,)."""
     return np.array([channel == lamp.channel for channel in CHANNELS], dtype=np.float64)
