@@ -60,7 +60,7 @@ class Balance:
     absorbed : absorbed in or at clear or polished bodies
     deposited : incident on the stage
     escaped : out of the scene
-    lost : incident on a body that is neither clear nor polished nor the stage
+    lost : incident on other bodies, except the stage
     cut : of photons that did not end within `MOST_EVENTS` reflections and refractions
     """
 
