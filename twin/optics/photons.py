@@ -109,7 +109,7 @@ class _Ends:
 
 
 def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed: int) -> Photons:
-    """Trace photons from the projector to the stage.
+    """Trace photons from the projector; return those that end on the stage.
 
     Parameters
     ----------

@@ -49,9 +49,9 @@ def renderer_session() -> Iterator[Backend]:
 
 
 def activate() -> Backend:
-    """Activate the backend of this machine without restoring the previous variant; return it.
+    """Activate the backend of this machine permanently, and return the backend.
 
-    Further calls have no effect while the variant remains the same.
+    A further call has no effect if the variant of the backend is still active.
 
     Raises
     ------

@@ -135,9 +135,10 @@ def demo_page(balls: Measurement, further: Sequence[Measurement]) -> Page:
 
 
 def renamed(sections: Sequence[Section], name: str, title: str) -> list[Section]:
-    """Return sections in which all names start with `name` and all titles with `title`.
+    """Return sections whose names start with `name` and whose titles start with `title`.
 
-    On the page of the demo, this distinguishes them from the sections of the balls.
+    Names of figures and tables in the sections also start with `name`. On the page of the demo,
+    this distinguishes the sections from those of the balls.
     """
     return [
         Section(

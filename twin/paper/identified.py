@@ -200,7 +200,10 @@ def _source(alternative: str) -> str:
 
 
 def worth_table() -> Table:
-    """Return the remaining share of each field's variance after one more measurement."""
+    """Return the remaining share of each field's variance after one more measurement.
+
+    The most informative measurement is in the first row.
+    """
     free, worth = problem().free, identified()["worth"]
     rows: list[dict[str, Cell]] = [
         {"measurement": problem().worth[name].source, "sd": problem().worth[name].sd} | left

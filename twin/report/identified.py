@@ -1,4 +1,4 @@
-"""The report of an identification: determined and undetermined fields, and useful measurements."""
+"""Report of an identification: fields, rows, alternative models, benefit of more measurements."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -33,7 +33,9 @@ def write_identified(
     watch: ProgressCallback = no_progress,
     into: Path | None = None,
 ) -> Path:
-    """Write `report.html` and `figures/*.png`.
+    """Write `report.html` and `figures/*.png` of an identification; return the path of the page.
+
+    The files are written into `into`, or into `folder` if `into` is None.
 
     Raises
     ------
@@ -111,7 +113,7 @@ def _agreement(question: str, rows: Sequence[Prediction]) -> Verdict:
 
 
 def ridge_words(ridge: Ridge) -> str:
-    """Return a ridge in words: the joint change of fields that does not change the rows."""
+    """Return the text for a ridge, a joint change of fields that does not change the rows."""
     first, *rest = ridge.share.items()
     changes = [f"{name} {'down' if part * first[1] > 0 else 'up'}" for name, part in rest]
     return f"{first[0]} up with {', '.join(changes)} changes no row"
@@ -368,7 +370,10 @@ def _emulators(identified: Identified) -> list[Block]:
 
 
 def _sampling(identified: Identified) -> Note:
-    """Return the convergence of the chains, for the choices with the fewest independent samples."""
+    """Return a note on the convergence of the Markov chains.
+
+    It is on the combination of choices whose chains have the fewest independent samples.
+    """
     worst = min(
         (model.posterior for model in identified.models), key=lambda model: model.independent
     )
