@@ -4,7 +4,10 @@ from typing import Any
 
 
 def level(value: float) -> dict[str, Any]:
-    """Return the dictionary of a constant spectrum; `mi.load_dict` reads a number as a colour."""
+    """Return the dictionary of a constant spectrum for `mi.load_dict`.
+
+    `mi.load_dict` would read a number without this dictionary as a colour.
+    """
     return {"type": "spectrum", "value": value}
 
 
@@ -23,5 +26,5 @@ def microfacets(kind: str, roughness: float, **index: Any) -> dict[str, Any]:
 
 
 def fresnel_at_normal(n: float, k: float = 0.0) -> float:
-    """Return the reflectance at normal incidence of a complex index n + ik against air."""
+    """Return the Fresnel reflectance at normal incidence, in air, of a material of index n + ik."""
     return ((n - 1.0) ** 2 + k**2) / ((n + 1.0) ** 2 + k**2)

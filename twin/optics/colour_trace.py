@@ -211,8 +211,8 @@ def _brdf_upright(hit: Any, bsdf: Any) -> Any:
 def _filled(table: _Table, hit: Any, brdf: Any) -> Any:
     """Return the radiance due to the fill light, mW / (mm^2 sr).
 
-    The fill comes from many directions, but `brdf` is that of light along the normal. This is exact
-    for a matte coat. For flakes the error is small, because the fill is uniform.
+    The fill is incident from many directions, but `brdf` is that of light along the normal. This is
+    exact for a matte coat. For flakes the error is small, because the fill is uniform.
     """
     sky = dr.select(hit.is_valid(), sky_seen(hit.sh_frame.n.z, table.dark_cap) * brdf, 0.0)
     return sky * table.fill

@@ -67,7 +67,7 @@ def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) ->
     Parameters
     ----------
     hit : surface interaction; where it is not valid, the weight is 0
-    bsdf : of the hit surface
+    bsdf : BSDF of the hit surface
     coherent : True if neighbouring lanes have similar shadow rays
     """
     light = _arrive(rig, hit.p)

@@ -54,7 +54,7 @@ class Device:
         """Return the world ray (`mi.Ray3f`, unit direction) through continuous pixel coordinates.
 
         For a device with a thin lens, this is the chief ray. The distortion polynomial cannot be
-        inverted beyond some radius: for pixels there the ray has length 0 and hits nothing.
+        inverted beyond some radius: for pixels there the ray has length 0 and no hit.
         """
         x, y, exists = self._slopes(x_px, y_px)
         right, down, forward = self._axes()

@@ -154,7 +154,7 @@ class MarchedHeights:
         return met, self.is_free(ray(met.t), -ray.d, met.valid & (met.t < ray.maxt))
 
     def is_crossed(self, ray: Any, active: Any) -> Any:
-        """Return which rays meet the sheet before their end, from above or below, `mi.Bool`."""
+        """Return True for rays that meet the sheet before `ray.maxt`, from above or below."""
         ends = mi.Float(0.0), ray.maxt
         return self._walk(self._track(ray.o, ray.d), (ray.o.z, ray.d.z), ends, active)[2]
 

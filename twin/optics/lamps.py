@@ -1,20 +1,24 @@
 """Lamps of a photometric-stereo sensor as rows of point emitters, and their light in closed form.
 
-World frame, mm. The irradiance of an LED is I0 cos^m(theta) cos(incidence) exp(-a r) / r^2, up to
-theta = 90 degrees. r is its distance, theta the angle between its aim and the direction to the
-coat, and I0 is (m + 1) / 2 pi times its flux. Light paths from LED to coat are straight: LEDs
-couple into the gel through its side, and the window above it is assumed to have the gel's index n.
+Coordinates are in the world frame, mm. The irradiance of the coat by an LED is
+I0 cos^m(theta) cos(incidence) exp(-a r) / r^2, up to theta = 90 degrees. r is the distance of the
+LED, theta the angle between its aim and the direction to the coat, a the absorption coefficient of
+the gel, and I0 is (m + 1) / 2 pi times the flux of the LED. Light paths from LED to coat are
+straight: LEDs couple into the gel through its side, and the window above the gel is assumed to have
+the gel's index n.
 
 The window's outer face reflects light that an LED emits upwards: by Fresnel, and totally beyond the
-critical angle c, sin c = 1 / n. This light has the direction of the LED's mirror image in that
-face. Left out is a second reflection at the outer face, after the coat.
+critical angle c, sin c = 1 / n. The reflected light has the direction of light from the mirror
+image of the LED in this face. A second reflection at the outer face, after the coat, is not
+modelled.
 
 The window's outer face totally reflects the share 1 - 1 / n^2, about 50 %, of the light that the
 coat scatters (beyond c). Together with light from the housing it fills the shadows. This fill is
 not traced: its radiance is assumed constant at all points and from all directions beyond c, and 0
-within c. For a facet of normal n the view factor of the whole sky is (1 + n_z) / 2. That of the
-dark cap within c is n_z / n^2 if the whole cap is above the facet (tilts up to 90 degrees - c). On
-slopes of up to 45 degrees the fill equals that on the undeformed coat.
+within c. For a facet with the vertical component n_z of its normal, the view factor of the whole
+sky is (1 + n_z) / 2. The view factor of the dark cap within c is n_z / n^2 if the whole cap is
+above the facet (tilts up to 90 degrees - c). On slopes of up to 45 degrees the fill equals that on
+the undeformed coat.
 """
 
 from collections.abc import Mapping
@@ -39,7 +43,7 @@ class Emitters:
     exponents : (emitter,) float; exponent m of the angular distribution cos^m
     intensity : (emitter, channel) float, mW/sr along the aim; red, green, blue
     fill : (channel,) float; irradiance of the undeformed coat by the fill, mW/mm^2
-    mirrored : (emitter,) bool; True for mirror images of LEDs, whose light the outer face reflects
+    mirrored : (emitter,) bool; True for mirror images of LEDs: light that the outer face reflects
     ior : refractive index of the coat's medium; 1: the coat is in air, without mirror images
     """
 

@@ -1,9 +1,9 @@
 """Light through plane-parallel clear layers: Snell and Fresnel in closed form, without sampling.
 
-World frame, z up. Light propagates down from the air through the media 1 .. m, each below its own
-horizontal interface; medium m contains the surface. d_i is the vertical distance in medium i (air
-is 0), t the tangent of the angle to the vertical IN AIR. Snell's invariant s = t / sqrt(1 + t^2)
-determines the horizontal distance
+Coordinates are in the world frame, z up. Light propagates down from the air through the media
+1 .. m, each below its own horizontal interface; medium m contains the surface. d_i is the vertical
+distance in medium i (air is 0) and n_i the index of medium i. t is the tangent of the angle to the
+vertical IN AIR. Snell's invariant s = t / sqrt(1 + t^2) determines the horizontal distance
 
     r(t) = sum_i d_i t / q_i,   q_i = sqrt(n_i^2 + (n_i^2 - 1) t^2) = sqrt((n_i^2 - s^2) (1 + t^2)),
 
@@ -45,7 +45,7 @@ class RefractedRay:
     def transmission(self, distance_mm: Any) -> Any:
         """Return radiance in air / radiance at the surface, which is at `distance_mm` on the ray.
 
-        The ratio is 0 if the ray meets no surface (infinite distance) in an absorbing medium.
+        If the medium absorbs, the ratio is 0 for rays without a hit (infinite distance).
         """
         if not self.absorption_per_mm:
             return self.transmittance

@@ -44,7 +44,7 @@ in the logarithm of the variance. The second derivative of an edge by this logar
 0.081, so that the error is at most 0.081 / 8 (ln(2) / 4)^2 = 3e-4 of white."""
 
 LEAST_VARIANCE_PX2 = 0.1**2
-"""Smallest blur variance of the tables; smaller blurs are not resolved by nodes 1/16 px apart."""
+"""Smallest blur variance of the tables; nodes at a spacing of 1/16 px do not resolve less blur."""
 
 
 @dataclass(frozen=True)

@@ -198,7 +198,7 @@ def _add_samples(
     Parameters
     ----------
     frame_values : light of one sample number in every frame
-    active : pixels whose samples do not form a smooth patch
+    active : pixels with samples that do not form a smooth patch
     """
 
     def add_sample(*state: Any) -> tuple[Any, ...]:

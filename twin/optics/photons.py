@@ -61,7 +61,7 @@ class Balance:
     deposited : incident on the stage
     escaped : out of the scene
     lost : incident on other bodies, except the stage
-    cut : of photons that did not end within `MOST_EVENTS` reflections and refractions
+    cut : flux of photons that did not end within `MOST_EVENTS` reflections and refractions
     """
 
     sent: float

@@ -73,7 +73,7 @@ def projector_pinhole(projector: Projector) -> Pinhole:
 
 
 def world_from_device(pose: Pose, pinhole: Pinhole) -> FloatArray:
-    """Return T_world_from_device (4, 4), mm; the ray of the image centre meets the world origin.
+    """Return T_world_from_device (4, 4), mm; the image centre's ray is through the world origin.
 
     At polar 0 and roll 0 the right of the image is world +x and the top is world +y.
     """
@@ -157,10 +157,10 @@ def lens_places(side: int) -> FloatArray:
     """Return the pupil position of every sub-pixel sample, (side * side, xy), in lens radii.
 
     The points of a spiral of equal areas (Vogel 1979) are assigned to the square grid of sub-pixels
-    with a stride that is coprime to the number of points. Neighbours on the grid are therefore far
-    apart on the lens. Of all strides and several rotations of the spiral, the function uses those
-    with the smallest correlation of pupil and sub-pixel positions. The blurs of pixel box and lens
-    are then independent (with fewer than 25 samples only approximately).
+    with a stride that is coprime to the number of points. Neighbours on the grid are therefore at a
+    large distance on the lens. Of all strides and several rotations of the spiral, the function
+    uses the pair with the smallest correlation of pupil and sub-pixel positions. The blurs of pixel
+    box and lens are then independent (with fewer than 25 samples only approximately).
     """
     samples = side * side
     if samples == 1:

@@ -30,7 +30,8 @@ class _Nesting:
 def renderer_session() -> Iterator[Backend]:
     """Give this thread exclusive use of Mitsuba and Dr.Jit; a context manager or a decorator.
 
-    The context is the active backend. Import modules that import Mitsuba within a session.
+    The value of the context is the active backend. Modules that import Mitsuba must be imported
+    within a session.
 
     Raises
     ------
@@ -70,7 +71,7 @@ def activate() -> Backend:
 
 @contextmanager
 def renderer_threads(count: int) -> Iterator[None]:
-    """Context in which Dr.Jit uses `count` threads, whatever thread limit the environment sets.
+    """Context in which Dr.Jit uses `count` threads, even if the environment sets a lower limit.
 
     Raises
     ------

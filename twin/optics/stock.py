@@ -115,7 +115,7 @@ def _interpolate(table: LightTable, profile: int, at_px: FloatArray) -> FloatArr
 
 
 def emitter_dict(texture: FloatImage, rig: Rig, canvas: Canvas) -> dict[str, Any]:
-    """Return the dictionary of a stock emitter with the light of a frame, scaled to mW.
+    """Return the dictionary of a stock emitter with the light of a frame and the rig's irradiance.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ Coordinates are in the world frame, mm. One module draws the scene for each outp
 |---|---|
 | picture in soft light, with materials | `twin.optics.picture` |
 | figure of a relief, by Matplotlib | `twin.report.relief` |
-| view in a report that the reader turns | `twin.report.view` |
+| 3-D view in a report, turned by dragging | `twin.report.view` |
 | live view in a browser | `twin.viewer.live` |
 """
 
@@ -107,7 +107,7 @@ class SceneSurface:
 
 
 def _joined(points_mm: Numbers, cut: float | None) -> BoolImage:
-    """Return True for cells, (row - 1, col - 1), whose four edges are finite and not too long.
+    """Return True for cells, (row - 1, col - 1), with four finite edges that are not too long.
 
     The limit is `cut` times the median length of all edges; None: no limit.
     """

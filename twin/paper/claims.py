@@ -42,7 +42,7 @@ class Claim:
 
 
 def claims_of(tables: dict[str, Table]) -> list[Claim]:
-    """Return the comparison with every target whose table is among `tables` (by name)."""
+    """Return the comparisons with all targets for which `tables` (by name) contains the table."""
     claims: list[Claim] = []
     if "repeated_fit" in tables:
         claims += _rmse_claims(tables["repeated_fit"])
@@ -133,7 +133,10 @@ def _radius_claims(table: Table) -> list[Claim]:
 
 
 def _consistency(table: Table) -> list[Claim]:
-    """Compare SD and mean of the first five trials with those of all, within sampling limits."""
+    """Return comparisons of the first five trials with all trials: SD and mean of the radius.
+
+    The target ranges are the sampling limits for five trials.
+    """
     claims = []
     for method, region in _AS_EVALUATED:
         key = (method, region, TWIN)

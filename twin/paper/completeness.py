@@ -100,7 +100,7 @@ def completeness_of(
 
 
 def in_contact(pressed: PressedElastomer, points_mm: FloatArray) -> Mask:
-    """Return True for points (..., xyz), world mm, whose nearest cell touches the specimen."""
+    """Return True for points (..., xyz), world mm, if the nearest cell touches the specimen."""
     col = _nearest(pressed.x_mm, points_mm[..., 0])
     row = _nearest(pressed.y_mm, points_mm[..., 1])
     return np.asarray(pressed.contact[row, col])

@@ -135,10 +135,10 @@ def demo_page(balls: Measurement, further: Sequence[Measurement]) -> Page:
 
 
 def renamed(sections: Sequence[Section], name: str, title: str) -> list[Section]:
-    """Return sections whose names start with `name` and whose titles start with `title`.
+    """Return copies of sections with `name` before all names and `title` before section titles.
 
-    Names of figures and tables in the sections also start with `name`. On the page of the demo,
-    this distinguishes the sections from those of the balls.
+    Names are those of sections, figures and tables. On the page of the demo, this distinguishes the
+    sections from those of the balls.
     """
     return [
         Section(

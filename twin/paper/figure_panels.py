@@ -207,6 +207,6 @@ def show_histogram(axes: Axes, data: PanelData, number: int, limit_um: float) ->
 
 
 def no_measurement(axes: Axes, words: str = "not measured") -> None:
-    """Write into an empty panel that there is no measurement (text `words`)."""
+    """Write the text `words` into the empty panel of a case without measurement."""
     no_ticks(axes)
     axes.text(0.5, 0.5, words, color=INK, ha="center", transform=axes.transAxes)

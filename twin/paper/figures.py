@@ -148,7 +148,7 @@ def draw_figure(name: str, cases: Path, out: Path) -> None:
     Parameters
     ----------
     name : a key of FIGURES
-    cases : folder of cases, `NAME/METHOD/` with panels; a panel of a missing case says "not
+    cases : folder of cases, `NAME/METHOD/` with panels; a panel of a missing case has the text "not
         measured"
 
     Raises

@@ -177,7 +177,10 @@ def pictures_table(cases: Path) -> Table:
 
 
 def choices_table() -> Table:
-    """Return the marginal probability of each discrete choice, summed over other alternatives."""
+    """Return the table of probabilities of the discrete choices.
+
+    The probability of a choice is summed over all combinations with other alternatives.
+    """
     shares: dict[tuple[str, str], float] = {}
     for model in identified()["models"]:
         for alternative, choice in model["choices"].items():
@@ -200,7 +203,7 @@ def _source(alternative: str) -> str:
 
 
 def worth_table() -> Table:
-    """Return the remaining share of each field's variance after one more measurement.
+    """Return the table of the remaining share of each field's variance after one more measurement.
 
     The most informative measurement is in the first row.
     """

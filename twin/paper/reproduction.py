@@ -138,7 +138,7 @@ class Reproduction:
         Raises
         ------
         InputError
-            A press fails one standard uncertainty away from the nominal one.
+            A press fails for an input that is one standard uncertainty from its nominal value.
         MissingBackend
             No usable Dr.Jit backend.
         """

@@ -84,7 +84,7 @@ def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[S
 def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list[SceneSurface]:
     """Return the bars of the frame that holds the rim of the sheet.
 
-    If `cut_y_mm` is given, the frame has no front bar and begins at this world y.
+    If `cut_y_mm` is given, the frame has no front bar and no part with a smaller world y.
     """
     slab, rim = experiment.elastomer, 8.0
     x, y, low, high = slab.length_x_mm / 2, slab.length_y_mm / 2, -slab.thickness_mm - 2.0, 0.3
@@ -150,7 +150,7 @@ def device_things(experiment: Experiment) -> list[SceneSurface]:
 
 
 def _level_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a device pose (4, 4), rotated so that its optical axis meets the world origin.
+    """Return a device pose (4, 4), rotated so that its optical axis is through the world origin.
 
     The drawn housing then ignores the lens offset of the projector.
     """

@@ -18,7 +18,7 @@ _COMPENSATED = "compensated_bar_1_width_mm"
 
 
 def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
-    """Return the table of rod widths over repeated presses.
+    """Return the table of rod widths (mm) over repeated presses.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ _NAMES = (
 
 
 def sphere_tables(run: Reproduction) -> list[Table]:
-    """Return the tables on the two balls."""
+    """Return the tables on the two balls: sphere fits, uncertainty, decoders, ranked budget."""
     trials = run.ball_trials()
     return [
         sphere_fit_table(trials),
@@ -71,7 +71,7 @@ def sphere_tables(run: Reproduction) -> list[Table]:
 
 
 def rod_tables(run: Reproduction) -> list[Table]:
-    """Return the tables on the rods."""
+    """Return the table of the rod widths, in a list."""
     return [rods_table(run.rod_trials())]
 
 
@@ -94,7 +94,7 @@ def sensor_tables(run: Reproduction) -> list[Table]:
 
 
 def object_tables(run: Reproduction) -> list[Table]:
-    """Return the tables on the objects of the paper's pictures."""
+    """Return the tables on the objects in the paper's pictures: completeness, and limits."""
     cases = run.all_cases()
     return [completeness_table(cases), pictures_table(cases)]
 

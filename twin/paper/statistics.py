@@ -42,9 +42,9 @@ class Budget:
 
     Attributes
     ----------
-    u_rep : of the repetition
-    u_ref : of the reference
-    u_cal : of the calibration
+    u_rep : standard uncertainty due to repetition, of the mean radius
+    u_ref : standard uncertainty of the reference radius
+    u_cal : standard uncertainty due to calibration
     """
 
     u_rep: float

@@ -23,7 +23,7 @@ INPUTS, BOARD = "paper/trials", "boards/paper_dots"
 PAPER_DECODER = {"photometric.colour_map": "table", "photometric.integration": "sdk_2024"}
 
 REFUSED = "refused"
-"""Name under which a trial that could not be pressed or measured has the reason."""
+"""Key in `Trial.figures` of the reason why a trial could not be pressed or measured."""
 
 _GROUPS: Mapping[str, Group] = {
     "elastomer": "elastomer",

@@ -1,6 +1,7 @@
 """Report of an adopted rig: known and assumed fields, and captured compared with rendered frames.
 
-The twin renders the measured surface with the adopted rig. It then records and decodes the rendered
+An adopted rig is the model of a real rig, estimated from captures of this rig. The twin renders the
+measured surface with the adopted rig. It then records and decodes the rendered
 frames in the same way as the captured frames. The twin is valid where images, histograms, noise,
 modulation and sigma agree.
 """
@@ -268,7 +269,10 @@ def _draw_maps(real: Reconstruction, twin: Reconstruction, path: Path) -> None:
 
 
 def _masked(reconstruction: Reconstruction, field: str) -> Any:
-    """Return the map `field` of the decoded column, masked at pixels without a valid value."""
+    """Return a map of the decoder for the projector columns, masked at pixels without valid value.
+
+    `field` is the name of the map, for example `modulation_dn`.
+    """
     values: FloatImage = getattr(reconstruction.decoded.column, field)
     hidden: BoolImage = ~reconstruction.decoded.valid
     return np.ma.MaskedArray(values, hidden)

@@ -149,7 +149,7 @@ _BELOW_UPPER_IN, _BELOW_LOWER_IN = 0.95, 1.4
 
 
 def sections(measured: Measurement) -> list[Section]:
-    """Return the sections of the report on a bare specimen, without the common sections."""
+    """Return the sections of the page that are specific to direct fringe projection."""
     result: list[Block] = [seen_figure(measured), shares(measured), *fit_tables(measured)]
     result += discussion(measured)
     return [

@@ -214,8 +214,8 @@ def axes_at(
 ) -> Axes:
     """Add axes to a figure and return them.
 
-    `left_in` and `top_in` are the distances, inches, of their upper left corner from the left and
-    the upper edge of the figure.
+    `left_in` and `top_in` are the distances, inches, of the axes' upper left corner from the left
+    and the upper edge of the figure.
     """
     across_in, down_in = figure.get_size_inches()
     return figure.add_axes(

@@ -18,8 +18,8 @@ _VIRTUAL = (
 def certificate(measured: Measurement) -> tuple[Block, ...]:
     """Return the first printed page of a measurement.
 
-    It lists the measurands with expanded uncertainty and verdict, the conditions, and the versions
-    and digest with which the measurement can be repeated.
+    The page lists the measurands with expanded uncertainty and verdict, the conditions, and the
+    versions and digest with which the measurement can be repeated.
     """
     return (
         _head(measured),

@@ -40,7 +40,7 @@ _MOST_PERCENT = 99.0
 def write_compensation_page(
     folder: Path, result: CompensationResult, name: str, watch: ProgressCallback = no_progress
 ) -> Path:
-    """Write `report.html` and its figure into the folder of a compensation; return its path.
+    """Write `report.html` and its figure into the folder of a compensation; return the page's path.
 
     Parameters
     ----------
@@ -147,9 +147,10 @@ def _numbers_section(result: CompensationResult, slab: CompensatedSlab) -> Secti
 
 
 def _bars(result: CompensationResult) -> Iterator[Block]:
-    """Yield the table of bar widths, and notes on widths that were not measured; empty without.
+    """Yield the table of bar widths, and notes on widths that were not measured.
 
-    A bar is listed if the compensation has the value `compensated_bar_N_width_mm`.
+    A bar is listed if the compensation has the value `compensated_bar_N_width_mm`. Without bars,
+    no block is yielded.
     """
     figures, rows, notes = result.figures, [], []
     for number in count(1):

@@ -141,9 +141,10 @@ def sentences(measured: Measurement) -> list[str]:
 
 
 def pitch_kept_mm(share: float, thickness_mm: float) -> float:
-    """Return the pitch (mm) of a relief of which a slab transmits `share` of the amplitude.
+    """Return the pitch (mm) of a relief at which a slab transmits `share` of its amplitude.
 
-    The transfer is T(q), q = 2 pi h / pitch, where h is the thickness of the slab.
+    The transfer T(q) of `opposite_transfer` then equals `share`; q = 2 pi h / pitch, and h is the
+    thickness of the slab.
     """
 
     def excess(q: float) -> float:
@@ -240,7 +241,7 @@ def _residuals(scored: Measurement) -> str:
 
 
 def sections(measured: Measurement) -> list[Section]:
-    """Return the sections of the report on a pressed coat, without the common sections."""
+    """Return the sections of the page that are specific to a pressed coat with fringes."""
     blocks = [
         Section(
             "glance", "Experiment", (TwoColumns((glance(measured),), (rig_figure(measured),)),)

@@ -1,4 +1,7 @@
-"""Report of an identification: fields, rows, alternative models, benefit of more measurements."""
+"""Report of an identification: fields, rows, alternative models, benefit of more measurements.
+
+Fields are unknown properties of a sensor. They are estimated from rows, which are measured values.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -46,7 +49,7 @@ def write_identified(
 
 
 def page_of(identified: Identified) -> Page:
-    """Return the page of an identification."""
+    """Return the report page of an identification."""
     problem = identified.problem
     fitted = len(problem.fitted)
     lead = (
@@ -372,7 +375,7 @@ def _emulators(identified: Identified) -> list[Block]:
 def _sampling(identified: Identified) -> Note:
     """Return a note on the convergence of the Markov chains.
 
-    It is on the combination of choices whose chains have the fewest independent samples.
+    The note is on the combination of choices with the fewest independent samples.
     """
     worst = min(
         (model.posterior for model in identified.models), key=lambda model: model.independent

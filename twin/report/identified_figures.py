@@ -1,4 +1,7 @@
-"""Figures of an identification: joint densities of field pairs, and differences of the rows."""
+"""Figures of an identification: joint densities of field pairs, and differences of the rows.
+
+Fields are the unknown properties, rows the measured values.
+"""
 
 from pathlib import Path
 
@@ -107,7 +110,11 @@ def _label(axes: Axes, free: list[tuple[str, Free]], row: int, column: int) -> N
 
 
 def draw_rows(identified: Identified, path: Path) -> None:
-    """Draw, as PNG, measured minus predicted value of every row over the difference's SD."""
+    """Draw the normalised difference of every row as PNG.
+
+    It is the measured minus the predicted value, divided by the standard deviation of this
+    difference.
+    """
     rows = identified.best.predictions
     height = 0.9 + 0.26 * len(rows)
     with drawing(path, 7.0, height) as figure:

@@ -44,7 +44,10 @@ def object_section(measured: Measurement) -> list[Section]:
 
 
 def object_verdict(measured: Measurement) -> Verdict:
-    """Return the judgement of the object by its tolerances, or by its deviation without any."""
+    """Return the judgement of the object by its tolerances, or by its deviation.
+
+    The deviation is used if no tolerance is stated.
+    """
     score, question = measured.object, "How accurately is the object measured?"
     judged = [quantity for quantity in score.quantities if quantity.tolerance is not None]
     if judged:
@@ -109,7 +112,7 @@ def _grade_of_deviation(over_limit: float) -> Grade:
 
 
 def object_sentence(measured: Measurement) -> str:
-    """Return one line of text on the accuracy for the object, in ASCII; dimensions first."""
+    """Return the result for the object as one line of ASCII text, its dimensions first."""
     return f"object: {'; '.join(object_lines(measured))}"
 
 
@@ -171,7 +174,7 @@ def _interval(quantity: MeasuredQuantity) -> str:
 
 
 def _is_lost(quantity: MeasuredQuantity) -> bool:
-    """Return True if the error exceeds the nominal length, so that another feature was fitted."""
+    """Return True if the error exceeds the nominal length: probably another feature was fitted."""
     return (
         quantity.nominal is not None and abs(float(quantity.error or 0.0)) > 1e3 * quantity.nominal
     )

@@ -46,7 +46,7 @@ _DECODERS = (
 
 
 def sections(measured: Measurement) -> list[Section]:
-    """Return the sections of the report on photometric stereo, without the common sections."""
+    """Return the sections of the page that are specific to photometric stereo."""
     own, tables = (
         measured.colours.own,
         (field_table(measured), decoder_table(measured), *fit_tables(measured)),

@@ -117,7 +117,8 @@ def shaded(
     enlarged : factor on z before shading
     light_deg : direction to the lamp, clockwise from the top of the map
     stretched : True: the shading is scaled so that its smallest value on the surface is 0 and its
-        largest 1. False: it is the cosine to the lamp, which does not depend on other points
+        largest 1. False: the shading is the cosine of the angle between normal and lamp, which does
+        not depend on other points
     """
     points_mm = surface.grid_mm
     rgba = np.ones((*points_mm.shape[:2], 4))

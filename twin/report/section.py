@@ -93,7 +93,7 @@ def touched_profile(
 
 
 def slab_span(experiment: Experiment, trace: Trace) -> tuple[float, float]:
-    """Return the positions s, mm, at which the trace enters and leaves the slab."""
+    """Return the positions s, mm, of the two points where the trace crosses the slab's border."""
     half = np.array([experiment.elastomer.length_x_mm, experiment.elastomer.length_y_mm]) / 2
     with np.errstate(divide="ignore"):
         crossings = (np.array([[-1.0], [1.0]]) * half - trace.origin_mm) / trace.direction

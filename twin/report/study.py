@@ -74,9 +74,9 @@ class Shown:
     ----------
     table : all cases with their values
     rows : finished cases that have all values `metrics`
-    metrics : names of the values that are plotted
+    metrics : names of the measured values that are plotted
     best : best feasible cases, or cases on the Pareto front
-    effects : sensitivities to the axes, by value
+    effects : sensitivities of a measured value to the axes of the study, by name of the value
     pictures : pictures of the best designs, by the case's digest
     failed : reasons why designs have no picture, by the case's digest
     """

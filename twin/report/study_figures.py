@@ -1,7 +1,7 @@
 """Draw main effects, interactions, parallel coordinates, Pareto front, sensitivities and designs.
 
-A value of the study has the same scale in all plots of a picture, so that the plots can be
-compared.
+An axis of a study is a setting that varies from case to case. A value is a result of each case. It
+has the same scale in all plots of a picture, so that the plots can be compared.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

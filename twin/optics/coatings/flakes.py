@@ -123,7 +123,7 @@ class Flakes(Coating):
 
         Parameters
         ----------
-        reflectance : of the object; 0: no object touches the ink
+        reflectance : normal reflectance of the object; 0: no object touches the ink
         """
         if not self.transmittance:
             return None
@@ -133,7 +133,7 @@ class Flakes(Coating):
     def in_medium(self, ior: float) -> Self:
         """Return the coat with indices relative to `ior`, the refractive index around the coat.
 
-        A matte ink (`binder_ior` of 1) has no binder interface, so that `ior` does not limit it.
+        A matte ink (`binder_ior` of 1) has no binder interface and is valid for any `ior`.
 
         Raises
         ------

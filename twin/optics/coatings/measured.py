@@ -53,7 +53,7 @@ class Measured(Coating):
         return {"type": _PLUGIN, **parts}
 
     def in_medium(self, ior: float) -> Self:
-        """Raise InputError: the reflectance in a layer does not follow from that in air.
+        """Raise InputError, because the table is valid in air and not in a layer.
 
         Raises
         ------
@@ -137,7 +137,7 @@ def _spherical(direction: Any) -> tuple[Any, Any]:
 
 
 def _unit_square(theta: Any, phi: Any) -> Any:
-    """Return the coordinates (0 to 1) in a table of a polar angle and an azimuth, rad."""
+    """Return the table coordinates (0 to 1) of polar angle `theta` and azimuth `phi`, rad."""
     import drjit as dr
     import mitsuba as mi
 

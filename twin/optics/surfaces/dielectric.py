@@ -11,7 +11,7 @@ from twin.optics.bsdfs import fresnel_at_normal, microfacets
 
 @MATERIALS.register
 class Dielectric(OpticalMaterial):
-    """A clear body: refracts, reflects by Fresnel, absorbs by Beer-Lambert.
+    """A clear body, which refracts and reflects (Fresnel) and absorbs light (Beer-Lambert).
 
     Light through the middle of a ball may have an error of 20 to 25 % (docs/specimens.md).
     """
