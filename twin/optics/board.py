@@ -1,8 +1,8 @@
 """Render a printed flat board under the rig: a plane mesh in a pose, with an image of its albedo.
 
-The albedo image is finer than a camera pixel and its edges are one texel wide, so that the fixed
-grid of sub-pixel rays resolves the position of every edge. A hard edge would be sampled in steps of
-0.25 px, with errors of 0.01 px in the centroids of dots.
+The albedo image is finer than a camera pixel, and its edges are one texel wide. The fixed grid of
+sub-pixel rays therefore resolves the position of every edge. A hard edge would be sampled in steps
+of 0.25 px, with errors of 0.01 px in the centroids of dots.
 """
 
 from dataclasses import replace

@@ -5,7 +5,7 @@ determines the estimator, so that every path is counted once:
 
 - If this surface is matte or rough, the camera path is connected to the projector there.
 - If it is sharp (clear or polished) and the stage follows on the path, photons carry the light to
-  the stage, where the camera path gathers it.
+  the stage. The camera path gathers this light at the stage.
 - If it is sharp and only sharp surfaces follow up to the camera, the camera path is connected to
   the projector there.
 

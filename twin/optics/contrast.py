@@ -1,6 +1,6 @@
 """Mean level and contrast of fringes in closed form, without rendering the frames.
 
-The light of N shifted fringes at a surface point is E (a + b cos(phi + 2 pi n / N)), where E is the
+The light of N shifted fringes at a surface point is E (a + b cos(phi + 2 pi n / N)). E is the
 irradiance of a white field. a and b are the mean and the first Fourier coefficient of the
 projector's response to a cosine of levels. Two factors reduce b:
 
@@ -8,8 +8,8 @@ projector's response to a cosine of levels. Two factors reduce b:
 - lens blur, defocus and the extent of the camera pixel: exp(-2 pi^2 v / p^2), where v is the sum of
   their variances along the projector axis in px^2.
 
-Not modelled are the rounding of levels to 8 bits, and the harmonics of the response that N steps
-alias to the first harmonic (orders N - 1, N + 1, ...).
+The rounding of levels to 8 bits is not modelled. Harmonics of the response that N steps alias to
+the first harmonic (orders N - 1, N + 1, ...) are not modelled either.
 
 All functions are analytic: complex numbers pass through them, so that a complex step gives their
 derivatives to machine precision (Squire and Trapp, SIAM Review 40, 110 (1998)).

@@ -66,10 +66,10 @@ def steepest_by_cell(grid: FloatArray) -> FloatArray:
 def shades_itself(grid: FloatArray, source_mm: FloatArray) -> bool:
     """Return False if a sheet provably casts no shadow on itself in light from a point.
 
-    Where facets climb at most s per mm, the sheet rises at most s d over a horizontal distance d
-    (mean value theorem along the line between the two points, facet by facet). A ray that climbs
-    m > s per mm from a point of the sheet is above it everywhere. Towards the light at q,
-    m is smallest at the highest point and in the corner furthest from it:
+    Where facets climb at most s per mm, the sheet rises at most s d over a horizontal distance d,
+    by the mean value theorem along the line between two points, facet by facet. A ray that climbs
+    m > s per mm from a point of the sheet is above the sheet everywhere. Towards the light at q,
+    m is smallest for a point at the largest height and in the corner furthest from the light:
 
         m >= (q_z - max z) / max |q_xy - corner|
 

@@ -2,10 +2,10 @@
 
 Coordinates are in the world frame, mm. The irradiance of the coat by an LED is
 I0 cos^m(theta) cos(incidence) exp(-a r) / r^2, up to theta = 90 degrees. r is the distance of the
-LED, theta the angle between its aim and the direction to the coat, a the absorption coefficient of
-the gel, and I0 is (m + 1) / 2 pi times the flux of the LED. Light paths from LED to coat are
-straight: LEDs couple into the gel through its side, and the window above the gel is assumed to have
-the gel's index n.
+LED, and theta the angle between its aim and the direction to the coat. a is the absorption
+coefficient of the gel. I0 is (m + 1) / 2 pi times the flux of the LED. Light paths from LED to coat
+are straight: LEDs couple into the gel through its side, and the window above the gel is assumed to
+have the gel's index n.
 
 The window's outer face reflects light that an LED emits upwards: by Fresnel, and totally beyond the
 critical angle c, sin c = 1 / n. The reflected light has the direction of light from the mirror

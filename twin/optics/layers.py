@@ -10,9 +10,9 @@ vertical IN AIR. Snell's invariant s = t / sqrt(1 + t^2) determines the horizont
 so that cos(theta_i) = q_i / (n_i sqrt(1 + t^2)). For n_i >= 1, r(t) is concave and increasing:
 Newton's method from the left of the root never overshoots and needs no bounds.
 
-Not modelled are light that is reflected between the interfaces or from them back to the surface
-(ghosts, total internal reflection), scatter in the media, and dispersion within the spectral width
-of the projector's light.
+Light that is reflected between the interfaces, or from them back to the surface, is not modelled
+(ghosts, total internal reflection). Scatter in the media and dispersion within the spectral width
+of the projector's light are not modelled either.
 """
 
 from collections.abc import Iterable
@@ -190,9 +190,9 @@ class LayerStack:
         """Return the transmittance of all interfaces (Fresnel, unpolarised light) and media.
 
         All interfaces share the plane of incidence, so that s and p polarisation are conserved. The
-        result is the mean of the products of the s and of the p transmittances (Born and Wolf,
-        Principles of Optics, 1.5), times the transmittance of the absorbing media. Media for which
-        `depths_mm` has no entry do not absorb.
+        transmittances of all interfaces are multiplied for s and for p, and the mean of both
+        products is taken (Born and Wolf, Principles of Optics, 1.5). The result also includes the
+        transmittance of the absorbing media; media without an entry in `depths_mm` do not absorb.
         """
         slant = dr.sqrt(1.0 + t_square)
         normal = [q / slant for q in self._q(t_square)]  # n_i cos(theta_i)

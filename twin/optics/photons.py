@@ -6,10 +6,10 @@ and a share of the white image's flux; refractions and reflections follow until 
 The camera's paths gather the light that the stage reflects. All frames share the photons: their
 noise is common to all frames and cancels in the phase.
 
-For gathering, the flux of each photon is distributed to the four nearest nodes of a regular grid
-(bilinear weights), with the light of its projector pixel in every frame. The expected value of a
-camera path is interpolated between the nodes. Both together blur by 0.06 mm standard deviation,
-0.33 projector pixels of the paper's rig.
+For gathering, the flux of each photon is distributed to the four nearest nodes of a regular grid,
+with bilinear weights. In every frame, the flux is multiplied by the light of the photon's projector
+pixel. The expected value of a camera path is interpolated between the nodes. Distribution and
+interpolation together blur by 0.06 mm standard deviation, 0.33 projector pixels of the paper's rig.
 
 The model contains smooth and slightly rough clear bodies, polished metals, absorption and any
 number of reflections inside a body. It does not contain light on surfaces other than the stage,

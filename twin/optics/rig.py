@@ -16,8 +16,8 @@ blur of a smooth surface out of focus are therefore exact. More samples fill the
 
 Only this module converts to Mitsuba's conventions. The project uses OpenCV device frames (x right,
 y down, z forward), with pixel (0, 0) at the CENTRE of the first pixel. Mitsuba uses device frames
-with x left, y up, z forward, pixel coordinates counted from the CORNER, fields of view instead of
-focal lengths, and principal point offsets as fractions of the image size.
+with x left, y up, z forward, and pixel coordinates counted from the CORNER. It uses fields of view
+instead of focal lengths, and principal point offsets as fractions of the image size.
 """
 
 from dataclasses import dataclass

@@ -185,9 +185,9 @@ def contour_levels(low: float, high: float) -> list[float]:
 def symmetric_limit(values: NDArray[Any], percent: float = 99.0) -> float:
     """Return the limit of a scale from -limit to limit for signed values; 1 without values.
 
-    The limit is the magnitude that `percent` of the values do not exceed, rounded up. So that
-    outliers do not determine the scale, the limit is at most four times the 68th percentile of the
-    magnitude, which is the standard deviation of normal noise.
+    The limit is the magnitude that `percent` of the values do not exceed, rounded up. It is at most
+    four times the 68th percentile of the magnitude, so that outliers do not determine the scale.
+    For normal noise, this percentile is the standard deviation.
     """
     if not values.size:
         return 1.0

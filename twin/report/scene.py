@@ -152,8 +152,8 @@ def field_corners(device: Pinhole, pose: FloatArray) -> FloatArray:
 def field_rays(device: Pinhole, pose: FloatArray, layers: PlaneLayers | None) -> list[FloatArray]:
     """Return the polylines (corner, xyz), world mm, that show the field of a pinhole.
 
-    They are the light paths from the pinhole to the corners and the middle of the field on z = 0,
-    the outline of the field, and a smaller outline near the pinhole.
+    The first five are the light paths from the pinhole to the corners and the middle of the field
+    on z = 0. The others are the outline of the field and a smaller outline near the pinhole.
     """
     centre, ends = pose[:3, 3], field_corners(device, pose)
     frame = centre + 0.12 * (ends - centre)
@@ -166,8 +166,9 @@ def ray_path(start_mm: FloatArray, end_mm: FloatArray, layers: PlaneLayers | Non
 
     Notes
     -----
-    Snell: with w_i the vertical path in medium i of index n_i and s the sine of the angle to the
-    vertical in air, the horizontal path is sum_i w_i s / sqrt(n_i^2 - s^2), which increases with s.
+    w_i is the vertical path in medium i of index n_i, and s the sine of the angle to the vertical
+    in air. By Snell's law, the horizontal path is sum_i w_i s / sqrt(n_i^2 - s^2). It increases
+    with s, so that s is found by bisection.
     """
     if layers is None or end_mm[2] >= layers.tops_mm[0]:
         return np.stack((start_mm, end_mm))

@@ -6,16 +6,17 @@ repeatedly between pigment and binder interface (J. L. Saunderson, J. Opt. Soc. 
 so that a binder darkens the pigment. The blend is convex and no lobe reflects more than the
 incident light, so that the model conserves energy.
 
-Not modelled are flakes below the binder's interface (all flakes are bare) and repeated scattering
-at one rough interface (this light is lost, as in all single-scattering microfacet models). For a
-white pigment under a binder of index 1.5 and roughness 0.02, 0.1, 0.2, 0.3 the lost light is
-3, 9, 20, 31 % at normal view, 2, 12, 24, 36 % at 80 deg and up to 11, 13, 25, 40 % at 89 deg.
+Flakes below the binder's interface are not modelled: all flakes are bare. Repeated scattering at
+one rough interface is not modelled either: this light is lost, as in all single-scattering
+microfacet models. The lost light of a white pigment under a binder of index 1.5 depends on the
+roughness: for 0.02, 0.1, 0.2, 0.3 it is 3, 9, 20, 31 % at normal view, 2, 12, 24, 36 % at 80 deg
+and up to 11, 13, 25, 40 % at 89 deg.
 
 An object behind a thin ink increases the reflectance of the ink. The ink reflects the share R of
 incident light and transmits the share T. An object in contact reflects the share r of the
-transmitted light, and light is reflected repeatedly between ink and object (Kubelka and Munk 1931,
-a layer on a ground; G. Kortuem, Reflectance Spectroscopy, Springer 1969):
-R_contact = R + T^2 r / (1 - R r).
+transmitted light. Light is reflected repeatedly between ink and object, so that
+R_contact = R + T^2 r / (1 - R r) (Kubelka and Munk 1931, a layer on a ground; G. Kortuem,
+Reflectance Spectroscopy, Springer 1969).
 """
 
 from collections.abc import Mapping
