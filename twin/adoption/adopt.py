@@ -293,7 +293,7 @@ def _known(
 ) -> Capture:
     """Return the capture with the estimated camera noise and projector response.
 
-    An estimate that is None leaves the noise `sensor` or the response of the capture.
+    Without an estimate (None), the noise is `sensor` and the response that of the capture.
     """
     if noise is not None:
         read_e = noise.read_noise_e.value if noise.read_noise_e else 0.0

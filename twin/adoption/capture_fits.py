@@ -44,7 +44,7 @@ def dark_frames(folder: Path, capture: Capture) -> Dark:
 
     Raises
     ------
-    InputError : the dark frames are brighter than the darkest frame of the capture, whose mean is
+    InputError : the dark frames are brighter than the darkest frame of the capture, which shows
         the black level plus ambient light
     """
     dark = dark_of(read_images(folder, capture))

@@ -22,7 +22,7 @@ LEAST_CAPTURES = 3
 _MIXED = 0.02
 # Least ratio of the growth to its uncertainty for a significant defocus.
 _LEAST_SIGNIFICANCE = 3.0
-# Captures whose distances have a smaller relative difference count as one height.
+# Captures with a smaller relative difference of their distances count as one height.
 _SAME_HEIGHT = 0.002
 
 

@@ -28,7 +28,7 @@ COVERAGE = 2.0
 
 _DIGITS = 7
 _TABLES = ("camera", "projector", "coating", "elastomer")
-# Experiment whose specimen and press are used to validate the rig.
+# Experiment that provides specimen and press to validate the rig.
 _TRIED_WITH = "examples/slab_ball"
 _NEEDS = {
     "camera.prnu_percent": "flat frames (--flat)",

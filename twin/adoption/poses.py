@@ -1,8 +1,8 @@
 """Convert a calibration to the fields of a rig: poses and lenses of camera and projector.
 
-A rig has fewer parameters than a calibration. The rays of both image centres meet at one point of
-the coat, pixels are square, and the principal point is offset along one direction only. The rig is
-fitted by least squares, so that it projects points near the coat to the same pixels as the
+A rig has fewer parameters than a calibration. The rays of both image centres intersect in one point
+of the coat, pixels are square, and the principal point is offset along one direction only. The rig
+is fitted by least squares, so that it projects points near the coat to the same pixels as the
 calibration does. The misfit, px, is the RMS of the residuals. The common point of the rays becomes
 the origin of the world frame.
 """
@@ -133,7 +133,7 @@ def _fitted(off_px: Callable[[FloatArray], FloatArray], start: FloatArray) -> Fl
 
 
 def _looked_at(calibration: Calibration) -> FloatArray:
-    """Return the point (xyz), mm, at which the ray of the camera's image centre meets z = 0."""
+    """Return the intersection (xyz), mm, of the ray of the camera's image centre with z = 0."""
     camera, motion = calibration.camera, calibration.T_world_from_cam
     centre = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
     ray = motion[:3, :3] @ np.append(camera.unproject(centre), 1.0)

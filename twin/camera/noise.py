@@ -12,8 +12,8 @@ the Cornish-Fisher expansion of the Poisson quantile to the third cumulant order
 reduced by the 1/12 that rounding to whole electrons adds (Sheppard). The total variation distance
 from the Poisson distribution is 1.6e-5 for means of at least 100, and 5e-7 from 1000 on: a test
 needs billions of numbers of one pixel to detect it. For smaller means a Poisson number is drawn by
-inversion with the 32 bits of a word. It is the sum of a tabulated Poisson number, whose mean is
-rounded down to 1/8 electron, and a Poisson number of the remaining mean.
+inversion with the 32 bits of a word. It is the sum of two Poisson numbers: a tabulated number for
+the mean rounded down to 1/8 electron, and a number for the remaining mean.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments

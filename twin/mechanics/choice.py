@@ -130,7 +130,7 @@ def may_wrap(elastomer: Elastomer) -> bool:
 
 
 def is_slab(elastomer: Elastomer) -> bool:
-    """Whether an elastomer is a slab with a rectangular rim that is thicker than a thin sheet."""
+    """Whether an elastomer is a slab, thicker than a thin sheet, on a rectangular rim."""
     thick = elastomer.thickness_mm > SHEET_THICKNESS_MM[1]
     return thick and elastomer.layout == "opposite_face" and elastomer.outline != "round"
 
@@ -138,9 +138,9 @@ def is_slab(elastomer: Elastomer) -> bool:
 def modulus_only_scales(case: PressInput) -> bool:
     """Whether Young's modulus only scales the pressure and force of a press, not its shape.
 
-    The result is False if the force is prescribed, and with a film, weight or back pressure, whose
-    stiffness or pressure does not scale with the modulus. It is also False if a model is possible
-    that is not the linear slab.
+    The result is False if the force is prescribed. It is False with a film, weight or back
+    pressure, because their stiffness or pressure does not scale with the modulus. It is also False
+    if a model is possible that wraps, or if none is the linear slab.
     """
     if (
         case.load.control != "depth"

@@ -32,7 +32,7 @@ Deflect = Callable[[FloatArray], FloatArray]
 # Largest allowed gap of a touching cell over the largest deflection. The criterion on the sum of
 # pressures does not detect errors of cells with a small pressure.
 _CLOSED = 3e-5
-# Number of previous passes whose largest energy limits the energy of the next pass.
+# Number of previous passes; their largest energy limits the energy of the next pass.
 _REMEMBERED = 10
 COARSENING = 4
 _COARSE_TOLERANCE = 1e-3

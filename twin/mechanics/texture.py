@@ -113,7 +113,7 @@ def johnson_of(skewness: float, excess_kurtosis: float) -> Johnson:
 
     Notes
     -----
-    For a given w the kurtosis is a quadratic equation in cosh 2b, whose root gives a skewness. As w
+    For a given w the kurtosis is a quadratic equation in cosh 2b; its root gives a skewness. As w
     increases from that of the log-normal to that of the symmetric distribution, this skewness
     decreases to 0: w is the only root in this bracket (after Tuenter, Journal of Statistical
     Computation and Simulation 70, 325 (2001)).

@@ -263,7 +263,7 @@ class Columns:
     def of(
         cls, corners_mm: FloatArray, nodes: int, pitch_mm: float, low: IntArray, count: IntArray
     ) -> "Columns":
-        """Return the lists of triangles whose projection along z may overlap each cell."""
+        """Return the lists of triangles that may overlap each cell in their projection along z."""
         cell_mm = nodes * pitch_mm
         begin, end = corners_mm.min(axis=1)[:, :2], corners_mm.max(axis=1)[:, :2]
         # One pitch of margin on both sides, because a column is offset from its node.

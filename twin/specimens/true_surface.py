@@ -59,7 +59,7 @@ def _leaves(shape: Shape) -> list[Shape]:
 
 @dataclass(frozen=True, eq=False)
 class _Closed:
-    """A shape whose distance has a closed form."""
+    """A shape that has a closed form of its distance."""
 
     shape: Shape
 

@@ -29,7 +29,7 @@ _COARSE_SOLVER_MM = 0.16
 _COARSE_RELIEF_MM = 0.05
 _COARSE_CELL_MM = 0.3
 _MOST_NODES = 240
-"""Approximate number of nodes of the coat along a side: 0.1 mm apart on the paper's sheet."""
+"""Approximate number of nodes of the coat along a side: every 0.1 mm on the paper's sheet."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class PreviewPicture:
     ----------
     experiment : the experiment at full image size, with the values that the user changed
     fringes, white : images with fringes and with white light, (row, col) uint8, 255 at saturation
-    pressed : the press whose coat is in both images
+    pressed : the press that both images show
     """
 
     experiment: Experiment

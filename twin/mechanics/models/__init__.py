@@ -78,7 +78,7 @@ class PressInput:
 
         Raises
         ------
-        PressError : as `linear`, whose deflection is compared with the limit
+        PressError : as `linear`; its deflection is compared with the limit
         """
         bent = self.linear.validity.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT
         return bent and self.elastomer.layout == "opposite_face"
@@ -111,7 +111,7 @@ class ElastomerModel(elastomer_models.ModelFields):
     """Effect that the model neglects, which causes `Validity.height_error_mm`; for reports."""
 
     def applies(self, case: PressInput) -> bool:
-        """Whether `auto` may select the model for this input; nothing is solved."""
+        """Whether `auto` may select the model for this input, without solving it."""
         return True
 
     def error_estimate_mm(self, case: PressInput) -> float | None:

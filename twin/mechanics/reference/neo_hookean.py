@@ -258,7 +258,9 @@ def _grid(
 def _edges(
     touched: FloatArray, ends: tuple[float, float], size_mm: float, count: int
 ) -> FloatArray:
-    """Return count + 1 edges between `ends`, mm: `size_mm` apart in contacts, wider elsewhere.
+    """Return count + 1 edges between `ends`, mm, at intervals of `size_mm` or wider.
+
+    Intervals are `size_mm` in contacts and increase with the distance from the contacts.
 
     `touched` are positions (n,) of cells in contact.
     """

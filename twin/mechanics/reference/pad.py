@@ -218,7 +218,7 @@ def mesh_pad(
 
 
 def _spread(body: trimesh.Trimesh, where: Selector) -> FloatArray:
-    """Return points (n, xyz), mm, at most 0.25 mm apart on the selected facets.
+    """Return points (n, xyz), mm, on the selected facets, at distances of up to 0.25 mm.
 
     If no facet is selected, the points are on the whole surface.
     """

@@ -42,7 +42,7 @@ class Bars(Specimen):
         return middles_mm(self.widths_mm, self.gap_mm)
 
     def shape(self) -> Assembly:
-        """Return the bars along y on a plate, whose upper face is z = 0.
+        """Return the bars along y on a plate; its upper face is z = 0.
 
         The bars extend into the plate by half its thickness.
         """

@@ -60,7 +60,7 @@ class Grating(Specimen):
 
 
 def _prism_facets(count: int) -> IntArray:
-    """Return the facets (n, 3) of a bar whose four edges are lines of `count` vertices each."""
+    """Return the facets (n, 3) of a bar with four long edges of `count` vertices each."""
     step = np.arange(count - 1)
     sides = []
     for line in range(4):

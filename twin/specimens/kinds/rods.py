@@ -51,7 +51,7 @@ class Rods(Specimen):
         return middles_mm(self.diameters_mm, self.gap_mm)
 
     def shape(self) -> Assembly:
-        """Return the rods along y on a plate, whose upper face is z = 0.
+        """Return the rods along y on a plate; its upper face is z = 0.
 
         A rod touches the plate along a line. A bead of cement under each rod joins rod and plate to
         one body; neither the elastomer nor light from above reaches the bead.
