@@ -60,7 +60,7 @@ def dark_frames(folder: Path, capture: Capture) -> Dark:
 
 
 def with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
-    """Return the camera noise with the black level of the dark frames; None: unchanged."""
+    """Return the camera noise with the black level of `dark`; unchanged if that is None."""
     if dark is None:
         return sensor
     return replace(sensor, black_level_dn=max(dark.black_level_dn.value, 0.0))
@@ -199,7 +199,7 @@ def two_period_chi2(captures: Sequence[Capture], known: Capture) -> float | None
 
 
 def chi2_of(first: Decoded, second: Decoded) -> float | None:
-    """Return the mean square of (difference of decoded columns / its standard uncertainty).
+    """Return the mean square of differences of decoded columns, divided by their uncertainties.
 
     Pixels that differ by more than 10 sigma show another scene or have a wrong fringe order, and
     are left out. The result is None if these are 1 % of the pixels or more, or if fewer than 100

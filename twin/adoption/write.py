@@ -5,7 +5,7 @@
 | rig.toml | the rig: value, range and source of every field |
 | experiment.toml | an experiment with a ball pressed on this rig, for twin measure |
 | response.toml | the projector's response, a table for capture.toml; if it was estimated |
-| photon_transfer.csv | variance of the noise by mean signal, DN; if it was estimated |
+| photon_transfer.csv | variance of the noise (DN^2) by mean signal (DN); if it was estimated |
 | result.json | figures, digest, versions |
 """
 

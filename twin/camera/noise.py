@@ -152,7 +152,7 @@ def _turned(word: Any, bits: int) -> Any:
 
 @_inlined
 def _mixed(word: Any, turns: Any) -> Any:
-    """Return four words after four rounds of Threefry 4x32 with these pairs of rotations, bits."""
+    """Return four words after four rounds of Threefry 4x32 with the rotations `turns`, in bits."""
     a, b, c, d = word
     for n in range(2):
         a, c = np.uint32(a + b), np.uint32(c + d)
@@ -216,8 +216,8 @@ def _log(x: Any) -> Any:
 def normal_pair(word_0: Any, word_1: Any) -> Any:
     """Return two independent standard normal numbers from two words (Box and Muller 1958).
 
-    The first word gives the radius, the second the angle. Its two highest bits select one of four
-    quarter turns, the other bits an angle within +- 1/8 turn.
+    The first word gives the radius, the second the angle: its two highest bits select one of four
+    quarter turns, its other bits an angle within +- 1/8 turn.
     """
     radius = np.sqrt(-_TWO * _log((np.float32(word_0) + _HALF) * _PER_WORD))
     within = np.float32(np.uint32(word_1 << np.uint32(2)).view(np.int32)) * _EIGHTH_TURN_PER_WORD

@@ -1,9 +1,11 @@
 """Noise of the camera by a function of the user, instead of the EMVA 1288 model.
 
-def gaussian(mean_e, rng):
-return mean_e + rng.normal(0.0, 20.0, mean_e.shape)
+    def gaussian(mean_e, rng):
+        return mean_e + rng.normal(0.0, 20.0, mean_e.shape)
 
-twin.measure(experiment, noise=gaussian)
+    twin.measure(experiment, noise=gaussian)
+
+The arguments and the result of such a function are described at `NoiseFunction`.
 """
 
 from collections.abc import Callable

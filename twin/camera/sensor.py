@@ -127,9 +127,10 @@ def _check_noise(camera: Camera, noise: NoiseFunction | None) -> None:
 
 
 def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
-    """Return the configured exposure time, or that of the automatic exposure.
+    """Return the configured exposure time, ms, or that of the automatic exposure.
 
-    With the latter, a high percentile of the white frame is at `auto_level` of the full well.
+    The automatic exposure puts the 99.5th percentile of the white frame at `auto_level` times the
+    full well.
 
     Parameters
     ----------

@@ -162,7 +162,8 @@ def unit_press(
 
     Returns
     -------
-    None if the modulus also changes the shape (see `modulus_only_scales`)
+    The pressed elastomer at 1 kPa; None if the modulus also changes the shape, see
+    `modulus_only_scales`
 
     Raises
     ------

@@ -6,8 +6,8 @@ layout the coat is the touched face: a groove that the gel fills is transferred 
 
 A slab, 3 mm thick, touches the whole surface of a shallow groove. A thin sheet touches only the
 crests, and the pressure bends it into the grooves between them. Its ratio therefore also depends on
-hardness and pressure, until the sheet touches the whole surface; then it is the slab's T(q). The
-sheet is computed as one period of the exact elastic layer, which includes shear through the
+hardness and pressure. When the sheet touches the whole surface, its ratio is that of a slab, T(q).
+The sheet is computed as one period of the exact elastic layer, which includes shear through the
 thickness. The `sheet` press neglects this shear, which reduces the relief by 50 % at a pitch of 2
 thicknesses. Ridges are cosines of x, constant along y. The tension of a sheet that is stretched
 over the specimen is neglected; it reduces the relief.
@@ -95,7 +95,7 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
 
 
 def pitch_at(share: float, thickness_mm: float) -> float:
-    """Return the pitch, mm, at which a free slab transfers a relief times the factor `share`.
+    """Return the pitch, mm, at which a free slab transfers the fraction `share` of a relief.
 
     >>> round(pitch_at(0.5, 1.0), 2)
     2.4
@@ -108,8 +108,9 @@ def _computed(elastomer: Elastomer, pitch_mm: float) -> float:
     """Return the share of a relief of one pitch that a wide slab transfers.
 
     It is computed with the operators of the contact solver. The pressure is a single mode of the
-    slab's sine series, so both faces deflect in the same shape. Along y the mode is half a long
-    wave; the wavenumber along x is reduced so that the total wavenumber is that of the pitch.
+    slab's sine series, so both faces deflect in the same shape. Along y the mode is half a wave of
+    a long wavelength. The wavenumber along x is reduced, so that the total wavenumber is that of
+    the pitch.
     """
     wave = 2 * np.pi / pitch_mm
     length_x, length_y = _PITCHES_ACROSS * pitch_mm, 40.0 * pitch_mm
@@ -194,7 +195,7 @@ class Ridges:
         return layer.coat_mm(pressure) / self.height_mm
 
     def pitch_mm(self, share: float) -> float:
-        """Return the pitch, mm, at which `shown` is `share`."""
+        """Return the pitch, mm, at which the coat has the fraction `share` of the ridge height."""
         low, high = (np.log(self.elastomer.thickness_mm * end) for end in _RANGE)
         log_pitch = brentq(lambda log: self.shown(np.exp(log)) - share, low, high, xtol=1e-4)
         return float(np.exp(log_pitch))

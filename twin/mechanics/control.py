@@ -50,7 +50,7 @@ class Control(Protocol):
         return raised - self.depth_mm(raised, touching)
 
     def balanced(self, direction: FloatArray, touching: BoolArray, scaling: Scaling) -> FloatArray:
-        """Return a search direction that does not change a prescribed force; here `direction`."""
+        """Return a search direction that keeps a prescribed force; here `direction` unchanged."""
         return direction
 
     def scale(self, pressure: FloatArray) -> float:

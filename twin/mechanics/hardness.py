@@ -88,7 +88,8 @@ def bs_903_modulus_kpa(shore_a: float) -> float:
 
     Raises
     ------
-    PressError : another hardness; for softer rubber the relation is far below every measurement
+    PressError : the hardness is outside this range; for softer rubber the relation is far below
+        every measurement
     """
     if not BS_903_FROM <= shore_a <= _LARGEST_SHORE:
         raise PressError(f"BS 903: found Shore A {shore_a:g}, allowed: 40 to 95")

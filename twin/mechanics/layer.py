@@ -38,12 +38,12 @@ class FlatLayer:
 
     @cached_property
     def x_mm(self) -> FloatArray:
-        """(col,) cell centres, world x."""
+        """World x of the cell centres, (col,)."""
         return _centres(self.cols, self.length_x_mm)
 
     @cached_property
     def y_mm(self) -> FloatArray:
-        """(row,) cell centres, world y."""
+        """World y of the cell centres, (row,)."""
         return _centres(self.rows, self.length_y_mm)
 
     @property

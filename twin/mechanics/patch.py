@@ -167,6 +167,6 @@ def _spectrum(kernel: FloatArray, across: IntArray, along: IntArray) -> ComplexA
 
 
 def _reversal(span: Span) -> ComplexArray:
-    """Return the factors (padded,) of the spectrum of a field in reversed order of cells."""
+    """Return the spectrum of a reversed field over the field's conjugate spectrum, (padded,)."""
     turn = -2j * np.pi * np.arange(span.padded) * (span.count - 1) / span.padded
     return np.asarray(np.exp(turn))

@@ -1,4 +1,4 @@
-"""The coated face as a triangle mesh with smooth normals, and the slab as a closed body."""
+"""Meshes of a pressed elastomer: coated face with smooth normals, and slab as a closed body."""
 
 from dataclasses import replace
 

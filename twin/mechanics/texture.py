@@ -86,7 +86,7 @@ class Johnson:
         return float((product - self._mean**2) / self._spread**2)
 
     def correlation_of_normals(self, target: float) -> float:
-        """Return the correlation of normal numbers that gives `target`: inverse `correlation`."""
+        """Return the correlation of normal numbers for which `correlation` returns `target`."""
         return float(brentq(lambda r: self.correlation(r) - target, 0.0, 1.0, xtol=1e-14))
 
     @property

@@ -152,7 +152,7 @@ def _limits(values_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _covered(
     lines_mm: FloatArray, low_mm: FloatArray, high_mm: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return the first grid line within each interval, and the number of grid lines."""
+    """Return the number of the first grid line in each interval, and how many lines are in it."""
     first = np.searchsorted(lines_mm, low_mm - _ON_EDGE_MM, side="left")
     after = np.searchsorted(lines_mm, high_mm + _ON_EDGE_MM, side="right")
     return first, np.maximum(after - first, 0)

@@ -297,7 +297,7 @@ def _contract(
 def _turn_back(
     f: FloatArray, rotation: FloatArray, pitch: float, gradient: FloatArray, hessian: FloatArray
 ) -> None:
-    """Set gradient and Hessian in the frame of the shape, mm.
+    """Set gradient and Hessian (1/mm) in the frame of the shape.
 
     `f` are the derivatives in the frame of the body, in units of the pitch.
     """

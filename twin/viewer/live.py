@@ -82,7 +82,7 @@ class LiveView:
         return f"http://{self._server.get_host()}:{self._server.get_port()}"
 
     def serve(self) -> None:
-        """Compute the latest slider values repeatedly, until a signal ends the process."""
+        """Recompute the view for new slider values, until a signal ends the process."""
         while True:
             # With a time limit: on some systems a wait without one does not handle signals.
             if self._moved.wait(0.2):

@@ -35,7 +35,7 @@ class SheetModel(ElastomerModel):
         return is_thin_sheet(case.elastomer)
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
-        """Return the expected height error by the neglected shear, mm.
+        """Return the expected height error, mm, that results from neglecting shear.
 
         The result is None if the elastomer bends without stretching, as a slab does.
         """
@@ -61,7 +61,7 @@ class SheetModel(ElastomerModel):
         return _settled(case, progress).result()
 
     def settle(self, case: PressInput, progress: Progress | None = None) -> "SettledWithTangent":
-        """Press, and return the sheet with its tangent."""
+        """Press, and return the sheet with its tangent, by which `nearby` computes changes."""
         return SettledWithTangent(_settled(case, progress))
 
 

@@ -13,7 +13,7 @@ class SpectralModel(ElastomerModel):
     is_linear_slab = True
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
-        """Return the height error, mm, because the model neglects large strain.
+        """Return the expected height error, mm, that results from neglecting large strain.
 
         The result is None if the elastomer stretches as it bends, which the model neglects too.
         """

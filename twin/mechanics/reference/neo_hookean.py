@@ -100,7 +100,7 @@ class HeightContact:
         return replace(self, carried=pressure)
 
     def _shape(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return g (point, xyz) of the module and the curvatures S_xx, S_xy, S_yy (point, 2, 2)."""
+        """Return g (point, xyz), see the module, and the second derivatives of S (point, 2, 2)."""
         normal = np.zeros((x_mm.size, 3))
         normal[:, 2] = 1.0
         if self.linear:
@@ -279,7 +279,7 @@ def _edges(
 
 
 def _is_symmetric(field: HeightField, axis: int) -> bool:
-    """Return True if the specimen is symmetric about x = 0 (axis 0) or y = 0."""
+    """Return True if the specimen is symmetric about x = 0 (axis 0) or y = 0 (axis 1)."""
     height = np.where(np.isfinite(field.height_mm), field.height_mm, 1e3)
     at, flip = ((field.x_mm, np.s_[:, ::-1]), (field.y_mm, np.s_[::-1]))[axis]
     centred = abs(at[0] + at[-1]) < _SYMMETRY_MM
@@ -335,7 +335,7 @@ def _scattered(
 
 
 def _mirrored(points: FloatArray, grid: ElementGrid) -> FloatArray:
-    """Complete points (n, [x, y, ...]) by their images in the planes of symmetry."""
+    """Return points (n, [x, y, ...]) and their mirror images in the planes of symmetry."""
     for axis in (0, 1):
         if grid.edges_mm[axis][0] == 0:
             image = points.copy()

@@ -51,10 +51,10 @@ def push(
     Parameters
     ----------
     surface : points on the touched face
-    traction : (point, axis) float; per undeformed area
+    traction : (point, axis) float; force over modulus per undeformed area
     stiffness : (point, axis, axis) float; negative derivative of the traction by the point's
         position, per mm
-    pressure : (point,) float; normal stress per undeformed area
+    pressure : (point,) float; normal part of the traction, over modulus
     """
     weight, wide = surface.weight_mm2, surface.vector_trace
     points = np.arange(weight.size + 1)

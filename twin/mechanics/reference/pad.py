@@ -144,12 +144,13 @@ def slab_pad(
     ----------
     span_mm : (float, float), mm; free lengths along x and y
     poisson_ratio : 0 < nu < 0.5
-    support : touched at z = -thickness: "simple": no deflection of the rim and no displacement
-        along it (as the spectral slab); "clamped": no displacement of the rim; "ledge": no
-        displacement of a frame of the coated face beyond the free span. Touched at z = 0 and bonded
-        at z = thickness: "bonded": free sides; "window": no displacement normal to the sides (as
-        one period of the spectral layer).
-    ledge_mm : width of that frame on each side
+    support : "simple", "clamped" and "ledge" are for a specimen that touches z = -thickness.
+        "simple": the rim has no deflection and no displacement along itself (as the spectral slab);
+        "clamped": the rim has no displacement; "ledge": a frame of the coated face beyond the free
+        span has no displacement. "bonded" and "window" are for a specimen that touches z = 0, with
+        the face z = thickness fixed. "bonded": the sides are free; "window": the sides have no
+        displacement normal to them (as one period of the spectral layer).
+    ledge_mm : width of the frame of a ledge on each side
 
     Raises
     ------
