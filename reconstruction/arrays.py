@@ -32,7 +32,10 @@ def at_pixels(image: NDArray[Any], where: BoolImage) -> NDArray[Any]:
 
 
 class Reason(IntEnum):
-    """Reason why a pixel of a fringe measurement has no point; of several the lowest is stored."""
+    """Reason why a pixel of a fringe measurement has no point.
+
+    If several reasons apply, the one with the lowest code is stored.
+    """
 
     VALID = 0
     DARK = 1
@@ -58,11 +61,11 @@ class Reason(IntEnum):
 
 
 class PhotometricReason(IntEnum):
-    """Reason why a pixel of photometric stereo has no measured slope; of several the lowest.
+    """Reason why a pixel of photometric stereo has no measured slope.
 
-    At a pixel with a code above 0 the slope is an estimate (filled in or extrapolated). Heights
-    are integrated over all slopes. All numbers are finite, but only pixels with code 0 are
-    measurements.
+    If several reasons apply, the one with the lowest code above 0 is stored. At a pixel with a code
+    above 0 the slope is an estimate (filled in or extrapolated). Heights are integrated over all
+    slopes. All numbers are finite, but only pixels with code 0 are measurements.
     """
 
     VALID = 0

@@ -52,7 +52,7 @@ class SquareCells:
 
     Attributes
     ----------
-    number : (point,) number of the cell that contains the point; cells are counted row by row
+    number : (point,) row * columns + column of the cell that contains the point; row 0 at the top
     x_mm, y_mm, pitch_mm : centres and edge length of the cells, as in `CellMeans`
     """
 
@@ -95,7 +95,7 @@ class SquareCells:
         return cls((rows - 1 - row) * cols + col, x_mm, y_mm, float(pitch_mm))
 
     def means(self, values: NDArray[Any]) -> CellMeans:
-        """Return the mean in each cell of values (point,) of the assigned points."""
+        """Return the mean of values (point,) over the points in each cell."""
         shape = len(self.y_mm), len(self.x_mm)
         size = shape[0] * shape[1]
         count = np.bincount(self.number, minlength=size).reshape(shape)

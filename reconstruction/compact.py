@@ -64,7 +64,7 @@ def stored_value(instance: object, name: str) -> Compact | NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Half:
-    """Map of non-negative values: value / `unit`, rounded to float16, as its bits (row, col)."""
+    """Map of non-negative values, stored as the bits (row, col) of value / `unit` in float16."""
 
     bits: Bits
     unit: float
@@ -83,7 +83,7 @@ class Half:
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """Map of wrapped phases, (row, col) whole numbers of steps of 2 pi / 65536 rad."""
+    """Map (row, col) of wrapped phases, stored as integers in units of 2 pi / 65536 rad."""
 
     bits: Bits
 
@@ -94,7 +94,7 @@ class Turns:
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """Map of numbers from 0 to 1, (row, col) whole numbers of steps of 1 / 255."""
+    """Map (row, col) of numbers from 0 to 1, stored as integers in units of 1 / 255."""
 
     steps: NDArray[np.uint8]
 

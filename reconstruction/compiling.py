@@ -123,12 +123,12 @@ class _Listener(event.Listener):  # type: ignore[misc]  # numba has no type info
 
 
 def _load_index(stored: Any) -> Any:
-    """Return the index of the stored versions of a kernel, one version for each argument types.
+    """Return the stored versions of a kernel by the types of their arguments.
 
     The result is empty, so that the kernel is compiled again, in two cases:
 
-    - Reading the index fails because a type that it names no longer exists in the sources.
-    - The index is not a regular file. A pipe is not opened, because that may never return.
+    - Reading the file with the versions fails, because it names a type that no longer exists.
+    - It is not a regular file. A pipe is not opened, because that may never return.
     """
     try:
         is_stored = is_regular(Path(stored._index_path))

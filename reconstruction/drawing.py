@@ -103,7 +103,7 @@ def draw_distribution(
     Parameters
     ----------
     label : name of the quantity, with the unit
-    interval : its lower and upper end; None: no band
+    interval : lower and upper end of the band; None: no band
     """
     axes.hist(values, bins="auto" if np.ptp(values) > 0 else 1, color="#4c72b0")
     if interval is not None:

@@ -33,7 +33,7 @@ def read_in_child(kind: Literal["HDF5", "MATLAB"], path: Path) -> bytes:
     -------
     bytes
         The standard output of the child (see `native_child`): the numeric arrays of a MATLAB file
-        as an npz file, nothing for HDF5.
+        as an npz file, no bytes for HDF5.
 
     Raises
     ------

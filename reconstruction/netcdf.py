@@ -1,8 +1,9 @@
 """Write and read netCDF-4 files of arrays with named dimensions, units and long names.
 
-HDF5 encodes a file in memory, and `writing` copies the bytes to the disk. If HDF5 wrote to the disk
-itself, a failed write or a read of fewer bytes than it wrote could end the process in a
-segmentation fault. In memory neither happens. `sealing` decides which files HDF5 may read.
+HDF5 encodes a file in memory, and `writing` copies the bytes to the disk. HDF5 does not write to
+the disk itself, for two reasons. A failed write may end the process in a segmentation fault, and
+so may a read of fewer bytes than HDF5 wrote. In memory neither happens. `sealing` decides which
+files HDF5 may read.
 
 This module does not import xarray, which takes 1 s to load.
 """
@@ -34,7 +35,7 @@ _OF_HDF5_BYTES = 2**24
 _encoding = threading.Lock()
 
 Labelled = tuple[str | tuple[str, ...], NDArray[Any], Mapping[str, Any]]
-"""Names of the dimensions (one name, or one per axis), the array, its attributes such as units."""
+"""Tuple of dimension names (one name, or one per axis), array, and attributes such as units."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,7 +146,7 @@ class PatternSet:
 
     @property
     def exposure_frame(self) -> int:
-        """Stack index of the frame that sets the exposure: white, or the first one without it."""
+        """Stack index of the frame that sets the exposure: white, or 0 without a white frame."""
         return self.index("white").start if self.uniform else 0
 
     @property
@@ -172,7 +172,7 @@ class PatternSet:
         return AxisFringes(self.length_px(axis), self.periods_along(axis))
 
     def fused_periods(self, axis: Axis) -> tuple[float, ...]:
-        """Return the fringe periods, px, of the phases that are averaged to the coordinate."""
+        """Return the fringe periods, px, of the phases that give the coordinate along `axis`."""
         periods_px = self.periods_along(axis)
         return periods_px if self.kind.rule is Rule.CHAIN else periods_px[:1]
 
@@ -254,7 +254,7 @@ class PatternSet:
         return slice(indices[0], indices[-1] + 1) if indices else slice(0, 0)
 
     def profile(self, frame: PatternFrame) -> Levels:
-        """Return the levels (pixel,) uint8 along the axis of `frame`; for a uniform one along x."""
+        """Return the levels (pixel,) uint8 along the axis of a frame; for a uniform one along x."""
         if frame not in self.frames:
             raise InputError(f"{frame.name} is no frame of this pattern set")
         bright = self._brightness(frame)

@@ -1,4 +1,4 @@
-"""Decide which netCDF-4 files HDF5 may open: files with a valid seal or read by a child process.
+"""Decide which netCDF-4 files HDF5 may open: those with a seal, those a child process has read.
 
 HDF5 does not check its files: on a damaged file it may loop for ever or crash. Files of this
 package therefore end with a seal. The seal follows the last byte that HDF5 records as part of the
@@ -56,7 +56,7 @@ def seal(file: IO[bytes]) -> None:
 
 
 def is_sealed(path: Path) -> bool:
-    """Return True if a file has a valid seal: since sealing at most array elements changed."""
+    """Return True if a file has a valid seal, so since sealing only array elements may differ."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _FOOT.size))
@@ -92,7 +92,7 @@ def require_readable(path: Path) -> None:
 
     Raises
     ------
-    OSError : the file is not netCDF-4, or HDF5 fails, crashes or hangs; the message says which
+    OSError : the file is not netCDF-4, or HDF5 fails, crashes or hangs; the message gives the reason
     """
     state = path.stat()
     identity = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns)

@@ -66,7 +66,7 @@ class AdjustOptions:
 
 @dataclass(frozen=True)
 class PixelRatio:
-    """Estimate of fy / fx of a device, and its standard uncertainty; inf: not determined."""
+    """Estimate of fy / fx of a device; `sigma`: standard uncertainty, inf if not determined."""
 
     value: float
     sigma: float
@@ -363,9 +363,10 @@ def _pixel_ratios(
 def _pixel_ratio(
     vector: FloatArray, change: FloatArray, covariance: FloatArray, focal: slice
 ) -> PixelRatio:
-    """Return fy / fx after a change of the parameters.
+    """Return fy / fx, and its standard uncertainty, after a change of the parameters.
 
     The change is applied to the logarithm of the ratio, so that the ratio remains positive.
+    `focal` is the slice of fx and fy in the parameter vector.
     """
     fx, fy = vector[focal]
     slope = np.array([-1.0 / fx, 1.0 / fy])

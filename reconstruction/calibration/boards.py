@@ -68,7 +68,7 @@ class DotBoard:
 
     @property
     def fiducial_ids(self) -> tuple[int, int, int]:
-        """Ids of the three larger dots: first dot, two columns right of it, one row above it."""
+        """Ids of the larger dots: near the middle, two columns right of it, one row above it."""
         column, row = self.columns // 2 - 1, self.rows // 2
         origin = row * self.columns + column
         return origin, origin + 2, origin - self.columns

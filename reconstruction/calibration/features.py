@@ -115,9 +115,9 @@ def refine_centres(relative: FloatImage, dots: FoundDots) -> tuple[FloatArray, B
     """Return grey-level centroids (n, 2) px, and a mask (n,): True where the centroid is refined.
 
     A dot keeps its centre if the image border cuts the ring of white print around it. The share of
-    ink at a pixel is 1 - brightness / white, with the white level from a plane fitted to the ring,
-    so that shading does not shift the centroid. The centroid of a uniform ellipse is its centre,
-    with any symmetric blur.
+    ink at a pixel is 1 - brightness / white. The white level is a plane fitted to the ring, so that
+    shading does not shift the centroid. The centroid of a uniform ellipse is its centre, also with
+    symmetric blur.
     """
     centres = dots.centres_px.copy()
     is_whole = np.zeros(len(centres), dtype=np.bool_)

@@ -1,20 +1,23 @@
 """Parameter vector of the rig and all board poses, and the projection of board features by it.
 
-The vector has the camera's fx fy cx cy k1 k2 p1 p2 k3, the same nine numbers of the projector,
-T_proj_from_cam as rotation vector (rad) and translation (mm), then T_cam_from_board of each pose as
-rotation vector and translation.
+| elements | parameters |
+|---|---|
+| 0 to 8 | fx fy cx cy k1 k2 p1 p2 k3 of the camera |
+| 9 to 17 | the same numbers of the projector |
+| 18 to 23 | T_proj_from_cam: rotation vector (rad), translation (mm) |
+| 6 per pose | T_cam_from_board: rotation vector (rad), translation (mm) |
 
-A field of view of a few degrees does not determine all parameters. By default (`Freedom`) these
-are fixed or free:
+A field of view of a few degrees does not determine all parameters. By default (`Freedom`) the
+parameters are fixed or free as follows:
 
 - The ratio fy / fx, the width of a pixel divided by its height, is given for both devices. The
   geometry of chips is more exact than the 0.01 % that the poses could determine. The ratio is 1 for
   square pixels, and 2 for a chip with diamond pixels whose columns are counted at half their number
   (LightCrafter 4500: 912 x 1140).
 - Of the camera's distortion only k1 is free. Over a field of view of 4 degrees the effects of k2
-  and k3 are far below the noise, and tangential terms are not separable from the principal point.
-- The projector has no distortion. The board covers a small off-axis part of the projector image,
-  where a radial term is not separable from a shift and a change of focal length.
+  and k3 are far below the noise. Tangential terms are not separable from the principal point.
+- The projector has no distortion. The board covers a small off-axis part of the projector image.
+  There a radial term is not separable from a shift and a change of focal length.
 - Both principal points are free. An error of the camera's would cause a tilt; the projector's is
   far off-axis and not known in advance.
 - The defocus of the camera (`defocus_slopes_px`) has two free coefficients, which are zero for a
@@ -60,7 +63,7 @@ class RigEstimate:
 
 
 def pack(rig: RigEstimate) -> FloatArray:
-    """Return the parameter vector of a rig, (24 + 6 * poses,); layout as in the module's text."""
+    """Return the parameter vector of a rig, (24 + 6 * poses,); the module's text has the layout."""
     motions = [rig.T_proj_from_cam, *rig.T_cam_from_board]
     vectors = [np.append(rotation_vector(T[:3, :3]), T[:3, 3]) for T in motions]
     parts = [_intrinsics(rig.camera), _intrinsics(rig.projector), *vectors]

@@ -30,8 +30,8 @@ with f/8, 6 mm out of focus: 3e-4 projector pixels).
 
 **Projector coordinates.** The projector coordinates of a feature are computed from the phase of the
 white print around it. For a flat board the map from camera to projector pixels is a homography,
-except for lens distortion (Moreno and Taubin, 3DIMPVT 2012, fit one homography per corner to
-Gray-code integers). Here one homography is fitted to the PHASE of the white pixels of the whole
+except for lens distortion. Moreno and Taubin, 3DIMPVT 2012, fit one homography per corner to
+Gray-code integers. Here one homography is fitted to the PHASE of the white pixels of the whole
 board. Around each feature a cubic polynomial is fitted to the remaining distortion. Dark ink, with
 a weak phase, and mixed edge pixels are excluded.
 """

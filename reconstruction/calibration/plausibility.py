@@ -18,8 +18,8 @@ detection scatter. The residuals of lenses that the model does not describe exac
 limit; those of wrong boards and wrong image sizes are above.
 
 The detection scatter is the robust standard deviation of the features from a smooth map of the
-board into the image (a homography and a cubic polynomial). The map can describe any lens, so the
-scatter does not depend on the calibration.
+board into the image. The map is a homography and a cubic polynomial and can describe any lens, so
+the scatter does not depend on the calibration.
 """
 
 from collections.abc import Sequence
@@ -132,7 +132,7 @@ def _pose_rms_px(fit: Adjustment, part: slice) -> list[float]:
 
 
 def misfits(fit: Adjustment, observations: Sequence[Observation]) -> tuple[str, ...]:
-    """Return a message for each device whose residuals are far above the detection scatter."""
+    """Return a message for each device with residuals far above the detection scatter."""
     texts = []
     for name, part in zip(DEVICES, PARTS, strict=True):
         scatter = detection_scatter_px(observations, [m[:, part] for m in fit.measured_px])

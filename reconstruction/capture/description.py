@@ -265,7 +265,7 @@ def read_manifest(path: Path | str) -> PatternSet:
 
 
 def is_sequence(path: Path) -> bool:
-    """Return True if `path` is a TOML file with a pattern set and nothing else, as a manifest."""
+    """Return True if `path` is a TOML file with only a pattern set, such as a manifest."""
     return reading.is_regular(path) and read_toml(path).get("format") == PATTERN_FORMAT
 
 

@@ -269,7 +269,7 @@ def read_frames(
 
 
 def described(folder: Path) -> Path | None:
-    """Return `folder` or its subfolder `capture/`, the one with a capture.toml, or None."""
+    """Return `folder` or its subfolder `capture/`, whichever has a capture.toml; None: neither."""
     for candidate in (folder, folder / SUBFOLDER):
         if is_regular(candidate / DESCRIPTION_FILE):
             return candidate
@@ -277,7 +277,7 @@ def described(folder: Path) -> Path | None:
 
 
 def find_capture(folder: Path | str) -> Path:
-    """Return `folder` or its subfolder `capture/`, the one with a capture.toml.
+    """Return `folder` or its subfolder `capture/`, whichever has a capture.toml.
 
     Raises
     ------

@@ -64,7 +64,7 @@ class FrameEntry:
         black
     period_px : period of the fringes; for bits the width of one code word, which must be given if
         there are more bits than the fringes need
-    steps : number N of phase steps; None: the number of images in the group
+    steps : number N of phase steps, which must be the number of images; None: not stated
     shift_deg : shift of each phase frame, degrees; a single number is the shift of the first frame,
         and further frames follow in steps of 360 / N
     sign : 1: the shift is added to 2 pi x / period; -1: it is subtracted

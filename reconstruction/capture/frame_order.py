@@ -9,7 +9,7 @@ explains the images:
   exposure, and an exchange of two frames must not fit better (`check_phase_sets`).
 - First step: the phase must agree with the half-periods of an edge-safe Gray code
   (`check_first_step`).
-- Gray words: those of neighbouring pixels must differ by one (`check_words`).
+- Gray words: those of neighbouring pixels must differ by at most one (`check_words`).
 - Borders: where a plain Gray word ends, the phase must be 0 and increase with the word
   (`check_borders`).
 

@@ -13,10 +13,10 @@
 | [sensor] | camera noise, see `SensorNoise` |
 | [response] | optional: response of the projector, see `ProjectorResponse` |
 
-The pattern of the file names has fields, as in "{index:03d}_{name}.png": {index} is the number of
-the frame from 0, {number} that from 1, {name} its name and {set} the number of its set from 0.
-Numbers are at most 99 digits wide. Or the pattern has * and ?; then the frames are the matching
-files in natural order of their names (frame_2 before frame_10).
+The pattern of the file names has fields, as in "{index:03d}_{name}.png". {index} is the number of
+the frame from 0, {number} its number from 1, and {name} its name. {set} is the number of its set
+from 0. Numbers are at most 99 digits wide. Or the pattern has * and ?; then the frames are the
+matching files in natural order of their names (frame_2 before frame_10).
 
 Paths are relative to the folder of capture.toml. For images that other programs wrote, [[frames]]
 replaces files and patterns_file, see `frame_list`.

@@ -155,8 +155,8 @@ def _whole_fringes(guess: Guess, size: tuple[int, int]) -> dict[Axis | None, flo
 def _covering(guess: Guess, axis: Axis | None) -> float:
     """Return the frequency, cycles per camera pixel, of which one cycle covers the projector.
 
-    It is that of the coarsest period. If two or three periods show several fringes in the view
-    each, it is that of their coarsest beat, because such periods are heterodyne.
+    It is the frequency of the coarsest period. For two or three periods, each with several fringes
+    in view, it is the frequency of their coarsest beat: the periods are assumed to be heterodyne.
     """
     rates = sorted(phase.frequency for phase in _phases(guess, axis))
     cycles = rates[0] * guess.folder_features.features[0].along[axis or "column"].shape[1]

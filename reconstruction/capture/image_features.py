@@ -1,9 +1,9 @@
 """Compute features of images of unknown content: level, axis and frequency of the stripes.
 
 Of each image some lines along rows and some along columns are used, at full resolution. The level u
-of a pixel is its value, normalised such that u is 0 at the darkest and 1 at the brightest value of
-the pixel in all images. This removes coat, object and lighting. Pixels that hardly change are
-excluded and called not lit.
+of a pixel is its value after normalisation: 0 at the darkest, 1 at the brightest value of the pixel
+in all images. This removes coat, object and lighting. Pixels that hardly change are excluded and
+called not lit.
 
 An image that varies along projector columns varies within the lines along rows and is uniform
 within the lines along columns. The frequency is at the peak of the mean power spectrum of the

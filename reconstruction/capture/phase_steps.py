@@ -78,7 +78,7 @@ def phase_sets(
 
 
 def _even_sets(same: list[ImageFeatures]) -> Iterator[FrameGroup]:
-    """Yield the images of one frequency as one phase set, or as several sets of equal size."""
+    """Yield the phase sets that images of one frequency form: one, several of equal size, none."""
     shifts = even_steps(same)
     if shifts is not None:
         yield _group(same, shifts)
@@ -169,7 +169,7 @@ def stepped_sets(features: Sequence[ImageFeatures]) -> list[FrameGroup]:
 
 
 def _pixels(features: Sequence[ImageFeatures]) -> FloatArray:
-    """Return u - 1/2 of all images at at most MOST_PIXELS lit pixels, (image, pixel)."""
+    """Return u - 1/2 of all images, (image, pixel), at about MOST_PIXELS lit pixels."""
     values = [
         np.stack([image.along[axis] for image in features])[:, features[0].lit[axis]]
         for axis in AXES
@@ -182,7 +182,7 @@ def _stepped_rest(pixels: FloatArray, first: int, count: int) -> float:
     """Return the median residual of A + B cos(phi + 2 pi n / N), in units of B.
 
     The residual of a pixel is the RMS over the N = `count` images from image `first` on. The result
-    is infinity if fewer than nearly all pixels follow the cosine, or if the steps are not equal.
+    is infinity if too few pixels follow the cosine, or if the steps are not equal.
     """
     frames = pixels[first : first + count]
     if len(frames) < count or not frames.size:
@@ -210,7 +210,7 @@ def _has_equal_steps(frames: FloatArray, z: FloatArray) -> bool:
     The test is needed because 11 of 12 equal steps fit 11 equal steps nearly as well. Two least
     squares fits alternate: over the frames for mean and modulation of each pixel, and over the
     pixels for the phase of each frame (Wang and Han, Opt. Lett. 29, 1671 (2004)). If only a small
-    part of a fringe is in view, both are not independent, and the result is True without a test.
+    part of a fringe is in view, the two fits are not independent, and the result is True.
 
     Parameters
     ----------

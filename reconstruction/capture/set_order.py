@@ -8,17 +8,17 @@ tr((1 - H) P G P^T). It needs only G, so that all exchanges of two frames can be
 **First step.** The phase must agree with the half-periods of the Gray code. A set that starts k
 steps late is a perfect phase set in which all coordinates are shifted by k period / N. The shift is
 visible by comparison with the Gray code only. The bits of an edge-safe code have even parity in the
-first half of every period. With the sign + for even and - for odd parity, the mean of +-exp(i phi)
-therefore has the argument pi / 2, minus half a pixel, by which stripes start earlier. A set that
-was recorded in reverse order has the phase 2 pi / N - phi.
+first half of every period. The mean of +-exp(i phi), + for even and - for odd parity, therefore has
+the argument pi / 2. Half a pixel is subtracted, because stripes start earlier by it. A set that was
+recorded in reverse order has the phase 2 pi / N - phi.
 
 **Borders.** Plain Gray words change at the ends of a period only. Between neighbouring pixels with
 words that differ by one, the phase passes 0 and increases towards the larger word. With shifts of
 the wrong sign it decreases there.
 
-**Gray words.** The words of neighbouring pixels differ by one. After an exchange of two Gray
-frames, the parity of a word is unchanged, and neighbouring words still differ in one bit, but their
-numbers differ by more than one. Bits that do not change within the view are not checked.
+**Gray words.** The words of neighbouring pixels differ by at most one. An exchange of two Gray
+frames does not change the parity of a word. Neighbouring words still differ in one bit then, but
+their numbers may differ by more than one. Bits that do not change within the view are not checked.
 """
 
 from itertools import combinations

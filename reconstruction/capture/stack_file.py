@@ -1,8 +1,8 @@
 """Write and read the frames of a capture as one netCDF-4 file, stack.nc.
 
-The variable `stack` (frame, row, col) has the DN of a sensor as uint8 or uint16, or the expected
-values of a noise-free rendering as float32. The variable `frame_name` (frame) has the names. The
-file is not compressed; xarray, MATLAB and HDFView can read it.
+The variable `stack` (frame, row, col) has the DN of a sensor as uint8 or uint16. For a noise-free
+rendering it has the expected values as float32. The variable `frame_name` (frame) has the names of
+the frames. The file is not compressed; xarray, MATLAB and HDFView can read it.
 """
 
 from pathlib import Path

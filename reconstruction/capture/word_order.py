@@ -3,8 +3,8 @@
 Where a bit of a Gray word changes, the next finer bit is 1, and the finer bit after that is 0.
 Where a bit of a binary word changes, both finer bits change, too, in the opposite direction. These
 rules are violated in another order of the bits, or if a bit and its inverse are exchanged.
-Violations, called contradictions, are counted as a share of the changes of each bit, so that a bit
-with few changes has the same weight as one with many. Therefore fine stripes that the camera hardly
+Violations, called contradictions, are counted as a share of the changes of each bit. A bit with few
+changes therefore has the same weight as a bit with many. Thus fine stripes that the camera hardly
 resolves do not hide the order of the coarse bits.
 
 If a bit does not change within the view, at most one coarser bit changes there. Reason: the changes

@@ -143,8 +143,8 @@ def _root_of(variance: UncertainValue) -> UncertainValue:
 def _root(variance: float, uncertainty: float) -> UncertainValue:
     """Return the root of a variance, with its standard uncertainty.
 
-    If the uncertainty of the variance is at least the variance, that of the root is the root of
-    the uncertainty.
+    If the uncertainty of the variance is at least as large as the variance, the uncertainty of the
+    root is the square root of it.
     """
     root = float(np.sqrt(max(variance, 0.0)))
     if variance <= uncertainty:

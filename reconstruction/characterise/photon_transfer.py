@@ -28,7 +28,10 @@ _END_SIGMAS = 5.0
 _MOST_PIXELS = 200_000
 _ROUNDS = 3
 SATURATION_CAPACITIES_E = (100.0, 1e9)
-"""Plausible electrons at full scale: of pixels of 1 um at a gain of 30, of large photodiodes."""
+"""Plausible number of electrons at full scale, full scale / gain.
+
+The limits are those of a pixel of 1 um at a gain of 30 and of the largest photodiodes.
+"""
 # Largest standard uncertainty of the gain, relative: the expanded uncertainty (k = 2) is 50 %.
 _MOST_RELATIVE_SIGMA = 0.25
 # Largest RMS of (variance / that of the line - 1). A scene that moved gives 0.4 and more, real

@@ -11,7 +11,7 @@ projector response of gamma g and a lens blur b (see `rig.projected_light`).
 The fit uses Gauss-Newton iteration. The unknowns o, s, u, v of each pixel are eliminated from the
 normal equations (variable projection, Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973)).
 The edges of Gray bits determine the blur, the levels of the phase steps determine gamma. Harmonics
-of the phase steps alone would not separate them.
+of the phase steps would not separate them without Gray bits.
 
 With the residual r and its leverage h, the mean of r^2 / (1 - h) is exactly the variance of a pixel
 value, for any scene. It gives a photon transfer curve from a single capture (`photon_transfer`).
@@ -151,10 +151,10 @@ def fit_projector(
     stack : (frame, row, col) DN, the stack that was decoded
     patterns : projected patterns
     sensor : black level and saturation; gain and noise give only the first weights
-    decoded : projector coordinates from this stack, the starting values of u and v. If they were
-        decoded from few phase steps for a linear projector, they have errors of 0.1 period at gamma
-        2, and some pixels converge to a wrong bit edge. Then decode again with the fitted response,
-        and fit again
+    decoded : projector coordinates from this stack, the starting values of u and v. Coordinates
+        that were decoded from few phase steps for a linear projector have errors of 0.1 period at
+        gamma 2. Some pixels then converge to a wrong bit edge: decode again with the fitted
+        response, and fit again
     limits : number of fitted pixels and starting values; None: the defaults of `FitLimits`
 
     Raises

@@ -49,10 +49,7 @@ class MicroCode(PatternCode):
             )
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True if the frames show several steps of one period, one image of each other one.
-
-        There must be no code words.
-        """
+        """Return True if one period has several images and each other period one, without words."""
         return not layout.words and layout.has_single_images
 
 

@@ -135,8 +135,8 @@ def read_calibration(path: Path | str) -> Calibration:
 
     Raises
     ------
-    CaptureError : the file is missing or is not YAML, a key is missing, a value has the wrong
-        shape, or the values make no calibration (see `Calibration`)
+    CaptureError : the file is missing or not YAML, a key is missing, a value has the wrong shape,
+        or `Calibration` rejects the values
     """
     tree = read_storage(path)
     try:

@@ -81,12 +81,12 @@ class Importing:
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """A converted calibration, with its origin in the files.
+    """A converted calibration, and the numbers in the files from which it was made.
 
     Attributes
     ----------
     calibration : converted calibration
-    used : name of each required quantity in the files
+    used : name in the files of each required quantity
     refit_px : largest deviation, px, of the fitted lens from that in the file, of the camera and of
         the projector; 0: the lens was used unchanged
     """
@@ -142,15 +142,15 @@ class _Names:
     def of_device(
         self, device: Sequence[str], names: Sequence[str], sizes: Collection[int]
     ) -> FloatArray | None:
-        """Return the first array named by a name of the device and a name of the quantity.
+        """Return the first array with a name made of a device's and a quantity's name, or None.
 
-        None if there is none. The number of elements must be one of `sizes`, because K1 is a matrix
-        in one program and a coefficient in another.
+        The number of elements must be one of `sizes`, because K1 is a matrix in one program and a
+        coefficient in another.
 
         Parameters
         ----------
-        device : names of the device
-        names : names of the quantity, before or after that of the device
+        device : possible names of the device
+        names : possible names of the quantity, before or after that of the device
         """
         forms = [
             form

@@ -61,9 +61,10 @@ def distortion_jacobian(x: Any, y: Any, distortion: tuple[float, ...]) -> tuple[
 def newton_step(
     x_residual: Any, y_residual: Any, jacobian: tuple[Any, Any, Any]
 ) -> tuple[Any, Any]:
-    """Return the Newton step in x and y, to first order the one that cancels the residuals.
+    """Return the Newton step in x and y, which to first order makes the residuals 0.
 
-    The residuals are target minus distorted coordinates, `jacobian` is `distortion_jacobian`.
+    The residuals are target minus distorted coordinates; `jacobian` is the result of
+    `distortion_jacobian`.
     """
     xx, xy, yy = jacobian
     scale = 1.0 / (xx * yy - xy * xy)

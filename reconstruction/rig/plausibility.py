@@ -6,7 +6,7 @@ its numbers are far outside these limits. An inaccurate but valid calibration is
 | quantity | plausible range | reason for the limits |
 |---|---|---|
 | diagonal field of view | 0.1 to 170 degrees | below: parallel rays; above: no pinhole lens |
-| image centre to principal point | up to 80 degrees | 100 % offset, throw ratio 0.25: 63 degrees |
+| image centre to principal point | up to 80 degrees | it is 63 at 100 % offset, throw ratio 0.25 |
 | pixel ratio fy / fx | 0.1 to 10 | real devices have 1/2, 1 or 2 |
 | triangulation angle | 0.5 to 150 degrees | below: no depth; above: no surface visible to both |
 """

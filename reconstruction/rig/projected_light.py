@@ -69,7 +69,7 @@ class ProjectorResponse:
         return tuple(float(value) for value in values)
 
     def light(self, levels: Levels) -> FloatArray:
-        """Return the relative light L, 0 to 1, of an array of 8-bit levels of any shape."""
+        """Return the relative light L, 0 to 1, for 8-bit levels; arrays of any shape."""
         return relative_light(levels, self.gamma, self.curve)
 
 
@@ -78,7 +78,8 @@ def relative_light(
 ) -> FloatArray:
     """Return the relative light L, 0 to 1, of levels 0 to 255 of any shape.
 
-    L is (level / 255) ** gamma, or interpolated in `curve`, L at equally spaced levels, if given.
+    L is (level / 255) ** gamma. If `curve` is given, which has L at equally spaced levels from 0 to
+    255, L is interpolated in it instead.
     """
     relative = levels.astype(np.float64) / 255.0
     if curve:

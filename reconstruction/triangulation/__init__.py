@@ -3,9 +3,9 @@
 The points are in the world frame (z up, towards the devices), mm. The only unknown of a camera ray
 is the depth d along the camera's optical axis. It is computed by Gauss-Newton iteration from the
 projector coordinates u_i (column, row or both) with the weights 1 / sigma_i^2. Its standard
-deviation is sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2). That of the point along the world
-axes is sigma_xyz = sigma_d |R (x, y, 1)|, with the ray (x, y, 1) in the camera frame and R from the
-camera to the world frame.
+deviation is sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2). The standard deviations of the
+point along the world axes are sigma_xyz = sigma_d |R (x, y, 1)|. Here (x, y, 1) is the ray in the
+camera frame, and R rotates from the camera to the world frame.
 
 Below plane clear layers (a window, a gel) both rays are refracted by Snell's law, see `_layers`.
 The unknown is then the depth below the last interface.
@@ -49,9 +49,9 @@ Use = Literal["column", "row", "both"]
 class EpipolarTolerance:
     """Largest allowed distance between a decoded coordinate and that of the triangulated point.
 
-    The coordinate of the point is that of its projection into the projector. The default of one
-    projector pixel is above the error of real calibrations, some 0.1 px, and below that of a wrong
-    fringe order, a whole period.
+    The coordinate of the point is that of its projection into the projector. The default is one
+    projector pixel. Real calibrations have smaller errors, some 0.1 px, and a wrong fringe order
+    has a larger one, a whole period.
 
     Parameters
     ----------

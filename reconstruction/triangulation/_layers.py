@@ -1,8 +1,8 @@
 """Intersect camera rays below plane clear layers with the decoded projector coordinate.
 
-Frame: world, z up. Medium 0 is air, above medium 1; the surface is in the last medium m. n_i is the
-refractive index of medium i, w_i the vertical component of the path of a ray in it, and t the
-tangent of the angle between ray and vertical IN AIR. By Snell's law the horizontal component of the
+Frame: world, z up. Medium 0 is air, above medium 1; the surface is in the last medium m. Medium i
+has the refractive index n_i. The path of a ray in it has the vertical component w_i. In AIR the
+angle between ray and vertical has the tangent t. By Snell's law the horizontal component of the
 whole path is
 
     r(t) = sum_i w_i t / q_i,   q_i = sqrt(n_i^2 + (n_i^2 - 1) t^2),
@@ -189,10 +189,11 @@ def _projector_ray(
 
 @inlined
 def _image(ray: Any, turn: Any, lens: Lens) -> Any:
-    """Return the projector pixel of a ray, the pixel's derivative by depth, and if it is valid.
+    """Return the projector pixel of a ray, its derivative by depth, and whether it is valid.
 
-    ray, turn : (x, y, z) in the projector's frame, and the derivative by depth. The pixel is valid
-    if the ray points forward and is before the fold of the lens model.
+    The pixel is valid if the ray points forward and is before the fold of the lens model.
+
+    ray, turn : (x, y, z) of the ray in the projector's frame, and the derivative of it by depth
     """
     inverse = 1.0 / ray[2]
     px, py = ray[0] * inverse, ray[1] * inverse

@@ -1,7 +1,7 @@
 """Intersect the camera rays of one image row with the decoded projector coordinate, in air.
 
-The geometry is in double precision. Each iteration of the inverse lens distortion and of
-Gauss-Newton is computed for a whole image row, so that the compiler makes vector code of the loops.
+The geometry is in double precision. The iterations of the inverse lens distortion and of
+Gauss-Newton run over a whole image row each, so that the compiler makes vector code of the loops.
 
 Symbols: d is the depth along the camera's z axis, (x, y, 1) the ray in the camera frame, (u, v) the
 projector pixel. X = d a + b is the point in the projector frame, with a = R (x, y, 1) and b = t
@@ -153,10 +153,10 @@ def ray_row(row: int, camera: Lens, rays: Rays) -> None:
 
 
 class Match(NamedTuple):
-    """Coordinates that determine the depth, and the allowed distance of the decoded ones.
+    """Coordinates that determine the depth, and the tolerance of the decoded coordinates.
 
-    The distance between decoded and projected coordinate may be `tolerance_px` plus
-    `tolerance_sigmas` standard deviations of this distance.
+    A decoded coordinate may differ from that of the projected point by `tolerance_px` plus
+    `tolerance_sigmas` standard deviations of the difference.
     """
 
     use_column: bool
