@@ -92,7 +92,7 @@ def require_readable(path: Path) -> None:
 
     Raises
     ------
-    OSError : the file is not netCDF-4, or HDF5 fails, crashes or hangs; the message gives the reason
+    OSError : the file is not netCDF-4, or HDF5 fails, crashes or hangs; the message has the reason
     """
     state = path.stat()
     identity = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns)
