@@ -28,16 +28,14 @@ def adopt(
 ) -> None:
     """Make the twin of a real rig: a rig file with value, range and source of every field.
 
-    Poses and lenses are taken from the calibration of the captures; noise, gamma and blur are
-    fitted to the frames. Every other field has the value of --like and the source "assumed"; see
-    docs/adopt.md.
+    Poses and lenses are those of the captures' calibration; noise, gamma and blur are fitted. All
+    other fields have the value of --like and the source "assumed"; see docs/adopt.md.
 
     Parameters
     ----------
     captures
-        Folders with capture.toml, calibration, white and black frames; the first should show the
-        coat at rest. Two captures of the same scene give the noise. A capture with another fringe
-        period is used as a check.
+        Folders with capture.toml, calibration, white and black frames; first the coat at rest. Two
+        captures of the same scene give the noise; with another fringe period, they are a check.
     like
         Rig that gives every value that the captures do not determine.
     dark
@@ -51,8 +49,7 @@ def adopt(
     reference_uncertainty
         Standard uncertainty of the albedo of the reference.
     ball
-        Capture of a known ball pressed into a thin sheet, which gives thickness and modulus of the
-        sheet.
+        Capture of a known ball pressed into a thin sheet, for its thickness and modulus.
     ball_diameter_mm
         Diameter of that ball, mm.
     layer

@@ -293,15 +293,13 @@ def uncertainty(
     inputs
         TOML file of [inputs.NAME] tables, or the name of a shipped file.
     measurand
-        Figure of the measurement such as z_rmse_um; repeat the option for several. Default: the
-        main figures.
+        Figure such as z_rmse_um; repeat the option for several. Default: the main figures.
     calibration
         drawn: a new calibration of the rig in each trial; true: always the true rig.
     budget
         Also vary each input separately (two measurements each) and only the noise (up to 20).
     sobol
-        Number N of base points, a power of 2, of the Sobol' indices of the pressed face. This
-        takes N x (inputs + 2) presses.
+        Base points N, a power of 2, of Sobol' indices of the face: N x (inputs + 2) presses.
     seed
         Seed of all random draws; default: the seed in the file of inputs.
     """

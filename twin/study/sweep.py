@@ -119,12 +119,9 @@ def sweep(
     workers : processes that compute the cases
     cases : cases of the record, if they were made before; default: they are made
     retry : also run cases again that failed because of their experiment
-    watch : called with a stage and its completed fraction, 0 to 1
-    make_measurer : factory of the measurer of cases, which the workers must be able to import.
-        Default: `Measuring`; if trials draw rigs, after a calibration of the rig
+    make_measurer : importable factory of the measurer of cases; default: `Measuring`
     inputs : files that must not be in the folder
-    tell : called with a sentence if another run uses the store, and for each of the first three
-        reasons of failure
+    tell : called with a sentence if another run uses the store, and on the first failures
 
     Raises
     ------
