@@ -49,12 +49,12 @@ def press(
     ----------
     transfer
         Also report the contact transfer: the share of a groove's depth that the coat shows, by
-        pitch; for a thin sheet, of ridges as high as the specimen's under its back pressure.
+        pitch. For a thin sheet, the share of the height of ridges under the back pressure.
     solid
         Also write the pressed slab as a watertight body, slab.stl and slab.ply.
     by
-        Also differentiate a thin sheet by this number of elastomer, press or specimen, for example
-        elastomer.thickness_mm: derivatives of face, force and travel; repeat it for several fields.
+        Number of elastomer, press or specimen, for example elastomer.thickness_mm: also compute the
+        derivatives of face, force and travel of a thin sheet; repeat it for several numbers.
     """
     from twin.mechanics import write_in_plane
     from twin.mechanics.models import model_of

@@ -33,7 +33,7 @@ class Dots(Model):
     fiducial_diameter_mm: Length
 
     def board(self) -> DotBoard:
-        """Return the pattern as the argument of the feature detector."""
+        """Return the pattern in the form that the feature detector takes."""
         return DotBoard(
             self.columns, self.rows, self.pitch_mm, self.dot_diameter_mm, self.fiducial_diameter_mm
         )
@@ -48,7 +48,7 @@ class Chess(Model):
     square_mm: Length
 
     def board(self) -> Chessboard:
-        """Return the pattern as the argument of the feature detector."""
+        """Return the pattern in the form that the feature detector takes."""
         return Chessboard(self.columns, self.rows, self.square_mm)
 
 
@@ -62,7 +62,7 @@ class Charuco(Model):
     marker_mm: Length
 
     def board(self) -> CharucoBoard:
-        """Return the pattern as the argument of the feature detector."""
+        """Return the pattern in the form that the feature detector takes."""
         return CharucoBoard(self.columns, self.rows, self.square_mm, self.marker_mm)
 
 
@@ -102,7 +102,7 @@ class BoardFile(Model):
     provenance: dict[str, Provenance] = Field(default_factory=dict)
 
     def board(self) -> Board:
-        """Return the pattern as the argument of the feature detector."""
+        """Return the pattern in the form that the feature detector takes."""
         return self.pattern.board()
 
 

@@ -68,8 +68,7 @@ class Coating(Model):
     )
 
     differentiable: ClassVar[tuple[str, ...]] = ()
-    """Names of the numbers of which `bsdf` is a smooth function: bounds can be differentiated by
-    them."""
+    """Names of the numbers by which bounds can be differentiated; `bsdf` is smooth in them."""
 
     albedo_field: ClassVar[str] = ""
     """Name of the number that a reference surface determines; reflected light is affine in it."""

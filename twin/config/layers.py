@@ -77,8 +77,7 @@ class OuterFace:
     height_mm: float
     """World z of the interface, mm."""
     ior: float
-    """Refractive index of the coat's medium; the angle in it determines reflection at this
-    face."""
+    """Refractive index of the coat's medium; the angle in it determines reflection here."""
 
 
 def outer_face(layers: Mapping[str, Layer]) -> OuterFace | None:

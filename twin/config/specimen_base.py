@@ -58,8 +58,7 @@ class Specimen(Model):
     kind: str
 
     slab_fit_paths: ClassVar[tuple[str, ...]] = ()
-    """Names of the numbers that `twin compensate` fits under a slab unless a layer file sets
-    `fitted`."""
+    """Names of the numbers that `twin compensate` fits under a slab if no file sets `fitted`."""
 
     def shape(self) -> Shape:
         """Return the geometry in the specimen's own frame; pose and height are applied later.

@@ -93,7 +93,7 @@ class PredictedMaps:
 
     @property
     def valid(self) -> BoolImage:
-        """Pixels with a point, (row, col)."""
+        """Mask (row, col) of the pixels that have a point."""
         return np.asarray(self.reason == Reason.VALID)
 
     @property

@@ -48,7 +48,7 @@ class SurfacePoints:
 
     @property
     def valid(self) -> BoolImage:
-        """Pixels with a point, (row, col)."""
+        """Mask (row, col) of the pixels that have a point."""
         return np.asarray(self.reason == Reason.VALID)
 
 

@@ -61,7 +61,7 @@ class RigCovariance:
         return cls(tuple(tuple(map(float, row)) for row in rows))
 
     def draw(self, true: Calibration, seed: int, trial: int) -> Calibration:
-        """Return the true rig plus a random calibration error of this covariance.
+        """Return the true rig plus a random calibration error, drawn from this covariance.
 
         Trial 0 has no error. Equal seed and trial give equal errors.
         """

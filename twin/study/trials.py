@@ -150,7 +150,7 @@ class InputDistribution(Protocol):
     """Interface of a probability distribution, as of a frozen distribution of `scipy.stats`."""
 
     def rvs(self, *, random_state: np.random.Generator) -> Any:
-        """Draw once."""
+        """Return one random value."""
 
     def ppf(self, q: ArrayLike, /) -> Any:
         """Return the quantiles at the probabilities `q`, in the shape of `q`."""
@@ -167,7 +167,7 @@ class Choice:
     shares: tuple[float, ...]
 
     def rvs(self, *, random_state: np.random.Generator) -> float:
-        """Draw once."""
+        """Return one random value."""
         return float(random_state.choice(self.values, p=self.shares))
 
     def ppf(self, q: ArrayLike, /) -> FloatArray:

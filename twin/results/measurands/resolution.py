@@ -21,8 +21,7 @@ from twin.results.measurands.depth import Depth
 from twin.results.object_points import ObjectPoints, ObjectView
 
 KEPT_SHARE = 0.5
-"""Share of a grating's depth that must be measured for the grating to be resolved, as for the
-lateral period limit of ISO 25178-600."""
+"""Share of its depth with which a grating is resolved (lateral period limit, ISO 25178-600)."""
 
 
 class GratingResolution(MeasurandKind):

@@ -88,9 +88,8 @@ def levels(heights: Heights, step_mm: float | None = None) -> tuple[BoolImage, B
     ridge, is twice the largest distance of a cell of the upper level from the level's edge.
 
     Of the upper level, the cells at least W / 3 from its edge are kept. Of the lower level, the
-    cells at most W from the upper level are kept that are at least W / 3 from it and from the
-    lower level's own edge. If the lower level is narrower than W, W / 3 is replaced by 1/3 of its
-    own width.
+    cells are kept that are W / 3 to W from the upper level and at least W / 3 from the lower level's
+    own edge. If the lower level is narrower than W, W / 3 is replaced by 1/3 of its own width.
 
     Parameters
     ----------
