@@ -25,7 +25,7 @@ _LONGEST_NAME = 255
 
 
 class AssetError(InputError):
-    """Error of a data file that does not exist, or whose name is not allowed."""
+    """Error of a data file that does not exist, or that has a forbidden name."""
 
 
 def asset_path(collection: Collection, name: str) -> Path:

@@ -1,4 +1,4 @@
-"""Check whether this machine meets the requirements of the twin; every finding has a remedy.
+"""Check this machine for the requirements of the twin; every finding has a remedy.
 
 No check raises: an exception becomes a finding.
 
@@ -42,7 +42,7 @@ class Finding:
     Parameters
     ----------
     name : name of the checked property, for example `memory`
-    ok : True if the property meets the requirements of the twin
+    ok : True if the property is sufficient for the twin
     detail : value of the property
     advice : remedy; empty if `ok`
     """

@@ -138,7 +138,7 @@ def is_ours(folder: Path, path: str, known: Manifest | None) -> bool:
 
 
 def ours(folder: Path, paths: Sequence[str], known: Manifest | None) -> set[str]:
-    """Return those of the given relative paths whose files have a content that `twin` wrote."""
+    """Return those of the given relative paths at which files are as `twin` wrote them."""
     flags = _side_by_side(lambda path: is_ours(folder, path, known), paths)
     return {path for path, is_own in zip(paths, flags, strict=True) if is_own}
 

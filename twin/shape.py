@@ -114,7 +114,7 @@ class Shape(Protocol):
         ...
 
     def spheres(self) -> tuple[Sphere, ...]:
-        """Return the balls whose radius is to be fitted, sorted by x; empty by default."""
+        """Return the balls with a radius to be fitted, sorted by x; empty by default."""
         return ()
 
     def distances(self) -> tuple[SignedDistance, ...]:

@@ -2,7 +2,7 @@
 
 A working folder `.NAME.twin-XXXX.part/` contains a file `lock` and the folder `new/`, the future
 result. The process that writes there has locked the file `lock`. The operating system releases the
-lock when the process ends, for any reason. A working folder whose lock is not taken is therefore a
+lock when the process ends, for any reason. A working folder with a free lock is therefore a
 leftover of a killed run, and the next run on the same target removes it.
 
 The file `lock` contains a mark. While a working folder is created, its parent folder has a shared

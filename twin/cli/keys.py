@@ -42,7 +42,7 @@ def _text(key: Key) -> str:
 
 
 def _nearest(pattern: str, every: Iterable[Key]) -> str:
-    """Return a hint with up to three keys whose last part is spelt similarly; empty if none."""
+    """Return a hint with up to three keys that have a similar last part; empty if none."""
     by_name = {key.path.rpartition(".")[2]: key.path for key in every}
     near = difflib.get_close_matches(pattern, by_name, n=3, cutoff=0.5)
     return f"; nearest: {', '.join(by_name[name] for name in near)}" if near else ""

@@ -129,7 +129,7 @@ class NameOf:
         try:
             self.registry[name]
         except InputError as error:
-            # The message begins with the key of the field, not with the name of the registry.
+            # The key of the field replaces the name of the registry in the message.
             text = str(error).partition("', ")[2]
             also = f"allowed: {self.also}, " if self.also else "allowed: "
             raise ValueError(text.replace("allowed: ", also, 1)) from None
@@ -137,7 +137,7 @@ class NameOf:
 
 
 def follows(*registries: Registry[Any]) -> Callable[[Document], Document]:
-    """Return a decorator of documents whose schema depends on registries.
+    """Return a decorator of documents that have fields with the kinds of registries.
 
     The schema of the decorated class is built again when a registry gets a new kind.
     """

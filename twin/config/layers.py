@@ -1,8 +1,8 @@
 """Clear plane layers above the coat as data, such as a gel, its window, and gaps of air.
 
 World frame: z = 0 is the undeformed coated face. Layers are horizontal and laterally unbounded.
-There is air above the topmost layer and in gaps between layers. A layer whose bottom is at or
-below z = 0 contains the coat: it extends down to the deformed coat.
+There is air above the topmost layer and in gaps between layers. A layer with
+its bottom at or below z = 0 contains the coat: it extends down to the deformed coat.
 """
 
 import math

@@ -84,7 +84,7 @@ __all__ = [
 class Pose(Model):
     """Pose of a camera or projector, given by the position of its pinhole round the world origin.
 
-    The ray of the image centre goes through the origin. The optical axis may have another
+    The ray of the image centre passes through the origin. The optical axis may have another
     direction, if the image is off-axis.
     """
 

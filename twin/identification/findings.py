@@ -240,7 +240,7 @@ def _left_by_parabola(of: FloatArray, by: FloatArray) -> float:
 
 
 def undetermined(posterior: Posterior) -> list[str]:
-    """Return the names of fields whose posterior variance is over 50 % of the prior's."""
+    """Return the names of fields with a posterior variance over 50 % of the prior's."""
     variances = posterior.z.var(axis=0)
     names = posterior.likelihood.free
     return [name for name, v in zip(names, variances, strict=True) if v > _UNDETERMINED]
@@ -298,8 +298,8 @@ class PriorShift:
     ----------
     field, towards : field with the tilted prior, and the end with doubled density, "low" or "high"
     mean_before, mean : posterior mean of the field before and after the tilt, in the field's unit
-    row, row_steps : row whose prediction changes most, and that change in standard deviations of
-        the prediction
+    row, row_steps : row with the largest change of its prediction, and that change in standard
+        deviations of the prediction
     probability : probability, after the tilt, of the most probable combination of choices
     effective_share : effective share of the samples, (sum w)^2 / (n sum w^2), with weights w. If it
         is small, the result depends on few samples

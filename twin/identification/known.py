@@ -122,7 +122,7 @@ class Identified:
         return ridges(self.best.posterior)
 
     def undetermined(self) -> list[str]:
-        """Return the names of the fields whose variance the rows reduce by less than 50 %.
+        """Return the names of fields with a posterior variance over 50 % of the prior's.
 
         The most probable model is used.
         """

@@ -120,7 +120,7 @@ class Simulated:
         consecutive.
     repeats : int
     among : for each field with a fixed list of values (`among`): its column, and its values with
-        their shares of the axis, by the text that stands for the value in names of figures
+        their shares of the axis, by the form of the value in names of figures
     varied : names of the fields that were varied
     """
 

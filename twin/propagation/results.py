@@ -67,7 +67,7 @@ class Measurand:
     distribution : distribution over the trials that have a value
     missing : number of trials without a value, because the measurement or the fit failed
     parts : contributions of the budget, the largest first; empty if no budget was requested
-    undetermined : names of inputs whose contribution is unknown, because a step has no value
+    undetermined : names of inputs without a contribution, because a step has no value
     correlations : correlations with the inputs, the strongest first
     effects : Sobol' indices; empty if they were not requested
     """
@@ -133,12 +133,12 @@ class Uncertainty:
 
     @property
     def experiment(self) -> Experiment:
-        """The nominal experiment, whose measurement was repeated with varied inputs."""
+        """The nominal experiment, which was measured repeatedly with varied inputs."""
         record = self.table.record
         return nominal(record.study, record.base)
 
     def inputs(self) -> dict[str, Input]:
-        """Return the varied inputs, by name, whose key the experiment has."""
+        """Return the varied inputs, by name, that apply to the experiment."""
         return counting_for(self.experiment, self.table.record.study.inputs)
 
     def metrics(self) -> dict[str, Any]:
@@ -156,7 +156,7 @@ class Uncertainty:
 
 
 def is_uncertainty(folder: Path) -> bool:
-    """Return True if a folder is the store of a study whose cases are trials."""
+    """Return True if a folder is the store of a study of trials."""
     if not is_regular(folder / STUDY_FILE):
         return False
     return read_record(folder).study.sampling.method == "trials"

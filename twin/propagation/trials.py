@@ -128,7 +128,7 @@ def record_of(
     compensated: bool | None = None,
     measurands: Sequence[str] = (),
 ) -> StudyRecord:
-    """Return the study whose cases are the trials of an experiment.
+    """Return the study with the trials of an experiment as its cases.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ def may_compensate(experiment: Experiment) -> bool:
     """Return True if the object behind the measured coat can be reconstructed.
 
     This requires a press measured with fringes, and one of three layers: a sheet that may wrap the
-    object, a coat on the contact face, or a slab over a specimen whose form has dimensions to be
+    object, a coat on the contact face, or a slab over a specimen with dimensions that can be
     fitted.
     """
     elastomer, method = experiment.elastomer, experiment.method

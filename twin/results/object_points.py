@@ -90,8 +90,7 @@ class ObjectPoints:
     together : number of points that share one error
     pixels : (n,) flat index of the camera pixel, or of the cell under a sheet; None if not known
     points_each : number of measured points that each point represents
-    under : the object under a sheet whose local thickness is subtracted; None: nothing is
-        subtracted
+    under : the object under a sheet, if its local thickness is subtracted; else None
     """
 
     points_mm: FloatArray

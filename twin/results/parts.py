@@ -280,7 +280,7 @@ def transfer_metrics(transfer: ContactTransfer) -> Metrics:
 def recording_metrics(recording: Recording) -> dict[str, float]:
     """Return exposure time, number of frames and share of clipped values of a recording."""
     stack, clipped_from_dn = recording.capture.stack, recording.capture.sensor.clipped_from_dn
-    # Values are counted only in frames whose largest value is clipped; most frames have none.
+    # Values are counted only in frames with a clipped largest value; most frames have none.
     bright = (frame for frame in stack if frame.max() >= clipped_from_dn)
     clipped = sum(int(np.count_nonzero(frame >= clipped_from_dn)) for frame in bright)
     return {

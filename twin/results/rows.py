@@ -48,7 +48,7 @@ def draw_rows(rows: Sequence[Row], x: str, names: Sequence[str], by: str = "") -
     ----------
     x : name of the column on the horizontal axis, with numbers or texts
     names : names of columns; the first three of those with numbers are drawn
-    by : name of the column whose values are distinguished by colour; empty: no distinction
+    by : name of the column that is shown by colour; empty: one colour
     """
     from reconstruction.drawing import Drawing
 

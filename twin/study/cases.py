@@ -75,7 +75,7 @@ def cases_per_point(study: Study) -> int:
 
 
 def point_at(axes: tuple[Axis, ...], shares: FloatArray) -> Point:
-    """Return the point whose coordinates in the unit cube are `shares` (axis,), 0 to 1."""
+    """Return the point at the coordinates `shares` (axis,), 0 to 1, of the unit cube."""
     return tuple(axis.level_at(float(u)) for axis, u in zip(axes, shares, strict=True))
 
 

@@ -1,7 +1,7 @@
 """Gradient search for the design with the smallest bound on an uncertainty.
 
-A bound is the lower bound on the uncertainty of a dimension. Each point of the search is a case,
-whose result contains the derivatives of the bound. Derivatives with respect to fields that change
+A bound is the lower bound on the uncertainty of a dimension. Each point of the search is a case
+with the derivatives of the bound in its result. Derivatives with respect to fields that change
 neither press nor camera are computed by automatic differentiation (`twin.pipeline.gradients`).
 Those with respect to all other fields are computed from the difference to a second case nearby.
 

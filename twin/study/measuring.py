@@ -123,7 +123,7 @@ def calibrated(
 
 
 def retriangulated(done: Measurement, rig: Calibration) -> Measurement:
-    """Return a measurement whose decoded images are triangulated with another rig."""
+    """Return a measurement after triangulation of its decoded images with another rig."""
     images, options = done.fringes, options_of(done.experiment.decode)
     decoded = images.reconstruction.decoded
     maps = Reconstruction(decoded, triangulate(decoded, rig, options.use, options.tolerance))
@@ -166,8 +166,8 @@ class Conditions:
         the bounds, without frames, noise and decoding
     derivatives : fields with respect to which the bounds are differentiated; the figures are named
         BOUND_by_FIELD
-    layer : assumed elastomer and load for the reconstruction of the object behind the coat, whose
-        figures are named compensated_NAME; None: the object is not reconstructed
+    layer : assumed elastomer and load for the reconstruction of the object behind the coat, with
+        figures named compensated_NAME; None: the object is not reconstructed
     """
 
     trial: int = 0

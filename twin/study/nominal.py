@@ -30,8 +30,8 @@ def check_nominal(record: StudyRecord, case: Case, store: Store) -> None:
 
     Parameters
     ----------
-    case : the nominal case. If it is not in the store, nothing is checked: another run computes
-        the case, or it could not be saved
+    case : the nominal case. If it is not in the store, the check is omitted: another run
+        computes the case, or it could not be saved
 
     Raises
     ------

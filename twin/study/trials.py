@@ -161,7 +161,7 @@ class InputDistribution(Protocol):
 
 @dataclass(frozen=True)
 class Choice:
-    """Discrete distribution: the given values with the probabilities `shares`, whose sum is 1."""
+    """Discrete distribution: `values` with the probabilities `shares`, which have the sum 1."""
 
     values: tuple[float, ...]
     shares: tuple[float, ...]

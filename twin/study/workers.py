@@ -219,7 +219,7 @@ class _LimitedPool(ProcessPoolExecutor):
 def _fail_blocked_writer(queue: Any) -> None:
     """Let the thread that writes to ended workers fail instead of waiting forever.
 
-    This avoids issue 94777 of CPython, whose later versions do this themselves. A thread that ends
+    This avoids issue 94777 of CPython; its later versions do this themselves. A thread that ends
     closes the reader itself, and two threads must not close the same descriptor. So the reader is
     closed here only if the thread is blocked.
     """

@@ -106,7 +106,7 @@ class MeasurandKind(QuantityKind):
     """Kind of a measurand: a quantity that is fitted to points of the object.
 
     A subclass sets the attributes of `QuantityKind`, implements `fit`, and overrides those other
-    methods whose default does not apply.
+    methods that have no suitable default.
 
     Attributes
     ----------

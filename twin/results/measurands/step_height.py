@@ -88,8 +88,9 @@ def levels(heights: Heights, step_mm: float | None = None) -> tuple[BoolImage, B
     ridge, is twice the largest distance of a cell of the upper level from the level's edge.
 
     Of the upper level, the cells at least W / 3 from its edge are kept. Of the lower level, the
-    cells are kept that are W / 3 to W from the upper level and at least W / 3 from the lower level's
-    own edge. If the lower level is narrower than W, W / 3 is replaced by 1/3 of its own width.
+    cells are kept that are W / 3 to W from the upper level and at least W / 3 from the lower
+    level's own edge. If the lower level is narrower than W, W / 3 is replaced by 1/3 of its own
+    width.
 
     Parameters
     ----------
