@@ -1,4 +1,4 @@
-"""Commands that check the machine, write templates, list keys, and complete shell commands."""
+"""Commands that check the machine, write templates, list keys, and print completion scripts."""
 
 import sys
 from pathlib import Path

@@ -26,7 +26,7 @@ Group = Literal["placement", "press", "elastomer", "optics"]
 class Input(Model):
     """One quantity that differs from trial to trial, with its distribution.
 
-    All distributions except a choice are relative to the nominal value.
+    A choice draws from given values. Every other distribution is about the nominal value.
     """
 
     group: Group = Field(

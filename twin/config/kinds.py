@@ -75,7 +75,10 @@ class OneOf:
 
 @cache
 def default_kinds(document: type[BaseModel]) -> dict[str, str]:
-    """Return, by key of each table of a document with a default kind, the name of that kind."""
+    """Return the default kind of each table of a document, by the key of the table.
+
+    Tables without a default kind are left out.
+    """
     return {
         name: marker.default
         for name, field in document.model_fields.items()

@@ -130,7 +130,7 @@ class SensorChoice(Model):
 
 
 class Alternative(Model):
-    """Discrete unknown: one of several choices is true for all experiments that are named."""
+    """Discrete unknown: one of several choices is true, for the named experiments or for all."""
 
     choices: Annotated[dict[Name, SensorChoice], Field(min_length=2)]
     experiments: tuple[Name, ...] = Field(

@@ -175,7 +175,7 @@ def _closest(key: str, loc: Loc, document: type[BaseModel]) -> str | None:
 
 
 def _walk(loc: Loc, document: type[BaseModel]) -> tuple[list[str], list[type[BaseModel]]]:
-    """Return path and models of a location in a document, given by pydantic."""
+    """Follow a location, as pydantic gives it, in a document; return its path and its models."""
     path: list[str] = []
     here: list[Any] = [document]
     for part in map(str, loc):

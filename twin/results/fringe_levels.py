@@ -93,7 +93,10 @@ def white_radiance(maps: TraceMaps, experiment: Experiment) -> FloatImage:
 
 
 def outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) -> Any:
-    """Return the share of white, (row, col), that remains near the blurred edge of the image."""
+    """Return the relative light of a white image with blurred edges at each pixel, (row, col).
+
+    It is 1 far inside the projected image and 0 far outside.
+    """
     projector, sigma = experiment.projector, np.sqrt(numbers.blur_px2(maps.axial_mm))
     along = outline(maps.column_px, projector.width_px, sigma)
     return along * outline(maps.row_px, projector.height_px, sigma)

@@ -154,7 +154,8 @@ def _by_bands(
     """Compute results for consecutive bands of rows, and join them.
 
     Arrays of a whole image do not fit into the cache of the processor, and the operating system
-    must clear the memory of each new array. Without bands the speed is a third.
+    must clear the memory of each new array. Without bands, the computation takes three times as
+    long.
     """
     rows = max(1, _BAND_PIXELS // shape[1])
     parts = [results_of(slice(first, first + rows)) for first in range(0, shape[0], rows)]

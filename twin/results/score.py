@@ -57,9 +57,9 @@ class TruthScore:
     Errors are taken at target pixels with a valid point; see `wanted_pixels`.
 
     `completeness` is the share of the target pixels that have a point. `good_share` is the share
-    of the target pixels with an error of at most `score.good_within_um`. A figure is
-    None if there is no point for an error or no pixel for a share. It is not 0, because 0 would be
-    the best possible error. `why_absent` gives the reason.
+    of the target pixels with an error of at most `score.good_within_um`. A figure is None if there
+    is no point for an error or no pixel for a share. It is not 0, because 0 would be the best
+    possible error. `why_absent` gives the reason.
     """
 
     points: int

@@ -13,7 +13,7 @@ from twin.study.record import StudyRecord
 
 
 def unmeasurable(cases: Sequence[Case]) -> dict[str, list[Case]]:
-    """Return the cases that cannot be measured, by the reason as text.
+    """Return lists of the cases that cannot be measured, by the text of the reason.
 
     The fields that the checks read are recorded. Cases with the same values of these fields are
     checked only once, for example cases that differ only in seed, code or exposure.
