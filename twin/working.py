@@ -1,4 +1,4 @@
-"""Working folders, into which a command writes until its result is complete; end by a signal.
+"""Working folders for unfinished results of commands; clean-up when a signal ends a command.
 
 A working folder `.NAME.twin-XXXX.part/` contains a file `lock` and the folder `new/`, the future
 result. The process that writes there has locked the file `lock`. The operating system releases the

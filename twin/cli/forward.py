@@ -226,7 +226,7 @@ def compare(
     match: Literal["force", "depth"] = "force",
     report: Report = True,
 ) -> int:
-    """Measure each specimen by each method and set the results side by side.
+    """Measure each specimen by each method, and compare the results in one report.
 
     A measurement that is in OUT already is not repeated; delete its folder to repeat it.
 
