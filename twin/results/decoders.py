@@ -1,6 +1,8 @@
-"""One image by every decoder: the paper's look-up table or the polynomial, three integrations.
+"""One photometric image decoded by every colour map and every integration, with scores.
 
-The decoders share image, reference presses and truth, so that only the decoding differs.
+A decoder is a colour map (the paper's look-up table, or the polynomial) with one of three
+integrations of slopes. The decoders share image, reference presses and truth, so that only the
+decoding differs.
 """
 
 from collections.abc import Mapping
@@ -25,7 +27,7 @@ MAP_NAMES = {"polynomial": "polynomial", "table": "look-up table"}
 
 @dataclass(frozen=True, eq=False)
 class DecodedImage:
-    """Points and score from one image by one decoder."""
+    """Heights and score of one image, decoded by one colour map and one integration."""
 
     colour_map: MapKind
     integration: str
@@ -34,12 +36,15 @@ class DecodedImage:
 
     @property
     def errors(self) -> HeightScore:
-        """Its figures against the truth."""
+        """Errors of the heights against the true surface."""
         return self.score.against_truth
 
     @property
     def sphere_rmse_mm(self) -> float | None:
-        """Mean RMSE of the sphere fits, as the paper compares it; None without a fit."""
+        """Mean over the balls of the RMSE of the sphere fit, mm; None without a fit.
+
+        The paper compares decoders by this figure.
+        """
         errors_mm = [ball.measured.stats.rmse_mm for ball in self.score.spheres]
         return sum(errors_mm) / len(errors_mm) if errors_mm else None
 
@@ -50,16 +55,16 @@ def decode_all(
     calibrations: Mapping[MapKind, SensorCalibration],
     truth: Truth,
 ) -> list[DecodedImage]:
-    """Decode and score an image by every colour map given and every integration.
+    """Decode and score an image by every given colour map and every integration.
 
     Returns
     -------
     list of DecodedImage
-        By map, then by integration, each in the order of its kind.
+        One result per decoder, sorted by colour map, then by integration.
 
     Raises
     ------
-    FitError : no pixel of the field carries a height
+    FitError : no pixel within `photometric.field` has a height
     """
     return [
         decode_one(experiment, image, calibrations[kind], (kind, scheme.name), truth)
@@ -76,7 +81,12 @@ def decode_one(
     decoder: tuple[MapKind, str],
     truth: Truth,
 ) -> DecodedImage:
-    """Decode and score an image by one decoder; errors as `decode_all`."""
+    """Decode and score an image by one decoder: a colour map and the name of an integration.
+
+    Raises
+    ------
+    FitError : no pixel within `photometric.field` has a height
+    """
     kind, integration = decoder
     options = PhotometricOptions(integration=integration)
     heights = PhotometricDecoder(calibration, options).decode(image)
@@ -84,11 +94,11 @@ def decode_one(
 
 
 def chosen(experiment: Experiment, decoded: list[DecodedImage]) -> DecodedImage:
-    """Return the result of the experiment's own decoder."""
+    """Return the image as decoded by the decoder that the experiment selects."""
     scheme = experiment.photometric.colour_map, experiment.photometric.integration
     return next(image for image in decoded if (image.colour_map, image.integration) == scheme)
 
 
 def decoder_name(image: DecodedImage) -> str:
-    """Name a decoder as figures and tables do."""
+    """Return the name of a decoder for plots and tables."""
     return f"{MAP_NAMES[image.colour_map]}, {SCHEMES[image.integration].title}"

@@ -1,4 +1,4 @@
-"""A measurement as a folder: written, read back; the names are the contract of `twin ... -o DIR`.
+"""Folder of a measurement: write and read its files. Users may rely on the names of the files.
 
 | file | content |
 |---|---|
@@ -27,7 +27,8 @@ By photometric stereo:
 | height.nc | height, slopes and reason codes |
 | decoders.csv | figures of this image by every colour map and every integration |
 
-A measurement that is read is scored again from the stored maps; a stored image is decoded again.
+When a measurement is read, it is scored again from the stored maps; a photometric image is decoded
+again.
 """
 
 from collections.abc import Sequence
@@ -102,19 +103,22 @@ _NEEDED_OF_A_PRESS = (
 
 
 def write_measurement(folder: Path, command: str, done: Measurement) -> None:
-    """Write one measurement into an empty folder; `command` is the calling command."""
+    """Write all files of a measurement into an empty folder; `command` is the calling command."""
     write_told(folder, command, done)
     write_maps(folder, done)
 
 
 def write_told(folder: Path, command: str, done: Measurement) -> None:
-    """Write the small files: texts and figures; `command` is the calling command."""
+    """Write the small files of a measurement: figures, experiment, run times.
+
+    `command` is the name of the calling command.
+    """
     write_result(folder, command, done.experiment, done.metrics)
     write_timings(folder, done.seconds)
 
 
 def write_maps(folder: Path, done: Measurement) -> None:
-    """Write the arrays of one measurement: all but `write_told`."""
+    """Write the arrays of a measurement: all files that `write_told` does not write."""
     run_side_by_side(
         [
             lambda: write_kept(folder, done, ("points",)),
@@ -129,7 +133,7 @@ def write_maps(folder: Path, done: Measurement) -> None:
 
 
 def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
-    """Write some arrays of a measurement: "press", "capture" (images), "points" (and maps)."""
+    """Write the arrays that `keep` names: "press", "capture" (images), "points" (and maps)."""
     if "press" in keep and done.pressed is not None:
         write_pressed(folder, done.pressed)
     images = done.images
@@ -155,18 +159,18 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
 
 
 def deviation_of(done: Measurement) -> Deviation:
-    """Return measured less true z, um, at the measured pixels."""
+    """Return measured minus true world z, um, (row, col), and a mask of the compared pixels."""
     points, true = done.points, done.truth
     error_um = 1e3 * (points.world_mm[..., 2] - true.points_world_mm[..., 2])
     return Deviation(error_um, points.valid & true.measured)
 
 
 def read_measurement(folder: Path) -> Measurement:
-    """Read a whole result folder.
+    """Read all files of a finished measurement.
 
     Raises
     ------
-    InputError : the folder is no finished measurement, or a file is missing or damaged
+    InputError : the folder is not a finished measurement, or a file is missing or damaged
     """
     result = _read_result(folder)
     experiment = _read_experiment(folder / EXPERIMENT_FILE)
@@ -197,9 +201,9 @@ def _compensation_of(experiment: Experiment, images: Fringes | Colours) -> Sheet
 
 
 def as_stored(folder: Path, done: Measurement) -> Measurement:
-    """Return a measurement as `read_measurement` does, once `write_told` has written it.
+    """Return a measurement as `read_measurement` would return it, after `write_told`.
 
-    Only the small files are read; the arrays are at hand.
+    Only the small files are read; the arrays are those of `done`.
     """
     result = _read_result(folder)
     return replace(
@@ -227,7 +231,7 @@ def _write_decoding(folder: Path, images: Colours) -> None:
 
 
 def write_decoders(path: Path, decoded: Sequence[DecodedImage]) -> None:
-    """Write the figures of every decoder as CSV, one line each; empty where there is none."""
+    """Write the figures of every decoder as CSV, one line each; missing values are empty."""
     write_rows(path, [_decoder_row(image) for image in decoded], 6)
 
 
@@ -273,7 +277,7 @@ def _read_image(path: Path) -> Levels:
 
 
 def _read_result(folder: Path) -> dict[str, Any]:
-    """Read result.json of a measurement."""
+    """Read `result.json` of a measurement; raise InputError for another kind of result."""
     if not is_regular(folder / RESULT_FILE):
         raise InputError(f"{folder}: no finished result (no {RESULT_FILE}); run twin measure first")
     result = read_json(folder / RESULT_FILE)
@@ -287,20 +291,21 @@ def _read_result(folder: Path) -> dict[str, Any]:
 
 
 def _require(folder: Path, figures: Metrics, names: tuple[str, ...]) -> None:
-    """Raise InputError if a result lacks figures, or has texts in their place."""
+    """Raise InputError if a result lacks one of the named figures, or has a text in its place."""
     missing = sorted(set(names) - set(Figures(figures)) - ({"warnings"} & set(figures)))
     if missing:
         raise InputError(f"{folder / RESULT_FILE}: no {', '.join(missing)}; measure again")
 
 
 def _read_experiment(path: Path) -> Experiment:
-    # load_experiment would take the missing file for the name of a shipped experiment.
+    # If the file is missing, load_experiment would take its path for the name of a shipped
+    # experiment.
     if not is_regular(path):
         raise InputError(f"{path}: no such file; measure again")
     return load_experiment(path)
 
 
 def _read_seconds(folder: Path) -> dict[str, float]:
-    """Read stage times; a result may have lost them without losing anything measured."""
+    """Read the run time, s, of each stage; empty if the file is missing."""
     path = folder / TIMINGS_FILE
     return read_json(path) if is_regular(path) else {}
