@@ -160,7 +160,7 @@ def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
 def fit_sphere_both_ways(points_mm: ArrayLike) -> tuple[SphereFit, SphereFit]:
     """Return the results of `fit_sphere` and `fit_sphere_algebraic` for points, (n, 3) float.
 
-    The algebraic fit is the start of the iteration of `fit_sphere`, so that it takes no further time.
+    The algebraic fit is the start of the iteration of `fit_sphere`, so that it needs no extra time.
 
     Raises
     ------
