@@ -217,6 +217,8 @@ def _edges_mm(
 def write_mesh_ply(path: Path, mesh: SurfaceMesh, rgb: Levels | None = None) -> None:
     """Write a mesh as a little-endian binary PLY file, mm.
 
+    Parameters
+    ----------
     rgb : (vertex, 3) uint8, colours of the vertices; None: no colours
     """
     coloured = "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
@@ -242,6 +244,8 @@ def write_surface(folder: Path, points: PointMap, deviation: Deviation | None = 
     The files are points.ply, and if there are three valid neighbouring pixels also height_map.nc,
     height_map.png with height_map.png.json, height_map.exr and surface.ply.
 
+    Parameters
+    ----------
     deviation : gives points and mesh their colours; None: no colours
     """
     jobs = [lambda: write_point_map_ply(folder / "points.ply", points, deviation)]
