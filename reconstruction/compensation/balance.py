@@ -267,7 +267,7 @@ def _up_to_half(
 
 
 def off_the_rim(relief: Relief) -> BoolArray:
-    """Return the cells, (row, col) bool, in whose curvature the bend at the clamp has no effect.
+    """Return the cells, (row, col) bool, in which the bend at the clamp does not affect curvature.
 
     They are farther from the rim than three standard deviations of the curvature's filter.
     """

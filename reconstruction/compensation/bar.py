@@ -18,7 +18,7 @@ distance r outside O.
 
 For an incompressible neo-Hookean sheet of shear modulus mu and undeformed thickness h, stretched by
 the factor a across the bar and thinned to t = c h, B = mu (a^2 + c^2) t^3 / 6. N is the tension of
-a span whose curvature carries the air pressure.
+a span that carries the air pressure by its curvature.
 """
 
 from dataclasses import dataclass, replace
@@ -131,7 +131,7 @@ class _Sheet:
         return self.thickness_mm * self.thinning
 
     def tension(self, curvature_per_mm: float) -> float:
-        """Return the line tension N, kPa mm, of a free span whose coat has the given curvature."""
+        """Return the line tension N, kPa mm, of a free span with the given coat curvature."""
         return self.pressure_kpa * (1 / curvature_per_mm + self.local_mm / 2)
 
     def tail_mm(self, tension: float) -> float:

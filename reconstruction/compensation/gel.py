@@ -3,7 +3,7 @@
 This is the contact-face layout; lengths in mm, pressures in kPa. World frame: the undeformed coat
 is z = 0, the object approaches from below. In contact the coat has the shape of the object's
 surface; elsewhere the gel is free. The layer's compliance G distinguishes the two and gives the
-pressure: the non-negative p whose deflection G p is nearest to the measured heights u,
+pressure: the non-negative p with the deflection G p nearest to the measured heights u,
 
     min |w (G p - u)|^2,  p >= 0,  p = 0 where u was not measured  (w = 1 where u was measured).
 
@@ -163,7 +163,7 @@ def compensate_gel(relief: Relief, layer: GelLayer) -> CompensatedGel:
 
 
 def _pressure(deflect: Deflect, heights_mm: FloatArray, known: FloatArray) -> FloatArray:
-    """Return the non-negative pressure over modulus whose deflection is nearest to the heights.
+    """Return the non-negative pressure over modulus with the deflection nearest to the heights.
 
     Parameters
     ----------

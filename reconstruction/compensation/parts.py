@@ -202,7 +202,7 @@ def _fitted(compensated: Compensated, cells: BoolArray, core: BoolArray) -> Obje
 def _form(points_mm: FloatArray) -> tuple[Form, RadiusFit | None]:
     """Return the form of points (n, xyz), and the function that fits its radius.
 
-    The function is None for a flat face. The module docstring says how the form is selected.
+    The function is None for a flat face. The module docstring defines how the form is selected.
     """
     least = rms(fit_plane(points_mm).residuals_mm)
     directions = np.linalg.svd(points_mm - points_mm.mean(axis=0), full_matrices=False)[2][:2]

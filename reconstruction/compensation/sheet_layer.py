@@ -1,4 +1,4 @@
-"""Known values of a thin sheet and its load; lengths mm, pressures kPa."""
+"""Describe the known values of a thin sheet and its load; lengths in mm, pressures in kPa."""
 
 from dataclasses import dataclass
 

@@ -94,7 +94,7 @@ FitError if no press with these values exists."""
 
 @dataclass(frozen=True)
 class KnownForce:
-    """Force of the object along z from a gauge, and its standard uncertainty."""
+    """Force of the object along z, measured by a gauge, and its standard uncertainty; N."""
 
     force_n: float
     sigma_n: float

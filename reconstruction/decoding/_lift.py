@@ -4,7 +4,7 @@ Symbols: x coordinate, G the Gaussian, lift l = G x - x, coarse part c = G l; se
 
 G is applied along rows, then along columns, as second differences x(-k) - 2 x + x(+k) of pixel
 pairs. A pair is used only if both its pixels are measured, so that a plane is unchanged also next
-to holes and image borders. A pair whose second difference exceeds half a period has a wrong fringe
+to holes and image borders. A pair with a second difference above half a period has a wrong fringe
 order or is on another body, and is excluded.
 """
 

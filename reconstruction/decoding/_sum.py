@@ -240,7 +240,7 @@ def find_noise(mean: Any, scale: Any, limits: Limits, noise: Any) -> None:
 def mark_low_modulation(
     steps: int, limits: Limits, modulation: Any, noise: Any, reason: Any
 ) -> None:
-    """Mark pixels as `LOW_MODULATION` whose phase sigma would exceed its limit.
+    """Mark pixels as `LOW_MODULATION` if their phase sigma would exceed its limit.
 
     Pixels with less modulation than `limits.min_modulation_dn` are also marked. Pixels that are
     already marked as `SATURATED` are unchanged.
@@ -298,7 +298,7 @@ def level_row(
 
 @nested
 def mark_faint(modulation: Any, limits: Limits, reason: Any) -> None:
-    """Mark pixels as `LOW_MODULATION` whose modulation is below `limits.min_modulation_dn`."""
+    """Mark pixels as `LOW_MODULATION` if their modulation is below `min_modulation_dn`."""
     for col in range(modulation.size):
         is_kept = modulation[col] >= limits.min_modulation_dn or reason[col] != 0
         reason[col] = reason[col] if is_kept else LOW_MODULATION

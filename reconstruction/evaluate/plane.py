@@ -231,7 +231,7 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
 def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWidth:
     """Measure the width of a bar between the positions at a fraction of its height.
 
-    The ground is the median of the lowest third of the heights, the top that of the highest tenth.
+    The ground is the median of the lowest third of the heights, the top that of the highest 10 %.
 
     Parameters
     ----------

@@ -117,7 +117,7 @@ def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: Fl
     """Return the standard uncertainty of a fitted radius, mm, from the scatter of the residuals.
 
     It is the radius's element of s sqrt((J^T J)^-1), with the standard deviation s of the residuals
-    and the Jacobian J, whose rows are (-unit normal, -1).
+    and the Jacobian J with the rows (-unit normal, -1).
     """
     freedom = len(points) - 4
     if freedom < 1:
@@ -203,7 +203,7 @@ def _frame(axis: FloatArray) -> FloatArray:
 
 
 def _start(local: FloatArray) -> FloatArray:
-    """Return the start (5,) of a cylinder fit in the local frame, whose x is along the axis.
+    """Return the start (5,) of a cylinder fit in the local frame, with x along the axis.
 
     The parameters are y and z of the axis, its two slopes, here 0, and the radius. A circle is
     fitted across the axis by the linear equation y^2 + z^2 = 2 a y + 2 b z + c (Kasa 1976).

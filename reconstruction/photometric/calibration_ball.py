@@ -19,7 +19,7 @@ from reconstruction.photometric.images import GROWTH_PX, checked_image, find_mar
 SMOOTHING_PX = 5
 SECTORS = 72
 ROUNDS = 3
-# A direction whose peak is below this share of the median peak has no edge (no lamp on that side).
+# A direction with a peak below this share of the median peak has no edge (no lamp on that side).
 LEAST_CONTRAST = 0.35
 # Directions with a residual of more than this many robust sigmas are excluded.
 OUTLIER_SIGMAS = 2.5

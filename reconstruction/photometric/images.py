@@ -26,7 +26,7 @@ def checked_image(image: ArrayLike, name: str, shape: tuple[int, ...] | None = N
 
     Parameters
     ----------
-    name : what the message calls the image
+    name : name of the image in the error message
     shape : required shape; None: any shape
     """
     levels = np.asarray(image)

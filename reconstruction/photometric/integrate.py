@@ -247,7 +247,7 @@ def corrected(
     boundary: Boundary = "neumann",
     weights: ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the heights whose steps are nearest to the slopes, in (weighted) least squares.
+    """Return the heights with the steps nearest to the slopes, in (weighted) least squares.
 
     Parameters
     ----------

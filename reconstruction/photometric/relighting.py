@@ -24,7 +24,7 @@ LEAST_SHARE = 0.05
 
 
 def untouched_gel(levels: FloatImage, flat: FloatImage, highest: float) -> BoolImage:
-    """Return the pixels, (row, col) bool, whose colour is near that of the background.
+    """Return the pixels, (row, col) bool, with a colour near that of the background.
 
     Parameters
     ----------

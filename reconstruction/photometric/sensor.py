@@ -1,8 +1,8 @@
 """Calibrate a photometric sensor, store the calibration, and measure heights from colours.
 
 A calibration file is a NumPy archive (.npz) of arrays without pickle: `format`, `version`, `kind`,
-`pitch_mm`, `smoothing_px`, `marker_level`, `background`, and the arrays of the colour map, whose
-names start with `map_`. A measurement compares the colours with the background, maps them to
+`pitch_mm`, `smoothing_px`, `marker_level`, `background`, and the arrays of the colour map under
+names that start with `map_`. A measurement compares the colours with the background, maps them to
 slopes, integrates the slopes to heights, and subtracts the height of undeformed gel.
 """
 
@@ -341,7 +341,7 @@ class UntouchedGel:
 
     Parameters
     ----------
-    where : (row, col) bool, pixels whose colour is near that of the background
+    where : (row, col) bool, pixels with a colour near that of the background
     light_change : RMS over image and channels of (light in the image / light in the background
         - 1); 0 if the change is not compensated
     """

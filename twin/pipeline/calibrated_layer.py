@@ -59,7 +59,7 @@ def calibrated_layer(
 
 
 def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
-    """Return the layer with the fitted values of its sheet and their uncertainties."""
+    """Return the layer with the fitted values of a sheet and their standard uncertainties."""
     values = {
         "shore_a": None,
         "shore_00": None,

@@ -82,7 +82,7 @@ class BoardCalibration:
     result : calibration with uncertainties and residuals
     observations : decoded features of each pose that was used
     digest : hash of the inputs
-    experiment : experiment whose rig was rendered; None for a real rig
+    experiment : experiment of a rendered rig; None for a real rig
     skipped : poses that were not used
     """
 
@@ -267,7 +267,7 @@ def calibrate_rig(
     Parameters
     ----------
     source : folder with one capture folder per board pose, the first of which defines the world
-        frame; or an experiment, whose rig is rendered with the poses of the board file
+        frame; or an experiment: its rig is rendered with the poses of the board file
     board : board file, or the name of a shipped board
 
     Raises

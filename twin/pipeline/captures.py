@@ -89,7 +89,12 @@ LIKELY_CAUSES = {
 
 
 def require_points(capture: Path, reasons: ReasonImage) -> None:
-    """Raise CaptureError, with the most frequent reason, if no pixel (row, col) is valid."""
+    """Raise CaptureError, with the most frequent reason code, if no pixel is valid.
+
+    Parameters
+    ----------
+    reasons : (row, col) reason codes
+    """
     if np.any(reasons == Reason.VALID):
         return
     codes, counts = np.unique(reasons, return_counts=True)
@@ -204,7 +209,7 @@ def continuity_metrics(decoded: Decoded, patterns: PatternSet) -> dict[str, floa
 
 
 def order_doubts(figures: Mapping[str, Any]) -> list[str]:
-    """Return a warning for each axis whose coordinate jumps too often between neighbouring pixels.
+    """Return a warning for each axis with too many jumps of its coordinate between pixels.
 
     Parameters
     ----------

@@ -86,9 +86,9 @@ def light_on_sensor(experiment: Experiment, radiance: FloatImage) -> FloatImage:
 def vignetting(pinhole: Pinhole, exponent: float) -> FloatImage:
     """Return the ratio of the illuminance on the sensor to that on the axis, (row, col) float32.
 
-    The ratio is a power of the cosine of the angle to the axis. The exponent is 4 for a lens whose
-    only stop is its pupil (natural vignetting): cos^2 by the longer distance, cos by the
-    inclination of the pupil and cos by that of the sensor.
+    The ratio is a power of the cosine of the angle to the axis. The exponent is 4 for a lens with
+    no stop but its pupil (natural vignetting): cos^2 by the longer distance, cos by the inclination
+    of the pupil and cos by that of the sensor.
     """
     x = (np.arange(pinhole.width_px) - pinhole.cx_px) / pinhole.fx_px
     y = (np.arange(pinhole.height_px) - pinhole.cy_px) / pinhole.fy_px

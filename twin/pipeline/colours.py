@@ -84,7 +84,7 @@ class ColourSensor:
 
     Attributes
     ----------
-    experiment : experiment whose camera has the exposure time of `coat`
+    experiment : experiment with the exposure time of `coat` in its camera
     coat : loaded scene of the coat
     """
 
@@ -205,7 +205,7 @@ def calibrated_sensor(
 
     Parameters
     ----------
-    memory : cache of stage results; None: nothing is cached
+    memory : cache of stage results; None: no cache
 
     Raises
     ------

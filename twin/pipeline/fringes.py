@@ -271,7 +271,7 @@ def expose_capture(
 
 
 def decoding_warnings(experiment: Experiment) -> list[str]:
-    """Return a warning if the rig has layers whose refraction the reconstruction neglects."""
+    """Return a warning if the rig has layers and the reconstruction neglects their refraction."""
     if experiment.decode.through_layers or not experiment.layers:
         return []
     return [

@@ -28,7 +28,7 @@ from twin.config.schema import models_of
 
 Path = tuple[str, ...]
 
-# Prefix of the record of a table whose fields were read one by one: no JSON text starts with it.
+# Prefix of the record of a table of which fields were read one by one: no JSON text starts with it.
 _PRESENT = b"table "
 
 
@@ -55,7 +55,7 @@ class Reads:
 
         Parameters
         ----------
-        value : value of the field; for a table whose fields are read one by one its class
+        value : value of the field; for a table of which fields are read one by one its class
         """
         if not isinstance(value, type):
             self._values[path] = _content(path, value)

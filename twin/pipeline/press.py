@@ -43,7 +43,7 @@ class PressedFace:
 
 
 def press(experiment: Experiment, memory: Memory, progress: Progress | None = None) -> PressedFace:
-    """Press the specimen of an experiment; reuse stages whose results are in the cache.
+    """Press the specimen of an experiment; reuse results of stages that are in the cache.
 
     The shape of a slab pressed to a depth is equal for all moduli and is cached as one stage.
     Otherwise the whole press is one stage. A further stage adds the texture of the coat.

@@ -12,7 +12,7 @@ from twin.pipeline.press import Progress, with_texture
 from twin.results.parts import press_metrics
 from twin.results.press_derivatives import PressDerivative
 
-# Relative step of central differences of linearised presses, whose rounding error is below 1e-6.
+# Relative step of central differences of linearised presses; their rounding error is below 1e-6.
 # With a larger step single points would begin to touch, which a derivative does not include.
 _STEP = 1e-6
 _TABLES = ("elastomer", "press", "specimen")

@@ -146,8 +146,8 @@ def calibrate_slab(
     """Fit the thickness of a slab, and if possible its modulus, to a press of a known ball.
 
     The modulus is fitted if the back pressure is not 0 or the force is known. Errors of the linear
-    model are not included in the uncertainties here. They are common to later presses of the same
-    slab, whose uncertainties include them.
+    model are not included in the uncertainties here: later presses of the same slab have the same
+    errors, and include them in their uncertainties.
 
     Parameters
     ----------
@@ -156,8 +156,7 @@ def calibrate_slab(
 
     Returns
     -------
-    the layer with the fitted values and their standard uncertainties, and the figures for
-    result.json
+    the layer with the fitted values and their standard uncertainties, and figures of result.json
 
     Raises
     ------

@@ -35,7 +35,7 @@ _BARE = {"type": "diffuse"}
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Loaded scene: a pressed face, whose coat can be changed, or a bare specimen on its stage.
+    """Loaded scene: a pressed face with an exchangeable coat, or a bare specimen on its stage.
 
     Attributes
     ----------
