@@ -70,7 +70,7 @@ class Footing:
 
     Attributes
     ----------
-    sure : bool, cells in contact, without cells that may only seem so because of the filter's blur
+    sure : bool, contact cells without those that the curvature's filter may have blurred
     uneven_per_mm : largest minus smallest curvature (sum of the two principal curvatures) of the
         contact cells near each cell; 0 if no contact cell is near
     """

@@ -81,12 +81,13 @@ class BarUnderSheet:
     ----------
     width_mm : distance between the walls of the bar
     sigma_mm : standard uncertainty, the root sum of squares of the four shares below
-    noise_mm : share of noise and texture of the coat
-    layer_mm : share of the uncertain values of the sheet and of the air pressure
-    edge_mm : share of the uncertain edge radius
-    theory_mm : share of the model of bending over an edge
+    noise_mm : share from noise and texture of the coat
+    layer_mm : share from the uncertain values of the sheet and of the air pressure
+    edge_mm : share from the uncertain edge radius
+    theory_mm : share from the model of bending over an edge
     turn_deg : change of the sheet's direction at each of the two edges
-    on_edge : True if the sheet is in contact along both rounded edges, False if on one line of any
+    on_edge : True if the sheet is in contact along both rounded edges; False if its contact with
+        an edge is one line only
     """
 
     width_mm: float

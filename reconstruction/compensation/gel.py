@@ -86,7 +86,7 @@ class CompensatedGel(PresentedObject):
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty of each point because of near edges, (row, col): zero.
+        """Standard uncertainty, mm, of each object point by edges near it, (row, col): zero.
 
         A gel does not bend over an edge.
         """

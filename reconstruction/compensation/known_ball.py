@@ -98,7 +98,8 @@ def calibrate_sheet(
         `sigma_rim_compliance_mm2_per_n` is not 0
     ball_radius_mm : known radius of every ball in contact
     sigma_radius_mm : standard uncertainty of `ball_radius_mm`
-    travel : of the stage; used only for the rim's compliance; None: unknown
+    travel : travel of the stage after first contact; used only for the rim's compliance; None:
+        unknown
 
     Raises
     ------

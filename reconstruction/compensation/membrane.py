@@ -112,7 +112,7 @@ def material_map(
 
     Raises
     ------
-    FitError : no equilibrium of the sheet on this surface
+    FitError : the iteration finds no equilibrium of the sheet on this surface
     """
     x, y = np.meshgrid(metric.x_mm, metric.y_mm)
     mounted = np.stack((x, y), axis=-1) / pre_stretch

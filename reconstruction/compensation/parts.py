@@ -52,12 +52,12 @@ class Compensated(Protocol):
 
     @property
     def sure(self) -> BoolArray:
-        """Cells that are certainly in contact, (row, col) bool: without a blurred edge."""
+        """Cells certainly in contact, (row, col) bool: the contact without its blurred edge."""
         ...
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty, mm, of each object point along the normal because of near edges."""
+        """Standard uncertainty, mm, of each object point along the normal by edges near it."""
         ...
 
     @property

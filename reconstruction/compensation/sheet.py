@@ -93,12 +93,12 @@ class CompensatedSheet(PresentedObject):
 
     @property
     def sure(self) -> BoolArray:
-        """Cells that are certainly in contact, (row, col) bool: without a blurred edge."""
+        """Cells certainly in contact, (row, col) bool: the contact without its blurred edge."""
         return self.footing.sure
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty, mm, of each object point along the normal because of near edges.
+        """Standard uncertainty, mm, of each object point along the normal by edges near it.
 
         Near an edge neither the thin-sheet model nor the parallel surface is exact.
         """
@@ -252,11 +252,11 @@ class CompensatedSheet(PresentedObject):
         return free_span(self.relief, self.contact)
 
     def modulus_of_free_span_kpa(self) -> tuple[float, float] | None:
-        """Return modulus and scatter, kPa, for which the free span carries the air pressure.
+        """Return the modulus for which the free span carries the air pressure, and its scatter.
 
-        On the free span p_air = N : b, and N is proportional to E h. The modulus is from the median
-        over the cells. The scatter is the robust standard deviation over the cells.
-        None if the air pressure is 0 or the free span has fewer than 50 cells.
+        Both are in kPa. On the free span p_air = N : b, and N is proportional to E h. The modulus
+        is from the median over the cells, the scatter is the robust standard deviation. None if the
+        air pressure is 0, the free span has fewer than 50 cells, or the median is not positive.
         """
         free, air = self.free_span(), self.layer.back_pressure_kpa
         if air <= 0 or free.sum() < 50:

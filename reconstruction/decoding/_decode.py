@@ -72,10 +72,7 @@ class Units(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """Parameters of decoding that are equal for all image rows; pairs are for the axes column, row.
-
-    A `scale` or `shot_share` of size 0 in its last axes means 1 everywhere, or no correction.
-    """
+    """Parameters of decoding that are equal for all image rows; pairs are (column, row)."""
 
     layout: Layout
     limits: Limits

@@ -199,7 +199,7 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
 
 @dataclass(frozen=True, eq=False)
 class GrooveFit:
-    """Fitted V groove: its depth, its width at the face, and the position s of its root, mm."""
+    """Fitted V groove: depth, width at the face, and position s of the root; all in mm."""
 
     depth: FittedDimension
     width: FittedDimension

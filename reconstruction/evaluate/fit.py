@@ -26,7 +26,7 @@ Shape = TypeVar("Shape")
 
 @dataclass(frozen=True)
 class ResidualStats:
-    """Root mean square, mean and 95th percentile of absolute residuals, as the paper has them."""
+    """RMS, mean and 95th percentile of the absolute residuals, mm, as the paper defines them."""
 
     rmse_mm: float
     mae_mm: float

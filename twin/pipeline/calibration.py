@@ -1,7 +1,7 @@
 """Calibrate a rig on captures of a board, or on rendered captures of an experiment's rig.
 
 In a rendered calibration the true rig is known, and so the error of every parameter. The command
-`twin calibrate -o DIR` writes these files; their names do not change between versions:
+`twin calibrate -o DIR` writes these files, and other programs may rely on their names:
 
 | file | content |
 |---|---|
