@@ -1,21 +1,24 @@
-"""Width of a bar under a sheet, from its flat top and the neighbouring free spans; mm, kPa.
+"""Measure the width of a bar under a sheet from its flat top and the neighbouring free spans.
 
-Over an edge the coat is not parallel to the bar: the sheet resists bending, and its texture and
-the camera's filter are as wide as the edge. Away from the edge the free span carries tension only.
+Lengths are in mm, pressures in kPa. Over an edge the coat is not parallel to the bar: the sheet
+resists bending, and its texture and the camera's filter are as wide as the edge. Away from the edge
+the free span carries tension only.
 A frictionless rounded edge of centre O and radius r exerts no moment about O. The span's line of
 tension therefore passes O at a distance d set by the bending moment B / R of the sheet:
 
     d = R + l q - R q^2 / 2,   q = min(2 sin(turn / 4), l / R),   R = r + t / 2,   l^2 = B / N,
 
-t local thickness, N tension, l the length over which bending decays. For q = l / R the sheet is in
-contact along the rounded edge and d = R + l^2 / (2 R). (N d = N_edge R + B / R with N_edge = N
-would double the second term; but sliding without friction gives N_edge = N - B / (2 R^2) by energy
-balance.) On a sharper edge the contact is one line, with an Euler elastica on each side.
-d, the height of the top and the curve of the span give the position of O, and that plus the radius
-gives the wall.
+where t is the local thickness, N the tension, l the length over which bending decays, and turn the
+change of the sheet's direction over the edge. For q = l / R the sheet is in contact along the
+rounded edge and d = R + l^2 / (2 R). (N d = N_edge R + B / R with N_edge = N would double the
+second term; but sliding without friction gives N_edge = N - B / (2 R^2) by energy balance.)
+On a sharper edge the contact is one line, with an Euler elastica on each side of the line.
+d, the height of the top and the curve of the span give the position of O. The wall is at the
+distance r outside O.
 
-B of an incompressible neo-Hookean sheet stretched by a across and thinned to t = c h is
-mu (a^2 + c^2) t^3 / 6. N is the tension of a span whose curvature carries the air pressure.
+For an incompressible neo-Hookean sheet of shear modulus mu and undeformed thickness h, stretched by
+the factor a across the bar and thinned to t = c h, B = mu (a^2 + c^2) t^3 / 6. N is the tension of
+a span that carries the air pressure by its curvature.
 """
 
 from dataclasses import dataclass, replace
@@ -36,29 +39,29 @@ _SPAN_MM = 3.5
 # Margin between top cells and rounded edges: near the edges the sheet lifts off.
 _TOP_OFF_MM = 0.3
 _TURNS = 3
-# Largest offset of the bar from its stated place, and drop of the coat at which a flank starts.
+# Largest offset of the bar from its stated position, and drop of the coat at which a flank starts.
 _ASIDE_MM, _FALLEN_MM = 1.0, 0.12
 _ARC_TURNS = 8
 _TAILS = 3.0
 _LEAST_CELLS = 40
 _FLAT_DEG, _LEAST_TURN_DEG = 3.0, 15.0
 THEORY_ON_EDGE, THEORY_OFF_EDGE = 0.2, 0.5
-"""Relative error of d - R, from solid elements (tests/compensation/test_bar.py): for contact along
-the rounded edge, and for contact on one line."""
+"""Relative errors of d - R by comparison with solid elements (tests/compensation/test_bar.py): for
+contact along the rounded edge, and for contact on one line."""
 
 
 @dataclass(frozen=True)
 class BarPlace:
-    """Approximate place of a bar and the radius of its edges.
+    """Approximate position, direction and size of a bar, and the radius of its edges.
 
     Attributes
     ----------
-    x_mm, y_mm : world, of its middle, to 0.5 mm
-    along_deg : direction of its length, from world y towards -x, to about 4 degrees
-    width_mm : approximate distance of its walls, to some 0.1 mm
-    length_mm : least length between its ends
-    edge_radius_mm : rounding of its upper edges
-    sigma_edge_radius_mm : its standard uncertainty
+    x_mm, y_mm : world coordinates of the bar's middle, accurate to 0.5 mm
+    along_deg : direction of its length, from world y towards -x, accurate to about 4 degrees
+    width_mm : approximate distance between its walls, accurate to some 0.1 mm
+    length_mm : length between its ends, or a lower limit of that length
+    edge_radius_mm : radius of the rounding of its upper edges
+    sigma_edge_radius_mm : standard uncertainty of `edge_radius_mm`
     """
 
     x_mm: float
@@ -72,17 +75,19 @@ class BarPlace:
 
 @dataclass(frozen=True)
 class BarUnderSheet:
-    """Width of a bar between its walls.
+    """Measured width of a bar and its uncertainty budget.
 
     Attributes
     ----------
+    width_mm : distance between the walls of the bar
     sigma_mm : standard uncertainty, the root sum of squares of the four shares below
-    noise_mm : share of noise and texture of the coat
-    layer_mm : share of the sheet's uncertain values and of the air pressure
-    edge_mm : share of the edge radius
-    theory_mm : share of the model of bending over an edge
-    turn_deg : angle by which the sheet turns at each edge
-    on_edge : whether the sheet is in contact along both rounded edges, or on one line of each
+    noise_mm : share from noise and texture of the coat
+    layer_mm : share from the uncertain values of the sheet and of the air pressure
+    edge_mm : share from the uncertain edge radius
+    theory_mm : share from the model of bending over an edge
+    turn_deg : change of the sheet's direction at each of the two edges
+    on_edge : True if the sheet is in contact along both rounded edges; False if its contact with
+        an edge is one line only
     """
 
     width_mm: float
@@ -96,10 +101,10 @@ class BarUnderSheet:
 
 
 def bending_offset_mm(radius_mm: float, tail_mm: float, turn_rad: float) -> float:
-    """Return d - R, mm, for the rounded edge of a bar; the module docstring defines both.
+    """Return d - R, mm, for the rounded edge of a bar; the module docstring gives the equation.
 
-    d is the distance of the span's line of tension from the centre of the rounding, R is the
-    radius of the sheet's middle surface there.
+    d is the distance between the span's line of tension and the centre of the rounding. R is the
+    radius of the surface midway between the sheet's faces where it bends round the edge.
 
     Parameters
     ----------
@@ -115,7 +120,7 @@ def bending_offset_mm(radius_mm: float, tail_mm: float, turn_rad: float) -> floa
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Values of the sheet that the width depends on."""
+    """Values of the sheet and its load on which the measured width depends."""
 
     thickness_mm: float
     young_modulus_kpa: float
@@ -127,7 +132,7 @@ class _Sheet:
         return self.thickness_mm * self.thinning
 
     def tension(self, curvature_per_mm: float) -> float:
-        """Return N, kPa mm, of a span with a coat of the given curvature."""
+        """Return the line tension N, kPa mm, of a free span with the given coat curvature."""
         return self.pressure_kpa * (1 / curvature_per_mm + self.local_mm / 2)
 
     def tail_mm(self, tension: float) -> float:
@@ -138,16 +143,18 @@ class _Sheet:
 
 @dataclass(frozen=True, eq=False)
 class _Span:
-    """Free span next to an edge: an arc of a circle, in axes along (s) and across its chord.
+    """Circular arc fitted to the free span next to an edge.
+
+    The arc has a frame of its own: s, mm, along the chord, and a height normal to the chord.
 
     Attributes
     ----------
-    origin : (across, up) of s = 0
-    slope_rad : of the axes, downwards
-    sagging_mm : distance of the arc's middle above the origin, across
-    curvature_per_mm : positive in a valley
-    covariance : (3, 3) of height, slope and half the curvature at s = 0
-    from_mm : s at which the measured span starts
+    origin : position of s = 0, mm: (across the bar from its middle towards the span, up)
+    slope_rad : angle by which the axis of s descends
+    sagging_mm : height of the arc at s = 0
+    curvature_per_mm : curvature of the arc, positive in a valley
+    covariance : (3, 3) of the fitted height, slope and half the curvature at s = 0
+    from_mm : smallest s of the measured points
     """
 
     origin: FloatArray
@@ -158,7 +165,7 @@ class _Span:
     from_mm: float
 
     def at(self, s_mm: float) -> tuple[FloatArray, float]:
-        """Return (across, up) of the coat, and its slope downwards in rad."""
+        """Return the (across, up) position of the coat at s, mm, and its descent angle, rad."""
         turned = float(np.arcsin(np.clip(self.curvature_per_mm * s_mm, -1, 1)))
         height = self.sagging_mm + (1 - np.cos(turned)) / self.curvature_per_mm
         c, s = np.cos(self.slope_rad), np.sin(self.slope_rad)
@@ -166,7 +173,7 @@ class _Span:
         return place, self.slope_rad - turned
 
     def steeper_than(self, least_deg: float) -> float:
-        """Return the s up to which the coat descends by more than an angle."""
+        """Return the largest s, mm, at which the coat still descends by more than an angle."""
         turned = np.clip(self.slope_rad - np.deg2rad(least_deg), -np.pi / 2, np.pi / 2)
         return float(np.sin(turned)) / self.curvature_per_mm
 
@@ -177,7 +184,17 @@ class _Span:
 
 @dataclass(frozen=True)
 class _Edge:
-    """Position of the centre O of an edge across the bar, and angle of the sheet there."""
+    """Position of the rounding's centre O of one edge, and the bending of the sheet over the edge.
+
+    Attributes
+    ----------
+    across_mm : distance of O from the bar's middle, across the bar
+    turn_rad : change of the sheet's direction over the edge
+    offset_mm : d - R
+    tail_mm : length l over which bending decays
+    noise_mm : standard uncertainty of `across_mm` from noise and texture of the coat
+    on_edge : True if the sheet is in contact along the rounded edge, False if on one line
+    """
 
     across_mm: float
     turn_rad: float
@@ -188,11 +205,17 @@ class _Edge:
 
 
 def bar_under_sheet(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
-    """Measure the width of a bar with a flat top.
+    """Measure the width of a bar with a flat top under a sheet.
+
+    Parameters
+    ----------
+    result : compensated sheet of the measurement
+    bar : approximate position and width, and the edge radius
 
     Raises
     ------
-    FitError : no air pressure, a sheet that sticks, or a top or spans that give no width
+    FitError : the air pressure is 0, the sheet sticks, or the measured top or free spans do not
+        determine a width
     """
     if result.layer.back_pressure_kpa <= 0:
         raise FitError("width: back_pressure_kpa is 0; air must press the sheet onto the bar")
@@ -208,7 +231,10 @@ def bar_under_sheet(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
 
 
 def _placed(result: CompensatedSheet, bar: BarPlace) -> BarPlace:
-    """Return the bar centred between its flanks, aligned with the middles of its two halves."""
+    """Return the bar with its position and direction from the measured coat.
+
+    They are those of the line through the middles between the flanks in the bar's two halves.
+    """
     turn, shift = np.deg2rad(bar.along_deg), _MIDDLE_SHARE * bar.length_mm / 4
     along = np.array([-np.sin(turn), np.cos(turn)])
     across = np.array([along[1], -along[0]])
@@ -230,11 +256,13 @@ def _placed(result: CompensatedSheet, bar: BarPlace) -> BarPlace:
 def _between_flanks(
     across_mm: FloatArray, z_mm: FloatArray, pitch_mm: float, top_mm: float
 ) -> float:
-    """Return the middle between the places where the coat is `_FALLEN_MM` below its crest.
+    """Return the position, mm, midway between the flanks, which start `_FALLEN_MM` below the crest.
 
     Parameters
     ----------
-    top_mm : half width that is certainly on the bar's top; the top's tilt is subtracted
+    across_mm, z_mm : (n,) coordinates across the bar, and heights of the coat
+    pitch_mm : width of the strips in which the heights are averaged
+    top_mm : half width that is certainly on the bar's flat top; the tilt of this part is subtracted
     """
     number = np.floor(across_mm / pitch_mm).astype(int)
     first = int(number.min()) if len(number) else 0
@@ -286,7 +314,14 @@ def _measured_width(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
 
 @dataclass(frozen=True, eq=False)
 class _Axes:
-    """Frame of a bar: across, along, up from its flat top; axes are rows of `rotation`; mm."""
+    """Frame of a bar: axes across, along and up, with the origin on its flat top; lengths in mm.
+
+    Attributes
+    ----------
+    middle_mm : (xyz) world position of the origin
+    rotation : (3, xyz) unit vectors of the three axes in the world frame
+    band : (row, col) bool, measured cells of the relief away from the bar's ends
+    """
 
     middle_mm: FloatArray
     rotation: FloatArray
@@ -323,7 +358,7 @@ def _sheet(result: CompensatedSheet, axes: _Axes, bar: BarPlace) -> _Sheet:
 
 
 def _moved(result: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
-    """Return the sheet with each of its values changed by one standard uncertainty."""
+    """Return four sheets, each with one value changed by that value's standard uncertainty."""
     layer = result.layer
     return [
         replace(sheet, thickness_mm=sheet.thickness_mm + layer.sigma_thickness_mm),
@@ -336,7 +371,10 @@ def _moved(result: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
 def _span(
     result: CompensatedSheet, axes: _Axes, bar: BarPlace, sheet: _Sheet, side: float
 ) -> _Span:
-    """Fit the span next to an edge, twice: the first fit gives the length of bending decay."""
+    """Fit an arc to the free span next to an edge, without the ends that bend.
+
+    The first of two fits gives the length over which bending decays.
+    """
     tail = 2 * sheet.local_mm
     for _ in range(2):
         span = _fitted(result, axes, (side, bar.width_mm / 2), _TAILS * tail)
@@ -362,9 +400,9 @@ def _fitted(
 
 
 def _free_to_mm(result: CompensatedSheet, axes: _Axes, beyond_mm: FloatArray) -> float:
-    """Return the distance from the wall at which the sheet touches or is clamped again.
+    """Return the distance from the wall, mm, at which the free span ends at contact or clamp.
 
-    Uses the contact pressure averaged along the bar: in the map, texture makes specks of contact.
+    The pressure is averaged along the bar, because texture makes single cells seem in contact.
     """
     pitch = result.relief.pitch_mm[0]
     cells = axes.band & (beyond_mm > 0)
@@ -379,7 +417,7 @@ def _free_to_mm(result: CompensatedSheet, axes: _Axes, beyond_mm: FloatArray) ->
 
 
 def _arc(points: FloatArray, span_cells: BoolArray, result: CompensatedSheet) -> _Span:
-    """Fit an arc to points (n, across up along); place and angle may change along the bar."""
+    """Fit an arc to points (n, across up along), mm; it may shift and turn along the bar."""
     origin, y = points[:, :2].mean(axis=0), points[:, 2]
     across, up = (points[:, :2] - origin).T
     angle, curvature = float(np.arctan(-np.polyfit(across, up, 1)[0])), 0.0
@@ -406,7 +444,7 @@ def _arc(points: FloatArray, span_cells: BoolArray, result: CompensatedSheet) ->
 
 
 def _over_parabola(place_mm: FloatArray, curvature_per_mm: float) -> FloatArray:
-    """Return the height of a circle above the parabola of the same curvature."""
+    """Return the height, mm, of a circle above the parabola of equal curvature at the vertex."""
     if not curvature_per_mm:
         return np.zeros_like(place_mm)
     turned = np.clip(curvature_per_mm * place_mm, -0.99, 0.99)
@@ -414,7 +452,11 @@ def _over_parabola(place_mm: FloatArray, curvature_per_mm: float) -> FloatArray:
 
 
 def _edge(span: _Span, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _Edge:
-    """Locate an edge's centre so that the span's line of tension passes it at the distance d."""
+    """Locate the centre O of an edge's rounding, at the distance d from the span's tension line.
+
+    radius_mm : radius of the edge's rounding
+    drop_mm : depth of the bar's top below the origin of `_Axes`, for a changed local thickness
+    """
     tension, middle = sheet.tension(span.curvature_per_mm), radius_mm + sheet.local_mm / 2
     tail = sheet.tail_mm(tension)
 
@@ -427,7 +469,7 @@ def _edge(span: _Span, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _Edge
         return turn, offset
 
     def above(s_mm: float) -> float:
-        """Height above O of the point at the distance d from the span towards the edge."""
+        """Return the height, mm, above O of the point at the distance d from the span at s."""
         place, slope = span.at(s_mm)
         away = middle + turn_and_offset(s_mm)[1] + sheet.local_mm / 2
         return float(place[1] - away * np.cos(slope) + radius_mm + drop_mm)

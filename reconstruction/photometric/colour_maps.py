@@ -1,20 +1,22 @@
-"""Maps from colour to slope: smooth polynomials, or the classic look-up table.
+"""Fit and apply maps from colour to slope: smooth polynomials, or the classic look-up table.
 
-Polynomials in colour and place are fitted by ridge regression. With q = level / background - 1 per
-channel (vignetting and albedo cancel) and the tilt t = slope / sqrt(1 + |slope|^2), the horizontal
-part of the unit normal:
+Polynomials in colour and position are fitted by ridge regression. q = level / background - 1 for
+each colour channel, a quantity in which vignetting and albedo cancel. t = slope /
+sqrt(1 + |slope|^2) is the tilt, the horizontal part of the unit normal. Then
 
-    t = sum over a of q^a (sum over b of c_ab place^b),   1 <= |a| <= 3, |b| <= 3
+    t = sum over a of q^a (sum over b of c_ab position^b),   1 <= |a| <= 3, |b| <= 3
 
-For Lambert's law and linear light the tilt is linear in q (Woodham 1980, Optical Engineering 19,
-139). The higher terms model display gamma, soft shadows and crosstalk; the place models the finite
-distance of the lamps. Without a term |a| = 0 undeformed gel is flat for any coefficients.
-The fit is in closed form: the same samples give the same bytes, without tuning.
+with multi-indices a over the three channels and b over row and column. For Lambert's law and levels
+proportional to the light, the tilt is linear in q (Woodham 1980, Optical Engineering 19, 139). The
+higher terms model display gamma, soft shadows and crosstalk. The terms of the position model the
+finite distance of the lamps. There is no term |a| = 0, so undeformed gel is flat for any
+coefficients. The fit is in closed form, without random numbers: the same samples give the same
+bytes.
 
-The RGB look-up table has a mean slope for every bin of colour difference. As described for the
-published comparisons: colours minus the background are put in bins, the slopes of calibration
-pixels in a bin are averaged, empty bins get those of the nearest filled bin. The table depends on
-the place in the image only by the flat-field factor.
+The RGB look-up table has a mean slope for every bin of colour difference. It is built as described
+for the published comparisons. Colours minus the background are assigned to bins, and the slopes of
+the calibration pixels in a bin are averaged. Empty bins get the slope of the nearest filled bin.
+The table depends on the position in the image only by the flat-field factor.
 """
 
 from collections.abc import Mapping
@@ -33,15 +35,16 @@ from reconstruction.photometric.calibration_ball import Samples
 
 COLOUR_DEGREE = 3
 PLACE_DEGREE = 3
-# Relative to features of unit RMS. The penalty of terms in colour only is far below the noise of
-# 8-bit levels. That of their variation over the image is larger, so that only variation shown by
-# the presses is fitted. Chosen on held-out halves of 67 real presses: slope error 0.056 and 0.066;
-# a perceptron with two hidden layers of 32 has 0.058 and 0.067.
+# Penalties of the ridge regression, for features of unit RMS. The penalty of terms in colour only
+# is far below the noise of 8-bit levels. That of terms with the position is larger, so that a
+# variation over the image is fitted only if the presses show it. Both were selected on held-out
+# halves of 67 real presses: slope error 0.056 and 0.066; a perceptron with two hidden layers of
+# 32 neurons has 0.058 and 0.067.
 RIDGE = 1e-5
 RIDGE_OF_PLACE = 1e-2
 CHUNK = 8192
-# Residual of a map for the slopes it was fitted to, over their RMS: 0.02 to 0.15 for shaded
-# balls; 0.6 and more for grey images, which show the steepness of gel but not its direction.
+# Largest RMS residual of a map over the RMS of the fitted slopes. It is 0.02 to 0.15 for coloured
+# images of balls; 0.6 and more for grey images, which show the steepness but not its direction.
 MOST_UNEXPLAINED = 0.5
 # Margin around the calibrated range of colours, as a share of it.
 SLACK = 0.1
@@ -54,13 +57,17 @@ BINS = 90
 LOWEST_LEVELS = -90.0
 LEVELS_PER_BIN = 2.0
 FILL_DISTANCE = np.sqrt(20.0)
-# Weak background is amplified by 1 + 2 (mean / background - 1), published practice, here with the
-# median, which printed dots do not shift; the limit prevents noise in a dark corner.
+# Colour differences are multiplied by 1 + 2 (mean / background - 1), published practice, here with
+# the median, which printed dots do not change. The limit prevents large noise in dark corners.
 LARGEST_FACTOR = 4.0
 
 
 def _exponents(variables: int, lowest: int, highest: int) -> tuple[tuple[int, ...], ...]:
-    """Return factor lists: (0, 0, 2) means q0 q0 q2; each extends an earlier one."""
+    """Return the terms of a polynomial in some variables, with total degrees lowest to highest.
+
+    A term is the tuple of its factors: (0, 0, 2) means q0 q0 q2. A term without its last factor is
+    an earlier term.
+    """
     return tuple(
         factors
         for degree in range(lowest, highest + 1)
@@ -74,11 +81,12 @@ PLACE_TERMS = _exponents(2, 0, PLACE_DEGREE)
 
 @dataclass(frozen=True, eq=False)
 class ColourPolynomial:
-    """Fitted polynomials.
+    """Colour map of fitted polynomials, see the module docstring.
 
     Parameters
     ----------
-    coefficients : (2, colour term, place term) float, of the tilt along rows and along columns
+    coefficients : (2, colour term, place term) float, c_ab of the tilt downwards and to
+        the right
     lowest, highest : (3,) float, range of q that the calibration covered
     """
 
@@ -101,7 +109,12 @@ class ColourPolynomial:
             raise CaptureError("colour polynomial has an empty range of colours")
 
     def bound_to(self, background: FloatImage) -> "BoundPolynomial":
-        """Return the polynomial with the factors that depend on the background only."""
+        """Return the map with precomputed factors for images that have this background.
+
+        Parameters
+        ----------
+        background : (row, col, 3) smoothed levels of the undeformed gel
+        """
         rows, cols = background.shape[:2]
         places = np.indices((rows, cols), dtype=np.float64).reshape(2, -1).T
         terms = _products(_scaled(places, (rows, cols)), PLACE_TERMS)
@@ -110,7 +123,7 @@ class ColourPolynomial:
         return BoundPolynomial(self, inverse, maps.reshape(2, -1, rows, cols))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays to store."""
+        """Return the arrays that a calibration file stores, by name."""
         return {
             "coefficients": self.coefficients,
             "lowest": self.lowest,
@@ -119,21 +132,35 @@ class ColourPolynomial:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "ColourPolynomial":
-        """Rebuild from stored arrays; KeyError if one is missing."""
+        """Return the map from stored arrays, see `arrays`; KeyError if an array is missing."""
         names = ("coefficients", "lowest", "highest")
         return cls(*(arrays[name].astype(np.float64) for name in names))
 
 
 @dataclass(frozen=True, eq=False)
 class BoundPolynomial:
-    """Polynomial, 1 / background (row, col, 3), coefficients per pixel (2, term, row, col)."""
+    """Polynomial map with precomputed factors for one background.
+
+    Attributes
+    ----------
+    polynomial : the map
+    inverse_background : (row, col, 3) 1 / level of the background
+    maps : (2, colour term, row, col) coefficients of the colour terms at each pixel
+    """
 
     polynomial: ColourPolynomial
     inverse_background: FloatImage
     maps: FloatImage
 
     def slopes(self, levels: FloatImage) -> tuple[FloatImage, BoolImage]:
-        """Return slopes (2, row, col) of smoothed levels (row, col, 3), and whether known."""
+        """Return slopes (2, row, col), mm/mm, and a mask (row, col) of calibrated pixels.
+
+        The mask is False for colours outside the range that the calibration covered.
+
+        Parameters
+        ----------
+        levels : (row, col, 3) smoothed levels of an image
+        """
         q = np.moveaxis(levels * self.inverse_background - np.float32(1.0), -1, 0)
         lowest, highest = (
             bound.astype(np.float32)[:, np.newaxis, np.newaxis]
@@ -147,11 +174,16 @@ class BoundPolynomial:
 
 
 def fit_polynomial(samples: Samples, shape: tuple[int, int]) -> ColourPolynomial:
-    """Fit the tilts of all samples; `shape` is that of the images, (row, col).
+    """Fit the polynomial map to the tilts of all samples.
+
+    Parameters
+    ----------
+    shape : (row, col) shape of the images
 
     Raises
     ------
-    FitError : fewer samples than coefficients, or the colours do not determine the slopes
+    FitError : there are fewer than two samples per coefficient, or the colours do not determine the
+        slopes
     """
     unknowns = len(COLOUR_TERMS) * len(PLACE_TERMS)
     if len(samples.slopes) < 2 * unknowns:
@@ -174,7 +206,12 @@ def fit_polynomial(samples: Samples, shape: tuple[int, int]) -> ColourPolynomial
 
 
 def _require_explained(slopes: FloatArray, fitted: FloatArray) -> None:
-    """Raise FitError if a map's residual exceeds 50 % of the slopes (n, 2) it was fitted to."""
+    """Raise FitError if the RMS residual of a map exceeds 50 % of the RMS of the fitted slopes.
+
+    Parameters
+    ----------
+    slopes, fitted : (n, 2) slopes or tilts of the samples, and those by the map
+    """
     residual, whole = (np.sqrt(np.mean(part**2)) for part in (slopes - fitted, slopes))
     if not residual <= MOST_UNEXPLAINED * whole:
         raise FitError(
@@ -185,7 +222,17 @@ def _require_explained(slopes: FloatArray, fitted: FloatArray) -> None:
 
 
 def _ridge(q: FloatArray, places: FloatArray, tilt: FloatArray) -> FloatArray:
-    """Return the ridge solution, (feature, 2), from normal equations summed in chunks."""
+    """Return the coefficients of the ridge regression, (feature, 2), by normal equations.
+
+    A feature is a product of a colour term and a place term. The sums are computed in chunks of
+    samples to limit the memory.
+
+    Parameters
+    ----------
+    q : (n, 3) colours
+    places : (2, n) rows and columns, scaled to -1 to 1
+    tilt : (n, 2)
+    """
     size = len(COLOUR_TERMS) * len(PLACE_TERMS)
     normal, right = np.zeros((size, size)), np.zeros((size, 2))
     for first in range(0, len(q), CHUNK):
@@ -204,13 +251,13 @@ def _ridge(q: FloatArray, places: FloatArray, tilt: FloatArray) -> FloatArray:
 
 
 def _scaled(places_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Return rows and columns as numbers from -1 to 1, (2, n)."""
+    """Return rows and columns of pixels (n, 2), scaled to -1 to 1 over the image, as (2, n)."""
     size = np.array(shape, dtype=np.float64) - 1.0
     return np.asarray((2.0 * places_px / size - 1.0).T)
 
 
 def _products(variables: NDArray[Any], terms: tuple[tuple[int, ...], ...]) -> NDArray[Any]:
-    """Return the product of each list of factors, (term, ...) from (variable, ...)."""
+    """Return the values of polynomial terms, (term, ...), for variables (variable, ...)."""
     values: dict[tuple[int, ...], NDArray[Any]] = {(): np.ones_like(variables[0])}
     for factors in terms:
         if factors:
@@ -226,12 +273,13 @@ def _slopes_of_tilt(tilt: FloatImage) -> FloatImage:
 
 @dataclass(frozen=True, eq=False)
 class ColourTable:
-    """Look-up table.
+    """Colour map as a look-up table over bins of colour difference, see the module docstring.
 
     Parameters
     ----------
-    slopes : (red, green, blue, 2) float32, 90 bins each, mm/mm along rows and along columns
-    known : (red, green, blue) bool, bins that calibration pixels reached or nearly reached
+    slopes : (red, green, blue, 2) float32, 90 bins per colour; slopes downwards and to
+        the right, mm/mm
+    known : (red, green, blue) bool, True for bins with calibration pixels or near such bins
     """
 
     slopes: FloatImage
@@ -248,29 +296,48 @@ class ColourTable:
             raise CaptureError("colour table holds slopes that are not finite or no flags")
 
     def bound_to(self, background: FloatImage) -> "BoundTable":
-        """Return the table with the factors that depend on the background only."""
+        """Return the map with precomputed factors for images that have this background.
+
+        Parameters
+        ----------
+        background : (row, col, 3) smoothed levels of the undeformed gel
+        """
         return BoundTable(self, background, _flat_field(background))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays to store."""
+        """Return the arrays that a calibration file stores, by name."""
         return {"slopes": self.slopes, "known": self.known}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "ColourTable":
-        """Rebuild from stored arrays; KeyError if one is missing."""
+        """Return the map from stored arrays, see `arrays`; KeyError if an array is missing."""
         return cls(arrays["slopes"].astype(np.float32), arrays["known"])
 
 
 @dataclass(frozen=True, eq=False)
 class BoundTable:
-    """Table, background and its flat-field factor, (row, col, 3)."""
+    """Look-up table with the flat-field factor for one background.
+
+    Attributes
+    ----------
+    table : the map
+    background : (row, col, 3) smoothed levels of the undeformed gel
+    factor : (row, col, 3) factor of the colour difference, larger where the background is dark
+    """
 
     table: ColourTable
     background: FloatImage
     factor: FloatImage
 
     def slopes(self, levels: FloatImage) -> tuple[FloatImage, BoolImage]:
-        """Return slopes (2, row, col) of smoothed levels (row, col, 3), and whether known."""
+        """Return slopes (2, row, col), mm/mm, and a mask (row, col) of calibrated pixels.
+
+        The mask is False for colours in bins that are not near any calibration pixel.
+
+        Parameters
+        ----------
+        levels : (row, col, 3) smoothed levels of an image
+        """
         bins = _flat_bins((levels - self.background) * self.factor)
         slopes = self.table.slopes.reshape(-1, 2)[bins]
         known: BoolImage = self.table.known.ravel()[bins]
@@ -278,7 +345,11 @@ class BoundTable:
 
 
 def fit_table(samples: Samples, background: FloatImage) -> ColourTable:
-    """Average the slopes of each bin and fill the empty ones from the nearest filled bin.
+    """Return a look-up table: mean slopes per bin; empty bins get those of the nearest filled bin.
+
+    Parameters
+    ----------
+    background : (row, col, 3) smoothed levels of the undeformed gel
 
     Raises
     ------
@@ -305,7 +376,7 @@ def _flat_field(background: FloatImage) -> FloatImage:
 
 
 def _flat_bins(difference: FloatImage) -> NDArray[np.int32]:
-    """Return the index of each colour in the flattened table, (...,) from (..., 3)."""
+    """Return the index in the flattened table, (...,), of colour differences, (..., 3) levels."""
     index = ((difference - LOWEST_LEVELS) * (1.0 / LEVELS_PER_BIN)).astype(np.int32)
     np.clip(index, 0, BINS - 1, out=index)
     flat: NDArray[np.int32] = (index[..., 0] * BINS + index[..., 1]) * BINS + index[..., 2]

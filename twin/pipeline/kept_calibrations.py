@@ -1,9 +1,10 @@
-"""Stored calibrations of photometric sensors, one folder for all measurements of a sensor.
+"""Store calibrations of simulated photometric sensors in a folder, for other processes.
 
-DIR/NAME/ holds one: the values of all fields that it was made from, as the stages read them
-(`reads.json`, see `memory`), and an .npz file per colour map. It is valid for every experiment with
-the same values in these fields, by any process. `reads.json` is written last, each file under
-another name and renamed: a calibration is never half there, and two processes may write the same.
+Each calibration has a folder DIR/NAME/ with `reads.json` and an .npz file per colour map.
+`reads.json` has the values of all fields of the experiment that the stages of the calibration read,
+see `memory`. The calibration is valid for every experiment with the same values in these fields.
+Each file is written under a temporary name and renamed, and `reads.json` is written last. An
+incomplete calibration is therefore never read, and two processes may write the same calibration.
 """
 
 import hashlib
@@ -41,9 +42,9 @@ class KeptCalibrations:
     folder: Path
 
     def find(self, experiment: Experiment) -> Calibrations | None:
-        """Return the calibrations of an experiment's sensor by colour map, if they are kept.
+        """Return the stored calibrations of an experiment's sensor by kind of colour map.
 
-        A damaged entry counts as absent: it is computed again.
+        None if they are not stored. A damaged entry is ignored.
         """
         for file in sorted(self.folder.glob(f"*/{_READS_FILE}")):
             with suppress(InputError):
@@ -56,7 +57,12 @@ class KeptCalibrations:
     def put(
         self, reads: Sequence[Reads], calibrations: Mapping[MapKind, SensorCalibration]
     ) -> None:
-        """Store calibrations with the fields that their stages read.
+        """Store the calibrations of a sensor with the fields that their stages read.
+
+        Parameters
+        ----------
+        reads : fields that were read by each stage of the calibration
+        calibrations : calibration by kind of colour map
 
         Raises
         ------
