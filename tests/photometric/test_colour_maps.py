@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import CaptureError, FitError, InputError
-from reconstruction.photometric.colour_maps import ColourPolynomial
 from reconstruction.photometric.images import smoothed
+from reconstruction.photometric.maps.polynomial import ColourPolynomial
 from reconstruction.photometric.sensor import (
     SensorCalibration,
     calibrate_sensor,
