@@ -44,8 +44,8 @@ def measure(
     layer : assumed elastomer and load, by which the object under a thin sheet is found; None:
         those of the experiment
     noise : function (mean electrons (row, col), random generator) -> electrons (row, col), in the
-        place of the shot and read noise of EMVA 1288, see `twin.camera.NoiseFunction`; for methods
-        with fringes
+        place of the experiment's noise model, see `twin.camera.NoiseFunction`; for methods with
+        fringes
 
     Raises
     ------
@@ -62,7 +62,7 @@ def measure(
         if noise is not None:
             raise InputError(
                 f"noise: found a function, allowed for methods with fringes; modality = "
-                f"'{experiment.modality}' calibrates its sensor with EMVA 1288 noise"
+                f"'{experiment.modality}' calibrates its sensor with camera.noise_model"
             )
         return measure_colours(experiment, run)
     return measure_fringes(experiment, run, bounds_of if bound else None)
