@@ -133,7 +133,7 @@ def die_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    # Before the first batch arrives: experiments are unpickled by the modules of their kinds.
+    # For tasks that are no batch: experiments are unpickled by the modules of their kinds.
     load_inherited_plugins()
 
 
