@@ -1,4 +1,4 @@
-"""EMVA 1288 camera: exposure and sensor (`sensor`), and its noise (`noise`).
+"""Camera model by EMVA 1288: exposure and sensor (`sensor`), and its noise (`noise`).
 
 Other noise: `noise_models`, `noise_function`. A module is imported at the first use of one of its
 names: the kinds of noise are loaded with each experiment, the compiled kernels are not.

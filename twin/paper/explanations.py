@@ -1,6 +1,8 @@
-"""Where twin and paper may differ: region and kind of the fit, GelSight's decoder, the bare nut.
+"""Tables on possible reasons for differences between twin and paper.
 
-Properties of the sensor that the paper does not state are identified, see `identified`.
+The reasons are the region and the kind of the sphere fit, GelSight's decoder, and tilt of the
+camera and roughness of the bare nut. Properties of the sensor that the paper does not state are
+identified, see `twin.paper.identified`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +27,10 @@ HEIGHT_SCALE = (0.66, 0.8, 0.9, 1.0, 1.1, 1.2, 1.33)
 
 
 def region_table(experiment: Experiment) -> Table:
-    """Return both fits of the coat over the two balls by fit region, which is not stated."""
+    """Return the radii of a geometric and an algebraic sphere fit to the true coat, by fit region.
+
+    Values are means over the two balls. The paper does not state its fit region.
+    """
     pressed = pressed_face(experiment)
     points, balls = face_points_mm(pressed), shape_of(experiment.specimen).spheres()
     rows: list[dict[str, Cell]] = []
@@ -61,7 +66,10 @@ def region_table(experiment: Experiment) -> Table:
 
 
 def height_scale_table(roi_radius_mm: float) -> Table:
-    """Return fits to a true cap with scaled heights and unscaled x, y, as by GelSight's SDK."""
+    """Return sphere fits to an exact spherical cap after its heights are multiplied by a scale.
+
+    x and y are not scaled. GelSight's SDK scales heights in this way.
+    """
     x, y = np.meshgrid(*[np.linspace(-roi_radius_mm, roi_radius_mm, 121)] * 2)
     cap = np.hypot(x, y) <= roi_radius_mm
     z = np.sqrt(NOMINAL_RADIUS_MM**2 - x[cap] ** 2 - y[cap] ** 2)
@@ -86,7 +94,10 @@ def height_scale_table(roi_radius_mm: float) -> Table:
 
 
 def decoder_table(trials: Sequence[Trial]) -> Table:
-    """Return one row per colour map and integration, means over both balls and all trials."""
+    """Return GelSight's radius and RMSE for each combination of colour map and integration.
+
+    Values are means over both balls and all trials.
+    """
     repeated = [trial for trial in trials if trial.number]
     rows: list[dict[str, Cell]] = []
     for kind in MAP_ORDER:
@@ -126,7 +137,13 @@ def _mean(trials: Sequence[Trial], decoder: str, key: str) -> float | None:
 
 
 def nut_table(shares: Mapping[tuple[float, float], list[float]]) -> Table:
-    """Return one row per tilt of the camera and roughness of the nut."""
+    """Return the completeness of the bare nut, one row per camera tilt and roughness of the nut.
+
+    Parameters
+    ----------
+    shares : shares of the nut's pixels with a good point and with any point, by camera tilt from
+        the vertical (deg) and GGX alpha
+    """
     rows: list[dict[str, Cell]] = [
         {"tilt": tilt, "alpha": alpha, "good": good, "points": points}
         for (tilt, alpha), (good, points) in shares.items()

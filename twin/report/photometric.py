@@ -1,4 +1,4 @@
-"""The report of a measurement by photometric stereo: judgements, tables, sentences, sections."""
+"""Report of a measurement by photometric stereo: judgements, tables, sentences, sections."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -46,7 +46,7 @@ _DECODERS = (
 
 
 def sections(measured: Measurement) -> list[Section]:
-    """Return the page of a measurement by photometric stereo."""
+    """Return the sections of the page that are specific to photometric stereo."""
     own, tables = (
         measured.colours.own,
         (field_table(measured), decoder_table(measured), *fit_tables(measured)),
@@ -77,12 +77,12 @@ def sections(measured: Measurement) -> list[Section]:
 
 
 def verdicts(measured: Measurement) -> list[Verdict]:
-    """Judge heights, their scale and the press, in this order."""
+    """Return judgements of the heights, of the height scale and of the press, in this order."""
     return [_of_heights(measured), _of_scale(measured), judge_press(measured)]
 
 
 def decoder_table(measured: Measurement) -> Table:
-    """Return the figures of every decoder of this image."""
+    """Return the table of height scale and z errors, one row per decoder of this image."""
     decoded = measured.colours.decoded
     return Table(
         "decoders",
@@ -112,7 +112,7 @@ def decoder_table(measured: Measurement) -> Table:
 
 
 def field_table(measured: Measurement) -> Table:
-    """Return the figures of the evaluated field."""
+    """Return the table of pixel count and shares of points in the evaluated field."""
     figures, limit_um = measured.figures, measured.experiment.score.good_within_um
     rows = [
         ("pixels of the coat in the evaluated field", str(figures["wanted_pixels"]), ""),
@@ -123,7 +123,7 @@ def field_table(measured: Measurement) -> Table:
 
 
 def discussion(measured: Measurement) -> list[str]:
-    """Return the paragraphs of the result."""
+    """Return the paragraphs that explain the result: z error, height scale, sphere fit."""
     own = measured.score.against_truth
     mean = NONE if own.z_bias_um is None else signed(own.z_bias_um, 1)
     paragraphs = [
@@ -143,7 +143,7 @@ def discussion(measured: Measurement) -> list[str]:
 
 
 def sentences(measured: Measurement) -> list[str]:
-    """Return the result for a terminal, at most 100 columns wide, in ASCII."""
+    """Return the result as lines of text for a terminal, at most 100 columns wide, in ASCII."""
     figures = measured.figures
     return [
         f"z error against the true coat: {figures['z_rmse_um']:.2f} um RMS, mean "
