@@ -30,6 +30,8 @@ enamel = enamel:Enamel
 lacquer = lacquer:Lacquer
 [fringe_twin.elastomer_models]
 winkler = winkler:WINKLER
+[fringe_twin.noise_models]
+row_noise = row_noise:RowNoise
 [fringe_twin.codes]
 residue = residue_code:RESIDUE
 [fringe_twin.measurands]
@@ -309,6 +311,8 @@ def test_the_keys_of_all_kinds_are_listed(installed: Path) -> None:
         assert key in keys
     assert any(key.endswith("material(lacquer).albedo") for key in keys)
     assert "'winkler'" in twin(installed, "keys", "mechanics.model")
+    assert "camera.noise_model(row_noise).row_sigma_e" in keys
+    assert "mechanics.settings.winkler.stiffness_kpa_per_mm" in keys
 
 
 def test_a_study_varies_a_number_of_a_kind(
