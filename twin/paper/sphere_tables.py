@@ -16,8 +16,8 @@ from twin.paper.plan import (
 from twin.paper.statistics import Budget, root_mean_square, spread_of, values_of
 from twin.paper.trials import Trial
 from twin.report.table import PAPER, TWIN, Cell, Column, Table
+from twin.results.balls import region_name
 from twin.results.figures import COMPENSATED
-from twin.results.score import region_name
 
 PAPER_TRIALS = 5
 BALLS = (1, 2)

@@ -1,15 +1,9 @@
-"""Score points of any method, mm: against the truth and against fitted spheres.
-
-Sphere metrics follow the paper: least-squares sphere over the points of each ball's region, then
-RMSE, MAE and 95th percentile of the absolute radial residuals. "Least squares" is read both ways:
-of radial distances (geometric) and of squared distances (algebraic), over every requested
-region. The same fit over the true coated face at the same pixels separates the elastomer's error
-from that of the measurement.
+"""Score points of any method, mm, against the truth; figures of balls are those of `balls`.
 
 Points are not registered before comparing: their position is part of the method's error.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Generic, TypeVar
 
@@ -18,35 +12,16 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, at_pixels
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import (
-    SphereFit,
-    fit_sphere_both_ways,
-    mean,
-    median,
-    p95_of_size,
-    rms,
-    spread,
-)
+from reconstruction.evaluate.fit import mean, median, p95_of_size, rms, spread
 from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
 from twin.config.nominal import NominalHexNut
 from twin.optics.light import pattern_set
 from twin.optics.stack import Truth
+from twin.results.balls import SphereScore, score_balls, sphere_metrics
 from twin.results.nuts import nut_figures
 from twin.results.rods import rod_figures, single_section
-from twin.shape import Sphere
-from twin.specimens import shape_of
-
-# Four points fix a sphere exactly: its residuals are 0 for any error.
-_LEAST_SPHERE_POINTS = 5
-_FIT_FIGURES = ("radius_mm", "rmse_mm", "mae_mm", "p95_mm")
-_KINDS = ("", "true_face_", "algebraic_", "true_face_algebraic_")
-_SPHERE_FIGURES = (
-    "points",
-    "abs_radius_error_mm",
-    *(f"{kind}{name}" for kind in _KINDS for name in _FIT_FIGURES),
-)
 
 
 @dataclass(frozen=True)
@@ -96,19 +71,6 @@ class HeightScore(TruthScore):
     height_scale: float | None
 
 
-@dataclass(frozen=True, eq=False)
-class SphereScore:
-    """One ball over one region: the fits to the measured points and to the true face's there."""
-
-    number: int
-    nominal: Sphere
-    roi: NDArray[np.bool_]
-    measured: SphereFit
-    true_face: SphereFit
-    measured_algebraic: SphereFit
-    true_face_algebraic: SphereFit
-
-
 Against = TypeVar("Against", bound=TruthScore, covariant=True)
 
 
@@ -139,7 +101,7 @@ def score(
     """Score a reconstruction against the truth of the same camera pixels."""
     points = reconstruction.point_map
     usable = points.valid & truth.lit
-    spheres = _balls(experiment, points.points_world_mm, truth, usable)
+    spheres = score_balls(experiment, points.points_world_mm, truth, usable)
     shown = _shown(experiment, points.points_world_mm, truth, usable)
     return Scores(score_truth(experiment, reconstruction, truth), *spheres, shown=shown)
 
@@ -165,7 +127,7 @@ def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> S
         height_scale=_scale(measured, true),
     )
     shown = _shown(experiment, measured_mm, truth, both)
-    return Scores(against_truth, *_balls(experiment, measured_mm, truth, both), shown=shown)
+    return Scores(against_truth, *score_balls(experiment, measured_mm, truth, both), shown=shown)
 
 
 def score_truth(
@@ -310,61 +272,6 @@ _BY_ANOTHER_SURFACE = (
 )
 
 
-def region_of(
-    ball: Sphere, points_mm: NDArray[np.floating], usable: BoolImage, roi_radius_mm: float
-) -> NDArray[np.bool_]:
-    """Return the usable pixels within `roi_radius_mm` (lateral) of a ball's apex, (row, col)."""
-    x_mm, y_mm = points_mm[..., 0] - ball.x_mm, points_mm[..., 1] - ball.y_mm
-    inside: BoolImage = (np.abs(x_mm) <= roi_radius_mm) & (np.abs(y_mm) <= roi_radius_mm) & usable
-    inside[inside] = np.hypot(x_mm[inside], y_mm[inside]) <= roi_radius_mm
-    return inside
-
-
-def _balls(
-    experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
-) -> tuple[tuple[SphereScore, ...], tuple[str, ...], dict[str, Any]]:
-    """Return the balls that could be fitted, why the others could not, and further regions."""
-    if not shape_of(experiment.specimen).spheres():
-        return (), (), {}
-    further: dict[str, Any] = {}
-    # x and y each in one piece of memory: every ball and region looks through all of them.
-    planes = np.ascontiguousarray(np.moveaxis(measured_mm[..., :2], -1, 0))
-    pixels = usable, np.moveaxis(planes, 0, -1)
-    for radius_mm in experiment.score.regions_mm:
-        spheres = _spheres(experiment, measured_mm, truth, pixels, radius_mm)
-        further |= _sphere_metrics(*spheres, region_name(radius_mm))
-    scored_mm = experiment.score.roi_radius_mm
-    return *_spheres(experiment, measured_mm, truth, pixels, scored_mm), further
-
-
-def region_name(radius_mm: float) -> str:
-    """Return how figures of a further region are named: within_1p2_ for 1.2 mm."""
-    return f"within_{radius_mm:g}_".replace(".", "p")
-
-
-def _spheres(
-    experiment: Experiment,
-    measured_mm: NDArray[np.floating],
-    truth: Truth,
-    pixels: tuple[BoolImage, NDArray[np.floating]],
-    roi_radius_mm: float,
-) -> tuple[tuple[SphereScore, ...], tuple[str, ...]]:
-    """Return the balls that could be fitted over a region, and why the others could not.
-
-    Parameters
-    ----------
-    pixels : usable pixels, and x and y of all (row, col, xy)
-    """
-    (usable, lateral_mm), fitted, unfitted = pixels, [], []
-    for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
-        roi = region_of(ball, lateral_mm, usable, roi_radius_mm)
-        try:
-            fitted.append(score_sphere(number, ball, roi, measured_mm, truth.points_world_mm))
-        except FitError as error:
-            unfitted.append(f"ball {number}: {error}")
-    return tuple(fitted), tuple(unfitted)
-
-
 def _shown(
     experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
 ) -> dict[str, Any]:
@@ -385,72 +292,8 @@ def _scale(measured_mm: FloatArray, true_mm: FloatImage) -> float | None:
     return float(true @ (measured_mm - measured_mm.mean()) / float(true @ true))
 
 
-def score_sphere(
-    number: int,
-    ball: Sphere,
-    roi: NDArray[np.bool_],
-    measured_mm: NDArray[np.floating],
-    true_mm: NDArray[np.floating],
-) -> SphereScore:
-    """Fit spheres to the measured and to the true points (row, col, xyz) of one ball's region.
-
-    Raises
-    ------
-    FitError : the region holds too few valid points to fix a sphere and leave a residual
-    """
-    count = int(roi.sum())
-    if count < _LEAST_SPHERE_POINTS:
-        raise FitError(f"{count} points leave no residual of a sphere; it takes at least 5")
-    geometric, algebraic = fit_sphere_both_ways(at_pixels(measured_mm, roi))
-    true, true_algebraic = fit_sphere_both_ways(at_pixels(true_mm, roi))
-    return SphereScore(
-        number=number,
-        nominal=ball,
-        roi=roi,
-        measured=geometric,
-        true_face=true,
-        measured_algebraic=algebraic,
-        true_face_algebraic=true_algebraic,
-    )
-
-
 def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
     """Flatten a score to names with units, for result.json."""
     figures = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
-    spheres = _sphere_metrics(scored.spheres, scored.unfitted)
+    spheres = sphere_metrics(scored.spheres, scored.unfitted)
     return figures | spheres | dict(scored.regions) | dict(scored.shown)
-
-
-def _sphere_metrics(
-    fitted: Sequence[SphereScore], unfitted: Sequence[str], region: str = ""
-) -> dict[str, Any]:
-    """Return all balls' figures by name; those of a ball without a fit are None."""
-    figures: dict[str, Any] = dict.fromkeys(sphere_names(len(fitted) + len(unfitted), region))
-    for ball in fitted:
-        ours = _ball_figures(ball).items()
-        figures |= {f"sphere_{ball.number}_{region}{name}": value for name, value in ours}
-    return figures
-
-
-def sphere_names(balls: int, region: str = "") -> list[str]:
-    """Return the names of the sphere figures of balls 1 to `balls`, such as `sphere_1_points`.
-
-    `region` is a further region of the fit, for example `within_1p2_` for 1.2 mm; empty: the main
-    region.
-    """
-    numbers = range(1, balls + 1)
-    return [f"sphere_{n}_{region}{figure}" for n in numbers for figure in _SPHERE_FIGURES]
-
-
-def _ball_figures(sphere: SphereScore) -> dict[str, float | int]:
-    """One ball's figures under the names of the paper's table."""
-    measured = sphere.measured
-    fits = (measured, sphere.true_face, sphere.measured_algebraic, sphere.true_face_algebraic)
-    values = [figure for fit in fits for figure in _fit_figures(fit)]
-    error_mm = abs(measured.radius_mm - sphere.nominal.radius_mm)
-    return dict(zip(_SPHERE_FIGURES, (len(measured.residuals_mm), error_mm, *values), strict=True))
-
-
-def _fit_figures(fit: SphereFit) -> tuple[float, float, float, float]:
-    stats = fit.stats
-    return fit.radius_mm, stats.rmse_mm, stats.mae_mm, stats.p95_mm
