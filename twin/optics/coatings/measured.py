@@ -2,8 +2,15 @@
 
 Files and their parameters are those of J. Dupuy and W. Jakob, ACM Trans. Graph. 37, 274 (2018).
 Mitsuba's own `measured` needs a spectral variant, and the twin is monochromatic: its table is read
-here at the projector's wavelength. Directions of reflected light between surfaces (render.bounces)
-are sampled by the cosine, so that a glossy table needs more `bounce_paths`.
+here at the projector's wavelength.
+
+Directions of reflected light between surfaces (render.bounces) are drawn by the table, as in
+Mitsuba's `measured`, but with the density of this wavelength in place of the luminance. Compared
+with the density of a matte surface (cosine), for tables of a GGX conductor of roughness 0.1 and
+0.4: variance of the weight of one direction 1/2500 to 1/36000 and 1/230 to 1/1300, of a pixel's
+light from two reflections in a corner 1/3.8 and 1/1.35 (the direction to the projector is not
+drawn), run time of `add_bounces` 1.2 to 1.4 times. Tables without the factor `jacobian` keep the
+density of a matte surface: their coordinates do not follow the reflected light.
 """
 
 import struct
@@ -22,6 +29,7 @@ from twin.assets import mesh_path
 from twin.config.coatings import COATINGS, Coating
 
 _PLUGIN = "fringe_twin_measured"
+_LEAST = 1e-3
 _TYPES = {1: np.uint8, 10: np.float32}
 
 
@@ -89,42 +97,96 @@ def _enter_plugin(variant: str) -> None:
             self._has_jacobian = bool(fields["jacobian"][0])
             self._vndf = mi.MarginalContinuous2D2(fields["vndf"], angles)
             self._spectra = mi.MarginalContinuous2D2(spectra, angles, False, False)
+            self._shares = mi.MarginalContinuous2D2(_density(spectra), angles)
             faces = (fields["ndf"], fields["sigma"])
             self._ndf, self._sigma = (
                 mi.MarginalContinuous2D0(face, [], False, False) for face in faces
             )
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            theta_i, phi_i = _spherical(si.wi)
-            theta_m, phi_m = _spherical(dr.normalize(si.wi + wo))
-            u_m = _unit_square(theta_m, phi_m - phi_i if self._is_isotropic else phi_m)
-            u_m.y -= dr.floor(u_m.y)
-            angles = mi.Vector2f(phi_i, theta_i)
-            value = self._spectra.eval(self._vndf.invert(u_m, angles, active)[0], angles, active)
-            if self._has_jacobian:
-                sigma = self._sigma.eval(_unit_square(theta_i, phi_i))
-                value *= self._ndf.eval(u_m) / (4.0 * sigma)
-            return mi.Color1f(dr.select(active & (si.wi.z > 0.0) & (wo.z > 0.0), value, 0.0))
+            return self.eval_pdf(ctx, si, wo, active)[0]
 
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return dr.select(si.wi.z > 0.0, mi.warp.square_to_cosine_hemisphere_pdf(wo), 0.0)
+            return self.eval_pdf(ctx, si, wo, active)[1]
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+            angles = self._angles(si)
+            half = dr.normalize(si.wi + wo)
+            theta_m, phi_m = _spherical(half)
+            u_m = _unit_square(theta_m, phi_m - angles.x if self._is_isotropic else phi_m)
+            u_m.y -= dr.floor(u_m.y)
+            place, lobe = self._vndf.invert(u_m, angles, active)
+            density = mi.warp.square_to_cosine_hemisphere_pdf(wo)
+            if self._has_jacobian:
+                lobe *= self._shares.eval(place, angles, active)
+                density = lobe / _solid_angle(u_m.x, theta_m, dr.dot(si.wi, half))
+            lit = active & (si.wi.z > 0.0) & (wo.z > 0.0)
+            value = dr.select(lit, self._value(place, u_m, angles, active), 0.0)
+            return mi.Color1f(value), dr.select(lit, density, 0.0)
 
         def sample(self, ctx: Any, si: Any, s1: Any, s2: Any, active: Any = True) -> Any:
             drawn = dr.zeros(mi.BSDFSample3f, dr.width(s2))
-            drawn.wo, drawn.eta = mi.warp.square_to_cosine_hemisphere(s2), 1.0
-            drawn.pdf = self.pdf(ctx, si, drawn.wo)
+            drawn.eta = 1.0
             drawn.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
-            lit = active & (drawn.pdf > 0.0)
-            value = self.eval(ctx, si, drawn.wo, lit) / drawn.pdf
-            return drawn, mi.Color1f(dr.select(lit, value.x, 0.0))
+            if self._has_jacobian:
+                drawn.wo, value, density = self._reflected(si, s2, active)
+                lit = active & (si.wi.z > 0.0) & (drawn.wo.z > 0.0)
+                drawn.pdf = dr.select(lit, density, 0.0)
+            else:
+                drawn.wo = mi.warp.square_to_cosine_hemisphere(s2)
+                value, drawn.pdf = self.eval_pdf(ctx, si, drawn.wo, active)
+                value = value.x
+            return drawn, mi.Color1f(dr.select(drawn.pdf > 0.0, value / drawn.pdf, 0.0))
+
+        def _angles(self, si: Any) -> Any:
+            theta_i, phi_i = _spherical(si.wi)
+            return mi.Vector2f(phi_i, theta_i)
+
+        def _value(self, place: Any, u_m: Any, angles: Any, active: Any) -> Any:
+            """Return the BSDF times cosine at a place of the spectra, with its half vector."""
+            value = self._spectra.eval(place, angles, active)
+            if self._has_jacobian:
+                sigma = self._sigma.eval(_unit_square(angles.y, angles.x))
+                value *= self._ndf.eval(u_m) / (4.0 * sigma)
+            return value
+
+        def _reflected(self, si: Any, s2: Any, active: Any) -> tuple[Any, Any, Any]:
+            """Draw a half vector; return the reflected direction, its value and its density."""
+            angles = self._angles(si)
+            place, share = self._shares.sample(s2, angles, active)
+            u_m, lobe = self._vndf.sample(place, angles, active)
+            theta_m, phi_m = u_m.x**2 * (np.pi / 2.0), (2.0 * u_m.y - 1.0) * np.pi
+            phi_m += angles.x if self._is_isotropic else 0.0
+            radius, height = dr.sincos(theta_m)
+            y, x = dr.sincos(phi_m)
+            half = mi.Vector3f(radius * x, radius * y, height)
+            cosine = dr.dot(si.wi, half)
+            density = share * lobe / _solid_angle(u_m.x, theta_m, cosine)
+            return 2.0 * cosine * half - si.wi, self._value(place, u_m, angles, active), density
 
         def to_string(self) -> str:
             return f"{_PLUGIN}[]"
 
     mi.register_bsdf(_PLUGIN, Table)
+
+
+def _density(spectra: Any) -> Any:
+    """Return the spectra with a least value, as a density: also rows of zeros can be normalised."""
+    largest = spectra.max(axis=(-2, -1), keepdims=True)
+    return np.maximum(spectra, np.where(largest > 0.0, _LEAST * largest, 1.0)).astype(np.float32)
+
+
+def _solid_angle(u: Any, theta: Any, cosine: Any) -> Any:
+    """Return the solid angle of reflected directions per area of the unit square, sr.
+
+    Parameters
+    ----------
+    u, theta : half vector's first coordinate in the unit square, and its angle to the normal, rad
+    cosine : of the angle between half vector and either direction
+    """
+    import drjit as dr
+
+    return 4.0 * dr.maximum(cosine, _LEAST) * dr.maximum(2.0 * np.pi**2 * u * dr.sin(theta), 1e-6)
 
 
 def _spherical(direction: Any) -> tuple[Any, Any]:
