@@ -10,31 +10,25 @@ Frame: projector pixels, x right (column), y down (row), integer = centre of a p
 | k = floor(x / period) | period index (fringe order) |
 | w | a word that numbers the fringes, see `codes`; without phase frames floor(x / period) |
 
-A word w is shown as bits of one of four kinds, most significant first; an inverse frame shows the
-complement of each. reflected: g = w ^ (w >> 1), plain Gray code. binary: w itself. xor_02, xor_04:
-Gray code with its coarser bits replaced by their exclusive or with the last (xor_02) or the last
-but one (xor_04), so that no frame has stripes wider than a few words (Gupta et al., Int. J. Comput.
-Vis. 102, 33 (2013)).
+A word w is shown as bits in an encoding of `words`, most significant first; an inverse frame shows
+the complement of each.
 """
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, Levels
 from reconstruction.codes import CODES, AxisFringes, CodeWord, PatternCode, Rule, code_of
 from reconstruction.errors import InputError, require_integer, require_number
+from reconstruction.words import WORDS, WordEncoding
 
 Kind = Literal["phase", "gray", "inverse", "white", "black"]
 Axis = Literal["column", "row"]
-WordName = Literal["reflected", "binary", "xor_02", "xor_04"]
 AXES: tuple[Axis, Axis] = ("column", "row")
-WORDS: tuple[WordName, ...] = get_args(WordName)
-# Position, counted from the last bit, of the bit that is combined with the coarser ones.
-XOR_PLACES = {"xor_02": 0, "xor_04": 1}
 
 # Below 4 px a Gray stripe of a fractional period may be displaced by 0.25 periods, the whole margin
 # of the edge-safe rules.
@@ -74,7 +68,8 @@ class PatternSet:
     further_periods_px : the periods after the measuring one, if the code needs any
     row_periods_px : all periods along rows, in the order of those along columns; (): the same
     axes : the axes along which patterns are shown
-    word : encoding of words as bits; values except "reflected" only with code "gray"
+    word : encoding of words as bits, a kind of `words.WORDS`; except "reflected" only with code
+        "gray"
     inverse : every Gray frame is followed by its inverse, with which it is compared
     uniform : white and black are shown
     first_shifts_deg : phase of step 00 at x = 0, degrees, of every period along columns, then along
@@ -91,7 +86,7 @@ class PatternSet:
     further_periods_px: tuple[float, ...] = ()
     row_periods_px: tuple[float, ...] = ()
     axes: tuple[Axis, ...] = AXES
-    word: WordName = "reflected"
+    word: str = "reflected"
     inverse: bool = False
     uniform: bool = True
     first_shifts_deg: tuple[float, ...] = ()
@@ -151,6 +146,11 @@ class PatternSet:
     def kind(self) -> PatternCode:
         """The code that numbers the fringes."""
         return CODES[self.code]
+
+    @property
+    def encoding(self) -> WordEncoding:
+        """The encoding of words as bits."""
+        return WORDS[self.word]
 
     def fringes(self, axis: Axis) -> AxisFringes:
         """Return length and periods along `axis`, the input of a code."""
@@ -213,23 +213,12 @@ class PatternSet:
 
     def binary(self, bits: BoolArray) -> BoolArray:
         """Return the bits of a word before encoding, from its bits as shown; (bit, ...)."""
-        if self.word == "binary":
-            return bits
-        shown = bits.copy()
-        last = len(bits) - 1 - XOR_PLACES.get(self.word, len(bits))
-        if last >= 0:
-            shown[:last] ^= bits[last]
-        return np.asarray(np.logical_xor.accumulate(shown))
+        return self.encoding.binary(bits)
 
     def _bits_of(self, word: CodeWord, x_px: IntArray) -> BoolArray:
-        value = word.at(x_px)
-        shown = value if self.word == "binary" else value ^ (value >> 1)
+        shown = self.encoding.shown(word.at(x_px), word.bits)
         places = np.arange(word.bits)[::-1, None]
-        bits = (shown >> places) & 1
-        exchanged = XOR_PLACES.get(self.word)
-        if exchanged is not None:
-            bits = bits ^ ((shown >> exchanged) & 1) * (places > exchanged)
-        return np.asarray(bits, np.bool_)
+        return np.asarray((shown >> places) & 1, np.bool_)
 
     def index(self, kind: Kind, axis: Axis | None = None) -> slice:
         """Return the stack indices of a kind of frames, most significant Gray bit first."""
@@ -295,8 +284,9 @@ class PatternSet:
         return tuple(float(value) for value in values)
 
     def _check_words(self) -> None:
-        if self.word not in WORDS:
-            raise InputError(f"patterns word is {self.word!r}; allowed are {', '.join(WORDS)}")
+        if not isinstance(self.word, str) or self.word not in WORDS:
+            allowed = ", ".join(WORDS.names())
+            raise InputError(f"patterns word is {self.word!r}; allowed are {allowed}")
         for name in ("inverse", "uniform"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"patterns {name} is {getattr(self, name)!r}; give true or false")

@@ -28,7 +28,6 @@ LOWER, HALF, UPPER, ONE = np.float32(0.25), np.float32(0.5), np.float32(0.75), n
 NEAR_SIGMAS = 8.0
 ROOT = math.sqrt(2.0)
 PLAIN, COMPLEMENTARY, SHIFTED = 0, 1, 2
-REFLECTED, BINARY, EXCLUSIVE = 0, 1, 2
 ZERO, BIT, TWO = np.uint32(0), np.uint32(1), np.uint32(2)
 SHIFTS = (np.uint32(16), np.uint32(8), np.uint32(4), np.uint32(2))
 NONE, STEP = np.int32(0), np.int32(1)
@@ -82,8 +81,7 @@ class Code(NamedTuple):
     bits: int
     safety_bits: np.uint32
     length_px: int
-    shown: int  # REFLECTED, BINARY or EXCLUSIVE: encoding of words as bits
-    place: np.uint32  # EXCLUSIVE: the bit, from the last, that is combined with the coarser ones
+    gray_of: Any  # (2^bits) uint32, Gray word of the bits as read; empty: they are a Gray word
     is_word: bool  # there is no phase: the word is the coordinate, a period wide
     first_inverse: int  # of the stack, most significant bit first; -1: none, bits against the mean
 
@@ -92,12 +90,7 @@ class Code(NamedTuple):
 def reflected(word: Any, code: Code) -> Any:
     """Return the Gray word of bits as they were read."""
     read = np.uint32(word)
-    if code.shown == BINARY:
-        return np.uint32(read ^ (read >> BIT))
-    if code.shown == EXCLUSIVE:
-        coarser = ((BIT << np.uint32(code.bits)) - BIT) & ~((TWO << code.place) - BIT)
-        return np.uint32(read ^ (coarser if (read >> code.place) & BIT else ZERO))
-    return read
+    return code.gray_of[read] if code.gray_of.size else read
 
 
 @nested
@@ -286,7 +279,7 @@ def weigh_near_bits(
     word, nearest, mean, margin = read
     # At the border of two words both are half a word off, which sigma includes.
     allowed = STEP if code.is_word else NONE
-    is_settled = (code.kind == PLAIN) & (code.shown == REFLECTED) & (not code.is_word)
+    is_settled = (code.kind == PLAIN) & (code.gray_of.size == 0) & (not code.is_word)
     for col in range(word.size):
         if not nearest[col] < margin[col] or error[col] == ONE:
             continue

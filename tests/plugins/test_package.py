@@ -29,6 +29,8 @@ lacquer = lacquer:Lacquer
 winkler = winkler:WINKLER
 [fringe_twin.codes]
 residue = residue_code:RESIDUE
+[fringe_twin.words]
+scattered = scattered_word:SCATTERED
 [fringe_twin.measurands]
 sagitta = sagitta:SAGITTA
 [fringe_twin.importers]
