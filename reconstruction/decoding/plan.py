@@ -20,7 +20,7 @@ from reconstruction.decoding._sum import Layout, Limits
 from reconstruction.decoding.ripple import Ripple, ripple_of, turned
 from reconstruction.patterns import AXES, Axis, Kind, PatternSet
 from reconstruction.rig.sensor import SensorNoise
-from reconstruction.words import reflected
+from reconstruction.words import gray_word
 
 # Product with an order of up to 12 bits, exact in the 24 bits of single precision.
 HIGH_BITS = 12
@@ -184,7 +184,7 @@ def _gray_words(patterns: PatternSet, axis: Axis) -> NDArray[np.uint32]:
     words = patterns.words(axis)
     if len(words) != 1:
         return np.zeros(0, np.uint32)
-    gray = reflected(patterns.encoding.words_of(words[0].bits))
+    gray = gray_word(patterns.encoding.words_of(words[0].bits))
     is_gray = np.array_equal(gray, np.arange(gray.size))
     return np.zeros(0, np.uint32) if is_gray else gray.astype(np.uint32)
 

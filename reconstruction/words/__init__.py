@@ -70,6 +70,6 @@ class WordEncoding:
 WORDS: Registry[WordEncoding] = Registry("words", "reconstruction.words", lambda kind: kind.name)
 
 
-def reflected(words: IntArray) -> IntArray:
+def gray_word(words: IntArray) -> IntArray:
     """Return the plain Gray words of words (n,)."""
     return words ^ (words >> 1)

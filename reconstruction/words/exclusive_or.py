@@ -5,7 +5,7 @@ No frame has stripes wider than a few words: light between surfaces is then simi
 """
 
 from reconstruction.arrays import IntArray
-from reconstruction.words import WORDS, WordEncoding, reflected
+from reconstruction.words import WORDS, WordEncoding, gray_word
 
 
 class ExclusiveOrWord(WordEncoding):
@@ -20,7 +20,7 @@ class ExclusiveOrWord(WordEncoding):
 
     def shown(self, words: IntArray, bits: int) -> IntArray:
         """Return the Gray words with their coarser bits inverted where the bit is 1."""
-        gray = reflected(words)
+        gray = gray_word(words)
         coarser = 2**bits - 2 ** (self._place + 1)
         return gray ^ ((gray >> self._place) & 1) * coarser if coarser > 0 else gray
 

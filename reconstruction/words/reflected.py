@@ -3,7 +3,7 @@
 import numpy as np
 
 from reconstruction.arrays import BoolArray, IntArray
-from reconstruction.words import WORDS, WordEncoding, reflected
+from reconstruction.words import WORDS, WordEncoding, gray_word
 
 
 class ReflectedWord(WordEncoding):
@@ -16,7 +16,7 @@ class ReflectedWord(WordEncoding):
 
     def shown(self, words: IntArray, bits: int) -> IntArray:
         """Return the Gray words."""
-        return reflected(words)
+        return gray_word(words)
 
     def binary(self, bits: BoolArray) -> BoolArray:
         """Return the exclusive or of each bit with all coarser ones; without a table."""

@@ -2,15 +2,7 @@
 
 Files and their parameters are those of J. Dupuy and W. Jakob, ACM Trans. Graph. 37, 274 (2018).
 Mitsuba's own `measured` needs a spectral variant, and the twin is monochromatic: its table is read
-here at the projector's wavelength.
-
-Directions of reflected light between surfaces (render.bounces) are drawn by the table, as in
-Mitsuba's `measured`, but with the density of this wavelength in place of the luminance. Compared
-with the density of a matte surface (cosine), for tables of a GGX conductor of roughness 0.1 and
-0.4: variance of the weight of one direction 1/2500 to 1/36000 and 1/230 to 1/1300, of a pixel's
-light from two reflections in a corner 1/3.8 and 1/1.35 (the direction to the projector is not
-drawn), run time of `add_bounces` 1.2 to 1.4 times. Tables without the factor `jacobian` keep the
-density of a matte surface: their coordinates do not follow the reflected light.
+here at the projector's wavelength; `reflectance_table` evaluates and draws directions by it.
 """
 
 import struct
@@ -29,7 +21,6 @@ from twin.assets import mesh_path
 from twin.config.coatings import COATINGS, Coating
 
 _PLUGIN = "fringe_twin_measured"
-_LEAST = 1e-3
 _TYPES = {1: np.uint8, 10: np.float32}
 
 
@@ -82,25 +73,18 @@ def _enter_plugin(variant: str) -> None:
     """Register the BSDF with Mitsuba's current variant, once."""
     dr: Any = import_module("drjit")
     mi: Any = import_module("mitsuba")
+    from twin.optics.reflectance_table import ReflectanceTable
 
     class Table(mi.BSDF):  # type: ignore[misc]
-        """A table as a BSDF; names as in the paper."""
+        """A table as a BSDF."""
 
         def __init__(self, properties: Any) -> None:
             mi.BSDF.__init__(self, properties)
             self.m_components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
             self.m_flags = self.m_components[0]
             fields = _fields(properties["filename"], properties["stamp"])
-            spectra = _at_wavelength(fields, properties["wavelength_nm"])
-            angles = [fields["phi_i"].tolist(), fields["theta_i"].tolist()]
-            self._is_isotropic = len(angles[0]) <= 2
-            self._has_jacobian = bool(fields["jacobian"][0])
-            self._vndf = mi.MarginalContinuous2D2(fields["vndf"], angles)
-            self._spectra = mi.MarginalContinuous2D2(spectra, angles, False, False)
-            self._shares = mi.MarginalContinuous2D2(_density(spectra), angles)
-            faces = (fields["ndf"], fields["sigma"])
-            self._ndf, self._sigma = (
-                mi.MarginalContinuous2D0(face, [], False, False) for face in faces
+            self._table = ReflectanceTable(
+                fields, _at_wavelength(fields, properties["wavelength_nm"])
             )
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
@@ -110,99 +94,20 @@ def _enter_plugin(variant: str) -> None:
             return self.eval_pdf(ctx, si, wo, active)[1]
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            angles = self._angles(si)
-            half = dr.normalize(si.wi + wo)
-            theta_m, phi_m = _spherical(half)
-            u_m = _unit_square(theta_m, phi_m - angles.x if self._is_isotropic else phi_m)
-            u_m.y -= dr.floor(u_m.y)
-            place, lobe = self._vndf.invert(u_m, angles, active)
-            density = mi.warp.square_to_cosine_hemisphere_pdf(wo)
-            if self._has_jacobian:
-                lobe *= self._shares.eval(place, angles, active)
-                density = lobe / _solid_angle(u_m.x, theta_m, dr.dot(si.wi, half))
-            lit = active & (si.wi.z > 0.0) & (wo.z > 0.0)
-            value = dr.select(lit, self._value(place, u_m, angles, active), 0.0)
-            return mi.Color1f(value), dr.select(lit, density, 0.0)
+            value, density = self._table.value_and_density(si.wi, wo, active)
+            return mi.Color1f(value), density
 
         def sample(self, ctx: Any, si: Any, s1: Any, s2: Any, active: Any = True) -> Any:
             drawn = dr.zeros(mi.BSDFSample3f, dr.width(s2))
+            drawn.wo, value, drawn.pdf = self._table.draw(si.wi, s2, active)
             drawn.eta = 1.0
             drawn.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
-            if self._has_jacobian:
-                drawn.wo, value, density = self._reflected(si, s2, active)
-                lit = active & (si.wi.z > 0.0) & (drawn.wo.z > 0.0)
-                drawn.pdf = dr.select(lit, density, 0.0)
-            else:
-                drawn.wo = mi.warp.square_to_cosine_hemisphere(s2)
-                value, drawn.pdf = self.eval_pdf(ctx, si, drawn.wo, active)
-                value = value.x
             return drawn, mi.Color1f(dr.select(drawn.pdf > 0.0, value / drawn.pdf, 0.0))
-
-        def _angles(self, si: Any) -> Any:
-            theta_i, phi_i = _spherical(si.wi)
-            return mi.Vector2f(phi_i, theta_i)
-
-        def _value(self, place: Any, u_m: Any, angles: Any, active: Any) -> Any:
-            """Return the BSDF times cosine at a place of the spectra, with its half vector."""
-            value = self._spectra.eval(place, angles, active)
-            if self._has_jacobian:
-                sigma = self._sigma.eval(_unit_square(angles.y, angles.x))
-                value *= self._ndf.eval(u_m) / (4.0 * sigma)
-            return value
-
-        def _reflected(self, si: Any, s2: Any, active: Any) -> tuple[Any, Any, Any]:
-            """Draw a half vector; return the reflected direction, its value and its density."""
-            angles = self._angles(si)
-            place, share = self._shares.sample(s2, angles, active)
-            u_m, lobe = self._vndf.sample(place, angles, active)
-            theta_m, phi_m = u_m.x**2 * (np.pi / 2.0), (2.0 * u_m.y - 1.0) * np.pi
-            phi_m += angles.x if self._is_isotropic else 0.0
-            radius, height = dr.sincos(theta_m)
-            y, x = dr.sincos(phi_m)
-            half = mi.Vector3f(radius * x, radius * y, height)
-            cosine = dr.dot(si.wi, half)
-            density = share * lobe / _solid_angle(u_m.x, theta_m, cosine)
-            return 2.0 * cosine * half - si.wi, self._value(place, u_m, angles, active), density
 
         def to_string(self) -> str:
             return f"{_PLUGIN}[]"
 
     mi.register_bsdf(_PLUGIN, Table)
-
-
-def _density(spectra: Any) -> Any:
-    """Return the spectra with a least value, as a density: also rows of zeros can be normalised."""
-    largest = spectra.max(axis=(-2, -1), keepdims=True)
-    return np.maximum(spectra, np.where(largest > 0.0, _LEAST * largest, 1.0)).astype(np.float32)
-
-
-def _solid_angle(u: Any, theta: Any, cosine: Any) -> Any:
-    """Return the solid angle of reflected directions per area of the unit square, sr.
-
-    Parameters
-    ----------
-    u, theta : half vector's first coordinate in the unit square, and its angle to the normal, rad
-    cosine : of the angle between half vector and either direction
-    """
-    import drjit as dr
-
-    return 4.0 * dr.maximum(cosine, _LEAST) * dr.maximum(2.0 * np.pi**2 * u * dr.sin(theta), 1e-6)
-
-
-def _spherical(direction: Any) -> tuple[Any, Any]:
-    """Return the angle to the normal, and the azimuth, of unit vectors; rad."""
-    import drjit as dr
-
-    chord = dr.norm(direction - type(direction)(0.0, 0.0, 1.0))
-    return 2.0 * dr.safe_asin(0.5 * chord), dr.atan2(direction.y, direction.x)
-
-
-def _unit_square(theta: Any, phi: Any) -> Any:
-    """Return the coordinates of these angles in a table, 0 to 1."""
-    import drjit as dr
-    import mitsuba as mi
-
-    return mi.Point2f(dr.sqrt(theta * (2.0 / np.pi)), (phi + np.pi) / (2.0 * np.pi))
 
 
 @lru_cache(maxsize=2)
