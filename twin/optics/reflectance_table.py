@@ -35,9 +35,10 @@ class ReflectanceTable:
         angles = [fields["phi_i"].tolist(), fields["theta_i"].tolist()]
         self._is_isotropic = len(angles[0]) <= 2
         self._has_jacobian = bool(fields["jacobian"][0])
-        self._vndf = mi.MarginalContinuous2D2(fields["vndf"], angles)
+        # Any: Mitsuba's type information does not accept the points that its functions return.
+        self._vndf: Any = mi.MarginalContinuous2D2(fields["vndf"], angles)
         self._spectra = mi.MarginalContinuous2D2(spectra, angles, False, False)
-        self._shares = mi.MarginalContinuous2D2(_density(spectra), angles)
+        self._shares: Any = mi.MarginalContinuous2D2(_density(spectra), angles)
         faces = (fields["ndf"], fields["sigma"])
         self._ndf, self._sigma = (
             mi.MarginalContinuous2D0(face, [], False, False) for face in faces
