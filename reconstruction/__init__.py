@@ -7,14 +7,14 @@
 
 | name | content |
 |---|---|
-| `PatternSet` | the images that the projector shows and the decoder expects |
-| `Capture`, `read_capture`, `write_capture` | frames, patterns, calibration and noise: a folder |
-| `SensorNoise`, `Pinhole`, `Calibration` | noise, camera model and geometry of the rig |
-| `decode`, `DecodeOptions` | frames to projector coordinates, their sigma, a reason per pixel |
-| `triangulate` | projector coordinates to points in the world frame, mm |
-| `reconstruct`, `ReconstructOptions` | decode and triangulate in one call |
-| `CODES`, `PatternCode` | pattern codes by name, base class of a user's code: `codes` |
-| `calibrate` | observations of a board to a calibrated rig; boards and `observe`: `calibration` |
+| `PatternSet` | the images that the projector shows and that the decoder expects |
+| `Capture`, `read_capture`, `write_capture` | folder of frames, patterns, calibration and noise |
+| `SensorNoise`, `Pinhole`, `Calibration` | camera noise, camera model, geometry of the rig |
+| `decode`, `DecodeOptions` | projector coordinates, their sigma and a reason code of each pixel |
+| `triangulate` | points in the world frame, mm, from projector coordinates |
+| `reconstruct`, `ReconstructOptions` | decoding and triangulation in one call |
+| `CODES`, `PatternCode` | pattern codes by name; base class of a user's code (module `codes`) |
+| `calibrate` | a calibrated rig from images of a board (see subpackage `calibration`) |
 | `calibration`, `evaluate`, `photometric` | subpackages with public names of their own |
 
 A submodule is imported when one of its names is first used.

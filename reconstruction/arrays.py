@@ -1,7 +1,7 @@
 """Array types, names of alignments, and the reason codes of pixels without a measurement.
 
-Axis order is (frame, row, col) and (row, col, xyz), row 0 at the top. One reason code per pixel, 0
-for a valid one.
+The axis order is (frame, row, col) for image stacks and (row, col, xyz) for point maps, with row 0
+at the top. Each pixel has one reason code, which is 0 for a valid measurement.
 """
 
 from enum import IntEnum
@@ -21,50 +21,58 @@ Levels = NDArray[np.uint8]
 Stack = NDArray[Any]
 
 Alignment = Literal["none", "offset", "offset_tilt", "rigid"]
-"""Motion that is fitted and removed before a surface is compared, see `evaluate.deviation`."""
+"""Motion that is fitted and removed before two surfaces are compared, see `evaluate.deviation`."""
 
 
 def at_pixels(image: NDArray[Any], where: BoolImage) -> NDArray[Any]:
-    """Return the values of an image (row, col, ...) at the selected pixels: (pixel, ...)."""
+    """Return the values (pixel, ...) of an image (row, col, ...) where the mask `where` is True."""
     # 10 times faster than a boolean index.
     pixels = image.reshape(-1, *image.shape[2:])
     return pixels.take(np.flatnonzero(where), axis=0)
 
 
 class Reason(IntEnum):
-    """Reason code of a pixel; when several apply the lowest code is stored."""
+    """Reason why a pixel of a fringe measurement has no point.
+
+    If several reasons apply, the one with the lowest code is stored.
+    """
 
     VALID = 0
     DARK = 1
-    """White and black frame do not differ: no projector light."""
+    """The white and the black frame do not differ, so no projector light reaches the pixel."""
     LOW_MODULATION = 2
-    """Fringe contrast too small for the required phase uncertainty."""
+    """The fringe contrast is too small for the required phase uncertainty."""
     SATURATED = 3
-    """Clipped or lost phase frames leave too few for a fit."""
+    """So many phase frames are clipped or lost that the others do not suffice for a fit."""
     ORDER_UNCERTAIN = 4
-    """The Gray word fits two fringe orders, or contradicts the phase."""
+    """The Gray code word fits two fringe orders, or contradicts the phase."""
     OUTSIDE_PROJECTOR = 5
     """The decoded coordinate is outside the projector image."""
     EDGE = 6
-    """Next to a pixel without light: its footprint may cross the edge. Set by the filter only."""
+    """The pixel is next to one without light, so its footprint may extend beyond the lit area.
+
+    Only the spatial filter sets this reason."""
     EPIPOLAR_MISMATCH = 7
-    """The column and the row coordinate correspond to no common point of this camera ray."""
+    """No point on the camera ray has both the decoded column and the decoded row coordinate."""
     NO_POINT = 8
-    """The camera pixel has no ray (the lens model folds before it), or its ray has no intersection
-    with the projector plane in front of both devices and within the projector's lens model."""
+    """The camera pixel has no ray, because the lens model cannot be inverted there. Or its ray does
+    not intersect the projector plane in front of both devices and within the range of the
+    projector's lens model."""
 
 
 class PhotometricReason(IntEnum):
-    """Reason code; when several apply the lowest code above 0 is stored.
+    """Reason why a pixel of photometric stereo has no measured slope.
 
-    Slopes of coded pixels are estimates (filled in or extrapolated), heights are integrated over
-    them: finite numbers everywhere, measurements only where the code is 0.
+    If several reasons apply, the one with the lowest code above 0 is stored. At a pixel with a code
+    above 0 the slope is an estimate (filled in or extrapolated). Heights are integrated over all
+    slopes. All numbers are finite, but only pixels with code 0 are measurements.
     """
 
     VALID = 0
     MARKER = 1
-    """A printed dot, in this image or in the background: the slope is filled in from its border."""
+    """A printed dot, in this image or in the reference image without contact, covers the pixel. The
+    slope is filled in from the border of the dot."""
     CLIPPED = 2
-    """A channel is at 0 or 255: the colour is a bound, not a value."""
+    """A colour channel is at 0 or 255, so the true value is unknown beyond this limit."""
     UNCALIBRATED = 3
-    """No calibration press contains this colour: the slope is that of the nearest known colour."""
+    """No calibration press has this colour; the slope is that of the nearest calibrated colour."""

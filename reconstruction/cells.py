@@ -1,4 +1,4 @@
-"""Means in square cells of world x and y, which turn scattered points into a map in mm."""
+"""Average scattered points in the square cells of a grid over world x and y, both in mm."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,15 +14,15 @@ _MOST_CELLS = 10**8
 
 @dataclass(frozen=True, eq=False)
 class CellMeans:
-    """Means of one quantity per cell.
+    """Mean of one quantity in each square cell of a grid over world x and y.
 
     Attributes
     ----------
     x_mm : (col,) world x of the cells' centres, ascending
     y_mm : (row,) world y of the cells' centres, descending: row 0 is the top of a picture
-    mean : (row, col) 0 in cells without a point
-    valid : (row, col) bool
-    pitch_mm : edge of a cell
+    mean : (row, col) mean of the quantity, in its unit; 0 in cells without a point
+    valid : (row, col) bool, whether the cell contains a point
+    pitch_mm : edge length of a cell
     """
 
     x_mm: FloatArray
@@ -33,14 +33,14 @@ class CellMeans:
 
     @property
     def extent_mm(self) -> tuple[float, float, float, float]:
-        """Left, right, lower and upper end of all cells."""
+        """Least and largest world x, then least and largest world y, of the grid's borders."""
         half = 0.5 * self.pitch_mm
         ends = self.x_mm[0] - half, self.x_mm[-1] + half, self.y_mm[-1] - half, self.y_mm[0] + half
         return (float(ends[0]), float(ends[1]), float(ends[2]), float(ends[3]))
 
 
 def box_of(points: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the largest coordinates of points (point, axis), at least one point."""
+    """Return the least and the largest coordinates, each (axis,), of points (point, axis)."""
     # Axis by axis: over short rows Numpy takes ten times as long.
     axes = points.T
     return np.array([axis.min() for axis in axes]), np.array([axis.max() for axis in axes])
@@ -48,12 +48,12 @@ def box_of(points: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class SquareCells:
-    """Number of the square cell of each point.
+    """Assignment of points to the square cells of a grid over world x and y.
 
     Attributes
     ----------
-    number : (point,) of its cell, row by row
-    x_mm, y_mm, pitch_mm : as of `CellMeans`
+    number : (point,) row * columns + column of the cell that contains the point; row 0 at the top
+    x_mm, y_mm, pitch_mm : centres and edge length of the cells, as in `CellMeans`
     """
 
     number: IntArray
@@ -68,11 +68,13 @@ class SquareCells:
         pitch_mm: float,
         corner_mm: tuple[float, float] = (0.0, 0.0),
     ) -> "SquareCells":
-        """Sort points (point, xyz) or (point, xy), world, at least one, into cells.
+        """Assign points to cells; the grid covers all points.
 
         Parameters
         ----------
-        corner_mm : world x and y of a corner of any cell
+        points_mm : (point, xyz) or (point, xy), world frame, at least one point
+        pitch_mm : edge length of a cell
+        corner_mm : world x and y of a corner of any cell, which fixes the position of the grid
 
         Raises
         ------
@@ -93,7 +95,7 @@ class SquareCells:
         return cls((rows - 1 - row) * cols + col, x_mm, y_mm, float(pitch_mm))
 
     def means(self, values: NDArray[Any]) -> CellMeans:
-        """Average values (point,) over the cells."""
+        """Return the mean of values (point,) over the points in each cell."""
         shape = len(self.y_mm), len(self.x_mm)
         size = shape[0] * shape[1]
         count = np.bincount(self.number, minlength=size).reshape(shape)

@@ -1,4 +1,4 @@
-"""Deviations as colours of points, for viewers that read vertex colours."""
+"""Colour points by their height deviation, for viewers that read vertex colours."""
 
 from functools import cached_property
 from typing import Any
@@ -13,13 +13,13 @@ UNKNOWN = 128
 
 
 class Deviation:
-    """Measured minus true height, where the true height is known, and its colour.
+    """Deviation of each pixel, measured minus true height, and the colour that shows it.
 
     Attributes
     ----------
-    um : (row, col) float32; 0 where the deviation is unknown
-    known : (row, col) bool
-    limit_um : deviations as large as this or larger have the full colour
+    um : (row, col) float32, deviation in um; 0 where it is unknown
+    known : (row, col) bool, whether the deviation of the pixel is known
+    limit_um : magnitude from which on the colour is full: the 99th percentile of |deviation|
     """
 
     def __init__(self, um: NDArray[Any], known: BoolImage) -> None:
@@ -30,7 +30,7 @@ class Deviation:
 
     @cached_property
     def rgb(self) -> Levels:
-        """(row, col, 3) uint8: blue below, white at 0, red above, grey where it is unknown."""
+        """Colours (row, col, rgb) uint8: blue below 0, white at 0, red above 0, grey if unknown."""
         share = np.clip(self.um / self.limit_um, -1.0, 1.0)
         levels = np.stack(
             (1.0 + np.minimum(share, 0.0), 1.0 - np.abs(share), 1.0 - np.maximum(share, 0.0)),
@@ -41,6 +41,6 @@ class Deviation:
 
     @property
     def legend(self) -> str:
-        """Meaning of the colours, for the header of a file."""
+        """One line of text that explains the colours, for the header of a file."""
         limit = f"{self.limit_um:.3g} um"
         return f"colour is deviation_um: blue -{limit}, white 0, red +{limit}, grey unknown"

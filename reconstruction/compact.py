@@ -1,8 +1,9 @@
-"""Maps in 16 bits per pixel, expanded when they are read.
+"""Store maps with at most 16 bits per pixel and expand them to arrays when they are read.
 
-A full result would otherwise need as much memory as the frames. The coordinate, from which points
-are computed, has single precision. All other maps have half precision: its step of at most
-1 / 1024 of the value is below the noise of each of these quantities.
+Without this, all maps of a result would need as much memory as the frames. Only the projector
+coordinate, from which points are computed, is stored in single precision. The other maps have half
+precision or less: the step of half precision is at most 1 / 1024 of the value, which is below the
+noise of these quantities.
 """
 
 from collections.abc import Callable
@@ -22,14 +23,14 @@ RAD_PER_STEP = 2.0 * np.pi / TURN_STEPS
 
 
 class Compact(Protocol):
-    """A map that can be expanded to an array."""
+    """A compactly stored map that can be expanded to an array."""
 
     def expand(self) -> NDArray[Any]:
-        """Return a new array, (row, col)."""
+        """Return the values as a new array, (row, col) or (row, col, xyz)."""
 
 
 class ExpandedOnRead:
-    """Attribute that stores a value as it was assigned, and expands it whenever it is read."""
+    """Descriptor of an attribute: stores the assigned array or compact map, returns an array."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -45,7 +46,7 @@ class ExpandedOnRead:
 
 
 def keeps_compact(*names: str) -> Callable[[type[Class]], type[Class]]:
-    """Let these array fields of a dataclass also accept `Compact` values."""
+    """Return a class decorator: the named array fields of a dataclass also accept compact maps."""
 
     def install(owner: type[Class]) -> type[Class]:
         for name in names:
@@ -56,21 +57,21 @@ def keeps_compact(*names: str) -> Callable[[type[Class]], type[Class]]:
 
 
 def stored_value(instance: object, name: str) -> Compact | NDArray[Any]:
-    """Return the unexpanded value of a field that `keeps_compact` installed."""
+    """Return the assigned value, unexpanded, of a field that `keeps_compact` named."""
     value: Compact | NDArray[Any] = vars(instance)[name]
     return value
 
 
 @dataclass(frozen=True, eq=False)
 class Half:
-    """Non-negative values in units of `unit`, as the bits of float16."""
+    """Map of non-negative values, stored as the bits (row, col) of value / `unit` in float16."""
 
     bits: Bits
     unit: float
 
     @classmethod
     def of(cls, values: NDArray[Any], unit: float) -> "Half":
-        """Round values to float16; values above `LARGEST` units are set to `LARGEST` units."""
+        """Return values / `unit` in float16; quotients above `LARGEST` are set to `LARGEST`."""
         scaled = np.minimum(np.asarray(values, np.float32) / np.float32(unit), LARGEST)
         return cls(np.ascontiguousarray(scaled.astype(np.float16)).view(np.uint16), unit)
 
@@ -82,7 +83,7 @@ class Half:
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """Phases in steps of 2 pi / 65536 rad."""
+    """Map (row, col) of wrapped phases, stored as integers in units of 2 pi / 65536 rad."""
 
     bits: Bits
 
@@ -93,25 +94,32 @@ class Turns:
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """Numbers between 0 and 1 in steps of 1 / 255."""
+    """Map (row, col) of numbers from 0 to 1, stored as integers in units of 1 / 255."""
 
     steps: NDArray[np.uint8]
 
     def expand(self) -> FloatImage:
-        """Return the shares, (row, col) float32."""
+        """Return the numbers from 0 to 1, (row, col) float32."""
         return np.multiply(self.steps, np.float32(1.0 / 255.0), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class Orders:
-    """Fringe numbers: a coordinate in periods minus its phase; 0 where there is no coordinate."""
+    """Map of fringe orders: coordinate / period - phase in turns; 0 where there is no coordinate.
+
+    Parameters
+    ----------
+    coordinate_px : (row, col) projector coordinate; 0 where there is none
+    turns : wrapped phase of the measuring period
+    period_px : measuring period
+    """
 
     coordinate_px: FloatImage
     turns: Turns
     period_px: float
 
     def expand(self) -> OrderImage:
-        """Return the numbers, (row, col) int16."""
+        """Return the fringe orders, (row, col) int16."""
         number = np.multiply(self.turns.bits, np.float32(-1.0 / TURN_STEPS), dtype=np.float32)
         number += self.coordinate_px * np.float32(1.0 / self.period_px)
         np.rint(number, out=number)
@@ -121,14 +129,24 @@ class Orders:
 
 @dataclass(frozen=True, eq=False)
 class RaySpread:
-    """Sigmas of points along their camera rays: sigma_xyz = |X - C| sigma_d / d, per axis."""
+    """Standard deviations of points X that scatter along their camera rays, from that of the depth.
+
+    Each component of sigma is that of |X - C| times sigma_d / d. C is the camera centre, d the
+    depth of the point along the optical axis and sigma_d the standard deviation of d.
+
+    Parameters
+    ----------
+    points_world_mm : (row, col, xyz)
+    sigma_depth_mm : (row, col) sigma_d; 0 where it is unknown
+    T_world_from_cam : (4, 4) pose of the camera, mm
+    """
 
     points_world_mm: FloatImage
     sigma_depth_mm: Half
     T_world_from_cam: FloatArray
 
     def expand(self) -> FloatImage:
-        """Return sigma along x, y, z, (row, col, xyz) float32 mm; 0 where depth has no sigma."""
+        """Return sigma along world x, y, z, (row, col, xyz) float32 mm; 0 where sigma_d is 0."""
         along = self.points_world_mm - self.T_world_from_cam[:3, 3].astype(np.float32)
         per_depth = self._per_depth()[..., None]
         return np.asarray(np.abs(along, out=along) * per_depth, dtype=np.float32)
@@ -139,7 +157,7 @@ class RaySpread:
         return np.asarray(np.abs(along) * self._per_depth(), dtype=np.float32)
 
     def _per_depth(self) -> FloatImage:
-        """Return sigma_d / d, (row, col); 0 where the depth has no sigma."""
+        """Return sigma_d / d, (row, col); 0 where sigma_d is 0."""
         T = self.T_world_from_cam
         axis, origin = T[:3, 2].astype(np.float32), np.float32(T[:3, 2] @ T[:3, 3])
         depth_mm = self.points_world_mm @ axis - origin

@@ -1,7 +1,8 @@
-"""Compile kernels and run them over bands of image rows on all cores.
+"""Compile functions with Numba ("kernels") and run them over bands of image rows on all cores.
 
-Plain threads over kernels that release the interpreter lock: compiles in a fraction of the time
-of automatic parallelisation and may be called from several threads at once.
+The kernels release Python's interpreter lock and run in ordinary threads. They compile in a
+fraction of the time that Numba's automatic parallelisation needs, and several threads may call
+them at the same time.
 """
 
 import hashlib
@@ -42,7 +43,7 @@ NESTED: dict[str, Any] = {"no_cpython_wrapper": True}
 
 
 def digest_of_sources(folder: Path, patterns: tuple[str, ...]) -> str:
-    """Return the digest of all files that contribute code or constants to a set of kernels."""
+    """Return the SHA-256 digest (hexadecimal) of the files in `folder` that match the patterns."""
     files = sorted(file for pattern in patterns for file in folder.glob(pattern))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
@@ -51,7 +52,7 @@ SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, KERNEL_SOURCES)
 
 
 def compiled(function: Function) -> Function:
-    """Compile `function` on first call and store the result on disk."""
+    """Compile `function` on its first call and store the compiled code on disk."""
     return compile_and_keep(function, OPTIONS, SOURCE_DIGEST)
 
 
@@ -64,21 +65,27 @@ def nested(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Compile `function` into its callers, as `nested`: for code that runs once per pixel."""
+    """Compile `function` as `nested` and inline it into its callers: for code run on each pixel."""
     return compile_and_keep(function, OPTIONS | NESTED | {"forceinline": True}, SOURCE_DIGEST)
 
 
 def merged(function: Function) -> Function:
     """Copy `function` into its callers before type inference.
 
-    For code that runs once per image row: a compiled function is optimised again in each function
-    that calls it, so every further level of calls adds its callers' compile time.
+    Used for code that runs once per image row. The compiler would optimise a compiled function
+    again in each function that calls it, so every further level of calls adds compile time.
     """
     return cast(Function, numba.njit(inline="always", **OPTIONS)(function))
 
 
 def compile_and_keep(function: Function, options: dict[str, Any], source_digest: str) -> Function:
-    """Compile on first call; store the result on disk and reuse it while the sources are equal."""
+    """Compile `function` on its first call, and store the compiled code on disk.
+
+    Parameters
+    ----------
+    options : options of `numba.njit`
+    source_digest : digest of all sources; stored code with another digest is compiled again
+    """
     options = {**options, "no_cfunc_wrapper": True}  # no kernel is called from C
     try:
         kernel = numba.njit(cache=True, **options)(function)
@@ -96,7 +103,10 @@ def compile_and_keep(function: Function, options: dict[str, Any], source_digest:
 
 @contextmanager
 def telling_of_compiling(callback: Callable[[], None]) -> Iterator[None]:
-    """Call `callback`, in the thread that compiles, whenever a kernel is compiled, not loaded."""
+    """Call `callback` whenever a kernel is compiled during a `with` block, not loaded from disk.
+
+    The call is made in the thread that compiles.
+    """
     with event.install_listener("numba:compile", _Listener(callback)):
         yield
 
@@ -113,11 +123,12 @@ class _Listener(event.Listener):  # type: ignore[misc]  # numba has no type info
 
 
 def _load_index(stored: Any) -> Any:
-    """Return the stored versions of a kernel by their argument types.
+    """Return the stored versions of a kernel by the types of their arguments.
 
-    The file names the types of the arguments; reading it fails if such a type no longer exists,
-    before the digest is compared. Opening a pipe may never return: the next compiled version
-    replaces it.
+    The result is empty, so that the kernel is compiled again, in two cases:
+
+    - Reading the file with the versions fails, because it names a type that no longer exists.
+    - It is not a regular file. A pipe is not opened, because that may never return.
     """
     try:
         is_stored = is_regular(Path(stored._index_path))
@@ -127,7 +138,7 @@ def _load_index(stored: Any) -> Any:
 
 
 def _load_data(stored: Any, name: str) -> Any:
-    """Return a stored version of a kernel; an OSError makes Numba compile it again."""
+    """Return a stored version of a kernel, or raise OSError, which makes Numba compile it again."""
     if not is_regular(Path(stored._data_path(name))):
         raise FileNotFoundError(name)
     return type(stored)._load_data(stored, name)
@@ -142,7 +153,10 @@ def _save(cache: Any, signature: Any, compiled: Any) -> None:
 def run_over_rows(
     kernel: Callable[..., None], rows: int, *arguments: object, band_rows: int = BAND_ROWS
 ) -> None:
-    """Call `kernel(first_row, end_row, *arguments)` for bands that cover each row exactly once."""
+    """Call `kernel(first_row, end_row, *arguments)` in threads, for bands of `band_rows` rows.
+
+    The bands cover rows 0 to `rows` - 1, each exactly once.
+    """
     with ThreadPoolExecutor(threads()) as pool:
         calls = [
             pool.submit(kernel, first, min(first + band_rows, rows), *arguments)

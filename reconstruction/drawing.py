@@ -1,6 +1,6 @@
-"""Figures of results for notebooks: maps over world x and y, sections, distributions.
+"""Draw results for notebooks: maps over world x and y, sections, distributions.
 
-In `reconstruction` only this module imports Matplotlib, when the first figure is drawn.
+In `reconstruction` only this module imports Matplotlib; other modules import it on first use.
 """
 
 import base64
@@ -20,12 +20,12 @@ from reconstruction.cells import CellMeans, SquareCells
 _MOST_CELLS = 400
 _GAP = "#d9d9d9"
 _DPI = 100
-# Room between neighbouring panels, as a share of a panel's width and height.
+# Gap between neighbouring panels, as a share of a panel's width and height.
 _ROOM_ACROSS, _ROOM_DOWN = 0.06, 0.08
 
 
 class Drawing(Figure):
-    """A Matplotlib figure that a notebook displays; `savefig` writes it to a file."""
+    """A Matplotlib figure that a notebook displays as PNG; `savefig` writes it to a file."""
 
     def __init__(self, panels: int, rows: int = 1) -> None:
         size = 4.4 * panels, 3.4 * rows
@@ -33,7 +33,7 @@ class Drawing(Figure):
         super().__init__(figsize=size, facecolor="white", layout=layout)
 
     def png(self) -> bytes:
-        """Return the content of a PNG file of the figure."""
+        """Return the figure as the bytes of a PNG file."""
         drawn = io.BytesIO()
         self.savefig(drawn, format="png", dpi=_DPI, metadata={"Software": None})
         return drawn.getvalue()
@@ -43,9 +43,14 @@ class Drawing(Figure):
 
 
 def gridded(points_mm: NDArray[Any], values: NDArray[Any]) -> CellMeans:
-    """Average (point,) values at (point, xyz) points on at most 400 cells along a side."""
+    """Return the means of values (point,) in square cells, at most 400 along x and along y.
+
+    Parameters
+    ----------
+    points_mm : (point, xyz), world frame; the cells are about two mean point distances wide
+    """
     span_mm = float(np.ptp(points_mm[:, :2], axis=0).max())
-    # Cells of two typical distances of neighbours: almost every cell has a point.
+    # With cells as wide as two mean distances of neighbours almost every cell has a point.
     apart_mm = 2.0 * np.sqrt(np.prod(np.ptp(points_mm[:, :2], axis=0)) / len(points_mm))
     pitch_mm = max(span_mm / _MOST_CELLS, float(apart_mm), 1e-6)
     return SquareCells.of(points_mm, pitch_mm).means(values)
@@ -58,8 +63,8 @@ def draw_cells(
 
     Parameters
     ----------
-    label : of the colour bar, with the unit
-    signed : colours are symmetric about 0
+    label : label of the colour bar, with the unit
+    signed : whether the colour scale is symmetric about 0, up to the 99th percentile of |mean|
     """
     values = cells.mean[cells.valid]
     if signed:
@@ -82,7 +87,7 @@ def draw_cells(
 
 
 def draw_image(axes: Axes, image: NDArray[Any], title: str, label: str, most: float) -> None:
-    """Draw a camera image (row, col), row 0 at the top, grey from 0 to `most`."""
+    """Draw a camera image (row, col), row 0 at the top; 0 is black, `most` is white."""
     shown = axes.imshow(image, cmap="gray", vmin=0, vmax=most)
     axes.set(title=title, xlabel="column (px)", ylabel="row (px)")
     figure = axes.get_figure()
@@ -93,11 +98,12 @@ def draw_image(axes: Axes, image: NDArray[Any], title: str, label: str, most: fl
 def draw_distribution(
     axes: Axes, values: NDArray[Any], label: str, interval: tuple[float, float] | None
 ) -> None:
-    """Draw the histogram of a quantity's samples (n,), and an interval as a band.
+    """Draw the histogram of the samples (n,) of a quantity, and an interval as a shaded band.
 
     Parameters
     ----------
-    label : of the quantity, with the unit
+    label : name of the quantity, with the unit
+    interval : lower and upper end of the band; None: no band
     """
     axes.hist(values, bins="auto" if np.ptp(values) > 0 else 1, color="#4c72b0")
     if interval is not None:
@@ -106,7 +112,7 @@ def draw_distribution(
 
 
 def draw_section(axes: Axes, curves: Mapping[str, CellMeans]) -> None:
-    """Draw z of height maps along x, through the row of cells nearest to y = 0."""
+    """Draw sections z(x), mm, of height maps by name, each in its row of cells nearest y = 0."""
     for number, (name, cells) in enumerate(curves.items()):
         row = int(np.abs(cells.y_mm).argmin())
         z_mm = np.ma.masked_array(cells.mean[row], ~cells.valid[row])
@@ -117,7 +123,7 @@ def draw_section(axes: Axes, curves: Mapping[str, CellMeans]) -> None:
 
 
 def as_html(title: str, rows: Mapping[str, str], drawing: Drawing) -> str:
-    """Return the HTML that a notebook displays: a title, a short table and the figure."""
+    """Return HTML for a notebook: the title, a table of names and values, and the figure."""
     lines = "".join(
         f'<tr><td style="text-align:left">{html.escape(name)}</td>'
         f'<td style="text-align:right">{html.escape(value)}</td></tr>'

@@ -1,4 +1,4 @@
-"""Errors of bad input, and checks of single arguments that name the argument and its range."""
+"""Exceptions for bad input, and checks of one argument that report its name and allowed range."""
 
 import math
 from numbers import Integral, Real
@@ -6,7 +6,7 @@ from pathlib import PurePath
 
 
 class InputError(ValueError):
-    """Input that cannot be used as given; base class of all input errors of this package."""
+    """Input that cannot be used as given; base class of all exceptions for bad input."""
 
 
 class CaptureError(InputError):
@@ -14,7 +14,7 @@ class CaptureError(InputError):
 
 
 class FitError(InputError):
-    """Points that do not determine the requested shape."""
+    """Data that do not determine the requested fit, such as too few points for a sphere."""
 
 
 def one_line(error: BaseException) -> str:
@@ -28,13 +28,13 @@ def counted(count: int, noun: str, plural: str = "") -> str:
 
 
 def few(names: list[str]) -> str:
-    """Return the first three names and the number of further ones."""
+    """Return a text with the first three names and the number of all others, or "none"."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(names[:3]) + more or "none"
 
 
 def require_instance(name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:
-    """Raise InputError unless `value` is an instance of `kinds`."""
+    """Raise InputError unless `value` is an instance of `kinds`; the message ends with `remedy`."""
     if not isinstance(value, kinds):
         written = repr(value) if isinstance(value, (str, int, float, PurePath)) else ""
         written = f"{written[:60]}, " if written else ""
@@ -52,7 +52,7 @@ def require_integer(name: str, value: object, low: int, high: int) -> None:
 def require_number(
     name: str, value: object, low: float, high: float = math.inf, *, open_low: bool = False
 ) -> None:
-    """Raise InputError unless `value` is a finite number in [low, high], or (low, high]."""
+    """Raise InputError unless `value` is finite and in [low, high]; `open_low`: in (low, high]."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     number = float(value) if is_number else math.nan  # type: ignore[arg-type]
     above = number > low if open_low else number >= low

@@ -1,9 +1,11 @@
-"""Resources of the machine: cores, memory, and a disk that may be full.
+"""Use of the machine's resources: processor cores, memory, and a disk that may be full.
 
 Programs that share a machine limit their threads by an environment variable (`VARIABLE`). A full
-disk is an ordinary error (see `writing`).
-Warning filters, environment variables and the thread count of BLAS are global to the process. They
-are changed within a block only, such that the caller's values are restored also with threads.
+disk raises an ordinary OSError (see `writing`).
+
+Warning filters, environment variables and the thread count of BLAS are global to the process. The
+functions here change them inside a `with` block and restore the caller's values at its end, also
+if several threads run such blocks.
 """
 
 import ctypes
@@ -24,21 +26,21 @@ VARIABLE = "NUMBA_NUM_THREADS"
 
 
 def usable_cores() -> int:
-    """Return the number of cores that this process may use; without a system limit all cores."""
+    """Return the number of processor cores that the system lets this process use."""
     limited = hasattr(os, "sched_getaffinity")  # of Linux
     return len(os.sched_getaffinity(0)) if limited else os.cpu_count() or 1
 
 
 def threads() -> int:
-    """Return the number of cores that this process may use, at most the limit in VARIABLE."""
+    """Return the number of threads to start: the usable cores, at most the limit in `VARIABLE`."""
     cores, limit = usable_cores(), os.environ.get(VARIABLE, "")
     return max(1, min(cores, int(limit) if limit.isdecimal() else cores))
 
 
 def run_side_by_side(jobs: Sequence[Callable[[], object]]) -> None:
-    """Run jobs on the cores of this process; raise the exception of the first job that failed.
+    """Run jobs in parallel threads; raise the exception of the first job in `jobs` that failed.
 
-    For jobs that spend their time outside of Python: array arithmetic, compression, files.
+    Jobs gain time only where they run outside of Python: array arithmetic, compression, files.
     """
     with ThreadPoolExecutor(threads()) as pool:
         for job in [pool.submit(job) for job in jobs]:
@@ -50,9 +52,10 @@ _PROCESS_WIDE = threading.RLock()
 
 @contextmanager
 def warnings_ignored(category: type[Warning] = Warning) -> Iterator[None]:
-    """Ignore warnings of a category in a block; one thread at a time enters it.
+    """Ignore warnings of a category inside a `with` block, for one thread at a time.
 
-    Two threads in `warnings.catch_warnings` would leave one thread's filters set in the process.
+    If two threads were in `warnings.catch_warnings` at the same time, the filters of one thread
+    could remain set in the process.
     """
     with _PROCESS_WIDE, warnings.catch_warnings():
         warnings.simplefilter("ignore", category)
@@ -85,7 +88,10 @@ class _Blas:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS to one thread in a block; the last of several callers restores the number."""
+    """Limit BLAS and OpenMP to one thread inside a `with` block; blocks of threads may overlap.
+
+    The number of BLAS threads is restored at the end of the last block.
+    """
     from threadpoolctl import threadpool_limits
 
     with _PROCESS_WIDE:
@@ -107,15 +113,16 @@ _MALLOPT = {
     "M_TRIM_THRESHOLD": (-1, 2**31 - 1),
     "M_ARENA_MAX": (-8, 1),
 }
-"""Options of the GNU C library (malloc.h): their numbers and the largest useful values."""
+"""Options of `mallopt` in the GNU C library (malloc.h): number and largest useful value of each."""
 
 
 def keep_freed_memory() -> None:
     """Let this process reuse its freed memory instead of returning it to the system.
 
     Every operation on images frees one array and allocates another. The system fills each new
-    array with zeros, which costs more time than the arithmetic. For programs, not for libraries:
-    the setting applies to the whole process. Without the GNU C library the function has no effect.
+    array with zeros, which takes more time than the arithmetic. Only programs should call this
+    function, not libraries, because the setting applies to the whole process. Without the GNU C
+    library the function has no effect.
     """
     try:
         library = ctypes.CDLL(None)
@@ -130,7 +137,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def is_disk_full(error: BaseException) -> bool:
-    """Return True if an error reports a full disk, an exceeded quota or file size limit."""
+    """Return True if an error reports a full disk, or an exceeded quota or file size limit."""
     return isinstance(error, OSError) and error.errno in _FULL
 
 
@@ -139,8 +146,8 @@ def unwritable(
 ) -> OSError | InputError:
     """Return the exception to raise for a file that cannot be written.
 
-    A full disk remains an OSError, because the input is valid; the error names the file. Any other
-    cause (no permission, a file in the place of a folder) is bad input.
+    For a full disk it is an OSError that names the file, because the input is valid. For any other
+    cause (no permission, a file in the place of a folder) it is an InputError of class `kind`.
     """
     if is_disk_full(error):
         return OSError(error.errno, error.strerror, str(path))

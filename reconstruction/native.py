@@ -1,10 +1,10 @@
-"""Run native readers that hang, crash or corrupt memory on damaged files in a child process.
+"""Run native readers in a child process: on a damaged file they hang, crash or corrupt memory.
 
-HDF5 loops on some damaged files, SciPy's reader of MATLAB files crashes on some, and a process
-cannot protect itself against either. The limit is on the child's processor time, so that busy
-neighbours and slow disks do not count. The child ends soon after its parent.
+HDF5 loops for ever on some damaged files, and SciPy's reader of MATLAB files crashes on some. A
+process cannot protect itself against either. The time limit is on the child's processor time, so
+that other busy processes and slow disks do not matter. The child ends soon after its parent.
 
-OpenEXR prints thousands of lines about one damaged file; `quiet` suppresses them.
+OpenEXR prints thousands of lines about one damaged file; `quiet` discards them.
 """
 
 import io
@@ -19,19 +19,21 @@ from pathlib import Path
 from typing import Literal
 
 _CHILD = Path(__file__).with_name("native_child.py")
-# Far above the time for an intact file.
+# The time limit, LEAST_LIMIT_S + file size / SLOWEST_BYTES_PER_S, is far above the time that
+# reading an intact file takes.
 LEAST_LIMIT_S, SLOWEST_BYTES_PER_S = 5.0, 20e6
 # Ends the child after its processor time limit; Windows has no such signal: wall time counts.
 _TIMER_SIGNAL: int = getattr(signal, "SIGPROF", 0)
 
 
 def read_in_child(kind: Literal["HDF5", "MATLAB"], path: Path) -> bytes:
-    """Read an existing file completely by a native reader, in a child process.
+    """Read an existing file completely by a native reader in a child process.
 
     Returns
     -------
     bytes
-        The standard output of the child, see `native_child`.
+        The standard output of the child (see `native_child`): the numeric arrays of a MATLAB file
+        as an npz file, no bytes for HDF5.
 
     Raises
     ------
@@ -67,9 +69,10 @@ _quiet_threads: list[ExitStack] = []
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Discard all output that this process prints in the block; blocks of threads may overlap.
+    """Discard everything that this process prints during a `with` block.
 
-    For a library that prints the same message as its exception contains.
+    Blocks of several threads may overlap. Used for a library that prints the same message as its
+    exception contains.
     """
     with _talking:
         _quiet_threads.append(_silenced() if not _quiet_threads else ExitStack())
@@ -83,7 +86,7 @@ def quiet() -> Iterator[None]:
 
 
 def _silenced() -> ExitStack:
-    """Redirect stdout and stderr of Python and native code to the null device until closed."""
+    """Redirect stdout and stderr, of Python and native code, until the returned stack is closed."""
     stack = ExitStack()
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for number in (1, 2):

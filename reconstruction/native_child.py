@@ -1,8 +1,8 @@
-"""Read a file by native code, in a process that the file may crash; see `native`.
+"""Program that reads one file by native code, in a process of its own that may crash; see `native`.
 
-Arguments: kind of file, limit in seconds of processor time, file. The module imports nothing of
-this package, so that it starts fast. An error is printed in one line, with exit status 1. For a
-MATLAB file the numeric arrays are printed as npz.
+Its arguments are the kind of file, the limit in seconds of processor time, and the path. The module
+does not import this package, so that it starts fast. An error is printed in one line, with exit
+status 1. For a MATLAB file the numeric arrays are printed as the bytes of an npz file.
 """
 
 import contextlib
@@ -13,12 +13,12 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-# Compression packs fewer numbers into a byte, except for arrays that were never written.
+# No compressed array has more numbers per stored byte, except an array that was never written.
 _MOST_NUMBERS_PER_BYTE, _ALWAYS_ALLOWED_BYTES = 2000, 2**28
 
 
 def read_hdf5(path: str) -> bytes:
-    """Read every attribute and array of a netCDF-4 file."""
+    """Read every attribute and array of a netCDF-4 file; return no bytes."""
     import h5netcdf
     import h5py
 
@@ -76,7 +76,7 @@ def _numbers(tree: dict[str, Any], path: str) -> Iterator[tuple[str, Any]]:
 
 
 def main(kind: str, limit_s: str, path: str) -> int:
-    """Read a file of a kind and print the result or the error."""
+    """Read a file of the kind HDF5 or MATLAB, print the result or the error, return the status."""
     if hasattr(signal, "setitimer"):  # on other systems the parent limits the time
         signal.setitimer(signal.ITIMER_PROF, float(limit_s))
     readers = {"HDF5": read_hdf5, "MATLAB": read_matlab}

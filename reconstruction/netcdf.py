@@ -1,9 +1,9 @@
-"""Arrays with named dimensions, units and long names, as netCDF-4 files.
+"""Write and read netCDF-4 files of arrays with named dimensions, units and long names.
 
-HDF5 encodes them in memory, and `writing` copies them to the disk. HDF5 must never receive a failed
-write, nor read fewer bytes than it wrote: both may end the process in a segmentation fault. In the
-second case HDF5 takes names of variable length from uninitialised memory. In memory neither
-happens. `sealing` decides which files HDF5 may read.
+HDF5 encodes a file in memory, and `writing` copies the bytes to the disk. HDF5 does not write to
+the disk itself, for two reasons. A failed write may end the process in a segmentation fault, and
+so may a read of fewer bytes than HDF5 wrote. In memory neither happens. `sealing` decides which
+files HDF5 may read.
 
 This module does not import xarray, which takes 1 s to load.
 """
@@ -29,23 +29,24 @@ if TYPE_CHECKING:
     import xarray
 
 PIXELS = ("row", "col")
-"""Dimensions of maps in camera pixels."""
+"""Names of the dimensions of a map over camera pixels."""
 
 _OF_HDF5_BYTES = 2**24
 _encoding = threading.Lock()
 
 Labelled = tuple[str | tuple[str, ...], NDArray[Any], Mapping[str, Any]]
-"""An array with its dimensions (one name, or one per axis) and attributes: units, long_name."""
+"""Tuple of dimension names (one name, or one per axis), array, and attributes such as units."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledArrays:
-    """Content of one file.
+    """Content of one netCDF-4 file.
 
     Attributes
     ----------
-    variables : arrays by name; no bool
-    coords : arrays along a dimension of the same name; no bool
+    variables : arrays by name, of any type except bool
+    coords : coordinate arrays by name, of any type except bool. Each is one-dimensional, along the
+        dimension of the same name
     attrs : attributes of the file
     """
 
@@ -68,18 +69,19 @@ class LabelledArrays:
 
 
 def write_arrays(path: Path | str, arrays: LabelledArrays) -> None:
-    """Write arrays as netCDF-4; an existing file is replaced.
+    """Write arrays as a netCDF-4 file and replace an existing file.
 
-    Maps of whole numbers (masks, reasons, orders) are compressed. Maps of measured numbers are not:
-    because of their noise they only shrink to 33 %, and they take longer than all other arrays.
-    Frames are stored contiguously: chunks of one frame take 10 times as long.
+    Maps of whole numbers (masks, reasons, orders) are compressed. Maps of measured numbers are not
+    compressed: because of their noise they only shrink to 33 %, and their compression takes longer
+    than that of all other arrays. Frames are stored contiguously, because writing one chunk per
+    frame takes 10 times as long.
 
-    Encoding needs the size of the file in memory; only one thread encodes at a time.
+    Encoding needs as much memory as the file is large. Only one thread encodes at a time.
 
     Raises
     ------
     MemoryError : there is not enough memory for the file
-    OSError : the file cannot be written; an earlier file is unchanged
+    OSError : the file cannot be written; an existing file is unchanged
     """
     with _encoding:
         memory = _encoded(arrays)
@@ -102,9 +104,10 @@ def _encoded(arrays: LabelledArrays) -> io.BytesIO:
 
 
 def _require_memory(size_bytes: int) -> None:
-    """Raise MemoryError here rather than in HDF5, which would crash."""
+    """Raise MemoryError unless a file of `size_bytes` can be encoded; HDF5 itself would crash."""
     try:
-        # Only reserved: growing needs the old and the new buffer, and HDF5 some memory for itself.
+        # The memory is reserved, not used: a growing buffer needs its old and its new size, and
+        # HDF5 needs some memory for itself.
         size = 2 * size_bytes + _OF_HDF5_BYTES
         private = hasattr(mmap, "MAP_PRIVATE")  # not on Windows, where anonymous memory is private
         (mmap.mmap(-1, size, mmap.MAP_PRIVATE) if private else mmap.mmap(-1, size)).close()
@@ -138,7 +141,7 @@ def _write_array(
 
 
 def pixel_coordinates(rows: int, cols: int) -> dict[str, Labelled]:
-    """Return the coordinates of camera pixels: (0, 0) is the first pixel, row 0 at the top."""
+    """Return the coordinate arrays of a camera image: row and column numbers, row 0 at the top."""
     texts = {"row": "camera row, from the top", "col": "camera column, from the left"}
     return {
         name: (name, np.arange(count, dtype=np.int32), {"units": "1", "long_name": texts[name]})
@@ -147,12 +150,12 @@ def pixel_coordinates(rows: int, cols: int) -> dict[str, Labelled]:
 
 
 def read_arrays(path: Path | str, group: str | None = None) -> LabelledArrays:
-    """Read a complete netCDF-4 file, or one group of it.
+    """Read all arrays and attributes of a netCDF-4 file, or of one group in the file.
 
     Raises
     ------
     InputError : the path is not a regular file
-    OSError : it is missing, damaged or of another format; or a number in it is not finite
+    OSError : the file is missing, damaged or of another format; or a number in it is not finite
     """
     import h5netcdf
 
@@ -176,7 +179,7 @@ def read_arrays(path: Path | str, group: str | None = None) -> LabelledArrays:
 
 
 def _require_finite(labelled: Mapping[str, Labelled]) -> None:
-    """Raise ValueError for NaN or infinity: this package marks missing values by masks."""
+    """Raise ValueError if a float array has NaN or infinity; masks mark missing values instead."""
     with np.errstate(all="ignore"):
         for name, (_, values, _) in labelled.items():
             # A sum is finite if all its terms are, and needs no temporary array.

@@ -1,4 +1,4 @@
-"""The projected patterns: one definition for the projector and for the decoder.
+"""Definition of the projected patterns, from which both projector images and decoder are made.
 
 Frame: projector pixels, x right (column), y down (row), integer = centre of a pixel.
 
@@ -8,10 +8,10 @@ Frame: projector pixels, x right (column), y down (row), integer = centre of a p
 | phi = 2 pi x / period | phase, increases with x |
 | I_n = A + B cos(phi + 2 pi n / N) | phase frame n of N |
 | k = floor(x / period) | period index (fringe order) |
-| w | a word that numbers the fringes, see `codes`; without phase frames floor(x / period) |
+| w | code word: integer that numbers the fringes, see `codes`; without phase frames it is k |
 
-A word w is shown as bits in an encoding of `words`, most significant first; an inverse frame shows
-the complement of each.
+A code word w is projected as bits in one of the encodings of `words`, one frame per bit, the most
+significant bit first. An inverse frame shows the complement of one bit.
 """
 
 import math
@@ -34,14 +34,21 @@ AXES: tuple[Axis, Axis] = ("column", "row")
 # of the edge-safe rules.
 PERIOD_RANGE_PX = (4.0, 65536.0)
 STEPS_RANGE = (3, 1000)
-# Of a word without phase frames, which needs no margin for the phase.
+# Least width of a code word without phase frames, which needs no margin for the phase.
 LEAST_STRIPE_PX = 1.0
 MOST_FURTHER_PERIODS = 7
 
 
 @dataclass(frozen=True)
 class PatternFrame:
-    """One projected image: its kind, the axis it varies along (None when uniform), its number."""
+    """One projected image of a pattern set.
+
+    Parameters
+    ----------
+    kind : phase frame, bit of a code word, inverse of such a bit, white or black
+    axis : projector axis along which the image varies; None: a uniform image
+    index : number of the image among those of equal kind and axis, from 0
+    """
 
     kind: Kind
     axis: Axis | None
@@ -55,25 +62,26 @@ class PatternFrame:
 
 @dataclass(frozen=True)
 class PatternSet:
-    """Phase-shifted sinusoids and an order code along both projector axes, white and black.
+    """Projected images: phase-shifted sinusoids, frames that number the fringes, white and black.
 
     Parameters
     ----------
-    width_px, height_px : projector image size
-    period_px : measuring period, >= 4 px
-    steps : phase steps N of every period, >= 3 (with code "micro" of `period_px` only); 0: words
-        only, `period_px` wide each
+    width_px, height_px : size of the projector image
+    period_px : measuring period, >= 4 px: the fringe period that gives the coordinate
+    steps : number N of phase steps of every period, >= 3. With code "micro" only the measuring
+        period has N steps. 0: no fringes, only code words that are `period_px` wide each
     low_level, high_level : 8-bit projector levels of black and white
-    code : fringe numbering, a kind of `codes.CODES`
-    further_periods_px : the periods after the measuring one, if the code needs any
-    row_periods_px : all periods along rows, in the order of those along columns; (): the same
-    axes : the axes along which patterns are shown
-    word : encoding of words as bits, a kind of `words.WORDS`; except "reflected" only with code
-        "gray"
-    inverse : every Gray frame is followed by its inverse, with which it is compared
-    uniform : white and black are shown
-    first_shifts_deg : phase of step 00 at x = 0, degrees, of every period along columns, then along
-        rows, for the shown axes only; (): 0
+    code : pattern code that numbers the fringes, a name in `codes.CODES`
+    further_periods_px : fringe periods in addition to the measuring period, if the code needs them
+    row_periods_px : all fringe periods along the row axis, the measuring period first; (): equal to
+        those along the column axis
+    axes : projector axes along which patterns are shown
+    word : encoding of code words as bits, a name in `words.WORDS`; values except "reflected" only
+        with code "gray"
+    inverse : whether the inverse of every Gray frame is shown, for comparison with that frame
+    uniform : whether a white and a black frame are shown
+    first_shifts_deg : phase at x = 0 of the first phase step, degrees, of every period along
+        columns, then of every period along rows; for the shown axes only; (): all 0
     """
 
     width_px: int
@@ -111,7 +119,7 @@ class PatternSet:
 
     @cached_property
     def frames(self) -> tuple[PatternFrame, ...]:
-        """All frames in the order of projection and of the stack."""
+        """All frames, in the order of projection, which is also that of the image stack."""
 
         def along(kind: Kind, axis: Axis, count: int) -> list[PatternFrame]:
             return [PatternFrame(kind, axis, n) for n in range(count)]
@@ -126,12 +134,12 @@ class PatternSet:
 
     @property
     def exposure_frame(self) -> int:
-        """Stack index of the frame that sets the exposure: white, or without it the first one."""
+        """Stack index of the frame that sets the exposure: white, or 0 without a white frame."""
         return self.index("white").start if self.uniform else 0
 
     @property
     def periods_px(self) -> tuple[float, ...]:
-        """All fringe periods in the order of projection; the measuring period first."""
+        """All fringe periods along columns in the order of projection; the measuring one first."""
         return (self.period_px, *self.further_periods_px)
 
     def periods_along(self, axis: Axis) -> tuple[float, ...]:
@@ -144,7 +152,7 @@ class PatternSet:
 
     @property
     def kind(self) -> PatternCode:
-        """The code that numbers the fringes."""
+        """The pattern code that numbers the fringes, from `CODES`."""
         return CODES[self.code]
 
     @property
@@ -153,25 +161,25 @@ class PatternSet:
         return WORDS[self.word]
 
     def fringes(self, axis: Axis) -> AxisFringes:
-        """Return length and periods along `axis`, the input of a code."""
+        """Return image length and fringe periods along `axis`, px, as the input of a code."""
         return AxisFringes(self.length_px(axis), self.periods_along(axis))
 
     def fused_periods(self, axis: Axis) -> tuple[float, ...]:
-        """Return the periods whose phases are averaged in the coordinate along `axis`, px."""
+        """Return the fringe periods, px, of the phases that give the coordinate along `axis`."""
         periods_px = self.periods_along(axis)
         return periods_px if self.kind.rule is Rule.CHAIN else periods_px[:1]
 
     def images(self, number: int) -> int:
-        """Return how many images have the period of index `number`; 0 is the measuring period."""
+        """Return the number of images of the period with index `number`; 0: measuring period."""
         return self.kind.images(number, self.steps)
 
     @property
     def sets(self) -> int:
-        """Number of periods with N steps; they precede those with a single image."""
+        """Number of periods that have N phase steps; the periods with one image follow them."""
         return sum(self.images(number) == self.steps for number in range(len(self.periods_px)))
 
     def step_sets(self, axis: Axis) -> tuple[slice, ...]:
-        """Return the stack indices of every set of N equal steps along `axis`."""
+        """Return the stack slices of the frames of each period with N phase steps along `axis`."""
         if not self.steps or axis not in self.axes:
             return ()
         first = self.index("phase", axis).start
@@ -189,11 +197,11 @@ class PatternSet:
         return math.ceil(self.length_px(axis) / self.period_along(axis))
 
     def gray_bits(self, axis: Axis) -> int:
-        """Return the number of bits for the periods, without those that make the code edge-safe."""
+        """Return the number of bits that number the periods, without any edge-safe extra bits."""
         return (self.periods(axis) - 1).bit_length()
 
     def words(self, axis: Axis) -> tuple[CodeWord, ...]:
-        """Return the words that number the fringes along `axis`; () if `axis` is not shown."""
+        """Return the code words that number the fringes along `axis`; () if `axis` is not shown."""
         return self.kind.words(self.fringes(axis)) if axis in self.axes else ()
 
     def word_bits(self, axis: Axis) -> int:
@@ -201,18 +209,18 @@ class PatternSet:
         return sum(word.bits for word in self.words(axis))
 
     def word_count(self, axis: Axis) -> int:
-        """Return the number of different values of the first word along `axis`; 1 without words."""
+        """Return the number of values of the first code word along `axis`; 1 without code words."""
         words = self.kind.words(self.fringes(axis))
         return words[0].count(self.length_px(axis)) if words else 1
 
     def bits(self, axis: Axis) -> BoolArray:
-        """Return the bits of all words along `axis` as shown, (bit, pixel of the axis)."""
+        """Return the projected bits of all code words along `axis`, (bit, projector pixel) bool."""
         x_px = np.arange(self.length_px(axis))
         rows = [self._bits_of(word, x_px) for word in self.words(axis)]
         return np.concatenate(rows) if rows else np.zeros((0, x_px.size), np.bool_)
 
     def binary(self, bits: BoolArray) -> BoolArray:
-        """Return the bits of a word before encoding, from its bits as shown; (bit, ...)."""
+        """Return the binary digits of a code word from its projected bits, both (bit, ...) bool."""
         return self.encoding.binary(bits)
 
     def _bits_of(self, word: CodeWord, x_px: IntArray) -> BoolArray:
@@ -221,14 +229,14 @@ class PatternSet:
         return np.asarray((shown >> places) & 1, np.bool_)
 
     def index(self, kind: Kind, axis: Axis | None = None) -> slice:
-        """Return the stack indices of a kind of frames, most significant Gray bit first."""
+        """Return the stack slice of the frames of one kind and axis; most significant bit first."""
         indices = [i for i, f in enumerate(self.frames) if f.kind == kind and f.axis == axis]
         if not indices and not (kind in ("gray", "inverse") and axis in AXES):
             raise InputError(f"there are no {kind!r} frames along axis {axis!r}")
         return slice(indices[0], indices[-1] + 1) if indices else slice(0, 0)
 
     def profile(self, frame: PatternFrame) -> Levels:
-        """Return the levels along the axis of `frame`, (pixel,) uint8; uniform frame: along x."""
+        """Return the levels (pixel,) uint8 along the axis of a frame; for a uniform one along x."""
         if frame not in self.frames:
             raise InputError(f"{frame.name} is no frame of this pattern set")
         bright = self._brightness(frame)
@@ -242,7 +250,7 @@ class PatternSet:
         return np.ascontiguousarray(np.broadcast_to(line, (self.height_px, self.width_px)))
 
     def phase_of(self, frame: PatternFrame) -> tuple[float, float]:
-        """Return the period, px, and the shift, turns, of a phase frame."""
+        """Return the fringe period, px, and the phase shift, turns, of a phase frame."""
         fringes, step = 0, frame.index
         while step >= self.images(fringes):
             step -= self.images(fringes)
@@ -251,7 +259,7 @@ class PatternSet:
         return self.periods_along(axis)[fringes], self.shifts(axis, fringes)[step]
 
     def shifts(self, axis: Axis, fringes: int) -> tuple[float, ...]:
-        """Return the shift of every step of one period along `axis`, turns."""
+        """Return the phase shift of each step, turns, of the period with index `fringes`."""
         first = 0.0
         if self.first_shifts_deg:
             place = self.axes.index(axis) * len(self.periods_px) + fringes
@@ -323,7 +331,7 @@ class PatternSet:
             self.kind.check(fringes)
 
     def _checked_fringes(self) -> list[AxisFringes]:
-        """Return the fringes of each axis; if both have the same periods, of the longer axis."""
+        """Return the fringes to check: of each axis, or of the longer one if periods are equal."""
         if self.row_periods_px:
             return [self.fringes(axis) for axis in self.axes]
         return [AxisFringes(max(map(self.length_px, self.axes)), self.periods_px)]

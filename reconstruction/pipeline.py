@@ -1,6 +1,6 @@
-"""Complete reconstruction: from a capture to points, and to files for other programs.
+"""Reconstruct a capture: decode, triangulate, and write the results for other programs.
 
-Files: organised netCDF maps and point clouds as binary PLY.
+The output files are netCDF maps over camera pixels and point clouds in binary PLY.
 """
 
 from collections.abc import Mapping
@@ -33,11 +33,13 @@ from reconstruction.writing import write_bytes
 class ReconstructOptions:
     """Options of decoding and triangulation.
 
-    See `DecodeOptions`, `triangulate`, `EpipolarTolerance`.
-
-
+    Parameters
+    ----------
+    decode : options of decoding
+    use : projector coordinate from which the depth is computed, see `triangulate`
+    tolerance : largest allowed distance of a decoded coordinate from the triangulated point
     through_layers : refract the rays at the calibration's plane layers; False: triangulate as if
-        air reached down to the surface, like software without a layer model
+        there were only air above the surface, like software without a layer model
     """
 
     decode: DecodeOptions = field(default_factory=DecodeOptions)
@@ -48,7 +50,13 @@ class ReconstructOptions:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Result of decoding and triangulation."""
+    """Result of decoding and triangulation.
+
+    Parameters
+    ----------
+    decoded : projector coordinates, their sigma and a reason code of each camera pixel
+    point_map : points in the world frame and their sigma
+    """
 
     decoded: Decoded
     point_map: PointMap
@@ -72,7 +80,7 @@ class Reconstruction:
         return shown
 
     def plot(self) -> "Drawing":
-        """Draw heights, their predicted standard deviation, and a section: a Matplotlib figure.
+        """Draw the heights, their predicted standard deviation and a section as one figure.
 
         Raises
         ------
@@ -94,7 +102,7 @@ class Reconstruction:
         return drawing
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return all maps over camera row and column, with the content of reconstruction.nc."""
+        """Return all maps, (row, col) of the camera, as they are stored in reconstruction.nc."""
         return reconstruction_arrays(self.decoded, self.point_map).to_xarray()
 
 
@@ -105,10 +113,11 @@ def reconstruct(
 
     Parameters
     ----------
-    unwrap : own function that numbers the fringes, called once for each projector axis with the
-        wrapped phases (`reconstruction.codes.Wrapped`); it returns the absolute coordinates
+    unwrap : user's function that numbers the fringes; None: the pattern code of the capture does.
+        It is called once for each projector axis with the wrapped phases
+        (`reconstruction.codes.Wrapped`). It returns the absolute projector coordinates
         (row, col) float, px, NaN where unknown. Masks, noise and filter are as for a pattern code;
-        the noise is that of the measuring period. None: the capture's pattern code
+        the noise is that of the phase of the measuring period
 
     Raises
     ------
@@ -135,18 +144,19 @@ def reconstruct(
 def filter_bias(
     reconstruction: Reconstruction, use: Use, where: BoolImage, sigma_z_mm: NDArray[np.floating]
 ) -> tuple[float, float]:
-    """Estimate the bias of the relief caused by the filter; needs no true shape.
+    """Estimate the bias of world z that the spatial filter causes, without a known true shape.
 
     Parameters
     ----------
-    use : the coordinate from which the depth was computed; for "both" the larger bias share
-    where : (row, col), valid points to count, at least one
-    sigma_z_mm : (point,) of those points
+    use : projector coordinate from which the depth was computed; for "both" the larger of the two
+        bias shares is used
+    where : (row, col) bool, True at the valid points to include, at least one
+    sigma_z_mm : (point,) standard deviation of world z of these points; it includes noise and bias
 
     Returns
     -------
-    RMS of the predicted bias of world z, um, and the share of the points with a bias above the
-    predicted noise; both are part of sigma
+    RMS of the predicted bias of world z, um, and the share of the points with a predicted bias
+    larger than the predicted noise
     """
     axes = (reconstruction.decoded.column, reconstruction.decoded.row)
     chosen = axes if use == "both" else (axes[use == "row"],)
@@ -203,13 +213,13 @@ def write_ply(
     scalars: Mapping[str, NDArray[Any]] | None = None,
     comments: tuple[str, ...] = ("units mm",),
 ) -> None:
-    """Write points and values per point as little-endian binary PLY.
+    """Write points, and further values of each point, as a little-endian binary PLY file.
 
     Parameters
     ----------
     points_mm : (n, 3) float; stored in single precision
     scalars : further vertex properties, each (n,) of uint8, float32, float64, uint16 or int32
-    comments : lines of the header
+    comments : comment lines of the header
     """
     points = np.asarray(points_mm, dtype=np.float32)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -248,9 +258,10 @@ def _ply_header(columns: Mapping[str, NDArray[Any]], count: int, comments: tuple
 def write_point_map_ply(
     path: Path | str, point_map: PointMap, deviation: Deviation | None = None
 ) -> None:
-    """Write the valid points row by row, with sigma_*_mm and the pixel (row, col) of each.
+    """Write the valid points, in row-major order of their camera pixels, as a PLY file.
 
-    If the true shape is known, deviation_um and its colour (red, green, blue) are added.
+    Each point has its sigma_x_mm, sigma_y_mm, sigma_z_mm and its pixel (row, col). With `deviation`
+    it also has deviation_um and the colour (red, green, blue) of the deviation.
     """
     valid = point_map.valid
     row, col = np.divmod(np.flatnonzero(valid), valid.shape[1])
@@ -270,18 +281,18 @@ def write_point_map_ply(
 
 
 def write_reconstruction(path: Path | str, decoded: Decoded, point_map: PointMap) -> None:
-    """Write all maps of a reconstruction as netCDF-4, one (row, col) variable each."""
+    """Write all maps of a reconstruction as a netCDF-4 file, each as a variable (row, col)."""
     write_arrays(path, reconstruction_arrays(decoded, point_map))
 
 
 def write_decoded(path: Path | str, decoded: Decoded) -> None:
-    """Write the projector coordinates of a capture as netCDF-4, one (row, col) variable each."""
+    """Write the maps of a decoded capture as a netCDF-4 file, each as a variable (row, col)."""
     maps = {"mask_reason": decoded.mask_reason} | _decoded_variables(decoded)
     write_arrays(path, _labelled(maps, {"frame": "projector: integer = centre of a pixel"}))
 
 
 def reconstruction_arrays(decoded: Decoded, point_map: PointMap) -> LabelledArrays:
-    """Return all maps over camera row and column, with units and long names."""
+    """Return all maps of a reconstruction, (row, col) of the camera, with units and long names."""
     frame = "world: z = 0 is the undeformed coated face, z up; row 0 at the top"
     pose = point_map.T_world_from_cam.ravel()
     return _labelled(_variables(decoded, point_map), {"frame": frame, POSE: pose})
@@ -305,11 +316,11 @@ def _labelled(maps: Maps, attributes: dict[str, Any]) -> LabelledArrays:
 
 
 def read_reconstruction(path: Path | str) -> Reconstruction:
-    """Read a file that `write_reconstruction` wrote.
+    """Read the reconstruction from a file that `write_reconstruction` wrote.
 
     Raises
     ------
-    CaptureError : missing or damaged file, or a map is missing
+    CaptureError : the file is missing or damaged, or a map is missing in it
     """
     stored = read_maps(path)
     maps = {name: values for name, (_, values, _) in stored.variables.items()}
@@ -322,7 +333,7 @@ def read_reconstruction(path: Path | str) -> Reconstruction:
 
 
 def read_maps(path: Path | str) -> LabelledArrays:
-    """Read a netCDF-4 file whole, or raise CaptureError."""
+    """Read all arrays and attributes of a netCDF-4 file, or raise CaptureError."""
     try:
         return read_arrays(path)
     except OSError as error:
@@ -346,7 +357,7 @@ def _decoded_variables(decoded: Decoded) -> Maps:
 
 
 def _axis_names(axis: str) -> dict[str, str]:
-    """Return the variable of each field of AxisDecode; mean and modulation default to column."""
+    """Return the netCDF variable name of each field of AxisDecode for one projector axis."""
     suffix = "" if axis == "column" else f"_{axis}"
     return {
         "coordinate_px": f"{axis}_px",
@@ -385,6 +396,6 @@ def _from_variables(maps: Maps) -> Reconstruction:
 
 
 def _long_name(name: str) -> str:
-    """Return the long name of a map; "_row_dn" marks horizontal fringes."""
+    """Return the long name of a map; a name that ends with "_row_dn" is of horizontal fringes."""
     text = next(text for start, text in _LONG_NAMES.items() if name.startswith(start))
     return f"{text}, horizontal fringes" if name.endswith("_row_dn") else text

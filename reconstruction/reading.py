@@ -1,8 +1,8 @@
-"""Read files of other programs: check that a file may be opened; text, TOML, JSON, images, arrays.
+"""Read files of other programs: text, TOML, JSON, images and arrays, after a check of the file.
 
-Every fault of such a file is an InputError of one line: the file, the position, the value read and
-the allowed values. Pipes and devices are rejected before they are opened, because reading them may
-never end.
+Every fault of such a file raises an InputError. Its one line names the file, the position in the
+file, the value that was read and the allowed values. Pipes and devices are rejected before they are
+opened, because reading them may never end.
 """
 
 import json
@@ -25,9 +25,11 @@ MOST_TEXT_BYTES = 16 * 2**20
 MOST_TOML_BYTES = 2**20
 MOST_DATA_BYTES = 64 * 2**30
 MOST_IMAGE_BYTES = 2**30
-# Deeper tables are a mistake or an attack; Python's recursion limit would raise RecursionError.
+# Largest depth of nested tables. Deeper ones are a mistake or an attack, and would exceed Python's
+# recursion limit (RecursionError).
 MOST_NESTED = 64
-# A dotted key of more parts, which the parser would split in time quadratic in their number.
+# Matches a dotted key of more than MOST_NESTED parts. The time in which the parser would split such
+# a key is quadratic in the number of parts.
 _DEEP_KEY = re.compile(
     rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MOST_NESTED}}}"""
 )
@@ -44,7 +46,7 @@ _KINDS: Mapping[int, str] = {
 
 
 def is_regular(path: Path) -> bool:
-    """Return True if the path is a regular file; False also for names that are not valid."""
+    """Return True if the path is a regular file; False also if the path is not a valid name."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -52,11 +54,11 @@ def is_regular(path: Path) -> bool:
 
 
 def regular_file(path: Path | str, most_bytes: int = MOST_DATA_BYTES) -> Path:
-    """Return `path` if it is a file that may be opened.
+    """Return `path` if it is a regular file of at most `most_bytes` bytes.
 
     Raises
     ------
-    InputError : it is missing, larger than `most_bytes`, or a folder, a pipe or a device
+    InputError : the file is missing or larger, or the path is a folder, a pipe or a device
     """
     path = Path(path)
     try:
@@ -76,11 +78,11 @@ def regular_file(path: Path | str, most_bytes: int = MOST_DATA_BYTES) -> Path:
 
 
 def read_bytes(path: Path | str, most_bytes: int = MOST_DATA_BYTES) -> bytes:
-    """Return the content of a file.
+    """Return the content of a regular file of at most `most_bytes` bytes.
 
     Raises
     ------
-    InputError : the file cannot be read, is no regular file, or has more than `most_bytes` bytes
+    InputError : the file cannot be read, is not a regular file or is larger
     """
     path = regular_file(path, most_bytes)
     try:
@@ -92,11 +94,11 @@ def read_bytes(path: Path | str, most_bytes: int = MOST_DATA_BYTES) -> bytes:
 
 
 def read_text(path: Path | str, most_bytes: int = MOST_TEXT_BYTES) -> str:
-    """Return a text file in UTF-8, of at most `most_bytes`.
+    """Return the text of a UTF-8 file of at most `most_bytes` bytes.
 
     Raises
     ------
-    InputError : as `read_bytes`, or it is not UTF-8
+    InputError : as `read_bytes`, or the file is not UTF-8
     """
     content = read_bytes(path, most_bytes)
     try:
@@ -109,21 +111,21 @@ def read_text(path: Path | str, most_bytes: int = MOST_TEXT_BYTES) -> str:
 
 
 def read_toml(path: Path | str) -> dict[str, Any]:
-    """Return the content of a TOML file.
+    """Return the top-level table of a TOML file.
 
     Raises
     ------
-    InputError : as `read_text`, or it is not TOML, or nested too deeply
+    InputError : as `read_text`, or the text is not TOML, or its tables are nested too deeply
     """
     return parse_toml(read_text(path, MOST_TOML_BYTES), shown(path))
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Return a TOML text's content; error messages start with `where`.
+    """Return the top-level table of a text in TOML; error messages start with `where`.
 
     Raises
     ------
-    InputError : it is not TOML, or nested too deeply
+    InputError : the text is not TOML, or its tables are nested too deeply
     """
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
@@ -141,11 +143,11 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def read_json(path: Path | str) -> dict[str, Any]:
-    """Return the object of a JSON file.
+    """Return the object that a JSON file contains.
 
     Raises
     ------
-    InputError : as `read_text`, or it is not JSON, or not an object
+    InputError : as `read_text`, or the text is not JSON, is no object, or is nested too deeply
     """
     where = shown(path)
     text = read_text(path)
@@ -160,11 +162,11 @@ def read_json(path: Path | str) -> dict[str, Any]:
 
 
 def read_pixels(path: Path | str) -> "NDArray[Any]":
-    """Return an image file, PNG, TIFF or BMP, as it is stored, (row, col) or (row, col, channel).
+    """Return the pixels of a PNG, TIFF or BMP file as stored: (row, col) or (row, col, channel).
 
     Raises
     ------
-    InputError : as `regular_file`, or it is no complete image
+    InputError : as `regular_file`, or the file is not a complete image
     """
     import imageio.v3 as imageio  # 0.1 s that are not needed for text
 
@@ -193,11 +195,11 @@ def _array(decoded: Any) -> "NDArray[Any]":
 
 
 def read_arrays(path: Path | str) -> "dict[str, np.ndarray[Any, Any]]":
-    """Return the arrays of an npz file by name; none of Python objects.
+    """Return the arrays of an npz file by name.
 
     Raises
     ------
-    InputError : as `regular_file`, or it is no complete npz file
+    InputError : as `regular_file`, the npz file is incomplete, or an array has Python objects
     """
     import numpy as np
 
@@ -220,7 +222,7 @@ def _cause(error: Exception) -> str:
 
 
 def _require_shallow(tree: Any, where: str) -> None:
-    """Raise InputError for content that is nested too deeply, without recursion."""
+    """Raise InputError if `tree` is nested deeper than MOST_NESTED levels; without recursion."""
     level = [tree]
     for _ in range(MOST_NESTED):
         level = [
@@ -235,6 +237,6 @@ def _require_shallow(tree: Any, where: str) -> None:
 
 
 def shown(name: Path | str) -> str:
-    """Return a name for messages: without control characters, at most one line long."""
+    """Return a name as text for a message: control characters escaped, a long name shortened."""
     text = repr(str(name))[1:-1]
     return f"{text[:_LONGEST_SHOWN]}..." if len(text) > 2 * _LONGEST_SHOWN else text

@@ -1,9 +1,10 @@
-"""Registries: the kinds of one extension point by name, each from one file that registers it.
+"""Registries, which return the kinds of an extension point by name.
 
-An extension point ("seam") is a part of the twin that users can extend: specimens, coatings,
-pattern codes. Its registry loads kinds from three sources:
+An extension point ("seam") is a part of the twin that users can extend, such as specimens, coatings
+or pattern codes. A kind is one variant of it, such as one pattern code. The registry of an
+extension point loads kinds from three sources:
 
-1. the modules of its home package: each file in it registers a kind;
+1. the modules of its home package: each module registers a kind;
 2. installed packages: entry points of the group `fringe_twin.SEAM`, each of which names a kind;
 3. plug-in files: Python files that the user names with `--plugin` (see `load_plugin`).
 
@@ -29,7 +30,7 @@ from reconstruction.errors import InputError, one_line
 Kind = TypeVar("Kind")
 
 PLUGINS_VARIABLE = "FRINGE_TWIN_PLUGINS"
-"""Environment variable with the plug-in files of this process, for the processes that it starts."""
+"""Environment variable that passes the paths of the plug-in files on to child processes."""
 
 
 class PluginError(InputError):
@@ -37,13 +38,13 @@ class PluginError(InputError):
 
 
 class Registry(Generic[Kind]):
-    """The kinds of one extension point by name. They are loaded at the first look-up.
+    """The kinds of one extension point by name. The kinds are loaded at the first look-up.
 
     Parameters
     ----------
-    seam : plural name; the entry points' group is `fringe_twin.SEAM`
-    home : package whose modules register the built-in kinds
-    name_of : returns the name of a kind
+    seam : plural name of the extension point; its group of entry points is `fringe_twin.SEAM`
+    home : name of the package in which each module registers a built-in kind
+    name_of : function that returns the name of a kind
     """
 
     def __init__(self, seam: str, home: str, name_of: Callable[[Kind], str]) -> None:
@@ -54,7 +55,7 @@ class Registry(Generic[Kind]):
         self._is_loading = self._is_complete = False
 
     def register(self, kind: Kind) -> Kind:
-        """Register a kind; can be used as a decorator.
+        """Register a kind and return it, so that the method can be used as a decorator.
 
         Raises
         ------
@@ -72,7 +73,7 @@ class Registry(Generic[Kind]):
         return kind
 
     def on_change(self, listener: Callable[[], Any]) -> None:
-        """Call `listener` after each registration that follows the loading of built-in kinds."""
+        """Call `listener` at each registration after the first look-up, e.g. by a plug-in."""
         self._listeners.append(listener)
 
     def names(self) -> tuple[str, ...]:
@@ -80,7 +81,7 @@ class Registry(Generic[Kind]):
         return tuple(sorted(self._loaded()))
 
     def items(self) -> tuple[tuple[str, Kind], ...]:
-        """Return names and kinds in alphabetical order."""
+        """Return pairs of name and kind in alphabetical order of the names."""
         return tuple(sorted(self._loaded().items(), key=lambda item: item[0]))
 
     def __iter__(self) -> Iterator[Kind]:
@@ -90,11 +91,11 @@ class Registry(Generic[Kind]):
         return name in self._loaded()
 
     def __getitem__(self, name: str) -> Kind:
-        """Return the kind of a name.
+        """Return the kind with this name.
 
         Raises
         ------
-        InputError : there is no kind of this name
+        InputError : there is no kind with this name
         """
         kinds = self._loaded()
         if name not in kinds:
@@ -131,11 +132,11 @@ class Registry(Generic[Kind]):
 
 
 def load_plugin(file: str | Path) -> None:
-    """Run a Python file that registers kinds, in this process and in its child processes.
+    """Run a Python file that registers kinds; child processes started later run it, too.
 
     Raises
     ------
-    PluginError : there is no such file, or it fails; the message names the line in the file
+    PluginError : the file is missing or raises an exception; the message then names its line
     """
     path = Path(file).resolve()
     _run(path)
@@ -145,7 +146,7 @@ def load_plugin(file: str | Path) -> None:
 
 
 def load_inherited_plugins() -> None:
-    """Run the plug-in files of the parent process."""
+    """Run the plug-in files that the parent process has loaded."""
     for path in _inherited():
         _run(path)
 
@@ -155,7 +156,7 @@ def _inherited() -> list[Path]:
 
 
 def _run(path: Path) -> None:
-    """Import a file once, under a module name derived from its path."""
+    """Import a plug-in file, at most once, under a module name derived from its path."""
     name = f"fringe_twin_plugin_{hashlib.sha256(os.fsencode(path)).hexdigest()[:16]}"
     if name in sys.modules:
         return
@@ -173,7 +174,7 @@ def _run(path: Path) -> None:
 
 
 def _line_in(path: Path, error: Exception) -> str:
-    """Return the last line of the file in the traceback, ":LINE"; empty if there is none."""
+    """Return the last line number of the file in the traceback as ":LINE"; "" if there is none."""
     if isinstance(error, SyntaxError):
         return f":{error.lineno}"
     lines = [

@@ -1,18 +1,19 @@
-"""Which netCDF-4 files HDF5 may open: those with a seal, and those that a child process has read.
+"""Decide which netCDF-4 files HDF5 may open: those with a seal, those a child process has read.
 
-HDF5 does not check its files: on a damaged one it may loop for ever or crash. Files of this package
-therefore end with a seal. It follows the end of file that HDF5 records, so no HDF5 reader reads it:
+HDF5 does not check its files: on a damaged file it may loop for ever or crash. Files of this
+package therefore end with a seal. The seal follows the last byte that HDF5 records as part of the
+file, so HDF5 readers ignore the seal. It consists of:
 
 | bytes | content |
 |---|---|
-| 16 n | ranges of plain numbers, which HDF5 does not interpret: offset and size, uint64 |
-| 32 | BLAKE2b of these ranges and of all bytes before the seal outside of them |
+| 16 n | offset and size, uint64, of n byte ranges with array elements that HDF5 only copies |
+| 32 | BLAKE2b digest of these offsets and sizes, and of all bytes outside the n ranges |
 | 8 | n, uint64 |
 | 16 | "fringe-twin seal" |
 
-Numbers are little-endian. A file with a valid seal is opened directly. Any other file, from another
-program or damaged, is first read completely by a child process (`native`). A seal detects damage;
-it is no signature.
+All integers are little-endian. A file with a valid seal is opened directly. A file without one, of
+another program or damaged, is first read completely by a child process (`native`). The seal
+detects accidental damage. It does not protect against a deliberate change.
 """
 
 import hashlib
@@ -35,7 +36,7 @@ _tried: set[tuple[int, ...]] = set()
 
 
 def seal(file: IO[bytes]) -> None:
-    """Append the seal to a complete netCDF-4 file, open for reading and writing."""
+    """Append the seal to a complete netCDF-4 file that is open for reading and writing."""
     import h5py
 
     runs: list[tuple[int, int]] = []
@@ -55,7 +56,7 @@ def seal(file: IO[bytes]) -> None:
 
 
 def is_sealed(path: Path) -> bool:
-    """Return True if a file has a valid seal: unchanged since sealing except for plain numbers."""
+    """Return True if a file has a valid seal, so since sealing only array elements may differ."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _FOOT.size))
@@ -72,7 +73,7 @@ def is_sealed(path: Path) -> bool:
 
 
 def _digest(file: IO[bytes], end: int, runs: Runs) -> bytes:
-    """Return the digest of the ranges and of the first `end` bytes outside of them."""
+    """Return the BLAKE2b digest of the ranges `runs` and of the first `end` bytes outside them."""
     digest, at = hashlib.blake2b(digest_size=32), 0
     for run in runs:
         digest.update(_RUN.pack(*run))
@@ -87,11 +88,11 @@ def _digest(file: IO[bytes], end: int, runs: Runs) -> bytes:
 
 
 def require_readable(path: Path) -> None:
-    """Raise OSError for a file that is not netCDF-4, or on which HDF5 fails, crashes or hangs.
+    """Raise OSError unless HDF5 can read a file; a file without seal is read by a child process.
 
     Raises
     ------
-    OSError : the message gives the reason
+    OSError : the file is not netCDF-4, or HDF5 fails, crashes or hangs; the message has the reason
     """
     state = path.stat()
     identity = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns)

@@ -1,9 +1,10 @@
-"""Several fringe periods that give one absolute coordinate by a chain of levels, coarse to fine.
+"""Temporal phase unwrapping with several fringe periods, by levels from coarse to fine.
 
-With the phase phi_j of fringe set j and its period p_j, the phase of level i is sum_j c_ij phi_j,
-its period P_i = 1 / sum_j c_ij / p_j. Each level numbers the periods of the next one:
-k = round(P_(i-1) Phi_(i-1) / P_i - Phi_i), phases in turns. Zuo et al., Opt. Lasers Eng. 85, 84
-(2016): hierarchical and heterodyne (there "multi-wavelength") temporal phase unwrapping.
+Fringe set j has the phase phi_j and the period p_j. Level i has the phase
+Phi_i = sum_j (c_ij phi_j) and the period P_i = 1 / sum_j (c_ij / p_j). The phase of level i - 1
+gives the period index k of level i: k = round(P_(i-1) Phi_(i-1) / P_i - Phi_i), all phases in
+turns. Source: Zuo et al., Opt. Lasers Eng. 85, 84 (2016), hierarchical and heterodyne (there
+"multi-wavelength") temporal phase unwrapping.
 """
 
 from dataclasses import dataclass
@@ -13,12 +14,12 @@ from reconstruction.errors import InputError
 
 @dataclass(frozen=True)
 class Chain:
-    """Levels from the coarsest, which is unambiguous, to fringe set 0.
+    """Levels of temporal phase unwrapping, from the coarsest, unambiguous level to fringe set 0.
 
     Parameters
     ----------
-    weights : (level, set), whole numbers c_ij
-    periods_px : (level,), decreasing
+    weights : (level, fringe set), the whole numbers c_ij in the phase of a level
+    periods_px : (level,), the period P_i of each level, decreasing
     """
 
     weights: tuple[tuple[int, ...], ...]
@@ -26,11 +27,16 @@ class Chain:
 
 
 def make_chain(weights: tuple[tuple[int, ...], ...], periods_px: tuple[float, ...]) -> Chain:
-    """Return the chain of some periods; the measuring period comes first.
+    """Return the chain of levels with the given weights and fringe periods.
+
+    Parameters
+    ----------
+    weights : (level, fringe set), whole numbers c_ij
+    periods_px : (fringe set,), px, the measuring period first
 
     Raises
     ------
-    InputError : the periods form no chain
+    InputError : the periods of the levels are not positive and decreasing
     """
     inverses = [sum(c / p for c, p in zip(row, periods_px, strict=True)) for row in weights]
     if any(value <= 0.0 for value in inverses) or inverses != sorted(inverses):
@@ -42,7 +48,7 @@ def make_chain(weights: tuple[tuple[int, ...], ...], periods_px: tuple[float, ..
 
 
 def require_range(chain: Chain, periods_px: tuple[float, ...], length_px: int) -> None:
-    """Raise InputError unless the coarsest level spans `length_px`."""
+    """Raise InputError unless the period of the coarsest level is at least `length_px`."""
     # A beat period computed from whole pixels may miss a whole number by rounding.
     if chain.periods_px[0] < length_px * (1.0 - 1e-9):
         raise InputError(

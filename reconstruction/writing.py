@@ -1,11 +1,12 @@
-"""Write files: encode in memory, then copy to the disk by Python, completely or not at all.
+"""Write a file completely or not at all: encode it in memory, then copy the bytes to the disk.
 
 A native library that writes by itself may crash on a full disk (HDF5), hide the failure (OpenCV),
-or report it only as text (OpenEXR, Pillow). So no library gets a path or an open file: it encodes
-into memory, and `write_bytes` copies that to the disk. A failed copy is an ordinary OSError.
+or report it only as text (OpenEXR, Pillow). Therefore no library gets a path or an open file. The
+library encodes into memory, and `write_bytes` copies the bytes to the disk. A failed copy raises an
+ordinary OSError.
 
-A file is written under a temporary name next to its own and renamed at the end; on a failure the
-temporary file is removed. An earlier file of the same name is complete until then.
+A file is first written under a temporary name in the same folder, then renamed. On a failure the
+temporary file is removed. Until the renaming an existing file of the final name is unchanged.
 """
 
 import errno
@@ -26,16 +27,16 @@ _PIECE_BYTES = 2**24
 
 
 def write_bytes(path: Path | str, *parts: Content, durable: bool = False) -> None:
-    """Write bytes one after another to a file, replacing an earlier one.
+    """Write the concatenated parts to a file and replace an existing file.
 
     Parameters
     ----------
-    parts : contents in their order, contiguous
+    parts : parts of the content, in their order; each a contiguous buffer
     durable : wait until the device has stored the bytes, before the file is renamed
 
     Raises
     ------
-    OSError : names the file; an earlier file is unchanged
+    OSError : the file cannot be written; the error names it, and an existing file is unchanged
     """
     place = Path(os.path.realpath(path))  # a symbolic link remains a link
     try:
@@ -79,7 +80,7 @@ def _written(file: io.FileIO, piece: memoryview) -> int:
 
 
 def make_durable(folder: Path) -> None:
-    """Wait until the device has stored a folder and every file below it.
+    """Wait until the storage device has stored a folder and all files and folders in it.
 
     Raises
     ------
@@ -96,7 +97,7 @@ def make_durable(folder: Path) -> None:
 
 
 def make_names_durable(folder: Path) -> None:
-    """Wait until the device has stored the entries of a folder: created, renamed, removed.
+    """Wait until the storage device has stored which files a folder has, and their names.
 
     Raises
     ------
@@ -115,12 +116,12 @@ def make_names_durable(folder: Path) -> None:
 
 
 def write_text(path: Path | str, text: str, *, durable: bool = False) -> None:
-    """Write text in UTF-8 with unchanged line ends, like `write_bytes`."""
+    """Write text to a file by `write_bytes`, in UTF-8, with unchanged line ends."""
     write_bytes(path, text.encode("utf-8"), durable=durable)
 
 
 def write_png(path: Path | str, pixels: "NDArray[Any]") -> None:
-    """Write (row, col) or (row, col, rgb) pixels, uint8 or uint16, as PNG.
+    """Write an image (row, col) or (row, col, rgb), uint8 or uint16, as a PNG file.
 
     Raises
     ------
@@ -132,9 +133,9 @@ def write_png(path: Path | str, pixels: "NDArray[Any]") -> None:
 
 
 def write_npz(path: Path | str, arrays: Mapping[str, "NDArray[Any]"]) -> None:
-    """Write arrays as a compressed .npz; the same arrays give the same bytes.
+    """Write arrays as a compressed .npz file; equal arrays give equal bytes.
 
-    The name is used as given, also without .npz.
+    No suffix is added to a file name that does not end with .npz.
 
     Raises
     ------

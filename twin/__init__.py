@@ -8,8 +8,8 @@
     print(done.figures)  # metrics by name, units in the names
 
 A module is imported when one of its names is used. Every result has a one-line `repr`, a table and
-a picture in notebooks, `plot()` (a Matplotlib figure) and, where it has arrays, `to_xarray()`.
-Captures, real or rendered: see `reconstruction`.
+a picture in notebooks, `plot()` (a Matplotlib figure) and, where it has arrays, `to_xarray()`. The
+package `reconstruction` processes captures, real or rendered.
 """
 
 from importlib import import_module

@@ -1,8 +1,9 @@
-"""Data files of the twin: `scenes` and `materials`, in the folders of this installation.
+"""Paths of the twin's data files: the TOML files and meshes of `scenes` and `materials`.
 
-The two collections are data, not packages. They are searched in this order: the folder named by
-``TWIN_ASSETS``, the installed package, the checkout that contains the package. The first folder
-with the file is used, so a user's folder may replace or add single files.
+The two collections are folders of data files, not Python packages. A file is searched in this
+order: in the folder named by the environment variable ``TWIN_ASSETS``, in the installed package,
+in the checkout that contains the package. The first folder with the file is used. A user's folder
+may therefore replace or add single files.
 """
 
 from __future__ import annotations
@@ -24,17 +25,17 @@ _LONGEST_NAME = 255
 
 
 class AssetError(InputError):
-    """A data file that does not exist, or that has a forbidden name."""
+    """Error of a data file that does not exist, or that has a forbidden name."""
 
 
 def asset_path(collection: Collection, name: str) -> Path:
-    """Find one data file.
+    """Return the path of one data file of a collection, searched by its name.
 
     Parameters
     ----------
     collection : {"scenes", "materials"}; kind of data
-    name : name inside the collection, for example ``elastomers/silicone_c``, ``.toml`` understood;
-        or the path of a file, absolute or beginning with ``./``
+    name : name inside the collection, for example ``elastomers/silicone_c``; the suffix ``.toml``
+        may be omitted. Or the path of a file, absolute or beginning with ``./``
 
     Returns
     -------
@@ -42,7 +43,7 @@ def asset_path(collection: Collection, name: str) -> Path:
 
     Raises
     ------
-    AssetError : if there is no such file; the message has the nearest names
+    AssetError : if there is no such file; the message contains the most similar names
     """
     _check_name(collection, name)
     folders = [Path()] if _is_path(name) else asset_folders(collection)
@@ -54,12 +55,12 @@ def asset_path(collection: Collection, name: str) -> Path:
 
 
 def scene_file(name: str | Path) -> Path:
-    """Find a file by its name: a user's file, or a shipped file in `scenes`.
+    """Return the path of a TOML file, given as a path or as the name of a shipped file in `scenes`.
 
     Raises
     ------
-    InputError : not a name
-    AssetError : there is neither
+    InputError : `name` is neither a string nor a `Path`
+    AssetError : there is neither a file at this path nor a shipped file of this name
     """
     require_instance("path", name, (str, Path), "give a TOML file, or the name of a shipped one")
     file = Path(name)
@@ -67,7 +68,10 @@ def scene_file(name: str | Path) -> Path:
 
 
 def mesh_path(name: str) -> Path:
-    """Return the path of a mesh file that an experiment names; the file need not exist.
+    """Return the path of a mesh file that an experiment names.
+
+    A name that starts with ``scenes/`` may be a shipped file. Any other name is returned as a path,
+    even if there is no such file.
 
     Raises
     ------
@@ -80,7 +84,7 @@ def mesh_path(name: str) -> Path:
 
 
 def list_assets(collection: Collection) -> list[str]:
-    """List the names of a collection, as `asset_path` takes them.
+    """List the names of all TOML files of a collection, in the form that `asset_path` takes.
 
     Parameters
     ----------
@@ -124,7 +128,10 @@ def _is_path(name: str) -> bool:
 
 
 def _existing(path: Path) -> Path | None:
-    """Return the file, or the file with suffix ``.toml``, as a name may contain a point."""
+    """Return `path`, or `path` with ``.toml`` appended; None if neither file exists.
+
+    The suffix is also appended to a name that contains a point, such as ``sheet_0.2``.
+    """
     with_suffix = path.with_name(path.name + ".toml")
     spellings = (path, with_suffix) if path.suffix else (with_suffix,)
     return next((spelling for spelling in spellings if is_regular(spelling)), None)

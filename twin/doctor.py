@@ -1,8 +1,8 @@
-"""Check this machine for the requirements of the twin: each finding with a remedy.
+"""Check this machine for the requirements of the twin; every finding has a remedy.
 
 No check raises: an exception becomes a finding.
 
-`python -m twin.doctor` compiles the kernels of ordinary measurements in advance.
+`python -m twin.doctor` compiles the Numba kernels of ordinary measurements in advance.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ _GIB = 2.0**30
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of a check of this machine.
+    """Result of one check of this machine.
 
     Parameters
     ----------
-    name : of the checked property
-    ok : True if the twin can run with it
+    name : name of the checked property, for example `memory`
+    ok : True if the property is sufficient for the twin
     detail : value of the property
-    advice : remedy; empty if ok
+    advice : remedy; empty if `ok`
     """
 
     name: str
@@ -54,7 +54,7 @@ class Finding:
 
 
 def diagnose() -> list[Finding]:
-    """Check all requirements of the twin.
+    """Run all checks of this machine and return their findings.
 
     Returns
     -------
@@ -146,7 +146,10 @@ def _memory() -> list[Finding]:
 
 
 def _compiled_kernels() -> list[Finding]:
-    """Check that Numba can cache compiled kernels; else every start compiles them again."""
+    """Check that a cache folder for compiled Numba kernels is writable.
+
+    Without a cache every start of the twin compiles the kernels again.
+    """
     spec = importlib.util.find_spec("reconstruction")
     package = Path(spec.origin).parent if spec and spec.origin else Path()
     user = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
@@ -187,12 +190,22 @@ def _disk() -> list[Finding]:
     return [Finding("disk", ok, detail, "" if ok else "a full stack takes 300 MB, make room")]
 
 
-# Kernels that each of two parallel processes compiles, in similar time. Array sizes do not matter.
+# Groups of kernels. One process per group compiles them, in similar time. The size of the arrays
+# in the calls below does not matter.
 WARMED = ("renderer, decoder, meshes", "camera noise, filter, thin sheets")
 
 
 def warm(report: Callable[[str], object] = lambda _: None) -> list[Finding]:
-    """Compile the kernels of ordinary measurements in advance; call `report` for each group."""
+    """Compile the Numba kernels of ordinary measurements in advance, one process per group.
+
+    Parameters
+    ----------
+    report : is called with name and run time of each group when the group is compiled
+
+    Returns
+    -------
+    One finding per group of `WARMED`
+    """
     start = time.perf_counter()
 
     def compile_one(name: str) -> Finding:
@@ -244,9 +257,9 @@ def _warm_sheets() -> None:
 
 
 def _main(names: list[str]) -> bool:
-    """Compile the named groups, or all groups in parallel; return True if that succeeded."""
+    """Compile the named groups of kernels, or all groups in parallel; return True on success."""
     by_name = dict(zip(WARMED, (_warm_measurement, _warm_sheets), strict=True))
-    gc.disable()  # a compiler makes millions of small objects: searched for cycles, 8 % of the time
+    gc.disable()  # the search for cycles among the compiler's objects takes 8 % of the time
     for name in names:
         by_name[name]()
     if names:

@@ -11,13 +11,15 @@ from reconstruction.errors import InputError
 
 
 def missing(where: str, package: str, extra: str, note: str = "") -> InputError:
-    """Return the error of an option with a missing package, with the install command.
+    """Return the error for an option that needs a package which is not installed.
+
+    The message contains the install command.
 
     Parameters
     ----------
-    where : the option or key that needs it
-    package : its name in prose
-    extra : of pyproject.toml
+    where : the option or key that needs the package
+    package : name of the package in prose
+    extra : name of the extra in pyproject.toml that installs the package
     note : additional remark after the command
     """
     more = f" ({note})" if note else ""
@@ -25,7 +27,7 @@ def missing(where: str, package: str, extra: str, note: str = "") -> InputError:
 
 
 def install(extra: str = "") -> str:
-    """Return the command that installs the project with an extra into this Python."""
+    """Return the command that installs the project, with one extra, into the running Python."""
     wanted, root = f"[{extra}]" if extra else "", _checkout()
     if root is None:
         return f"in a checkout of fringe-twin: {pip_install(f'.{wanted}')}"
@@ -33,11 +35,14 @@ def install(extra: str = "") -> str:
 
 
 def pip_install(*requirements: str) -> str:
-    """Return the command that installs packages into this Python; `pip` may be of another one."""
+    """Return the command that installs packages into the running Python.
+
+    The `pip` on PATH may belong to another Python.
+    """
     return shlex.join([sys.executable, "-m", "pip", "install", *requirements])
 
 
 def _checkout() -> Path | None:
-    """Return the checkout that this package runs from; None where it is installed elsewhere."""
+    """Return the root of the checkout that contains this package; None if there is no checkout."""
     root = Path(__file__).resolve().parent.parent
     return root if (root / "pyproject.toml").is_file() else None

@@ -1,4 +1,4 @@
-"""Single output files of commands: written atomically, and never over an existing file."""
+"""Single output files of commands: each is written atomically and replaces no existing file."""
 
 import os
 from collections.abc import Iterator
@@ -13,11 +13,11 @@ from twin.working import remove_leftovers, working_folder
 
 @contextmanager
 def creating(path: Path) -> Iterator[Path]:
-    """Yield a path to write to; at the end the file is moved to `path` in one atomic step.
+    """Yield a temporary path to write to; afterwards move that file to `path` in one atomic step.
 
     Raises
     ------
-    InputError : there is such a file already, or it cannot be written
+    InputError : `path` exists already, or cannot be written
     OSError : the disk is full
     """
     _refuse_existing(path)
@@ -40,11 +40,15 @@ def _refuse_existing(path: Path) -> None:
 
 @contextmanager
 def naming_unwritable(path: Path, kind: type[InputError] = InputError) -> Iterator[None]:
-    """Name `path` in the error of a block that cannot write it.
+    """Convert an OSError of the block into an error that names `path`.
+
+    Parameters
+    ----------
+    kind : class of the raised error, unless the disk is full
 
     Raises
     ------
-    InputError : it cannot be written; `kind` where another one is given
+    InputError : `path` cannot be written
     OSError : the disk is full
     """
     try:

@@ -8,12 +8,12 @@ No other module calls the system's lock functions.
 | Windows (`msvcrt`) | byte beyond the end | none: OSError | byte lock |
 | neither module | OSError | OSError | OSError |
 
-A file system without locks raises OSError, too. The system releases every lock when its process
-ends for any reason.
+If the file system does not support locks, locking raises OSError, too. The operating system
+releases every lock when the process that has the lock ends, for any reason.
 
-No library is used: filelock and portalocker have no locks of single bytes, which several hosts need
-to share a store, and on Windows portalocker locks the content, which other processes then cannot
-read.
+No library is used. Several hosts that share a store need locks of single bytes, which filelock and
+portalocker do not have. On Windows portalocker also locks the content of the file, so that other
+processes cannot read the file.
 """
 
 import errno
@@ -33,7 +33,7 @@ def _module(name: str) -> Any:
         return None
 
 
-# Loaded by name: the type stubs of either module are empty on the other platform.
+# Loaded by name: the type stubs of each module are empty on the platform that lacks the module.
 _FCNTL, _MSVCRT = _module("fcntl"), _module("msvcrt")
 
 # Record locks reach to 2^63; the C library of Windows reads the position as a signed 32-bit number.
@@ -44,17 +44,17 @@ _POLL_S = 0.02
 
 
 def lock_file(handle: int, *, wait: bool = False) -> None:
-    """Lock a file, exclusively, until its handle is closed.
+    """Lock a file exclusively until its handle is closed.
 
     Parameters
     ----------
-    handle : of a file that is open for writing
-    wait : until the present holder releases it
+    handle : descriptor of a file that is open for writing
+    wait : True: wait until another handle releases the lock; False: raise BlockingIOError
 
     Raises
     ------
     BlockingIOError : another handle has the lock, and `wait` is False
-    OSError : the file system, or the platform, has no such locks
+    OSError : the file system or the platform does not support locks of files
     """
     if _FCNTL:
         _FCNTL.flock(handle, _FCNTL.LOCK_EX | (0 if wait else _FCNTL.LOCK_NB))
@@ -71,11 +71,13 @@ def locked_folder(place: Path, *, shared: bool) -> Iterator[None]:
 
     Parameters
     ----------
-    shared : True: other processes may have a shared lock at the same time; False: no other lock
+    place : the folder
+    shared : True: other processes may have a shared lock at the same time. False: the lock is
+        exclusive
 
     Raises
     ------
-    BlockingIOError : another handle has a lock that excludes this one
+    BlockingIOError : another handle has a lock on the folder that excludes the requested lock
     OSError : the file system or the platform does not support locks of folders
     """
     if not _FCNTL:
@@ -89,19 +91,21 @@ def locked_folder(place: Path, *, shared: bool) -> Iterator[None]:
 
 
 def lock_byte(handle: int, number: int) -> bool:
-    """Lock one byte of a file, which need not exist; False if another process has it locked.
+    """Lock one byte of a file; return False if another process has locked that byte.
 
-    Record locks do not exclude the threads of one process from each other, and closing any handle
-    of the file releases all locks of the process on it.
+    The byte may be beyond the end of the file. Record locks do not exclude the threads of one
+    process from each other. If the process closes any handle of the file, all its locks on that
+    file are released.
 
     Parameters
     ----------
-    handle : of a file that is open for reading and writing
-    number : non-negative; taken modulo the number of bytes that the platform can lock
+    handle : descriptor of a file that is open for reading and writing
+    number : position of the byte, non-negative; taken modulo the number of bytes that the platform
+        can lock
 
     Raises
     ------
-    OSError : the file system, or the platform, has no such locks
+    OSError : the file system or the platform does not support locks of bytes
     """
     if not _FCNTL:
         return _try_byte(handle, number % _PLACES)
@@ -113,7 +117,7 @@ def lock_byte(handle: int, number: int) -> bool:
 
 
 def unlock_byte(handle: int, number: int) -> None:
-    """Release a byte that `lock_byte` has locked."""
+    """Release the lock of `lock_byte` on one byte of a file."""
     if _FCNTL:
         _FCNTL.lockf(handle, _FCNTL.LOCK_UN, 1, number % _PLACES)
     else:
@@ -131,7 +135,7 @@ def _try_byte(handle: int, number: int) -> bool:
 
 
 def _at(handle: int, number: int, how: int) -> None:
-    """Lock or unlock a byte by `msvcrt`, which takes the byte at the file's position."""
+    """Lock or unlock the byte at position `number` by `msvcrt`; restore the file's position."""
     before = os.lseek(handle, 0, os.SEEK_CUR)
     try:
         os.lseek(handle, number, os.SEEK_SET)

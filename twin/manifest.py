@@ -1,9 +1,10 @@
-"""Manifests: the files of a folder that `twin` wrote; only these files are removed.
+"""Manifests: lists of the files in a folder that `twin` wrote; only these files are removed.
 
-The first line of `twin-manifest.txt` is a comment with format, version and kind of the folder. Each
-further line is `SHA256  PATH` of a file, in the format of `sha256sum -c twin-manifest.txt`. A line
-is written before its file. A file counts as ours if its content has the digest of one of its lines:
-a file that was edited since is the user's.
+The first line of `twin-manifest.txt` is a comment with the format, its version and the kind of the
+folder. Each further line is `SHA256  PATH` of a file, in the format of `sha256sum -c
+twin-manifest.txt`. The line of a file is written before the file. A file is taken as written by
+`twin` if its SHA-256 digest is in one of the lines of its path. A file that was edited afterwards
+is therefore the user's file.
 """
 
 import hashlib
@@ -31,18 +32,20 @@ MANIFEST_FILE = "twin-manifest.txt"
 _HEAD = re.compile(r"# fringe-twin manifest (?P<version>\d+): (?P<kind>\w+)")
 _VERSION = 1
 _LINE = re.compile(r"(?P<digest>[0-9a-f]{64})  (?P<path>.+)")
-# An empty file system of this kind is not quite empty.
+# Folder that the operating system itself puts into an empty file system.
 _OF_THE_SYSTEM = {"lost+found"}
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """Content of a folder's manifest.
+    """Content of the manifest of a folder.
 
     Attributes
     ----------
-    kind : `result`, replaced as a whole, or the command that adds files to the folder
-    lines : digests of the written contents of each path; paths are relative, with slashes
+    kind : `result` for a folder that is replaced as a whole; else the name of the command that adds
+        files to the folder
+    lines : SHA-256 digests (hexadecimal) of all contents that `twin` wrote to each path; paths are
+        relative to the folder, with slashes
     """
 
     kind: str
@@ -50,16 +53,16 @@ class Manifest:
 
     @property
     def folders(self) -> set[str]:
-        """Folders that contain any of the files."""
+        """Relative paths of all folders that contain a listed file, directly or in subfolders."""
         return {str(above) for path in self.lines for above in PurePosixPath(path).parents}
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """Read the manifest of a folder; None if there is none.
+    """Read the manifest of a folder; return None if there is no manifest.
 
     Raises
     ------
-    InputError : it was written by a version that this one does not know, or cannot be read
+    InputError : the manifest cannot be read, or its format has another version
     """
     path = folder / MANIFEST_FILE
     if not os.path.lexists(path):
@@ -79,32 +82,32 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def _is_below(path: str) -> bool:
-    """Return True if a path is inside its folder: files outside are never ours."""
+    """Return True if a relative path of a manifest is inside the folder, as `twin` writes it."""
     parts = PurePosixPath(path)
     return not parts.is_absolute() and ".." not in parts.parts
 
 
 def files_of(folder: Path) -> list[str]:
-    """Return the relative paths of all files below a folder, with slashes, sorted."""
+    """Return the sorted paths of all files below a folder, relative to it, with slashes."""
     files = (path for path in folder.rglob("*") if not path.is_dir())
     return sorted(path.relative_to(folder).as_posix() for path in files)
 
 
 def manifest_lines(folder: Path) -> list[str]:
-    """Return a line for every file below a folder."""
+    """Return the manifest line `SHA256  PATH` of every file below a folder."""
     paths = files_of(folder)
     digests = _side_by_side(_digest, [folder / path for path in paths])
     return [f"{digest}  {path}" for digest, path in zip(digests, paths, strict=True)]
 
 
 def write_manifest(path: Path, kind: str, lines: Sequence[str]) -> None:
-    """Write a new manifest."""
+    """Write a new manifest with the kind of its folder and its lines."""
     text = "\n".join([f"# fringe-twin manifest {_VERSION}: {kind}", *lines, ""])
     write_bytes(path, text.encode("utf-8", errors="surrogateescape"))
 
 
 def enter(folder: Path, kind: str, lines: Sequence[str]) -> None:
-    """Add missing lines to the manifest of a folder; create the manifest if there is none."""
+    """Append missing lines to the manifest of a folder; create the manifest if there is none."""
     with (folder / MANIFEST_FILE).open("a+b", buffering=0) as file:
         with suppress(OSError):  # a file system without locks
             lock_file(file.fileno(), wait=True)
@@ -129,13 +132,13 @@ def _write_all(file: io.FileIO, left: bytes) -> None:
 
 
 def is_ours(folder: Path, path: str, known: Manifest | None) -> bool:
-    """Return True if a file below a folder has the content that `twin` wrote."""
+    """Return True if the file `path` below a folder has a content that `twin` wrote."""
     file, digests = folder / path, known.lines.get(path, set()) if known else set()
     return bool(digests) and not file.is_symlink() and file.is_file() and _digest(file) in digests
 
 
 def ours(folder: Path, paths: Sequence[str], known: Manifest | None) -> set[str]:
-    """Return the files, of those given, that have the content that `twin` wrote."""
+    """Return those of the given relative paths at which files are as `twin` wrote them."""
     flags = _side_by_side(lambda path: is_ours(folder, path, known), paths)
     return {path for path, is_own in zip(paths, flags, strict=True) if is_own}
 
@@ -143,12 +146,12 @@ def ours(folder: Path, paths: Sequence[str], known: Manifest | None) -> set[str]
 def foreign(
     folder: Path, known: Manifest | None, names: Collection[str] = (), *, changed: bool = True
 ) -> str | None:
-    """Return a text on the first entry of a folder that `twin` did not write; None if all are ours.
+    """Return a text on the first entry of a folder that `twin` did not write; None if none.
 
     Parameters
     ----------
-    names : check only these entries of the folder; default: all
-    changed : also report files that `twin` wrote and that were changed since
+    names : names of the entries of the folder that are checked; default: all
+    changed : True: also report files that `twin` wrote and that were changed afterwards
     """
     paths = list(_entries(folder, "", known, names))
     own = ours(folder, paths, known)
@@ -162,7 +165,10 @@ def foreign(
 def _entries(
     root: Path, below: str, known: Manifest | None, names: Collection[str] = ()
 ) -> Iterator[str]:
-    """Yield the entries of a folder; of its folders with known files, their entries instead."""
+    """Yield the relative paths of the entries below a folder, without the twin's own marks.
+
+    A subfolder that contains files of the manifest is replaced by its entries.
+    """
     for entry in sorted(os.scandir(root / below), key=lambda entry: entry.name):
         path = f"{below}{entry.name}"
         if (names and entry.name not in names) or (not below and _is_own_mark(entry)):

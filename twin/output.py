@@ -1,15 +1,15 @@
-"""Output folders of commands: complete or absent, and no file of the user is removed.
+"""Output folders of commands: each is complete or absent, and no file of the user is removed.
 
-A command writes into a working folder (`twin.working`), which is moved at the end. An interrupted
-command does not change the earlier result, if any. Only files of the manifest (`twin.manifest`) are
-replaced.
+A command writes into a working folder (`twin.working`). Its content becomes the result when the
+command succeeds. An interrupted command does not change an earlier result. Only files that are
+listed in the manifest (`twin.manifest`) are replaced.
 
-- A new folder appears by one renaming.
-- An existing folder, which may be a mount point or the target of a symbolic link, is not moved. Its
-  files are exchanged one by one, `result.json` last; a folder without that file is no result.
-  Signals are delayed until the end of the exchange. A plan of the exchange is written into the
-  working folder before: after a kill -9 the next command that opens the folder, to write or to
-  read, completes the exchange (`end_exchange`).
+- If the target does not exist, the working folder is renamed in one step.
+- If the target exists, it is not moved, because it may be a mount point or the target of a symbolic
+  link. Its files are exchanged one by one, `result.json` last. A folder without that file is not
+  taken as a result. Signals are delayed until the end of the exchange. Before the exchange its plan
+  is written into the working folder. After a kill -9 the next command that opens the folder, to
+  write or to read, completes the exchange (`end_exchange`).
 """
 
 import json
@@ -42,7 +42,7 @@ from twin.working import PLAN, is_second, leftovers, remove_leftovers, signals_h
 RESULT_FILE = "result.json"
 EXPERIMENT_FILE = "experiment.toml"
 RESULT = "result"
-"""Kind of a folder that is replaced as a whole."""
+"""Kind, in the manifest, of a folder that is replaced as a whole."""
 
 _NAMED_PACKAGES = ("fringe-twin", "mitsuba", "drjit", "numpy", "scipy", "numba")
 _ADVICE = "choose another -o DIR"
@@ -50,17 +50,19 @@ _ADVICE = "choose another -o DIR"
 
 @contextmanager
 def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
-    """Yield a folder to write into; on success it becomes `target`, on failure it is removed.
+    """Yield a working folder; on success its content becomes `target`, on failure it is removed.
 
     Parameters
     ----------
-    inputs : files and folders that the command reads; missing ones are ignored
+    target : the output folder; it may exist
+    inputs : files and folders that the command reads; those that do not exist are ignored
 
     Raises
     ------
-    InputError : `target` cannot be written, contains files that `twin` did not write or that were
-        changed since, or is the current folder, home, an input, or a folder above these, or in an
-        input; or another process is writing there
+    InputError : `target` cannot be written, or another process is writing there. Or `target`
+        contains files that `twin` did not write, or that were changed afterwards. Or `target` is
+        the current folder, the home folder, an input, a folder above one of these, or inside an
+        input
     OSError : the disk is full
     """
     real = _checked_place(target, inputs)
@@ -79,16 +81,17 @@ def output_folder(target: Path, inputs: Iterable[Path] = ()) -> Iterator[Path]:
 
 @contextmanager
 def adding(target: Path, *names: str) -> Iterator[Path]:
-    """Yield a folder; on success its files are added to the existing `target`.
+    """Yield a working folder; on success its files are added to the existing folder `target`.
 
     Parameters
     ----------
-    names : top-level names of the files to add: checked before the block
+    names : names of the files and folders, directly in `target`, that will be added; they are
+        checked before the block
 
     Raises
     ------
-    InputError : `target` cannot be written, or holds a file of such a name that `twin` did not
-        write
+    InputError : `target` cannot be written, or contains a file with one of these names that `twin`
+        did not write
     OSError : the disk is full
     """
     real = Path(os.path.realpath(target))
@@ -103,18 +106,21 @@ def adding(target: Path, *names: str) -> Iterator[Path]:
 
 
 def claim(target: Path, kind: str, names: Collection[str], inputs: Iterable[Path] = ()) -> None:
-    """Create or reuse `target` as a folder to which a command adds files in several runs.
+    """Create or reuse `target` as a folder to which one command adds files in several runs.
 
-    Files of the user remain; InputError only if such a file has a name that the command writes.
+    Files of the user remain there. If such a file has a name that the command writes, InputError is
+    raised.
 
     Parameters
     ----------
-    kind : the command
-    names : top-level names that the command writes
+    target : the output folder; it may exist
+    kind : name of the command
+    names : names of files and folders, directly in `target`, that the command writes
+    inputs : files and folders that the command reads; see `output_folder`
 
     Raises
     ------
-    InputError : as `output_folder`; or the folder belongs to another command
+    InputError : for the reasons of `output_folder`; or the folder belongs to another command
     OSError : the disk is full
     """
     real = _checked_place(target, inputs)
@@ -132,11 +138,11 @@ def claim(target: Path, kind: str, names: Collection[str], inputs: Iterable[Path
 
 @contextmanager
 def alone_in(target: Path) -> Iterator[None]:
-    """Lock a claimed folder for the run of a command.
+    """Lock a folder of `claim` during a `with` block, so that no second process writes into it.
 
     Raises
     ------
-    InputError : another process has locked it
+    InputError : another process has locked the folder
     """
     with ExitStack() as stack:
         with _naming_target(target):
@@ -151,7 +157,11 @@ def _refuse_second(target: Path, folder: Path) -> None:
 
 
 def _checked_place(target: Path, inputs: Iterable[Path]) -> Path:
-    """Resolve links; raise InputError if the target would replace or contain a protected folder."""
+    """Return `target` with links resolved; raise InputError if the run could harm other folders.
+
+    It must not be the current folder, the home folder, an input, or a folder above one of these. It
+    must not be inside an input either.
+    """
     real = Path(os.path.realpath(target))
     protected = {"the current folder": Path.cwd(), "your home": Path("~").expanduser()}
     protected |= {f"the input {path}": path for path in inputs if path.exists()}
@@ -166,7 +176,7 @@ def _checked_place(target: Path, inputs: Iterable[Path]) -> Path:
 
 
 def _refuse_foreign(target: Path, real: Path, kind: str = RESULT) -> None:
-    """Raise InputError if the target contains files that `twin` did not write."""
+    """Raise InputError if `target` contains files that `twin` did not write, or is a file."""
     if real.exists() and not real.is_dir():
         raise InputError(f"{target}: is a file; {_ADVICE}")
     if not real.is_dir():
@@ -184,7 +194,7 @@ def _refuse_foreign(target: Path, real: Path, kind: str = RESULT) -> None:
 
 
 def _refuse_in_the_way(target: Path, real: Path, names: Collection[str]) -> None:
-    """Raise InputError if a file of such a name was not written by `twin`."""
+    """Raise InputError if `target` has an entry of one of these names that `twin` did not write."""
     if names and real.is_dir():
         entry = foreign(real, read_manifest(real), names)
         if entry is not None:
@@ -195,14 +205,14 @@ def _refuse_in_the_way(target: Path, real: Path, names: Collection[str]) -> None
 
 @contextmanager
 def _working(real: Path) -> Iterator[Path]:
-    """Yield a folder to write into, on the file system of the target."""
+    """Yield an empty folder to write into, on the same file system as the target."""
     _take_up(real)
     with working_folder(real if real.is_dir() else real.parent, real.name) as folder:
         yield folder
 
 
 def _publish(folder: Path, real: Path) -> None:
-    """Make the content of `folder` the result at `real`."""
+    """Make the content of the working folder `folder` the result at `real`."""
     if real.is_dir():
         known = read_manifest(real)
         _put(folder, real, ours(real, list(known.lines), known) if known else set())
@@ -215,13 +225,15 @@ def _publish(folder: Path, real: Path) -> None:
 
 
 def _put(folder: Path, real: Path, gone: Set[str] | None = None) -> None:
-    """Move the files of `folder` to `real`; for a whole result, remove the files `gone` there.
+    """Move the files of `folder` to `real`, and remove the files `gone` from `real`.
 
-    A file that appeared there while the command ran is not overwritten.
+    `gone` is given if `folder` contains a whole result, and None if files are added. A file of the
+    user that was created in `real` while the command ran is not overwritten.
     """
     new, lines = files_of(folder), manifest_lines(folder)
     _refuse_blocked(real, set(new) - (gone or set()))
-    # All that needs disk space is first: a full disk then does not change the earlier result.
+    # All steps that need disk space are done first, so that a full disk does not change the
+    # earlier result.
     if gone is not None:
         write_manifest(folder.parent / MANIFEST_FILE, RESULT, lines)
     prepared = folder.parent / f"{PLAN}.part"
@@ -246,9 +258,10 @@ def _refuse_blocked(real: Path, new: Iterable[str]) -> None:
 
 
 def _exchange(folder: Path, real: Path) -> None:
-    """Do the remaining steps of a plan: `result.json` is removed first and written last.
+    """Do the remaining steps of the plan of an exchange of files.
 
-    If the system fails in between, the plan and the files remain (`twin.working.PLAN`).
+    `result.json` is removed first and written last. If the system fails in between, the plan and
+    the files remain, so that a later command can complete the exchange (`twin.working.PLAN`).
     """
     try:
         _exchange_files(folder, real)
@@ -271,11 +284,11 @@ def _exchange_files(folder: Path, real: Path) -> None:
 
 
 def end_exchange(folder: Path) -> None:
-    """Complete the exchange of files of a killed run; call it before a folder is read.
+    """Complete the exchange of files that a killed run left; call this before the folder is read.
 
     Raises
     ------
-    InputError : a file that `twin` did not write is in the way
+    InputError : a file that `twin` did not write has the name of a file to be moved
     """
     with suppress(OSError):  # no write permission: the folder contains no result
         _take_up(Path(os.path.realpath(folder)))
@@ -309,7 +322,7 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 
 @contextmanager
 def _naming_target(target: Path) -> Iterator[None]:
-    """Convert an OSError to an InputError with the target and a remedy."""
+    """Convert an OSError of the block to an InputError with the target and a remedy."""
     try:
         yield
     except OSError as error:
@@ -323,9 +336,10 @@ def _naming_target(target: Path) -> Iterator[None]:
 
 @contextmanager
 def _failing_to_write(target: Path, folder: Path) -> Iterator[None]:
-    """Name the target in errors of its working folder; other errors are passed on.
+    """Convert an OSError on the working folder to an error that names the target.
 
-    If the working folder was removed, any error is attributed to that.
+    Other errors are passed on. If the working folder was removed during the run, every OSError and
+    InputError is converted to an InputError that reports this.
     """
     try:
         yield
@@ -342,35 +356,39 @@ def _failing_to_write(target: Path, folder: Path) -> Iterator[None]:
 
 
 def _is_about(error: OSError, folder: Path) -> bool:
-    """Return True if an error is of a file below a folder; a full disk may have no file name."""
+    """Return True if an error names a file below a folder, or is a full disk without file name."""
     if error.filename is None:
         return is_disk_full(error)
     return folder in Path(os.fsdecode(error.filename)).parents
 
 
 def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = False) -> None:
-    """Write JSON with sorted keys; NaN and infinity are errors, not numbers.
+    """Write a JSON file with sorted keys; raise ValueError for NaN and infinity.
 
     Parameters
     ----------
-    durable : synchronise to the device before an earlier file is replaced
+    durable : True: synchronise the new file to the device before it replaces an earlier one
     """
     text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False)
     write_text(path, f"{text}\n", durable=durable)
 
 
 def write_outcome(folder: Path, command: str, figures: Mapping[str, Any], **named: str) -> None:
-    """Write result.json: the figures, their command and versions, and additional entries."""
+    """Write `result.json` with the figures of a command.
+
+    The file also contains the name of the command, the versions of packages, and the entries
+    `named`.
+    """
     content = {"command": command, "metrics": figures, "versions": versions(), **named}
     write_json(folder / RESULT_FILE, {"schema_version": 1, **content})
 
 
 def replace_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Replace a JSON file in one atomic step, synchronised to the device.
+    """Replace a JSON file in one atomic step and synchronise it to the device.
 
     Raises
     ------
-    InputError : it cannot be written
+    InputError : the file cannot be written
     OSError : the disk is full
     """
     with naming_unwritable(path):
@@ -378,7 +396,7 @@ def replace_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of all packages that can change a number in a result."""
+    """Return the version of Python and of each package that can change a number in a result."""
     return dict(_versions())
 
 

@@ -1,7 +1,7 @@
-"""The interface between a specimen's description and mechanics, rendering and scoring: its shape.
+"""Shape of a specimen: the interface between its description and mechanics, rendering and scoring.
 
-Lengths in mm. z is the height above the touched plane: the specimen approaches from below, so its
-foremost point is its highest.
+Lengths are in mm. z is the height above the plane of first touch (the touched plane). The specimen
+approaches from below, so its foremost point is its highest point.
 """
 
 from dataclasses import dataclass
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
     import trimesh
 
 Distances = tuple[FloatArray, FloatArray, FloatArray]
-"""Distance (n,), mm; gradient (n, xyz); Hessian (n, xyz, xyz), 1/mm."""
+"""Signed distance (n,), mm, with its gradient (n, xyz) and its Hessian (n, xyz, xyz), 1/mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A rotation and a shift."""
+    """Rigid motion of points: a rotation about the origin, then a shift."""
 
-    #: (3, 3) rotation
+    #: (3, 3) rotation matrix
     rotation: FloatArray
     #: (xyz) shift, mm
     shift_mm: FloatArray
 
     def apply(self, points_mm: FloatArray) -> FloatArray:
-        """Move points (..., xyz)."""
+        """Return the points (..., xyz), mm, rotated and then shifted."""
         return np.asarray(points_mm @ self.rotation.T + self.shift_mm)
 
     def then(self, later: "Placement") -> "Placement":
-        """Return this motion followed by another."""
+        """Return the combined motion: first this motion, then `later`."""
         return Placement(later.rotation @ self.rotation, later.apply(self.shift_mm))
 
     @property
     def matrix(self) -> FloatArray:
-        """(4, 4) homogeneous matrix."""
+        """Homogeneous (4, 4) matrix of the motion, for column vectors (x, y, z, 1) in mm."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.shift_mm
         return matrix
@@ -48,7 +48,10 @@ UNMOVED = Placement(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True)
 class Sphere:
-    """One ball of a specimen at first touch; z counts from the touched plane, upwards."""
+    """One ball of a specimen: its centre at first touch, in mm, and its radius.
+
+    x and y are in the frame of the shape; z is the height above the touched plane.
+    """
 
     x_mm: float
     y_mm: float
@@ -58,62 +61,66 @@ class Sphere:
 
     @property
     def apex_z_mm(self) -> float:
-        """Height of the ball's top above the touched plane; 0 for the ball that touches first."""
+        """Height of the ball's top above the touched plane, mm; 0 for the first ball touched."""
         return self.z_mm + self.radius_mm
 
 
 class SignedDistance(Protocol):
-    """Distance to the surface of one rigid body, negative inside."""
+    """Signed distance to the surface of one rigid body: negative inside the body."""
 
     def evaluate(self, points_mm: FloatArray, reach_mm: float) -> Distances:
-        """Return distance, gradient and Hessian at points.
+        """Return the signed distance at points, its gradient and its Hessian.
 
         Parameters
         ----------
         points_mm : (n, xyz) float, mm; frame of the shape
-        reach_mm : largest distance outside the body that is resolved: beyond it the distance is any
-            value of at least `reach_mm`, gradient and Hessian are 0
+        reach_mm : largest distance outside the body that is computed exactly, mm. Farther outside,
+            the returned distance is any value of at least `reach_mm`; gradient and Hessian are 0
+            there
 
         Returns
         -------
-        (n,) float, mm; (n, xyz) float; (n, xyz, xyz) float, 1/mm
+        Distance (n,) float, mm; gradient (n, xyz) float; Hessian (n, xyz, xyz) float, 1/mm
         """
         ...
 
 
 class Shape(Protocol):
-    """Geometry of a specimen in its pose."""
+    """Geometry of a specimen in its pose, as mechanics, rendering and scoring use it."""
 
     @property
     def top_mm(self) -> float:
-        """Height of the foremost point, 0 at first touch."""
+        """Height z of the foremost point, mm; 0 at first touch."""
         ...
 
     @property
     def bottom_mm(self) -> float:
-        """Height of the point farthest back, at the specimen's plate."""
+        """Height z of the rearmost point, mm, which is at the specimen's plate."""
         ...
 
     def placed(self, pose: Placement) -> "Shape":
-        """Return the shape moved."""
+        """Return this shape after the rigid motion `pose`."""
         ...
 
     def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (row, col) float, mm: distance behind the touched plane, inf where absent."""
+        """Return the depth of the front surface behind the touched plane, (row, col) float, mm.
+
+        `x_mm` and `y_mm` are (row, col) arrays. The depth is inf where the specimen is absent.
+        """
         ...
 
     def mesh(self, touched_z_mm: float) -> "trimesh.Trimesh":
-        """Return the closed surface with its foremost point at z = `touched_z_mm`."""
+        """Return the closed surface, mm, shifted so that its top is at z = `touched_z_mm`."""
         ...
 
     def spheres(self) -> tuple[Sphere, ...]:
-        """Return the balls to fit, in the order of the specimen's x axis; none by default."""
+        """Return the balls with a radius to be fitted, sorted by x; empty by default."""
         return ()
 
     def distances(self) -> tuple[SignedDistance, ...]:
-        """Return the signed distances to the bodies; their contact potentials are summed."""
+        """Return the signed distance of each rigid body; their contact potentials are added."""
         ...
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
-        """Return the outline in world xy: (x low, x high, y low, y high)."""
+        """Return the bounding rectangle in world xy, mm: (x low, x high, y low, y high)."""
         ...

@@ -1,18 +1,21 @@
-"""Working folders, into which a command writes until its result is complete; end by a signal.
+"""Working folders for unfinished results of commands; clean-up when a signal ends a command.
 
-`.NAME.twin-XXXX.part/` has a file `lock`, locked by the process that writes there, and `new/`, the
-future result. The system releases the lock when the process ends for any reason: a folder with a
-free lock is a leftover of a killed run, and the next run on the same target removes it. While a
-working folder is created, its parent is locked (shared): a folder without the mark is a leftover if
-its parent is not locked.
+A working folder `.NAME.twin-XXXX.part/` contains a file `lock` and the folder `new/`, the future
+result. The process that writes there has locked the file `lock`. The operating system releases the
+lock when the process ends, for any reason. A working folder with a free lock is therefore a
+leftover of a killed run, and the next run on the same target removes it.
+
+The file `lock` contains a mark. While a working folder is created, its parent folder has a shared
+lock. A working folder without the mark is thus a leftover only if its parent is not locked.
 
 A signal ends a command as an error does: working folders are removed and worker processes ended.
 SIGINT, SIGTERM and SIGHUP, as far as the platform has them, raise `Interrupted` in the main thread.
 A signal that this process was started to ignore (nohup) remains ignored.
 
-Python runs a signal handler in the main thread after the current call has returned, and a call into
-a renderer or a solver may last a minute. `end_within` starts a thread that does the same clean-up
-if the main thread has not ended by then. It waits for the end of an atomic step (`signals_held`).
+Python runs a signal handler in the main thread after the current call has returned. A call into a
+renderer or a solver may last a minute. `end_within` therefore starts a thread that does the same
+clean-up if the main thread has not ended in a given time. That thread waits for the end of an
+atomic step (`signals_held`).
 """
 
 import atexit
@@ -41,7 +44,7 @@ ENDING_SIGNALS: tuple[signal.Signals, ...] = tuple(
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal ends the process; `number` is its number."""
+    """Exception that a signal raises to end the process; `number` is the number of the signal."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -51,15 +54,15 @@ class Interrupted(KeyboardInterrupt):
 class _Hold:
     depth = 0
     waiting: int | None = None
-    #: held by the thread that does an atomic step on files, or ends the process
+    #: lock of the thread that does an atomic step on files, or that ends the process
     gate = threading.Lock()
-    #: folders that the process has not finished
+    #: working folders of this process that are not removed yet
     working: ClassVar[set[Path]] = set()
     said = threading.Lock()
 
 
 def unwind_on_signals() -> None:
-    """Turn the signals that end a process into `Interrupted`; in the main thread only."""
+    """Let the signals that end a process raise `Interrupted`; call this in the main thread only."""
     for number in ENDING_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
@@ -67,7 +70,7 @@ def unwind_on_signals() -> None:
 
 @contextmanager
 def signals_held() -> Iterator[None]:
-    """Delay signals to the end of the block, which is an atomic step."""
+    """Delay the effect of signals to the end of the `with` block, which is an atomic step."""
     if threading.current_thread() is not threading.main_thread():
         yield  # handlers run in the main thread only
         return
@@ -92,9 +95,9 @@ def _interrupt(number: int, _: FrameType | None) -> None:
 
 
 def end_within(seconds: float) -> None:
-    """End the process at the latest this time after a signal, independent of the main thread.
+    """End the process at most `seconds` after a signal, even if the main thread does not return.
 
-    Only for the process of a command, as any process would be ended.
+    Only the process of a command may call this, because the calling process is ended.
     """
     read, write = os.pipe()
     if hasattr(os, "set_blocking"):  # on Windows from Python 3.12 on, and not required there
@@ -112,10 +115,11 @@ def _guard(read: int, seconds: float) -> None:
 
 
 def end_process(code: int) -> NoReturn:
-    """End the process of a finished command.
+    """End the process of a finished command with exit status `code`.
 
-    Python would first destroy all objects in memory: 0.5 s after a measurement. Exit handlers are
-    run; if the output was closed, Python's own exit reports it.
+    Exit handlers are run, but Python's destruction of all objects in memory is skipped, which takes
+    0.5 s after a measurement. If the output was closed, the process ends by `sys.exit`, which
+    reports that.
     """
     try:
         sys.stdout.flush()
@@ -127,7 +131,8 @@ def end_process(code: int) -> NoReturn:
 
 
 def _end_now(number: int) -> None:
-    # Imported if there are child processes; an import here might wait for the main thread.
+    # The module is already imported if there are child processes; importing here might wait for
+    # the main thread.
     processes = sys.modules.get("multiprocessing")
     for child in processes.active_children() if processes else ():
         child.terminate()
@@ -142,14 +147,15 @@ def _end_now(number: int) -> None:
 
 
 def _free_semaphores() -> None:
-    # As Python does at its end, which is not reached: else its tracker warns of leaked semaphores.
+    # Python does this at its normal end, which is not reached here. Without it, Python's resource
+    # tracker warns of leaked semaphores.
     util = sys.modules.get("multiprocessing.util")
     if util is not None:
         util._run_finalizers(0)
 
 
 def write_end_message(number: int) -> None:
-    """Write once that a signal has ended the command."""
+    """Write to standard error, only once per process, that a signal has ended the command."""
     if _Hold.said.acquire(blocking=False):
         name = signal.Signals(number).name
         sys.stderr.write(f"twin: ended by {name}; no incomplete files remain\n")
@@ -165,16 +171,17 @@ _TRIES, _POLL_S = 20, 0.01
 
 @contextmanager
 def working_folder(place: Path, target: str) -> Iterator[Path]:
-    """Yield an empty folder inside a new working folder in `place`, which is removed at the end.
+    """Yield an empty folder in a new working folder in `place`; remove both at the end.
 
     Parameters
     ----------
     place : existing folder on the file system of the target
-    target : name of the target
+    target : name of the output folder or file, which becomes part of the name of the working
+        folder
 
     Raises
     ------
-    OSError : it cannot be made
+    OSError : the working folder cannot be created
     """
     folder, lock = None, None
     try:
@@ -198,7 +205,7 @@ def working_folder(place: Path, target: str) -> Iterator[Path]:
 
 
 def is_working(folder: Path) -> bool:
-    """Return True for a working folder, of a running or of a dead process."""
+    """Return True if `folder` is a working folder, of a running or of an ended process."""
     try:
         return _NAME.fullmatch(folder.name) is not None and (
             _is_unmarked(folder) or read_bytes(folder / _LOCK) == _MARK
@@ -212,7 +219,7 @@ def is_second(folder: Path) -> bool:
 
     Parameters
     ----------
-    folder : as `working_folder` yields it
+    folder : the folder that `working_folder` yields
     """
     mine = folder.parent
     target = _target(mine)
@@ -230,14 +237,20 @@ def _target(folder: Path) -> str:
 
 
 def _age(folder: Path) -> tuple[int, str]:
-    """Return a sort key of working folders by their time of creation."""
+    """Return a sort key by which older working folders come first: time of the lock in ns, name."""
     return (folder / _LOCK).stat().st_mtime_ns, folder.name
 
 
 def leftovers(place: Path, target: str | None = None) -> Iterator[Path]:
-    """Yield the folders of dead processes in `place` (for one target), as `working_folder` does.
+    """Yield the unfinished results in `place` that ended processes left in their working folders.
 
-    Each is locked while it is in use, so that no second process uses it, and removed afterwards.
+    Each working folder is locked while the caller uses the yielded folder, so that no second
+    process uses it. It is removed afterwards.
+
+    Parameters
+    ----------
+    place : folder that contains the working folders
+    target : yield only results of this output; None: of all outputs
     """
     with suppress(OSError):
         for entry in list(place.iterdir()):
@@ -250,7 +263,7 @@ def leftovers(place: Path, target: str | None = None) -> Iterator[Path]:
 
 
 def remove_leftovers(place: Path, target: str | None = None) -> None:
-    """Remove the working folders of dead processes in `place` (for one target)."""
+    """Remove the working folders of ended processes in `place`: all, or those of one target."""
     for _ in leftovers(place, target):
         pass
     with suppress(OSError), locked_folder(place, shared=False):
@@ -262,7 +275,7 @@ def remove_leftovers(place: Path, target: str | None = None) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a working folder; its lock last, so that it is a working folder until then."""
+    """Remove a working folder, its lock file last, so that the folder is recognised until then."""
     with suppress(OSError):
         if (folder / PLAN).exists():
             return
@@ -277,7 +290,7 @@ def _remove(folder: Path) -> None:
 
 
 def _is_unmarked(folder: Path) -> bool:
-    """Return True if a working folder has no mark in its lock yet."""
+    """Return True if a working folder is empty, or if its lock file has no mark yet."""
     if folder.is_symlink() or not folder.is_dir():
         return False
     entries = list(folder.iterdir())
@@ -286,9 +299,10 @@ def _is_unmarked(folder: Path) -> bool:
 
 @contextmanager
 def _begun(place: Path) -> Iterator[None]:
-    """Lock `place` (shared), so that a folder without mark there is not taken for a leftover.
+    """Give `place` a shared lock, so that a folder without mark there is not taken for a leftover.
 
-    No lock if another process has locked that folder, for example `flock out twin ... -o out/a`.
+    No lock is set if another process has locked that folder, for example `flock out twin ... -o
+    out/a`.
     """
     with ExitStack() as stack:
         for _ in range(_TRIES):
@@ -303,7 +317,8 @@ def _begun(place: Path) -> Iterator[None]:
 
 
 def _locked(folder: Path) -> IO[bytes]:
-    # Marked after it is locked: a folder without mark is not taken for a leftover.
+    # The mark is written after the file is locked: a folder without mark is not taken for a
+    # leftover.
     lock = (folder / _LOCK).open("wb", buffering=0)
     try:
         with suppress(OSError):  # a file system without locks: leftovers remain
@@ -328,7 +343,7 @@ def _is_held(folder: Path) -> bool:
 
 @contextmanager
 def _seized(folder: Path) -> Iterator[bool]:
-    """Lock the working folder of a dead process; yield False if it is no such folder."""
+    """Lock the working folder of an ended process; yield False if `folder` is not such a folder."""
     with ExitStack() as stack:
         is_abandoned = False
         with suppress(OSError):

@@ -1,8 +1,9 @@
 """Calibrate camera and projector from captures of a flat board in several poses.
 
 Board frame: x right, y up, z out of the printed face, origin in the middle of the pattern, mm.
-The camera is an OpenCV pinhole, the projector an inverse one; both and all poses are adjusted
-together, so that every parameter has an uncertainty.
+Camera and projector are modelled as pinholes with OpenCV's distortion; the projector is a camera
+with light in the reverse direction. One least squares adjustment estimates both devices and all
+poses, so that every parameter has an uncertainty.
 """
 
 from reconstruction.calibration.adjustment import Adjustment, AdjustOptions, adjust

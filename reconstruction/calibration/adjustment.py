@@ -1,11 +1,13 @@
-"""Adjust camera, projector and all poses together, with the uncertainty of each parameter.
+"""Estimate camera, projector and all board poses by one least squares adjustment.
 
-Minimises the reprojection residuals of all features in camera and projector pixels. The projector
-coordinate is read at the camera's image of the feature, so an error d of that place appears in the
-projector as well, as G d with the local slope G. The minimised residuals are independent: the
-camera's, and the projector's minus G d, each weighted by its own spread (estimated
-from the residuals themselves). Covariance: s^2 (J^T W J)^-1 with s^2 from the residuals
-(Gauss-Markov; Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000).
+The adjustment minimises the reprojection residuals of all features in camera and projector pixels.
+The projector coordinate of a feature is measured at the detected camera position of the feature.
+An error d of that position therefore also appears in the projector, as G d with the local slope G =
+d(projector) / d(camera). Independent residuals are those of the camera, and those of the projector
+minus G d. Each kind is weighted by its standard deviation, which is estimated from the residuals.
+
+The covariance of the parameters is s^2 (J^T W J)^-1, with the Jacobian J, the weights W and s^2
+from the residuals (Gauss-Markov; Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000).
 """
 
 from collections.abc import Sequence
@@ -31,16 +33,17 @@ from reconstruction.calibration.plane_images import PHASE_SHARE, centre_bias_px,
 from reconstruction.errors import InputError
 from reconstruction.rig.plausibility import implausible, lens_checks
 
-# The bias of dot centres depends on the poses and is at most some 0.1 px: it converges in one turn.
-# The weights converge with it.
+# Number of solutions, each with the dot biases and weights of the previous one. The bias of dot
+# centres depends on the poses and is at most some 0.1 px: it converges in one turn.
 TURNS = 4
-# Features with residuals above this many spreads are excluded (a dirty or half-hidden dot), but
-# only above this many pixels: exact data have no outliers.
+# A feature is excluded (a dirty or half-hidden dot) if a residual exceeds both this number of
+# standard deviations and this number of pixels; exact data have no outliers.
 OUTLIER_SPREADS, MIN_OUTLIER_PX = 6.0, 1e-3
-# Lower limit of the spread: exact data would get infinite weight.
+# Lower limit of the standard deviation: exact data would get infinite weight.
 MIN_SPREAD_PX = 1e-9
 MAD_TO_SIGMA = 1.4826
-# For rounding only: parameters that the poses hardly determine have a large uncertainty.
+# Least ratio of singular values. It only guards against rounding errors: weakly determined
+# parameters are accepted and have a large uncertainty.
 MIN_SINGULAR_RATIO = 1e-9
 DIVERGES = "the adjustment diverges: no camera and projector fit all features of all poses"
 # Coefficients of the camera's defocus, at the end of the vector.
@@ -49,12 +52,12 @@ DEFOCUS = 2
 
 @dataclass(frozen=True)
 class AdjustOptions:
-    """Selection of the estimated parameters and corrections.
+    """Selection of the estimated parameters and of a correction.
 
     Parameters
     ----------
-    freedom : parameters that are free, see `Freedom`
-    correct_dot_bias : subtract the perspective bias of dot centres
+    freedom : selection of the estimated parameters
+    correct_dot_bias : whether the perspective bias of dot centres is corrected
     """
 
     freedom: Freedom = field(default_factory=Freedom)
@@ -63,7 +66,7 @@ class AdjustOptions:
 
 @dataclass(frozen=True)
 class PixelRatio:
-    """Estimate of fy / fx of a device and its standard uncertainty; inf: not determined."""
+    """Estimate of fy / fx of a device; `sigma`: standard uncertainty, inf if not determined."""
 
     value: float
     sigma: float
@@ -71,24 +74,25 @@ class PixelRatio:
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """Adjusted rig, its uncertainty and residuals.
+    """Result of the adjustment: the rig, its uncertainty and the residuals.
 
     Parameters
     ----------
-    rig : camera, projector and motions
-    vector : (p,) float, all parameters in the order of `parameters`
-    covariance : (p, p) float; 0 for fixed parameters
-    pupil_mm2, pupil_sigma_mm2 : mean square of the x of the camera's pupil, a quarter of its
-        squared radius, and its standard uncertainty; 0 if it is not estimated
-    measured_px : per pose (n, 4) float: camera x, y, projector column, row of the features,
+    rig : camera, projector and poses
+    vector : (p,) float, parameter vector in the layout of module `parameters`
+    covariance : (p, p) float, covariance of `vector`; 0 for fixed parameters
+    pupil_mm2 : mean square of the x coordinate over the camera's pupil, which is a quarter of the
+        squared pupil radius; 0 if it is not estimated
+    pupil_sigma_mm2 : standard uncertainty of `pupil_mm2`
+    measured_px : for each pose (n, 4) float: camera x, y, projector column, row of the features,
         corrected for the perspective bias of dots and the displacement by defocus
-    residuals_px : per pose (n, 4) float: measured minus projected
-    used : per pose (n,) bool, features included in the fit
-    spread_px : standard deviation of the camera's residuals, and of the projector's without the
-        share that the camera's explain
-    degrees_of_freedom : measured numbers minus free parameters
-    pixel_ratios : of camera and projector, estimated by one step of the adjustment with both
-        free
+    residuals_px : for each pose (n, 4) float: measured minus projected
+    used : for each pose (n,) bool, features included in the fit
+    spread_px : standard deviation of the camera's residuals, and that of the projector's residuals
+        after subtraction of the part that the camera's residuals cause
+    degrees_of_freedom : number of residuals minus number of free parameters
+    pixel_ratios : fy / fx of camera and projector, estimated by one further step of the adjustment
+        with both ratios free
     """
 
     rig: RigEstimate
@@ -110,15 +114,19 @@ def adjust(
     options: AdjustOptions | None = None,
     most_rms_px: float = np.inf,
 ) -> Adjustment:
-    """Adjust the rig to the observations.
+    """Fit the rig and all board poses to the observations.
 
     Parameters
     ----------
-    most_rms_px : largest RMS of all residuals after the first turn; above it the fit stops
+    observations : one per board pose
+    start : starting values
+    options : estimated parameters and corrections; None: the defaults
+    most_rms_px : largest allowed RMS of all residuals after the first of several solutions
 
     Raises
     ------
-    InputError : the poses do not determine the free parameters, or the adjustment diverges
+    InputError : the poses do not determine the free parameters, the adjustment diverges, or the RMS
+        exceeds `most_rms_px`
     """
     chosen = options or AdjustOptions()
     problem = _Problem(observations, start, chosen)
@@ -135,9 +143,9 @@ def adjust(
 
 
 class _Problem:
-    """The reprojection residuals of all features as a function of the free parameters.
+    """The least squares problem: reprojection residuals as a function of the free parameters.
 
-    Vectors are those of `pack`, followed by the coefficients of the defocus.
+    A parameter vector is that of `pack`, followed by the two coefficients of the defocus.
     """
 
     def __init__(
@@ -160,7 +168,10 @@ class _Problem:
         self._used = [np.ones(len(observation.ids), dtype=np.bool_) for observation in observations]
 
     def measure(self, vector: FloatArray) -> None:
-        """Correct dot centres from the ellipses' to the imaged centres; update defocus slopes."""
+        """Correct the measured dot centres for perspective bias, and update the defocus slopes.
+
+        The detected centre of an ellipse is replaced by the image of the dot's centre.
+        """
         rig = self._rig(vector)
         middle_mm = float(np.median(rig.T_cam_from_board[:, 2, 3]))
         for k, (observation, T) in enumerate(
@@ -188,7 +199,7 @@ class _Problem:
         return rig
 
     def weigh(self, vector: FloatArray) -> None:
-        """Set spreads from the residuals (robustly) and exclude features far beyond them."""
+        """Estimate the standard deviations of the residuals robustly, and exclude outliers."""
         residuals = self._independent(vector)
         stacked = np.concatenate(residuals)
         for device in range(2):
@@ -210,7 +221,7 @@ class _Problem:
                 )
 
     def reprojection(self, vector: FloatArray) -> list[FloatArray]:
-        """Return measured minus projected pixels of every pose, (n, 4)."""
+        """Return measured minus projected pixels for each pose, (n, 4) px."""
         return [
             target - project_pose(vector, k, observation.points_mm)[0]
             for k, (observation, target) in enumerate(
@@ -219,7 +230,7 @@ class _Problem:
         ]
 
     def _sharp(self, vector: FloatArray) -> list[FloatArray]:
-        """Return the measured pixels corrected for defocus, (n, 4) px."""
+        """Return the measured pixels corrected for defocus, for each pose (n, 4) px."""
         coefficients = vector[-DEFOCUS:]
         return [
             target - slopes @ coefficients
@@ -227,7 +238,10 @@ class _Problem:
         ]
 
     def _independent(self, vector: FloatArray) -> list[FloatArray]:
-        """Return the residuals, the projector's without the camera's share, (n, 4)."""
+        """Return the independent residuals for each pose, (n, 4) px.
+
+        The part that the camera's residuals cause is subtracted from the projector's residuals.
+        """
         residuals = self.reprojection(vector)
         for pose_residuals, observation in zip(residuals, self._observations, strict=True):
             pose_residuals[:, 2:] -= np.einsum(
@@ -247,7 +261,7 @@ class _Problem:
         return self._slopes(vector + self._freedom @ free) @ self._freedom
 
     def _slopes(self, now: FloatArray) -> FloatArray:
-        """Return the derivatives of the weighted residuals by all parameters."""
+        """Return the derivatives of the weighted residuals by all parameters, at `now`."""
         weights, blocks = self._weights(), []
         for k, (observation, used) in enumerate(zip(self._observations, self._used, strict=True)):
             slopes = project_pose(now, k, observation.points_mm[used])[1]
@@ -257,7 +271,7 @@ class _Problem:
         return np.concatenate(blocks)
 
     def rms_px(self, vector: FloatArray) -> float:
-        """Return the RMS over all features and both devices."""
+        """Return the RMS of the reprojection residuals over all features and both devices, px."""
         return float(np.sqrt(np.mean(np.concatenate(self.reprojection(vector)) ** 2)))
 
     def solve(self, vector: FloatArray) -> FloatArray:
@@ -312,7 +326,10 @@ def _diverges() -> InputError:
 
 
 def _freedom(freedom: Freedom, size: int) -> FloatArray:
-    """Return the map from free changes to changes of the rig's parameters and of the defocus."""
+    """Return the matrix that maps changes of the free parameters to those of all parameters.
+
+    All parameters are those of the rig, `size` numbers, and the two coefficients of the defocus.
+    """
     rig = freedom_matrix(freedom, size)
     free = DEFOCUS if freedom.camera_defocus else 0
     whole = np.zeros((size + DEFOCUS, rig.shape[1] + free))
@@ -324,7 +341,7 @@ def _freedom(freedom: Freedom, size: int) -> FloatArray:
 def _pixel_ratios(
     vector: FloatArray, slopes: FloatArray, residuals: FloatArray, released: FloatArray
 ) -> tuple[PixelRatio, PixelRatio]:
-    """Return fy / fx of both devices after one Gauss-Newton step with both of them free."""
+    """Return fy / fx of camera and projector after one Gauss-Newton step with both ratios free."""
     jacobian = slopes @ released
     try:
         inverse = _covariance(jacobian)
@@ -346,7 +363,11 @@ def _pixel_ratios(
 def _pixel_ratio(
     vector: FloatArray, change: FloatArray, covariance: FloatArray, focal: slice
 ) -> PixelRatio:
-    """Return fy / fx; the step applies to its logarithm, so that it remains positive."""
+    """Return fy / fx, and its standard uncertainty, after a change of the parameters.
+
+    The change is applied to the logarithm of the ratio, so that the ratio remains positive.
+    `focal` is the slice of fx and fy in the parameter vector.
+    """
     fx, fy = vector[focal]
     slope = np.array([-1.0 / fx, 1.0 / fy])
     with np.errstate(over="ignore"):
@@ -355,7 +376,11 @@ def _pixel_ratio(
 
 
 def _covariance(jacobian: FloatArray) -> FloatArray:
-    """Invert J^T J with scaled columns by QR; raise InputError if the data do not determine it."""
+    """Return the inverse of J^T J for a Jacobian J; raise InputError if J^T J is singular.
+
+    It is computed from the QR decomposition of J, scaled to columns of unit length, and the
+    singular values of R.
+    """
     scale = np.linalg.norm(jacobian, axis=0)
     if np.any(scale == 0.0):
         raise _undetermined()
@@ -376,7 +401,10 @@ def _undetermined() -> InputError:
 def _spreads(
     residuals: Sequence[FloatArray], used: Sequence[BoolImage], share: float
 ) -> tuple[float, float]:
-    """Return the standard deviation of both devices' residuals, corrected for free parameters."""
+    """Return the standard deviation of the residuals of camera and projector, px.
+
+    `share` is degrees of freedom / number of residuals, a correction for the free parameters.
+    """
     used_residuals = np.concatenate(
         [residual[u] for residual, u in zip(residuals, used, strict=True)]
     )

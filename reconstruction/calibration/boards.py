@@ -1,8 +1,9 @@
-"""Boards as data: positions of their features and of their ink.
+"""Definitions of the calibration boards: positions of their features and of their ink.
 
 Board frame: x right, y up, z out of the printed face, origin in the middle of the pattern, mm.
-Feature (column, row) counts from the top left; its id is row * columns + column. Printer and
-detector share these definitions.
+A feature is a dot or an inner corner. Columns and rows of features are counted from the top left;
+the id of a feature is row * columns + column. The printing and the detection of a board use these
+definitions.
 """
 
 from dataclasses import dataclass
@@ -16,22 +17,24 @@ from reconstruction.errors import InputError, require_integer, require_number
 
 Indices = NDArray[np.integer[Any]]
 MARKER_DICTIONARY = "DICT_4X4_250"
-# Resolution of the drawing from which a ChArUco board is printed, per square.
+# Resolution, texels per square, of the image from which a ChArUco board is printed.
 MARKER_TEXELS = 60
 
 
 @dataclass(frozen=True)
 class DotBoard:
-    """Dark dots on white in a square grid; three larger dots fix origin and orientation.
+    """Board with dark dots on white in a square grid, three of which are larger.
 
-    The larger dots are `origin`, the dot two columns to its right and the dot above it. They
-    identify the visible part of a board and its rotation; a mirrored image is rejected.
+    The larger dots are a dot near the middle, the dot two columns to its right and the dot one row
+    above it. They identify the visible part of the board and its rotation. A mirrored image of the
+    board is rejected.
 
     Parameters
     ----------
-    columns, rows : dots of the grid
+    columns, rows : number of columns and rows of dots
     pitch_mm : distance of neighbouring dots
-    dot_diameter_mm, fiducial_diameter_mm : of the normal and of the three larger dots
+    dot_diameter_mm : diameter of the normal dots
+    fiducial_diameter_mm : diameter of the three larger dots
     """
 
     columns: int
@@ -44,33 +47,37 @@ class DotBoard:
         require_integer("board columns", self.columns, 4, 1000)
         require_integer("board rows", self.rows, 4, 1000)
         require_number("board pitch_mm", self.pitch_mm, 0.0, open_low=True)
-        # Below 1.4 the areas differ by less than 2 and blur can hide the difference; above 0.72 of
-        # the pitch the white ring, which gives brightness and phase, is too narrow.
+        # Below a ratio of 1.4 of the diameters the areas differ by less than a factor of two, which
+        # blur can hide. Above 0.72 of the pitch the white ring around a dot, from which brightness
+        # and phase are measured, is too narrow.
         require_number("board dot_diameter_mm", self.dot_diameter_mm, 0.0, open_low=True)
         low_mm, high_mm = 1.4 * self.dot_diameter_mm, 0.72 * self.pitch_mm
         require_number("board fiducial_diameter_mm", self.fiducial_diameter_mm, low_mm, high_mm)
 
     @property
     def points_mm(self) -> FloatArray:
-        """Dot centres by id, (n, 3)."""
+        """Centres of the dots in the order of their ids, (n, 3) mm, board frame."""
         return _grid_mm(self.columns, self.rows, self.pitch_mm)
 
     @property
     def radii_mm(self) -> FloatArray:
-        """Dot radii by id, (n,)."""
+        """Radii of the dots in the order of their ids, (n,) mm."""
         radii = np.full(self.columns * self.rows, self.dot_diameter_mm / 2.0)
         radii[list(self.fiducial_ids)] = self.fiducial_diameter_mm / 2.0
         return radii
 
     @property
     def fiducial_ids(self) -> tuple[int, int, int]:
-        """Ids of the larger dots: origin, two columns to its right, one row above it."""
+        """Ids of the larger dots: near the middle, two columns right of it, one row above it."""
         column, row = self.columns // 2 - 1, self.rows // 2
         origin = row * self.columns + column
         return origin, origin + 2, origin - self.columns
 
     def ink(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float) -> FloatArray:
-        """Share of ink at board positions x (col,) and y (row,): (row, col), with edge width."""
+        """Return the share of ink, 0 to 1, (row, col), at board positions x (col,) and y (row,).
+
+        At the edges of the print the share changes linearly over the width `edge_mm`.
+        """
         centre = _grid_mm(self.columns, self.rows, self.pitch_mm)[0]
         column = np.clip(np.rint((x_mm - centre[0]) / self.pitch_mm), 0, self.columns - 1)
         row = np.clip(np.rint((centre[1] - y_mm) / self.pitch_mm), 0, self.rows - 1)
@@ -83,14 +90,15 @@ class DotBoard:
 
 @dataclass(frozen=True)
 class Chessboard:
-    """Plain chessboard, entirely in view.
+    """Board with a chessboard pattern without markers; the camera must view all of it.
 
-    A rotation by 180 degrees may be undetected: it only rotates the pose, without other effect.
+    A rotation by 180 degrees may not be detected. It rotates the estimated pose of the board and
+    has no other effect.
 
     Parameters
     ----------
-    columns, rows : INNER corners
-    square_mm : side of a square
+    columns, rows : number of columns and rows of INNER corners
+    square_mm : side length of a square
     """
 
     columns: int
@@ -104,11 +112,14 @@ class Chessboard:
 
     @property
     def points_mm(self) -> FloatArray:
-        """Inner corners by id, (n, 3)."""
+        """Positions of the inner corners in the order of their ids, (n, 3) mm, board frame."""
         return _grid_mm(self.columns, self.rows, self.square_mm)
 
     def ink(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float) -> FloatArray:
-        """Share of ink at board positions x (col,) and y (row,): (row, col), with edge width."""
+        """Return the share of ink, 0 to 1, (row, col), at board positions x (col,) and y (row,).
+
+        At the edges of the print the share changes linearly over the width `edge_mm`.
+        """
         corner = self.points_mm[0]
         across = _square_wave(x_mm - corner[0], self.square_mm, edge_mm)
         down = _square_wave(corner[1] - y_mm, self.square_mm, edge_mm)
@@ -121,9 +132,9 @@ class CharucoBoard:
 
     Parameters
     ----------
-    columns, rows : INNER corners
-    square_mm : side of a square
-    marker_mm : side of a marker
+    columns, rows : number of columns and rows of INNER corners
+    square_mm : side length of a square
+    marker_mm : side length of a marker
     """
 
     columns: int
@@ -142,11 +153,11 @@ class CharucoBoard:
 
     @property
     def points_mm(self) -> FloatArray:
-        """Inner corners by id, (n, 3)."""
+        """Positions of the inner corners in the order of their ids, (n, 3) mm, board frame."""
         return _grid_mm(self.columns, self.rows, self.square_mm)
 
     def opencv(self) -> Any:
-        """Return the `cv2.aruco.CharucoBoard`."""
+        """Return this board as a `cv2.aruco.CharucoBoard`."""
         import cv2
 
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, MARKER_DICTIONARY))
@@ -154,7 +165,10 @@ class CharucoBoard:
         return cv2.aruco.CharucoBoard(size, self.square_mm, self.marker_mm, dictionary)
 
     def ink(self, x_mm: FloatArray, y_mm: FloatArray, edge_mm: float) -> FloatArray:
-        """Share of ink at board positions x (col,) and y (row,): (row, col), with edge width."""
+        """Return the share of ink, 0 to 1, (row, col), at board positions x (col,) and y (row,).
+
+        At the edges of the print the share changes linearly over the width `edge_mm`.
+        """
         image = self.opencv().generateImage(
             ((self.columns + 1) * MARKER_TEXELS, (self.rows + 1) * MARKER_TEXELS)
         )
@@ -179,16 +193,22 @@ def _grid_mm(columns: int, rows: int, pitch_mm: float) -> FloatArray:
 
 
 def _square_wave(offset_mm: FloatArray, square_mm: float, edge_mm: float) -> FloatArray:
-    """Alternate between -1 and 1 at every multiple of the square, with edges of finite width."""
+    """Return a wave between -1 and 1 that changes sign at multiples of `square_mm`.
+
+    The change is linear over the width `edge_mm`.
+    """
     nearest = np.rint(offset_mm / square_mm)
     rise = np.clip(2.0 * (offset_mm - nearest * square_mm) / edge_mm, -1.0, 1.0)
     return np.asarray(np.where(nearest % 2.0 == 0.0, rise, -rise))
 
 
 def _box_average(image: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Average rows of an image between positions low and high (n,), texel borders at integers.
+    """Return the means of image rows between positions `low` and `high`, (n, columns).
 
-    Outside the image the value is 0.
+    Parameters
+    ----------
+    image : (row, column); outside of it the value is 0
+    low, high : (n,) ends of the n intervals; row k is between the positions k and k + 1
     """
     total = np.concatenate([np.zeros((1, image.shape[1])), np.cumsum(image, axis=0)])
     upper, lower = (_interpolate(total, np.clip(p, 0.0, len(image))) for p in (high, low))

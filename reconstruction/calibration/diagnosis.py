@@ -1,7 +1,7 @@
-"""Find the change of the input that makes an implausible calibration plausible.
+"""Find a change of the input that makes an implausible calibration plausible.
 
-Each common mistake with real rigs is reversed in a copy of the observations, or permitted by the
-model, and the rig is adjusted again. The first change for which all checks pass is reported.
+For each common mistake with real rigs, a copy of the observations is corrected or the model is
+extended, and the rig is calibrated again. The first change for which all checks pass is reported.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,15 +23,18 @@ NO_CAUSE = (
     "the captures has the projector's size and the order and sign of the frames"
 )
 MIRRORED = "mirrored"
-# With the right change only a few outliers remain; a wrong change has a larger RMS.
+# Largest RMS residual of a trial after its first iteration; it is larger with a wrong change.
 GIVE_UP_PX = 5.0
-# Radial terms over a wide field.
+# Radial distortion coefficients that are estimated if the lenses may distort strongly.
 RADIAL: tuple[Distortion, ...] = ("k1", "k2")
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Changed observations or options, and the remedy to report if they fit."""
+    """A trial calibration: changed observations or options, and the remedy to report on success.
+
+    remedy : sentence for the error message; "" or MIRRORED: it is made from the result
+    """
 
     observations: Sequence[Observation]
     options: AdjustOptions
@@ -41,11 +44,13 @@ class _Trial:
 def remedy_for(
     observations: Sequence[Observation], options: AdjustOptions, failed: Adjustment | None
 ) -> str:
-    """Return the change that makes the calibration plausible, or a list of checks if none does.
+    """Return advice for the user: the change that makes the calibration plausible.
+
+    If no change does, the advice is NO_CAUSE, a general list of points to check.
 
     Parameters
     ----------
-    failed : the implausible adjustment, if there is one
+    failed : the implausible adjustment; None: the adjustment failed
     """
     for trial in _trials(observations, options, failed):
         fit = _plausible_fit(trial)
@@ -73,7 +78,7 @@ def _trials(
         _Trial(observations, released, ""),
         _Trial([_mirrored(observation) for observation in observations], released, MIRRORED),
     ]
-    # With a mirrored projector the linear solution has the boards behind it.
+    # For mirrored projector images the linear solution has the boards behind the projector.
     yield from trials if is_resected(observations, free) else reversed(trials)
     radial = replace(options.freedom, camera_distortion=RADIAL, projector_distortion=RADIAL)
     yield _Trial(
@@ -97,7 +102,7 @@ def _rms(residuals_px: FloatArray) -> float:
 
 
 def _mirrored(observation: Observation) -> Observation:
-    """Return the observation with the projector's columns counted from the opposite side."""
+    """Return the observation with the projector columns counted in the opposite direction."""
     columns = observation.projector_size_px[0] - 1 - observation.projector_px[:, 0]
     return replace(
         observation,
@@ -114,7 +119,7 @@ def _remedy(trial: _Trial, fit: Adjustment, declared: Freedom) -> str:
 
 
 def _mirror_remedy(fit: Adjustment) -> str:
-    """Return which axes are exchanged or counted backwards; both mirror the image."""
+    """Return advice for mirrored projector images: axes exchanged, or one counted backwards."""
     roll_deg = abs(np.degrees(rotation_vector(fit.rig.T_proj_from_cam[:3, :3])[2]))
     if 45.0 < roll_deg < 135.0:
         return (
@@ -151,6 +156,6 @@ def _differs(ratio: float, declared: float | None) -> bool:
 
 
 def _simple(ratio: float) -> float:
-    """Return 2, 1 or 1/2 if the ratio is within the tolerance of it, or else the ratio."""
+    """Return 2, 1 or 1/2 if the ratio is equal to it within RATIO_TOLERANCE, else the ratio."""
     near = [simple for simple in (0.5, 1.0, 2.0) if abs(ratio / simple - 1.0) < RATIO_TOLERANCE]
     return near[0] if near else ratio

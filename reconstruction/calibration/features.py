@@ -1,7 +1,10 @@
-"""Find features of a board in an image: dots with their ids, corners.
+"""Detect the features of a board, dots or corners, and their ids in an image.
 
-Dot centres, to a few thousandths of a pixel, are grey-level centroids of the ink; the three larger
-dots give the frame, from which the grid is extended. Corners are OpenCV's, to sub-pixels.
+The centre of a dot is the grey-level centroid of its ink, with an error of a few thousandths of a
+pixel. The three larger dots give the origin and the axes of the grid, to which further dots are
+added. Corners are detected by OpenCV with sub-pixel refinement.
+
+An image of relative brightness is the input: brightness divided by that of white print.
 """
 
 from dataclasses import dataclass
@@ -15,23 +18,24 @@ from reconstruction.calibration.boards import CharucoBoard, Chessboard, DotBoard
 from reconstruction.calibration.plane_images import apply_homography, fit_homography
 from reconstruction.errors import InputError
 
-# A smaller blob has too few pixels to classify its shape.
+# Least area of a dot; a smaller blob has too few pixels to classify its shape.
 MIN_AREA_PX = 40
 # Largest relative difference of a dot's area from the ellipse with the same second moments.
 ELLIPSE_TOLERANCE = 0.12
 MIN_AXIS_RATIO = 0.45
-# In units of the dot's own ellipse: limit of its ink, and limits of the white ring around it.
+# Distances from the centre in units of the dot's ellipse: limit of the ink, limits of the ring of
+# white print around it.
 CENTROID_REACH, RING_INNER, RING_OUTER = 1.25, 1.3, 1.65
 # Largest distance of a dot from its grid position, in pitches, when the grid is extended.
 GROW_TOLERANCE = 0.2
 # Least ratio of a larger dot's area to the median area (at least 1.4^2 = 1.96 without tilt).
 LARGE_AREA = 1.5
 MAX_CANDIDATES = 8
-# Perspective makes the three large dots' areas differ a little.
+# Largest ratio of the areas of the three larger dots, which differ by perspective.
 AREA_SPREAD = 1.35
 MIN_DOTS = 12
-# Share of the dots within the board's outline that must be on the grid: a mirrored board fits a
-# sheared grid, but only with every second dot.
+# Least share of the dots within the board's outline that must be on the grid. A mirrored board fits
+# a sheared grid, but only with every second dot.
 MIN_ON_GRID = 0.8
 
 SOFTEN_PX = 2.0
@@ -40,13 +44,13 @@ REFINE_TURNS, REFINE_STEP_PX = 60, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class FoundDots:
-    """Dots found in an image.
+    """Dots detected in an image, without ids.
 
     Parameters
     ----------
-    centres_px : (n, 2) float, centroid of the ink
-    areas_px : (n,) float
-    moments_px2 : (n, 2, 2) float, second moments of the filled ellipse
+    centres_px : (n, 2) float, column and row of the centroid of each dot
+    areas_px : (n,) float, area of each dot, px^2
+    moments_px2 : (n, 2, 2) float, central second moments of the pixels of each dot
     """
 
     centres_px: FloatArray
@@ -54,14 +58,19 @@ class FoundDots:
     moments_px2: FloatArray
 
     def chosen(self, keep: Indices) -> "FoundDots":
-        """Return the dots of an index array."""
+        """Return the dots with the indices `keep`."""
         return FoundDots(self.centres_px[keep], self.areas_px[keep], self.moments_px2[keep])
 
 
 def find_dots(relative: FloatImage, threshold: float) -> FoundDots:
-    """Find dark ellipses in a brightness relative to white, without those cut by the border.
+    """Detect dark ellipses that the image border does not cut.
 
-    Centres are those of the thresholded blobs; `refine_centres` gives sub-pixel precision.
+    The centres are centroids of the pixels below `threshold`; `refine_centres` improves them.
+
+    Parameters
+    ----------
+    relative : (row, col) brightness relative to white print
+    threshold : relative brightness below which a pixel is ink
     """
     ink = (relative < threshold).astype(np.uint8)
     count, labels, stats, centroids = cv2.connectedComponentsWithStats(ink, connectivity=4)
@@ -82,7 +91,7 @@ def find_dots(relative: FloatImage, threshold: float) -> FoundDots:
 def _inside(stats: FloatArray, shape: tuple[int, int]) -> bool:
     left, top, width, height, area = stats
     touches = left <= 0 or top <= 0 or left + width >= shape[1] or top + height >= shape[0]
-    # At most 25 % of the image: excludes the dark surroundings of the board.
+    # The upper limit, 25 % of the image, excludes the dark surroundings of the board.
     return not touches and MIN_AREA_PX <= area <= 0.25 * shape[0] * shape[1]
 
 
@@ -103,11 +112,12 @@ def _is_ellipse(moments: FloatArray, area: float) -> bool:
 
 
 def refine_centres(relative: FloatImage, dots: FoundDots) -> tuple[FloatArray, BoolImage]:
-    """Return grey-level centroids of the ink, (n, 2) px, and which dots have a whole white ring.
+    """Return grey-level centroids (n, 2) px, and a mask (n,): True where the centroid is refined.
 
-    Each dot is compared with a plane fitted to the white around it, so that shading does not
-    shift it: ink = 1 - brightness / white. The centroid of a uniform ellipse is its centre, with
-    any symmetric blur.
+    A dot keeps its centre if the image border cuts the ring of white print around it. The share of
+    ink at a pixel is 1 - brightness / white. The white level is a plane fitted to the ring, so that
+    shading does not shift the centroid. The centroid of a uniform ellipse is its centre, also with
+    symmetric blur.
     """
     centres = dots.centres_px.copy()
     is_whole = np.zeros(len(centres), dtype=np.bool_)
@@ -139,7 +149,11 @@ def _centroid(relative: FloatImage, centre: FloatArray, moments: FloatArray) -> 
 def _window(
     relative: FloatImage, centre: FloatArray, moments: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-    """Return x, y from a dot's centre, brightness, and distance in units of its ellipse."""
+    """Return the pixels around a dot: x, y from its centre, px, brightness and scaled distance.
+
+    The distance from the centre is scaled such that it is 1 on the border of the dot's ellipse.
+    None: the image border cuts the window.
+    """
     half = np.ceil(2.0 * RING_OUTER * np.sqrt(np.diag(moments))).astype(int) + 1
     first = np.rint(centre).astype(int) - half
     last = np.rint(centre).astype(int) + half + 1
@@ -154,11 +168,12 @@ def _window(
 
 
 def label_dots(board: DotBoard, dots: FoundDots) -> tuple[list[int], list[int]]:
-    """Return (ids, indices into dots) of the dots that belong to the board's grid.
+    """Return the ids on the board of the dots on its grid, and their indices in `dots`.
 
     Raises
     ------
-    InputError : the larger dots are not recognised, the image is mirrored, or too few dots remain
+    InputError : the larger dots are not recognised, the image is mirrored, or too few dots are on
+        the grid
     """
     large = _large(dots)
     reason = f"{len(large)} larger dots found among {len(dots.areas_px)}, needed are 3"
@@ -187,7 +202,11 @@ def _large(dots: FoundDots) -> list[int]:
 def _grow(
     board: DotBoard, dots: FoundDots, triple: tuple[int, int, int]
 ) -> tuple[list[int], list[int]]:
-    """Extend the grid ring by ring from an assumed origin, right and upper dot."""
+    """Return ids and indices of the dots on the grid of three assumed larger dots.
+
+    `triple` has the indices of the origin, the right and the upper dot. The grid is extended from
+    them ring by ring.
+    """
     no_match: tuple[list[int], list[int]] = ([], [])
     origin, right, upper = dots.centres_px[list(triple)]
     across, up = (right - origin) / 2.0, upper - origin
@@ -227,7 +246,7 @@ def _grow_rings(
 
 
 def _unique(ids: Indices, members: Indices) -> tuple[list[int], list[int]]:
-    """Remove dots that share a place in the grid; sort by place."""
+    """Return the dots with a unique id, sorted by id: their ids and their indices."""
     unique_ids, first, counts = np.unique(ids[members], return_index=True, return_counts=True)
     single = counts == 1
     return unique_ids[single].tolist(), members[first[single]].tolist()
@@ -236,7 +255,11 @@ def _unique(ids: Indices, members: Indices) -> tuple[list[int], list[int]]:
 def find_corners(
     board: Chessboard | CharucoBoard, relative: FloatImage
 ) -> tuple[Indices, FloatArray]:
-    """Return ids (n,) and image positions (n, 2) px of the visible corners.
+    """Return ids (n,) and image positions (n, 2), column and row, px, of the visible corners.
+
+    Parameters
+    ----------
+    relative : (row, col) brightness relative to white print
 
     Raises
     ------
@@ -276,7 +299,7 @@ def _charuco(board: CharucoBoard, image: Levels) -> tuple[Indices, FloatArray]:
 
 
 def _clear_share(board: Chessboard | CharucoBoard) -> float:
-    """Return the half window round a corner, in squares, that contains no other edge."""
+    """Return the largest half width of a window around a corner without other edges, in squares."""
     if isinstance(board, Chessboard):
         return 0.4
     return min(0.4, 0.4 * (1.0 - board.marker_mm / board.square_mm))
@@ -287,7 +310,7 @@ def _refined(image: Levels, corners: FloatArray, share: float) -> FloatArray:
     half = int(np.clip(share * spacing, 2, 30))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, REFINE_TURNS, REFINE_STEP_PX)
     start = np.ascontiguousarray(corners, dtype=np.float32).reshape(-1, 1, 2)
-    # Sharp edges alias: without this blur the corners shift by 0.05 px towards pixel centres.
+    # Without this blur sharp edges alias, and corners shift by 0.05 px towards pixel centres.
     soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), min(SOFTEN_PX, half / 3.0))
     refined = cv2.cornerSubPix(soft, start, (half, half), (-1, -1), criteria)
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)

@@ -1,8 +1,9 @@
-"""Starting values: the camera by OpenCV, the projector as the inverse camera by resection.
+"""Compute starting values of a calibration: the camera by OpenCV, the projector by resection.
 
-OpenCV starts from a principal point in the middle of the image and rejects a guess outside it; a
-projector's may be outside. The camera's calibration converts all boards into ONE spatial set of
-points. A projection matrix follows from it linearly, for any principal point.
+OpenCV's camera calibration starts from a principal point in the middle of the image and rejects
+one outside the image. The principal point of a projector may be outside. Therefore the calibrated
+camera gives the board features of all poses as ONE set of points in space. The projection matrix of
+the projector follows from these points and its coordinates linearly, for any principal point.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ from reconstruction.rig.pinhole import Pinhole
 
 MIN_POSES = 3
 SQUARE_PIXELS = Freedom()
-# Only the focal length is free: weakly determined parameters must not drift at the start.
+# Only the focal length is estimated: other parameters are weakly determined at the start.
 CAMERA_FLAGS = (
     cv2.CALIB_FIX_PRINCIPAL_POINT
     | cv2.CALIB_FIX_ASPECT_RATIO
@@ -29,7 +30,7 @@ CAMERA_FLAGS = (
     | cv2.CALIB_FIX_K2
     | cv2.CALIB_FIX_K3
 )
-# Least spread of the board normals; below it focal length and distance are not separable.
+# Least angle between any two board normals; with less, focal length and distance are not separable.
 MIN_TILT_SPREAD_DEG = 3.0
 # Accepted results of a resection: focal length in image widths, and the ratio of fy / fx to the
 # pixel ratio.
@@ -46,7 +47,12 @@ FALLBACK_THROW = 1.4
 def starting_rig(
     observations: Sequence[Observation], freedom: Freedom = SQUARE_PIXELS
 ) -> RigEstimate:
-    """Return a first estimate of the whole rig; only the pixel ratios of `freedom` are used.
+    """Return a first estimate of camera, projector and all poses.
+
+    Parameters
+    ----------
+    observations : one per board pose
+    freedom : only its pixel ratios are used
 
     Raises
     ------
@@ -66,7 +72,7 @@ def starting_rig(
 
 
 def is_resected(observations: Sequence[Observation], freedom: Freedom) -> bool:
-    """Whether the linear solution for the projector has all features in front of it."""
+    """Return True if the projector's linear solution has all features in front of the projector."""
     motions = _start_camera(observations, freedom.camera_pixel_ratio)[1]
     return resect(*_in_space(observations, motions)) is not None
 
@@ -74,7 +80,7 @@ def is_resected(observations: Sequence[Observation], freedom: Freedom) -> bool:
 def _in_space(
     observations: Sequence[Observation], motions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return all features in the camera's frame, (n, 3) mm, and in the projector, (n, 2) px."""
+    """Return the features of all poses: camera frame, (n, 3) mm; projector pixels, (n, 2) px."""
     poses = zip(observations, motions, strict=True)
     points = [observation.points_mm @ T[:3, :3].T + T[:3, 3] for observation, T in poses]
     return np.concatenate(points), np.concatenate(
@@ -162,8 +168,8 @@ def _start_projector(
         if low < fx < high and 1.0 / MAX_RATIO < deviation < MAX_RATIO:
             cx, cy = float(matrix[0, 2]), float(matrix[1, 2])
             return Pinhole(size[0], size[1], fx, fy, cx, cy), motion
-    # The linear solution fails with strong noise: start from a typical projector with a centred
-    # lens, posed by the points; the adjustment then moves its principal point.
+    # The linear solution fails with strong noise. Then the start is a typical projector with its
+    # principal point in the image centre; the points give its pose.
     fx = FALLBACK_THROW * size[0]
     fy = (pixel_ratio or 1.0) * fx
     matrix = np.array([[fx, 0.0, (size[0] - 1) / 2], [0.0, fy, (size[1] - 1) / 2], [0.0, 0.0, 1.0]])
@@ -186,12 +192,19 @@ def _require_spread(pixels_px: FloatArray) -> None:
 
 
 def resect(points_mm: FloatArray, pixels_px: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return camera matrix (3, 3) and motion (4, 4) of a pinhole from points in space, or None.
+    """Return camera matrix (3, 3) and pose (4, 4) of a pinhole from points and their images.
+
+    None: the linear solution is no pinhole with all points in front of it.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) points in space; the pose maps their frame to the device's frame
+    pixels_px : (n, 2) images of the points
 
     Notes
     -----
     Direct linear transformation with normalised coordinates: Hartley and Zisserman, Multiple View
-    Geometry, algorithm 7.1. The principal point may be anywhere.
+    Geometry, algorithm 7.1. The principal point may be outside the image.
     """
     space, image = normaliser(points_mm), normaliser(pixels_px)
     X = np.column_stack([points_mm, np.ones(len(points_mm))]) @ space.T

@@ -1,7 +1,7 @@
-"""Board captures, and the features in them: positions in camera and projector pixels.
+"""Read captures of a board and measure its features in camera and projector pixels.
 
-A capture of an uncalibrated rig. Features are detected in the brightness relative to the white
-print around them, so that the lighting has no effect.
+A board capture may be of an uncalibrated rig. Features are detected in the brightness relative to
+the white print around them, so that the lighting has no effect.
 """
 
 from dataclasses import dataclass
@@ -25,17 +25,18 @@ from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import AXES
 from reconstruction.rig.sensor import SensorNoise
 
-# Formats of recorded poses; a folder with such files but no description is an error.
+# Formats of recorded images; a folder with such files but without a description is an error.
 RECORDED = {".png", ".tif", ".tiff", ".bmp", ".exr", ".nc"}
 # Half side of the window in which the phase is fitted, in feature distances.
 WINDOW = 1.1
-# No filter: it would spread the phase over the edge of a dot.
+# The spatial filter is off, because it would spread the phase over the edge of a dot.
 UNFILTERED = DecodeOptions(filter_taps=0)
-# Width of the excluded edge, as a share of the feature distance (at least one pixel).
+# Width of the excluded border of the white print, as a share of the feature distance; at least one
+# pixel.
 EDGE_SHARE = 0.03
 
-# Window of the white level, a local maximum, as a share of the image height: larger than any dot or
-# square, small enough to follow the projector's fall-off.
+# Window in which the maximum is the local white level, as a share of the image height. It is larger
+# than any dot or square, and small enough to follow the fall-off of the projector's light.
 WINDOW_SHARE = 0.25
 WORK_HEIGHT_PX = 180
 
@@ -45,12 +46,12 @@ BoardCapture = UncalibratedCapture
 
 
 def read_board_capture(folder: Path | str) -> BoardCapture:
-    """Read a capture that may have no calibration file.
+    """Read the capture of one board pose, which needs no calibration file.
 
     Raises
     ------
-    CaptureError : a file is missing, damaged or does not fit the others, or the frames are clearly
-        in another order
+    CaptureError : a file is missing, damaged or does not fit the others; the frames are clearly in
+        another order than described; or there are no fringes along an axis, no white or no black
     """
     found = read_uncalibrated(folder)
     if found.patterns.axes != AXES or not found.patterns.uniform:
@@ -60,11 +61,12 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
 
 
 def pose_folders(folder: Path | str) -> list[Path]:
-    """Return the pose folders inside `folder` in the order of their names.
+    """Return the folders inside `folder` with a capture each, in the order of their names.
 
     Raises
     ------
-    CaptureError : there is none, or one contains images without a capture.toml
+    CaptureError : `folder` is missing or has no captures, or a folder in it has images but no
+        capture.toml
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -87,18 +89,19 @@ def pose_folders(folder: Path | str) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Features of one board pose.
+    """Measured features of a board in one pose, the input of a calibration.
 
     Parameters
     ----------
-    name : of the pose, for messages
-    points_mm : (n, 3) float, board frame
-    radii_mm : (n,) float, of dots; 0 for corners
-    camera_px : (n, 2) float; for dots the centre of the imaged ellipse, not the imaged centre
-    projector_px : (n, 2) float, column and row at `camera_px`
-    slopes : (n, 2, 2) float, d(projector) / d(camera) on the board there
-    ids : (n,) int
-    camera_size_px, projector_size_px : width, height
+    name : name of the pose, for messages
+    points_mm : (n, 3) float, positions of the features in the board frame
+    radii_mm : (n,) float, radii of the dots; 0 for corners
+    camera_px : (n, 2) float, column and row; for a dot the centre of its image, an ellipse, not the
+        image of its centre
+    projector_px : (n, 2) float, projector column and row of the board at `camera_px`
+    slopes : (n, 2, 2) float, d(projector column, row) / d(camera x, y) at `camera_px`
+    ids : (n,) int, ids of the features on the board
+    camera_size_px, projector_size_px : image size (width, height)
     """
 
     name: str
@@ -113,11 +116,17 @@ class Observation:
 
 
 def observe(capture: BoardCapture, board: Board, name: str = "pose") -> Observation:
-    """Find the board's features and their projector coordinates.
+    """Measure the features of a board in a capture: camera and projector coordinates.
+
+    Parameters
+    ----------
+    capture : frames of one board pose
+    board : the recorded board
+    name : name of the pose, for messages
 
     Raises
     ------
-    InputError : the board is not recognised, or no fringes are decoded on it; names the pose
+    InputError : the board is not recognised, or no fringes are decoded on it
     """
     try:
         return _observe(capture, board, name)
@@ -161,7 +170,7 @@ def _observe(capture: BoardCapture, board: Board, name: str) -> Observation:
 
 
 def _features(board: Board, relative: FloatImage, threshold: float) -> tuple[Indices, FloatArray]:
-    """Return ids (n,) and camera pixels (n, 2) of the visible features."""
+    """Return the ids (n,) and the camera positions (n, 2), px, of the visible features."""
     if not isinstance(board, DotBoard):
         return find_corners(board, relative)
     dots = find_dots(relative, threshold)
@@ -171,7 +180,7 @@ def _features(board: Board, relative: FloatImage, threshold: float) -> tuple[Ind
 
 
 def _spacing_px(points_mm: FloatArray, camera_px: FloatArray) -> float:
-    """Return the image distance of two neighbouring features in the middle of the view."""
+    """Return the image distance, px, of neighbouring features in the middle of the visible ones."""
     H = fit_homography(points_mm[:, :2], camera_px)
     middle = points_mm[:, :2].mean(axis=0)
     gaps = np.linalg.norm(points_mm[:, np.newaxis, :2] - points_mm[:, :2], axis=-1)
@@ -181,14 +190,21 @@ def _spacing_px(points_mm: FloatArray, camera_px: FloatArray) -> float:
 
 
 def brightness(decoded: Decoded, sensor: SensorNoise) -> FloatImage:
-    """Return the mean of all phase frames above black, (row, col) DN: no fringe, little noise."""
+    """Return the mean of all phase frames minus the black level, (row, col) DN.
+
+    It contains no fringes and little noise.
+    """
     mean_dn = 0.5 * (decoded.column.mean_dn + decoded.row.mean_dn)
     above_dn = np.maximum(mean_dn - np.float32(sensor.black_level_dn), 0.0)
     return np.asarray(above_dn, dtype=np.float32)
 
 
 def relative_brightness(image_dn: FloatImage) -> FloatImage:
-    """Divide by the local white level, (row, col); white is about 1.
+    """Return the brightness (row, col) divided by that of white print nearby; white is about 1.
+
+    Parameters
+    ----------
+    image_dn : (row, col) brightness above black
 
     Raises
     ------
@@ -202,21 +218,26 @@ def relative_brightness(image_dn: FloatImage) -> FloatImage:
     side = max(3, round(WINDOW_SHARE * small.shape[0]))
     white = cv2.blur(cv2.dilate(small, np.ones((side, side), np.uint8)), (side, side))
     white = cv2.resize(white, (cols, rows), interpolation=cv2.INTER_LINEAR)
-    # Outside the board there is no white reference.
+    # Lower limit of the white level: outside the board there is no white print.
     floor = np.float32(0.05) * image_dn.max()
     return np.asarray(image_dn / np.maximum(white, floor), dtype=np.float32)
 
 
 def ink_threshold(relative: FloatImage) -> float:
-    """Return the level between ink and white (Otsu 1979)."""
+    """Return the relative brightness that separates ink from white print (Otsu 1979)."""
     levels = np.clip(relative * 200.0, 0, 255).astype(np.uint8)
     return float(cv2.threshold(levels, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[0]) / 200.0
 
 
 def white_print(relative: FloatImage, threshold: float, margin_px: int) -> BoolImage:
-    """Return the white pixels at least `margin_px` away from ink, (row, col) bool.
+    """Return the mask (row, col) bool of the white pixels more than `margin_px` away from ink.
 
-    Pixels on an edge mix two places of the board and bias their phase towards the brighter place.
+    Pixels on an edge are left out, because their phase is biased towards that of the brighter side.
+
+    Parameters
+    ----------
+    relative : (row, col) brightness relative to white print
+    threshold : relative brightness above which a pixel is white
     """
     white = (relative > threshold).astype(np.uint8)
     kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)

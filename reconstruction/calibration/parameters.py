@@ -1,21 +1,28 @@
-"""The rig and the board poses as one vector, and the projection of the boards' features.
+"""Parameter vector of the rig and all board poses, and the projection of board features by it.
 
-Layout: camera fx fy cx cy k1 k2 p1 p2 k3, projector likewise, T_proj_from_cam (rotation vector in
-rad, translation in mm), then T_cam_from_board of every pose likewise.
+| elements | parameters |
+|---|---|
+| 0 to 8 | fx fy cx cy k1 k2 p1 p2 k3 of the camera |
+| 9 to 17 | the same numbers of the projector |
+| 18 to 23 | T_proj_from_cam: rotation vector (rad), translation (mm) |
+| 6 per pose | T_cam_from_board: rotation vector (rad), translation (mm) |
 
-A field of a few degrees does not determine all of them. Free parameters (`Freedom`) and reasons:
+A field of view of a few degrees does not determine all parameters. By default (`Freedom`) the
+parameters are fixed or free as follows:
 
-- the ratio fy / fx, the width of a pixel over its height, is given for both devices: the geometry
-  of chips is better than the 0.01 % that the poses could determine. It is 1 for square pixels, and
-  2 for a diamond chip with columns counted at half their number (LightCrafter 4500: 912 x 1140);
-- camera k1 only: over a field of 4 degrees k2 and k3 have effects far below the noise, and
-  tangential terms are not separable from the principal point;
-- no projector distortion: the board covers a small off-axis patch of the image, where a radial
-  term looks like a shift and a change of focal length;
-- both principal points are free: an error of the camera's becomes a tilt, and the projector's is
-  far off-axis and not known beforehand;
-- defocus of the camera (`defocus_slopes_px`): two coefficients, zero for a camera in focus
-  everywhere; if neglected they would bias principal points and rotations.
+- The ratio fy / fx, the width of a pixel divided by its height, is given for both devices. The
+  geometry of chips is more exact than the 0.01 % that the poses could determine. The ratio is 1 for
+  square pixels, and 2 for a chip with diamond pixels whose columns are counted at half their number
+  (LightCrafter 4500: 912 x 1140).
+- Of the camera's distortion only k1 is free. Over a field of view of 4 degrees the effects of k2
+  and k3 are far below the noise. Tangential terms are not separable from the principal point.
+- The projector has no distortion. The board covers a small off-axis part of the projector image.
+  There a radial term is not separable from a shift and a change of focal length.
+- Both principal points are free. An error of the camera's would cause a tilt; the projector's is
+  far off-axis and not known in advance.
+- The defocus of the camera (`defocus_slopes_px`) has two free coefficients, which are zero for a
+  camera that is in focus everywhere. If neglected, defocus would bias principal points and
+  rotations.
 """
 
 from dataclasses import dataclass
@@ -40,7 +47,14 @@ Distortion = Literal["k1", "k2", "p1", "p2", "k3"]
 
 @dataclass(frozen=True, eq=False)
 class RigEstimate:
-    """Camera, projector, motion between them and the board's motions into the camera frame."""
+    """Estimate of the whole rig and of the board poses.
+
+    Parameters
+    ----------
+    camera, projector : intrinsics
+    T_proj_from_cam : (4, 4), translation in mm
+    T_cam_from_board : (pose, 4, 4), translation in mm
+    """
 
     camera: Pinhole
     projector: Pinhole
@@ -49,7 +63,7 @@ class RigEstimate:
 
 
 def pack(rig: RigEstimate) -> FloatArray:
-    """Return the parameter vector, (24 + 6 poses,)."""
+    """Return the parameter vector of a rig, (24 + 6 * poses,); the module's text has the layout."""
     motions = [rig.T_proj_from_cam, *rig.T_cam_from_board]
     vectors = [np.append(rotation_vector(T[:3, :3]), T[:3, 3]) for T in motions]
     parts = [_intrinsics(rig.camera), _intrinsics(rig.projector), *vectors]
@@ -57,7 +71,7 @@ def pack(rig: RigEstimate) -> FloatArray:
 
 
 def unpack(vector: FloatArray, camera: Pinhole, projector: Pinhole) -> RigEstimate:
-    """Return the rig of a parameter vector, with the image sizes of the given devices."""
+    """Return the rig of a parameter vector; `camera` and `projector` give only the image sizes."""
     motions = vector[STEREO.start :].reshape(-1, 6)
     matrices = np.stack([rigid(motion[:3], motion[3:]) for motion in motions])
     return RigEstimate(
@@ -80,16 +94,16 @@ def _pinhole(values: FloatArray, like: Pinhole) -> Pinhole:
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """Return the rotation vector (3,) of a matrix, rad.
+    """Return the rotation vector (3,), rad, of a rotation matrix (3, 3).
 
-    Does not use OpenCV's function, which rounds rotations near 180 degrees to 1e-5: a camera that
-    looks down on a board has such a rotation.
+    OpenCV's function is not used, because it rounds rotations near 180 degrees to 1e-5. A camera
+    that looks down on a board has such a rotation.
     """
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 def rigid(rotation: FloatArray, shift: FloatArray) -> FloatArray:
-    """Return the motion (4, 4) of a rotation vector, rad, and shift, mm; (3,) or (3, 1)."""
+    """Return the motion (4, 4) of a rotation vector, rad, and a shift, mm, each (3,) or (3, 1)."""
     matrix = np.eye(4)
     matrix[:3, :3] = cv2.Rodrigues(np.array(rotation))[0]
     matrix[:3, 3] = np.ravel(shift)
@@ -99,16 +113,18 @@ def rigid(rotation: FloatArray, shift: FloatArray) -> FloatArray:
 def project_pose(
     vector: FloatArray, pose: int, points_mm: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Project a board's points into both devices.
+    """Project the points of a board in one pose into both devices.
 
     Parameters
     ----------
+    vector : parameter vector, which may be followed by further parameters
+    pose : index of the board pose
     points_mm : (n, 3) float, board frame
 
     Returns
     -------
-    (n, 4) float: camera x, y, projector column, row in px
-    (n, 4, parameters) float: their derivatives
+    (n, 4) float: camera x, y, projector column, row, px
+    (n, 4, parameters) float: the derivatives of these four numbers by all elements of `vector`
     """
     place = slice(POSES + 6 * pose, POSES + 6 * pose + 6)
     motion, stereo = vector[place], vector[STEREO]
@@ -118,7 +134,8 @@ def project_pose(
     slopes[:, :2, place], slopes[:, :2, CAMERA] = along[..., :6], along[..., 6:]
     inside, by_motion = _move(points_mm, motion)
     pixels[:, 2:], along = _project(inside, stereo, vector[PROJECTOR])
-    # A step in the camera frame acts as a shift of the projector, rotated into its frame.
+    # A displacement of the point in the camera frame acts like a change of the translation of
+    # T_proj_from_cam by the displacement in the projector's frame.
     by_point = along[..., 3:6] @ cv2.Rodrigues(stereo[:3].copy())[0]
     slopes[:, 2:, place] = by_point @ by_motion
     slopes[:, 2:, STEREO], slopes[:, 2:, PROJECTOR] = along[..., :6], along[..., 6:]
@@ -136,7 +153,7 @@ def _project(
 
 
 def _move(points_mm: FloatArray, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Move points (n, 3); also return the derivatives (n, 3, 6) by the motion."""
+    """Return points (n, 3) after a rigid motion (6,), and their derivatives by it, (n, 3, 6)."""
     rotation, derivative = cv2.Rodrigues(motion[:3].copy())
     turned = derivative.reshape(3, 3, 3)  # by rotation vector, row, column
     slopes = np.zeros((len(points_mm), 3, 6))
@@ -147,15 +164,17 @@ def _move(points_mm: FloatArray, motion: FloatArray) -> tuple[FloatArray, FloatA
 
 @dataclass(frozen=True)
 class Freedom:
-    """Free parameters of the devices; motions are always free.
+    """Selection of the device parameters that a calibration estimates.
+
+    The poses of the board and of the projector are always estimated.
 
     Parameters
     ----------
-    camera_distortion, projector_distortion : names of the coefficients to estimate
-    camera_principal_point, projector_principal_point : estimate it
-    camera_pixel_ratio, projector_pixel_ratio : width of a pixel over its height, fy / fx; None:
-        estimate it
-    camera_defocus : estimate the effect of the camera's aperture on tilted boards
+    camera_distortion, projector_distortion : names of the coefficients to estimate; others are 0
+    camera_principal_point, projector_principal_point : whether the principal point is estimated
+    camera_pixel_ratio, projector_pixel_ratio : given fy / fx, the width of a pixel divided by its
+        height; None: the ratio is estimated
+    camera_defocus : whether the effect of the camera's aperture on tilted boards is estimated
 
     Raises
     ------
@@ -187,7 +206,7 @@ class Freedom:
 
 
 def admissible(freedom: Freedom, vector: FloatArray) -> FloatArray:
-    """Return the parameter vector projected onto the fixed relations."""
+    """Return the parameter vector with the given pixel ratios; fx * fy is kept."""
     moved = vector.copy()
     for device, ratio in (
         (CAMERA, freedom.camera_pixel_ratio),
@@ -200,7 +219,7 @@ def admissible(freedom: Freedom, vector: FloatArray) -> FloatArray:
 
 
 def freedom_matrix(freedom: Freedom, size: int) -> FloatArray:
-    """Return the map (parameters, free) from free changes to changes of all `size` parameters."""
+    """Return the matrix (size, free) that maps changes of the free to those of all parameters."""
     columns = [
         *_device_columns(
             size,

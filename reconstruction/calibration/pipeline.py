@@ -1,7 +1,7 @@
-"""Calibration from observations of a board, its parameters and residuals.
+"""Calibrate a rig from observations of a board; report parameters, residuals and checks.
 
-Parameters have their uncertainty, every pose its residuals. As an independent check of lengths, the
-calibrated rig measures the features of a board.
+Each parameter has an uncertainty, each pose its residuals. As an independent check of lengths, the
+calibrated rig can measure the features of a board (`locate_features`).
 """
 
 from collections.abc import Sequence
@@ -30,13 +30,17 @@ from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.plausibility import Check, implausible, require_plausible
 
 COVERAGE_FACTOR = 2.0
-"""Expanded uncertainty U = k sigma, k = 2: about 95 % (JCGM 100, 6.2)."""
+"""Coverage factor k of the expanded uncertainty U = k sigma: about 95 % (JCGM 100, 6.2)."""
 STEPS = 4
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of the rig; sigma 0: fixed."""
+    """One parameter of the calibrated rig and its standard uncertainty.
+
+    name : name, which ends with the unit
+    sigma : standard uncertainty; 0: the parameter was fixed
+    """
 
     name: str
     value: float
@@ -44,13 +48,19 @@ class Parameter:
 
     @property
     def expanded(self) -> float:
-        """Expanded uncertainty, k = 2."""
+        """Expanded uncertainty of the parameter, k = 2."""
         return COVERAGE_FACTOR * self.sigma
 
 
 @dataclass(frozen=True)
 class PoseResidual:
-    """RMS reprojection residuals of one pose, px; epipolar: distance from the epipolar line."""
+    """Residuals of one board pose.
+
+    name : name of the pose
+    features, left_out : number of features in the fit, and of excluded features
+    camera_px, projector_px : RMS reprojection residual in each device
+    epipolar_px : RMS distance of the projector points from the epipolar lines of the camera points
+    """
 
     name: str
     features: int
@@ -61,7 +71,7 @@ class PoseResidual:
 
 
 def parameters(fit: Adjustment) -> list[Parameter]:
-    """Return every parameter of the rig with its standard uncertainty, baseline included."""
+    """Return all parameters of the rig, and the baseline, with their standard uncertainties."""
     names = [
         *(f"camera_{name}" for name in INTRINSICS),
         *(f"projector_{name}" for name in INTRINSICS),
@@ -73,7 +83,7 @@ def parameters(fit: Adjustment) -> list[Parameter]:
 
 
 def parameters_of(rig: RigEstimate | Calibration) -> dict[str, float]:
-    """Return the same parameters of a known rig, for comparison."""
+    """Return the values of a known rig by the names that `parameters` uses, for comparison."""
     T = rig.T_proj_from_cam
     numbers_by_name: dict[str, float] = {}
     for device, lens in (("camera", rig.camera), ("projector", rig.projector)):
@@ -96,7 +106,7 @@ def _baseline(fit: Adjustment) -> Parameter:
 
 
 def pose_residuals(fit: Adjustment, observations: Sequence[Observation]) -> list[PoseResidual]:
-    """Return the residuals of every pose, over the features in the fit."""
+    """Return the RMS residuals of each pose over the features that the fit included."""
     rows = []
     for k, observation in enumerate(observations):
         used, residuals = fit.used[k], fit.residuals_px[k][fit.used[k]]
@@ -114,16 +124,18 @@ def pose_residuals(fit: Adjustment, observations: Sequence[Observation]) -> list
 
 
 def epipolar_residuals_px(rig: RigEstimate | Calibration, measured_px: FloatArray) -> FloatArray:
-    """Return the distances of projector points from their camera points' epipolar lines, px.
+    """Return the signed distances (n,) of projector points from epipolar lines, px.
+
+    The epipolar line of a projector point is that of the corresponding camera point.
 
     Parameters
     ----------
-    rig : both devices
+    rig : geometry of both devices
     measured_px : (n, 4) float, camera x, y, projector column, row
 
     Notes
     -----
-    Lines are drawn on the undistorted projector image and scaled by its focal lengths.
+    The distance is that in the undistorted projector image, in pixels by the focal lengths.
     """
     T = rig.T_proj_from_cam
     camera_rays = _rays(rig.camera.unproject(measured_px[:, :2]))
@@ -136,15 +148,18 @@ def epipolar_residuals_px(rig: RigEstimate | Calibration, measured_px: FloatArra
 def pupil_diameter_mm(fit: Adjustment) -> float:
     """Return the aperture diameter of the camera lens, mm, from the blur of tilted boards.
 
-    0 if the mean square of the pupil is below 3 of its standard uncertainties. The diameter is
-    accurate to about 10 %: use it only to check the f-number (focal length over diameter).
+    The result is 0 if `pupil_mm2` is below three of its standard uncertainties. The diameter is
+    accurate to about 10 %. Use it only to check the f-number, focal length / diameter.
     """
     is_significant = fit.pupil_mm2 > 3.0 * fit.pupil_sigma_mm2
     return 4.0 * float(np.sqrt(fit.pupil_mm2)) if is_significant else 0.0
 
 
 def calibration_of(fit: Adjustment) -> Calibration:
-    """Return the calibration; world = board frame of the first pose, z towards the devices."""
+    """Return the calibration of an adjusted rig.
+
+    The world frame is the board frame of the first pose, with z towards the devices.
+    """
     T_world_from_cam = _inverse(fit.rig.T_cam_from_board[0])
     T_world_from_proj = T_world_from_cam @ _inverse(fit.rig.T_proj_from_cam)
     return Calibration(fit.rig.camera, fit.rig.projector, T_world_from_cam, T_world_from_proj)
@@ -171,8 +186,13 @@ class Calibrated:
 
     Attributes
     ----------
-    checks : all of them plausible
-    doubts : messages on residuals that the model does not explain, and on a rejected aperture
+    calibration : geometry of the rig; the world frame is the board frame of the first pose
+    adjustment : parameter vector, covariance and residuals
+    parameters : parameters of the rig with their standard uncertainties
+    poses : residuals of each pose
+    checks : plausibility checks, all of them passed
+    doubts : warnings about residuals that the model does not explain, and about an implausible
+        aperture, which was left out
     """
 
     calibration: Calibration
@@ -186,16 +206,17 @@ class Calibrated:
 def calibrate(
     observations: Sequence[Observation], options: AdjustOptions | None = None
 ) -> Calibrated:
-    """Calibrate camera and projector.
+    """Calibrate camera and projector from observations of a board in several poses.
 
     Parameters
     ----------
-    observations : one per board pose; the first pose's board frame becomes the world frame
+    observations : one per board pose; the board frame of the first pose becomes the world frame
+    options : estimated parameters and corrections; None: the defaults
 
     Raises
     ------
     InputError : too few poses, different image sizes, poses that do not determine the rig, or an
-        implausible result; the message gives the mistake in the input if one explains it
+        implausible result. If a mistake in the input explains the result, the message names it
     """
     sizes = {
         (observation.camera_size_px, observation.projector_size_px) for observation in observations
@@ -221,7 +242,11 @@ def calibrate(
 def _adjusted(
     observations: Sequence[Observation], options: AdjustOptions
 ) -> tuple[Adjustment, str]:
-    """Return the adjustment, without the camera's aperture if it is implausible, and the reason."""
+    """Return the adjustment and a warning; "": no warning.
+
+    If the estimated aperture is implausible, the adjustment is without defocus, and the warning
+    gives the reason.
+    """
     start = starting_rig(observations, options.freedom)
     try:
         fit = adjust(observations, start, options)
@@ -250,10 +275,10 @@ def _plausible(
 
 
 def locate_features(calibration: Calibration, observation: Observation) -> FloatArray:
-    """Triangulate every feature from camera and projector pixels, (n, 3) mm, world frame.
+    """Return the triangulated positions of the features of a board, (n, 3) mm, world frame.
 
-    The board's dimensions are used only for the bias of the dots' centres (below a micrometre),
-    through a rough pose: distances between the points are measurements.
+    The dimensions of the board are used only to correct the perspective bias of dot centres, an
+    effect below a micrometre. Therefore distances between the points are measurements.
     """
     camera = calibration.camera
     T = _rough_pose(calibration, observation)
@@ -277,7 +302,10 @@ def _rough_pose(calibration: Calibration, observation: Observation) -> FloatArra
 def _depths(
     calibration: Calibration, rays: FloatArray, projector_px: FloatArray, start_mm: FloatArray
 ) -> FloatArray:
-    """Return the depths along the camera rays that best fit both projector coordinates."""
+    """Return the depths (n,), mm, along camera rays (n, 3) that best fit the projector pixels.
+
+    The fit takes a few Gauss-Newton steps from the depths `start_mm`.
+    """
     T, depth, step_mm = calibration.T_proj_from_cam, start_mm.copy(), 1e-3
     for _ in range(STEPS):
         places = [
@@ -293,7 +321,15 @@ def _depths(
 def length_errors_mm(
     points_world_mm: FloatArray, observation: Observation, length_mm: float
 ) -> FloatArray:
-    """Return measured minus nominal distance of all pairs with this nominal distance, (m,)."""
+    """Return measured minus nominal distances, (m,) mm, of pairs of features.
+
+    The pairs are all those with the nominal distance `length_mm` on the board.
+
+    Parameters
+    ----------
+    points_world_mm : (n, 3) measured positions of the features of `observation`
+    length_mm : nominal distance of the pairs
+    """
     nominal = np.linalg.norm(observation.points_mm[:, np.newaxis] - observation.points_mm, axis=-1)
     first, second = np.nonzero(np.triu(np.abs(nominal - length_mm) < 1e-6))
     measured = np.linalg.norm(points_world_mm[first] - points_world_mm[second], axis=1)

@@ -1,36 +1,39 @@
-"""Images of a plane: homographies, circles, defocus, and the projector's coordinates on it.
+"""Compute images of a plane: homographies, circles, defocus, and projector coordinates.
 
 Homographies are fitted by the normalised direct linear transformation (Hartley 1997).
 
-The centre of a circle's image is not the image of the circle's centre. The dual conic of a circle
-with centre c = (a, b, 1) and radius r in the board plane is c c^T - r^2 diag(1, 1, 0); a homography
-H maps it to (Hc)(Hc)^T - r^2 (h1 h1^T + h2 h2^T), and the centre of the image ellipse is its last
-column over its last element. (Heikkila, IEEE PAMI 22, 1066 (2000), corrects the same bias; dual
-form: Hartley and Zisserman, Multiple View Geometry, 2.2.3.)
+**Perspective bias of dots.** The centre of the image of a circle is not the image of the circle's
+centre. The dual conic of a circle with the centre c = (a, b, 1) and the radius r in the board plane
+is c c^T - r^2 diag(1, 1, 0). A homography H with the columns h1, h2, h3 maps it to
+(Hc)(Hc)^T - r^2 (h1 h1^T + h2 h2^T). The centre of the image, an ellipse, is the last column of
+this matrix divided by its last element. Heikkila, IEEE PAMI 22, 1066 (2000), corrects the same
+bias; dual conics: Hartley and Zisserman, Multiple View Geometry, 2.2.3.
 
-A tilted board out of focus is displaced from its image through the lens's centre. Symbols: f focal
-length, px; n normal of the board, P a point of it at the depth Z, camera frame, mm; Z_f depth in
-focus; k mean square of the pupil's x (a quarter of its squared radius), mm^2.
+**Defocus.** A tilted board out of focus is displaced from its image through the centre of the lens.
+Symbols: f focal length, px; n normal of the board; P a point of the board at the depth Z, in the
+camera frame, mm; Z_f the depth in focus; k the mean square of the x coordinate over the pupil (a
+quarter of its squared radius), mm^2.
 
-From a place s of the pupil the point is displaced by s f (1 / Z_f - 1 / Z), exactly. A piece of the
-board there appears with an area proportional to n . (P - s), as for matt reflection. The mean
-over the pupil is therefore displaced by
+Viewed from the position s on the pupil, the image of P is displaced by s f (1 / Z_f - 1 / Z)
+exactly. A surface element at P is viewed from s with an area proportional to n . (P - s), and a
+matt surface reflects in proportion to it. Therefore the mean over the pupil, the centroid of a
+blurred dot, is displaced by
 
-    b = -k n_xy / (n . P) f (1 / Z_f - 1 / Z),
+    b = -k n_xy / (n . P) f (1 / Z_f - 1 / Z).
 
-the centroid of a blurred dot. The mean of a smooth function, such as the phase, over one pixel's
-footprint has a displacement of the same size and direction, so that the phase read at the displaced
-dot has an error of 2 b. It is linear in k and in k (1 / Z_f - 1 / Z_m) for any middle depth Z_m:
-these two are adjusted. Neglected: the phase is also biased towards brighter parts of the board, by
-the blur's variance times the relative gradient (rendered with f/8, 6 mm out of focus: 3e-4
-projector pixels).
+The mean of a smooth function, such as the phase, over the blurred footprint of a pixel has a
+displacement of the same size. It adds, so that the phase measured at the displaced dot has an error
+that corresponds to 2 b. For any middle depth Z_m, b is linear in k and in k (1 / Z_f - 1 / Z_m).
+These two coefficients are adjusted. The phase is also biased towards brighter parts of the board,
+by the variance of the blur times the relative gradient of brightness. This is neglected (rendered
+with f/8, 6 mm out of focus: 3e-4 projector pixels).
 
-Projector coordinates at board features come from the phase of the white print around them.
-
-The map from camera to projector pixels is a homography for a flat board, except for lens distortion
-(Moreno and Taubin, 3DIMPVT 2012, fit one per corner to Gray-code integers). Here it is fitted to
-the PHASE of the white pixels of the whole board, and around each feature a cubic is fitted to the
-remaining distortion. Dark ink, with a weak phase, and mixed edge pixels are excluded.
+**Projector coordinates.** The projector coordinates of a feature are computed from the phase of the
+white print around it. For a flat board the map from camera to projector pixels is a homography,
+except for lens distortion. Moreno and Taubin, 3DIMPVT 2012, fit one homography per corner to
+Gray-code integers. Here one homography is fitted to the PHASE of the white pixels of the whole
+board. Around each feature a cubic polynomial is fitted to the remaining distortion. Dark ink, with
+a weak phase, and mixed edge pixels are excluded.
 """
 
 from dataclasses import dataclass
@@ -43,22 +46,24 @@ from reconstruction.decoding.decode import Decoded
 from reconstruction.errors import InputError
 from reconstruction.rig.pinhole import Pinhole
 
-# Displacement of the phase read at a dot, over that of the dot.
+# Error of the phase that is measured at a dot out of focus, in units of the dot's displacement b.
 PHASE_SHARE = 2.0
 
 
 def apply_homography(H: FloatArray, points: FloatArray) -> FloatArray:
-    """Map points (n, 2) by H (3, 3)."""
+    """Return the points (n, 2) mapped by the homography H (3, 3)."""
     mapped = points @ H[:, :2].T + H[:, 2]
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
 def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the H (3, 3) that maps source (n, 2) to target (n, 2), n >= 4, least squares.
+    """Return the homography H (3, 3) that maps points `source` (n, 2) to `target` (n, 2).
+
+    H is the least squares solution of the direct linear transformation; n must be at least 4.
 
     Raises
     ------
-    InputError : fewer than four points, or all on one line
+    InputError : there are fewer than four points, or all are on one line
     """
     if len(source) < 4:
         raise InputError(f"a homography needs 4 points, found {len(source)}")
@@ -69,7 +74,7 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     upper = np.column_stack([x, y, ones, zero, zero, zero, -u * x, -u * y, -u])
     lower = np.column_stack([zero, zero, zero, x, y, ones, -v * x, -v * y, -v])
     design = np.concatenate([upper, lower])
-    # The eigenvector of the smallest eigenvalue of A^T A: 9 x 9 for any number of points.
+    # The solution is the eigenvector of the smallest eigenvalue of A^T A, which is 9 x 9.
     values, vectors = np.linalg.eigh(design.T @ design)
     if values[1] < 1e-12 * values[-1]:
         raise InputError("the points of a homography are on one line")
@@ -78,7 +83,10 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def normaliser(points: FloatArray) -> FloatArray:
-    """Return the homogeneous map of points (n, d) to zero mean and unit spread, (d + 1, d + 1)."""
+    """Return the matrix (d + 1, d + 1) that scales points (n, d) to mean 0 and RMS 1.
+
+    It acts on homogeneous coordinates.
+    """
     centre = points.mean(axis=0)
     scale = 1.0 / (float(np.sqrt(np.mean((points - centre) ** 2))) or 1.0)
     scaling = np.diag(np.append(np.full(len(centre), scale), 1.0))
@@ -89,13 +97,13 @@ def normaliser(points: FloatArray) -> FloatArray:
 def ellipse_centres(
     points_dev_mm: FloatArray, radii_mm: FloatArray, rotation: FloatArray
 ) -> FloatArray:
-    """Return the centres of the images of flat circles, normalised coordinates, (n, 2).
+    """Return the centres (n, 2), normalised coordinates, of the ellipses that circles appear as.
 
     Parameters
     ----------
-    points_dev_mm : (n, 3) float, mm, circle centres in the device's frame
-    radii_mm : (n,) float, mm
-    rotation : (3, 3) float, its first two columns span the circles' plane in that frame
+    points_dev_mm : (n, 3) float, mm, centres of the circles in the device's frame
+    radii_mm : (n,) float, mm, radii of the circles
+    rotation : (3, 3) float; its first two columns span the plane of the circles in that frame
     """
     plane = rotation[:, :2] @ rotation[:, :2].T
     shrink = radii_mm**2
@@ -106,10 +114,10 @@ def ellipse_centres(
 def centre_bias_px(
     device: Pinhole, points_dev_mm: FloatArray, radii_mm: FloatArray, rotation: FloatArray
 ) -> FloatArray:
-    """Return ellipse centre minus imaged circle centre, (n, 2) px.
+    """Return the centre of each dot's image minus the image of the dot's centre, (n, 2) px.
 
-    The lens distortion moves both equally; its change over one dot is neglected (third order in
-    the dot's angular size).
+    The lens distortion is assumed to be constant over one dot; the error is of third order in the
+    angular size of the dot. The parameters are those of `ellipse_centres`.
     """
     centres = ellipse_centres(points_dev_mm, radii_mm, rotation)
     homogeneous = np.column_stack([centres, np.ones(len(centres))])
@@ -119,14 +127,16 @@ def centre_bias_px(
 def defocus_slopes_px(
     camera: Pinhole, points_cam_mm: FloatArray, normal: FloatArray, middle_mm: float
 ) -> FloatArray:
-    """Return the derivatives of b by both coefficients, (n, 2, 2): x and y px, coefficient.
+    """Return the derivatives of the displacement b, px, by both coefficients of the defocus.
+
+    The result is (n, x and y, coefficient); the coefficients are k and k (1 / Z_f - 1 / Z_m).
 
     Parameters
     ----------
-    camera : its distortion is neglected
-    points_cam_mm : (n, 3) float
+    camera : intrinsics; the distortion is neglected
+    points_cam_mm : (n, 3) float, points of the board, camera frame
     normal : (xyz) float, unit normal of the board, camera frame
-    middle_mm : Z_m
+    middle_mm : the middle depth Z_m
     """
     focal_px = np.array([camera.fx_px, camera.fy_px])
     slope = -focal_px * normal[:2] / (points_cam_mm @ normal)[:, np.newaxis]
@@ -136,22 +146,23 @@ def defocus_slopes_px(
 
 GLOBAL_PIXELS, LOCAL_PIXELS = 40_000, 6_000
 MIN_LOCAL_PIXELS = 60
-# Least share of the white pixels on each side of a feature (left, right, above, below): no
-# extrapolation.
+# Least share of the white pixels on each side of a feature (left, right, above, below), so that the
+# polynomial does not extrapolate.
 MIN_HALF_SHARE = 0.25
-# A wrong fringe order has an error of a whole period; the board's distortion is far smaller.
+# Largest deviation, px, of a coordinate from the median around a feature. A wrong fringe order
+# deviates by a whole period, lens distortion by far less than this limit.
 OUTLIER_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class ProjectorPoints:
-    """The local camera-to-projector map at n features.
+    """Projector coordinates of n camera positions on the board, and their local derivatives.
 
     Parameters
     ----------
     pixels_px : (n, 2) float, projector column and row
-    slopes : (n, 2, 2) float, d(column, row) / d(camera x, y)
-    located : (n,) bool, features with enough decoded pixels around them
+    slopes : (n, 2, 2) float, d(projector column, row) / d(camera x, y)
+    located : (n,) bool, whether enough decoded pixels are around the position
     """
 
     pixels_px: FloatArray
@@ -162,14 +173,14 @@ class ProjectorPoints:
 def projector_points(
     decoded: Decoded, white: BoolImage, features_px: FloatArray, reach_px: float
 ) -> ProjectorPoints:
-    """Return the projector coordinates of camera positions.
+    """Return the projector coordinates of the features of a board.
 
     Parameters
     ----------
     decoded : projector coordinates of the camera pixels
-    white : (row, col) bool, the pixels to use
-    features_px : (n, 2) float, camera x, y
-    reach_px : half side of the window round each feature
+    white : (row, col) bool, True at the pixels to use, those of white print
+    features_px : (n, 2) float, camera x, y of the features
+    reach_px : half side of the window around each feature, camera px
 
     Raises
     ------
@@ -211,7 +222,7 @@ def _coordinates(decoded: Decoded, row: Indices, col: Indices) -> FloatArray:
 
 
 def _slopes(H: FloatArray, points: FloatArray) -> FloatArray:
-    """Return the derivative of the homography at points, (n, 2, 2)."""
+    """Return the Jacobian (n, 2, 2) of the homography H at points (n, 2)."""
     depth = points @ H[2, :2] + H[2, 2]
     mapped = apply_homography(H, points)
     slopes = H[np.newaxis, :2, :2] - mapped[:, :, np.newaxis] * H[2, :2]
@@ -221,9 +232,11 @@ def _slopes(H: FloatArray, points: FloatArray) -> FloatArray:
 def _local_residual(
     decoded: Decoded, usable: BoolImage, H: FloatArray, centre: FloatArray, reach_px: float
 ) -> FloatArray | None:
-    """Fit a cubic (1, x, y, ...) to the homography's residual: coefficients (10, 2) at reach 1.
+    """Fit a cubic polynomial to measured minus homography coordinates around a feature.
 
-    Radial distortion is cubic: a quadratic would be biased in a one-sided window.
+    Returns its coefficients (10, 2), px, for x, y from `centre` in units of `reach_px`: 1, x, y ...
+    None: too few usable pixels, or too few on one side of the feature. Radial distortion is
+    cubic, so a quadratic polynomial would be biased in a one-sided window.
     """
     low = np.maximum(np.floor(centre - reach_px), 0).astype(int)
     high = np.ceil(centre + reach_px).astype(int) + 1
@@ -241,5 +254,6 @@ def _local_residual(
         return None
     cubic = (x * x * x, x * x * y, x * y * y, y * y * y)
     design = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y, *cubic])
-    # Normal equations: well conditioned at reach 1, and 20 times faster than an SVD of all rows.
+    # The normal equations are well conditioned, because |x| and |y| are at most about 1. They take
+    # 5 % of the time of an SVD of all rows.
     return np.asarray(np.linalg.lstsq(design.T @ design, design.T @ residual[good], rcond=None)[0])

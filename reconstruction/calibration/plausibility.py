@@ -1,22 +1,25 @@
-"""Check whether an adjustment is plausible for a real rig.
+"""Check whether the result of a calibration (`Adjustment`) is plausible for a real rig.
 
-| check | plausible | reason |
+| quantity | plausible range | reason for the limit |
 |---|---|---|
-| RMS of the worst pose in either device | see below | a larger one has no use |
-| features left out | up to 25 % | a dirty board; more is a wrong model |
-| relative uncertainty of focal lengths, baseline | up to 25 % | k = 2: 50 % of the value |
-| fy / fx over the declared ratio | 1 +- (3 % + 5 sigma) | chips are exact, printed boards 1 % |
-| depth of every feature | above 0 | in front of the device |
-| angle of incidence on the print | up to 88 degrees | both devices view the printed face |
+| RMS residual of the worst pose, per device | see below | a worse calibration is useless |
+| share of excluded features | up to 25 % | dirt excludes fewer, a wrong model excludes more |
+| relative uncertainty of focal lengths and baseline | up to 25 % | k = 2: 50 % of the value |
+| fy / fx, divided by the declared ratio | 1 +- (3 % + 5 sigma) | chips are exact, boards to 1 % |
+| depth of every feature | above 0 | the board is in front of both devices |
+| angle of incidence on the board | up to 88 degrees | both devices view the printed face |
 
-The aperture from the blur of tilted boards is checked separately (`pupil_doubt`): if it is
-implausible, it has fitted residuals of another kind, and the rig is adjusted without it.
+The diameter of the aperture, from the blur of tilted boards, is checked separately (`pupil_doubt`).
+If it is implausible, the defocus model was fitted to residuals with another cause, and the rig is
+adjusted without defocus.
 
-RMS: up to the largest of 1 px, 1/2000 of the image's diagonal, and 5 times the scatter of
-detection. Lenses outside the model remain below it; wrong boards and pixels do not.
+The limit of the RMS residual is the largest of 1 px, 1/2000 of the image diagonal, and 5 times the
+detection scatter. The residuals of lenses that the model does not describe exactly are below this
+limit; those of wrong boards and wrong image sizes are above.
 
-The scatter of detection does not depend on the rig: it is the spread of the features from a smooth
-map of the board into the image (a homography and a cubic), which follows any lens.
+The detection scatter is the robust standard deviation of the features from a smooth map of the
+board into the image. The map is a homography and a cubic polynomial and can describe any lens, so
+the scatter does not depend on the calibration.
 """
 
 from collections.abc import Sequence
@@ -33,13 +36,13 @@ from reconstruction.rig.calibration import DEVICES
 from reconstruction.rig.plausibility import TRIANGULATION_ANGLES_DEG, Check, lens_checks
 
 MOST_RMS_PX, DIAGONALS_PER_RMS, MOST_SCATTERS = 1.0, 2000.0, 5.0
-# Least RMS worth a warning, if it also exceeds that multiple of the scatter.
+# Least RMS residual that gives a warning, if it also exceeds MOST_SCATTERS times the scatter.
 LEAST_DOUBT_PX = 0.2
 MOST_LEFT_OUT = 0.25
 MOST_RELATIVE_SIGMA = 0.25
 RATIO_TOLERANCE, RATIO_SIGMAS = 0.03, 5.0
 MOST_INCIDENCE_DEG = 88.0
-# Pixels of up to 30 um (binned ones) behind a lens of f/0.7.
+# Largest pupil diameter per focal length in px: pixels of 30 um (binned), lens with f-number 0.7.
 MOST_PUPIL_MM_PER_FOCAL_PX = 0.030 / 0.7
 PUPIL_SIGMAS = 3.0
 # x^i y^j with i + j <= 3
@@ -51,7 +54,7 @@ PARTS = slice(0, 2), slice(2, 4)
 def adjustment_checks(
     fit: Adjustment, observations: Sequence[Observation], freedom: Freedom
 ) -> tuple[Check, ...]:
-    """Return all checks of an adjustment."""
+    """Return all checks of an adjustment: value and plausible range of each quantity."""
     used = np.concatenate(fit.used)
     return (
         *_rms_checks(fit, observations),
@@ -65,12 +68,13 @@ def adjustment_checks(
 
 
 def pupil_doubt(fit: Adjustment) -> str:
-    """Return why the camera's aperture is implausible; empty: plausible or not significant.
+    """Return why the camera's aperture is implausible; "" if plausible or not significant.
 
     Notes
     -----
-    A diameter D is focal length over f-number. The focal length is known in pixels only, so that D
-    has the limit fx times 0.043 mm. A mean square of a place on the pupil is not negative.
+    The diameter of the aperture is focal length / f-number. As the focal length is known in pixels
+    only, the limit of the diameter is fx times 0.043 mm. The estimated mean square of the pupil
+    coordinate must not be significantly negative.
     """
     if abs(fit.pupil_mm2) <= PUPIL_SIGMAS * fit.pupil_sigma_mm2:
         return ""
@@ -85,11 +89,11 @@ def pupil_doubt(fit: Adjustment) -> str:
 def detection_scatter_px(
     observations: Sequence[Observation], pixels_px: Sequence[FloatArray]
 ) -> float:
-    """Return the robust spread of the features from smooth maps of the boards; 0: too few points.
+    """Return the detection scatter in one device, px: the median over poses; 0: too few points.
 
     Parameters
     ----------
-    pixels_px : per pose (n, 2) float, px in one device
+    pixels_px : for each pose (n, 2) float, the features in the pixels of the device
     """
     spreads = [
         _scatter_px(observation.points_mm[:, :2], pixels)
@@ -128,7 +132,7 @@ def _pose_rms_px(fit: Adjustment, part: slice) -> list[float]:
 
 
 def misfits(fit: Adjustment, observations: Sequence[Observation]) -> tuple[str, ...]:
-    """Return a message per device with residuals far above the detection scatter."""
+    """Return a message for each device with residuals far above the detection scatter."""
     texts = []
     for name, part in zip(DEVICES, PARTS, strict=True):
         scatter = detection_scatter_px(observations, [m[:, part] for m in fit.measured_px])
@@ -174,7 +178,7 @@ def _ratio_checks(fit: Adjustment, freedom: Freedom) -> list[Check]:
 
 
 def _place_checks(fit: Adjustment, observations: Sequence[Observation]) -> list[Check]:
-    """Return depths, angles of incidence and the triangulation angle, over all features."""
+    """Return the checks of least depths, angles of incidence and the triangulation angle."""
     stereo = fit.rig.T_proj_from_cam
     centre_mm = -stereo[:3, :3].T @ stereo[:3, 3]
     depths, cosines, angles = [], [], []

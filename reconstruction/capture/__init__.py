@@ -1,1 +1,1 @@
-"""Read and write captures: frames and metadata; check the order of the frames."""
+"""Read and write captures, which are frames with metadata, and check the order of the frames."""

@@ -1,13 +1,14 @@
-"""capture.toml and the projected sequence as files: small facts, checked key by key.
+"""Read and write capture.toml of a rendered capture, and projected patterns as files.
 
 | file | content |
 |---|---|
-| capture.toml | sequence, sensor, image size and file names of a capture |
-| patterns.toml | format, version, files in the order of projection, [patterns] as in capture.toml |
-| 000_phase_column_00.png ... | for a real projector: one grey 8-bit image each, of its size |
+| capture.toml | patterns, sensor, image size and file names of a capture |
+| patterns.toml | format, version, image files in projection order, [patterns] as in capture.toml |
+| 000_phase_column_00.png ... | images for a real projector, 8-bit grey, one per frame |
 
-TOML is written by hand rather than by a library: it holds only numbers, flags and file names. A
-real rig gives one image file per frame, and another kind of capture.toml: see `recorded`.
+patterns.toml is called the manifest of the images. Every key is checked when a file is read. TOML
+is written without a library, because the files have only numbers, flags and file names. A real rig
+gives one image file per frame and another kind of capture.toml, see `recorded`.
 """
 
 import difflib
@@ -45,7 +46,11 @@ Part = TypeVar("Part")
 
 @dataclass(frozen=True)
 class Description:
-    """Content of capture.toml; file names are relative to its folder."""
+    """Content of the capture.toml of a capture with one stack file.
+
+    The names of the stack and calibration files are relative to the folder of capture.toml. The
+    image size of the camera is `width_px` and `height_px`. The other fields are as in `Capture`.
+    """
 
     patterns: PatternSet
     sensor: SensorNoise
@@ -66,7 +71,7 @@ class Description:
                 raise InputError(f"{name} is {value!r}; give the name of a file in this folder")
 
     def recorded(self, folder: Path) -> RecordedFrames:
-        """Return the frames of the folder that contains this description."""
+        """Return the frames on disk in the folder that contains this description."""
         return RecordedFrames(
             folder,
             self.patterns,
@@ -80,7 +85,7 @@ class Description:
 
 
 def write_description(path: Path, description: Description) -> None:
-    """Write `description` as TOML."""
+    """Write `description` as the file capture.toml."""
     values: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(description)
     tables = {name: values.pop(name) for name in TABLES}
     tables["patterns"] = pattern_table(description.patterns)
@@ -89,7 +94,7 @@ def write_description(path: Path, description: Description) -> None:
 
 
 def response_table(response: ProjectorResponse | None) -> dict[str, Any]:
-    """Return the table [response] by its name; {} for a projector that is assumed linear."""
+    """Return {"response": table} for capture.toml; {} for a projector that is assumed linear."""
     if response is None:
         return {}
     values = asdict(response)
@@ -98,7 +103,7 @@ def response_table(response: ProjectorResponse | None) -> dict[str, Any]:
 
 
 def pattern_table(patterns: PatternSet) -> dict[str, Any]:
-    """Return [patterns]: the keys of every sequence, and further keys that differ from default."""
+    """Return the table [patterns]: keys that are always written, and others if not the default."""
     return {
         name: value
         for name, value in asdict(patterns).items()
@@ -107,7 +112,7 @@ def pattern_table(patterns: PatternSet) -> dict[str, Any]:
 
 
 def write_toml(path: Path, values: Mapping[str, Any], tables: Mapping[str, Any]) -> None:
-    """Write plain values, and tables of them."""
+    """Write a TOML file of keys at the top level, `values`, and tables by name, `tables`."""
     lines = []
     for name, table in {"": values, **tables}.items():
         lines += ["", f"[{name}]"] if name else []
@@ -117,7 +122,7 @@ def write_toml(path: Path, values: Mapping[str, Any], tables: Mapping[str, Any])
 
 
 def read_description(path: Path) -> Description:
-    """Read capture.toml.
+    """Read the capture.toml of a capture with one stack file.
 
     Raises
     ------
@@ -129,7 +134,18 @@ def read_description(path: Path) -> Description:
 def read_parts(
     path: Path, header: tuple[str, int], whole: type[Part], tables: Mapping[str, type[Any]]
 ) -> Part:
-    """Read a TOML file with this header as a dataclass, of which some fields are tables."""
+    """Read a TOML file as an instance of a dataclass.
+
+    Parameters
+    ----------
+    header : expected values of the keys format and version
+    whole : dataclass with one field for each key of the file
+    tables : dataclass of each field that is a table, by name; also [response], if there is one
+
+    Raises
+    ------
+    CaptureError : no TOML, another header, unknown or missing key, value out of range
+    """
     values = read_toml(path)
     try:
         take_header(values, header)
@@ -145,7 +161,7 @@ def read_parts(
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file, or raise CaptureError."""
+    """Return the top-level table of a TOML file, or raise CaptureError."""
     try:
         return reading.read_toml(path)
     except InputError as error:
@@ -160,7 +176,7 @@ def take_header(values: dict[str, Any], expected: tuple[str, int]) -> None:
 
 
 def table_of(values: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return one table of a TOML file, or raise CaptureError."""
+    """Return the table `name` of a TOML file's content, or raise CaptureError if it is missing."""
     table = values.get(name)
     if not isinstance(table, dict):
         raise CaptureError(f"table [{name}] is missing")
@@ -168,7 +184,16 @@ def table_of(values: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def build(part: type[Part], table: Mapping[str, Any], where: str) -> Part:
-    """Make the dataclass `part` from its own keys only."""
+    """Return an instance of the dataclass `part` with the values of `table`.
+
+    Parameters
+    ----------
+    where : name of the table or file, for messages
+
+    Raises
+    ------
+    CaptureError : a key is unknown, or a required key is missing
+    """
     by_name = {item.name: item for item in fields(part)}  # type: ignore[arg-type]
     for key in table:
         if key not in by_name:
@@ -187,18 +212,18 @@ PATTERN_FORMAT, PATTERN_VERSION = "fringe-patterns", 1
 
 
 def file_names(patterns: PatternSet) -> tuple[str, ...]:
-    """Return the name of each frame's image; sorted by name they are in projection order."""
+    """Return the file name of each frame's image; their order by name is that of projection."""
     return tuple(f"{i:03d}_{frame.name}.png" for i, frame in enumerate(patterns.frames))
 
 
 def write_patterns(
     folder: Path | str, patterns: PatternSet, progress: Callable[[float], None] = lambda _: None
 ) -> None:
-    """Write images and manifest into an existing folder.
+    """Write the images of the patterns and the manifest into an existing folder.
 
     Parameters
     ----------
-    progress : called with the finished share of the images
+    progress : function that is called with the share of images written, up to 1
     """
     folder = Path(folder)
     named = zip(file_names(patterns), patterns.frames, strict=True)
@@ -209,18 +234,23 @@ def write_patterns(
 
 
 def write_manifest(path: Path, patterns: PatternSet) -> None:
-    """Write the manifest without the images."""
+    """Write the manifest of a pattern set, without the images, to the file `path`."""
     files = file_names(patterns)
     header = {"format": PATTERN_FORMAT, "version": PATTERN_VERSION, "files": files}
     write_toml(path, header, {"patterns": pattern_table(patterns)})
 
 
 def read_manifest(path: Path | str) -> PatternSet:
-    """Return the sequence that a manifest, or the folder that contains it, describes.
+    """Return the pattern set that a manifest describes.
+
+    Parameters
+    ----------
+    path : the manifest, or the folder that contains it
 
     Raises
     ------
-    CaptureError : no TOML, wrong format or version, unknown key, or files of another sequence
+    CaptureError : no TOML, wrong format or version, unknown key, or file names that do not belong
+        to the pattern set
     """
     path = Path(path)
     path = path / MANIFEST_FILE if path.is_dir() else path
@@ -235,20 +265,20 @@ def read_manifest(path: Path | str) -> PatternSet:
 
 
 def is_sequence(path: Path) -> bool:
-    """Whether a TOML file describes only a sequence, as a manifest does."""
+    """Return True if `path` is a TOML file with only a pattern set, such as a manifest."""
     return reading.is_regular(path) and read_toml(path).get("format") == PATTERN_FORMAT
 
 
 def read_sequence(path: Path, settings: Mapping[str, Any]) -> PatternSet:
-    """Return the sequence of [patterns] in a file like a manifest, with or without files.
+    """Return the pattern set of a manifest, which need not list the image files.
 
     Parameters
     ----------
-    settings : values by key, as "patterns.steps", that replace those of the file
+    settings : values that replace those of the file, by keys such as "patterns.steps"
 
     Raises
     ------
-    CaptureError : no TOML, wrong format or version, unknown key, an invalid sequence
+    CaptureError : no TOML, wrong format or version, unknown key, or an invalid pattern set
     """
     values = read_toml(path)
     try:

@@ -1,4 +1,4 @@
-"""A capture: a folder with all that a reconstruction needs; any rig can write it.
+"""Read and write captures: folders with all data that a reconstruction needs.
 
 | file | content |
 |---|---|
@@ -6,7 +6,8 @@
 | stack.nc | netCDF-4: `stack` (frame, row, col) uint8, uint16 or float32, DN; `frame_name` |
 | calibration.yaml | OpenCV YAML, see `rig.calibration` |
 
-Or, from a real camera, one image per frame and another kind of capture.toml: see `recorded`.
+The capture of a real camera may have one image file per frame instead of stack.nc, and another kind
+of capture.toml, see `recorded`.
 """
 
 from dataclasses import dataclass
@@ -52,17 +53,19 @@ SUBFOLDER = "capture"
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """Frames with their sequence, sensor noise and calibration.
+    """Recorded frames with their patterns, camera noise and calibration: input of `reconstruct`.
 
     Parameters
     ----------
     stack : (frame, row, col) uint8 or uint16, DN, in the order of `patterns.frames`; float32:
-        the expected values of a noise-free rendering, or corrected frames
+        expected values of a noise-free rendering, or corrected frames
+    patterns : projected patterns
     sensor : camera noise
-    calibration : camera and projector; the camera has the image size of the stack
+    calibration : geometry of the rig; its camera has the image size of the stack
     bit_depth : bits per pixel value, 8 to 16
-    scale : (row, col) float32, by which merged exposures were multiplied, see `merge_exposures`
-    response : of the projector, if it is known; None: it is assumed linear
+    scale : (row, col) float32, factor of each pixel by which its exposure was scaled before merging
+        (see `merge_exposures`); None: a single exposure
+    response : response of the projector; None: it is unknown and assumed linear
 
     Raises
     ------
@@ -105,7 +108,7 @@ class Capture:
         return as_html("capture", self._in_short(), self.plot())
 
     def _in_short(self) -> dict[str, str]:
-        """Return depth and pattern sequence as texts, by name."""
+        """Return short texts on data type and bit depth, pattern code and projector, by name."""
         shown = self.patterns
         return {
             "values": f"{self.stack.dtype}, {self.bit_depth} bits",
@@ -134,18 +137,18 @@ class Capture:
         return drawing
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the stack (frame, row, col), DN, with the names of its frames."""
+        """Return the stack (frame, row, col), DN, and the names of its frames as a dataset."""
         dataset = stack_arrays(self.stack, self.patterns).to_xarray().set_coords(NAMES)
         places = pixel_coordinates(*self.stack.shape[1:])
         return dataset.assign_coords(places).assign_attrs(bit_depth=self.bit_depth)
 
 
 def write_capture(folder: Path | str, capture: Capture) -> None:
-    """Write the three files into an existing empty folder.
+    """Write stack.nc, calibration.yaml and capture.toml into an existing empty folder.
 
     Raises
     ------
-    CaptureError : the folder is missing or not empty; exposures were merged
+    CaptureError : the folder is missing or not empty, or the capture has merged exposures
     """
     folder = Path(folder)
     if capture.scale is not None:
@@ -169,14 +172,14 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
 
 
 def read_capture(folder: Path | str) -> Capture:
-    """Read a capture from its folder, or from a folder that contains it as `capture/`.
+    """Read a capture from its folder, or from the subfolder `capture/` of `folder`.
 
-    The order of the frames is checked; image files of several exposures are merged.
+    The order of the frames is checked. Image files of several exposures are merged.
 
     Raises
     ------
-    CaptureError : a file is missing, damaged or inconsistent, or the frames are clearly
-        in another order
+    CaptureError : a file is missing, damaged or inconsistent, or the frames are clearly in another
+        order than capture.toml states
     """
     recorded = find_recorded(find_capture(folder))
     calibration = read_calibration(recorded.calibration_file)
@@ -190,7 +193,7 @@ def read_capture(folder: Path | str) -> Capture:
 
 @dataclass(frozen=True, eq=False)
 class UncalibratedCapture:
-    """Frames that need no calibration to give projector coordinates; fields as of `Capture`."""
+    """Recorded frames without calibration, for `decode`; the fields are as in `Capture`."""
 
     stack: Stack
     patterns: PatternSet
@@ -200,7 +203,7 @@ class UncalibratedCapture:
 
 
 def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
-    """Read a capture; its calibration file need not exist.
+    """Read a capture without its calibration file, which need not exist.
 
     Raises
     ------
@@ -213,12 +216,12 @@ def read_uncalibrated(folder: Path | str) -> UncalibratedCapture:
 
 
 def find_recorded(folder: Path) -> RecordedFrames:
-    """Return the frames that the capture.toml of a folder describes, of any kind.
+    """Return the frames on disk that the capture.toml of a folder describes, of any format.
 
     Raises
     ------
-    CaptureError : capture.toml is damaged; images or the manifest are missing; the list of frames
-        cannot be decoded
+    CaptureError : capture.toml is damaged, images or patterns.toml are missing, or the listed
+        frames cannot be decoded
     """
     path = folder / DESCRIPTION_FILE
     values = read_toml(path)
@@ -231,20 +234,21 @@ def find_recorded(folder: Path) -> RecordedFrames:
 def read_frames(
     recorded: RecordedFrames, calibration: Calibration | None = None
 ) -> tuple[Stack, FloatImage | None]:
-    """Read and check recorded frames; merge several exposures.
+    """Read and check recorded frames, and merge several exposures.
 
     Parameters
     ----------
-    calibration : exchanged axes are also detected by it; None: there is none yet
+    calibration : helps to detect exchanged axes; None: the rig is not calibrated
 
     Returns
     -------
-    stack (frame, row, col), DN, and the factor of each pixel (row, col), see `merge_exposures`
+    stack (frame, row, col), DN, and the scale factor of each pixel (row, col), see
+    `merge_exposures`; None instead of the factors for a single exposure
 
     Raises
     ------
-    CaptureError : missing or damaged files, unequal sizes or types, values beyond the bit depth,
-        exposures that contradict the light, frames clearly in another order
+    CaptureError : files are missing or damaged, sizes or types differ, values exceed the bit depth,
+        brightness contradicts the exposure times, or frames are clearly in another order
     """
     patterns, sensor = recorded.patterns, recorded.sensor
     if recorded.stack_file is not None:
@@ -265,7 +269,7 @@ def read_frames(
 
 
 def described(folder: Path) -> Path | None:
-    """Return the folder that capture.toml describes, this one or below; None if there is none."""
+    """Return `folder` or its subfolder `capture/`, whichever has a capture.toml; None: neither."""
     for candidate in (folder, folder / SUBFOLDER):
         if is_regular(candidate / DESCRIPTION_FILE):
             return candidate
@@ -273,7 +277,12 @@ def described(folder: Path) -> Path | None:
 
 
 def find_capture(folder: Path | str) -> Path:
-    """Return the folder that capture.toml describes, this one or below, or raise CaptureError."""
+    """Return `folder` or its subfolder `capture/`, whichever has a capture.toml.
+
+    Raises
+    ------
+    CaptureError : neither has a capture.toml
+    """
     subfolder = described(Path(folder))
     if subfolder is None:
         raise CaptureError(

@@ -1,8 +1,9 @@
-"""Sort listed frames into the order of decoding, and determine their sequence.
+"""Sort listed frames into the order of decoding, and determine their pattern set.
 
-The stated period, shift and bit of each frame decide, not its name or place: sets of equal steps by
-period, words by their bits. The code is stated, or it is the only code with `is_shown_by` True for
-the widths of the words and the periods of the fringes.
+The frames are sorted by their stated period, shift and bit, not by their names or their order in
+the list. Phase frames of one period form a set of equal steps, Gray frames form code words. The
+pattern code is the stated one. Without a statement it is the only code with `is_shown_by` True for
+the widths of the code words and the periods of the fringes.
 """
 
 import math
@@ -16,23 +17,23 @@ from reconstruction.errors import CaptureError, require_integer
 from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet
 from reconstruction.words import WORDS
 
-# Rounding of shifts written with few digits, as a share of a step.
+# Largest deviation of a shift from equal steps, as a share of a step: shifts may be rounded.
 EQUAL_STEPS = 0.02
 
 
 @dataclass(frozen=True)
 class ListedFrame:
-    """One image and its pattern.
+    """One listed image and its pattern.
 
     Parameters
     ----------
-    file : path below the folder
-    kind, axis : as of `PatternFrame`
-    period_px : of fringes; of a bit that of its word, if stated
-    shift_deg : with its sign, in [0, 360)
-    bit : 0 is the coarsest
-    shifted : of the second word
-    exposure_ms : 0 if there is a single exposure
+    file : path of the image, relative to the folder of capture.toml
+    kind, axis : as in `PatternFrame`
+    period_px : period of the fringes; for a bit the width of its code word; None: not stated
+    shift_deg : phase shift that is added to 2 pi x / period, in [0, 360)
+    bit : number of the bit, 0 for the coarsest
+    shifted : whether the bit is of the second code word
+    exposure_ms : exposure time; 0: there is a single exposure
     """
 
     file: str
@@ -46,7 +47,7 @@ class ListedFrame:
 
     @property
     def text(self) -> str:
-        """Description of its pattern, for messages."""
+        """Description of the pattern, for messages."""
         along = f" along {self.axis}" if self.axis else ""
         if self.kind == "phase":
             return f"phase{along}, period {self.period_px:g} px, shift {self.shift_deg:g} degrees"
@@ -56,7 +57,7 @@ class ListedFrame:
 
 @dataclass(frozen=True)
 class ProjectorSize:
-    """Pixels of the projector."""
+    """Image size of the projector, px."""
 
     width_px: int
     height_px: int
@@ -67,7 +68,12 @@ class ProjectorSize:
 
 
 class Arrangement:
-    """The frames of one exposure, sorted: `patterns`, and `files` in the order of their frames.
+    """The listed frames of one exposure in the order of decoding.
+
+    Attributes
+    ----------
+    patterns : pattern set that the frames show
+    files : paths of the images in the order of `patterns.frames`
 
     Raises
     ------
@@ -136,7 +142,7 @@ class Arrangement:
     def _coded(
         self, axis: Axis, phases: list[list[ListedFrame]]
     ) -> tuple[str, list[ListedFrame], list[ListedFrame]]:
-        """Return the code along one axis, its Gray frames and their inverses."""
+        """Return the name of the code along one axis, its Gray frames and their inverse frames."""
         first, second = self._of("gray", axis), self._of("gray", axis, shifted=True)
         is_displaced = bool(second) and not first
         if is_displaced:
@@ -166,7 +172,13 @@ class Arrangement:
     def _code(
         self, axis: Axis, phases: list[list[ListedFrame]], words: tuple[tuple[float, bool], ...]
     ) -> PatternCode:
-        """Return the stated code, or the only code with such frames."""
+        """Return the stated pattern code, or the only code that has frames with this layout.
+
+        Parameters
+        ----------
+        phases : frames of each fringe period
+        words : width of each code word in periods, and whether the word is displaced
+        """
         periods_px = tuple(frames[0].period_px or 0.0 for frames in phases)
         layout = AxisFrames(self._length(axis), periods_px, _sizes(phases), words)
         codes = [self._stated] if self._stated else [c for c in CODES if c.is_shown_by(layout)]
@@ -229,7 +241,7 @@ def _sizes(sets: list[list[ListedFrame]]) -> tuple[int, ...]:
 
 
 def _has_single_images(sizes: tuple[int, ...]) -> bool:
-    """Whether the first period has several steps and each further one a single image."""
+    """Return True if the first period has several images and each further one a single image."""
     return len(sizes) > 1 and sizes[0] >= STEPS_RANGE[0] and set(sizes[1:]) == {1}
 
 
@@ -257,7 +269,7 @@ def _require_distinct(frames: Sequence[ListedFrame]) -> None:
 
 
 def _equal_steps(frames: list[ListedFrame]) -> list[ListedFrame]:
-    """Sort a phase set by its shift, or raise CaptureError unless its steps are equal."""
+    """Return the frames of a phase set sorted by shift; raise CaptureError for unequal steps."""
     count = len(frames)
     step_deg = 360.0 / count
     slack_deg = EQUAL_STEPS * step_deg
@@ -276,12 +288,12 @@ def _equal_steps(frames: list[ListedFrame]) -> list[ListedFrame]:
 
 
 class _WordBits:
-    """The bits of the first word along one axis, the coarsest first.
+    """The bits of the first code word along one axis, the coarsest first.
 
     Attributes
     ----------
-    width_periods : width of the words in fringe periods, without the finest bits that the fringes
-        do not need: 1 or 1/2
+    width_periods : width of the code word in fringe periods, 1 or 1/2, after removal of the finest
+        bits that the fringes do not need
     """
 
     def __init__(
@@ -304,7 +316,7 @@ class _WordBits:
         self.width_periods = width_px * 2**self._left_out / self._fringe_px
 
     def needed_bits(self, code: PatternCode) -> slice:
-        """Return the bits that a code needs; coarser ones are 0 everywhere."""
+        """Return the slice of the bits that a code needs; coarser bits are 0 in the whole image."""
         words = code.words(AxisFringes(self._length_px, (self._fringe_px,)))
         if not words:
             axis = self._frames[0].axis
@@ -333,7 +345,13 @@ def _require_all_bits(frames: list[ListedFrame]) -> None:
 def _left_out(
     frames: list[ListedFrame], fringe_px: float, stated_px: float, shifted: bool, word: str
 ) -> int:
-    """Return the number of finest bits that the fringes do not need."""
+    """Return the number of the finest bits that the fringes do not need.
+
+    Parameters
+    ----------
+    stated_px : width of the code word with all bits
+    shifted : whether there is a second code word
+    """
     finer, has_spare_bits = math.log2(fringe_px / stated_px), WORDS[word].has_spare_bits
     count = max(round(finer) - (1 if has_spare_bits and not shifted else 0), 0)
     if abs(finer - round(finer)) > 1e-9 or finer < -1e-9 or (count and not has_spare_bits):
@@ -347,7 +365,7 @@ def _left_out(
 def _inferred_px(
     frames: list[ListedFrame], fringe_px: float, length_px: int, shifted: bool
 ) -> float:
-    """Return the width of a word by the number of bits, if that determines it."""
+    """Return the width of the code word, px, if the number of bits determines it."""
     count, plain = len(frames), AxisFringes(length_px, (fringe_px,)).bits
     if shifted or count == plain:
         return fringe_px

@@ -1,20 +1,21 @@
-"""A list of frames in capture.toml: the pattern of each image, for sets of other programs.
+"""Read a capture.toml that lists the pattern of each image, for images of other programs.
 
 | key | content |
 |---|---|
 | format, version | "fringe-frames", 1 |
 | bit_depth, calibration_file, dark_file, | |
-| channel, [sensor], [response] | as with `files`, see `frame_set` |
+| channel, [sensor], [response] | as with the key `files`, see `frame_set` |
 | [projector] | width_px, height_px |
 | [[frames]] | one table for each group of images, see `FrameEntry` |
 
-Every group is expanded into `ListedFrame`s, one per image. These are sorted into the order of
-decoding, independently of their names, and define the `PatternSet`. A set with the manifest of
-`twin patterns` is the short form of such a list.
+Each group is expanded into `ListedFrame`s, one per image. The frames are sorted into the order of
+decoding, independently of their names, and define the `PatternSet`. With the key `files` and a
+manifest no list is needed.
 
-A phase frame shows A + B cos(2 pi x / period + sign * shift); a set of N must be N equal steps of
-360 degrees / N with any first shift. The finest bits of a reflected word may be omitted: the
-remaining bits number stripes of twice the width, so bits finer than needed are not used.
+A phase frame shows A + B cos(2 pi x / period + sign * shift). A set of N phase frames must have N
+equal steps of 360 degrees / N; its first shift is arbitrary. The bits of a reflected code word
+without the finest bit number stripes that are wider by a factor of two. Therefore bits that are
+finer than the fringes need may be listed, but are not used.
 """
 
 import re
@@ -44,31 +45,34 @@ from reconstruction.words import WORDS
 EntryKind = Literal["phase", "gray", "inverse", "gray_and_inverse", "white", "black"]
 BitOrder = Literal["coarse_first", "fine_first"]
 MOST_FRAMES = 4096
-# Words may be finer than a pixel, and a single fringe longer than the projector.
+# Allowed periods and code word widths: a word may be narrower than a pixel, and a single fringe
+# longer than the projector image.
 PERIOD_RANGE_PX = (0.01, 1e6)
 _RANGE = re.compile(r"\{(\d{1,9})\.\.(\d{1,9})(?:\.\.(\d{1,4}))?\}")
 
 
 @dataclass(frozen=True)
 class FrameEntry:
-    """One group of images of a kind.
+    """One table [[frames]]: a group of images of equal kind.
 
     Parameters
     ----------
-    files : names, in the order shown: one name; with * or ?, then in natural order; with a range of
-        numbers as in {00..21} or {0..20..2}, also downwards; or a list of these
-    kind : gray_and_inverse: each Gray frame is followed by its inverse
-    axis : along which the pattern varies: "column" has vertical stripes
-    period_px : of fringes; of bits the width of one word, needed if there are more bits than the
-        fringes need
-    steps : phase steps N, if not all images of the group
-    shift_deg : of every phase frame; a single number: of the first one, further ones follow by
-        360 / N
-    sign : -1: the shift is subtracted from 2 pi x / period, not added
-    bit : of every Gray frame, 0 the coarsest; default: as in `bits`
-    bits : order of the frames of a word
-    shifted : this is the second word, displaced by half a period
-    exposure_ms : exposure time, if the sequence was recorded several times
+    files : file names in the order of projection: a name; a name with * or ?, for all matching
+        files in natural order; a name with a range of numbers as in {00..21} or {0..20..2}, also
+        descending; or a list of these
+    kind : kind of the patterns; with gray_and_inverse each Gray frame is followed by its inverse
+    axis : projector axis along which the pattern varies; "column": vertical stripes. None: white or
+        black
+    period_px : period of the fringes; for bits the width of one code word, which must be given if
+        there are more bits than the fringes need
+    steps : number N of phase steps, which must be the number of images; None: not stated
+    shift_deg : shift of each phase frame, degrees; a single number is the shift of the first frame,
+        and further frames follow in steps of 360 / N
+    sign : 1: the shift is added to 2 pi x / period; -1: it is subtracted
+    bit : bit that each Gray frame shows, 0 for the coarsest; None: the order given by `bits`
+    bits : whether the first frame shows the coarsest or the finest bit
+    shifted : whether the frames are of the second code word, displaced by half a period
+    exposure_ms : exposure time, if the pattern sequence was recorded with several exposures
     """
 
     files: str | list[str]
@@ -118,9 +122,11 @@ class ListedSet(ImageSet):
 
     Parameters
     ----------
-    word : encoding of words as bits, see `PatternSet`
-    code : name of the pattern code; "": the only code that projects such frames. It must be stated
-        if several codes project them
+    projector : image size of the projector
+    frames : groups of images
+    word : encoding of code words as bits, see `PatternSet`
+    code : name of the pattern code; "": the only code that has such frames. The name must be given
+        if several codes have them
     """
 
     projector: ProjectorSize
@@ -136,11 +142,11 @@ class ListedSet(ImageSet):
         object.__setattr__(self, "frames", _entries(self.frames))
 
     def recorded(self, folder: Path) -> RecordedFrames:
-        """Return the images of a folder in the order of decoding.
+        """Return the frames on disk in a folder, in the order of decoding.
 
         Raises
         ------
-        CaptureError : an image is missing or listed twice, a group has a wrong number of images;
+        CaptureError : an image is missing or listed twice, a group has a wrong number of images, or
             the listed frames cannot be decoded
         """
         try:
@@ -170,7 +176,7 @@ class ListedSet(ImageSet):
 
 
 def read_listed(path: Path) -> ListedSet:
-    """Read capture.toml with a list of frames.
+    """Read a capture.toml with a list of frames.
 
     Raises
     ------
@@ -181,7 +187,7 @@ def read_listed(path: Path) -> ListedSet:
 
 
 def _entries(frames: Any) -> tuple[FrameEntry, ...]:
-    """Return the tables [[frames]] as entries; entries are returned as they are."""
+    """Return the tables [[frames]] as `FrameEntry` objects; such objects are not changed."""
     if not isinstance(frames, (list, tuple)) or not frames:
         raise CaptureError("frames is no list of tables; write each as [[frames]]")
     if all(isinstance(frame, FrameEntry) for frame in frames):
@@ -192,7 +198,7 @@ def _entries(frames: Any) -> tuple[FrameEntry, ...]:
 
 
 def _expand(folder: Path, entry: FrameEntry, dark_file: str) -> list[ListedFrame]:
-    """Return one frame for each image of a group."""
+    """Return a `ListedFrame` for each image of a group."""
     names = _names(folder, entry, dark_file)
     common: dict[str, Any] = {
         "axis": entry.axis,
@@ -229,7 +235,7 @@ def _expand(folder: Path, entry: FrameEntry, dark_file: str) -> list[ListedFrame
 
 
 def _names(folder: Path, entry: FrameEntry, dark_file: str) -> list[str]:
-    """Return the names of the images of a group, relative to the folder."""
+    """Return the file names of the images of a group, relative to `folder`."""
     texts = [entry.files] if isinstance(entry.files, str) else entry.files
     names = [name for text in texts for name in _matching(folder, text, dark_file)]
     missing = [name for name in names if not reading.is_regular(folder / name)]

@@ -1,18 +1,20 @@
-"""Check by the data whether the frames have the order of the pattern set.
+"""Check from the recorded images whether the frames have the order of the pattern set.
 
-Five checks of a sample of the lit pixels; each names the mistake that explains the data:
-- the whole sequence: does another order (exchanged axes, shifted by one, reversed ...) give points
-  for far more of the lit pixels?
-- each N-step set: do its frames follow A + B cos(phi + 2 pi n / N), equally bright, and does an
-  exchange of two of them fit better? (`check_phase_sets`)
-- phase against the half-periods of an edge-safe Gray code: does the set start at step 0?
-  (`check_first_step`)
-- Gray words of neighbouring pixels: do they differ by one? (`check_words`)
-- phase against plain Gray words where a word ends: is it 0 there, and does it increase with the
-  word? (`check_borders`)
+Five checks use a sample of the lit pixels. If one fails, its message names the mistake that
+explains the images:
 
-Not detected: phase frames that start late, or run backwards along both axes, with
-multi-frequency codes; a foreign phase frame with fewer than five steps.
+- Whole sequence: another order (exchanged axes, shifted by one, reversed ...) must not give points
+  for far more of the lit pixels.
+- Each set of N phase frames: the frames must follow A + B cos(phi + 2 pi n / N) with equal
+  exposure, and an exchange of two frames must not fit better (`check_phase_sets`).
+- First step: the phase must agree with the half-periods of an edge-safe Gray code
+  (`check_first_step`).
+- Gray words: those of neighbouring pixels must differ by at most one (`check_words`).
+- Borders: where a plain Gray word ends, the phase must be 0 and increase with the word
+  (`check_borders`).
+
+Two mistakes are not detected. With codes of several periods, phase frames may start late, or be
+reversed along both axes. With fewer than five steps, a phase frame may belong to another set.
 """
 
 from collections.abc import Callable, Iterator
@@ -37,11 +39,11 @@ from reconstruction.rig.sensor import SensorNoise
 from reconstruction.triangulation import triangulate
 
 SAMPLE_PX = 72
-"""The shorter side of the sample of the image."""
-# Below this share of lit pixels with points further orders are tried. Such an order is reported
-# only if its share is larger by this much: a difficult but well-ordered capture passes.
+"""Number of sampled pixels along the shorter side of the image."""
+# If less than the share ENOUGH of the lit pixels gives points, other orders are tried. An order is
+# reported only if its share is larger by MUCH_MORE, so that a difficult capture passes.
 ENOUGH, MUCH_MORE = 0.8, 0.25
-# A pixel is lit when its frames differ by this many sigmas of its noise.
+# A pixel is lit if its frames differ by more than this many standard deviations of its noise.
 LIT_SIGMAS = 8.0
 LEAST_LIT = 50
 
@@ -50,7 +52,12 @@ Order = tuple[str, list[int]]
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A coarse grid of the capture's pixels."""
+    """Frames of a capture, sampled on a coarse grid of pixels.
+
+    stack : (frame, row, col), DN
+    calibration : calibration with the camera's image size of the sample; None: not calibrated
+    is_lit : (row, col) bool
+    """
 
     stack: Stack
     patterns: PatternSet
@@ -65,18 +72,19 @@ def check_order(
     sensor: SensorNoise,
     calibration: Calibration | None = None,
 ) -> None:
-    """Compare the frames with the pattern set.
+    """Raise CaptureError if the frames are not in the order of the pattern set.
 
     Parameters
     ----------
     stack : (frame, row, col), DN of one exposure
-    patterns : the projected sequence, in this order
+    patterns : the expected patterns
     sensor : camera noise, by which lit pixels are selected
-    calibration : detects exchanged axes even if both axes are similar; None: not calibrated yet
+    calibration : with it exchanged axes are detected even if both are similar; None: not calibrated
 
     Raises
     ------
-    CaptureError : another order or unequal exposures explain the frames; names the mistake
+    CaptureError : another order or unequal exposures explain the frames; the message names the
+        mistake
     """
     sample = _sample(stack, patterns, sensor, calibration)
     if np.count_nonzero(sample.is_lit) < LEAST_LIT:
@@ -107,7 +115,10 @@ def _sample(
 
 
 def _thinned(calibration: Calibration, stride: int, shape: tuple[int, ...]) -> Calibration:
-    """Return the calibration of a camera that reads only each stride-th pixel."""
+    """Return the calibration of a camera of which only every `stride`-th pixel is used.
+
+    `shape` is the number of rows and columns of the sample.
+    """
     camera = calibration.camera
     numbers = ("fx_px", "fy_px", "cx_px", "cy_px")
     scaled = {name: getattr(camera, name) / stride for name in numbers}
@@ -140,7 +151,7 @@ def _share_of_points(sample: Sample, take: list[int] | None) -> float:
 
 
 def _mistakes(patterns: PatternSet) -> Iterator[Order]:
-    """Yield likely mistakes of whole sequences: the message, and the index of every frame."""
+    """Yield likely wrong orders: a message, and the recorded index of each expected frame."""
     frames, count = patterns.frames, len(patterns.frames)
     kinds = ("phase", "gray", "inverse", "white", "black")
     is_both, has_uniform, has_phase = patterns.axes == AXES, patterns.uniform, patterns.steps > 0

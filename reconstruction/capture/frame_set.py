@@ -1,19 +1,22 @@
-"""capture.toml of a real rig: one image file per frame.
+"""Read and write capture.toml of a real rig with one image file per frame.
 
 | key | content |
 |---|---|
 | format, version | "fringe-frames", 1 |
-| files | pattern of the file names: fields {index} (from 0), {number} (from 1), {name} and {set}, |
-|       | as in "{index:03d}_{name}.png", at most 99 digits wide; or with * and ?, then in natural |
-|       | order of the names; in the folder of capture.toml or below it |
+| files | pattern of the file names, see below |
 | bit_depth | bits per pixel value, 8 to 16 |
-| patterns_file | manifest that came with the projected images |
-| calibration_file | OpenCV YAML, see `calibration` |
-| dark_file | optional: one image without light, best a mean of many |
-| exposures_ms | optional: one per set of frames, when the sequence was taken several times |
-| channel | optional: "red", "green" or "blue" of colour images |
-| [sensor] | see `SensorNoise` |
-| [response] | optional: that of the projector, see `ProjectorResponse` |
+| patterns_file | manifest, patterns.toml, of the projected images |
+| calibration_file | OpenCV YAML, see `rig.calibration` |
+| dark_file | optional: an image without light, preferably a mean of many |
+| exposures_ms | optional: exposure time of each set, if all frames were recorded several times |
+| channel | optional: channel of colour images to read, "red", "green" or "blue" |
+| [sensor] | camera noise, see `SensorNoise` |
+| [response] | optional: response of the projector, see `ProjectorResponse` |
+
+The pattern of the file names has fields, as in "{index:03d}_{name}.png". {index} is the number of
+the frame from 0, {number} its number from 1, and {name} its name. {set} is the number of its set
+from 0. Numbers are at most 99 digits wide. Or the pattern has * and ?; then the frames are the
+matching files in natural order of their names (frame_2 before frame_10).
 
 Paths are relative to the folder of capture.toml. For images that other programs wrote, [[frames]]
 replaces files and patterns_file, see `frame_list`.
@@ -58,7 +61,7 @@ _LONGEST_SHOWN = 200
 
 @dataclass(frozen=True, kw_only=True)
 class FrameSet(ImageSet):
-    """Content of capture.toml; see the module."""
+    """Content of a capture.toml with the key `files`; the module's text explains the keys."""
 
     files: str
     patterns_file: str = "patterns.toml"
@@ -73,11 +76,11 @@ class FrameSet(ImageSet):
 
     @property
     def sets(self) -> int:
-        """Number of recordings of the sequence."""
+        """Number of sets of frames: how often the pattern sequence was recorded."""
         return max(1, len(self.exposures_ms))
 
     def recorded(self, folder: Path) -> RecordedFrames:
-        """Return the images of a folder in the order of the manifest.
+        """Return the frames on disk in a folder, in the order of its manifest.
 
         Raises
         ------
@@ -89,7 +92,7 @@ class FrameSet(ImageSet):
 
 
 def read_frame_set(path: Path) -> FrameSet:
-    """Read capture.toml.
+    """Read a capture.toml with the key `files`.
 
     Raises
     ------
@@ -99,7 +102,7 @@ def read_frame_set(path: Path) -> FrameSet:
 
 
 def frame_files(folder: Path, description: FrameSet, patterns: PatternSet) -> list[list[Path]]:
-    """Return the image of every frame, in the order of `patterns.frames`, set by set.
+    """Return a list for each set with the image file of each frame, ordered as `patterns.frames`.
 
     Raises
     ------
@@ -143,7 +146,7 @@ def _sorted_files(
 
 
 def _gap(files: list[Path]) -> str:
-    """Return a text with the first jump in the running numbers, if the names end in numbers."""
+    """Return a text with the first gap in the numbers at the end of the names, or ""."""
     matches = [re.search(r"(\d+)\D*$", path.name) for path in files]
     numbers = [int(match.group(1)) for match in matches if match]
     for before, after in pairwise(numbers):
@@ -178,7 +181,7 @@ def _check_fields(files: str, sets: int) -> None:
 
 
 def _is_narrow(name: str | None, form: str | None, conversion: str | None) -> bool:
-    """Whether a field has a narrow format: a width of ten digits would need as many GB."""
+    """Return True if a field is at most 99 digits wide; a width of ten digits would take GBs."""
     width = r"" if name == "name" else r"0?\d{0,2}d?"
     return conversion is None and re.fullmatch(width, form or "") is not None
 
@@ -198,17 +201,20 @@ def write_frame_set(
     sensor: SensorNoise,
     bit_depth: int,
 ) -> None:
-    """Write images, manifest and description into an existing folder; no calibration file.
+    """Write image files, manifest and capture.toml into an existing folder.
+
+    A calibration file is not written.
 
     Parameters
     ----------
-    stack : (frame, row, col) uint8 or uint16, DN; images have its type
-    sensor : noise of these images
-    bit_depth : 8 to 16
+    stack : (frame, row, col) uint8 or uint16, DN; the image files have the same type
+    patterns : projected patterns, one frame each
+    sensor : camera noise
+    bit_depth : bits per pixel value, 8 to 16
 
     Raises
     ------
-    CaptureError : the stack does not fit the patterns, or holds no integers
+    CaptureError : the stack does not fit the patterns, or is not uint8 or uint16
     """
     folder = Path(folder)
     require_integer("bit_depth", bit_depth, 8, 16)

@@ -1,16 +1,19 @@
-"""Guess the patterns in the images of an unknown set.
+"""Guess the patterns that images of unknown content show.
 
 - Sets of equal phase steps are detected by their content, see `phase_steps`.
-- Other striped images are bits, in the order of their names, unless the view clearly contradicts
-  that. Two complementary images are a bit and its inverse. Words are binary, not Gray, if several
-  bits change at once. See `word_bits`.
+- Other striped images are bits, in the order of their names unless the images clearly contradict
+  this order. Two complementary images are a bit and its inverse. Code words are binary, not Gray,
+  if several bits change at the same place. See `word_bits`.
 - Images without stripes are white, black, or bits that do not change within the view, see
-  `uniform_images`; grey ones next to the bits are the finest bits, not resolved by the camera.
-- Where bits number the fringes, the phase at the borders of the words determines the shift of the
-  first image. The direction in which the words increase determines the sign of the shifts:
-  `phase_anchor`.
-- The width of a stripe in projector pixels is not visible in the images: see `guess_file`.
-Every uncertain value is listed as a doubt: a guess without a doubt must be right.
+  `uniform_images`. Grey images next to the bits are the finest bits, which the camera does not
+  resolve.
+- If bits number the fringes, the phase at the borders of the code words determines the shift of the
+  first phase frame. The direction in which the words increase determines the sign of the shifts.
+  See `phase_anchor`.
+- The width of a stripe in projector pixels is not visible in the images. It is assumed, see
+  `guess_file`.
+
+Every uncertain value is listed in a message, called doubt. A guess without a doubt must be right.
 """
 
 from collections.abc import Sequence
@@ -51,21 +54,23 @@ from reconstruction.capture.uniform_images import UniformImages, choose_plain
 from reconstruction.capture.word_bits import ArrangedBits, Bits, arranged, bits_of
 from reconstruction.patterns import AXES, Axis
 
-# Grey images within this distance of a bit, in the order of names, are bits; inverses included.
+# Grey images within this distance after a bit, in the order of names, are bits or inverses.
 NEAR_NAMES = 2
-# With fewer bits the choice of white and black is uncertain.
+# With fewer bits than this the choice of white and black is uncertain.
 FEW_BITS = 3
 
 
 @dataclass(frozen=True)
 class Guess:
-    """Guessed content of a folder.
+    """Guessed patterns of the images in a folder.
 
     Parameters
     ----------
-    groups : in the order of the list
-    unsure : values to check, one line each
-    words : of the axes that have bits
+    groups : groups of images of equal kind, in the order of the tables [[frames]]
+    word : encoding of the code words, "reflected" or "binary"
+    unsure : doubts: messages of one line about values that the user should check
+    folder_features : features of the images
+    words : code words along each axis that has bits
     """
 
     groups: tuple[FrameGroup, ...]
@@ -76,11 +81,15 @@ class Guess:
 
 
 def guess(folder: Path, size: tuple[int, int]) -> Guess:
-    """Guess the patterns of the images below a folder, for a projector of `size`, px.
+    """Guess the patterns that the images in a folder and its subfolders show.
+
+    Parameters
+    ----------
+    size : image size of the projector (width, height), px
 
     Raises
     ------
-    CaptureError : there are too few images, one is damaged, or they do not change
+    CaptureError : there are too few images, one is damaged, or all are equal
     """
     folder_features = analyse_folder(folder)
     features = _with_axes(folder_features.features)
@@ -112,7 +121,7 @@ def guess(folder: Path, size: tuple[int, int]) -> Guess:
 
 @dataclass(frozen=True, eq=False)
 class _AlongAxis:
-    """Groups along one axis, the words that number its fringes, and doubts."""
+    """Groups of images along one axis, code words that number its fringes (or None), and doubts."""
 
     groups: tuple[FrameGroup, ...]
     words: NumberedLines | None
@@ -144,11 +153,13 @@ def _plain_groups(features: Sequence[ImageFeatures], plain: UniformImages) -> li
 def _words(
     features: Sequence[ImageFeatures], phases: Sequence[FrameGroup], striped: dict[int, Axis]
 ) -> tuple[dict[Axis, ArrangedBits], UniformImages, bool]:
-    """Return the bits along each axis, white and black, and whether these are needed.
+    """Return the bits along each axis, white and black, and if white and black are needed.
+
+    They are needed as threshold of the bits if there are neither phase frames nor inverses.
 
     Parameters
     ----------
-    striped : axis of the images with stripes that are no phase steps, by index
+    striped : axis of each image with stripes that is no phase frame, by index of the image
     """
     taken = {name for group in phases for name in group.files}
     striped = _with_grey(features, striped, taken)
@@ -175,7 +186,10 @@ def _words(
 
 
 def _with_axes(features: Sequence[ImageFeatures]) -> list[ImageFeatures]:
-    """Return the images, with uncertain axes replaced by that of both neighbours by name."""
+    """Return the images; an uncertain axis is replaced by that of the neighbours by name.
+
+    The neighbours are the next images before and after with a certain axis.
+    """
     result = list(features)
     certain = [
         k for k, image in enumerate(features) if _is_striped(image) and image.certainty >= CERTAIN
@@ -198,7 +212,7 @@ def _is_striped(image: ImageFeatures) -> bool:
 def _fringes(
     features: Sequence[ImageFeatures],
 ) -> tuple[list[FrameGroup], dict[int, Axis], list[str]]:
-    """Return the phase sets, the axis of the striped images that are bits by index, and doubts."""
+    """Return the phase sets, the axis of each image that is a bit by its index, and doubts."""
     phases = stepped_sets(features)
     taken = {name for group in phases for name in group.files}
     for axis in AXES:
@@ -245,7 +259,10 @@ def _mean(
 def _with_grey(
     features: Sequence[ImageFeatures], bits: dict[int, Axis], taken: set[str]
 ) -> dict[int, Axis]:
-    """Add images of hardly resolved stripes that follow the bits, by the order of their names."""
+    """Return the axes of `bits` and of hardly resolved images that follow a bit by name.
+
+    Both are by index of the image. `taken` has the files of phase frames.
+    """
     with_grey = dict(bits)
     for k, image in enumerate(features):
         if image.kind in ("faint", "grey") and image.file not in taken:

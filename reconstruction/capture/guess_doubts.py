@@ -1,4 +1,4 @@
-"""Doubts about a guess: one line each, with the files concerned."""
+"""List the doubts about guessed patterns: messages of one line that begin with file names."""
 
 from collections.abc import Iterable, Sequence
 
@@ -7,16 +7,16 @@ from reconstruction.capture.uniform_images import UniformImages
 from reconstruction.capture.word_bits import ArrangedBits
 from reconstruction.patterns import AXES, Axis
 
-# With this many fringes in view a period is not assumed to be a single fringe.
+# Least number of fringes in view at which a period is not assumed to be a single fringe.
 SEVERAL_FRINGES = 1.5
-# With less than this of a fringe in view the three steps of a set cannot be checked.
+# Least number of fringes in view with which the steps of a set of three can be checked.
 LITTLE_OF_A_FRINGE = 1.2
-# Difference of two frequencies, cycles per line, below which they may be one.
+# Two frequencies that differ by less than this, cycles per line, may be equal.
 SAME_PERIOD_CYCLES = 0.25
 
 
 def scattered_doubts(features: Sequence[ImageFeatures], phases: Sequence[FrameGroup]) -> list[str]:
-    """Return doubts about phase sets with images that are not consecutive by their names."""
+    """Return doubts about phase sets of images that are not consecutive by name."""
     place = {image.file: k for k, image in enumerate(features)}
     doubts = []
     for group in phases:
@@ -32,7 +32,7 @@ def scattered_doubts(features: Sequence[ImageFeatures], phases: Sequence[FrameGr
 def anchor_doubts(
     groups: Sequence[FrameGroup], axis: Axis, bits: ArrangedBits, plain: UniformImages
 ) -> list[str]:
-    """Return a doubt about the shifts of fringes if their bits are uncertain."""
+    """Return a doubt about the shifts of the fringes along an axis if its bits are uncertain."""
     phases = [group for group in groups if group.kind == "phase" and group.axis == axis]
     if not phases or not bits.groups or (bits.is_confirmed and plain.is_certain):
         return []
@@ -40,7 +40,7 @@ def anchor_doubts(
 
 
 def uneven_doubts(phases: Sequence[FrameGroup], features: Sequence[ImageFeatures]) -> list[str]:
-    """Return doubts about unequal numbers of steps, and sets with little of a fringe in view."""
+    """Return doubts about unequal numbers of steps and about sets with few fringes in view."""
     doubts = []
     if len({len(group.files) for group in phases}) > 1:
         sets = ", ".join(f"{len(group.files)} from {group.files[0]} on" for group in phases)
@@ -57,7 +57,7 @@ def uneven_doubts(phases: Sequence[FrameGroup], features: Sequence[ImageFeatures
 
 
 def repeated_doubts(phases: Sequence[FrameGroup], features: Sequence[ImageFeatures]) -> list[str]:
-    """Return doubts about sets of one axis with periods that can hardly be distinguished."""
+    """Return doubts about phase sets of equal axis that may have equal periods."""
     doubts = []
     for number, group in enumerate(phases):
         for earlier in phases[:number]:
@@ -72,7 +72,10 @@ def repeated_doubts(phases: Sequence[FrameGroup], features: Sequence[ImageFeatur
 
 
 def unnumbered_doubts(phase: FrameGroup, features: Sequence[ImageFeatures]) -> list[str]:
-    """Return a doubt about the only phase set along an axis if it has several fringes in view."""
+    """Return a doubt if the only phase set along an axis has several fringes in view.
+
+    Then neither bits nor another period number the fringes.
+    """
     cycles = phase.frequency * features[0].along[phase.axis or "column"].shape[1]
     if cycles < SEVERAL_FRINGES:
         return []
@@ -85,11 +88,11 @@ def unnumbered_doubts(phase: FrameGroup, features: Sequence[ImageFeatures]) -> l
 def plain_doubts(
     features: Sequence[ImageFeatures], plain: UniformImages, *, is_needed: bool
 ) -> list[str]:
-    """Return doubts about white, black, and bits without stripes.
+    """Return doubts about the images without stripes: white, black, and bits.
 
     Parameters
     ----------
-    is_needed : without white and black the bits have no threshold
+    is_needed : whether white and black are needed as threshold of the bits
     """
     doubts = []
     shown = [k for k in (plain.white, plain.black) if k is not None]
@@ -112,7 +115,7 @@ def plain_doubts(
 def left_out_doubts(
     features: Sequence[ImageFeatures], groups: Sequence[FrameGroup], doubts: Sequence[str]
 ) -> list[str]:
-    """Return a line for each image that is in no group and no doubt so far."""
+    """Return a message for each image that is in no group and not yet reported as left out."""
     listed = {name for group in groups for name in group.files}
     plain = {group.kind: group.files[0] for group in groups if group.axis is None}
     named_before = {name for doubt in doubts if "left out" in doubt for name in _files(doubt)}
@@ -132,7 +135,7 @@ def _files(doubt: str) -> list[str]:
 
 
 def content_doubts(features: Iterable[ImageFeatures], groups: Sequence[FrameGroup]) -> list[str]:
-    """Return doubts about images with unclear content, or with names that contradict it."""
+    """Return doubts about images of unclear content, and about names that contradict it."""
     shown = {name: group for group in groups for name in group.files}
     doubts = []
     for image in features:

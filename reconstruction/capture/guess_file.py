@@ -1,4 +1,4 @@
-"""The guess about an unknown set of images as a capture.toml for the user to correct."""
+"""Write the guessed patterns of unknown images as a capture.toml, which the user corrects."""
 
 import json
 import math
@@ -14,17 +14,17 @@ from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis
 
 ASSUMED_FULL_WELL_E = 10_000.0
-# With fewer fringes of the coarsest period in view, that period is assumed to cover the projector.
+# If fewer fringes of the coarsest period are in view, one fringe is assumed to cover the projector.
 MOST_CYCLES = 1.6
 
 
 def written(guess: Guess, size: tuple[int, int], *, is_known: bool = True) -> str:
-    """Return the content of capture.toml with a comment on each guessed value.
+    """Return the text of a capture.toml with a comment on each uncertain value.
 
     Parameters
     ----------
-    size : of the projector, px, as used for the guess
-    is_known : whether the user stated it
+    size : image size of the projector (width, height), px, that was used for the guess
+    is_known : whether the user stated this size
     """
     width_px, height_px = size
     lines = [
@@ -66,7 +66,7 @@ def _group_lines(group: FrameGroup, guess: Guess, size: tuple[int, int]) -> list
 
 
 def _entry(group: FrameGroup, guess: Guess, size: tuple[int, int]) -> dict[str, Any]:
-    """Return the keys of `FrameEntry` that describe a group."""
+    """Return keys and values of the table [[frames]] (see `FrameEntry`) that describes a group."""
     entry: dict[str, Any] = {"files": list(group.files), "kind": group.kind}
     if group.axis is not None:
         entry["axis"] = group.axis
@@ -79,7 +79,7 @@ def _entry(group: FrameGroup, guess: Guess, size: tuple[int, int]) -> dict[str, 
 
 
 def _remarks(group: FrameGroup, guess: Guess) -> dict[str, str]:
-    """Return the comments on values that are not certain, by their keys."""
+    """Return the comments on uncertain values of a table [[frames]], by the keys of the values."""
     bits = ("gray", "inverse")
     same = [g for g in guess.groups if g.axis == group.axis and {g.kind, group.kind} <= {*bits}]
     files = [name for group in (group, *same) for name in group.files]
@@ -103,7 +103,10 @@ def _phases(guess: Guess, axis: Axis | None) -> list[FrameGroup]:
 
 
 def _period_px(group: FrameGroup, guess: Guess, size: tuple[int, int]) -> float:
-    """Return a period, px, with which all of them cover the projector."""
+    """Return the fringe period or word width of a group, projector px.
+
+    It is assumed that all code words, or one fringe of the coarsest period, cover the projector.
+    """
     length_px = size[AXES.index(group.axis or "column")]
     bits = next((g for g in guess.groups if g.kind == "gray" and g.axis == group.axis), None)
     if bits is not None:
@@ -115,10 +118,11 @@ def _period_px(group: FrameGroup, guess: Guess, size: tuple[int, int]) -> float:
 
 
 def _word_px(bits: FrameGroup, guess: Guess, size: tuple[int, int]) -> float:
-    """Return the width of a word, px.
+    """Return the assumed width of a code word, projector px.
 
-    A power of two, unless that excludes words in view, or all words are needed to number fringes of
-    whole pixels.
+    It is a power of two. In two cases it is length / 2^bits instead: if with the power of two the
+    largest word in view would be outside the projector; or if no word in view is near the end of
+    the projector, and all fringes are then whole numbers of pixels wide.
     """
     length_px = size[AXES.index(bits.axis or "column")]
     power_px = word_px(len(bits.files), length_px)
@@ -132,9 +136,9 @@ def _word_px(bits: FrameGroup, guess: Guess, size: tuple[int, int]) -> float:
 
 
 def _whole_fringes(guess: Guess, size: tuple[int, int]) -> dict[Axis | None, float]:
-    """Return the width of a word along each axis, px, if the bits number exactly all words.
+    """Return the word width length / 2^bits along each axis, px.
 
-    Empty if the fringes would not be whole pixels along all axes.
+    The result is empty unless the fringes along all axes are then whole numbers of pixels wide.
     """
     widths: dict[Axis | None, float] = {}
     for bits in (bits_group for bits_group in guess.groups if bits_group.kind == "gray"):
@@ -149,9 +153,10 @@ def _whole_fringes(guess: Guess, size: tuple[int, int]) -> dict[Axis | None, flo
 
 
 def _covering(guess: Guess, axis: Axis | None) -> float:
-    """Return the frequency of one cycle per projector: of the coarsest period, or of the beat.
+    """Return the frequency, cycles per camera pixel, of which one cycle covers the projector.
 
-    Periods of which the view shows several fringes each number one another by their beats.
+    It is the frequency of the coarsest period. For two or three periods, each with several fringes
+    in view, it is the frequency of their coarsest beat: the periods are assumed to be heterodyne.
     """
     rates = sorted(phase.frequency for phase in _phases(guess, axis))
     cycles = rates[0] * guess.folder_features.features[0].along[axis or "column"].shape[1]
@@ -176,6 +181,6 @@ def _sensor_lines(folder_features: FolderFeatures) -> list[str]:
 
 
 def require_groups(guess: Guess, folder: Path) -> None:
-    """Raise CaptureError if no image has stripes."""
+    """Raise CaptureError if no group has an axis, because no image shows stripes."""
     if not any(group.axis for group in guess.groups):
         raise CaptureError(f"{folder}: no image shows stripes; give a folder of projected patterns")

@@ -1,11 +1,13 @@
-"""Features of the images of an unknown set: level, axis of the stripes, their frequency.
+"""Compute features of images of unknown content: level, axis and frequency of the stripes.
 
-Of every image some lines along its rows and along its columns are used, at full resolution. Each
-value is normalised to the darkest and brightest value of its pixel in the whole set, u in [0, 1],
-which removes coat, object and lighting. Pixels that hardly change are excluded.
-An image that varies along projector columns differs within the lines along rows, and is uniform
-within those along columns. Frequencies are peaks of the mean power spectrum of the lines.
-within those along columns. Frequencies are peaks of the mean power spectrum of the lines.
+Of each image some lines along rows and some along columns are used, at full resolution. The level u
+of a pixel is its value after normalisation: 0 at the darkest, 1 at the brightest value of the pixel
+in all images. This removes coat, object and lighting. Pixels that hardly change are excluded and
+called not lit.
+
+An image that varies along projector columns varies within the lines along rows and is uniform
+within the lines along columns. The frequency is at the peak of the mean power spectrum of the
+lines.
 """
 
 from collections import Counter
@@ -26,11 +28,12 @@ SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".exr", ".pgm", ".npy")
 LINES = 64
 # A pixel is used if it changes by at least this share of the change of well-lit pixels.
 LIT_SHARE = 0.3
-# Variance of u below which an image is uniform; its mean beyond which it is white or black.
+# An image is uniform if the variance of u is below the first value; then it is white if the mean of
+# u is above the second value, and black if it is below the third.
 UNIFORM, WHITE, BLACK = 0.03, 0.7, 0.3
-# Variance of u and ratio of both directions above which stripes of little contrast are detected.
+# Faint stripes are detected above this variance of u and this ratio of variations along both axes.
 FAINT, FAINT_RATIO = 0.001, 2.5
-# Above this ratio of both directions the axis of stripes is certain.
+# Least ratio of the variations along both axes at which the axis of the stripes is certain.
 CERTAIN = 3.0
 # A pixel is dark or bright if its u is within this distance of 0 or 1.
 EXTREME = 0.15
@@ -40,24 +43,25 @@ NAMED = {
     "column": ("column", "col_", "vertical", "_x_", "_v_"),
     "row": ("row", "horizontal", "_y_", "_h_"),
 }
-# Zeros added to the lines, in lengths: finer steps of the spectrum.
+# Length of a zero-padded line, in line lengths; it gives finer steps of the spectrum.
 PADDED = 8
 
 
 @dataclass(frozen=True, eq=False)
 class ImageFeatures:
-    """Features of one image of a set.
+    """Features of one image of unknown content.
 
     Parameters
     ----------
-    file : below the folder
-    mean : of u
-    kind : "white", "black", "grey", "striped", or "faint": stripes of little contrast
-    axis, certainty : along which it varies, and by how much more than along the other, >= 1
-    frequency : of the stripes, cycles per camera pixel along the axis
+    file : path relative to the folder
+    mean : mean of the level u
+    kind : "white", "black", "grey", "striped", or "faint" (stripes of little contrast)
+    axis : projector axis along which the image varies most
+    certainty : variation along `axis`, divided by that along the other axis, >= 1
+    frequency : frequency of the stripes, cycles per camera pixel along the axis; 0: no stripes
     smooth : share of the pixels that are neither dark nor bright
-    along : (line, sample) u - 1/2 of the lines along each axis, 0 where they are not lit
-    lit : (line, sample) where they are, along each axis
+    along : for each axis (line, sample) u - 1/2 on the lines along it; 0 where not lit
+    lit : for each axis (line, sample) bool, whether the sample is lit
     """
 
     file: str
@@ -72,25 +76,26 @@ class ImageFeatures:
 
     @property
     def lines(self) -> FloatImage:
-        """Lines along its axis."""
+        """The levels u - 1/2 on the lines along the axis of the image, (line, sample)."""
         return self.along[self.axis]
 
     @property
     def is_lit(self) -> BoolImage:
-        """Lit samples of the lines along its axis."""
+        """Whether the samples of `lines` are lit, (line, sample) bool."""
         return self.lit[self.axis]
 
 
 @dataclass(frozen=True)
 class FrameGroup:
-    """Images of one [[frames]] table.
+    """Images of equal kind, which make one table [[frames]] of capture.toml.
 
     Parameters
     ----------
-    files : in the order shown
-    shifts_deg : of phase frames; relative to the first, unless a sign is known
-    frequency : cycles per camera pixel; of bits those of the finest
-    sign : of the shifts; 0: not known
+    kind, axis : as in `FrameEntry`
+    files : paths relative to the folder, in the order of projection
+    shifts_deg : shift of each phase frame; relative to the first image if `sign` is 0
+    frequency : cycles per camera pixel of the fringes, or of the finest bit
+    sign : sign of the shifts, 1 or -1; 0: not known
     """
 
     kind: str
@@ -103,15 +108,16 @@ class FrameGroup:
 
 @dataclass(frozen=True, eq=False)
 class FolderFeatures:
-    """Features of a folder of images.
+    """Features of all images of a folder.
 
     Parameters
     ----------
-    features : of the images of the most frequent size, in natural order
+    features : features of the images of the most frequent size, in natural order of their names
     left_out : files of another size
-    channel : the channel that was read of colour images
-    largest : largest value; dtype : of the images
-    darkest_dn : value of pixels without light
+    channel : channel that was read of colour images; "": the images are grey
+    largest : largest value in the images, DN
+    dtype : data type of the images
+    darkest_dn : estimated value of pixels without light, DN
     """
 
     features: tuple[ImageFeatures, ...]
@@ -127,7 +133,7 @@ def analyse_folder(folder: Path) -> FolderFeatures:
 
     Raises
     ------
-    CaptureError : there are fewer than three images, one is damaged, or none of them changes
+    CaptureError : there are fewer than three images, one is damaged, or all are equal
     """
     files = sorted(
         (p for pattern in ("*", "*/*") for p in folder.glob(pattern) if _is_image(p)),
@@ -155,7 +161,7 @@ def analyse_folder(folder: Path) -> FolderFeatures:
 
 
 def _read(path: Path) -> tuple[Image, bool]:
-    """Return an image, the green channel of colour images, and whether it has colours."""
+    """Return an image, or the green channel of a colour image, and True if it has colours."""
     try:
         return read_image(path), False
     except CaptureError:
@@ -191,7 +197,7 @@ def _all_features(names: Sequence[str], images: Sequence[Image]) -> tuple[ImageF
 
 
 def _places(length: int) -> NDArray[np.int_]:
-    """Return evenly spaced lines, without the margins."""
+    """Return the numbers of evenly spaced lines, without 5 % of `length` at both ends."""
     return np.unique(np.linspace(0.05 * length, 0.95 * length - 1, LINES).astype(int))
 
 
@@ -221,7 +227,7 @@ def _kind(variance: float, mean: float, certainty: float) -> str:
 
 
 def _strength(u: FloatArray, is_lit: BoolImage) -> float:
-    """Return the variation of u within lines: its variance and its steps from pixel to pixel."""
+    """Return the variation of u within lines: variance times mean step from pixel to pixel."""
     count = np.maximum(is_lit.sum(axis=1), 1)
     mean = u.sum(axis=1) / count
     variance = np.where(is_lit, (u - mean[:, np.newaxis]) ** 2, 0.0).sum(axis=1) / count
@@ -231,7 +237,10 @@ def _strength(u: FloatArray, is_lit: BoolImage) -> float:
 
 
 def spectrum(lines: FloatImage) -> FloatArray:
-    """Return the Fourier transform of each line minus its mean, windowed, (line, frequency)."""
+    """Return the Fourier transform (line, frequency) of each line (line, sample) minus its mean.
+
+    The lines are multiplied by a Hann window and padded with zeros.
+    """
     count = lines.shape[1]
     window = np.hanning(count)
     mean = (lines * window).sum(axis=1, keepdims=True) / window.sum()
@@ -245,6 +254,6 @@ def peak(lines: FloatImage) -> float:
 
 
 def named(image: ImageFeatures) -> set[str]:
-    """Return the kind and axis that the name of an image contains."""
+    """Return the words white, black, column and row that the name of an image contains or means."""
     padded = f"_{image.file.lower()}_"
     return {name for name, parts in NAMED.items() if any(part in padded for part in parts)}

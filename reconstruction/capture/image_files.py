@@ -1,14 +1,16 @@
-"""Frames of a real camera from PNG, TIFF, BMP, PGM, EXR or NPY files into one checked stack.
+"""Read the frames of a real camera from image files into one checked stack.
 
-PNG, TIFF and BMP by imageio, EXR by OpenEXR; EXR holds DN as floating-point numbers. Colour
-images give one of their channels, which capture.toml names. A dark frame D is subtracted as
-I - D + black level. This constant per pixel does not change the phase, but the comparison of white
-with black and merged exposures.
+PNG, TIFF and BMP files are read by imageio, EXR by OpenEXR, PGM and NPY by `raw_images`. EXR files
+have DN as floating-point numbers. Of a colour image the channel is read that capture.toml names. A
+dark frame D is subtracted from each image I as I - D + black level. This change is constant for a
+pixel and does not change the phase. It changes merged exposures, and thresholds from white and
+black.
 
-The same sequence taken at several exposures is merged into one stack before decoding. Per pixel the
-brightest exposure with no saturated frame is used (Zhang and Yau, Opt. Eng. 48, 033604
-(2009)); its DN above the black level are scaled to the longest exposure by s = t_max / t. The
-variance is then (s K sigma_d)^2 + s K (mean - black) + s^2 / 12: `decode` uses it when given s.
+A pattern sequence that was recorded with several exposures is merged into one stack before
+decoding. For each pixel the longest exposure without a saturated frame is used (Zhang and Yau, Opt.
+Eng. 48, 033604 (2009)). Its DN above the black level are scaled to the longest of all exposures by
+s = t_max / t. The variance is then (s K sigma_d)^2 + s K (mean - black) + s^2 / 12, which `decode`
+uses if it gets s.
 """
 
 from collections.abc import Sequence
@@ -31,12 +33,13 @@ from reconstruction.rig.sensor import SensorNoise
 
 Image = NDArray[Any]
 TYPES = ("uint8", "uint16", "float32")
-# Ratio of two exposures' light to that of their times: beyond it the sets are exchanged.
+# Largest factor between the ratio of brightness and that of exposure time of two sets; if it is
+# larger, the sets look exchanged.
 EXPOSURE_FACTOR = 1.5
 
 
 def read_exposures(recorded: RecordedFrames) -> list[Stack]:
-    """Read the images of every exposure, and subtract the dark frame.
+    """Return the stack of each exposure, with the dark frame subtracted if there is one.
 
     Raises
     ------
@@ -51,7 +54,10 @@ def read_exposures(recorded: RecordedFrames) -> list[Stack]:
 
 
 def with_file_names(message: str, recorded: RecordedFrames) -> str:
-    """Add to each frame in a message the name of its image, if the two differ."""
+    """Return a message in which each frame name is followed by the name of its image file.
+
+    The file name is left out if it contains the frame name.
+    """
     for frame, path in zip(recorded.patterns.frames, (recorded.files or ((),))[0], strict=False):
         if frame.name not in path.name:
             message = message.replace(f"({frame.name})", f"({frame.name}: {path.name})")
@@ -59,11 +65,12 @@ def with_file_names(message: str, recorded: RecordedFrames) -> str:
 
 
 def read_stack_of_images(files: Sequence[Path], bit_depth: int, channel: Channel = "") -> Stack:
-    """Return the images as one stack (frame, row, col) of their own type.
+    """Return the images of the files as one stack (frame, row, col) of the type of the files.
 
     Raises
     ------
-    CaptureError : an image is damaged or unlike the first one, or holds values beyond `bit_depth`
+    CaptureError : an image is damaged, differs from the first one in size or type, or has values
+        beyond `bit_depth`
     """
     first = read_image(files[0], channel)
     stack = np.zeros((len(files), *first.shape), first.dtype)
@@ -89,7 +96,8 @@ def read_image(path: Path, channel: Channel = "") -> Image:
 
     Raises
     ------
-    CaptureError : missing, damaged, coloured, or of another type
+    CaptureError : the image is missing, damaged or of another type, or has colours although no
+        channel is given
     """
     try:
         image = _READERS.get(path.suffix.lower(), read_pixels)(path)
@@ -159,10 +167,15 @@ def _read_dark(path: Path, shape: tuple[int, ...], channel: Channel) -> Image:
 
 
 def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
-    """Return float32 frames with every pixel's dark value moved to the black level.
+    """Return the frames minus the dark frame plus the black level, (frame, row, col) float32.
 
-    Clipped and lost (0) pixels keep their values, by which `decode` detects them. A pixel that the
-    subtraction of a low dark value moves to `clipped_from_dn` or above counts as clipped.
+    Clipped pixels and lost pixels (0) keep their values, by which `decode` detects them. A pixel
+    with a low dark value may increase to `clipped_from_dn` or more; it then counts as clipped.
+
+    Parameters
+    ----------
+    stack : (frame, row, col), DN
+    dark : (row, col), DN, image without light
     """
     black_dn = np.float32(sensor.black_level_dn)
     offset = dark.astype(np.float32) - black_dn
@@ -175,7 +188,10 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
 
 
 def check_exposures(sets: Sequence[Stack], recorded: RecordedFrames) -> None:
-    """Raise CaptureError unless white minus black is proportional to the exposure time."""
+    """Raise CaptureError unless white minus black increases as the exposure time.
+
+    Ratios may differ by the factor EXPOSURE_FACTOR. A set without white and black is not checked.
+    """
     times_ms, patterns, sensor = recorded.exposures_ms, recorded.patterns, recorded.sensor
     if not patterns.uniform:
         return
@@ -203,9 +219,9 @@ class MergedExposures:
     Parameters
     ----------
     stack : (frame, row, col) float32, DN of the longest exposure; may exceed `saturation_dn`
-    scale : (row, col) float32, s >= 1, for `decode`
-    chosen : (row, col) uint8, index of the exposure taken
-    exposure_ms : exposure time of the stack
+    scale : (row, col) float32, factor s >= 1 by which the pixel was scaled; an input of `decode`
+    chosen : (row, col) uint8, index of the exposure that is used at the pixel
+    exposure_ms : longest exposure time, to which the stack is scaled
     """
 
     stack: Stack
@@ -217,15 +233,16 @@ class MergedExposures:
 def merge_exposures(
     stacks: Sequence[Stack], exposures_ms: Sequence[float], sensor: SensorNoise
 ) -> MergedExposures:
-    """Take every pixel from its brightest exposure without a saturated frame.
+    """Merge exposures: take each pixel from its longest exposure without a saturated frame.
 
-    Where all are saturated, the shortest one is used: `decode` ignores its clipped frames.
+    A pixel that is saturated in all exposures is taken from the shortest one; `decode` ignores its
+    clipped frames.
 
     Parameters
     ----------
-    stacks : equal shapes (frame, row, col), DN, one per exposure
-    exposures_ms : their exposure times, all different
-    sensor : common to all; DN are proportional to the exposure above its black level
+    stacks : stacks of equal shape (frame, row, col), DN, one for each exposure
+    exposures_ms : exposure time of each stack, all different
+    sensor : camera noise; DN above its black level must be proportional to the exposure time
 
     Raises
     ------

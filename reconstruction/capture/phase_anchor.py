@@ -1,4 +1,7 @@
-"""First shift and sign of a phase set, from the borders of the words that number its fringes."""
+"""Determine first shift and sign of a phase set from the borders of its code words.
+
+The code words number the fringes of the phase set.
+"""
 
 import math
 from collections.abc import Sequence
@@ -12,26 +15,29 @@ from reconstruction.capture.image_features import FrameGroup, ImageFeatures
 from reconstruction.capture.phase_steps import phasor
 from reconstruction.patterns import Axis
 
-# Borders of words that must be in view; first shifts are determined in steps of these.
+# Least number of borders between words in view; step to which first shifts are rounded; largest
+# change by rounding without a message.
 LEAST_BORDERS, ROUND_DEG, MOST_OFF_DEG = 30, 15.0, 5.0
 # Typical first shifts of programs are multiples of one of these.
 USUAL_DEG = (30.0, 45.0)
-# For the mean of unit phasors at the borders, and of the steps of the words there.
+# Least magnitude, without a message, of the mean unit phasor at the borders, and of the mean change
+# of the word there.
 COHERENT, ONE_WAY = 0.7, 0.7
-# Percentile of the words in view that is used as the largest: noise produces larger ones.
+# Percentile of the words in view that is used as their maximum: noise produces larger words.
 LARGEST = 99.5
 
 
 @dataclass(frozen=True, eq=False)
 class NumberedLines:
-    """The words along the lines of one axis.
+    """The code words at the pixels of the lines along one axis.
 
     Parameters
     ----------
-    bits : the Gray frames, and their inverses if there are any
-    word : "reflected" or "binary"
-    number : (line, sample) of every pixel
-    is_lit : (line, sample)
+    axis : projector axis that the words number
+    bits : group of the Gray frames, and group of their inverses if there are any
+    word : encoding of the code word, "reflected" or "binary"
+    number : (line, sample) value of the code word at each pixel
+    is_lit : (line, sample) bool
     """
 
     axis: Axis
@@ -42,7 +48,7 @@ class NumberedLines:
 
     @cached_property
     def last(self) -> int:
-        """The largest word in view."""
+        """The largest code word in view; 0 if no pixel is lit."""
         return int(np.percentile(self.number[self.is_lit], LARGEST)) if self.is_lit.any() else 0
 
     @classmethod
@@ -53,7 +59,12 @@ class NumberedLines:
         word: str,
         mean: FloatImage | None,
     ) -> "NumberedLines":
-        """Read the words; bits without inverse are compared with a mean (line, sample), or 0."""
+        """Read the code words from images.
+
+        Parameters
+        ----------
+        mean : (line, sample) threshold of bits without inverse, as u - 1/2; None: 0
+        """
         by_file = {image.file: image for image in features}
         axis = bits[0].axis or "column"
         gray, *inverse = ([by_file[name].along[axis] for name in group.files] for group in bits)
@@ -67,11 +78,21 @@ class NumberedLines:
 def anchored(
     phase: FrameGroup, words: NumberedLines, features: Sequence[ImageFeatures], length_px: int
 ) -> tuple[FrameGroup, str]:
-    """Return a phase set with shifts and sign that its words determine; and the doubt.
+    """Return a phase set with the shifts and sign that its code words determine, and a doubt.
 
-    The words n - 1 and n, of width w, meet at x = n w - 1/2. The frames are cos(v + s_n) with v
-    increasing along the line. If the words decrease along it v = c - 2 pi x / p, otherwise
-    c + 2 pi x / p. The shifts t_n in cos(2 pi x / p + sign t_n) are t_n = s_n + c.
+    The doubt is a message about an uncertain value; "": there is none.
+
+    The border between the words n - 1 and n, of the width w, is at x = n w - 1/2. Frame k of the
+    set shows cos(v + s_k), with a phase v that increases along the line. If the words increase
+    along the line, v = c + 2 pi x / p, otherwise v = c - 2 pi x / p. The constant c follows from
+    the phase at the borders. The shifts t_k in cos(2 pi x / p + sign t_k) are t_k = s_k + c.
+
+    Parameters
+    ----------
+    phase : phase set, with shifts relative to its first image
+    words : code words along the same axis
+    features : all images
+    length_px : projector pixels along the axis
     """
     name = f"{phase.files[0]} ..."
     per_fringe = words_per_fringe(phase, words.bits[0], words.word)
@@ -106,16 +127,19 @@ def anchored(
 
 
 def words_per_fringe(phase: FrameGroup, bits: FrameGroup, word: str) -> float:
-    """Return the number of words per fringe: a power of two.
+    """Return the number of code words per fringe, rounded to a power of two.
 
-    The finest bit of a reflected word has stripes of two words, a period of four; that of a binary
-    word a period of two.
+    The finest bit of a reflected code word has a period of four words, that of a binary code word a
+    period of two words.
     """
     words = 2.0 if word == "binary" else 4.0
     return float(2.0 ** round(math.log2(words * bits.frequency / phase.frequency)))
 
 
 def word_px(bits: int, length_px: int) -> float:
-    """Return the width of a word: the power of two for which the bits just cover the image."""
+    """Return the width of a code word, px, from the number of bits.
+
+    It is the least power of two, at least 1, for which 2^bits words cover all `length_px` pixels.
+    """
     least = length_px / 2.0**bits
     return max(2.0 ** math.ceil(math.log2(least) - 1e-9), 1.0)

@@ -1,12 +1,16 @@
-"""Phase sets among the images of an unknown set.
+"""Detect sets of phase frames ("phase sets") among images of unknown content.
 
-- Four or more images that are consecutive by their names are a set if every pixel has equal steps
-  of a turn, for any visible part of a fringe.
-- Three or more striped images of one axis and one frequency are a set if their phases are equal
-  steps of a turn; the phase of each is its cross spectrum with the first.
-- A set determines mean A and modulation B of every pixel. Further images that are consecutive by
-  their names are steps of a coarser period, possibly with a small part of it in view, if A and B of
-  every pixel are the same: bits never have that mean.
+Images are phase sets in three cases:
+
+- Four or more images, consecutive by name, have equal steps of a turn at nearly all pixels. Any
+  part of a fringe may be in view.
+- Three or more striped images of equal axis and frequency have phases in equal steps of a turn. The
+  phase of an image is that of its cross spectrum with the first image.
+- A set of consecutive images has the mean A and the modulation B of a phase set that was detected
+  before, at nearly all pixels. It has a coarser period, of which only a small part may be in view.
+  Bits never have this mean.
+
+Images are normalised to levels u from 0 to 1, see `image_features`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,44 +29,44 @@ from reconstruction.capture.image_features import (
 )
 from reconstruction.patterns import AXES, Axis
 
-# Frequencies that differ by less are equal, cycles per line: with few fringes the phase moves the
-# peak of the spectrum.
+# Frequencies are equal if they differ by less than this number of cycles per line. The limit is
+# SAME_OF_FEW below FEW_CYCLES, because with few fringes the phase moves the peak of the spectrum.
 SAME_CYCLES, SAME_OF_FEW, FEW_CYCLES = 0.4, 0.8, 3.0
-# Least share of neither dark nor bright pixels of a cosine: with three steps only, a pixel is
-# darkest in one step and brightest in another.
+# Least share of pixels of a cosine image that are neither dark nor bright. With three steps only, a
+# pixel is darkest in one step and brightest in another.
 SMOOTH = 0.12
 # Largest deviation of phases from equal steps, as a share of a step.
 EVEN = 0.2
-# Two steps of one period may differ by half a turn.
+# Correlation of two images below which they are complementary.
 COMPLEMENTARY = -0.8
-# A coarser period: largest deviation of mean and modulation from those of the known set, in units
-# of the modulation, at this share of the pixels; and the number of its steps.
+# Set of a coarser period: largest deviation of mean and modulation from those of the known set, in
+# units of the modulation, and least share of the pixels within these limits.
 SAME_MEAN, SAME_MODULATION, SAME_SHARE = 0.2, 0.35, 0.8
-# Of consecutive steps: least modulation, u; RMS residual in modulations; share of pixels neither
-# dark nor bright; pixels used.
+# Consecutive steps: least modulation in u, largest RMS residual in units of the modulation, least
+# share of pixels that are neither dark nor bright, largest number of pixels used.
 LEAST_MODULATION, MOST_REST, LEAST_SMOOTH, MOST_PIXELS = 0.08, 0.25, 0.25, 4000
 MOST_STEPS = 18
-# Mean of the unit phasors above which too little of a fringe is in view to measure the steps.
+# If the mean of the unit phasors is larger, too little of a fringe is in view to measure the steps.
 MOST_ONE_PHASE, ROUNDS = 0.5, 6
-# Ratios of two frequencies above this are tried as whole numbers, within this share of the ratio of
-# the slopes; the mean of unit phasors above which a whole number fits.
+# Frequency ratios above the first value are compared with whole numbers that differ from them by at
+# most the second share. A whole number fits if the mean of unit phasors exceeds the third value.
 WHOLE_FROM, RATIO_ERROR, WHOLE_AGREE = 1.5, 0.2, 0.6
-# Ratio by which the phase of a coarse period must increase more along its axis than across.
+# Least ratio of the phase increments of a coarse period along its axis and across it.
 ACROSS = 2.0
 
 
 class Phasor(NamedTuple):
-    """Mean and complex modulation of a set at the pixels of some lines, (line, sample) each."""
+    """Mean and complex modulation of a phase set at the samples of some lines, (line, sample)."""
 
     mean: FloatArray  # of u - 1/2
-    z: FloatArray  # complex, its amount is the modulation
+    z: FloatArray  # complex: its magnitude is the modulation, its argument the phase
     is_lit: BoolImage
 
 
 def phase_sets(
     features: Sequence[ImageFeatures], axis: Axis
 ) -> tuple[list[FrameGroup], list[ImageFeatures]]:
-    """Return the phase sets among striped images of one axis, and the other images."""
+    """Return the phase sets among striped images of one axis, and the images in no set."""
     rest, sets = list(features), []
     for first in features:
         if first not in rest:
@@ -74,7 +78,7 @@ def phase_sets(
 
 
 def _even_sets(same: list[ImageFeatures]) -> Iterator[FrameGroup]:
-    """Yield images of one frequency as a set, or split into equal blocks that are sets."""
+    """Yield the phase sets that images of one frequency form: one, several of equal size, none."""
     shifts = even_steps(same)
     if shifts is not None:
         yield _group(same, shifts)
@@ -98,16 +102,23 @@ def _group(features: Sequence[ImageFeatures], shifts: tuple[float, ...]) -> Fram
 def phasor(
     features: Sequence[ImageFeatures], shifts_deg: Sequence[float] | FloatArray, axis: Axis
 ) -> Phasor:
-    """Return mean and complex modulation of a set along the lines of an axis."""
+    """Return mean and complex modulation of a phase set along the lines of an axis.
+
+    Parameters
+    ----------
+    features : images of the set
+    shifts_deg : phase shift of each image
+    axis : axis along which the lines are
+    """
     frames = np.stack([image.along[axis] for image in features])
     z = np.tensordot(np.exp(-1j * np.radians(shifts_deg)), frames, axes=1) * 2.0 / len(features)
     return Phasor(frames.mean(axis=0), z, features[0].lit[axis])
 
 
 def _turns_per_px(fields: Phasor) -> float:
-    """Return the phase increment of a set from pixel to pixel, turns.
+    """Return the mean phase increment of a phase set from pixel to pixel, turns.
 
-    In contrast to the peak of a spectrum it is also correct for a single fringe.
+    In contrast to the peak of a spectrum it is also correct if only one fringe is in view.
     """
     both = fields.is_lit[:, 1:] & fields.is_lit[:, :-1]
     return float(np.angle(np.sum((fields.z[:, 1:] * np.conj(fields.z[:, :-1]))[both]))) / (
@@ -116,7 +127,7 @@ def _turns_per_px(fields: Phasor) -> float:
 
 
 def is_same(first: ImageFeatures, second: ImageFeatures) -> bool:
-    """Whether two images have stripes of one frequency."""
+    """Return True if the stripes of two images have equal frequencies."""
     length = first.lines.shape[1]
     is_few = second.frequency * length < FEW_CYCLES
     difference = abs(first.frequency - second.frequency) * length
@@ -124,7 +135,7 @@ def is_same(first: ImageFeatures, second: ImageFeatures) -> bool:
 
 
 def even_steps(features: Sequence[ImageFeatures]) -> tuple[float, ...] | None:
-    """Return the shifts, degrees, if the phases of these images are equal steps of a turn."""
+    """Return the shift of each image, degrees, or None if they are not equal steps of a turn."""
     count = len(features)
     if count < 3 or np.median([image.smooth for image in features]) < SMOOTH:
         return None
@@ -142,13 +153,13 @@ def even_steps(features: Sequence[ImageFeatures]) -> tuple[float, ...] | None:
 
 
 def stepped_sets(features: Sequence[ImageFeatures]) -> list[FrameGroup]:
-    """Return sets of four or more images that are consecutive by name, in equal steps."""
+    """Return the phase sets of four or more images that are consecutive by name."""
     pixels = _pixels(features)
     sets: list[FrameGroup] = []
     first = 0
     while first < len(features):
         residuals = {n: _stepped_rest(pixels, first, n) for n in range(4, MOST_STEPS + 1)}
-        # With little of a fringe in view, a wrong number of steps fits as well, but worse.
+        # If little of a fringe is in view, a wrong number of steps fits, too, but less well.
         count = min(residuals, key=lambda n: residuals[n])
         count = count if residuals[count] < MOST_REST else 0
         if count:
@@ -158,7 +169,7 @@ def stepped_sets(features: Sequence[ImageFeatures]) -> list[FrameGroup]:
 
 
 def _pixels(features: Sequence[ImageFeatures]) -> FloatArray:
-    """Return u - 1/2 at some lit pixels, (image, pixel)."""
+    """Return u - 1/2 of all images, (image, pixel), at about MOST_PIXELS lit pixels."""
     values = [
         np.stack([image.along[axis] for image in features])[:, features[0].lit[axis]]
         for axis in AXES
@@ -168,9 +179,10 @@ def _pixels(features: Sequence[ImageFeatures]) -> FloatArray:
 
 
 def _stepped_rest(pixels: FloatArray, first: int, count: int) -> float:
-    """Return the RMS residual of A + B cos(phi + 2 pi n / N) at nearly all pixels over B.
+    """Return the median residual of A + B cos(phi + 2 pi n / N), in units of B.
 
-    Infinity if fewer pixels follow the cosine, or the steps are not equal.
+    The residual of a pixel is the RMS over the N = `count` images from image `first` on. The result
+    is infinity if too few pixels follow the cosine, or if the steps are not equal.
     """
     frames = pixels[first : first + count]
     if len(frames) < count or not frames.size:
@@ -181,7 +193,7 @@ def _stepped_rest(pixels: FloatArray, first: int, count: int) -> float:
     fit = mean + np.real(z * np.exp(1j * angles)[:, np.newaxis])
     rest = np.sqrt(np.sum((frames - fit) ** 2, axis=0) / (count - 3))
     is_clear = (size > LEAST_MODULATION) & (rest < MOST_REST * size)
-    # The middle frames of three bits in four would fit as well: but bits are dark or bright.
+    # Consecutive bits may fit a cosine, too. But most pixels of bits are either dark or bright.
     low, high = (frames - mean)[:, is_clear].min(axis=0), (frames - mean)[:, is_clear].max(axis=0)
     u = ((frames - mean)[:, is_clear] - low) / np.maximum(high - low, 1e-9)
     smooth = np.mean((u > EXTREME) & (u < 1.0 - EXTREME)) if u.size else 0.0
@@ -193,15 +205,17 @@ def _stepped_rest(pixels: FloatArray, first: int, count: int) -> float:
 
 
 def _has_equal_steps(frames: FloatArray, z: FloatArray) -> bool:
-    """Whether the phase of each frame (step, pixel) is its step: 11 steps of 12 fit nearly as well.
+    """Return True if the measured phase steps of the frames are equal steps of a turn.
 
-    Least squares over the pixels for the phase of each frame and over the frames for mean and
-    modulation of each pixel, in turns (Wang and Han, Opt. Lett. 29, 1671 (2004)). In a view of a
-    small part of a fringe these are not independent: equal steps are not tested there.
+    The test is needed because 11 of 12 equal steps fit 11 equal steps nearly as well. Two least
+    squares fits alternate: over the frames for mean and modulation of each pixel, and over the
+    pixels for the phase of each frame (Wang and Han, Opt. Lett. 29, 1671 (2004)). If only a small
+    part of a fringe is in view, the two fits are not independent, and the result is True.
 
     Parameters
     ----------
-    z : (pixel,) complex modulation as measured with equal steps
+    frames : (step, pixel) u - 1/2
+    z : (pixel,) complex modulation, computed for equal steps
     """
     if abs(np.mean(z / np.abs(z))) > MOST_ONE_PHASE:
         return True
@@ -220,20 +234,24 @@ def _has_equal_steps(frames: FloatArray, z: FloatArray) -> bool:
 def coarse_sets(
     features: Sequence[ImageFeatures], known: Sequence[FrameGroup], taken: set[str]
 ) -> tuple[list[FrameGroup], list[str]]:
-    """Return sets with a period too coarse to be visible as stripes, and doubts about them.
+    """Return phase sets with a period too coarse to be visible as stripes, and doubts about them.
 
     Parameters
     ----------
     features : all images, in the order of their names
-    known : sets of finer periods
+    known : phase sets of finer periods
     taken : files of the known sets
+
+    Returns
+    -------
+    the sets, and messages about uncertain values
     """
     by_file = {image.file: image for image in features}
     references = [
         (len(fine.files), _reference([by_file[name] for name in fine.files], fine.shifts_deg))
         for fine in known
     ]
-    # Only three steps, white and black.
+    # Besides white and black there are at most three images, which may be the steps of one set.
     is_three = sum(image.kind not in ("white", "black") for image in features) <= 3
     plain = [
         k
@@ -241,7 +259,7 @@ def coarse_sets(
         if {features[k].kind, features[k + 1].kind} == {"white", "black"}
     ]
     if not known and plain and is_three:
-        # Opposite in phase, white and black have mean and modulation of all fringes.
+        # White and black, as two steps of opposite phase, have the mean and modulation of fringes.
         references.append((3, _reference(features[plain[-1] : plain[-1] + 2], (0.0, 180.0))))
     sets: list[FrameGroup] = []
     doubts: list[str] = []
@@ -278,7 +296,10 @@ def _reference(
 
 
 def _has_same_light(block: Sequence[ImageFeatures], reference: dict[Axis, Phasor]) -> bool:
-    """Whether images have mean and modulation of a known set at nearly all pixels."""
+    """Return True if, as a phase set, images have the mean and modulation of a known set.
+
+    This must be true at nearly all pixels.
+    """
     agree, total = 0, 0
     for axis, fine in reference.items():
         coarse = phasor(block, 360.0 * np.arange(len(block)) / len(block), axis)
@@ -292,7 +313,11 @@ def _has_same_light(block: Sequence[ImageFeatures], reference: dict[Axis, Phasor
 
 
 def _along_its_axis(block: Sequence[ImageFeatures]) -> tuple[FrameGroup, list[str]]:
-    """Return a set of steps in the order of the names, with a phase that increases along lines."""
+    """Return consecutive images as a phase set, and doubts about its axis.
+
+    The axis is that along which the phase changes most. The sign of the shifts is chosen such that
+    the phase increases along the lines of this axis.
+    """
     shifts = 360.0 * np.arange(len(block)) / len(block)
     turns = {axis: _turns_per_px(phasor(block, shifts, axis)) for axis in AXES}
     axis = max(AXES, key=lambda name_of_axis: abs(turns[name_of_axis]))
@@ -309,9 +334,10 @@ def _along_its_axis(block: Sequence[ImageFeatures]) -> tuple[FrameGroup, list[st
 def with_whole_ratios(
     features: Sequence[ImageFeatures], sets: Sequence[FrameGroup]
 ) -> list[FrameGroup]:
-    """Return the sets, with frequencies that are whole multiples of the coarsest if they fit.
+    """Return the phase sets, with frequencies replaced by whole multiples R of the coarsest one.
 
-    If so, R phi_coarse - phi_fine is the same for all pixels. R is exact, in contrast to slopes.
+    A frequency is replaced if R phi_coarse - phi_fine is equal at all pixels. R is exact, in
+    contrast to a ratio of measured frequencies.
     """
     by_file = {image.file: image for image in features}
     result = []
@@ -336,16 +362,18 @@ def _whole_ratio(
     )
     phase, step = np.angle(slow.z[slow.is_lit]), np.angle(fast.z[slow.is_lit])
     low, high = (round(ratio * (1.0 + sign * RATIO_ERROR)) for sign in (-1.0, 1.0))
-    # A coarsest set with a phase that decreases against the fine one would need a negative ratio.
+    # Only positive ratios are tried. The ratio would be negative if one phase increases along the
+    # lines and the other decreases.
     agree = {n: abs(np.mean(np.exp(1j * (step - n * phase)))) for n in range(max(low, 2), high + 1)}
     best = max(agree, key=lambda n: agree[n], default=0)
     return best if best and agree[best] > WHOLE_AGREE else None
 
 
 def lone_fringes(features: Sequence[ImageFeatures]) -> list[ImageFeatures]:
-    """Return smooth images that share a frequency, but are no equal steps: one may be missing.
+    """Return images that look like fringes of equal frequency but have no equal phase steps.
 
-    Two complementary images are rather a bit and its inverse.
+    An image of their set may be missing. Two complementary images are left out, because they are
+    more likely a bit and its inverse.
     """
     lone = []
     for image in features:
@@ -361,7 +389,7 @@ def lone_fringes(features: Sequence[ImageFeatures]) -> list[ImageFeatures]:
 
 
 def are_opposite(first: ImageFeatures, second: ImageFeatures) -> bool:
-    """Whether two images are each other's complement."""
+    """Return True if two images are complementary: their levels u add up to about 1."""
     both = (
         first.is_lit & second.is_lit if first.axis == second.axis else np.zeros_like(first.is_lit)
     )

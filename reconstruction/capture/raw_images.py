@@ -1,4 +1,4 @@
-"""Images that contain little but numbers: NumPy arrays and binary grey maps (PGM)."""
+"""Read image files of uncompressed numbers: NumPy arrays (NPY) and binary grey maps (PGM)."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from reconstruction.errors import InputError, one_line
 from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes, regular_file
 
-# Width, height and largest value, with comments between them; one blank before the pixels.
+# The header has width, height and largest value, with comments between them, and one blank before
+# the pixels.
 _HEADER = re.compile(rb"P5" + rb"(?:\s|#[^\n]*\n)+(\d{1,9})" * 3 + rb"\s")
 
 
@@ -19,7 +20,7 @@ def read_npy(path: Path) -> NDArray[Any]:
 
     Raises
     ------
-    InputError : no file, no complete array, or one of Python objects
+    InputError : the file is missing, the array is incomplete or empty, or has Python objects
     """
     regular_file(path, MOST_IMAGE_BYTES)
     try:
@@ -36,11 +37,12 @@ def read_npy(path: Path) -> NDArray[Any]:
 def read_pgm(path: Path) -> NDArray[Any]:
     """Return the values of a binary PGM file as they are stored, (row, col) uint8 or uint16.
 
-    Other readers rescale a largest value of, for example, 4095 to 65535.
+    The values are not scaled. Other readers multiply them such that the largest value in the
+    header, for example 4095, becomes 65535.
 
     Raises
     ------
-    InputError : no file, no binary PGM, or fewer bytes than the header states
+    InputError : the file is missing, is no binary PGM, or has fewer bytes than the header states
     """
     content = read_bytes(path, MOST_IMAGE_BYTES)
     header = _HEADER.match(content)

@@ -1,14 +1,15 @@
-"""Recorded frames: the files that contain the frames of a capture, and their exposures.
+"""Describe recorded frames on disk: the files with the frames of a capture, and their exposures.
 
-Each kind of capture.toml is read as one `RecordedFrames`, by its function `recorded`:
+There are three formats of capture.toml. The method `recorded` of each class returns the frames as a
+`RecordedFrames`:
 
 | format | class | images |
 |---|---|---|
 | fringe-capture | `description.Description` | one netCDF-4 stack |
-| fringe-frames with `files` | `frame_set.FrameSet` | named or numbered, with a manifest |
-| fringe-frames with [[frames]] | `frame_list.ListedSet` | described one group at a time |
+| fringe-frames with `files` | `frame_set.FrameSet` | files with names or numbers, and a manifest |
+| fringe-frames with [[frames]] | `frame_list.ListedSet` | files, described group by group |
 
-A capture.toml that `guess` writes is of the last kind.
+`guess_file` writes a capture.toml of the last format.
 """
 
 import re
@@ -29,19 +30,22 @@ _LONGEST_SHOWN = 200
 
 @dataclass(frozen=True)
 class RecordedFrames:
-    """Frames on disk, in the order of `patterns.frames`, before any image is read.
+    """Files with the frames of a capture, and all that is needed to read and decode them.
 
     Parameters
     ----------
-    folder : of capture.toml
-    calibration_file : need not exist
-    response : of the projector, if it is known
-    stack_file : contains all frames; None: they are in `files`
-    shape : (rows, cols) of the stack
-    files : image of every frame, one list for each exposure
-    exposures_ms : one for each list of `files`; () where there is one exposure
+    folder : folder of capture.toml
+    patterns : pattern set that the frames show
+    sensor : camera noise
+    bit_depth : bits per pixel value, 8 to 16
+    calibration_file : path of the calibration, which need not exist
+    response : response of the projector; None: unknown
+    stack_file : file with all frames; None: they are in `files`
+    shape : (rows, cols) of the frames in `stack_file`
+    files : for each exposure the image of each frame, in the order of `patterns.frames`
+    exposures_ms : exposure time of each element of `files`; (): there is one exposure
     dark_file : image without light; None: none was recorded
-    channel : channel of colour images to read; "": images are grey
+    channel : channel of colour images to read; "": the images are grey
     """
 
     folder: Path
@@ -60,7 +64,7 @@ class RecordedFrames:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageSet:
-    """Keys that every capture.toml of single images has; see `frame_set`."""
+    """Keys of every capture.toml with one image file per frame; `frame_set` explains the keys."""
 
     sensor: SensorNoise
     bit_depth: int
@@ -81,7 +85,7 @@ class ImageSet:
             )
 
     def require_names(self, *keys: str, allow_empty: bool = True) -> None:
-        """Raise InputError unless the values of these keys are texts."""
+        """Raise InputError unless the values of these keys are texts; `allow_empty`: or empty."""
         for key in keys:
             value = getattr(self, key)
             if not isinstance(value, str) or not (value or allow_empty):
@@ -94,7 +98,7 @@ class ImageSet:
         files: list[list[Path]],
         exposures_ms: tuple[float, ...],
     ) -> RecordedFrames:
-        """Return the images of a folder as recorded frames."""
+        """Return the frames on disk in a folder, with the values of the keys of this object."""
         return RecordedFrames(
             folder,
             patterns,
@@ -110,14 +114,17 @@ class ImageSet:
 
 
 def require_one_of(key: str, value: object, allowed: tuple[str, ...]) -> None:
-    """Raise InputError unless the value of a key is one of the allowed texts."""
+    """Raise InputError unless the value of a key is one of the allowed texts.
+
+    The message names `key`.
+    """
     if value not in allowed:
         texts = ", ".join(repr(text) for text in allowed)
         raise InputError(f"{key} is {value!r}; allowed are {texts}")
 
 
 def require_below(key: str, files: str) -> None:
-    """Raise InputError for names outside the folder, and patterns that search all folders in it."""
+    """Raise InputError if `files` may name files outside the folder, or searches all subfolders."""
     parts = files.split("/")
     if parts[0] in ("", "~") or ".." in parts or "**" in files or "\0" in files:
         raise InputError(
@@ -127,6 +134,6 @@ def require_below(key: str, files: str) -> None:
 
 
 def natural_key(path: Path) -> list[tuple[int, str]]:
-    """Sort key that places frame_2 before frame_10."""
+    """Return the sort key of a path in natural order, with frame_2 before frame_10."""
     parts = re.split(r"(\d+)", path.as_posix())
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]

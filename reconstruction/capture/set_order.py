@@ -1,23 +1,24 @@
-"""Check the order of the frames of a set: phase steps, first step and Gray words.
+"""Check the order of phase steps, the first step, and the order of Gray frames.
 
-Phase steps, from sums over many pixels. Symbols: x_np light of pixel p in step n, of unit standard
-deviation over the steps; G = x x^T the (N, N) matrix of sums over pixels; H the projection on 1,
-cos, sin of 2 pi n / N. The residual of an order P of the frames is tr((1 - H) P G P^T), so that all
-exchanges are tried without the images.
+**Phase steps.** x_np is the light of pixel p in step n, with unit standard deviation over the N
+steps. G = x x^T is the (N, N) matrix of sums over pixels. H is the projection on 1, cos and sin of
+2 pi n / N. With the permutation matrix P of an order of the frames, the squared residual is
+tr((1 - H) P G P^T). It needs only G, so that all exchanges of two frames can be tried.
 
-First step: the phase must agree with the half-periods of the Gray code. A set that starts k steps
-late is a perfect set with all coordinates moved by k period / N. Only the Gray code shows it: the
-bits of an edge-safe code have even parity in the first half of every period, so that the mean of
-+-exp(i phi) has the argument pi / 2, minus the half pixel by which stripes start earlier. A set
-that was recorded backwards has the phase 2 pi / N - phi.
+**First step.** The phase must agree with the half-periods of the Gray code. A set that starts k
+steps late is a perfect phase set in which all coordinates are shifted by k period / N. The shift is
+visible by comparison with the Gray code only. The bits of an edge-safe code have even parity in the
+first half of every period. The mean of +-exp(i phi), + for even and - for odd parity, therefore has
+the argument pi / 2. Half a pixel is subtracted, because stripes start earlier by it. A set that was
+recorded in reverse order has the phase 2 pi / N - phi.
 
-Plain Gray words have borders at the ends of a period only: between neighbouring pixels with words
-that differ by one the phase passes 0 and increases towards the larger word. With shifts of the
-wrong sign it decreases there.
+**Borders.** Plain Gray words change at the ends of a period only. Between neighbouring pixels with
+words that differ by one, the phase passes 0 and increases towards the larger word. With shifts of
+the wrong sign it decreases there.
 
-Gray words: those of neighbouring pixels differ by one. Exchanged Gray frames change neither the
-parity of a word nor that it differs from its neighbours in one bit, but by how much its number
-differs. Bits that do not change within the view are not checked.
+**Gray words.** The words of neighbouring pixels differ by at most one. An exchange of two Gray
+frames does not change the parity of a word. Neighbouring words still differ in one bit then, but
+their numbers may differ by more than one. Bits that do not change within the view are not checked.
 """
 
 from itertools import combinations
@@ -30,56 +31,64 @@ from reconstruction.errors import CaptureError
 from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
-# One frame brighter or darker by more than this, relative to the cosine through all sums.
+# Largest deviation of the mean of a frame from the cosine through the means, relative to the mean.
 LEVEL_TOLERANCE = 0.15
-# An exchange must reduce the residual to less than this share: not so for noise and harmonics.
+# An exchange is reported if it reduces the squared residual below this share, which exchanges do
+# not if noise or harmonics cause the residual.
 EXCHANGE_GAIN = 0.5
-# A single strange frame: its RMS deviation in units of the modulation, and its share of all.
+# A frame does not belong to its set if its RMS deviation exceeds the first value, in units of the
+# modulation, and the second share of the squared residual of all frames.
 STRANGE_DEVIATION, STRANGE_SHARE = 0.2, 0.5
-# Share of the variance that no cosine explains: 0.08 at a gamma of 2.2, 0.8 for random frames.
+# Largest share of the variance that no cosine explains: it is 0.08 at a gamma of 2.2, 0.8 for
+# random frames.
 CHAOTIC = 0.35
-# Fewer steps have no or one degree of freedom, which identifies no frame.
+# Least number of steps that is checked. Fewer steps have at most one degree of freedom, which
+# identifies no frame.
 LEAST_STEPS = 5
-# In steps; and in radians, by which blur, noise and a few fringes may move the mean.
+# Least error of the first shift that is reported, in steps and in rad. Blur, noise and a view of
+# few fringes may cause smaller angles.
 LEAST_STEPS_OFF, LEAST_ANGLE_OFF = 0.7, 0.2
-# More steps than this are rather a set recorded backwards, if that explains them.
+# A larger error, in steps, is reported as a reversed set if that explains it.
 MOST_STEPS_OFF = 2.0
-# Phase and Gray code agree above the first share of the mean that ideal frames have; below the
-# second share they are independent.
+# Phase and Gray code agree if the mean phasor exceeds the first share of that of ideal frames. They
+# are independent if it is below the second share.
 AGREES, DISAGREES = 0.6, 0.3
-# Points per projector pixel at which the pattern itself is looked up.
+# Points per projector pixel at which the expected mean phasor is computed.
 FINE = 16
-# Codes of which the number of bright bits is odd in every other half period.
+# Rules of codes in which the number of bright bits is odd in every other half period.
 ALTERNATING = (Rule.WORD_PER_HALF_PERIOD, Rule.TWO_WORDS)
 
 POSITIONS = 8_000
 LEAST_CHANGES = 30
-# Share by which the phase must decrease rather than increase with the word.
+# Least predominance, from 0 to 1, of decreases over increases of the phase with the word at which
+# the phase frames are reported as reversed.
 BACKWARDS = 0.5
-# A pixel is used when its frames differ by this many sigmas of its noise.
+# A pixel is used if its frames differ by more than this many standard deviations of its noise.
 LIT_SIGMAS = 20.0
-# Share of jumps by more than one: steep edges and light between parts cause up to 0.6 without any
-# mistake. An exchange is reported only if it explains most of them. Coarse bits rarely jump.
+# Exchanges are tried if more than the first share of the changes is by more than one. Steep edges
+# and light between parts cause up to 0.6 without a mistake. Therefore an exchange is reported only
+# if it reduces the share below EXPLAINED times it.
 MANY_JUMPS, EXPLAINED = 0.02, 1.0 / 3.0
 
 
 def exchanged(count: int, i: int, j: int) -> list[int]:
-    """Return the indices of `count` frames with two of them exchanged."""
+    """Return the indices 0 to `count` - 1 with i and j exchanged."""
     order = list(range(count))
     order[i], order[j] = j, i
     return order
 
 
 def check_phase_sets(pixels: FloatArray, patterns: PatternSet) -> None:
-    """Check each set of N phase frames separately.
+    """Raise CaptureError if a set of N phase frames does not have N equal steps in order.
 
     Parameters
     ----------
-    pixels : (frame, pixel), DN, unsaturated and lit
+    pixels : (frame, pixel), DN, of pixels that are lit and not saturated
 
     Raises
     ------
-    CaptureError : one frame has another exposure, two are exchanged, one does not belong
+    CaptureError : in a set one frame has another exposure, two frames are exchanged, or a frame
+        does not belong to the set
     """
     for axis in patterns.axes:
         for span in patterns.step_sets(axis):
@@ -107,9 +116,16 @@ def _projection(steps: int) -> FloatArray:
 
 
 def _check_levels(missed_dn: FloatArray, mean_dn: float, first: int, names: list[str]) -> None:
-    """Compare each frame's mean with the cosine that the means of all frames must follow."""
+    """Raise CaptureError if the mean of a frame deviates from a cosine through all means.
+
+    Parameters
+    ----------
+    missed_dn : (step,) deviation of the mean of each frame from the cosine, DN
+    first : stack index of the first frame of the set
+    """
     worst = int(np.argmax(np.abs(missed_dn)))
-    # Deviation of the frame from the cosine through the others; its own weight in the fit is 3 / N.
+    # Deviation of the frame from a cosine through the other frames: the weight of the frame in the
+    # fit to all frames is 3 / N.
     excess = float(missed_dn[worst] / (1.0 - 3.0 / len(names)))
     if abs(excess) > LEVEL_TOLERANCE * mean_dn:
         ratio = 1.0 + excess / max(mean_dn - excess / len(names), 1e-9)
@@ -136,9 +152,9 @@ def _check_exchange(gram: FloatArray, remainder: FloatArray, first: int, names: 
 
 
 def _is_real(gain: float, pair: tuple[int, int], steps: int) -> bool:
-    """Whether exchanging the frames changes the residual as much as their steps demand."""
-    # Two unit cosines with a phase difference a differ by 2 (1 - cos a) in square, two frames by
-    # 4 (1 - cos a); the fit through N frames absorbs a part of it.
+    """Return True if the gain of an exchange is as large as the phases of the two frames demand."""
+    # The squared difference of two unit cosines with a phase difference a is 2 (1 - cos a), that of
+    # two exchanged frames 4 (1 - cos a). The fit through N frames absorbs a part of it.
     angle = 2.0 * np.pi * (pair[1] - pair[0]) / steps
     return bool(gain > 0.3 * 4.0 * (1.0 - np.cos(angle)) * (1.0 - 3.0 / steps))
 
@@ -162,16 +178,18 @@ def _check_stranger(power: FloatArray, first: int, names: list[str]) -> None:
 
 
 def check_first_step(pixels: FloatArray, patterns: PatternSet) -> None:
-    """Compare phase and Gray code along every axis; other codes cannot be checked.
+    """Raise CaptureError if the phase does not agree with an edge-safe Gray code along an axis.
+
+    Pattern sets with another code are not checked.
 
     Parameters
     ----------
-    pixels : (frame, pixel), DN, unsaturated and lit
+    pixels : (frame, pixel), DN, of pixels that are lit and not saturated
 
     Raises
     ------
-    CaptureError : the phase frames along an axis start at another step, run backwards, or are those
-        of the other axis
+    CaptureError : the phase frames along an axis start at another step, are in reverse order, or
+        are those of the other axis
     """
     if patterns.kind.rule not in ALTERNATING:
         return
@@ -215,7 +233,7 @@ def _check_start(measured: complex, expected: complex, patterns: PatternSet, axi
 
 
 def _measured(pixels: FloatArray, patterns: PatternSet, axis: Axis, coded: Axis) -> complex:
-    """Return the mean of the phase along `axis`, with the sign of the Gray word along `coded`."""
+    """Return the mean of +-exp(i phi), phi along `axis`, sign by the Gray word along `coded`."""
     phase = pixels[patterns.index("phase", axis)][: patterns.steps]
     phasor = np.exp(-2j * np.pi * np.array(patterns.shifts(axis, 0))) @ phase
     bits = read_bits(pixels, patterns, coded)
@@ -232,23 +250,27 @@ def _expected(patterns: PatternSet, axis: Axis) -> complex:
 
 
 def read_bits(pixels: FloatImage | FloatArray, patterns: PatternSet, axis: Axis) -> BoolImage:
-    """Return the bits along `axis` as they were shown, (bit, ...), of frames (frame, ...), DN."""
+    """Return the projected bits along `axis`, (bit, ...) bool, from frames (frame, ...), DN."""
     gray = pixels[patterns.index("gray", axis)]
     if patterns.inverse:
         return np.asarray(gray > pixels[patterns.index("inverse", axis)])
     if patterns.steps:
-        # Of the same axis: the fringes along the other one have another mean.
+        # The phase frames of the same axis are used: those of the other axis have another mean.
         return np.asarray(gray > pixels[patterns.index("phase", axis)].mean(axis=0))
     white, black = (pixels[patterns.index(kind)].mean(axis=0) for kind in ("white", "black"))
     return np.asarray(gray > 0.5 * (white + black))
 
 
 def check_borders(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
-    """Compare phase and plain Gray words of the frames (frame, row, col), DN, where a word ends.
+    """Raise CaptureError if the phase does not pass 0 where a plain Gray word ends.
+
+    Parameters
+    ----------
+    stack : (frame, row, col), DN
 
     Raises
     ------
-    CaptureError : along an axis the phase decreases with the word, or passes 0 elsewhere
+    CaptureError : along an axis the phase decreases with the word, or does not pass 0 between words
     """
     is_plain = patterns.kind.rule is Rule.WORD_PER_PERIOD
     if not is_plain or not patterns.steps or min(stack.shape[1:]) < 2:
@@ -293,7 +315,11 @@ def _check_axis_borders(corners_dn: FloatImage, patterns: PatternSet, axis: Axis
 
 
 def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
-    """Compare the Gray words of neighbouring pixels of the frames (frame, row, col), DN.
+    """Raise CaptureError if the Gray words of neighbouring pixels show that frames are exchanged.
+
+    Parameters
+    ----------
+    stack : (frame, row, col), DN
 
     Raises
     ------
@@ -310,9 +336,12 @@ def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None
 
 
 def _corners(stack: Stack, sensor: SensorNoise) -> FloatImage:
-    """Return lit, unsaturated pixels with right and lower neighbour, (frame, pixel, 3) DN."""
+    """Return sampled pixels with their right and lower neighbours, (frame, pixel, 3) DN.
+
+    All three are lit and not saturated.
+    """
     _, rows, cols = stack.shape
-    # Random with a fixed seed, since a regular raster could beat with the fringes.
+    # The positions are random (fixed seed), because a regular grid could beat with the fringes.
     rng = np.random.default_rng(0)
     row = rng.integers(0, rows - 1, POSITIONS)[:, np.newaxis] + np.array([0, 0, 1])
     col = rng.integers(0, cols - 1, POSITIONS)[:, np.newaxis] + np.array([0, 1, 0])
@@ -334,7 +363,7 @@ def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) 
         (i, j): _share_of_jumps(bits[exchanged(len(bits), i, j)], patterns)
         for i, j in combinations(range(len(bits)), 2)
     }
-    # If several explain it equally well, the nearest frames.
+    # Of several exchanges that explain the jumps equally well, that of the nearest frames is used.
     i, j = min(shares, key=lambda pair: (round(shares[pair], 2), pair[1] - pair[0]))
     if shares[i, j] < EXPLAINED * stated:
         first, second = (patterns.frames[gray.start + bit].name for bit in (i, j))
@@ -346,7 +375,7 @@ def _check_axis_words(corners_dn: FloatImage, patterns: PatternSet, axis: Axis) 
 
 
 def _share_of_jumps(bits: BoolImage, patterns: PatternSet) -> float:
-    """Return the share of changes between neighbours by more than one; 0 if there are few."""
+    """Return the share of word changes by more than one, between neighbours; 0 if few change."""
     # Words of up to 16 bits are exact in single precision.
     weights = np.float32(2) ** np.arange(len(bits) - 1, -1, -1, dtype=np.float32)
     words = np.tensordot(weights, patterns.binary(bits).astype(np.float32), axes=1)

@@ -1,8 +1,8 @@
-"""The frames of a capture as one netCDF-4 file: stack.nc.
+"""Write and read the frames of a capture as one netCDF-4 file, stack.nc.
 
-Variables: `stack` (frame, row, col), uint8 or uint16 digital numbers of a sensor, or float32
-expected values of a noise-free rendering; `frame_name` (frame). Not compressed: xarray, MATLAB and
-HDFView read it as it is.
+The variable `stack` (frame, row, col) has the DN of a sensor as uint8 or uint16. For a noise-free
+rendering it has the expected values as float32. The variable `frame_name` (frame) has the names of
+the frames. The file is not compressed; xarray, MATLAB and HDFView can read it.
 """
 
 from pathlib import Path
@@ -23,23 +23,29 @@ TYPES = ("uint8", "uint16", "float32")
 
 
 def write_stack(path: Path, stack: Stack, patterns: PatternSet) -> None:
-    """Write a (frame, row, col) uint8, uint16 or float32 stack and the names of its frames."""
+    """Write a stack (frame, row, col), uint8, uint16 or float32, and the names of its frames."""
     write_arrays(path, stack_arrays(stack, patterns))
 
 
 def stack_arrays(stack: Stack, patterns: PatternSet) -> LabelledArrays:
-    """Return a (frame, row, col) stack, DN, and the names of its frames."""
+    """Return a stack (frame, row, col), DN, and the names of its frames as labelled arrays."""
     attributes = {"units": "DN", "long_name": "camera frames"}
     names = np.array([frame.name for frame in patterns.frames], dtype=object)
     return LabelledArrays({STACK: (DIMENSIONS, stack, attributes), NAMES: ("frame", names, {})})
 
 
 def read_stack(path: Path, patterns: PatternSet, shape: tuple[int, int]) -> Stack:
-    """Read the stack with the frames of `patterns` and the image `shape` (rows, cols).
+    """Return the stack (frame, row, col) of a file that `write_stack` wrote.
+
+    Parameters
+    ----------
+    patterns : pattern set; the file must have its frames, in order
+    shape : expected (rows, cols)
 
     Raises
     ------
-    CaptureError : missing, truncated or damaged file, wrong variable, type, size or frames
+    CaptureError : the file is missing, truncated or damaged, or its variables, type, size or frames
+        are not as expected
     """
     if not is_regular(path):
         raise CaptureError(f"{path}: the stack of frames is missing")

@@ -1,8 +1,9 @@
-"""Images without stripes: white and black, or bits that do not change within the view.
+"""Assign images without stripes: white, black, or bits that do not change within the view.
 
-Names decide if they contain the kind. Otherwise a white and a black image, only one of them, or
-neither may be present. The choice with the fewest contradictions between the remaining bits is
-used, among equal choices that at the end or at the start of the sequence.
+An image is white or black if its name contains the kind. Otherwise a white and a black image, only
+one of them, or neither may be present. The choice with the fewest contradictions between the
+remaining bits is used (see `word_order`). Of equally good choices the one at the end of the
+sequence is preferred, then the one at the start.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -13,7 +14,8 @@ from reconstruction.capture.word_order import MARGIN
 from reconstruction.patterns import AXES, Axis
 
 Choice = tuple[int | None, int | None]
-# Preferences among choices with equal contradictions between the bits.
+# Costs that are added to the contradictions between the bits: for the positions of white and black
+# in the sequence, for only one of them, for none, and if bits lack a threshold.
 LAST, FIRST, WITHIN, LONE, NONE, NOTHING_TO_COMPARE = 0.0, 0.05, 0.2, 0.3, 0.25, 0.3
 
 
@@ -23,9 +25,9 @@ class UniformImages:
 
     Parameters
     ----------
-    white, black : their indices, None: there is none
-    bits : axis of each remaining image, by index: a bit that does not change within the view
-    is_certain : no other choice fits the bits about as well
+    white, black : index of the white and of the black image; None: there is none
+    bits : axis of each image that is a bit which does not change within the view, by index
+    is_certain : whether no other choice fits the bits about as well
     """
 
     white: int | None
@@ -41,13 +43,14 @@ def choose_plain(
     *,
     needs_uniform: bool,
 ) -> UniformImages:
-    """Return which images without stripes are white, black, and bits.
+    """Return which of the images without stripes are white, black, and bits.
 
     Parameters
     ----------
-    striped_bits : axis of the images that are bits with stripes, by index
-    cost : sum of contradictions in the order of all bits, from their axes by index
-    needs_uniform : without white and black the bits would have no threshold
+    features : all images, in the order of their names
+    striped_bits : axis of each image that is a bit with stripes, by index of the image
+    cost : function that returns the sum of contradictions between bits from their axes by index
+    needs_uniform : whether white and black are needed as threshold of the bits
     """
     plain = [k for k, image in enumerate(features) if image.kind in ("white", "black")]
     rated = []
@@ -64,7 +67,7 @@ def choose_plain(
 
 
 def _choices(features: Sequence[ImageFeatures], plain: Sequence[int]) -> Iterator[Choice]:
-    """Yield the candidates for white and black; the names are not questioned."""
+    """Yield the possible pairs of white and black; a kind in the name of an image is decisive."""
     options: dict[str, list[int | None]] = {}
     for kind in ("white", "black"):
         such = [k for k in plain if features[k].kind == kind and not named(features[k]) & set(AXES)]
@@ -91,7 +94,10 @@ def _preference(features: Sequence[ImageFeatures], choice: Choice, *, needs_unif
 
 
 def _axis(features: Sequence[ImageFeatures], striped_bits: dict[int, Axis], k: int) -> Axis | None:
-    """Return the axis of a bit without stripes: from its name, or that of the bits after it."""
+    """Return the axis of bit k without stripes, or None if there are no other bits.
+
+    The axis is that in its name, otherwise that of the next bit with stripes, or of the last one.
+    """
     by_name = [axis for axis in AXES if axis in named(features[k])]
     if len(by_name) == 1:
         return by_name[0]

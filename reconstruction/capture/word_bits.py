@@ -1,7 +1,7 @@
-"""Bits of words among the images of an unknown set: their order, their inverses, their doubts.
+"""Identify the bits of code words among images of unknown content, their order and inverses.
 
-The order is that of the names if the view confirms it or does not decide. Another order is used
-only if the view clearly contradicts the names. See `word_order`.
+The order of the bits is that of the file names, if the images confirm it or do not determine an
+order. Another order is used only if the images clearly contradict the names, see `word_order`.
 """
 
 from collections import Counter
@@ -26,11 +26,13 @@ from reconstruction.capture.word_order import (
 from reconstruction.errors import few
 from reconstruction.patterns import Axis
 
-# Share of a bit's changes that may contradict the finer bits without a doubt.
+# Largest share of the changes of a bit that finer bits may contradict without a message.
 CONTRADICTS = 0.3
-# Share of striped images in complementary pairs above which further images are paired as well.
+# If at least this share of the striped images is in complementary pairs, other images are paired,
+# too.
 MOST_PAIRED = 0.6
-# Variance of u from which stripes are resolved; with fewer cycles edges are counted.
+# Variance of the normalised level u from which stripes are resolved. With fewer cycles in view the
+# frequency is computed from the number of edges.
 RESOLVED, LEAST_CYCLES = 0.09, 4.0
 
 
@@ -40,9 +42,11 @@ class Bits:
 
     Parameters
     ----------
-    features : in the order of their names; inverses : of each, or none
-    lone : images without inverse, though further bits have theirs
-    changes : between neighbouring pixels
+    axis : projector axis along which the bits vary
+    features : features of the bits in the order of their file names
+    inverses : features of the inverse of each bit; (): there are no inverses
+    lone : images without an inverse, although other bits have one
+    changes : statistics of the changes of the bits between neighbouring pixels
     """
 
     axis: Axis
@@ -58,7 +62,7 @@ class Bits:
 
     @property
     def cost(self) -> float:
-        """Sum of contradictions to the order by names, see `BitOrder`, and bits without inverse."""
+        """Cost of the order by names (see `BitOrder`) plus the number of bits without inverse."""
         cost = named_order(self.changes).cost
         if self.inverses:
             cost = min(cost, named_order(self.changes.inverted(self.everyone)).cost)
@@ -68,11 +72,12 @@ class Bits:
 def bits_of(
     features: Sequence[ImageFeatures], chosen: Sequence[int], axis: Axis, mean: FloatImage | None
 ) -> Bits:
-    """Return the images of some indices as bits along an axis.
+    """Return the images with the indices `chosen` as bits along an axis.
 
     Parameters
     ----------
-    mean : (line, sample) u - 1/2 that bits without inverse are compared with; None: 0
+    mean : (line, sample) threshold of bits without inverse, as normalised level u - 1/2 (see
+        `image_features`); None: 0
     """
     partner = _partners(features, chosen, axis)
     firsts = [k for k in chosen if k in partner] if partner else list(chosen)
@@ -92,7 +97,13 @@ def bits_of(
 
 
 def _neighbours(levels: BoolImage, is_lit: BoolImage) -> BoolImage:
-    """Return four lit neighbours of a line wherever a bit changes, (bit, place, 4)."""
+    """Return rows of four lit pixels, (bit, row, 4) bool, wherever a bit changes in the middle.
+
+    Parameters
+    ----------
+    levels : (bit, line, sample) bool, values of the bits
+    is_lit : (line, sample) bool
+    """
     last = levels.shape[2] - 3
     parts = [slice(k, last + k) for k in range(4)]
     is_used = np.all([is_lit[:, part] for part in parts], axis=0)
@@ -103,10 +114,10 @@ def _neighbours(levels: BoolImage, is_lit: BoolImage) -> BoolImage:
 def _partners(
     features: Sequence[ImageFeatures], chosen: Sequence[int], axis: Axis
 ) -> dict[int, int]:
-    """Return the index of the inverse of each bit, which follows it; {}: there are no inverses.
+    """Return the index of the inverse of each bit, by the index of the bit; {}: no inverses.
 
-    Images without stripes, or with hardly resolved stripes, have an inverse if most of the striped
-    ones have.
+    The inverse follows its bit in the order of the names. Images without stripes, or with hardly
+    resolved stripes, get an inverse if most of the striped images have one.
     """
     striped = [k for k in chosen if features[k].kind == "striped"]
     partner: dict[int, int] = {}
@@ -116,7 +127,7 @@ def _partners(
             inverse_index = next((n for n in free if are_opposite(features[k], features[n])), None)
             if inverse_index is not None:
                 partner[k] = inverse_index
-    # Bits of a binary word may be opposite within a small view.
+    # A small share of pairs are no inverses: bits of a binary word may be opposite in a small view.
     if not partner or 2 * len(partner) < MOST_PAIRED * len(striped):
         return {}
     step = Counter(n - k for k, n in partner.items()).most_common(1)[0][0]
@@ -139,9 +150,13 @@ def _may_be_opposite(features: Sequence[ImageFeatures], k: int, candidate: int) 
 
 @dataclass(frozen=True)
 class ArrangedBits:
-    """Bits and their inverses as groups, the coarsest first, the kind of word, and the doubts.
+    """Bits along one axis and their inverses, in order.
 
-    is_confirmed : the view confirms the order of the names
+    groups : group of the bits and group of their inverses, each with the coarsest bit first
+    word : encoding of the code word, "reflected" or "binary"
+    doubts : messages about uncertain values
+    is_by_names : whether the order is that of the file names or its reverse
+    is_confirmed : whether the images confirm the order of the bits
     """
 
     groups: tuple[FrameGroup, ...] = ()
@@ -152,7 +167,7 @@ class ArrangedBits:
 
 
 def arranged(bits: Bits) -> ArrangedBits:
-    """Return the bits in the order that the view confirms, see `order_bits`."""
+    """Return the bits along an axis in the order that the images confirm, see `order_bits`."""
     if not bits.features:
         return ArrangedBits()
     changes, is_turned = bits.changes, False
@@ -186,7 +201,11 @@ def arranged(bits: Bits) -> ArrangedBits:
 
 
 def _finest_frequency(bits: Bits, order: Sequence[int]) -> float:
-    """Return the frequency of the finest bit, cycles per pixel, from the finest one resolved."""
+    """Return the frequency of the finest bit, cycles per camera pixel.
+
+    It is extrapolated from the finest bit that the camera resolves: each finer bit has twice the
+    frequency.
+    """
     last = len(order) - 1
     for place in range(last, -1, -1):
         image = bits.features[order[place]]

@@ -1,15 +1,17 @@
-"""The order of the bits of a word, from changes between neighbouring pixels.
+"""Determine the order of the bits of a code word from changes between neighbouring pixels.
 
-Where a bit of a Gray word changes, the next finer bit is 1 and the next but one is 0; where a bit
-of a binary word changes, both change as well, in the opposite direction. In another order of bits,
-or with a bit and its inverse exchanged, this is violated. Contradictions are counted as a share of
-the changes of each bit, so that a bit with few changes has the same weight as one with many. Fine
-stripes that the camera hardly resolves therefore do not hide the order of the coarse bits.
+Where a bit of a Gray word changes, the next finer bit is 1, and the finer bit after that is 0.
+Where a bit of a binary word changes, both finer bits change, too, in the opposite direction. These
+rules are violated in another order of the bits, or if a bit and its inverse are exchanged.
+Violations, called contradictions, are counted as a share of the changes of each bit. A bit with few
+changes therefore has the same weight as a bit with many. Thus fine stripes that the camera hardly
+resolves do not hide the order of the coarse bits.
 
-A bit of place k that does not change within the view has at most one coarser bit that does: of the
-places 2^k words from each other every other one is an edge of that bit.
+If a bit does not change within the view, at most one coarser bit changes there. Reason: the changes
+of bit k and of all coarser bits are at multiples of 2^k words, and every other one of these changes
+is of bit k.
 
-A bit that does not change within the view, or rarely, may fit several places, see `movable`.
+A bit that does not change within the view, or rarely, may fit at several positions, see `movable`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,14 +25,16 @@ from reconstruction.arrays import BoolImage, FloatArray, IntArray
 
 Shown = Literal["reflected", "binary"]
 SHOWN: tuple[Shown, Shown] = ("reflected", "binary")
-# Least number of changes of a bit for a contradiction.
+# Least number of changes of a bit from which contradictions are counted.
 LEAST_CHANGES = 8
-# Changes of other bits per change of a bit that is steady: noise, or an edge of depth.
+# A bit is constant in the view if other bits change at least this number of times as often. The few
+# changes are noise or depth edges.
 STEADY = 4
-# Its mean is nearer to 0 or 1: a bit with edges on dark parts of the object is not steady.
+# Least deviation of the mean of a constant bit from 0.5: a bit with edges on dark parts of the
+# object is not constant.
 STEADY_MEAN = 0.45
-# Contradictory shares, summed over the bits, by which one order is better than another: an
-# exchange of two bits or an inverse add 0.9 to 3, noise and depth edges up to 0.3.
+# Least difference of the cost by which one order is better than another. An exchange of two bits or
+# an inverse adds 0.9 to 3 to the cost, noise and depth edges add up to 0.3.
 MARGIN = 0.4
 MOST_ROUNDS = 30
 
@@ -41,11 +45,11 @@ class Changes:
 
     Parameters
     ----------
-    count : (bit,) number of changes of a bit
-    mean : (bit,) mean value of a bit, 0 to 1, at all places where any bit changes
-    level : (bit, other) mean value of the second bit, 0 to 1, at the changes of the first bit
-    against, along : (bit, other) share of the first bit's changes at which the second bit changes
-        as well, in the opposite (against) or in the same direction (along)
+    count : (bit,) number of changes of each bit
+    mean : (bit,) mean value of each bit, 0 to 1, at all positions where any bit changes
+    level : (bit, other) mean value of bit `other`, 0 to 1, at the changes of `bit`
+    against, along : (bit, other) share of the changes of `bit` at which bit `other` changes, too:
+        in the opposite direction (against), or in the same direction (along)
     """
 
     count: IntArray
@@ -56,7 +60,10 @@ class Changes:
 
     @classmethod
     def of(cls, samples: BoolImage) -> "Changes":
-        """Count the changes in rows of four neighbours, (bit, place, 4), between the inner two."""
+        """Return the statistics of rows of four neighbouring pixels, (bit, row, 4) bool.
+
+        A bit changes in a row if its values at the inner two pixels differ.
+        """
         step = samples[..., 1:].astype(np.int8) - samples[..., :-1].astype(np.int8)
         inner, outer = step[..., 1], step.sum(axis=-1, dtype=np.int8)
         bits = len(samples)
@@ -73,7 +80,7 @@ class Changes:
         return cls(count, mean, level, against, along)
 
     def inverted(self, bits: Sequence[int]) -> "Changes":
-        """Return the state with some bits replaced by their inverse."""
+        """Return the statistics after replacing some bits by their inverse."""
         is_other = np.zeros(len(self.count), bool)
         is_other[list(bits)] = True
         crossed = is_other[:, np.newaxis] ^ is_other
@@ -86,10 +93,15 @@ class Changes:
         )
 
     def contradictions(self, order: Sequence[int], shown: Shown) -> FloatArray:
-        """Return for every bit of an order the share of its changes that finer bits contradict.
+        """Return for each bit of an order the share of its changes that finer bits contradict.
 
-        0 for the finest bit, and for bits with fewer than LEAST_CHANGES changes; but 1 for a steady
-        bit if two coarser bits change.
+        The share is 0 for the finest bit. For a bit with fewer than LEAST_CHANGES changes it is 1
+        if the bit is constant and two coarser bits change, otherwise 0.
+
+        Parameters
+        ----------
+        order : indices of the bits, the coarsest first
+        shown : encoding of the code word
         """
         shares = np.zeros(len(order))
         is_steady = np.abs(self.mean - 0.5) > STEADY_MEAN
@@ -110,20 +122,20 @@ class Changes:
         return shares
 
     def cost(self, order: Sequence[int], shown: Shown) -> float:
-        """Return the contradictory shares of an order, summed over the bits."""
+        """Return the sum over the bits of `contradictions`."""
         return float(self.contradictions(list(order), shown).sum())
 
 
 @dataclass(frozen=True)
 class BitOrder:
-    """An order of bits, the coarsest first.
+    """An order of the bits of a code word, the coarsest first, and how well it fits.
 
     Parameters
     ----------
-    order : indices into the bits as given
-    shown : as Gray code or as binary word
-    cost : contradictory shares, summed over the bits
-    is_by_names : the order is the given one or its reverse
+    order : indices of the bits in the order of their file names
+    shown : encoding of the code word
+    cost : sum over the bits of the contradictory shares, see `Changes.contradictions`
+    is_by_names : whether the order is that of the file names or its reverse
     """
 
     order: tuple[int, ...]
@@ -133,9 +145,9 @@ class BitOrder:
 
 
 def named_order(changes: Changes) -> BitOrder:
-    """Return the given order of the bits or its reverse, the one that fits better."""
+    """Return the order of the file names or its reverse, whichever fits better."""
     natural = tuple(range(len(changes.count)))
-    # If the changes do not decide: the coarsest first, if the stripes get finer.
+    # If both fit equally well, the order is used in which the stripes become finer.
     rises = np.sum(np.diff(changes.count)) >= 0.0
     both = [
         _best_shown(changes, candidate)
@@ -145,9 +157,9 @@ def named_order(changes: Changes) -> BitOrder:
 
 
 def order_bits(changes: Changes) -> BitOrder:
-    """Return the order of bits that the changes between neighbours confirm.
+    """Return the order of the bits that the changes between neighbouring pixels confirm.
 
-    The given order, or its reverse, is returned unless another order is clearly better.
+    This is the order of the file names or its reverse, unless another order fits clearly better.
     """
     named = named_order(changes)
     if named.cost <= MARGIN:
@@ -160,14 +172,17 @@ def order_bits(changes: Changes) -> BitOrder:
 
 def _best_shown(changes: Changes, order: tuple[int, ...], *, is_by_names: bool = True) -> BitOrder:
     costs = {shown: changes.cost(order, shown) for shown in SHOWN}
-    # Two bits have no finer bits that would distinguish both kinds.
+    # With two bits only, no finer bits distinguish the two encodings.
     is_binary = costs["binary"] < costs["reflected"] - MARGIN and len(order) > 2
     shown: Shown = "binary" if is_binary else "reflected"
     return BitOrder(order, shown, costs[shown], is_by_names)
 
 
 def _climb(changes: Changes, start: tuple[int, ...]) -> BitOrder:
-    """Move or exchange bits while that lowers the cost."""
+    """Return the best order that is reached from `start` by moves and exchanges of bits.
+
+    Each move or exchange reduces the cost.
+    """
     best = _best_shown(changes, start, is_by_names=False)
     for _ in range(MOST_ROUNDS):
         candidates = (
@@ -190,7 +205,7 @@ def _changed(order: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
 
 
 def _moved(order: tuple[int, ...], place: int) -> Iterator[tuple[int, ...]]:
-    """Yield the orders with one bit moved to every other place."""
+    """Yield the orders in which the bit at `place` is moved to each other position."""
     rest = order[:place] + order[place + 1 :]
     for position in range(len(order)):
         if position != place:
@@ -198,7 +213,7 @@ def _moved(order: tuple[int, ...], place: int) -> Iterator[tuple[int, ...]]:
 
 
 def movable(changes: Changes, order: BitOrder) -> tuple[int, ...]:
-    """Return the bits, indices as given, that fit about as well at another place of the order."""
+    """Return the indices of the bits that fit about as well at another position of the order."""
     limit = order.cost + MARGIN
     return tuple(
         bit
@@ -211,9 +226,9 @@ def movable(changes: Changes, order: BitOrder) -> tuple[int, ...]:
 
 
 def inverted(changes: Changes, order: BitOrder) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the bits that fit clearly better as their inverse, and those that fit both ways.
+    """Return the bits that fit clearly better as their inverse, and the bits that fit both ways.
 
-    The coarsest bit is always among the latter: its inverse numbers the words from the other end.
+    The coarsest bit always fits both ways: its inverse numbers the words from the opposite end.
     """
     wrong: list[int] = []
     uncertain, cost = [], order.cost

@@ -1,4 +1,4 @@
-"""Characterise devices from their captures: the camera's noise, the projector's light."""
+"""Estimate properties of a rig from its captures: camera noise, projector light, coat contrast."""
 
 from reconstruction.characterise.flat_field import Dark, dark_of, prnu_of
 from reconstruction.characterise.photon_transfer import (

@@ -1,8 +1,9 @@
-"""Dark and flat frames: black level, read noise, and differences of pixels (EMVA 1288 release 4).
+"""Estimate black level, read noise and pixel differences from dark and flat frames.
 
-The spatial variance of a mean of L frames is that of the pixels plus 1 / L of their temporal one.
-Slow changes of light over a flat frame are removed by a high-pass, the image minus its mean over
-7 x 7 pixels, which preserves 1 - 1/49 of the variance of independent pixels.
+The definitions are those of EMVA 1288 release 4. The spatial variance of the mean of L frames is
+the variance between pixels plus 1 / L of the temporal variance of a pixel. In flat frames the slow
+variation of light over the image is removed by a high-pass filter: the image minus its mean over
+7 x 7 pixels. The filter preserves 1 - 1/49 of the variance of independent pixels.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,10 @@ from reconstruction.rig.sensor import QUANTISATION_DN2
 
 LEAST_FRAMES = 2
 MOST_PRNU = 0.1
-"""Standard deviation over mean; sensors have 0.2 to 3 %, a textured surface has more."""
+"""Largest plausible photo response non-uniformity, standard deviation over mean.
+
+Sensors have 0.2 to 3 %, frames of a textured surface have more.
+"""
 _MOST_SATURATED = 0.01
 _BOX = 7
 _PRESERVED = 1.0 - 1.0 / _BOX**2
@@ -25,12 +29,14 @@ _PRESERVED = 1.0 - 1.0 / _BOX**2
 
 @dataclass(frozen=True)
 class Dark:
-    """Characteristics of a camera from frames without light.
+    """Properties of a camera that follow from frames without light, in DN.
 
     Attributes
     ----------
-    noise_dn : temporal, without the rounding noise; None if rounding dominates
-    dsnu_dn : standard deviation of the pixels' offsets
+    black_level_dn : mean value of all pixels
+    noise_dn : temporal standard deviation of a pixel, without the rounding noise; None: rounding
+        dominates
+    dsnu_dn : dark signal non-uniformity: standard deviation of the offset from pixel to pixel
     """
 
     black_level_dn: UncertainValue
@@ -39,7 +45,7 @@ class Dark:
 
 
 def dark_of(frames: Stack) -> Dark:
-    """Characterise dark frames, (frame, row, col) DN, at least two.
+    """Return black level, noise and offsets from dark frames, (frame, row, col) DN, at least two.
 
     Raises
     ------
@@ -48,13 +54,15 @@ def dark_of(frames: Stack) -> Dark:
     _require(frames, "dark")
     temporal, spatial = _variances(frames, is_flat=False)
     is_ruled = temporal.value < LEAST_VARIANCE_DN2
-    # A level that is always rounded to the same number is known to that rounding only.
+    # If rounding dominates, every value is rounded to the same number: averaging does not reduce
+    # the uncertainty of the level below that of the rounding.
     rounding = QUANTISATION_DN2 if is_ruled else 0.0
     sampling = (spatial.value + temporal.value / len(frames)) / float(frames[0].size)
     level = UncertainValue(
         float(frames.mean(dtype=np.float64)), float(np.sqrt(sampling + rounding))
     )
-    # Error of Sheppard's 1/12 for the rounding of a normal number, at the worst level.
+    # Largest error, over all levels, of Sheppard's 1/12 for the variance that rounding adds to a
+    # normal distribution.
     variance = max(temporal.value - QUANTISATION_DN2, 0.0)
     rounding_error = np.exp(-2.0 * np.pi**2 * variance) * (4.0 * variance + 1.0 / np.pi**2)
     noise = _root(variance, float(np.hypot(temporal.uncertainty, rounding_error / np.sqrt(2.0))))
@@ -64,17 +72,20 @@ def dark_of(frames: Stack) -> Dark:
 def prnu_of(
     frames: Stack, black_level_dn: float, dsnu_dn: float = 0.0, clipped_from_dn: float = np.inf
 ) -> UncertainValue:
-    """Return the relative standard deviation of the pixels' response, from evenly lit frames.
+    """Return the photo response non-uniformity of a camera from uniformly lit ("flat") frames.
+
+    It is the standard deviation of the pixels' response divided by the mean response.
 
     Parameters
     ----------
-    frames : (frame, row, col) DN, at least two, of a bright and even surface out of focus
-    black_level_dn, dsnu_dn : of the camera
-    clipped_from_dn : level from which a pixel may be saturated, see `SensorNoise`
+    frames : (frame, row, col) DN, at least two, of a bright and uniform surface out of focus
+    black_level_dn : black level of the camera
+    dsnu_dn : standard deviation of the pixels' offsets, DN
+    clipped_from_dn : level, DN, from which a pixel may be saturated, see `SensorNoise`
 
     Raises
     ------
-    InputError : too few frames, no light on them, saturated pixels, or pixels that differ too much
+    InputError : too few frames, too little light, saturated pixels, or a result above `MOST_PRNU`
     """
     _require(frames, "flat")
     saturated = float(np.mean(frames >= clipped_from_dn))
@@ -103,10 +114,10 @@ def _require(frames: Stack, kind: str) -> None:
 
 
 def _variances(frames: Stack, *, is_flat: bool) -> tuple[UncertainValue, UncertainValue]:
-    """Return temporal and spatial variance of the pixels, DN^2."""
+    """Return the temporal variance of a pixel and the variance between pixels, both DN^2."""
     count = len(frames)
     values = frames.astype(np.float64)
-    # Drift of the light between frames is not noise of a pixel.
+    # Removes the drift of the light from frame to frame, which is not noise of a pixel.
     values -= values.mean(axis=(1, 2), keepdims=True) - values.mean()
     temporal = values.var(axis=0, ddof=1)
     mean = values.mean(axis=0)
@@ -130,7 +141,11 @@ def _root_of(variance: UncertainValue) -> UncertainValue:
 
 
 def _root(variance: float, uncertainty: float) -> UncertainValue:
-    """Return the root of a variance; if its uncertainty exceeds it, with that of a bound."""
+    """Return the root of a variance, with its standard uncertainty.
+
+    If the uncertainty of the variance is at least as large as the variance, the uncertainty of the
+    root is the square root of it.
+    """
     root = float(np.sqrt(max(variance, 0.0)))
     if variance <= uncertainty:
         return UncertainValue(root, float(np.sqrt(uncertainty)))

@@ -1,12 +1,12 @@
-"""Photon transfer: system gain and read noise from the increase of pixel noise with light.
+"""Photon transfer: estimate system gain and read noise from the increase of noise with light.
 
-EMVA 1288 release 4, linear model. Symbols: K system gain (DN per electron), sigma_d temporal dark
-noise (electrons), b black level; a pixel of mean mu has the variance
+By the linear model of EMVA 1288 release 4, a pixel with the mean mu, DN, has the variance, DN^2,
 
-    sigma^2 = K (mu - b) + (K sigma_d)^2 + 1 / 12.
+    sigma^2 = K (mu - b) + (K sigma_d)^2 + 1 / 12,
 
-A straight line through samples (mean, squared residual). The samples are from two frames of the
-same scene, or from the residuals of a model of the frames (`projector_fit`).
+with the system gain K (DN per electron), the temporal dark noise sigma_d (electrons) and the black
+level b. A straight line is fitted to samples of (mean, squared deviation). The samples are from
+two frames of the same scene, or from the residuals of a model of the frames (`projector_fit`).
 """
 
 from dataclasses import dataclass
@@ -20,25 +20,28 @@ from reconstruction.rig.sensor import QUANTISATION_DN2, SensorNoise
 BINS = 40
 LEAST_SAMPLES = 2000
 LEAST_VARIANCE_DN2 = 0.24
-"""Below it rounding dominates a pixel's temporal noise and is not 1/12 (EMVA 1288 release 4)."""
+"""Least variance of a pixel at which rounding adds 1/12 DN^2 (EMVA 1288 release 4)."""
 
 _LEAST_BINS, _LEAST_IN_BIN = 5, 100
-# Samples this near to the ends of the scale have lost a part of their noise to clipping.
+# Samples with a mean nearer to an end of the scale, in standard deviations, have clipped noise.
 _END_SIGMAS = 5.0
 _MOST_PIXELS = 200_000
 _ROUNDS = 3
 SATURATION_CAPACITIES_E = (100.0, 1e9)
-"""Full scale over gain: from a pixel of 1 um at a gain of 30 to the largest photodiodes."""
-# Standard uncertainty over the gain. Above it the expanded uncertainty (k = 2) exceeds 50 %.
+"""Plausible number of electrons at full scale, full scale / gain.
+
+The limits are those of a pixel of 1 um at a gain of 30 and of the largest photodiodes.
+"""
+# Largest standard uncertainty of the gain, relative: the expanded uncertainty (k = 2) is 50 %.
 _MOST_RELATIVE_SIGMA = 0.25
-# RMS of variances over the line, minus 1. A scene that moved gives 0.4 and more, real sensors some
-# 0.01.
+# Largest RMS of (variance / that of the line - 1). A scene that moved gives 0.4 and more, real
+# sensors some 0.01.
 _MOST_DEVIATION = 0.25
 
 
 @dataclass(frozen=True)
 class UncertainValue:
-    """A value and its standard uncertainty."""
+    """An estimated value and its standard uncertainty, in the same unit."""
 
     value: float
     uncertainty: float
@@ -50,16 +53,17 @@ class UncertainValue:
 
 @dataclass(frozen=True, eq=False)
 class NoiseSamples:
-    """Pixels of some frames: expected levels, and squares with the pixels' variance as mean.
+    """Samples from which a photon transfer curve is fitted, each of one pixel in one frame.
 
-    mean_dn, square_dn2 : (sample,) float
+    mean_dn : (sample,) expected value of the pixel
+    square_dn2 : (sample,) squared deviation, whose expected value is the variance of the pixel
     """
 
     mean_dn: FloatArray
     square_dn2: FloatArray
 
     def joined(self, added: "NoiseSamples") -> "NoiseSamples":
-        """Return the samples of both sets."""
+        """Return the samples of this set and of `added` as one set."""
         return NoiseSamples(
             np.concatenate([self.mean_dn, added.mean_dn]),
             np.concatenate([self.square_dn2, added.square_dn2]),
@@ -68,13 +72,17 @@ class NoiseSamples:
 
 @dataclass(frozen=True, eq=False)
 class PhotonTransfer:
-    """The fitted line and its bins.
+    """The line that was fitted to variance over mean, and the binned samples.
 
     Attributes
     ----------
-    read_noise_e : None if the line's intercept is below that of the rounding
-    mean_dn, variance_dn2, variance_uncertainty_dn2 : (bin,)
-    chi2_per_bin : of the line; far above 1 the noise is not that of a linear sensor
+    gain_dn_per_e : system gain K, the slope of the line
+    read_noise_e : temporal dark noise; None: not significantly above the rounding noise
+    black_level_dn : mean value of a pixel without light
+    mean_dn, variance_dn2, variance_uncertainty_dn2 : (bin,) mean, variance and its standard
+        uncertainty in bins of the mean
+    chi2_per_bin : chi-square of the line per degree of freedom; far above 1 the noise is not that
+        of a linear sensor
     """
 
     gain_dn_per_e: UncertainValue
@@ -86,7 +94,7 @@ class PhotonTransfer:
     chi2_per_bin: float
 
     def variance_at(self, mean_dn: FloatArray) -> FloatArray:
-        """Return the line's variance at given means, DN^2."""
+        """Return the variance of the line, DN^2, at the given mean values, DN."""
         read_dn = self.gain_dn_per_e.value * (self.read_noise_e.value if self.read_noise_e else 0.0)
         above = np.maximum(mean_dn - self.black_level_dn, 0.0)
         return np.asarray(
@@ -95,13 +103,13 @@ class PhotonTransfer:
 
 
 def samples_of_pairs(first: Stack, second: Stack, sensor: SensorNoise) -> NoiseSamples:
-    """Return samples of two stacks of the same scene, frame by frame.
+    """Return samples from two image stacks of the same scene, frame by frame.
 
     Parameters
     ----------
-    first, second : (frame, row, col) DN; the light may have drifted: each frame of the second is
-        scaled to that of the first
-    sensor : its black level and limits
+    first, second : (frame, row, col) DN. The light may differ between them: each frame of `second`
+        is scaled to the mean of that of `first`
+    sensor : black level of the camera
 
     Raises
     ------
@@ -130,7 +138,7 @@ def samples_of_pairs(first: Stack, second: Stack, sensor: SensorNoise) -> NoiseS
 def _pair(first: FloatArray, second: FloatArray, sensor: SensorNoise) -> NoiseSamples:
     total = float(second.sum())
     ratio = float(first.sum()) / total if total > 0.0 else 1.0
-    # With very little light its drift is not estimated.
+    # With very little light, or an implausible ratio, the frame is not scaled.
     ratio = ratio if 0.5 < ratio < 2.0 and np.mean(second) > 10.0 else 1.0
     mean = 0.5 * (first + ratio * second)
     square = (first - ratio * second) ** 2 / (1.0 + ratio**2)
@@ -138,15 +146,17 @@ def _pair(first: FloatArray, second: FloatArray, sensor: SensorNoise) -> NoiseSa
 
 
 def photon_transfer(samples: NoiseSamples, sensor: SensorNoise) -> PhotonTransfer:
-    """Fit the line through samples.
+    """Fit the photon transfer line, variance over mean, to samples.
 
     Parameters
     ----------
-    sensor : black level and saturation; its gain and noise only exclude samples near an end
+    sensor : black level and saturation of the camera. Its gain and noise are only used to exclude
+        samples near the ends of the scale
 
     Raises
     ------
-    InputError : too few samples, too little light in them, or a line impossible for a sensor
+    InputError : too few samples, equally bright frames, noise below rounding, or a line that is
+        impossible for a sensor
     """
     inside = _inside(samples, sensor)
     if int(inside.sum()) < LEAST_SAMPLES:
@@ -196,11 +206,11 @@ def _require_plausible(gain: UncertainValue, sensor: SensorNoise) -> None:
 
 
 def _require_straight(over_line: FloatArray) -> None:
-    """Raise InputError if variances differ from the line by more than a sensor's curvature.
+    """Raise InputError if the variances differ from the line more than those of a real sensor.
 
     Parameters
     ----------
-    over_line : (bin,) variances over those of the line
+    over_line : (bin,) variances divided by those of the line
     """
     deviation = float(np.sqrt(np.mean((over_line - 1.0) ** 2)))
     if not deviation <= _MOST_DEVIATION:
@@ -217,10 +227,11 @@ def _inside(samples: NoiseSamples, sensor: SensorNoise) -> BoolArray:
 
 
 def _bins(mean_dn: FloatArray, square_dn2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean, variance and its standard uncertainty of bins equally wide in the mean.
+    """Return mean, variance and standard uncertainty of the variance, each (bin,).
 
-    Bins of equally many samples would separate pixels of one level by the parity of their sums,
-    which is the parity of their differences.
+    All bins have the same width in the mean. Bins with equal numbers of samples would be biased: of
+    two integer values, sum and difference are both even or both odd. Such bins would therefore
+    separate samples with even differences from those with odd differences.
     """
     low, high = float(mean_dn.min()), float(mean_dn.max())
     place = (mean_dn - low) / max(high - low, 1e-9) * BINS
@@ -238,10 +249,10 @@ def _bins(mean_dn: FloatArray, square_dn2: FloatArray) -> tuple[FloatArray, Floa
 def _line(
     above: FloatArray, variance: FloatArray, sigma: FloatArray
 ) -> tuple[float, float, FloatArray, float]:
-    """Return slope, intercept, their covariance and chi-square.
+    """Fit variance over mean above black; return slope, intercept, their covariance, chi-square.
 
-    The weights are computed from the line, because a bin with a small variance by chance would
-    get too large a weight.
+    The weights are computed from the fitted line, not from the measured variances. Otherwise a bin
+    that has a small variance by chance would get too large a weight.
     """
     design = np.stack([above, np.ones_like(above)], axis=1)
     fitted = variance

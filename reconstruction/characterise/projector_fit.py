@@ -1,22 +1,25 @@
-"""Fit a model of the projector to a capture: gamma, blur, and the noise of the residuals.
+"""Fit a model of the projector to a capture: gamma, lens blur, and the noise of the residuals.
 
-Symbols: I_kp frame k of pixel p; u, v its projector coordinates; o its level without light of the
-pattern, s its amplitude; L_k the light of frame k along its axis for a response of gamma g and a
-lens blur b (`rig.projected_light`); h leverage. The model of all frames (Gray, phase and uniform)
-is
+The value of pixel p in frame k (Gray, phase or uniform), DN, is modelled as
 
     I_kp = o_p + s_p L_k(u_p or v_p; g, b).
 
-Gauss-Newton with the pixels' own o, s, u, v projected out of the normal equations (variable
-projection, Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973)). Edges of Gray bits determine
-the blur, levels of the phase steps the gamma; harmonics of the phase steps would confuse both.
-The mean of r^2 / (1 - h) is the variance of a frame exactly, for any scene: a photon transfer
-curve from a single capture (`photon_transfer`).
+Here o_p is the level of the pixel without light of the pattern and s_p its amplitude; u_p and v_p
+are its projector coordinates, column and row. L_k is the light of frame k along its axis, for a
+projector response of gamma g and a lens blur b (see `rig.projected_light`).
 
-Neglected: drift of the light from frame to frame, variation of blur over the image, light reflected
-between surfaces. They raise `chi2` above 1 and also the uncertainties, which are computed from the
-scatter of the scores over blocks of the image (sandwich estimate, White, Econometrica 48, 817
-(1980)).
+The fit uses Gauss-Newton iteration. The unknowns o, s, u, v of each pixel are eliminated from the
+normal equations (variable projection, Golub and Pereyra, SIAM J. Numer. Anal. 10, 413 (1973)).
+The edges of Gray bits determine the blur, the levels of the phase steps determine gamma. Harmonics
+of the phase steps would not separate them without Gray bits.
+
+With the residual r and its leverage h, the mean of r^2 / (1 - h) is exactly the variance of a pixel
+value, for any scene. It gives a photon transfer curve from a single capture (`photon_transfer`).
+
+The model neglects drift of the light from frame to frame, variation of the blur over the image, and
+light reflected between surfaces. These effects raise `chi2` above 1. They also raise the
+uncertainties, which are computed from the scatter of the scores (derivatives of the log-likelihood)
+over blocks of the image: sandwich estimate, White, Econometrica 48, 817 (1980).
 """
 
 from dataclasses import dataclass, replace
@@ -40,7 +43,7 @@ PER_PX = 16
 _GAMMAS, _MOST_BLUR_PX = (GAMMA_RANGE[0] + 0.01, GAMMA_RANGE[1] - 0.01), 9.0
 _STEPS, _ROUNDS = 8, 3
 _DIFFERENCE = 1e-3
-# Limits of a change of gamma and blur (px): within one step, and at the end of the search.
+# Largest change of gamma and of blur (px) in one step, and in the last step of a converged fit.
 _LARGEST_STEP, _SETTLED = 0.3, 0.1
 _BLOCKS = 8
 _LEAST_PIXELS = 200
@@ -48,20 +51,21 @@ _LEAST_PIXELS = 200
 _LEAST_FRAMES = 7
 _LEAST_BLUR_PX = 0.05
 _EDGE_PX = 8.0
-# Standard uncertainty of the model itself, relative: error of gamma and blur of rendered rigs,
-# with known values (./run bench adopt).
+# Relative standard uncertainty of gamma and blur due to the model itself: their errors for rendered
+# rigs with known values (./run bench adopt).
 _MODEL_GAMMA, _MODEL_BLUR = 0.0003, 0.002
-# Below that share of the mean curvature gamma and blur are not separable.
+# Least value of 1 - (correlation of gamma and blur)^2; below it they are not separable.
 _LEAST_CONDITION = 1e-8
 
 
 @dataclass(frozen=True)
 class FitLimits:
-    """Number of fitted pixels, and start of the fit.
+    """Number of fitted pixels, and starting values of the fit.
 
-    pixels : evenly spread over the valid ones
-    gamma, blur_px : starting values
-    gamma_known : keep the given gamma and fit the blur only
+    pixels : number of fitted pixels, evenly spread over the valid pixels
+    gamma : starting value of the gamma of the projector
+    blur_px : starting value of the lens blur, projector px
+    gamma_known : whether gamma is kept at its starting value and only the blur is fitted
     """
 
     pixels: int = 4000
@@ -72,15 +76,17 @@ class FitLimits:
 
 @dataclass(frozen=True, eq=False)
 class ProjectorFit:
-    """Result of the fit.
+    """Result of the fit of a projector model to a capture.
 
     Attributes
     ----------
-    blur_px : of the lens; see `_lens_blur` for the camera pixel's own footprint
-    noise : photon transfer of the residuals; None if too few frames differ in light
-    chi2 : residuals over predicted noise, per degree of freedom
-    offset_dn, light_dn : (pixel,) of the fitted pixels
-    footprint_px : standard deviation of a camera pixel's footprint on the projector
+    gamma : gamma of the projector
+    blur_px : standard deviation of the lens blur, projector px; see `_lens_blur` for the share of a
+        camera pixel's footprint
+    noise : photon transfer curve of the residuals; None: the residuals do not determine it
+    chi2 : squared residuals divided by the predicted variance, per degree of freedom
+    offset_dn, light_dn : (pixel,) level without light, o, and amplitude, s, of the fitted pixels
+    footprint_px : standard deviation of a camera pixel's footprint, projector px
     """
 
     gamma: UncertainValue
@@ -92,7 +98,7 @@ class ProjectorFit:
     footprint_px: float
 
     def response(self) -> ProjectorResponse:
-        """Return fitted gamma and blur with their uncertainties, in the form that decoders use."""
+        """Return the fitted gamma and blur with their uncertainties, as `decode` takes them."""
         return ProjectorResponse(
             self.gamma.value,
             self.gamma.uncertainty,
@@ -103,7 +109,13 @@ class ProjectorFit:
 
 @dataclass(frozen=True, eq=False)
 class _FittedPixels:
-    """Fitted pixels: frames (pixel, frame), own unknowns (pixel, 2 + axes), place in the image."""
+    """The fitted pixels and their unknowns.
+
+    frames : (pixel, frame) measured values, DN
+    own : (pixel, 2 + number of axes) unknowns of each pixel: o, s, DN, then u and v, projector px
+    block : (pixel,) number of the image block that contains the pixel
+    axes : index in `AXES` of each projector axis
+    """
 
     frames: FloatArray
     own: FloatArray
@@ -113,7 +125,12 @@ class _FittedPixels:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """The model at a point: predicted frames, own and common derivatives."""
+    """The model and its derivatives at given values of all unknowns.
+
+    predicted : (pixel, frame) predicted values, DN
+    own : (pixel, frame, unknown of the pixel) derivatives by o, s, u, v
+    common : (pixel, frame, 2) derivatives by gamma and blur
+    """
 
     predicted: FloatArray
     own: FloatArray
@@ -127,20 +144,23 @@ def fit_projector(
     decoded: Decoded,
     limits: FitLimits | None = None,
 ) -> ProjectorFit:
-    """Fit gamma, blur and noise.
+    """Fit the gamma and lens blur of the projector and the noise of the camera to a capture.
 
     Parameters
     ----------
-    stack : (frame, row, col) DN, as decoded
-    sensor : black level and saturation; gain and noise give the weights at the start
-    decoded : coordinates of this stack, at which the places on the projector start. Decoded from
-        few steps for a linear projector, they have errors of 0.1 period at gamma 2, and some pixels
-        converge to a wrong bit edge: decode again with the fitted response, and fit again
+    stack : (frame, row, col) DN, the stack that was decoded
+    patterns : projected patterns
+    sensor : black level and saturation; gain and noise give only the first weights
+    decoded : projector coordinates from this stack, the starting values of u and v. Coordinates
+        that were decoded from few phase steps for a linear projector have errors of 0.1 period at
+        gamma 2. Some pixels then converge to a wrong bit edge: decode again with the fitted
+        response, and fit again
+    limits : number of fitted pixels and starting values; None: the defaults of `FitLimits`
 
     Raises
     ------
-    InputError : no fringes, too few frames to separate gamma and blur, too few valid pixels, or a
-        gamma or blur at the end of its range
+    InputError : no fringes, too few frames to separate gamma and blur, too few valid pixels, no
+        convergence, or a gamma or blur at the end of its range
     """
     limits = limits or FitLimits()
     _require_frames(patterns)
@@ -184,7 +204,10 @@ def _require_frames(patterns: PatternSet) -> None:
 def _chosen(
     stack: Stack, patterns: PatternSet, sensor: SensorNoise, decoded: Decoded, count: int
 ) -> _FittedPixels:
-    """Select evenly spread pixels: valid, not clipped, inside the projector's image."""
+    """Select at most `count` pixels, evenly among those that are valid and not clipped.
+
+    Pixels within 8 projector px of the border of the projector image are left out, too.
+    """
     usable: BoolImage = np.equal(decoded.mask_reason, Reason.VALID)
     usable &= stack.max(axis=0) < sensor.clipped_from_dn
     usable &= stack.min(axis=0) > 0
@@ -221,7 +244,10 @@ def _with_noise(sensor: SensorNoise, transfer: PhotonTransfer) -> SensorNoise:
 
 
 class _LightNodes:
-    """Light of the frames along one axis, and its derivatives by place, gamma and blur."""
+    """Tables (node, frame) of the light L_k along one axis, with 16 nodes per projector pixel.
+
+    Further tables have its derivatives by position, gamma and blur.
+    """
 
     def __init__(self, patterns: PatternSet, axis: int, light: FloatArray) -> None:
         name = AXES[axis]
@@ -241,7 +267,7 @@ class _LightNodes:
         self.by_place = np.gradient(self.light, 1.0 / PER_PX, axis=0)
 
     def at(self, table: FloatArray, u_px: FloatArray) -> FloatArray:
-        """Return a table interpolated at places, (pixel, frame)."""
+        """Return a table interpolated at positions (pixel,), projector px: (pixel, frame)."""
         place = np.clip(u_px * PER_PX, 0.0, len(self._nodes_px) - 1.001)
         node = place.astype(int)
         share = (place - node)[:, None]
@@ -283,7 +309,15 @@ def _weights(predicted: FloatArray, noise: SensorNoise) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Projected:
-    """Residuals and common derivatives, orthogonal to the pixels' own unknowns."""
+    """Residuals and derivatives by gamma and blur after elimination of the pixels' own unknowns.
+
+    weight : (pixel, frame) 1 / variance
+    inverse : (pixel, unknown, unknown) inverse of the normal matrix of the pixel's own unknowns
+    residual, common : (pixel, frame) and (pixel, frame, 2), residuals and derivatives, orthogonal
+        to the derivatives by the pixel's own unknowns
+    own_step : (pixel, unknown) Gauss-Newton step of the own unknowns at fixed gamma and blur
+    own_by_common : (pixel, unknown, 2) reduction of that step per change of gamma and blur
+    """
 
     weight: FloatArray
     inverse: FloatArray
@@ -298,7 +332,7 @@ def _projected(pixels: _FittedPixels, model: _Linear, noise: SensorNoise) -> _Pr
     residual = pixels.frames - model.predicted
     weighted = model.own * weight[..., None]
     normal = np.einsum("pki,pkj->pij", weighted, model.own)
-    # If a pixel's levels do not depend on its place, the place is not changed.
+    # If the values of a pixel do not depend on its coordinate, the coordinate is not changed.
     normal += 1e-9 * np.einsum("pii->pi", normal)[:, :, None] * np.eye(normal.shape[-1])
     inverse = np.linalg.inv(normal)
     own_step = np.einsum("pij,pkj,pk->pi", inverse, weighted, residual)
@@ -324,7 +358,10 @@ def _converged(
     noise: SensorNoise,
     limits: FitLimits,
 ) -> tuple[_FittedPixels, FloatArray, FloatArray, float]:
-    """Return pixels and light after Gauss-Newton steps, the information matrix, last change."""
+    """Fit by Gauss-Newton steps; return pixels, (gamma, blur), information matrix, last change.
+
+    The information matrix (2, 2) is that of gamma and blur.
+    """
     free = _free(limits)
     for _ in range(_STEPS):
         parts = _projected(pixels, _model(pixels, patterns, light), noise)
@@ -349,9 +386,9 @@ def _converged(
 
 
 def _require_inside(light: FloatArray, last_change: float) -> None:
-    """Raise InputError if the search stopped at a limit or did not converge.
+    """Raise InputError if gamma or blur is at a limit of its range, or the fit did not converge.
 
-    The least blur is not such a limit: a lens may be sharp.
+    The lower limit of the blur is allowed, because a lens may be sharp.
     """
     gamma, blur_px = light.tolist()
     is_inside = _GAMMAS[0] < gamma < _GAMMAS[1] and blur_px < _MOST_BLUR_PX
@@ -381,7 +418,10 @@ def _residual_samples(
     noise: SensorNoise,
     limits: FitLimits,
 ) -> tuple[NoiseSamples, float, FloatArray]:
-    """Return squared residuals over 1 - leverage, chi-square, and the pixels' scores."""
+    """Return samples r^2 / (1 - h), chi-square per degree of freedom, and the pixels' scores.
+
+    The scores (pixel, 2) are the derivatives of the log-likelihood by gamma and blur.
+    """
     model = _model(pixels, patterns, light)
     parts = _projected(pixels, model, noise)
     leverage = parts.weight * np.einsum("pki,pij,pkj->pk", model.own, parts.inverse, model.own)
@@ -398,7 +438,11 @@ def _residual_samples(
 def _sandwich(
     information: FloatArray, scores: FloatArray, block: FloatArray, chi2: float, limits: FitLimits
 ) -> FloatArray:
-    """Return the covariance of the noise, scaled up to that of the blocks' scores."""
+    """Return the covariance (2, 2) of gamma and blur.
+
+    It is that of the pixel noise, or that from the scatter of the scores between image blocks if
+    the latter is larger.
+    """
     free = _free(limits)
     inverse = np.linalg.inv(information + np.diag(1.0 - free)) * np.outer(free, free)
     totals = np.stack(
@@ -411,7 +455,11 @@ def _sandwich(
 
 
 def _footprint_px(decoded: Decoded, patterns: PatternSet) -> float:
-    """Return the standard deviation of a camera pixel's footprint, RMS over pixels and axes."""
+    """Return the standard deviation, projector px, of a typical camera pixel's footprint.
+
+    The footprint is a parallelogram with the median differences of coordinates between adjacent
+    pixels as sides; the result is the RMS over both projector axes.
+    """
     valid = np.equal(decoded.mask_reason, Reason.VALID)
     variances = []
     for axis in patterns.axes:
@@ -424,10 +472,11 @@ def _footprint_px(decoded: Decoded, patterns: PatternSet) -> float:
 
 
 def _lens_blur(fitted_px: float, uncertainty_px: float, footprint_px: float) -> UncertainValue:
-    """Subtract half of the footprint's share; the other half is a uniform uncertainty.
+    """Return the blur of the lens, px, from the fitted blur, which may include the footprint.
 
-    A real pixel adds its box to the lens blur; a rendered pixel does only if its samples are more
-    than 0.25 projector pixels apart. The result covers both.
+    The footprint of a real camera pixel adds to the fitted blur. That of a rendered pixel adds only
+    if its samples are more than 0.25 projector pixels apart. Therefore half of the footprint's
+    share is subtracted, and the other half is taken as the half width of a uniform distribution.
     """
     lens_px = float(np.sqrt(max(fitted_px**2 - footprint_px**2, 0.0)))
     half_px = 0.5 * (fitted_px - lens_px)

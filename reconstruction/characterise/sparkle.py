@@ -1,9 +1,10 @@
-"""Local contrast of a coat: of a white frame, without the camera's noise.
+"""Estimate the local contrast of a coat from a white frame, without the camera's noise.
 
-Mirror-like flakes, grain of the coat and differing response of pixels make a white frame
-uneven from pixel to pixel. Slow changes (form, light, lens) are removed by a high-pass, the image
-minus its mean over 7 x 7 pixels, which preserves 48/49 of the variance of independent pixels; of
-coarser grain it removes more. Shares are of the local mean above black.
+Mirror-like flakes, the grain of the coat and differences in response make a white frame uneven from
+pixel to pixel. Slow variations over the image (form, light, lens) are removed by a high-pass
+filter: the image minus its mean over 7 x 7 pixels. The filter preserves 48/49 of the variance of
+independent pixels, and less of the variance of coarser grain. Contrasts are relative to the local
+mean above the black level.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from reconstruction.rig.sensor import SensorNoise
 
 _BOX = 7
 _PRESERVED = 1.0 - 1.0 / _BOX**2
-# Negative covariance that the high-pass gives to independent neighbours.
+# Magnitude of the negative covariance of adjacent independent pixels after the high-pass filter.
 _OWN = 2.0 / _BOX**2 - (_BOX - 1.0) / _BOX**3
 _LEAST_PIXELS = 1000
 _FAR = 4.0
@@ -29,16 +30,17 @@ _SIGNIFICANT = 3.0
 
 @dataclass(frozen=True)
 class Sparkle:
-    """Local contrast of a coat in even light.
+    """Local contrast of a coat in uniform light.
 
     Attributes
     ----------
-    contrast : relative standard deviation from pixel to pixel, without the camera's noise; 0 if
-        noise explains all of it
-    uncertainty : standard, from the number of pixels
-    neighbours : correlation of the remainder between adjacent pixels: 0 for single flakes and for
-        the pixels' own response, up to 1 for coarse grain; None if noise explains all
-    glints : share of pixels brighter than four standard deviations of all pixels; 3e-5 for a
+    contrast : standard deviation from pixel to pixel, without the camera's noise, divided by the
+        local mean; 0 if noise explains all of the variation
+    uncertainty : standard uncertainty of the contrast, from the number of pixels
+    neighbours : correlation between horizontally adjacent pixels, without the camera's noise. It is
+        0 for single flakes and differences in pixel response, up to 1 for coarse grain. None: the
+        contrast is not significant
+    glints : share of pixels above the local mean by more than four standard deviations; 3e-5 for a
         normal distribution
     """
 
@@ -49,17 +51,17 @@ class Sparkle:
 
 
 def sparkle_of(white: NDArray[Any], sensor: SensorNoise, lit: BoolImage) -> Sparkle:
-    """Return the local contrast of a white frame.
+    """Return the local contrast of a coat in a white frame.
 
     Parameters
     ----------
-    white : (row, col) DN
-    sensor : black level and noise
-    lit : (row, col) illuminated pixels of the coat
+    white : (row, col) white frame, DN
+    sensor : black level and noise of the camera
+    lit : (row, col) bool, True at illuminated pixels of the coat
 
     Raises
     ------
-    InputError : too few pixels with lit and unclipped surroundings
+    InputError : too few pixels whose 7 x 7 surroundings are all lit and not clipped
     """
     image = np.asarray(white, np.float64)
     usable = lit & (image < sensor.clipped_from_dn)
@@ -86,7 +88,13 @@ def sparkle_of(white: NDArray[Any], sensor: SensorNoise, lit: BoolImage) -> Spar
 
 
 def _neighbours(rest: FloatArray, inside: BoolImage) -> float:
-    """Return the covariance of adjacent pixels, without the high-pass's share of the noise."""
+    """Return the covariance of adjacent pixels, corrected for that which the high-pass makes.
+
+    Parameters
+    ----------
+    rest : (row, col) relative deviation from the local mean
+    inside : (row, col) bool, pixels to use
+    """
     both = inside[:, 1:] & inside[:, :-1]
     product = float((rest[:, 1:] * rest[:, :-1])[both].mean())
     return product + _OWN * float(np.square(rest[inside]).mean()) / _PRESERVED

@@ -1,7 +1,9 @@
-"""Pattern codes: how fringes are numbered. One kind per module, registered in `CODES`.
+"""Pattern codes, which number the fringes. Each module registers one code in `CODES`.
 
-A kind defines the projected words and further periods, and how the fringe order is decoded: either
-by one of the compiled rules (`Rule`), or by its own `unwrap` in numpy. Minimal example:
+The fringe order is the number of the fringe period that a pixel is in. A pattern code defines the
+projected code words and further fringe periods, and how the fringe order is decoded from them:
+either by one of the compiled rules (`Rule`), or by its own method `unwrap` in numpy. Minimal
+example:
 
     class TernaryCode(PatternCode):
         name, title = "ternary", "ternary code"
@@ -29,20 +31,20 @@ from reconstruction.several_periods import Chain
 
 
 class Rule(Enum):
-    """Compiled rules for the fringe order; coordinates are px, phases in [0, 2 pi)."""
+    """Rules that decode the fringe order; all but OWN are compiled. Phases are in [0, 2 pi)."""
 
     WORD_PER_PERIOD = auto()
-    """The word changes where the phase is 0 (at `displacement`: minus that share of a turn)."""
+    """One code word, which changes where the phase is -2 pi `displacement`, modulo 2 pi."""
     WORD_PER_HALF_PERIOD = auto()
-    """The word changes where the phase is 0 and pi."""
+    """One code word, which changes where the phase is 0 and where it is pi."""
     TWO_WORDS = auto()
-    """The first word changes where the phase is 0, the second where it is pi."""
+    """Two code words: the first changes where the phase is 0, the second where it is pi."""
     CHAIN = auto()
-    """Phases of several periods, coarse to fine; all of them are averaged. See `Chain`."""
+    """Phases of several periods, unwrapped from coarse to fine and averaged. See `Chain`."""
     SINGLE_IMAGES = auto()
-    """N steps of the first period, a single image of each further one."""
+    """N phase steps of the first period and a single image of each further period."""
     OWN = auto()
-    """The kind's own `unwrap`."""
+    """The method `unwrap` of the pattern code."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class AxisFringes:
     Parameters
     ----------
     length_px : projector pixels along the axis
-    periods_px : all periods, the measuring one first; without fringes the width of one word
+    periods_px : all fringe periods, the measuring one first; without fringes the width of a word
     """
 
     length_px: int
@@ -60,30 +62,30 @@ class AxisFringes:
 
     @property
     def period_px(self) -> float:
-        """The measuring period."""
+        """The measuring period, px: the fringe period that gives the coordinate."""
         return self.periods_px[0]
 
     @property
     def bits(self) -> int:
-        """Number of bits that number all periods of the image."""
+        """Number of bits that are needed to number all measuring periods along the axis."""
         return (math.ceil(self.length_px / self.period_px) - 1).bit_length()
 
 
 @dataclass(frozen=True)
 class CodeWord:
-    """A number that is shown as bits, one frame each.
+    """A code word: an integer per projector pixel that is projected as bits, one frame per bit.
 
     Parameters
     ----------
-    bits : number of frames, the most significant bit first
-    at : values (n,) int64 at projector pixels (n,) int64
+    bits : number of bits and frames, the most significant bit first
+    at : function that returns the integers (n,) int64 at projector pixels (n,) int64
     """
 
     bits: int
     at: Callable[[IntArray], IntArray]
 
     def count(self, length_px: int) -> int:
-        """Return the number of different values in an image of this length."""
+        """Return the number of different integers along an axis of `length_px` pixels."""
         last = int(self.at(np.array([length_px - 1]))[0])
         return int(min(last + 1, 2**self.bits))
 
@@ -91,7 +93,7 @@ class CodeWord:
 def period_word(
     fringes: AxisFringes, displacement: float = 0.0, bits: int | None = None
 ) -> CodeWord:
-    """Return the word floor(x / period + displacement)."""
+    """Return the code word floor(x / period + displacement); `bits` None: `fringes.bits`."""
 
     def at(x_px: IntArray) -> IntArray:
         return np.floor(x_px / fringes.period_px + displacement).astype(np.int64)
@@ -101,18 +103,18 @@ def period_word(
 
 @dataclass(frozen=True, eq=False)
 class Wrapped:
-    """Wrapped phases and words of one projector axis, before the fringes are numbered.
+    """Wrapped phases and code words of one projector axis: the input of `PatternCode.unwrap`.
 
     Parameters
     ----------
-    fringes : length of the axis and all periods, px
+    fringes : length of the axis and all fringe periods, px
     phase_rad : (period, row, col) float32 in [0, 2 pi); 0 where `usable` is False. The phase is
-        2 pi x / period modulo 2 pi. Periods with a single image have none
+        2 pi x / period modulo 2 pi. Periods with a single image have no phase and are left out
     sigma_rad : (period, row, col) float32, standard deviation of each phase
     usable : (row, col) bool, pixels that have a phase along all axes
-    words : for each word of the code its decoded values (row, col) int64
-    nearest_sigmas : (row, col) float32, smallest distance of a bit from its threshold in standard
-        deviations of that distance; infinite without words
+    words : the decoded integers (row, col) int64 of each code word
+    nearest_sigmas : (row, col) float32, smallest distance of a bit from its threshold, divided by
+        the standard deviation of that distance; infinite without code words
     """
 
     fringes: AxisFringes
@@ -128,28 +130,30 @@ class Wrapped:
         return np.asarray(self.phase_rad / (2.0 * np.pi), np.float64)
 
     def coordinate_px(self, order: IntArray | FloatArray) -> FloatArray:
-        """Return (order + phase / 2 pi) period of the measuring period, (row, col) float64."""
+        """Return measuring period * (order + phase / 2 pi), (row, col) float64, px."""
         return np.asarray(self.fringes.period_px * (order + self.turns[0]))
 
 
 Unwrap = Callable[[Wrapped], FloatArray]
-"""Function from the wrapped phases of one axis to absolute coordinates, (row, col) float, px.
+"""Function that returns absolute coordinates, (row, col) float, px, from the wrapped phases.
 
-NaN marks pixels whose fringe order is unknown. Values of pixels that are not `usable` are ignored.
-The standard deviation of the coordinate is that of the measuring period's phase.
+It is called once for each projector axis. NaN marks pixels of unknown fringe order. Values of
+pixels that are not `usable` are ignored. The standard deviation of the coordinate is computed from
+that of the phase of the measuring period only.
 """
 
 
 @dataclass(frozen=True)
 class AxisFrames:
-    """Content of a list of recorded frames along one axis.
+    """The recorded frames along one projector axis, from which their pattern code is identified.
 
     Parameters
     ----------
     length_px : projector pixels along the axis
-    periods_px : of the fringes, increasing, periods with several images first; () without fringes
-    images : number of images of each period
-    words : of each word its width in fringe periods, and whether it is displaced by half a period
+    periods_px : fringe periods, increasing, those with several images first; () without fringes
+    images : number of images of each fringe period
+    words : for each code word its width in fringe periods, and whether the word is displaced by
+        half a period
     """
 
     length_px: int
@@ -159,7 +163,7 @@ class AxisFrames:
 
     @property
     def is_unambiguous(self) -> bool:
-        """Whether one period spans the image; periods may miss its length by rounding."""
+        """Whether the longest period is at least the image length, up to a rounding error."""
         return max(self.periods_px, default=0.0) >= self.length_px * (1.0 - 1e-9)
 
     @property
@@ -169,18 +173,21 @@ class AxisFrames:
 
 
 class PatternCode:
-    """A code that numbers fringes. A kind sets `name`, `title`, `summary` and its own methods.
+    """Base class of the pattern codes, which number the fringes.
+
+    A subclass sets `name`, `title` and `summary`, and overrides the methods that it needs.
 
     Attributes
     ----------
-    name : value of the key `code`
+    name : value of the key `code` that selects the pattern code
     title : name in reports and documentation
-    summary : one line of documentation, with the further periods that the kind needs
-    rule : how the order is decoded
+    summary : one line of documentation, with the further periods that the code needs
+    rule : rule by which the fringe order is decoded
     takes_further_periods : whether `further_periods_px` may be given
-    has_free_words : whether words may be shown in encodings except reflected, or without fringes
-    displacement : of the words, in periods, in [0, 1); for WORD_PER_PERIOD
-    takes_response : whether the projector's response can be corrected
+    has_free_words : whether code words may have another encoding than "reflected", and may be shown
+        without fringes
+    displacement : displacement of the code word in periods, in [0, 1); only for WORD_PER_PERIOD
+    takes_response : whether the decoder can correct the response of the projector
     has_closed_form : whether the standard deviation of a coordinate follows from its phase only
     """
 
@@ -195,33 +202,39 @@ class PatternCode:
     has_closed_form: bool = True
 
     def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
-        """Return the words along an axis; () without any."""
+        """Return the code words along the axis that `fringes` describes; () if there are none."""
         return ()
 
     def images(self, number: int, steps: int) -> int:
-        """Return the number of images, `steps` or 1, of period `number`; 0: measuring period."""
+        """Return the number of images, `steps` or 1, of the period with index `number`.
+
+        Index 0 is the measuring period.
+        """
         return steps
 
     def check(self, fringes: AxisFringes) -> None:
-        """Raise InputError, one line, if these periods cannot number the fringes of this length."""
+        """Raise InputError if these periods cannot number all fringes along the axis."""
 
     def chain(self, fringes: AxisFringes) -> Chain:
-        """Return the levels of Rule.CHAIN."""
+        """Return the levels by which Rule.CHAIN unwraps the phases."""
         raise NotImplementedError(f"pattern code {self.name!r} has no chain of periods")
 
     def unwrap(self, wrapped: Wrapped) -> FloatArray:
-        """Return the absolute coordinates of Rule.OWN, see `Unwrap`."""
+        """Return the absolute coordinates, (row, col) px; only for Rule.OWN, see `Unwrap`."""
         raise NotImplementedError(f"pattern code {self.name!r} has no function unwrap")
 
     def order_error(self, wrapped: Wrapped, coordinate_px: FloatArray) -> FloatArray:
-        """Return the probability that the order of Rule.OWN is wrong, (row, col) float.
+        """Return the probability of a wrong fringe order, (row, col) float; only for Rule.OWN.
 
-        A kind that does not override it reports probability 0, so no pixel is masked for it.
+        Without an override the probability is 0, so that it masks no pixel.
         """
         return np.zeros(coordinate_px.shape)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Whether frames with this layout identify this code; if not, capture.toml must name it."""
+        """Return True if frames with this layout can only be of this code.
+
+        A code that no layout identifies must be named in capture.toml.
+        """
         return False
 
 
@@ -229,11 +242,11 @@ CODES: Registry[PatternCode] = Registry("codes", "reconstruction.codes", lambda 
 
 
 def code_of(name: object) -> PatternCode:
-    """Return the code of a name.
+    """Return the pattern code with this name.
 
     Raises
     ------
-    InputError : there is no such code; the message lists the allowed ones
+    InputError : there is no code with this name; the message lists the allowed names
     """
     if not isinstance(name, str) or name not in CODES:
         raise InputError(f"patterns code is {name!r}; allowed are {', '.join(CODES.names())}")

@@ -1,4 +1,4 @@
-"""Complementary Gray code: one word per half period, one bit more than the periods need.
+"""Complementary Gray code: one code word per half period, with one bit more than the periods need.
 
 Zhang et al., Opt. Lasers Eng. 50, 574 (2012).
 """
@@ -10,7 +10,7 @@ from reconstruction.codes import CODES, AxisFrames, AxisFringes, CodeWord, Patte
 
 
 class ComplementaryGrayCode(PatternCode):
-    """h = floor(2 x / period)."""
+    """Pattern code with one code word, the half-period index h = floor(2 x / period)."""
 
     name = "complementary_gray"
     title = "complementary Gray code"
@@ -18,7 +18,7 @@ class ComplementaryGrayCode(PatternCode):
     rule = Rule.WORD_PER_HALF_PERIOD
 
     def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
-        """Return the half-period index."""
+        """Return the half-period index as the only code word."""
 
         def half_periods(x_px: IntArray) -> IntArray:
             return np.floor(2 * x_px / fringes.period_px).astype(np.int64)
@@ -26,7 +26,7 @@ class ComplementaryGrayCode(PatternCode):
         return (CodeWord(fringes.bits + 1, half_periods),)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True for one word half as wide as a fringe."""
+        """Return True if the frames show one code word, half a fringe period wide."""
         return layout.words == ((0.5, False),)
 
 

@@ -1,7 +1,7 @@
-"""Displaced Gray code: only the second word of the shifted Gray code.
+"""Displaced Gray code: only the second code word of the shifted Gray code.
 
-It has as many bits as number the periods; with 2^bits periods the last half period repeats the word
-before it.
+The number of bits is that needed to number the periods. If there are exactly 2^bits periods, the
+last half period has the same bits as the code word before it.
 """
 
 from reconstruction.codes import (
@@ -16,7 +16,7 @@ from reconstruction.codes import (
 
 
 class DisplacedGrayCode(PatternCode):
-    """s = floor(x / period + 1/2)."""
+    """Pattern code with one code word, the displaced period index s = floor(x / period + 1/2)."""
 
     name = "displaced_gray"
     title = "Gray code displaced by half a period"
@@ -25,11 +25,11 @@ class DisplacedGrayCode(PatternCode):
     displacement = 0.5
 
     def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
-        """Return the displaced period index."""
+        """Return the period index, displaced by half a period, as the only code word."""
         return (period_word(fringes, self.displacement),)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True for one displaced word as wide as a fringe."""
+        """Return True if the frames show fringes and one displaced code word, one period wide."""
         return layout.words == ((1.0, True),) and layout.periods_px != ()
 
 

@@ -1,4 +1,4 @@
-"""Plain Gray code: one word per period, which changes where the phase wraps."""
+"""Plain Gray code: one code word per period, which changes where the phase wraps."""
 
 from reconstruction.codes import (
     CODES,
@@ -12,7 +12,7 @@ from reconstruction.codes import (
 
 
 class GrayCode(PatternCode):
-    """k = floor(x / period), in as many bits as number the periods."""
+    """Pattern code with one code word, the period index k = floor(x / period)."""
 
     name = "gray"
     title = "Gray code"
@@ -21,11 +21,11 @@ class GrayCode(PatternCode):
     has_free_words = True
 
     def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
-        """Return the period index."""
+        """Return the period index as the only code word."""
         return (period_word(fringes),)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True for one word as wide as a fringe."""
+        """Return True if the frames show one code word, one fringe period wide, not displaced."""
         return layout.words == ((1.0, False),)
 
 

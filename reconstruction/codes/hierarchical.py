@@ -1,6 +1,6 @@
-"""Hierarchical periods: each coarser period numbers the next finer one.
+"""Hierarchical periods: the phase of each coarser period numbers the fringes of the next finer one.
 
-Zuo et al., Opt. Lasers Eng. 85, 84 (2016).
+Source: Zuo et al., Opt. Lasers Eng. 85, 84 (2016).
 """
 
 from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, Rule
@@ -9,7 +9,7 @@ from reconstruction.several_periods import Chain, make_chain, require_range
 
 
 class HierarchicalCode(PatternCode):
-    """Levels are the periods themselves, coarse to fine."""
+    """Pattern code that unwraps from the longest fringe period to the shortest."""
 
     name = "hierarchical"
     title = "hierarchical periods"
@@ -18,11 +18,11 @@ class HierarchicalCode(PatternCode):
     takes_further_periods = True
 
     def check(self, fringes: AxisFringes) -> None:
-        """Raise InputError unless the coarsest period spans the image."""
+        """Raise InputError unless the longest period is at least the image length."""
         require_range(self.chain(fringes), fringes.periods_px, fringes.length_px)
 
     def chain(self, fringes: AxisFringes) -> Chain:
-        """Return one level per period."""
+        """Return one level per fringe period, from the longest to the shortest."""
         periods_px = fringes.periods_px
         order = sorted(range(len(periods_px)), key=lambda j: -periods_px[j])
         if order[-1] != 0 or len(set(periods_px)) != len(periods_px):
@@ -34,7 +34,10 @@ class HierarchicalCode(PatternCode):
         return make_chain(weights, periods_px)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True for periods without words, the coarsest at least the image."""
+        """Return True if the frames show fringes, no code words and no single images.
+
+        The longest period must be at least the image length.
+        """
         return not layout.words and not layout.has_single_images and layout.is_unambiguous
 
 

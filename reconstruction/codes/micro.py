@@ -1,7 +1,8 @@
-"""Micro phase shifting: N steps of one period and a single image of each of several near periods.
+"""Micro phase shifting: N steps of one period, and single images of several similar periods.
 
-All periods are so similar that mean and modulation are the same in all images; the order is that
-for which the single images agree. Gupta and Nayar, Proc. CVPR 2012, 813.
+The periods are so similar that the mean and the modulation of a pixel are equal in all images. The
+fringe order is the one that predicts the single images best. Source: Gupta and Nayar, Proc. CVPR
+2012, 813.
 """
 
 import math
@@ -12,14 +13,13 @@ import numpy as np
 from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, Rule
 from reconstruction.errors import InputError
 
-# Difference of two fringes in the single images, root of the sum of squares, relative to the
-# modulation. Below it no camera distinguishes them.
+# Least allowed value of `least_distance`. No camera distinguishes two fringes with a smaller one.
 LEAST_DISTANCE = 0.02
 _NODES_PER_PERIOD = 16
 
 
 class MicroCode(PatternCode):
-    """The single images decide among the fringes of the first period."""
+    """Pattern code in which the single images select the fringe of the measuring period."""
 
     name = "micro"
     title = "single images with periods"
@@ -49,15 +49,16 @@ class MicroCode(PatternCode):
             )
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True for several steps of one period and a single image of the others."""
+        """Return True if one period has several images and each other period one, without words."""
         return not layout.words and layout.has_single_images
 
 
 @lru_cache
 def least_distance(periods_px: tuple[float, ...], length_px: int) -> float:
-    """Return the smallest difference of two fringes in the single images, of the modulation.
+    """Return the smallest difference between two fringes in the single images.
 
-    At equal phase; root of the sum of squares over the images.
+    The difference is that of two points of equal phase in the measuring period: the root of the sum
+    of its squares over the single images, divided by the modulation.
     """
     fringes = np.arange(math.ceil(length_px / periods_px[0]))
     least = np.inf

@@ -1,6 +1,6 @@
-"""Shifted Gray code: two words, the second half a period after the first; they check each other.
+"""Shifted Gray code: two code words, displaced by half a period, which check each other.
 
-Wu, Guo and Zhang, Opt. Express 27, 22631 (2019), both words in every set.
+Source: Wu, Guo and Zhang, Opt. Express 27, 22631 (2019). Here every pattern set has both words.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from reconstruction.codes import (
 
 
 class ShiftedGrayCode(PatternCode):
-    """k = floor(x / period), then s = floor(x / period + 1/2)."""
+    """Pattern code with two code words: k = floor(x / period) and s = floor(x / period + 1/2)."""
 
     name = "shifted_gray"
     title = "shifted Gray code"
@@ -25,12 +25,15 @@ class ShiftedGrayCode(PatternCode):
     rule = Rule.TWO_WORDS
 
     def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
-        """Return the period index, and the displaced one with one value more if needed."""
+        """Return the period index and the displaced period index.
+
+        The second code word has one bit more if its last value needs that bit.
+        """
         last = period_word(fringes, 0.5).at(np.array([fringes.length_px - 1]))
         return period_word(fringes), period_word(fringes, 0.5, int(last[0]).bit_length())
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True for two words as wide as a fringe, the second displaced."""
+        """Return True if the frames show two code words, one period wide, the second displaced."""
         return layout.words == ((1.0, False), (1.0, True))
 
 

@@ -1,4 +1,4 @@
-"""From the relief of the coat to the rigid object that made it, without ground truth."""
+"""Compute the rigid object behind a coat from the measured relief, without ground truth."""
 
 from reconstruction.compensation.bar import BarPlace, BarUnderSheet, bar_under_sheet
 from reconstruction.compensation.gel import CompensatedGel, GelLayer, compensate_gel

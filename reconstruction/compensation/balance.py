@@ -1,7 +1,8 @@
-"""Contact pressure of an object under a sheet: sheet tension against air pressure; mm, kPa.
+"""Compute the contact pressure of an object under a sheet from sheet tension and air pressure.
 
-Along the coat's normal p_contact = p_air - N : b. b is the curvature of the surface midway between
-the faces, positive in a valley; N is the sheet tension computed from the stretch.
+Lengths are in mm, pressures in kPa, line tensions in kPa mm. In equilibrium along the coat's normal
+p_contact = p_air - N : b. b is the curvature of the surface midway between the faces, positive in a
+valley. N is the line tension of the sheet, computed from its stretch.
 """
 
 from dataclasses import dataclass
@@ -31,12 +32,12 @@ _HALF_WIDTH = float(np.sqrt(2 * np.log(2)))
 
 @dataclass(frozen=True, eq=False)
 class StretchedCoat:
-    """Thinning and tension of the stretched sheet on the relief's cells, (row, col).
+    """Thinning and line tension of the stretched sheet in each cell of the relief.
 
     Attributes
     ----------
-    thinning : local thickness over that of the sheet as it was made
-    tension_kpa_mm : (row, col, 3) contravariant components xx, xy, yy
+    thinning : (row, col) ratio of the local thickness to the thickness of the undeformed sheet
+    tension_kpa_mm : (row, col, 3) contravariant components xx, xy, yy of the line tension
     """
 
     thinning: FloatArray
@@ -45,7 +46,7 @@ class StretchedCoat:
 
 @dataclass(frozen=True, eq=False)
 class ContactBalance:
-    """Cells in contact and their contact pressure; arrays (row, col) on the relief's cells.
+    """Contact pressure in each cell of the relief, and the cells in contact; arrays (row, col).
 
     Attributes
     ----------
@@ -53,7 +54,7 @@ class ContactBalance:
     sigma_kpa : standard uncertainty of the pressure, from noise and texture of the coat
     least_kpa : smallest pressure that counts as contact
     contact : bool, True for cells in contact
-    upright_mm2 : area of the clear face in each cell, projected along z
+    upright_mm2 : area of the clear face in each cell, projected on the plane of x and y
     """
 
     pressure_kpa: FloatArray
@@ -65,12 +66,13 @@ class ContactBalance:
 
 @dataclass(frozen=True, eq=False)
 class Footing:
-    """Cells in certain contact, and curvature range; arrays (row, col) on the relief's cells.
+    """Cells that are certainly in contact, and the local range of the curvature; (row, col) each.
 
     Attributes
     ----------
-    sure : bool, contact without the cells that the curvature's filter may have blurred
-    uneven_per_mm : range of the curvature within the contact near each cell
+    sure : bool, contact cells without those that the curvature's filter may have blurred
+    uneven_per_mm : largest minus smallest curvature (sum of the two principal curvatures) of the
+        contact cells near each cell; 0 if no contact cell is near
     """
 
     sure: BoolArray
@@ -79,7 +81,14 @@ class Footing:
 
 @dataclass(frozen=True, eq=False)
 class CoatShape:
-    """First and second fundamental forms of the coat, (row, col, 3): xx, xy, yy."""
+    """First and second fundamental forms and unit normals of the coat in each cell of the relief.
+
+    Attributes
+    ----------
+    metric : (row, col, 3) components xx, xy, yy of the first fundamental form over x and y
+    curvature : (row, col, 3) components xx, xy, yy of the second one, 1/mm, positive in a valley
+    normal : (row, col, xyz) unit normal, upwards
+    """
 
     metric: FloatArray
     curvature: FloatArray
@@ -87,8 +96,8 @@ class CoatShape:
 
     @classmethod
     def of(cls, relief: Relief, heights_mm: FloatArray) -> "CoatShape":
-        """Return the shape of a coat with filtered heights, (row, col)."""
-        # Mirrored at the rim like the filter: the clamp's bend is within the first cells.
+        """Return the fundamental forms and normals of filtered heights (row, col), mm."""
+        # Heights are mirrored at the rim, as in the filter: the clamp's bend is in the first cells.
         z = np.pad(heights_mm, 2, mode="symmetric")
         step_x, step_y = relief.pitch_mm
         z_y, z_x = np.gradient(z, step_y, step_x)
@@ -105,7 +114,7 @@ class CoatShape:
 
     @property
     def bend_per_mm(self) -> FloatArray:
-        """Sum of the principal curvatures, (row, col)."""
+        """Sum of the two principal curvatures of the coat, (row, col), positive in a valley."""
         g_xx, g_xy, g_yy = np.moveaxis(self.metric, -1, 0)
         b_xx, b_xy, b_yy = np.moveaxis(self.curvature, -1, 0)
         trace = g_yy * b_xx - 2 * g_xy * b_xy + g_xx * b_yy
@@ -114,7 +123,9 @@ class CoatShape:
     def between(self, below_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return metric and curvature of the surface at a depth below the coat, over x and y.
 
-        r - t n has dr + t (G^-1 b) dr: G + 2 t b + t^2 b G^-1 b, and b + t b G^-1 b.
+        Both are (row, col, 3) with the components xx, xy, yy. For a depth t = `below_mm` (row, col)
+        the differential of r - t n is dr + t (G^-1 b) dr, with the coat's metric G and curvature b.
+        The metric of that surface is G + 2 t b + t^2 b G^-1 b, its curvature b + t b G^-1 b.
         """
         t = below_mm[..., None]
         determinant = self.metric[..., 0] * self.metric[..., 2] - self.metric[..., 1] ** 2
@@ -137,11 +148,12 @@ class CoatShape:
 def balanced(
     relief: Relief, layer: SheetLayer, shape: CoatShape, stretched: StretchedCoat
 ) -> ContactBalance:
-    """Return the contact pressure and the cells in contact.
+    """Return the contact pressure in each cell of the relief, and the cells in contact.
 
     Parameters
     ----------
-    shape : of the coat, smoothed by `CURVATURE_SIGMA_MM`
+    shape : fundamental forms of the coat, from heights filtered with `CURVATURE_SIGMA_MM`
+    stretched : thinning and line tension of the sheet on the cells of the relief
     """
     tension, below = stretched.tension_kpa_mm, layer.thickness_mm / 2 * stretched.thinning
     pressure = _pressure(relief, layer, shape, stretched)
@@ -158,12 +170,13 @@ def balanced(
 def footing_of(
     relief: Relief, layer: SheetLayer, stretched: StretchedCoat, balance: ContactBalance
 ) -> Footing:
-    """Return the cells in certain contact, and the curvature range near each cell.
+    """Return the cells that are certainly in contact, and the curvature range near each cell.
 
     The contact pressure of an edge is a line load, which the curvature's filter spreads over the
-    neighbouring free span. A cell is therefore certain only if its pressure exceeds the least one
-    with the narrowest filter that noise and texture of the coat allow. The width of filter, cell
-    and sheet bending is then removed from the contact's border, which removes line contacts.
+    neighbouring free span. The pressure is therefore computed again with the narrowest filter that
+    noise and texture of the coat allow. A cell is certainly in contact only if that pressure
+    exceeds `balance.least_kpa`. The width of filter, cell and sheet bending is then removed from
+    the contact's border, which also removes line contacts.
     """
     sigma_mm, shape = _narrowest(relief, layer, stretched, balance)
     pressure = _pressure(relief, layer, shape, stretched)
@@ -172,7 +185,7 @@ def footing_of(
     pressed = _up_to_half(carried, pressure, relief, width_mm)
     edge_distance_mm = ndimage.distance_transform_edt(pressed, sampling=relief.pitch_mm[::-1])
     off_edges = edge_distance_mm > _HALF_WIDTH * width_mm + min(relief.pitch_mm)
-    # A contact of one or two cells width after that was a line contact.
+    # A contact that is now only one or two cells wide was a line contact.
     sure = np.asarray(ndimage.binary_opening(off_edges, np.ones((3, 3))))
     return Footing(sure, _unevenness(shape.bend_per_mm, pressed, relief, _NEAR_WIDTHS * width_mm))
 
@@ -180,7 +193,10 @@ def footing_of(
 def _unevenness(
     bend_per_mm: FloatArray, among: BoolArray, relief: Relief, reach_mm: float
 ) -> FloatArray:
-    """Return the range of the curvature over the `among` cells within a reach, (row, col)."""
+    """Return, for each cell, the range of the curvature over the `among` cells within a reach.
+
+    The result is (row, col), 1/mm; 0 in a cell with no `among` cell within the reach.
+    """
     size = [2 * round(reach_mm / step) + 1 for step in relief.pitch_mm[::-1]]
     most = ndimage.maximum_filter(np.where(among, bend_per_mm, -np.inf), size)
     least = ndimage.minimum_filter(np.where(among, bend_per_mm, np.inf), size)
@@ -191,9 +207,10 @@ def _unevenness(
 def _narrowest(
     relief: Relief, layer: SheetLayer, stretched: StretchedCoat, balance: ContactBalance
 ) -> tuple[float, CoatShape]:
-    """Return the narrowest filter, mm, with low enough noise of the pressure, and the shape.
+    """Return the standard deviation, mm, of the narrowest usable filter, and the filtered shape.
 
-    The noise is measured where the sheet spans free, because the contact pressure is zero there.
+    A filter is usable if the pressure's noise is below 1/4 of the least contact pressure. The noise
+    is measured on the free span, because the contact pressure is zero there.
     """
     free = free_span(relief, balance.contact)
     for sigma_mm in _FINE_SIGMAS_MM:
@@ -207,7 +224,10 @@ def _narrowest(
 
 
 def free_span(relief: Relief, contact: BoolArray) -> BoolArray:
-    """Return the cells of the free span, without those near contact, rim or gaps."""
+    """Return the cells of the free span, (row, col) bool, without those near contact, rim or gaps.
+
+    Near means within three standard deviations of the curvature's filter.
+    """
     reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(relief.pitch_mm)))
     away_from_contact = ndimage.binary_erosion(relief.measured & ~contact, iterations=reach)
     return np.asarray(away_from_contact & off_the_rim(relief))
@@ -216,7 +236,7 @@ def free_span(relief: Relief, contact: BoolArray) -> BoolArray:
 def _pressure(
     relief: Relief, layer: SheetLayer, shape: CoatShape, stretched: StretchedCoat
 ) -> FloatArray:
-    """Return p_air - N : b inside the frame, (row, col)."""
+    """Return the contact pressure p_air - N : b, kPa, (row, col); 0 outside the frame."""
     curvature = shape.between(layer.thickness_mm / 2 * stretched.thinning)[1]
     parts = stretched.tension_kpa_mm * curvature
     pulls = parts[..., 0] + 2 * parts[..., 1] + parts[..., 2]
@@ -224,14 +244,17 @@ def _pressure(
 
 
 def _area(metric: FloatArray) -> FloatArray:
-    """Return the ratio of a surface's area to its area projected on x and y."""
+    """Return the ratio of a surface's area to its area projected on x and y, (row, col)."""
     return np.asarray(np.sqrt(metric[..., 0] * metric[..., 2] - metric[..., 1] ** 2))
 
 
 def _up_to_half(
     contact: BoolArray, pressure_kpa: FloatArray, relief: Relief, blur_mm: float
 ) -> BoolArray:
-    """Remove border cells with less than 50 % of the highest pressure nearby: filter blur."""
+    """Return the contact without border cells below 50 % of the highest pressure nearby.
+
+    These cells come from the blur of the curvature's filter.
+    """
     reach = 2 * int(np.ceil(2 * blur_mm / min(relief.pitch_mm))) + 1
     half = ndimage.maximum_filter(np.where(contact, pressure_kpa, 0.0), reach) / 2
     for _ in range(reach):
@@ -244,25 +267,31 @@ def _up_to_half(
 
 
 def off_the_rim(relief: Relief) -> BoolArray:
-    """Return the cells farther from the rim than the reach of the clamp's bend in curvature."""
+    """Return the cells, (row, col) bool, in which the bend at the clamp does not affect curvature.
+
+    They are farther from the rim than three standard deviations of the curvature's filter.
+    """
     reach = int(np.ceil(3 * CURVATURE_SIGMA_MM / min(relief.pitch_mm)))
     inner = ndimage.binary_erosion(np.pad(relief.inside, 1), iterations=reach + 1)
     return np.asarray(inner[1:-1, 1:-1])
 
 
 def _without_specks(contact: BoolArray, relief: Relief) -> BoolArray:
-    """Remove contacts narrower than the filter, which are noise; close holes of that size."""
+    """Return the contact without parts narrower than the filter, and with such holes closed.
+
+    Parts and holes narrower than the curvature's filter are noise.
+    """
     reach = max(1, round(CURVATURE_SIGMA_MM / min(relief.pitch_mm) / 2))
     opened = ndimage.binary_opening(contact, iterations=reach)
     return np.asarray(ndimage.binary_closing(opened, iterations=reach) & relief.measured)
 
 
 def _sigma_of_pressure(relief: Relief, tension_kpa_mm: FloatArray) -> float:
-    """Return the median standard uncertainty of N : b from noise and texture.
+    """Return the standard uncertainty of N : b, kPa, from noise and texture, at the median tension.
 
     For white noise of variance s^2 and correlation area A, filtered by a Gaussian of standard
-    deviation g, one second derivative has the variance 3 s^2 A / (16 pi g^6). The sum of both,
-    at equal tension along x and y, has 8 / 3 of that.
+    deviation g, one second derivative has the variance 3 s^2 A / (16 pi g^6). The sum of the
+    second derivatives along x and y has 8 / 3 of that variance, at equal tension along both.
     """
     variance, area = relief.noise_area_mm2(CURVATURE_SIGMA_MM)
     both = float(np.sqrt(variance * area / (2 * np.pi * CURVATURE_SIGMA_MM**6)))

@@ -1,21 +1,24 @@
-"""Width of a bar under a sheet, from its flat top and the neighbouring free spans; mm, kPa.
+"""Measure the width of a bar under a sheet from its flat top and the neighbouring free spans.
 
-Over an edge the coat is not parallel to the bar: the sheet resists bending, and its texture and
-the camera's filter are as wide as the edge. Away from the edge the free span carries tension only.
+Lengths are in mm, pressures in kPa. Over an edge the coat is not parallel to the bar: the sheet
+resists bending, and its texture and the camera's filter are as wide as the edge. Away from the edge
+the free span carries tension only.
 A frictionless rounded edge of centre O and radius r exerts no moment about O. The span's line of
 tension therefore passes O at a distance d set by the bending moment B / R of the sheet:
 
     d = R + l q - R q^2 / 2,   q = min(2 sin(turn / 4), l / R),   R = r + t / 2,   l^2 = B / N,
 
-t local thickness, N tension, l the length over which bending decays. For q = l / R the sheet is in
-contact along the rounded edge and d = R + l^2 / (2 R). (N d = N_edge R + B / R with N_edge = N
-would double the second term; but sliding without friction gives N_edge = N - B / (2 R^2) by energy
-balance.) On a sharper edge the contact is one line, with an Euler elastica on each side.
-d, the height of the top and the curve of the span give the position of O, and that plus the radius
-gives the wall.
+where t is the local thickness, N the tension, l the length over which bending decays, and turn the
+change of the sheet's direction over the edge. For q = l / R the sheet is in contact along the
+rounded edge and d = R + l^2 / (2 R). (N d = N_edge R + B / R with N_edge = N would double the
+second term; but sliding without friction gives N_edge = N - B / (2 R^2) by energy balance.)
+On a sharper edge the contact is one line, with an Euler elastica on each side of the line.
+d, the height of the top and the curve of the span give the position of O. The wall is at the
+distance r outside O.
 
-B of an incompressible neo-Hookean sheet stretched by a across and thinned to t = c h is
-mu (a^2 + c^2) t^3 / 6. N is the tension of a span whose curvature carries the air pressure.
+For an incompressible neo-Hookean sheet of shear modulus mu and undeformed thickness h, stretched by
+the factor a across the bar and thinned to t = c h, B = mu (a^2 + c^2) t^3 / 6. N is the tension of
+a span that carries the air pressure by its curvature.
 """
 
 from dataclasses import dataclass, replace
@@ -34,27 +37,27 @@ _MIDDLE_SHARE = 0.3
 # Margin between top cells and rounded edges: near the edges the sheet lifts off.
 _TOP_OFF_MM = 0.3
 _TURNS = 3
-# Largest offset of the bar from its stated place, and drop of the coat at which a flank starts.
+# Largest offset of the bar from its stated position, and drop of the coat at which a flank starts.
 _ASIDE_MM, _FALLEN_MM = 1.0, 0.12
 _TAILS = 3.0
 _FLAT_DEG, _LEAST_TURN_DEG = 3.0, 15.0
 THEORY_ON_EDGE, THEORY_OFF_EDGE = 0.2, 0.5
-"""Relative error of d - R, from solid elements (tests/compensation/test_bar.py): for contact along
-the rounded edge, and for contact on one line."""
+"""Relative errors of d - R by comparison with solid elements (tests/compensation/test_bar.py): for
+contact along the rounded edge, and for contact on one line."""
 
 
 @dataclass(frozen=True)
 class BarPlace:
-    """Approximate place of a bar and the radius of its edges.
+    """Approximate position, direction and size of a bar, and the radius of its edges.
 
     Attributes
     ----------
-    x_mm, y_mm : world, of its middle, to 0.5 mm
-    along_deg : direction of its length, from world y towards -x, to about 4 degrees
-    width_mm : approximate distance of its walls, to some 0.1 mm
-    length_mm : least length between its ends
-    edge_radius_mm : rounding of its upper edges
-    sigma_edge_radius_mm : its standard uncertainty
+    x_mm, y_mm : world coordinates of the bar's middle, accurate to 0.5 mm
+    along_deg : direction of its length, from world y towards -x, accurate to about 4 degrees
+    width_mm : approximate distance between its walls, accurate to some 0.1 mm
+    length_mm : length between its ends, or a lower limit of that length
+    edge_radius_mm : radius of the rounding of its upper edges
+    sigma_edge_radius_mm : standard uncertainty of `edge_radius_mm`
     """
 
     x_mm: float
@@ -68,17 +71,19 @@ class BarPlace:
 
 @dataclass(frozen=True)
 class BarUnderSheet:
-    """Width of a bar between its walls.
+    """Measured width of a bar and its uncertainty budget.
 
     Attributes
     ----------
+    width_mm : distance between the walls of the bar
     sigma_mm : standard uncertainty, the root sum of squares of the four shares below
-    noise_mm : share of noise and texture of the coat
-    layer_mm : share of the sheet's uncertain values and of the air pressure
-    edge_mm : share of the edge radius
-    theory_mm : share of the model of bending over an edge
-    turn_deg : angle by which the sheet turns at each edge
-    on_edge : whether the sheet is in contact along both rounded edges, or on one line of each
+    noise_mm : share from noise and texture of the coat
+    layer_mm : share from the uncertain values of the sheet and of the air pressure
+    edge_mm : share from the uncertain edge radius
+    theory_mm : share from the model of bending over an edge
+    turn_deg : change of the sheet's direction at each of the two edges
+    on_edge : True if the sheet is in contact along both rounded edges; False if its contact with
+        an edge is one line only
     """
 
     width_mm: float
@@ -92,10 +97,10 @@ class BarUnderSheet:
 
 
 def bending_offset_mm(radius_mm: float, tail_mm: float, turn_rad: float) -> float:
-    """Return d - R, mm, for the rounded edge of a bar; the module docstring defines both.
+    """Return d - R, mm, for the rounded edge of a bar; the module docstring gives the equation.
 
-    d is the distance of the span's line of tension from the centre of the rounding, R is the
-    radius of the sheet's middle surface there.
+    d is the distance between the span's line of tension and the centre of the rounding. R is the
+    radius of the surface midway between the sheet's faces where it bends round the edge.
 
     Parameters
     ----------
@@ -111,7 +116,7 @@ def bending_offset_mm(radius_mm: float, tail_mm: float, turn_rad: float) -> floa
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Values of the sheet that the width depends on."""
+    """Values of the sheet and its load on which the measured width depends."""
 
     thickness_mm: float
     young_modulus_kpa: float
@@ -123,7 +128,7 @@ class _Sheet:
         return self.thickness_mm * self.thinning
 
     def tension(self, curvature_per_mm: float) -> float:
-        """Return N, kPa mm, of a span with a coat of the given curvature."""
+        """Return the line tension N, kPa mm, of a free span with the given coat curvature."""
         return self.pressure_kpa * (1 / curvature_per_mm + self.local_mm / 2)
 
     def tail_mm(self, tension: float) -> float:
@@ -134,7 +139,17 @@ class _Sheet:
 
 @dataclass(frozen=True)
 class _Edge:
-    """Position of the centre O of an edge across the bar, and angle of the sheet there."""
+    """Position of the rounding's centre O of one edge, and the bending of the sheet over the edge.
+
+    Attributes
+    ----------
+    across_mm : distance of O from the bar's middle, across the bar
+    turn_rad : change of the sheet's direction over the edge
+    offset_mm : d - R
+    tail_mm : length l over which bending decays
+    noise_mm : standard uncertainty of `across_mm` from noise and texture of the coat
+    on_edge : True if the sheet is in contact along the rounded edge, False if on one line
+    """
 
     across_mm: float
     turn_rad: float
@@ -145,11 +160,17 @@ class _Edge:
 
 
 def bar_under_sheet(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
-    """Measure the width of a bar with a flat top.
+    """Measure the width of a bar with a flat top under a sheet.
+
+    Parameters
+    ----------
+    result : compensated sheet of the measurement
+    bar : approximate position and width, and the edge radius
 
     Raises
     ------
-    FitError : no air pressure, a sheet that sticks, or a top or spans that give no width
+    FitError : the air pressure is 0, the sheet sticks, or the measured top or free spans do not
+        determine a width
     """
     if result.layer.back_pressure_kpa <= 0:
         raise FitError("width: back_pressure_kpa is 0; air must press the sheet onto the bar")
@@ -165,7 +186,10 @@ def bar_under_sheet(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
 
 
 def _placed(result: CompensatedSheet, bar: BarPlace) -> BarPlace:
-    """Return the bar centred between its flanks, aligned with the middles of its two halves."""
+    """Return the bar with its position and direction from the measured coat.
+
+    They are those of the line through the middles between the flanks in the bar's two halves.
+    """
     turn, shift = np.deg2rad(bar.along_deg), _MIDDLE_SHARE * bar.length_mm / 4
     along = np.array([-np.sin(turn), np.cos(turn)])
     across = np.array([along[1], -along[0]])
@@ -187,11 +211,13 @@ def _placed(result: CompensatedSheet, bar: BarPlace) -> BarPlace:
 def _between_flanks(
     across_mm: FloatArray, z_mm: FloatArray, pitch_mm: float, top_mm: float
 ) -> float:
-    """Return the middle between the places where the coat is `_FALLEN_MM` below its crest.
+    """Return the position, mm, midway between the flanks, which start `_FALLEN_MM` below the crest.
 
     Parameters
     ----------
-    top_mm : half width that is certainly on the bar's top; the top's tilt is subtracted
+    across_mm, z_mm : (n,) coordinates across the bar, and heights of the coat
+    pitch_mm : width of the strips in which the heights are averaged
+    top_mm : half width that is certainly on the bar's flat top; the tilt of this part is subtracted
     """
     number = np.floor(across_mm / pitch_mm).astype(int)
     first = int(number.min()) if len(number) else 0
@@ -267,7 +293,7 @@ def _sheet(result: CompensatedSheet, axes: BarAxes, bar: BarPlace) -> _Sheet:
 
 
 def _moved(result: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
-    """Return the sheet with each of its values changed by one standard uncertainty."""
+    """Return four sheets, each with one value changed by that value's standard uncertainty."""
     layer = result.layer
     return [
         replace(sheet, thickness_mm=sheet.thickness_mm + layer.sigma_thickness_mm),
@@ -280,7 +306,10 @@ def _moved(result: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
 def _span(
     result: CompensatedSheet, axes: BarAxes, bar: BarPlace, sheet: _Sheet, side: float
 ) -> FreeSpan:
-    """Fit the span next to an edge, twice: the first fit gives the length of bending decay."""
+    """Fit an arc to the free span next to an edge, without the ends that bend.
+
+    The first of two fits gives the length over which bending decays.
+    """
     tail = 2 * sheet.local_mm
     for _ in range(2):
         span = fit_span(result, axes, (side, bar.width_mm / 2), _TAILS * tail)
@@ -289,7 +318,11 @@ def _span(
 
 
 def _edge(span: FreeSpan, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _Edge:
-    """Locate an edge's centre so that the span's line of tension passes it at the distance d."""
+    """Locate the centre O of an edge's rounding, at the distance d from the span's tension line.
+
+    radius_mm : radius of the edge's rounding
+    drop_mm : depth of the bar's top below the origin of `BarAxes`, for a changed local thickness
+    """
     tension, middle = sheet.tension(span.curvature_per_mm), radius_mm + sheet.local_mm / 2
     tail = sheet.tail_mm(tension)
 
@@ -302,7 +335,7 @@ def _edge(span: FreeSpan, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _E
         return turn, offset
 
     def above(s_mm: float) -> float:
-        """Height above O of the point at the distance d from the span towards the edge."""
+        """Return the height, mm, above O of the point at the distance d from the span at s."""
         place, slope = span.at(s_mm)
         away = middle + turn_and_offset(s_mm)[1] + sheet.local_mm / 2
         return float(place[1] - away * np.cos(slope) + radius_mm + drop_mm)

@@ -22,9 +22,13 @@ _ARC_TURNS = 8
 
 @dataclass(frozen=True, eq=False)
 class BarAxes:
-    """Frame of a bar: across, along, up from its flat top; axes are rows of `rotation`; mm.
+    """Frame of a bar: axes across, along and up, with the origin on its flat top; lengths in mm.
 
-    `band` (row, col) is True for the cells that the effect of the bar's ends does not reach.
+    Attributes
+    ----------
+    middle_mm : (xyz) world position of the origin
+    rotation : (3, xyz) unit vectors of the three axes in the world frame
+    band : (row, col) bool, measured cells of the relief away from the bar's ends
     """
 
     middle_mm: FloatArray
@@ -38,16 +42,18 @@ class BarAxes:
 
 @dataclass(frozen=True, eq=False)
 class FreeSpan:
-    """Free span next to an edge: an arc of a circle, in axes along (s) and across its chord.
+    """Circular arc fitted to the free span next to an edge.
+
+    The arc has a frame of its own: s, mm, along the chord, and a height normal to the chord.
 
     Attributes
     ----------
-    origin : (across, up) of s = 0
-    slope_rad : of the axes, downwards
-    sagging_mm : distance of the arc's middle above the origin, across
-    curvature_per_mm : positive in a valley
-    covariance : (3, 3) of height, slope and half the curvature at s = 0
-    from_mm : s at which the measured span starts
+    origin : position of s = 0, mm: (across the bar from its middle towards the span, up)
+    slope_rad : angle by which the axis of s descends
+    sagging_mm : height of the arc at s = 0
+    curvature_per_mm : curvature of the arc, positive in a valley
+    covariance : (3, 3) of the fitted height, slope and half the curvature at s = 0
+    from_mm : smallest s of the measured points
     """
 
     origin: FloatArray
@@ -58,7 +64,7 @@ class FreeSpan:
     from_mm: float
 
     def at(self, s_mm: float) -> tuple[FloatArray, float]:
-        """Return (across, up) of the coat, and its slope downwards in rad."""
+        """Return the (across, up) position of the coat at s, mm, and its descent angle, rad."""
         turned = float(np.arcsin(np.clip(self.curvature_per_mm * s_mm, -1, 1)))
         height = self.sagging_mm + (1 - np.cos(turned)) / self.curvature_per_mm
         c, s = np.cos(self.slope_rad), np.sin(self.slope_rad)
@@ -66,7 +72,7 @@ class FreeSpan:
         return place, self.slope_rad - turned
 
     def steeper_than(self, least_deg: float) -> float:
-        """Return the s up to which the coat descends by more than an angle."""
+        """Return the largest s, mm, at which the coat still descends by more than an angle."""
         turned = np.clip(self.slope_rad - np.deg2rad(least_deg), -np.pi / 2, np.pi / 2)
         return float(np.sin(turned)) / self.curvature_per_mm
 
@@ -105,9 +111,9 @@ def fit_span(
 
 
 def _free_to_mm(result: CompensatedSheet, axes: BarAxes, beyond_mm: FloatArray) -> float:
-    """Return the distance from the wall at which the sheet touches or is clamped again.
+    """Return the distance from the wall, mm, at which the free span ends at contact or clamp.
 
-    Uses the contact pressure averaged along the bar: in the map, texture makes specks of contact.
+    The pressure is averaged along the bar, because texture makes single cells seem in contact.
     """
     pitch = result.relief.pitch_mm[0]
     cells = axes.band & (beyond_mm > 0)
@@ -122,7 +128,7 @@ def _free_to_mm(result: CompensatedSheet, axes: BarAxes, beyond_mm: FloatArray) 
 
 
 def _arc(points: FloatArray, span_cells: BoolArray, result: CompensatedSheet) -> FreeSpan:
-    """Fit an arc to points (n, across up along); place and angle may change along the bar."""
+    """Fit an arc to points (n, across up along), mm; it may shift and turn along the bar."""
     origin, y = points[:, :2].mean(axis=0), points[:, 2]
     across, up = (points[:, :2] - origin).T
     angle, curvature = float(np.arctan(-np.polyfit(across, up, 1)[0])), 0.0
@@ -149,7 +155,7 @@ def _arc(points: FloatArray, span_cells: BoolArray, result: CompensatedSheet) ->
 
 
 def _over_parabola(place_mm: FloatArray, curvature_per_mm: float) -> FloatArray:
-    """Return the height of a circle above the parabola of the same curvature."""
+    """Return the height, mm, of a circle above the parabola of equal curvature at the vertex."""
     if not curvature_per_mm:
         return np.zeros_like(place_mm)
     turned = np.clip(curvature_per_mm * place_mm, -0.99, 0.99)

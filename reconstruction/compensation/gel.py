@@ -1,15 +1,17 @@
-"""The object pressed into a coated gel on a window (contact-face layout), from the coat; mm, kPa.
+"""Compute contact and pressure of an object pressed into a coated gel on a window, from the coat.
 
-World frame: the undeformed coat is z = 0, the object approaches from below. In contact the coat
-has the object's surface; elsewhere the gel is free. The layer's compliance G separates both and
-gives the pressure: the non-negative p with the deflection G p nearest to the measured heights u,
+This is the contact-face layout; lengths in mm, pressures in kPa. World frame: the undeformed coat
+is z = 0, the object approaches from below. In contact the coat has the shape of the object's
+surface; elsewhere the gel is free. The layer's compliance G distinguishes the two and gives the
+pressure: the non-negative p with the deflection G p nearest to the measured heights u,
 
-    min |w (G p - u)|^2,  p >= 0,  p = 0 where u was not measured  (w: 1 where it was).
+    min |w (G p - u)|^2,  p >= 0,  p = 0 where u was not measured  (w = 1 where u was measured).
 
 Accelerated projected gradients with restart (Beck and Teboulle 2009, SIAM J. Imaging Sci. 2, 183;
 O'Donoghue and Candes 2015, Found. Comput. Math. 15, 715), started at the regularised inverse. The
 number of passes is fixed: further passes fit noise only.
-Contact is where the smoothed pressure exceeds a share of its part's highest.
+A cell is in contact if its smoothed pressure exceeds a share of the highest pressure in the
+connected part of the contact to which the cell belongs.
 """
 
 from collections.abc import Callable
@@ -25,26 +27,29 @@ from reconstruction.compensation.relief import Relief
 from reconstruction.errors import FitError
 
 Deflect = Callable[[FloatArray], FloatArray]
-"""Pressure over modulus (row, col) on the layer's cells to deflection along +z, mm."""
+"""Function that maps pressure over Young's modulus, (row, col) on the layer's cells, to the
+deflection of the coat along +z, mm, on the same cells."""
 
 _PASSES = 120
 # Shares of the highest pressure: threshold that separates parts, and contact within each part.
 _SEPARATE, _TOUCHING = 0.1, 0.3
 _SMOOTH_MM = 0.16
-# Parts with less force than this share of the strongest are noise.
+# Parts with less than this share of the force of the strongest part are noise.
 _WEAKEST = 0.02
-# Linear and frictionless model, compared with a neo-Hookean gel with friction.
+# Relative error of the force: linear frictionless model against neo-Hookean gel with friction.
 _FORCE_THEORY = 0.04
 
 
 @dataclass(frozen=True)
 class GelLayer:
-    """Known values of the gel; sigma_: standard uncertainties.
+    """Known values of the gel.
 
     Attributes
     ----------
-    deflect : the layer's response to pressure over modulus, on the relief's cells with a margin
-    margin_cells : rows and columns that the layer extends beyond the relief, on each side
+    deflect : function that returns the layer's deflection for a pressure over modulus, both on
+        the relief's cells with a margin
+    margin_cells : rows and columns by which the layer extends beyond the relief, on each side
+    young_modulus_kpa, sigma_young_modulus_kpa : Young's modulus and its standard uncertainty
     """
 
     deflect: Deflect
@@ -55,15 +60,16 @@ class GelLayer:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensatedGel(PresentedObject):
-    """The object and the contact; all (row, col) on the relief's cells.
+    """Object and contact computed from the coat of a pressed gel; arrays on the relief's cells.
 
     Attributes
     ----------
     relief : the measured coat
-    contact : bool
-    pressure_kpa : of the object on the coat
+    contact : (row, col) bool, True for cells in contact
+    pressure_kpa : (row, col) pressure of the object on the coat
     normal : (row, col, xyz) unit normal of the coat, upwards
-    misfit_mm : RMS of measured less modelled heights
+    misfit_mm : RMS of measured minus modelled heights
+    layer : values of the gel used in the computation
     """
 
     relief: Relief
@@ -75,52 +81,58 @@ class CompensatedGel(PresentedObject):
 
     @property
     def sure(self) -> BoolArray:
-        """The contact less its blurred edge, (row, col)."""
+        """Contact without its blurred edge, (row, col) bool."""
         return without_blurred_edge(self.contact, self.relief, self.blur_mm)
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """Zero, (row, col): a gel does not bend over an edge."""
+        """Standard uncertainty, mm, of each object point by edges near it, (row, col): zero.
+
+        A gel does not bend over an edge.
+        """
         return np.zeros(self.contact.shape)
 
     @property
     def object_mm(self) -> FloatArray:
-        """Points of the coat, (row, col, xyz); of the object in contact."""
+        """Points of the coat, world (row, col, xyz), mm; in contact these are on the object."""
         return self.relief.points_mm
 
     @property
     def blur_mm(self) -> float:
-        """Width by which the contact's edge is blurred."""
+        """Width, mm, by which the edge of the contact is blurred."""
         return _SMOOTH_MM
 
     @property
     def force_n(self) -> float:
-        """Force of the object along z."""
+        """Force of the object on the gel along z, N."""
         return float(self.pressure_kpa.sum()) * self.relief.cell_area_mm2 * 1e-3
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force: modulus, and error of the linear model."""
+        """Standard uncertainty of the force, N, from the modulus and the error of the model."""
         share = self.layer.sigma_young_modulus_kpa / self.layer.young_modulus_kpa
         return self.force_n * float(np.hypot(share, _FORCE_THEORY))
 
     @property
     def area_mm2(self) -> float:
-        """Area of the contact projected along z."""
+        """Area of the contact projected along z, mm^2."""
         return float(self.contact.sum()) * self.relief.cell_area_mm2
 
     @property
     def layer_moves_mm(self) -> list[FloatArray]:
-        """Empty: in contact the coat is the object's surface for any values of the layer."""
+        """Shifts of the object's points by uncertain values of the layer: an empty list.
+
+        In contact the coat is on the object's surface for any values of the layer.
+        """
         return []
 
     def theory_mm(self, _: float) -> float:
-        """Return 0: the shape is measured, so that no model error enters a radius."""
+        """Return the model's error of a radius, mm: 0, because the shape itself is measured."""
         return 0.0
 
 
 def compensate_gel(relief: Relief, layer: GelLayer) -> CompensatedGel:
-    """Compute contact and pressure of a pressed gel.
+    """Compute contact and pressure of an object in a gel from the measured relief of the coat.
 
     Raises
     ------
@@ -151,7 +163,13 @@ def compensate_gel(relief: Relief, layer: GelLayer) -> CompensatedGel:
 
 
 def _pressure(deflect: Deflect, heights_mm: FloatArray, known: FloatArray) -> FloatArray:
-    """Return the non-negative pressure over modulus with the least misfit of the heights."""
+    """Return the non-negative pressure over modulus with the deflection nearest to the heights.
+
+    Parameters
+    ----------
+    heights_mm : (row, col) on the layer's cells, 0 where not measured
+    known : (row, col) 1 for measured cells, 0 for all others
+    """
     largest = _largest_compliance(deflect, known)
     pressure = np.maximum(known * heights_mm, 0.0) / largest
     # One factor for the size of the deflection; the passes find the shape.
@@ -170,7 +188,7 @@ def _pressure(deflect: Deflect, heights_mm: FloatArray, known: FloatArray) -> Fl
 
 
 def _largest_compliance(deflect: Deflect, known: FloatArray) -> float:
-    """Return the largest eigenvalue of the layer between measured cells, plus 2 %."""
+    """Return the largest eigenvalue, mm, of the compliance between measured cells, plus 2 %."""
     wave = known * (1 + 0.1 * np.cos(np.arange(known.size)).reshape(known.shape))
     size = 1.0
     for _ in range(30):
@@ -182,7 +200,11 @@ def _largest_compliance(deflect: Deflect, known: FloatArray) -> float:
 
 
 def _touching(pressure: FloatArray) -> BoolArray:
-    """Return the contact: in each part the cells above a share of the part's highest pressure."""
+    """Return the cells in contact, (row, col) bool, from the smoothed pressure.
+
+    In each connected part these are the cells above a share of the part's highest pressure.
+    Parts with a small share of the force are left out as noise.
+    """
     highest = float(pressure.max())
     labels, count = ndimage.label(pressure > _SEPARATE * highest)
     numbers = np.arange(1, count + 1)

@@ -1,15 +1,17 @@
-"""Calibrate thickness, modulus and rim compliance of a sheet on a press of a known ball; mm, kPa.
+"""Calibrate thickness, modulus and rim compliance of a sheet on a press of a known ball.
 
-One press determines the local thickness over the ball, from its radius, and with known air pressure
-the tension of the free span and so the modulus. It does not separate thickness h and pre-stretch s:
-a mounted sheet is thinner by s^-2, and no measured quantity changes if h s^-2 is nearly constant.
-The calibrated thickness therefore belongs to the stated pre-stretch; it is valid for every later
-press of the same mounted sheet.
+Lengths are in mm, pressures in kPa. From the known radius of the ball one press determines the
+local thickness of the sheet over the ball. If the air pressure is known, the press also determines
+the tension of the free span and so the modulus. One press does not separate thickness h and
+pre-stretch s: a mounted sheet is thinner by s^-2, and no measured quantity changes if h s^-2 is
+nearly constant. The calibrated thickness is therefore valid only with the stated pre-stretch, and
+for every later press of the same mounted sheet.
 
 With a compliant rim the sheet over the ball is thicker. The compliance is fitted if it has an
 uncertainty, using its prior value and the additional data that exist. A known travel gives the
 height of the ball's tip, z = travel - h s^-2 above the mounted coat. A modulus known from
-elsewhere gives the tension of the free span. Weighted least squares, Gauss-Newton.
+another measurement gives the tension of the free span. The fit is by weighted least squares with
+Gauss-Newton steps.
 """
 
 from collections.abc import Iterator
@@ -38,11 +40,11 @@ _STEP_MM = 0.05
 _THICKNESS_FACTOR, _MODULUS_FACTOR = 2.0, 3.0
 # Allowed factor during the iteration, which may overshoot the solution.
 _STEP_FACTOR = 5.0
-# Standard uncertainty over the value. Above it the expanded uncertainty (k = 2) exceeds 50 %.
+# Largest ratio of standard uncertainty to value: above it the expanded one (k = 2) exceeds 50 %.
 _MOST_RELATIVE_SIGMA = 0.25
 # Range over mean of the radii of equal balls: the thickness of a sheet is not uniform.
 _MOST_RADIUS_SPREAD = 0.1
-# Limit of a usable rim, and of the elastomer file's key.
+# Largest compliance of a usable rim, and upper limit of the key in the elastomer file.
 _SOFTEST_MM2_PER_N = 100.0
 
 
@@ -56,15 +58,15 @@ class KnownTravel:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedSheet:
-    """Values of a sheet calibrated on one press of a known ball.
+    """Values of a sheet calibrated on one press of a known ball, or of several equal balls.
 
     Attributes
     ----------
-    layer : with the fitted thickness, modulus and rim compliance and their standard
-        uncertainties; the pre-stretch counts as exact, as later presses share it
-    radius_before_mm : radius of the ball with the layer's values before the calibration
+    layer : sheet with the fitted thickness, modulus and rim compliance and their standard
+        uncertainties; the pre-stretch has no uncertainty, because it is common to later presses
+    radius_before_mm : measured radius of the ball with the values before the calibration
     balls : number of contact parts that are balls
-    thickness_per_pre_stretch_mm : change of the thickness per unit of pre-stretch
+    thickness_per_pre_stretch_mm : change of the fitted thickness per unit of assumed pre-stretch
     modulus_found : whether the free span determined a modulus
     rim_found : whether the rim's compliance was fitted
     """
@@ -86,21 +88,25 @@ def calibrate_sheet(
     sigma_radius_mm: float = 0.0,
     travel: KnownTravel | None = None,
 ) -> CalibratedSheet:
-    """Fit the thickness that gives the ball its radius, and the modulus of the free span.
+    """Fit the sheet thickness for which the ball has its known radius, and the sheet's modulus.
 
     Parameters
     ----------
-    points_mm, sigma_z_mm : as `compensate_sheet`
-    layer : prior values, at which the fit starts; its rim's compliance is fitted if its sigma is
-        not 0
-    ball_radius_mm, sigma_radius_mm : of every ball in contact, and its standard uncertainty
-    travel : of the stage, if known; used for the rim's compliance
+    points_mm : (n, xyz) measured points of the coat, world
+    sigma_z_mm : (n,) standard uncertainty of the z coordinate of each point
+    layer : prior values, at which the fit starts; the rim's compliance is fitted if
+        `sigma_rim_compliance_mm2_per_n` is not 0
+    ball_radius_mm : known radius of every ball in contact
+    sigma_radius_mm : standard uncertainty of `ball_radius_mm`
+    travel : travel of the stage after first contact; used only for the rim's compliance; None:
+        unknown
 
     Raises
     ------
-    FitError : no part is a ball; balls differ; no thickness and no rim give the radius, or they are
-        not determined; or thickness or modulus are far from those of the layer
-    InputError : the radius is no positive number
+    FitError : no part of the contact is a ball; the balls have different radii; no thickness and
+        rim compliance give the radius; the data do not determine them; or thickness or modulus
+        differ from those of `layer` by a large factor
+    InputError : the radius is not a positive number
     """
     require_number("ball radius", ball_radius_mm, 0.0, open_low=True)
     require_number("sigma of the ball radius", sigma_radius_mm, 0.0)
@@ -134,7 +140,7 @@ def calibrate_sheet(
 
 
 def require_determined(name: str, value: float, sigma: float) -> None:
-    """Check that the standard uncertainty of a calibrated number is at most 25 % of it.
+    """Check that the standard uncertainty of a calibrated number is at most 25 % of the number.
 
     Raises
     ------
@@ -168,7 +174,7 @@ def _require_equal(balls: list[ObjectPart]) -> None:
 
 @dataclass(frozen=True)
 class _Known:
-    """Values known before the calibration, and the ball's radius."""
+    """Values known before the calibration: sheet, ball and travel (None: unknown travel)."""
 
     prior: SheetLayer
     radius_mm: float
@@ -182,7 +188,18 @@ class _Known:
 
 @dataclass(frozen=True)
 class _Balls:
-    """Measurements of the balls of one press with a layer, and their derivatives by thickness."""
+    """Means over the balls of one press, computed with one set of layer values.
+
+    Attributes
+    ----------
+    radius_mm : measured radius
+    radius_by_thickness : derivative of the radius by the sheet thickness
+    noise_mm, theory_mm : standard uncertainties of the radius from noise, and from the model
+    tip_mm : world z of the balls' highest points
+    thinning : ratio of local to undeformed thickness over the balls
+    modulus_kpa : modulus from the free span; None if the free span does not determine a modulus
+    balls : number of balls
+    """
 
     radius_mm: float
     radius_by_thickness: float
@@ -197,7 +214,13 @@ class _Balls:
 def _converged(
     points_mm: FloatArray, sigma_z_mm: FloatArray, known: _Known
 ) -> tuple[SheetLayer, float, _Balls, _Balls | None, "_Fit"]:
-    """Return the fitted layer, the first radius, the last press, its softer one and step."""
+    """Iterate the fit of the layer until its steps are small, or `_MOST_TURNS` times.
+
+    Returns
+    -------
+    Five values: the fitted layer; the radius, mm, with the prior values; the measurements with the
+    fitted layer; those with a softer rim, or None if the rim is not fitted; the last step
+    """
     here, before = known.prior, 0.0
     for turn in range(_MOST_TURNS):
         measured = _measure_balls(points_mm, sigma_z_mm, here)
@@ -237,7 +260,10 @@ def _softer(layer: SheetLayer) -> SheetLayer:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """One Gauss-Newton step of thickness and compliance, and their standard uncertainties."""
+    """One Gauss-Newton step and the standard uncertainties of the fitted values.
+
+    Both arrays contain the thickness, mm, and, if the rim is fitted, its compliance, mm^2/N.
+    """
 
     step: FloatArray
     sigma: FloatArray
@@ -248,7 +274,7 @@ class _Fit:
 
 
 def _require_settled(fit: _Fit) -> None:
-    """Raise FitError if the last step is larger than the standard uncertainty."""
+    """Raise FitError if the last step of a value is larger than its standard uncertainty."""
     if not np.all(np.abs(fit.step) <= fit.sigma):
         raise FitError(
             f"calibration: after {_MOST_TURNS} steps the thickness still changes by "
@@ -282,9 +308,11 @@ def _fit(known: _Known, here: SheetLayer, measured: _Balls, softer: _Balls | Non
 def _further(
     known: _Known, here: SheetLayer, measured: _Balls, softer: _Balls
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield further equations for the rim, over their sigma: misfit and two differences.
+    """Yield the further equations of the fit that determine the rim's compliance.
 
-    The differences are the derivative by thickness and the change for a softer rim.
+    They are the prior value, the known travel and the known modulus, as far as each exists. Each
+    equation is (misfit, derivative by thickness, change for the rim of `_softer`), all divided by
+    the standard uncertainty of the misfit.
     """
     prior = known.prior
     prior_sigma, at = prior.sigma_rim_compliance_mm2_per_n, here.rim_compliance_mm2_per_n
@@ -311,7 +339,7 @@ def _further(
 
 
 def _require_thickness(known: _Known, thickness_mm: float, factor: float) -> None:
-    """Raise FitError if a thickness is more than a factor away from that of the layer."""
+    """Raise FitError if a thickness differs from the layer's prior one by more than a factor."""
     prior_mm = known.prior.thickness_mm
     if not prior_mm / factor <= thickness_mm <= prior_mm * factor:
         raise FitError(
@@ -324,11 +352,12 @@ def _require_thickness(known: _Known, thickness_mm: float, factor: float) -> Non
 
 
 def _moved(known: _Known, here: SheetLayer, fit: _Fit) -> SheetLayer:
-    """Return the layer after one more step.
+    """Return the layer with thickness and rim compliance changed by the step of a fit.
 
     Raises
     ------
-    FitError : no thickness gives the ball its radius
+    FitError : the new thickness differs from the prior one by more than a factor of 5, so that no
+        thickness gives the known radius
     """
     thickness = here.thickness_mm + fit.step[0]
     _require_thickness(known, thickness, _STEP_FACTOR)
@@ -349,11 +378,13 @@ def _modulus_by_rim(here: SheetLayer, measured: _Balls, softer: _Balls | None) -
 
 
 def _with_modulus(layer: SheetLayer, modulus_kpa: float, of_rim_kpa: float) -> SheetLayer:
-    """Return the layer with the modulus of its free span; the air pressure determines E h.
+    """Return the layer with the modulus from its free span and the modulus's standard uncertainty.
+
+    The air pressure on the free span determines E h, modulus times thickness.
 
     Parameters
     ----------
-    of_rim_kpa : standard uncertainty from the rim's compliance
+    of_rim_kpa : standard uncertainty of the modulus from the rim's compliance
     """
     shares = (
         _MODULUS_THEORY + _MODULUS_PER_MM * layer.thickness_mm,
@@ -368,7 +399,10 @@ def _with_modulus(layer: SheetLayer, modulus_kpa: float, of_rim_kpa: float) -> S
 def _mean_ball(
     compensated: CompensatedSheet, balls: list[ObjectPart]
 ) -> tuple[float, float, float]:
-    """Return the balls' mean radius, its derivative by the thickness, and their mean tip height."""
+    """Return the balls' mean radius, its derivative by the thickness, and the mean tip height.
+
+    Radius and height (world z of the highest point) are in mm.
+    """
     small = 1e-3 * compensated.layer.thickness_mm
     slopes, tips = [], []
     for ball in balls:

@@ -1,14 +1,16 @@
-"""Map of a sheet on its deformed surface that minimises the stretching energy; lengths mm.
+"""Compute the stretch of a sheet on its deformed surface by minimising the stretching energy.
 
-A sheet without friction slides along its own deformed surface until the tension is in equilibrium.
-Contact force and air pressure act along the normal and do no work on that motion. The stretch is
-therefore determined by the surface and the clamped rim, without pressure or modulus. There is one
-small exception. In contact the sheet is squeezed: a piece that becomes thicker lifts its own middle
-by half of the increase against the contact pressure p, which changes the stretch by p / mu.
+Lengths are in mm. A sheet without friction slides along its own deformed surface until the tension
+is in equilibrium. Contact force and air pressure act along the normal and do no work on that
+motion. The stretch is therefore determined by the surface and the clamped rim, without pressure or
+modulus. There is one small exception. In contact the sheet is squeezed: a piece that becomes
+thicker lifts its own middle by half of the increase against the contact pressure p. This changes
+the stretch by p / mu, with the shear modulus mu.
 
-The unknown is X(x, y), the material point of the undeformed sheet above (x, y), bilinear on square
-elements. With the surface's metric G, B = dX/dx, D = det B and the incompressible neo-Hookean
-energy mu h/2 (tr a + 1/det a - 3), a = B^-T G B^-1, an element has the energy per area of x, y
+The unknown is X(x, y): the point of the undeformed sheet that is now on the surface at (x, y). X is
+bilinear on square elements. With the surface's metric G, B = dX/dx, D = det B, the undeformed
+thickness h and the incompressible neo-Hookean energy mu h/2 (tr a + 1/det a - 3),
+a = B^-T G B^-1, an element has the energy per area of x, y
 
     psi = tr(A^T G A) / D + D^3 / det G - (3 - p / mu) D,  A = adj B   (in units of mu h / 2).
 
@@ -16,8 +18,10 @@ A compliant rim lets the sheet slide in by s X - x relative to the mounted sheet
 stiffness k per length of the rim. Their energy is k / (mu h) |s X - x|^2 in the same units. The
 mounted sheet is in equilibrium: the springs carry its tension.
 
-Newton's method; where the tangent is indefinite, the part that the sign of D's coefficient makes
-indefinite is omitted. Bending is neglected: its force along the surface is of order (h / R)^2.
+Newton's method minimises the energy. If Newton's step does not lower the energy, it is repeated
+without the part of the second derivative that may be indefinite, the derivative of energy by D
+times the second derivative of D. Bending is neglected: its force along the surface is of order
+(h / R)^2 for a radius of curvature R.
 """
 
 from dataclasses import dataclass, field, replace
@@ -43,16 +47,16 @@ _HESSIAN_OF_D[1, 2] = _HESSIAN_OF_D[2, 1] = -1.0
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMetric:
-    """Metric of a surface over the elements of a grid of x and y.
+    """Metric of a surface, and the boundary conditions of the sheet, on a grid of elements.
 
     Attributes
     ----------
-    x_mm, y_mm : (col + 1,), (row + 1,) nodes, growing
-    xx, xy, yy : (row, col) components, mean over each element
-    squeeze : (row, col) contact pressure over shear modulus
+    x_mm, y_mm : (col + 1,), (row + 1,) coordinates of the nodes, increasing
+    xx, xy, yy : (row, col) components of the metric, means over each element
+    squeeze : (row, col) ratio of contact pressure to shear modulus
     held : (row + 1, col + 1) bool, nodes at which the frame holds the sheet
-    springs : (row + 1, col + 1) stiffness of held nodes' springs over shear modulus x thickness;
-        0: rigid
+    springs : (row + 1, col + 1) stiffness of the springs at held nodes over shear modulus x
+        thickness; a held node with the value 0 is fixed; None: all held nodes are fixed
     """
 
     x_mm: FloatArray
@@ -66,25 +70,25 @@ class SurfaceMetric:
 
     @property
     def flat(self) -> "SurfaceMetric":
-        """The surface of the mounted sheet."""
+        """Metric of the flat surface of the mounted sheet, on the same elements, not squeezed."""
         ones, none = np.ones_like(self.xx), np.zeros_like(self.xx)
         return replace(self, xx=ones, xy=none, yy=ones, squeeze=none)
 
     @property
     def determinant(self) -> FloatArray:
-        """Squared ratio of the surface's area to its area in x and y, (row, col)."""
+        """Squared ratio of the surface's area to its area projected on x and y, (row, col)."""
         return self.xx * self.yy - self.xy**2
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialMap:
-    """Thinning, tension and material points of a sheet; (row, col) of the elements.
+    """Solution of `material_map`: thinning, tension and material points on a grid of elements.
 
     Attributes
     ----------
-    thinning : local thickness over that of the undeformed sheet
-    tension : (row, col, 3) contravariant components xx, xy, yy of the tension over mu h
-    material_mm : (row + 1, col + 1, xy) material point of the undeformed sheet, at the nodes
+    thinning : (row, col) ratio of local to undeformed thickness, at the middles of the elements
+    tension : (row, col, 3) contravariant components xx, xy, yy of the line tension over mu h
+    material_mm : (row + 1, col + 1, xy) X at the nodes, a point of the undeformed sheet
     steps : number of Newton steps
     """
 
@@ -97,16 +101,18 @@ class MaterialMap:
 def material_map(
     metric: SurfaceMetric, pre_stretch: float = 1.0, near: MaterialMap | None = None
 ) -> MaterialMap:
-    """Compute the map of a sheet on a surface with the least energy.
+    """Compute the map X of a sheet on a surface that has the least stretching energy.
 
     Parameters
     ----------
-    pre_stretch : of the mounted sheet, equal along x and y
-    near : map for a similar surface on the same elements, used as the starting point
+    metric : surface and boundary conditions of the sheet
+    pre_stretch : ratio of mounted to undeformed length, equal along x and y
+    near : map for a similar surface on the same elements, used as the starting point; None: the
+        iteration starts at the mounted sheet
 
     Raises
     ------
-    FitError : no equilibrium of the sheet on this surface
+    FitError : the iteration finds no equilibrium of the sheet on this surface
     """
     x, y = np.meshgrid(metric.x_mm, metric.y_mm)
     mounted = np.stack((x, y), axis=-1) / pre_stretch
@@ -130,7 +136,10 @@ def material_map(
 
 @dataclass(frozen=True, eq=False)
 class _Elements:
-    """Bilinear elements with four Gauss points each; B at a point is linear in the nodes."""
+    """Bilinear elements with four Gauss points each, and the energy of the sheet on them.
+
+    B at a Gauss point is a linear function of X at the nodes of the element.
+    """
 
     nodes: np.ndarray  # (element, 4) node numbers
     slopes: FloatArray  # (point, 2, 4) derivatives of the shape functions, for all elements
@@ -158,7 +167,13 @@ class _Elements:
     def on_springs(
         self, metric: SurfaceMetric, rim: FloatArray, mounted: FloatArray, pre_stretch: float
     ) -> "_Elements":
-        """Return the elements with springs at the rim, in equilibrium with the mounted sheet."""
+        """Return the elements with springs at the rim that carry the tension of the mounted sheet.
+
+        Parameters
+        ----------
+        rim : (row + 1, col + 1) `SurfaceMetric.springs`
+        mounted : (row + 1, col + 1, xy) X of the mounted sheet, mm
+        """
         # Elements outside the frame get no weight: the sheet slides there without resistance.
         beyond = metric.held.ravel()[self.nodes].all(axis=1)
         flat = replace(_Elements.on(metric.flat), weight=np.where(beyond, 0.0, self.weight))
@@ -167,7 +182,7 @@ class _Elements:
         return replace(self, weight=flat.weight, rim=_Springs(mounted.ravel(), springs, pulled))
 
     def gradients(self, place: FloatArray) -> FloatArray:
-        """Return (point, element, 4): B in row order at the Gauss points."""
+        """Return B at the Gauss points, (point, element, 4): B_xx, B_xy, B_yx, B_yy."""
         corners = place.reshape(-1, 2)[self.nodes]
         b = np.einsum("pdn,eni->peid", self.slopes, corners)
         return np.asarray(b.reshape(*b.shape[:2], 4))
@@ -188,7 +203,10 @@ class _Elements:
         return float(np.sum(self.weight * (q / d + d**3 / g + self.linear * d))) + of_rim
 
     def energy(self, place: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the energy, its gradient by (node, xy), and B at the Gauss points."""
+        """Return the energy, its gradient (2 node + xy,), and B at the Gauss points.
+
+        The energy is in units of mu h / 2.
+        """
         b = self.gradients(place)
         d, to_d, pull, _g = self._parts(b)
         q_slope = 2 * np.einsum("eij,pej->pei", self.quadratic, b)
@@ -205,7 +223,13 @@ class _Elements:
         return self.value(place), gradient, b
 
     def tangent(self, b: FloatArray, *, whole: bool) -> sparse.csc_matrix:
-        """Return the second derivative; `whole` includes the part that may be indefinite."""
+        """Return the second derivative of the energy, square with 2 unknowns per node.
+
+        Parameters
+        ----------
+        b : (point, element, 4) B at the Gauss points
+        whole : True to include the part that may be indefinite
+        """
         d, to_d, pull, g = self._parts(b)
         q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
         q_slope = 2 * np.einsum("eij,pej->pei", self.quadratic, b)
@@ -227,7 +251,7 @@ class _Elements:
         return inner + sparse.diags(self.rim.stiffness, format="csc") if self.rim else inner
 
     def _parts(self, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return D, its derivative by B, the energy's derivative by D, and det G."""
+        """Return D, the derivative of D by B, the derivative of the energy by D, and det G."""
         d = b[..., 0] * b[..., 3] - b[..., 1] * b[..., 2]
         to_d = np.stack((b[..., 3], -b[..., 2], -b[..., 1], b[..., 0]), axis=-1)
         g = self.metric[:, 0] * self.metric[:, 2] - self.metric[:, 1] ** 2
@@ -237,11 +261,17 @@ class _Elements:
 
 @dataclass(frozen=True, eq=False)
 class _Springs:
-    """Springs of the rim's nodes, in the order of the unknowns: 2 node + xy."""
+    """Springs of the rim's nodes; arrays in the order of the unknowns, index 2 node + xy.
+
+    Attributes
+    ----------
+    mounted : X of the mounted sheet, mm
+    stiffness : stiffness of each spring, 0 for nodes without a spring
+    pulled : force of the mounted sheet, which the spring carries
+    """
 
     mounted: FloatArray
     stiffness: FloatArray
-    #: force of the mounted sheet, which the spring carries
     pulled: FloatArray
 
     def energy(self, place: FloatArray) -> float:
@@ -253,14 +283,23 @@ class _Springs:
 
 
 def _slopes(point: FloatArray, step: tuple[float, float]) -> FloatArray:
-    """Return the derivatives of the four shape functions by x and y, (2, 4)."""
+    """Return the derivatives of the four shape functions by x and y at a point, (2, 4), 1/mm.
+
+    Parameters
+    ----------
+    point : (xy) position in the element, from -1/2 to 1/2
+    step : (xy) edge lengths of an element, mm
+    """
     along, across = 0.5 + 2 * _CORNERS[:, 0] * point[0], 0.5 + 2 * _CORNERS[:, 1] * point[1]
     by_x, by_y = 2 * _CORNERS[:, 0] * across / step[0], 2 * _CORNERS[:, 1] * along / step[1]
     return np.stack((by_x, by_y))
 
 
 def _quadratic(g: FloatArray) -> FloatArray:
-    """Return Q of tr(A^T G A) = b^T Q b, b = (B_xx, B_xy, B_yx, B_yy)."""
+    """Return the matrices Q, (element, 4, 4), of tr(A^T G A) = b^T Q b.
+
+    Here b = (B_xx, B_xy, B_yx, B_yy), and `g` (element, 3) are the components xx, xy, yy of G.
+    """
     q = np.zeros((len(g), 4, 4))
     for first, second in ((1, 0), (3, 2)):
         q[:, first, first], q[:, second, second] = g[:, 0], g[:, 2]
@@ -271,7 +310,11 @@ def _quadratic(g: FloatArray) -> FloatArray:
 def _newton_move(
     elements: _Elements, b: FloatArray, gradient: FloatArray, free: BoolArray
 ) -> FloatArray:
-    """Return Newton's step, or that of the convex part if Newton's step does not descend."""
+    """Return the step (2 node + xy,), mm, of the unknowns that lowers the energy.
+
+    It is Newton's step, or, if that does not lower the energy, the step without the part of the
+    second derivative that may be indefinite.
+    """
     move = np.zeros_like(gradient)
     inner = np.flatnonzero(free)
     for whole in (True, False):
@@ -290,7 +333,13 @@ def _factors(symmetric: sparse.csc_matrix) -> SuperLU:
 def _along(
     elements: _Elements, place: FloatArray, move: FloatArray, before: tuple[float, FloatArray]
 ) -> tuple[FloatArray, float, FloatArray, FloatArray]:
-    """Return the place, energy, gradient and B after a line search along the step."""
+    """Return X at the nodes, energy, gradient and B after a line search along a step.
+
+    Parameters
+    ----------
+    place : (row + 1, col + 1, xy) X at the nodes before the step
+    before : energy and gradient before the step
+    """
     value, gradient = before
     slope, least = float(move @ gradient), _SHRINKS_TO * elements.determinants(place)
     share, step = 1.0, move.reshape(place.shape)
@@ -308,7 +357,7 @@ def _along(
 def _solved(
     elements: _Elements, metric: SurfaceMetric, place: FloatArray, steps: int
 ) -> MaterialMap:
-    """Return stretch and tension at the middles of the elements."""
+    """Return thinning and tension at the middles of the elements, from X at the nodes."""
     b = elements.gradients(place).mean(axis=0)
     d = b[:, 0] * b[:, 3] - b[:, 1] * b[:, 2]
     g = metric.determinant.ravel()

@@ -1,7 +1,8 @@
-"""Shape of the object in contact: balls, rods and flat faces with their uncertainty; mm.
+"""Fit balls, rods and flat faces to the object in contact, with their uncertainty; lengths in mm.
 
-Each connected part of the contact, without its blurred edge, is fitted with a sphere, a cylinder
-and a plane. Its form is the simplest with residuals not much above the least ones.
+Each connected part of the contact, without its blurred edge, is fitted with a plane, a sphere and
+two cylinders, in this order. A later form replaces an earlier one only if its RMS residual is less
+than 70 % of the RMS residual of the earlier one.
 
 The standard uncertainty of a radius (JCGM 100, 5.1.2) has three shares: noise and texture of the
 coat, from variance and correlation area of the residuals; uncertain values of the layer, which move
@@ -28,13 +29,16 @@ RadiusFit = Callable[[FloatArray], FittedDimension]
 RadiusOf = Callable[[FloatArray], float]
 
 _LEAST_CELLS = 30
-# Largest ratio of the residuals to those of the simpler form for which a form is chosen.
+# Largest ratio of a form's RMS residual to that of the earlier form at which it is preferred.
 _MUCH_LESS = 0.7
 _LARGEST_RADIUS_MM = 500.0
 
 
 class Compensated(Protocol):
-    """Compensated coat of any kind of layer; arrays (row, col, ...)."""
+    """Object and contact computed from a coat, for any kind of layer: sheet, gel or slab.
+
+    Arrays are (row, col, ...) on the relief's cells, in the world frame.
+    """
 
     @property
     def relief(self) -> Relief:
@@ -43,84 +47,91 @@ class Compensated(Protocol):
 
     @property
     def contact(self) -> BoolArray:
-        """Cells in which the object is in contact."""
+        """Cells in which the object is in contact with the layer, (row, col) bool."""
         ...
 
     @property
     def sure(self) -> BoolArray:
-        """Cells in contact with certainty: without those that the filters may have blurred."""
+        """Cells certainly in contact, (row, col) bool: the contact without its blurred edge."""
         ...
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty of each point along the normal because of edges near it."""
+        """Standard uncertainty, mm, of each object point along the normal by edges near it."""
         ...
 
     @property
     def pressure_kpa(self) -> FloatArray:
-        """Pressure of the contact."""
+        """Contact pressure of the object on the layer, (row, col)."""
         ...
 
     @property
     def normal(self) -> FloatArray:
-        """Unit normal of the coat."""
+        """Unit normal of the layer, pointing from object to coat, (row, col, xyz)."""
         ...
 
     @property
     def object_mm(self) -> FloatArray:
-        """Points of the object, in the contact cells."""
+        """Points of the face that touches the object, (row, col, xyz), mm.
+
+        In the contact cells they are points of the object.
+        """
         ...
 
     @property
     def blur_mm(self) -> float:
-        """Width by which the contact's edge is blurred."""
+        """Width, mm, by which the edge of the contact is blurred."""
         ...
 
     @property
     def area_mm2(self) -> float:
-        """Area of the contact projected along z."""
+        """Area of the contact projected along z, mm^2."""
         ...
 
     @property
     def force_n(self) -> float:
-        """Force along z."""
+        """Force of the object on the layer along z, N."""
         ...
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force."""
+        """Standard uncertainty of `force_n`, N."""
         ...
 
     @property
     def layer_moves_mm(self) -> list[FloatArray]:
-        """Standard uncertainties that move all points of a part together, along their normals."""
+        """Shifts of the object's points along the normals, mm, by uncertain values of the layer.
+
+        Each entry is (row, col), one standard uncertainty, and common to all points of a part.
+        """
         ...
 
     @property
     def layer_maps(self) -> LayerMaps:
-        """Maps that only this kind of layer has."""
+        """Further maps, by name, that exist only for this kind of layer."""
         ...
 
     def theory_mm(self, radius_mm: float) -> float:
-        """Return the model's error of a radius."""
+        """Return the standard uncertainty, mm, of a radius because of the layer's model."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectPart:
-    """One part of the object that carries the sheet.
+    """One connected part of the contact, and the form fitted to the object there.
 
     Attributes
     ----------
-    cells : (row, col) bool, all cells of the contact
-    core : (row, col) bool, cells used in the fit
-    middle_mm : (xy) mean of its cells
-    highest_mm : highest z of the object in its core
+    cells : (row, col) bool, all cells of this part of the contact
+    core : (row, col) bool, cells used in the fit: without the blurred edge
+    middle_mm : (xy) mean position of `cells`, world
+    highest_mm : highest world z of the object in `core`
     form : fitted form
-    radius_mm, sigma_mm : of a ball or rod with its standard uncertainty; 0 of a flat face
-    noise_mm, layer_mm : shares of that: noise and texture; uncertain values of the layer
-    residual_um : RMS from the form
-    pressure_kpa : mean over its cells
+    radius_mm, sigma_mm : radius of the ball or rod and its standard uncertainty; 0 for a flat face
+    noise_mm, layer_mm : shares of `sigma_mm` from noise and texture of the coat, and from the
+        uncertain values of the layer
+    residual_um : RMS distance of the points from the form
+    pressure_kpa : mean contact pressure over `cells`
     """
 
     cells: BoolArray
@@ -137,7 +148,11 @@ class ObjectPart:
 
 
 def parts_of(compensated: Compensated) -> list[ObjectPart]:
-    """Return the parts of the contact from -x to +x, without those of too few cells."""
+    """Return the connected parts of the contact, from -x to +x, with the form fitted to each.
+
+    Parts with fewer than 30 cells away from their blurred edge are left out, and parts to which no
+    form can be fitted.
+    """
     labels, count = ndimage.label(compensated.contact)
     core = without_blurred_edge(compensated.contact, compensated.relief, compensated.blur_mm)
     parts = []
@@ -147,13 +162,13 @@ def parts_of(compensated: Compensated) -> list[ObjectPart]:
         if own.sum() >= _LEAST_CELLS:
             try:
                 parts.append(_fitted(compensated, cells, own))
-            except FitError:  # too small or of no known form: it is in the map only
+            except FitError:  # no form can be fitted: the part is in the maps only
                 continue
     return sorted(parts, key=lambda part: part.middle_mm)
 
 
 def without_blurred_edge(contact: BoolArray, relief: Relief, blur_mm: float) -> BoolArray:
-    """Return a contact, (row, col), without the cells that a filter blurs at its edge."""
+    """Return a contact, (row, col) bool, without its cells within `blur_mm` of its edge."""
     reach = int(np.ceil(blur_mm / min(relief.pitch_mm)))
     return np.asarray(ndimage.binary_erosion(contact, iterations=reach))
 
@@ -185,7 +200,10 @@ def _fitted(compensated: Compensated, cells: BoolArray, core: BoolArray) -> Obje
 
 
 def _form(points_mm: FloatArray) -> tuple[Form, RadiusFit | None]:
-    """Return the simplest form that fits, and the function that fits its radius, or None."""
+    """Return the form of points (n, xyz), and the function that fits its radius.
+
+    The function is None for a flat face. The module docstring defines how the form is selected.
+    """
     least = rms(fit_plane(points_mm).residuals_mm)
     directions = np.linalg.svd(points_mm - points_mm.mean(axis=0), full_matrices=False)[2][:2]
     candidates: list[tuple[Form, RadiusFit]] = [("ball", _ball)]
@@ -211,10 +229,10 @@ def _rod(points_mm: FloatArray, axis: FloatArray) -> FittedDimension:
 
 
 def _noise_mm(compensated: Compensated, core: BoolArray, estimate: FittedDimension) -> float:
-    """Return the standard uncertainty of a radius from noise and texture of the coat.
+    """Return the standard uncertainty, mm, of a radius from noise and texture of the coat.
 
-    Uses the residuals' variance along the normal as that along z; both are equal at gentle
-    slopes.
+    The variance of the residuals along the normal is used as the variance along z. The two are
+    equal at gentle slopes.
     """
     relief: Relief = compensated.relief
     rest, used = np.zeros(core.shape), np.zeros(core.shape, bool)
@@ -225,7 +243,11 @@ def _noise_mm(compensated: Compensated, core: BoolArray, estimate: FittedDimensi
 
 
 def _layer_mm(compensated: Compensated, core: BoolArray, radius_of: RadiusOf) -> float:
-    """Return the uncertainty from the layer: its moves shift all points along their normals."""
+    """Return the standard uncertainty, mm, of a radius from the uncertain values of the layer.
+
+    Each of `layer_moves_mm` shifts all points along their normals and so changes the radius. The
+    changes are added as a root sum of squares.
+    """
     points = compensated.object_mm[core]
     radius, changes = radius_of(points), [0.0]
     for move in compensated.layer_moves_mm:

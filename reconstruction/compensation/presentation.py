@@ -1,4 +1,4 @@
-"""Presentation of the object behind a coat: one line, a table with maps, labelled arrays."""
+"""Present the object behind a coat as one line of text, a table with maps, and labelled arrays."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from reconstruction.drawing import Drawing
 
 LayerMaps = dict[str, tuple[NDArray[Any], str, str]]
-"""Maps (row, col) on the relief's cells by name, each with unit and long name."""
+"""Maps by name; each is an array (row, col) on the relief's cells, its unit and its long name."""
 
 
 class PresentedObject:
-    """Repr, notebook table, figure and labelled arrays of every kind of `Compensated`."""
+    """Base class that gives every kind of `Compensated` a repr, a table, a figure and arrays."""
 
     @property
     def layer_maps(self) -> LayerMaps:
-        """Maps that only this kind of layer has."""
+        """Further maps, by name, that exist only for this kind of layer; here none."""
         return {}
 
     def __repr__(self: "Compensated") -> str:
@@ -38,7 +38,7 @@ class PresentedObject:
         return as_html("object behind the coat", in_short(self), object_drawing(self))
 
     def plot(self: "Compensated") -> "Drawing":
-        """Draw coat, contact pressure, and a section of coat and object: a Matplotlib figure.
+        """Return a figure with maps of coat and contact pressure and a section of coat and object.
 
         Raises
         ------
@@ -47,12 +47,12 @@ class PresentedObject:
         return object_drawing(self)
 
     def to_xarray(self: "Compensated") -> "xarray.Dataset":
-        """Return contact, pressure and both faces over world x and y (mm), as contact.nc."""
+        """Return contact, pressure and both faces over world x and y, mm, as in file contact.nc."""
         return contact_arrays(self).to_xarray()
 
 
 def in_short(rigid: "Compensated") -> dict[str, str]:
-    """Return the main figures of a contact as texts, by name."""
+    """Return area, force and highest pressure of a contact as texts with units, by name."""
     return {
         "contact": f"{rigid.area_mm2:.3g} mm^2",
         "force": f"{rigid.force_n:.3g} N (standard uncertainty {rigid.force_sigma_n:.2g} N)",
@@ -61,7 +61,9 @@ def in_short(rigid: "Compensated") -> dict[str, str]:
 
 
 def object_drawing(rigid: "Compensated") -> "Drawing":
-    """Return the measured coat, the pressure, and the section at y = 0 with the object.
+    """Return a drawing of the coat, the contact pressure, and a section of coat and object.
+
+    The section is at world y = 0.
 
     Raises
     ------
@@ -85,7 +87,7 @@ def object_drawing(rigid: "Compensated") -> "Drawing":
 
 
 def _cells(rigid: "Compensated", values: NDArray[Any], valid: NDArray[Any]) -> "CellMeans":
-    """Return a map of the relief as cells of a picture, row 0 at the top."""
+    """Return values and validity (row, col) of the relief's cells with row 0 at the largest y."""
     from reconstruction.cells import CellMeans
 
     relief = rigid.relief
@@ -94,7 +96,10 @@ def _cells(rigid: "Compensated", values: NDArray[Any], valid: NDArray[Any]) -> "
 
 
 def contact_arrays(rigid: "Compensated") -> LabelledArrays:
-    """Return contact, pressure, thickness and the clear face over world x and y."""
+    """Return contact, contact pressure, coat and touched face as maps over world x and y.
+
+    The maps that exist only for the kind of layer, such as the local thickness, are included.
+    """
     clear = rigid.object_mm
     maps: LayerMaps = {
         "contact": (rigid.contact.astype(np.uint8), "1", "1 where the object carries the sheet"),

@@ -1,8 +1,9 @@
-"""The measured coat on a grid over its frame: heights, filled gaps, slopes and curvature; mm.
+"""Average the measured coat on a grid over its frame, and fill the gaps; lengths in mm.
 
-Cells are square except for rounding, (row, col), x and y growing; world frame. In gaps (shadows,
-outside the image) the sheet is assumed to have no curvature between measured cells and the rim,
-where the coat is z = 0. Only the stretch, an integral, uses these heights.
+Arrays are (row, col); row and column increase with world y and x. Cells are square except for
+rounding. In gaps (shadows, parts outside the image) the heights solve Laplace's equation between
+the measured cells and the rim, where the coat is at z = 0. Only the computation of the stretch,
+an integral over the surface, uses these filled heights.
 """
 
 from dataclasses import dataclass
@@ -18,13 +19,20 @@ from reconstruction.evaluate.fit import spread
 
 _LEAST_SHARE = 0.2
 _CORRELATED_CELLS = 8
-# Passes of the shift to the cells' middles: the slope used is that of heights off the middles.
+# Passes of the shift to the cells' middles: the first pass uses the slope of unshifted heights.
 _TURNS_TO_MIDDLES = 2
 
 
 @dataclass(frozen=True)
 class SheetOpening:
-    """Opening in which the sheet is held, centred on the world's origin."""
+    """Opening in which the sheet is held, centred on the world's origin.
+
+    Attributes
+    ----------
+    length_x_mm, length_y_mm : edge lengths of a rectangular opening; for a round opening both are
+        equal to its diameter
+    is_round : True for a round opening, False for a rectangular one
+    """
 
     length_x_mm: float
     length_y_mm: float
@@ -33,17 +41,18 @@ class SheetOpening:
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """Heights of the coat on a grid of cells.
+    """Heights of the coat on a grid of cells over the frame, world.
 
     Attributes
     ----------
-    x_mm, y_mm : (col,), (row,) middles of the cells
-    points_mm : (row, col, xyz) mean of the points in each cell; in a cell without points its
-        middle at an interpolated height
-    heights_mm : (row, col) z at the cells' middles: the mean, moved there along the slope
-    sigma_mm : (row, col) standard uncertainty of the mean along z; 0 in a cell without points
-    measured : (row, col) bool
-    inside : (row, col) bool, within the frame
+    x_mm, y_mm : (col,), (row,) coordinates of the middles of the cells
+    points_mm : (row, col, xyz) mean of the measured points in each cell; in a cell without points
+        the middle of the cell at an interpolated height
+    heights_mm : (row, col) z at the middles of the cells, extrapolated from `points_mm` along the
+        slope of the coat
+    sigma_mm : (row, col) standard uncertainty of the mean z; 0 in a cell without points
+    measured : (row, col) bool, True for a cell within the frame with measured points
+    inside : (row, col) bool, True for a cell within the frame
     """
 
     x_mm: FloatArray
@@ -56,34 +65,42 @@ class Relief:
 
     @property
     def pitch_mm(self) -> tuple[float, float]:
-        """Edges of a cell along x and y."""
+        """Edge lengths of a cell along x and y, mm."""
         return float(self.x_mm[1] - self.x_mm[0]), float(self.y_mm[1] - self.y_mm[0])
 
     @property
     def cell_area_mm2(self) -> float:
-        """Area of a cell."""
+        """Area of a cell, mm^2."""
         pitch = self.pitch_mm
         return pitch[0] * pitch[1]
 
     def smoothed(self, sigma_mm: float) -> FloatArray:
         """Return heights, mm, after a Gaussian filter of fourth order, (row, col).
 
-        The filter 2 G(s) - G(sqrt(2) s), with s = `sigma_mm`, preserves curvature. A plain Gaussian
-        of 0.3 mm would reduce the curvature of a free span by 3 %. Heights are mirrored at the rim,
-        because the clamp keeps the coat horizontal there.
+        The filter 2 G(s) - G(sqrt(2) s), with Gaussians of standard deviation s = `sigma_mm` and
+        sqrt(2) s, preserves curvature. A simple Gaussian filter of 0.3 mm would reduce the
+        curvature of a free span by 3 %. Heights are mirrored at the rim, because the clamp keeps
+        the coat horizontal there.
         """
         return 2 * self.blurred(sigma_mm) - self.blurred(np.sqrt(2.0) * sigma_mm)
 
     def blurred(self, sigma_mm: float) -> FloatArray:
-        """Return heights after a plain Gaussian filter, (row, col), without dips next to peaks."""
+        """Return heights, mm, after a simple Gaussian filter, (row, col).
+
+        Unlike `smoothed`, this filter makes no dips next to peaks.
+
+        Parameters
+        ----------
+        sigma_mm : standard deviation of the Gaussian
+        """
         sigmas = [sigma_mm / pitch for pitch in self.pitch_mm[::-1]]
         return np.asarray(ndimage.gaussian_filter(self.heights_mm, sigmas, mode="reflect"))
 
     def noise_area_mm2(self, sigma_mm: float) -> tuple[float, float]:
-        """Return (variance, correlation area) of the heights' part that a filter removes.
+        """Return the variance and correlation area, both mm^2, of the coat's noise and texture.
 
-        Noise and texture of the coat: their variance, mm^2, and the area over which neighbours
-        share one error, mm^2.
+        Noise and texture are the part of the heights that the filter `smoothed` removes. The
+        correlation area is the area over which neighbouring cells have a common error.
         """
         rest = np.where(self.measured, self.heights_mm - self.smoothed(sigma_mm), 0.0)
         limit = 4 * spread(rest[self.measured])
@@ -94,10 +111,16 @@ class Relief:
 def variance_and_area(
     rest_mm: FloatArray, used: BoolArray, cell_area_mm2: float
 ) -> tuple[float, float]:
-    """Return (variance, correlation area) of residuals (row, col) over the `kept` cells.
+    """Return the variance and the correlation area, mm^2, of residuals over the `used` cells.
 
-    The area is the sum of the autocorrelation as far as it is positive along both axes, at least
+    The variance is mm^2, or without unit if the residuals are without unit.
+    The correlation area is the cell's area times the sum of the autocorrelation along each of the
+    two axes. Each sum ends before the first lag without positive correlation. The area is at least
     one cell.
+
+    Parameters
+    ----------
+    rest_mm, used : (row, col) residuals, and bool
     """
     count = int(used.sum())
     if count < 2:
@@ -113,7 +136,10 @@ def variance_and_area(
 
 
 def _correlated_cells(values: FloatArray, used: BoolArray, variance: float, axis: int) -> float:
-    """Return 1 + 2 sum of the autocorrelation along an axis, up to its first value below 0."""
+    """Return 1 + 2 sum of the autocorrelation along an axis, a number of cells.
+
+    The sum is over lags from 1 to 8 cells, and ends before the first value that is not positive.
+    """
     total = 1.0
     for lag in range(1, min(_CORRELATED_CELLS, values.shape[axis] - 1) + 1):
         first = np.take(values, range(values.shape[axis] - lag), axis=axis)
@@ -137,18 +163,19 @@ def relief_on_frame(
     cells: tuple[int, int],
     least_share: float = _LEAST_SHARE,
 ) -> Relief:
-    """Average measured points on a grid over the frame, and interpolate its gaps.
+    """Average measured points of the coat on a grid over the frame, and fill its gaps.
 
     Parameters
     ----------
     points_mm : (n, xyz) world
-    sigma_z_mm : (n,) standard uncertainty of z; `Relief.noise_area_mm2` gives the correlated part
-    cells : columns and rows over the frame
-    least_share : least share of the frame with measured points
+    sigma_z_mm : (n,) standard uncertainty of z; the errors count as independent between points
+        (`Relief.noise_area_mm2` estimates their correlation)
+    cells : numbers of columns and rows over the frame
+    least_share : smallest admissible share of the cells in the frame that contain measured points
 
     Raises
     ------
-    FitError : a smaller share of the frame was measured
+    FitError : less than `least_share` of the frame was measured
     """
     cols, rows = cells
     pitch = frame.length_x_mm / cols, frame.length_y_mm / rows
@@ -183,7 +210,14 @@ def relief_on_frame(
 
 
 def filled(z_mm: FloatArray, known: BoolArray, inside: BoolArray) -> FloatArray:
-    """Return heights (row, col) with gaps that solve Laplace's equation; 0 outside."""
+    """Return heights (row, col), mm, in which the gaps inside the frame are filled.
+
+    In gaps the heights solve Laplace's equation; outside the frame they are 0.
+
+    Parameters
+    ----------
+    known, inside : (row, col) bool, cells with a measured height, and cells inside the frame
+    """
     gaps = inside & ~known
     z = np.where(known, z_mm, 0.0)
     if not gaps.any():
@@ -206,7 +240,10 @@ def filled(z_mm: FloatArray, known: BoolArray, inside: BoolArray) -> FloatArray:
 
 
 def _at_middles(points_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-    """Return z moved along the slope from the mean positions to the cells' middles, (row, col)."""
+    """Return the heights at the cells' middles, (row, col), mm.
+
+    They are extrapolated along the coat's slope from the mean point (row, col, xyz) of each cell.
+    """
     z = points_mm[..., 2]
     for _ in range(_TURNS_TO_MIDDLES):
         slope_y, slope_x = np.gradient(ndimage.gaussian_filter(z, 1.0), y_mm, x_mm)
@@ -218,7 +255,10 @@ def _at_middles(points_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> Fl
 def _mirrored(
     z_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray, frame: SheetOpening
 ) -> FloatArray:
-    """Return heights mirrored at a round rim, where the clamp keeps the coat level."""
+    """Return heights (row, col), mm, with the values beyond a round rim mirrored at the rim.
+
+    The clamp keeps the coat horizontal at the rim. Heights in a rectangular frame are unchanged.
+    """
     if not frame.is_round:
         return z_mm
     radius, rim = np.hypot(x_mm, y_mm[:, None]), frame.length_x_mm / 2

@@ -1,10 +1,11 @@
-"""A compliant rim for the map of a sheet on its surface: springs at the rim's nodes; mm.
+"""Add a compliant rim, springs at the rim's nodes, to the boundary conditions of a sheet.
 
-The edge moves in the frame's plane by u under the tension's component in that plane,
-k u = N cos t, with t the angle at which the sheet leaves the frame and k = 1 / compliance. The map
-follows the sheet round the clamp's bend, so that the full N acts there, on springs of k / cos t.
+Lengths are in mm. The edge of the sheet moves in the frame's plane by u under the component of the
+line tension N in that plane: k u = N cos t. Here t is the angle at which the sheet leaves the frame
+and k = 1 / compliance. `membrane` computes the stretch along the surface, also round the clamp's
+bend. There the full N acts on the springs, so that their stiffness is k / cos t.
 
-Over the clamp's bend the relief is level; t is extrapolated from the span next to it.
+Over the clamp's bend the relief is horizontal; t is extrapolated from the span next to the bend.
 """
 
 from dataclasses import replace
@@ -28,7 +29,7 @@ _RIGID_MM = 1e-4
 def on_springs(
     surface: SurfaceMetric, relief: Relief, frame: SheetOpening, rim_yield_mm: float
 ) -> SurfaceMetric:
-    """Return a surface with a compliant rim.
+    """Return the surface metric with springs at its rim, or unchanged for a nearly rigid rim.
 
     Parameters
     ----------
@@ -47,16 +48,16 @@ def on_springs(
 
 
 def _nearest_lengths_mm(frame: SheetOpening, nodes_mm: FloatArray) -> FloatArray:
-    """Return the length of the rim nearest to each of the nodes (n, xy)."""
+    """Return (n,) length of the part of the rim, mm, that is nearest to each node (n, xy)."""
     places, perimeter_mm = _along_rim(frame)
     away = (places[:, 0, None] - nodes_mm[:, 0]) ** 2 + (places[:, 1, None] - nodes_mm[:, 1]) ** 2
     count = np.bincount(away.argmin(axis=1), minlength=len(nodes_mm))
-    # A corner of the stepped round rim may be nearest to no point: it gets a small length instead.
+    # A corner node of a round rim on the grid may be nearest to no point: it gets a small length.
     return np.asarray(perimeter_mm / _RIM_POINTS * np.maximum(count, _HANGS))
 
 
 def _along_rim(frame: SheetOpening) -> tuple[FloatArray, float]:
-    """Return (n, xy) points evenly along the rim, and its length."""
+    """Return (n, xy) points at equal distances along the rim, and the rim's length; mm."""
     share = (np.arange(_RIM_POINTS) + 0.5) / _RIM_POINTS
     half_x, half_y = frame.length_x_mm / 2, frame.length_y_mm / 2
     if frame.is_round:
@@ -69,7 +70,7 @@ def _along_rim(frame: SheetOpening) -> tuple[FloatArray, float]:
 
 
 def _cosines(relief: Relief, frame: SheetOpening, nodes_mm: FloatArray) -> FloatArray:
-    """Return (n,) cosine of the angle at which the sheet leaves the rim near each node."""
+    """Return (n,) cosine of the angle at which the sheet leaves the rim near each node (n, xy)."""
     outwards = _outwards(frame, nodes_mm)
     down, right = np.gradient(relief.smoothed(_SMOOTHED_MM), relief.y_mm, relief.x_mm)
 
@@ -91,7 +92,7 @@ def _cosines(relief: Relief, frame: SheetOpening, nodes_mm: FloatArray) -> Float
 
 
 def _outwards(frame: SheetOpening, nodes_mm: FloatArray) -> FloatArray:
-    """Return (n, xy) unit vectors pointing out of the opening."""
+    """Return (n, xy) unit vectors normal to the rim near each node, pointing outwards."""
     if frame.is_round:
         return np.asarray(nodes_mm / np.linalg.norm(nodes_mm, axis=1, keepdims=True))
     share = np.abs(nodes_mm) * 2 / (frame.length_x_mm, frame.length_y_mm)

@@ -1,18 +1,23 @@
-"""The rigid object under a thin sheet, from the measured coat only; lengths mm, pressures kPa.
+"""Compute the rigid object under a thin sheet from the measured coat only.
 
-World frame, the coat above the object. On the coat's grid, with its unit normal n:
+Lengths are in mm, pressures in kPa. In the world frame the coat is above the object. The
+computation is on the coat's grid, with the points r and the unit normal n of the coat:
 
-- the map of the sheet on its surface (`membrane`) gives the local thickness h lambda and the
-  tension N, both for the surface midway between the faces: z - (h lambda / 2) n;
-- along the normal, tension, air and contact balance: p_contact = p_air - N : b, b the curvature,
-  positive in a valley. (To first order in h / R this is the pressure on the clear face: squeezing
-  reduces the tension by the ratio of the faces' areas.) A cell is in contact if p_contact exceeds
-  50 % of the air pressure; on the free span it is zero within its uncertainty;
-- in contact the object's surface is the parallel one a local thickness below: r - h lambda n.
+- The map of the sheet on its surface (`membrane`) gives the local thickness h lambda and the line
+  tension N. h is the undeformed thickness, lambda the thinning. Both are computed for the surface
+  midway between the faces, r - (h lambda / 2) n.
+- Along the normal, tension, air pressure and contact pressure are in equilibrium:
+  p_contact = p_air - N : b, where b is the curvature, positive in a valley. (To first order in
+  h / R this is the pressure on the clear face: squeezing reduces the tension by the ratio of the
+  faces' areas.) A cell is in contact if p_contact exceeds 50 % of the air pressure (`balance` has
+  further conditions). On the free span p_contact is zero within its uncertainty.
+- In contact the object's surface is parallel to the coat, at the local thickness below it:
+  r - h lambda n.
 
-Frictionless. A sheet that sticks keeps its place where it first touched. Its stretch at that moment
-is between zero and that of a frictionless sheet. Its lambda is therefore the middle of that range,
-with a uniform distribution over it; tension and force are those of a frictionless sheet.
+This is the model of a frictionless sheet. A sheet that sticks does not slide after first contact.
+Its stretch at first contact is between zero and that of a frictionless sheet. Its lambda is
+therefore the middle of that range, with a uniform distribution over the range. Tension and force
+are those of a frictionless sheet.
 """
 
 from dataclasses import dataclass
@@ -43,33 +48,34 @@ from reconstruction.errors import FitError
 _ELEMENT_MM = 0.3
 _CELLS_PER_ELEMENT = 3
 _MOST_ELEMENTS = 12_000
-# First pass on the coat; second on the surface midway between the faces with squeeze; third with
-# updated thinning and squeeze.
+# Passes of the computation: each uses the thinning and the contact pressure of the previous one.
 _TURNS = 3
 SHEET_THEORY = 0.07
-"""Error of a thin sheet's heights over h^2 / R, compared with solid elements."""
+"""Ratio of the thin-sheet model's error of a height, mm, to h^2 / R, by comparison with solid
+elements."""
 EDGE_THEORY, _EDGE_POWER = 0.25, 1.5
-"""RMS error of points near edges over h, as a power of h times the range of curvature. Empirical,
-from balls, ellipsoids, rods, nut, stud and stairs under sheets of 0.15 and 0.25 mm
-(docs/compensation.md)."""
-# Relative error of the force for sheets to 0.3 mm, from the one-dimensional solver:
-# tests/compensation.
+"""Factor and exponent of the RMS error of points near edges: the error over h is the factor times
+(h times the range of the curvature) to the power of the exponent. Both are empirical, from balls,
+ellipsoids, rods, nut, stud and stairs under sheets of 0.15 and 0.25 mm (docs/compensation.md)."""
+# Relative error of the force for sheets of up to 0.3 mm, by comparison with the one-dimensional
+# solver: tests/compensation.
 _FORCE_METHOD = 0.03
 _FLAT = 1 / np.sqrt(12.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensatedSheet(PresentedObject):
-    """The object and the contact; all (row, col) on the relief's cells.
+    """Object and contact computed from the coat of a sheet; arrays on the relief's cells.
 
     Attributes
     ----------
     relief : the measured coat
-    thinning : local thickness over that of the undeformed sheet
-    sigma_thinning : its standard uncertainty
+    thinning : (row, col) ratio of local to undeformed thickness of the sheet
+    sigma_thinning : (row, col) standard uncertainty of `thinning`
     normal : (row, col, xyz) unit normal of the coat, upwards
-    footing : cells in certain contact
-    layer : sheet and load used in the compensation
+    balance : contact pressure and the cells in contact
+    footing : cells that are certainly in contact, and the local range of the curvature
+    layer : values of sheet and load used in the computation
     """
 
     relief: Relief
@@ -82,17 +88,17 @@ class CompensatedSheet(PresentedObject):
 
     @property
     def contact(self) -> BoolArray:
-        """Cells in which the object carries the sheet, (row, col)."""
+        """Cells in which the object is in contact with the sheet, (row, col) bool."""
         return self.balance.contact
 
     @property
     def sure(self) -> BoolArray:
-        """Cells in contact with certainty, without blurred ones, (row, col)."""
+        """Cells certainly in contact, (row, col) bool: the contact without its blurred edge."""
         return self.footing.sure
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty of each point along the normal because of near edges, (row, col).
+        """Standard uncertainty, mm, of each object point along the normal by edges near it.
 
         Near an edge neither the thin-sheet model nor the parallel surface is exact.
         """
@@ -106,20 +112,22 @@ class CompensatedSheet(PresentedObject):
 
     @property
     def blur_mm(self) -> float:
-        """Width by which the contact's edge is blurred."""
+        """Width, mm, by which the edge of the contact is blurred."""
         return CURVATURE_SIGMA_MM
 
     @property
     def area_mm2(self) -> float:
-        """Area of the contact projected along z."""
+        """Area of the contact projected along z, mm^2."""
         return float(self.balance.upright_mm2[self.contact].sum())
 
     @property
     def layer_moves_mm(self) -> list[FloatArray]:
-        """Return possible common shifts of a part's points along their normals, each (row, col).
+        """Shifts of the object's points along the normals, mm, by uncertain values of the layer.
 
-        For a sheet that sticks, its thinning may also vary from a part's middle to its edge by as
-        much.
+        Each entry is (row, col), one standard uncertainty, and common to all points of a part. The
+        entries are for the sheet's thickness and its thinning. For a sheet that sticks, a third
+        entry varies over a part: from the negative second entry at the edge to the positive one in
+        the middle.
         """
         layer = self.layer
         of_stretch = layer.thickness_mm * self.sigma_thinning
@@ -131,7 +139,7 @@ class CompensatedSheet(PresentedObject):
 
     @property
     def layer_maps(self) -> LayerMaps:
-        """Local thickness of the sheet, mm, and its standard uncertainty."""
+        """Maps of the local thickness of the sheet, mm, and of its standard uncertainty, mm."""
         thickness, sigma = self.layer.thickness_mm * self.thinning, self.sigma_thickness_mm
         return {
             "thickness_mm": (thickness, "mm", "local thickness"),
@@ -139,41 +147,46 @@ class CompensatedSheet(PresentedObject):
         }
 
     def theory_mm(self, radius_mm: float) -> float:
-        """Return the thin-sheet model's error of a radius: docs/sheet.md."""
+        """Return the thin-sheet model's standard uncertainty, mm, of a radius (docs/sheet.md)."""
         return SHEET_THEORY * self.layer.thickness_mm**2 / radius_mm
 
     @property
     def object_mm(self) -> FloatArray:
-        """Points of the clear face, (row, col, xyz); of the object in contact.
+        """Points of the clear face, world (row, col, xyz), mm; in contact these are on the object.
 
-        The contact pressure compresses the sheet, so that the object is higher by `squeeze_mm`.
+        They are a local thickness below the coat, less `squeeze_mm`, by which the contact pressure
+        compresses the sheet.
         """
         behind = self.layer.thickness_mm * self.thinning - self.squeeze_mm
         return np.asarray(self.relief.points_mm - behind[..., None] * self.normal)
 
     @property
     def squeeze_mm(self) -> FloatArray:
-        """Indentation of the clear face by the contact pressure, (row, col)."""
+        """Indentation of the clear face by the contact pressure, mm, (row, col)."""
         per_made_kpa = np.where(self.contact, self.pressure_kpa, 0.0) / self.thinning
         return np.asarray(self.layer.squeeze_mm_per_kpa * per_made_kpa)
 
     @property
     def force_n(self) -> float:
-        """Force of the object along z: contact pressure over the contact and its blurred edge."""
+        """Force of the object on the sheet along z, N.
+
+        It is the integral of the contact pressure over the contact and its blurred edge.
+        """
         balance = self.balance
         return float((balance.pressure_kpa * balance.upright_mm2)[self._grown()].sum() * 1e-3)
 
     def _grown(self) -> BoolArray:
-        """Return the contact with its blurred edge, (row, col)."""
+        """Return the contact together with its blurred edge, (row, col) bool."""
         reach = int(np.ceil(2 * CURVATURE_SIGMA_MM / min(self.relief.pitch_mm)))
         grown = ndimage.binary_dilation(self.contact, iterations=reach)
         return np.asarray(grown & self.relief.inside)
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force: modulus, thickness, air, noise, and the method.
+        """Standard uncertainty of the force, N: from modulus, thickness, air pressure and noise.
 
-        Tension, and its share of the force, is proportional to E h.
+        The error of the method is included. The tension, and with it the share of the force that
+        the tension carries, is proportional to E h, Young's modulus times thickness.
         """
         layer, balance = self.layer, self.balance
         area_mm2 = self.area_mm2
@@ -195,15 +208,19 @@ class CompensatedSheet(PresentedObject):
         return float(np.linalg.norm(shares))
 
     def modulus_of_force_kpa(self, force_n: float, sigma_n: float = 0.0) -> tuple[float, float]:
-        """Return the modulus at which the object carries a known force, and its uncertainty.
+        """Return the modulus for which the computed force is a known one, and its uncertainty; kPa.
 
-        The force less the air pressure over the contact and its blurred edge is the tension's
-        share, which is proportional to E h.
+        The force minus the air pressure over the contact and its blurred edge is the share that the
+        tension carries. This share is proportional to E h, Young's modulus times thickness.
+
+        Parameters
+        ----------
+        force_n, sigma_n : known force along z, and its standard uncertainty
 
         Raises
         ------
-        FitError : the tension's share is not positive, or the sheet sticks, so that its tension is
-            unknown
+        FitError : the share of the tension is not positive, or the sheet sticks, so that its
+            tension is unknown
         """
         layer = self.layer
         pressed_mm2 = float(self.balance.upright_mm2[self._grown()].sum())
@@ -224,20 +241,22 @@ class CompensatedSheet(PresentedObject):
 
     @property
     def sigma_thickness_mm(self) -> FloatArray:
-        """Standard uncertainty of the local thickness, (row, col)."""
+        """Standard uncertainty of the local thickness, mm, (row, col)."""
         return np.hypot(
             self.thinning * self.layer.sigma_thickness_mm,
             self.layer.thickness_mm * self.sigma_thinning,
         )
 
     def free_span(self) -> BoolArray:
-        """Return the cells of the free span, without those near contact, rim or gaps."""
+        """Return the cells of the free span, (row, col) bool, not near contact, rim or gaps."""
         return free_span(self.relief, self.contact)
 
     def modulus_of_free_span_kpa(self) -> tuple[float, float] | None:
-        """Return the modulus at which the free span carries the air pressure, and its scatter.
+        """Return the modulus for which the free span carries the air pressure, and its scatter.
 
-        There p_air = N : b, and N is proportional to E h. None without air or without a free span.
+        Both are in kPa. On the free span p_air = N : b, and N is proportional to E h. The modulus
+        is from the median over the cells, the scatter is the robust standard deviation. None if the
+        air pressure is 0, the free span has fewer than 50 cells, or the median is not positive.
         """
         free, air = self.free_span(), self.layer.back_pressure_kpa
         if air <= 0 or free.sum() < 50:
@@ -253,12 +272,12 @@ class CompensatedSheet(PresentedObject):
 def compensate_sheet(
     points_mm: FloatArray, sigma_z_mm: FloatArray, layer: SheetLayer
 ) -> CompensatedSheet:
-    """Compute contact, pressure and object under a sheet.
+    """Compute contact, contact pressure and object under a sheet from points of its coat.
 
     Parameters
     ----------
     points_mm : (n, xyz) measured points of the coat, world
-    sigma_z_mm : (n,)
+    sigma_z_mm : (n,) standard uncertainty of the z coordinate of each point
 
     Raises
     ------
@@ -302,7 +321,7 @@ def compensate_sheet(
 
 
 def _stretched(relief: Relief, layer: SheetLayer, spread_out: MaterialMap) -> StretchedCoat:
-    """Return thinning and tension of a map on the relief's cells."""
+    """Return thinning and line tension of the sheet's map, interpolated at the relief's cells."""
     unit_kpa_mm = 1e3 * layer.tension_unit_n_mm
     tension = [_on_cells(spread_out.tension[..., part], relief) for part in range(3)]
     return StretchedCoat(
@@ -313,7 +332,10 @@ def _stretched(relief: Relief, layer: SheetLayer, spread_out: MaterialMap) -> St
 def _open_of_rim(
     surface: SurfaceMetric, relief: Relief, layer: SheetLayer, spread_out: MaterialMap | None
 ) -> FloatArray:
-    """Return the thinning's standard uncertainty from the rim's compliance, (row, col)."""
+    """Return the thinning's standard uncertainty, (row, col), from that of the rim's compliance.
+
+    It is the change of the thinning for a compliance larger by one standard uncertainty.
+    """
     if spread_out is None or not layer.sigma_rim_compliance_mm2_per_n:
         return np.zeros(relief.measured.shape)
     softer = on_springs(surface, relief, layer.frame, layer.rim_yield + layer.sigma_rim_yield)
@@ -324,8 +346,14 @@ def _open_of_rim(
 def _with_sticking(
     layer: SheetLayer, thinning: FloatArray, of_rim: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the thinning and its uncertainty from pre-stretch, rim and sticking."""
-    # Stretches multiply: the mounted sheet's share of the thinning is s^-2.
+    """Return thinning and its standard uncertainty, (row, col): from pre-stretch, rim, sticking.
+
+    Parameters
+    ----------
+    thinning : that of a frictionless sheet
+    of_rim : standard uncertainty of the thinning from the rim's compliance
+    """
+    # Stretches multiply: the factor of the mounted sheet in the thinning is s^-2.
     mounted = layer.pre_stretch**-2
     of_pre_stretch = 2 * thinning / layer.pre_stretch * layer.sigma_pre_stretch
     of_stretch = np.hypot(of_pre_stretch, of_rim)
@@ -335,7 +363,13 @@ def _with_sticking(
 
 
 def _on_elements(relief: Relief, metric: FloatArray, squeeze: FloatArray) -> SurfaceMetric:
-    """Average the metric over the elements of the membrane."""
+    """Return the metric of the membrane's elements, as averages over the relief's cells.
+
+    Parameters
+    ----------
+    metric : (row, col, 3) components xx, xy, yy on the relief's cells
+    squeeze : (row, col) ratio of contact pressure to shear modulus, on the same cells
+    """
     rows, cols = (count // _CELLS_PER_ELEMENT for count in relief.measured.shape)
 
     def mean(values: FloatArray) -> FloatArray:
@@ -357,7 +391,7 @@ def _on_elements(relief: Relief, metric: FloatArray, squeeze: FloatArray) -> Sur
 
 
 def _on_cells(values: FloatArray, relief: Relief) -> FloatArray:
-    """Interpolate values of the elements' middles at the cells' middles."""
+    """Interpolate values at the middles of the membrane's elements to the relief's cells."""
     rows, cols = relief.measured.shape
     at = [(np.arange(count) + 0.5) / _CELLS_PER_ELEMENT - 0.5 for count in (rows, cols)]
     grid = np.meshgrid(*at, indexing="ij")

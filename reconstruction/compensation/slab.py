@@ -1,17 +1,19 @@
-"""The object under a thick slab, from its coated far face: numbers of a known form.
+"""Fit the parameters of an object of known form under a thick slab to the slab's coated far face.
 
-A slab transmits waves much shorter than its thickness with amplitudes below any noise, so the free
-form of an object cannot be measured. The few numbers of an object of known form can: of a ball its
-diameter and place. They minimise the misfit between the layer's solution z(t) and the heights z,
+A slab transmits waves much shorter than its thickness with amplitudes below any noise, so an object
+of unknown form cannot be measured. The few parameters of an object of known form can, for example
+the diameter and position of a ball. They minimise the misfit between the layer's solution z(t) and
+the measured heights z,
 
     min  sum of ((z - z(t)) / sigma)^2  +  sum of ((t - known) / sigma_t)^2,
 
-t: the object's numbers, the travel, and the uncertain values of layer, load and frame.
+where t are the parameters of the object, the travel, and the uncertain values of layer, load and
+frame; `known` and sigma_t are their prior values and standard uncertainties.
 If the residuals are larger than sigma or correlated between neighbours, the weight of the heights
 relative to the prior values is reduced accordingly. The covariance is that of the linearised
-problem, (J^T W J)^-1; with the cells' own sigma, as of white noise, it is the Cramer-Rao bound.
+problem, (J^T W J)^-1. For independent errors with the cells' sigma it is the Cramer-Rao bound.
 
-Arrays over cells are (row, col); lengths mm, pressures kPa.
+Arrays over cells are (row, col); lengths are in mm, pressures in kPa.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,25 +28,27 @@ from reconstruction.compensation.presentation import PresentedObject
 from reconstruction.compensation.relief import Relief, variance_and_area
 from reconstruction.errors import FitError
 
-# Relative change of the sum of squares, some ten thousand: 0.1 x a standard uncertainty. A contact
-# of whole cells makes smaller steps undecidable.
+# Relative change of the sum of squares (about 10,000) at which the fit ends: it corresponds to
+# 0.1 standard uncertainties. The contact consists of whole cells, so smaller changes are noise.
 _CONVERGED = 2e-7
 _MOST_MODELS = 60
 _MOST_TURNS = 5
 _TOO_FAR = 10.0
-# Distance from an end of the range, over the range, that counts as at the end.
+# A value is at the end of its range if it is nearer to the end than this share of the range.
 _AT_THE_END = 1e-3
-# Factor of variance within which residuals agree with independent ones of size sigma.
+# Factor within which two variance factors count as equal, so that the weights are not updated.
 _AGREES = 1.3
 
 
 @dataclass(frozen=True)
 class FittedNumber:
-    """A number that is fitted.
+    """One unknown parameter of the fit, with its starting value, range and prior.
+
+    All values are in the unit that is part of `name`.
 
     Attributes
     ----------
-    start, low, high : starting value and allowed range
+    start, low, high : starting value and limits of the allowed range
     known, sigma : prior value and its standard uncertainty; infinite sigma: no prior
     """
 
@@ -58,7 +62,7 @@ class FittedNumber:
 
 @dataclass(frozen=True, eq=False)
 class CoatSlopes:
-    """Derivatives by each number: (n, row, col) of the heights, and (n,) of the force."""
+    """Derivatives of the coat's heights, (n, row, col), and of the force, (n,), by each unknown."""
 
     coat_mm: FloatArray
     force_n: FloatArray
@@ -66,15 +70,15 @@ class CoatSlopes:
 
 @dataclass(frozen=True, eq=False)
 class SlabCoat:
-    """Coat and force of a layer's solution for one set of numbers.
+    """Coat and force of the layer's solution for one set of values of the unknowns.
 
     Attributes
     ----------
-    coat_mm : (row, col) heights
-    force_n : of the object, along z
-    slopes : function that computes their derivatives
-    theory_mm : fields (row, col), each one a standard uncertainty common to all heights, from the
-        model
+    coat_mm : (row, col) heights of the coat
+    force_n : force of the object along z
+    slopes : function that computes the derivatives of `coat_mm` and `force_n` by the unknowns
+    theory_mm : errors of the model: each entry (row, col) is one standard uncertainty of the
+        heights, and its error is fully correlated over the cells
     """
 
     coat_mm: FloatArray
@@ -84,12 +88,13 @@ class SlabCoat:
 
 
 SlabModel = Callable[[FloatArray], SlabCoat]
-"""Numbers (n,) to the coat on the relief's cells; FitError if there is no such press."""
+"""Function that maps values (n,) of the unknowns to the coat on the relief's cells. It raises
+FitError if no press with these values exists."""
 
 
 @dataclass(frozen=True)
 class KnownForce:
-    """Force of the object along z from a gauge, and its standard uncertainty."""
+    """Force of the object along z, measured by a gauge, and its standard uncertainty; N."""
 
     force_n: float
     sigma_n: float
@@ -97,16 +102,17 @@ class KnownForce:
 
 @dataclass(frozen=True, eq=False)
 class FittedSlab:
-    """The numbers of an object under a slab.
+    """Fitted parameters of an object under a slab, with their covariance.
 
     Attributes
     ----------
-    values, covariance : (n,) and (n, n), of the unknowns in their order
-    bound : (n, n) covariance from the cells' own sigma only: the Cramer-Rao bound for independent
-        points
-    coat, slopes : at the fitted values
+    unknowns : the n fitted parameters
+    values, covariance : (n,) and (n, n), in the order of `unknowns`
+    bound : (n, n) covariance for independent errors of the size of the cells' sigma: the
+        Cramer-Rao bound
+    coat, slopes : solution of the layer at the fitted values, and its derivatives
     misfit_mm : RMS of measured minus modelled heights
-    chi_square : of the heights per degree of freedom
+    chi_square : sum of squares of the heights' residuals over sigma, per degree of freedom
     shared_cells : number of cells over which errors are correlated
     """
 
@@ -121,22 +127,25 @@ class FittedSlab:
     shared_cells: float
 
     def value(self, name: str) -> float:
-        """Return a number by its name."""
+        """Return the fitted value of the unknown with the given name."""
         return float(self.values[self._place(name)])
 
     def sigma(self, name: str) -> float:
-        """Return a number's standard uncertainty."""
+        """Return the standard uncertainty of the unknown with the given name."""
         place = self._place(name)
         return float(np.sqrt(self.covariance[place, place]))
 
     def bound_sigma(self, name: str) -> float:
-        """Return the least standard deviation that white noise of the cells' sigma allows."""
+        """Return the Cramer-Rao bound of the named unknown's standard deviation.
+
+        It is the least one possible for independent errors of the size of the cells' sigma.
+        """
         place = self._place(name)
         return float(np.sqrt(self.bound[place, place]))
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force, N, due to the fitted unknowns."""
+        """Standard uncertainty of the force, N, from the covariance of the fitted unknowns."""
         slope = self.slopes.force_n
         return float(np.sqrt(slope @ self.covariance @ slope))
 
@@ -146,15 +155,16 @@ class FittedSlab:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensatedSlab(PresentedObject):
-    """The object under a slab and its contact; all (row, col) on the relief's cells.
+    """Object and contact computed from the coat of a slab; arrays (row, col) on the relief's cells.
 
     Attributes
     ----------
     relief : the measured coat
-    contact : bool
-    touched_mm : world z of the touched face; in contact that of the object
-    fitted : the fitted numbers
-    force_theory : relative error of the force from the linear model
+    contact : bool, True for cells in contact
+    pressure_kpa : contact pressure of the object on the slab
+    touched_mm : world z of the slab's face that touches the object; in contact also the object's z
+    fitted : fitted parameters of the object, and the solution of the layer
+    force_theory : relative standard uncertainty of the force because the model is linear
     """
 
     relief: Relief
@@ -166,52 +176,61 @@ class CompensatedSlab(PresentedObject):
 
     @property
     def sure(self) -> BoolArray:
-        """The contact, (row, col): its edge is given by the solution, without blur."""
+        """Cells that are certainly in contact, (row, col) bool: all contact cells.
+
+        The layer's solution gives the edge of the contact without blur.
+        """
         return self.contact
 
     @property
     def edge_sigma_mm(self) -> FloatArray:
-        """Zero, (row, col): a slab does not bend over an edge."""
+        """Standard uncertainty, mm, of each object point by edges near it, (row, col): zero.
+
+        A slab does not bend over an edge.
+        """
         return np.zeros(self.contact.shape)
 
     @property
     def normal(self) -> FloatArray:
-        """Unit normals from the object towards the coat, (row, col, xyz): upwards."""
+        """Unit normals from the object towards the coat, (row, col, xyz): along +z everywhere."""
         return np.broadcast_to(np.array([0.0, 0.0, 1.0]), self.relief.points_mm.shape)
 
     @property
     def object_mm(self) -> FloatArray:
-        """Points of the touched face, (row, col, xyz)."""
+        """Points of the touched face, world (row, col, xyz), mm; in contact those of the object."""
         x, y = np.meshgrid(self.relief.x_mm, self.relief.y_mm)
         return np.stack((x, y, self.touched_mm), axis=-1)
 
     @property
     def blur_mm(self) -> float:
-        """Zero: the contact's edge is given by the solution, without blur."""
+        """Width, mm, by which the edge of the contact is blurred: 0 for a slab."""
         return 0.0
 
     @property
     def area_mm2(self) -> float:
-        """Area of the contact projected along z."""
+        """Area of the contact projected along z, mm^2."""
         return float(self.contact.sum()) * self.relief.cell_area_mm2
 
     @property
     def force_n(self) -> float:
-        """Force of the object along z."""
+        """Force of the object on the slab along z, N."""
         return self.fitted.coat.force_n
 
     @property
     def force_sigma_n(self) -> float:
-        """Standard uncertainty of the force, N, with the error of the linear model."""
+        """Standard uncertainty of the force, N, including the error of the linear model."""
         return float(np.hypot(self.fitted.force_sigma_n, self.force_theory * self.force_n))
 
     @property
     def layer_moves_mm(self) -> list[FloatArray]:
-        """Empty: the covariance of the numbers includes the layer's uncertain values."""
+        """Shifts of the object's points by uncertain values of the layer: an empty list.
+
+        The covariance of the fitted parameters includes the uncertain values of the layer.
+        """
         return []
 
     def theory_mm(self, _: float) -> float:
-        """Return 0: the covariance of the numbers includes the model's error."""
+        """Return the model's error of a radius, mm: 0, because the covariance includes it."""
         return 0.0
 
 
@@ -221,16 +240,20 @@ def fit_under_slab(
     unknowns: Sequence[FittedNumber],
     force: KnownForce | None = None,
 ) -> FittedSlab:
-    """Fit the numbers for which the layer's solution is nearest to the measured heights.
+    """Fit the unknowns for which the layer's solution is nearest to the measured heights.
 
     Parameters
     ----------
-    models : from coarse to fine grids; each fit starts at the result of the previous one. The
-        difference between the last two results is added to the covariance
+    models : solutions of the layer, from coarse to fine grids; each fit starts at the result of
+        the previous one. The square of the difference between the last two results is added to
+        the covariance
+    unknowns : parameters to be fitted
+    force : known force of the object; None: unknown
 
     Raises
     ------
-    FitError : no press with numbers in their ranges, or numbers that the heights do not separate
+    FitError : no press exists with unknowns in their ranges, the fit does not converge, or the
+        heights do not separate the unknowns
     """
     values, before = np.array([unknown.start for unknown in unknowns]), None
     # A small weight of the heights at first: prior values keep the numbers near the start.
@@ -253,7 +276,7 @@ def fit_under_slab(
 
 
 def _check_inside(values: FloatArray, unknowns: Sequence[FittedNumber]) -> None:
-    """Raise FitError if a number without a prior is at an end of its range."""
+    """Raise FitError if an unknown without a prior is at an end of its range."""
     for unknown, value in zip(unknowns, values.tolist(), strict=True):
         room = min(value - unknown.low, unknown.high - value)
         if np.isinf(unknown.sigma) and room < _AT_THE_END * (unknown.high - unknown.low):
@@ -270,15 +293,16 @@ def bound_under_slab(
     unknowns: Sequence[FittedNumber],
     force: KnownForce | None = None,
 ) -> FloatArray:
-    """Return the Cramer-Rao bound of numbers at their starting values: a covariance (n, n).
+    """Return the Cramer-Rao bound of unknowns at their starting values: a covariance (n, n).
 
     Parameters
     ----------
-    relief : its sigmas are of independent points; its heights are not used
+    relief : gives the cells and their sigmas, which count as independent; its heights are not used
+    force : known force of the object; None: unknown
 
     Raises
     ------
-    FitError : no such press, or numbers that the heights do not separate
+    FitError : no press exists at the starting values, or the heights do not separate the unknowns
     """
     slopes = _Weighing(relief, model, tuple(unknowns), force, 1.0).slopes(
         np.array([unknown.start for unknown in unknowns])
@@ -287,7 +311,12 @@ def bound_under_slab(
 
 
 def _settled(problem: "_Weighing", start: FloatArray) -> FloatArray:
-    """Return the numbers with the least sum of squares, near a start."""
+    """Return the values (n,) of the unknowns with the least sum of squares, from a starting point.
+
+    Raises
+    ------
+    FitError : the fit does not converge
+    """
     low, high = (
         np.array([getattr(unknown, name) for unknown in problem.unknowns])
         for name in ("low", "high")
@@ -312,7 +341,11 @@ def _settled(problem: "_Weighing", start: FloatArray) -> FloatArray:
 
 
 class _Weighing:
-    """Residuals over their sigmas, and their derivatives: heights, prior values, force."""
+    """Residuals of the fit over their sigmas, and their derivatives by the unknowns.
+
+    The residuals are those of the heights, of the prior values and, if known, of the force. The
+    variance of the heights is multiplied by the factor `widening`, which reduces their weight.
+    """
 
     def __init__(
         self,
@@ -332,13 +365,17 @@ class _Weighing:
             raise FitError("slab: found fewer measured cells than numbers to fit")
 
     def residuals(self, values: FloatArray) -> FloatArray:
-        """Return (m,) residuals over sigma."""
+        """Return the (m,) residuals over sigma: heights, prior values, force.
+
+        If no press exists with these values, all residuals are large, so that the fit reduces its
+        step. At the first call FitError is raised instead.
+        """
         try:
             coat = self._solved(values)
         except FitError:
             if self._far is None:
                 raise
-            return self._far  # no such press: the step was too large
+            return self._far  # no press exists with these values: the step was too large
         rows = [self._over_sigma(coat.coat_mm - self.relief.heights_mm)]
         rows.append((values - self._known) / self._sigma)
         if self.force is not None:
@@ -349,7 +386,7 @@ class _Weighing:
         return stacked
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        """Return the residuals' derivatives, (m, n)."""
+        """Return the derivatives of the residuals by the unknowns, (m, n)."""
         coat_slopes = self._solved(values).slopes()
         rows = [np.stack([self._over_sigma(slope) for slope in coat_slopes.coat_mm], axis=-1)]
         rows.append(np.diag(1 / self._sigma))
@@ -358,7 +395,7 @@ class _Weighing:
         return np.concatenate(rows)
 
     def result(self, values: FloatArray) -> FittedSlab:
-        """Return the fit at given values, with its covariance."""
+        """Return the result of the fit at the given values of the unknowns, with the covariance."""
         coat, slopes = self._solved(values), self.slopes(values)
         cells = int(self._weighted.sum())
         chi_square, shared = self._spread(values)
@@ -383,12 +420,18 @@ class _Weighing:
         )
 
     def widening(self, values: FloatArray) -> float:
-        """Return the variance factor by which the heights' weight is reduced, at least 1."""
+        """Return the factor, at least 1, by which the variance of the heights is to be multiplied.
+
+        It is chi-square per degree of freedom times the number of cells that share an error.
+        """
         chi_square, shared = self._spread(values)
         return max(chi_square * shared, 1.0)
 
     def _spread(self, values: FloatArray) -> tuple[float, float]:
-        """Return chi-square per degree of freedom, and the number of cells that share an error."""
+        """Return the heights' chi-square per degree of freedom, and the cells that share an error.
+
+        The second value is the correlation area of the residuals as a number of cells.
+        """
         rest = self._on_cells(self._solved(values).coat_mm - self.relief.heights_mm)
         variance, area = variance_and_area(rest, self._weighted, self.relief.cell_area_mm2)
         cells = int(self._weighted.sum())
@@ -417,7 +460,12 @@ class _Weighing:
 
 
 def _inverse(normal: FloatArray, unknowns: tuple[FittedNumber, ...]) -> FloatArray:
-    """Invert a normal matrix of numbers with different units."""
+    """Invert the normal matrix of unknowns with different units, (n, n).
+
+    Raises
+    ------
+    FitError : the heights do not depend on an unknown, or do not separate the unknowns
+    """
     scale = np.sqrt(np.diag(normal))
     if (scale == 0).any():
         blind = unknowns[int(np.argmin(scale))].name

@@ -1,6 +1,6 @@
-"""Options and result of decoding: projector coordinates, their sigma and a reason per pixel.
+"""Define options and result of decoding: projector coordinates, their sigma, a reason per pixel.
 
-Needs no compiled code.
+Importing this module compiles no code. `sigma` is a predicted standard deviation everywhere.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from reconstruction.patterns import AXES, Axis
 )
 @dataclass(frozen=True, eq=False)
 class AxisDecode:
-    """Maps that are decoded from the frames along one projector axis, every field (row, col).
+    """Maps decoded from the patterns along one projector axis; every field is (row, col).
 
     coordinate_px, order, sigma_px and bias_share are 0 unless the pixel is valid. phase_rad in
     [0, 2 pi) is also given for masked pixels that have a phase. mean_dn and modulation_dn are
@@ -33,9 +33,16 @@ class AxisDecode:
     are filtered. With a multi-frequency code phase, order, mean and modulation are those of the
     measuring period, while coordinate_px is the weighted mean of all periods.
 
-    residual_dn : RMS residual of the fit, with N - 3 degrees of freedom; 0 with three frames
+    coordinate_px : projector column or row from which the pixel is lit; whole at pixel centres
+    phase_rad : fringe phase
+    order : number of the fringe period, so that coordinate = period (order + phase / 2 pi)
+    mean_dn, modulation_dn : mean and amplitude of the fringe, DN
+    sigma_px : predicted standard deviation of coordinate_px
+    residual_dn : RMS residual of the sine fit, with N - 3 degrees of freedom for N frames; 0 if N
+        is 3
     order_error : probability that the order is wrong, given for every pixel with a phase
-    bias_share : share of sigma_px squared that is possible bias of relief by the filter, not noise
+    bias_share : share of sigma_px squared that is possible bias, because the filter removes relief;
+        the rest is noise
 
     Notes
     -----
@@ -59,6 +66,8 @@ class AxisDecode:
 class Decoded:
     """Both projector coordinates of every camera pixel, and the reason why a pixel has none.
 
+    column, row : maps of the projector columns and of the projector rows
+    mask_reason : (row, col) reason code of each pixel, `Reason.VALID` for a valid one
     axes : axes along which patterns were projected; all fields of a missing axis are 0
     """
 
@@ -69,27 +78,31 @@ class Decoded:
 
     @property
     def valid(self) -> BoolImage:
-        """Where the coordinates of all `axes` are known, (row, col) bool."""
+        """Pixels with known coordinates along all `axes`, (row, col) bool."""
         return np.equal(self.mask_reason, Reason.VALID)
 
 
 @dataclass(frozen=True)
 class DecodeOptions:
-    """Options of the filter and thresholds of the masks.
+    """Options of the coordinate filter, and thresholds of the masks.
 
     Parameters
     ----------
     filter_taps : width of the Gaussian on the coordinate, px; 0 switches it off. An even width is
         averaged over both anchors (one tap more), so that the result is not shifted by half a
         pixel. The relief that the Gaussian removes is restored, see `_filter`
-    filter_sigma_px : its standard deviation; the paper states only 8 x 8
-    min_modulation_dn : mask a smaller fringe contrast; None: only max_phase_sigma_rad limits it
-    max_phase_sigma_rad : mask a larger predicted phase sigma of the single pixel
-    dark_sigmas : white must exceed black by this many sigmas of their difference
-    gray_sigmas : a Gray level closer to its threshold than this many sigmas is doubtful
-    max_condition : clipped or lost frames of a pixel are excluded from its fit; mask a larger
-        condition number of the remaining frames (1: all frames are valid)
-    max_order_error : mask a larger probability of a wrong fringe order; 1: only certain errors
+    filter_sigma_px : standard deviation of the Gaussian; the paper states only 8 x 8 taps
+    min_modulation_dn : a pixel with a smaller modulation is masked; None: only max_phase_sigma_rad
+        limits the modulation
+    max_phase_sigma_rad : a pixel with a larger predicted sigma of its own phase is masked
+    dark_sigmas : a pixel is masked unless white exceeds black by this many sigmas of their
+        difference
+    gray_sigmas : a Gray level closer to its threshold than this many sigmas makes the fringe order
+        uncertain if the order depends on it
+    max_condition : clipped or lost frames of a pixel are excluded from its fit; a pixel with a
+        larger condition number of the remaining frames is masked (1: all frames are valid)
+    max_order_error : a pixel with a larger probability of a wrong fringe order is masked; 1: only
+        pixels with a certainly wrong order are masked
     """
 
     filter_taps: int = 8

@@ -1,6 +1,6 @@
-"""A band of image rows from camera frames to projector coordinates, pixel by pixel.
+"""Decode a band of image rows from camera frames to projector coordinates, pixel by pixel.
 
-Only the result is as large as the image.
+Buffers are for one row, so that only the result is as large as the image.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -58,12 +58,12 @@ from reconstruction.decoding._sum import (
     mark_low_modulation,
 )
 
-# Lines of `Work.answers`, column and row.
+# Lines of `Work.answers` for the axes column and row.
 COORDINATE, SIGMA = (0, 1), (2, 3)
 
 
 class Units(NamedTuple):
-    """Factors for `pack_row`: BIAS over the unit of each kind of map."""
+    """Factors with which `pack_row` packs each kind of map: BIAS over the unit of the kind."""
 
     level: np.float32
     sigma: np.float32
@@ -71,7 +71,7 @@ class Units(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """Parameters that are the same for every row; pairs are (column, row)."""
+    """Parameters of decoding that are equal for all image rows; pairs are (column, row)."""
 
     layout: Layout
     limits: Limits
@@ -79,20 +79,23 @@ class Plan(NamedTuple):
     units: Units
     unwrappings: tuple[Unwrapping, Unwrapping]
     is_chain: bool
-    threshold_noise: float  # of a bit minus its threshold, in sigmas of one frame
-    scale: FloatImage  # (row, col), factor of each pixel; (0, 0): 1
+    threshold_noise: float  # sigma of a bit minus its threshold, in sigmas of one frame
+    scale: FloatImage  # (row, col), flat-field factor of each pixel; shape (0, 0): 1 everywhere
     has_ripple: bool
-    ripple_rad: FloatImage  # (axis, set, node), see `ripple`
+    ripple_rad: FloatImage  # (axis, set, node) phase error by the phase, see `ripple`
     ripple_sigma_rad: FloatImage
-    shot_share: FloatImage  # the same; (2, 0, 0): even
-    threshold_share: tuple[float, float]
+    shot_share: FloatImage  # (axis, set, node), see `ripple`; shape (2, 0, 0): no correction
+    threshold_share: tuple[float, float]  # threshold of Gray bits above the mean, in modulations
 
 
 class Maps(NamedTuple):
-    """The result, (axis, row, col) unless stated, zeroed by the caller; see `compact`."""
+    """Resulting maps, (axis, row, col) unless stated, packed as in `compact`.
+
+    The caller allocates them with zeros.
+    """
 
     coordinate_px: Any  # float32
-    turns: Any  # uint16, as all that follow
+    turns: Any  # phases; uint16 as all following maps unless stated
     mean: Any
     modulation: Any
     sigma: Any
@@ -102,18 +105,18 @@ class Maps(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Buffers of one band; compiled code allocates no arrays."""
+    """Buffers for the row that is being decoded; compiled code allocates no arrays."""
 
     sums: Any  # (6, col): total, real, imag, square, high, low
     fit: Any  # (line, col): mean, variance, noise, excess of one set; total variance, residual
-    mean: Any  # (axis, col), of the measuring period
-    excess: Any  # (axis, col), the largest of all sets
-    modulations: Any  # (axis, set, col)
-    phases: Any  # (axis, set, col)
-    sigmas: Any  # (set, col), of noise
-    doubts: Any  # (set, col), with the uncertainty of the projector's response
-    answers: Any  # (line, col): coordinate and sigma of both axes
-    lines: Any  # (line, col): error, and two to pack with
+    mean: Any  # (axis, col), mean of the measuring period, DN
+    excess: Any  # (axis, col), largest `Fit.excess` of all sets
+    modulations: Any  # (axis, set, col), DN
+    phases: Any  # (axis, set, col), rad
+    sigmas: Any  # (set, col), phase sigma by noise, rad
+    doubts: Any  # (set, col), the sigma including the uncertainty of the projector's response
+    answers: Any  # (line, col): coordinates of both axes, then their sigmas
+    lines: Any  # (line, col): probability of a wrong order, and two scratch lines for packing
     order: Any
     damaged: Any
     ones: Any
@@ -150,7 +153,7 @@ def _fit_set(
     frames: RowFrames, shifts: Shifts, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit,
     reason: Any,
 ) -> Any:  # fmt: skip
-    """Fit one fringe set over one row; return how many pixels have damaged frames."""
+    """Fit one fringe set over one row; return the number of pixels with damaged frames."""
     steps, limits = plan.layout.steps, plan.limits
     noise = work.fit[2]
     add_frames(frames, steps, shifts, sums)
@@ -183,7 +186,7 @@ def _root_of_mean(sets: int, variance: Any, out: Any) -> None:
 def fit_row(
     row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps, reason: Any
 ) -> None:  # fmt: skip
-    """Fit all fringe sets of one image row, and mark the pixels that have a phase."""
+    """Fit all fringe sets of one image row, and set `work.usable` to 1 for pixels with a phase."""
     layout, sets, total = plan.layout, plan.layout.sets, work.sums
     sums = Sums(total[0], total[1], total[2], total[3], total[4], total[5])
     for axis in range(layout.first_axis, layout.end_axis):
@@ -208,7 +211,10 @@ def fit_row(
 
 @merged
 def _level_words(row: int, stack: Any, plan: Plan, scale: Any, work: Work, reason: Any) -> None:
-    """Write level and contrast of words without a phase, and mark the pixels that are lit."""
+    """Write mean level and contrast of one row for a Gray code without fringes.
+
+    `work.usable` becomes 1 for pixels that are lit, 0 for all others.
+    """
     layout = plan.layout
     for axis in range(layout.first_axis, layout.end_axis):
         bright, dim = work.lines[1], work.lines[2]
@@ -242,7 +248,10 @@ def _mark_usable(reason: Any, usable: Any) -> None:
 
 @merged
 def find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
-    """Zero the phases of unusable pixels, and write the phase sigma of every set of one axis."""
+    """Write the phase sigma of every set of one axis, and set the phases of unusable pixels to 0.
+
+    A ripple of the projector's response, if known, is subtracted from the phases.
+    """
     for j in range(plan.layout.sets):
         keep_usable(work.usable, work.phases[axis, j])
         phase_sigma(
@@ -269,7 +278,10 @@ def find_sigmas(axis: int, plan: Plan, scale: Any, work: Work) -> None:
 def _read_order(
     axis: int, row: int, stack: Any, plan: Plan, scale: Any, work: Work, answer: Numbered
 ) -> None:
-    """Write the fringe numbers of one axis, read from Gray words."""
+    """Read the Gray words of one axis, and write coordinate, sigma and error probability.
+
+    The fringe numbers are written to `work.order`.
+    """
     code, limits, margin = plan.codes[axis], plan.limits, work.fit[2]
     frames = RowFrames(stack, plan.layout.gray_first[axis], row)
     threshold = work.mean[axis]
@@ -303,13 +315,13 @@ def _read_order(
 
 @inlined
 def answer_of(axis: int, work: Work) -> Numbered:
-    """Return the lines of one axis' coordinates."""
+    """Return the buffers for coordinate, sigma and error probability of one axis."""
     return Numbered(work.answers[COORDINATE[axis]], work.answers[SIGMA[axis]], work.lines[0])
 
 
 @merged
 def settle_axis(axis: int, row: int, plan: Plan, work: Work, maps: Maps) -> None:
-    """Mask the coordinates of one axis, and write the maps that depend on this axis only."""
+    """Write the reasons of pixels masked along one axis, and the maps that depend on it only."""
     spare, units, error = work.lines[2], plan.units, work.lines[0]
     length, most = plan.codes[axis].length_px, plan.limits.max_order_error
     settle_row(length, most, answer_of(axis, work), work.usable, maps.reason[row])
@@ -321,7 +333,7 @@ def settle_axis(axis: int, row: int, plan: Plan, work: Work, maps: Maps) -> None
 
 @merged
 def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps) -> None:
-    """Determine the fringe numbers of one row of the band, and write the result."""
+    """Determine the fringe numbers of one image row along both axes, and write the maps."""
     for axis in range(plan.layout.first_axis, plan.layout.end_axis):
         answer = answer_of(axis, work)
         if plan.layout.steps:
@@ -339,7 +351,7 @@ def _finish_row(row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: 
 
 @merged
 def write_valid_axes(row: int, plan: Plan, work: Work, maps: Maps) -> None:
-    """Write coordinates and their sigma, once the reasons of both axes are known."""
+    """Write coordinates and sigmas of one row; they are 0 for pixels masked along either axis."""
     reason = maps.reason[row]
     for axis in range(plan.layout.first_axis, plan.layout.end_axis):
         write_valid(work.answers[COORDINATE[axis]], reason, maps.coordinate_px[axis, row])
@@ -348,7 +360,7 @@ def write_valid_axes(row: int, plan: Plan, work: Work, maps: Maps) -> None:
 
 
 def decode_rows(first_row: int, end_row: int, stack: Any, plan: Plan, maps: Maps) -> None:
-    """Fill `maps` for rows first_row to end_row - 1."""
+    """Decode image rows first_row to end_row - 1, and write them to `maps`."""
     work = make_work(maps.reason.shape[1], plan.layout.sets)
     decode_band(first_row, end_row, stack, plan, work, maps)
 

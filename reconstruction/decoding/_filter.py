@@ -1,11 +1,12 @@
-"""The filter on the projector coordinate: a Gaussian that restores the relief that it removes.
+"""Filter the projector coordinate by a Gaussian, and restore the relief that the Gaussian removes.
 
 On a plane a Gaussian G reduces the noise without bias. On relief the coordinate x changes by the
-lift l = G x - x. Its coarse part c = G l contains curvature, its fine part f = l - c texture and
-edges. Both parts are measured together with noise of known variance n. With E the mean square of a
-part over 17 x 17 pixels, the share w = max(0, 1 - t n / E) of the part is relief and is restored
-(a Wiener estimate): x + (1 - w_c) c + (1 - w_f) f. If no part exceeds the noise the result is G x;
-on strong relief it is x. The relief that is not restored, (1 - w)^2 w E, is part of sigma.
+lift l = G x - x. The coarse part of the lift, c = G l, contains curvature. The fine part,
+f = l - c, contains texture and edges. Both parts contain noise of known variance n. Let E be the
+mean square of a part over 17 x 17 pixels, and t a threshold factor. Then the share
+w = max(0, 1 - t n / E) of the part is relief and is restored (a Wiener estimate):
+x + (1 - w_c) c + (1 - w_f) f. If no part exceeds the noise the result is G x; on strong relief it
+is x. The relief that is not restored has the mean square (1 - w)^2 w E, which is part of sigma^2.
 
 A Gaussian on the complex phasor would lose contrast because the phase changes within the window,
 and would give brighter pixels more weight than their neighbours. This filter has neither error.
@@ -54,12 +55,15 @@ from reconstruction.decoding._sum import DARK, LOW_MODULATION
 
 PATCH_COLS = 512
 VALID, EDGE = np.uint8(Reason.VALID), np.uint8(Reason.EDGE)
-# Value of a pixel without a coordinate: no pair with it is within any limit.
+# Value of a pixel without a coordinate, so large that every pair with this pixel is excluded.
 NOWHERE = np.float32(1e30)
 
 
 class Unfiltered(NamedTuple):
-    """Maps to smooth, (axis, row, col), and the mask: they are valid where the reason is 0."""
+    """Maps to be filtered, (axis, row, col), and the mask (row, col); valid where `reason` is 0.
+
+    coordinate_px is float32; sigma is packed to 16 bits.
+    """
 
     coordinate_px: Any
     sigma: Any
@@ -67,7 +71,11 @@ class Unfiltered(NamedTuple):
 
 
 class Smoothed(NamedTuple):
-    """The result, (axis, row, col): coordinate, packed sigma, share of its square that is bias."""
+    """Filtered maps, (axis, row, col), and the mask.
+
+    sigma is packed to 16 bits. bias_share is the share of sigma squared that is bias, in steps of
+    1 / 255.
+    """
 
     coordinate_px: Any
     sigma: Any
@@ -76,7 +84,10 @@ class Smoothed(NamedTuple):
 
 
 class FilterPatch(NamedTuple):
-    """A part of the image, and the position of the part and of the image in the planes."""
+    """Patch of the image that is filtered, and its position in `Planes.images`, px.
+
+    The planes also contain a margin of image around the patch.
+    """
 
     top: int  # image row of plane row 0
     left: int
@@ -84,14 +95,17 @@ class FilterPatch(NamedTuple):
     cols: int
     above: int  # plane row and column of the patch's first pixel
     start: int
-    low: int  # plane rows low to high - 1 and columns near to far - 1 are image
+    low: int  # plane rows low to high - 1 and columns near to far - 1 are within the image
     high: int
     near: int
     far: int
 
 
 def mark_edges(first_row: int, end_row: int, reason: Any, out: Any) -> None:
-    """Copy the mask, with `EDGE` on valid pixels that have a neighbour without light."""
+    """Copy rows of the mask, with `EDGE` on valid pixels next to an unlit pixel.
+
+    An unlit pixel has the reason `DARK` or `LOW_MODULATION`.
+    """
     _mark_edges(first_row, end_row, reason, np.zeros((3, reason.shape[1] + 2), np.bool_), out)
 
 
@@ -147,7 +161,7 @@ def _load_mask(reason: Any, patch: FilterPatch, images: Any) -> None:
 def _load_axis(
     coordinate_px: Any, sigmas: Any, patch: FilterPatch, sigma_unit: Any, images: Any
 ) -> None:
-    """Write the coordinate and the variance of the single pixel."""
+    """Write coordinate, px, and variance, px^2, of every pixel of a patch to its planes."""
     for row in range(images.shape[1]):
         fill(images[VALUE, row], NOWHERE)
         fill(images[VARIANCE, row], ZERO)
@@ -219,7 +233,7 @@ def _whole(size: int) -> int:
 def smooth_rows(
     first_row: int, end_row: int, source: Unfiltered, smoothing: Smoothing, target: Smoothed
 ) -> None:
-    """Fill `target` for rows first_row to end_row - 1, in patches that fit in the cache."""
+    """Filter image rows first_row to end_row - 1 in patches, and write them to `target`."""
     rows, width = source.reason.shape
     margin, count = _whole(2 * (smoothing.weights.size // 2) + REACH), end_row - first_row
     above = margin + first_row % BLOCK
@@ -242,17 +256,18 @@ BAND_ROWS = 128
 def smooth(
     source: Unfiltered, taps: int, sigma_px: float, limit_px: float, unit_px: float
 ) -> Smoothed:
-    """Return the filtered coordinates, their sigmas and the share of bias in the variance.
+    """Return the filtered coordinates, their sigmas, and the share of bias in the variance.
 
-    The footprint of a pixel next to an unlit one may cross the edge of the lit area. Such a pixel
-    is excluded and masked EDGE.
+    The footprint of a pixel next to an unlit pixel may cross the edge of the lit area. The pixel is
+    therefore excluded and masked as `EDGE`.
 
     Parameters
     ----------
     source : maps that were decoded pixel by pixel
     taps, sigma_px : width and standard deviation of the Gaussian
-    limit_px : a pair of pixels with a mean that differs by more than half of this is excluded
-    unit_px : of packed sigmas
+    limit_px : a pair of pixels is excluded if its mean differs by more than half of this value from
+        the pixel in its middle
+    unit_px : unit of the packed sigmas
     """
     target = Smoothed(
         np.zeros(source.coordinate_px.shape, np.float32),
@@ -269,7 +284,13 @@ def smooth(
 
 
 def make_smoothing(weights: FloatImage, limit_px: float, unit_px: float) -> Smoothing:
-    """Return the kernel and the remaining noise of each part, see `Smoothing`."""
+    """Return the kernel and the factors of the noise that depend on it, see `Smoothing`.
+
+    Parameters
+    ----------
+    weights : (tap,) kernel along one direction
+    limit_px, unit_px : as in `smooth`
+    """
     gauss = np.outer(weights, weights).astype(np.float64)
     whole = np.pad(gauss, gauss.shape[0] // 2)
     lift = whole.copy()
@@ -289,7 +310,10 @@ def make_smoothing(weights: FloatImage, limit_px: float, unit_px: float) -> Smoo
 
 
 def _convolved(image: FloatArray, kernel: FloatArray) -> FloatArray:
-    """Return the full convolution, with the same bytes as SciPy's, which takes 2 s to import."""
+    """Return the full convolution of two images.
+
+    The result is equal to that of SciPy to the last bit. Importing SciPy would take 2 s.
+    """
     rows, cols = image.shape
     total = np.zeros((rows + kernel.shape[0] - 1, cols + kernel.shape[1] - 1))
     for (row, col), weight in np.ndenumerate(kernel):
@@ -298,10 +322,10 @@ def _convolved(image: FloatArray, kernel: FloatArray) -> FloatArray:
 
 
 def gaussian_weights(taps: int, sigma_px: float) -> FloatImage:
-    """Return symmetric weights of odd length that sum to 1; `taps` 0 gives the identity.
+    """Return symmetric weights of odd length that sum to 1; for `taps` = 0 the single weight 1.
 
-    An even kernel has no centre tap: anchored at either middle tap it shifts the image by half a
-    pixel. The mean of both anchors has one tap more and no shift.
+    A kernel with an even number of taps has no centre tap: anchored at either middle tap it shifts
+    the image by half a pixel. The mean of the two kernels has one tap more and no shift.
     """
     if taps == 0:
         return np.ones(1, np.float32)

@@ -1,11 +1,11 @@
-"""Change of the projector coordinate by a Gaussian: the lift, and its coarse part.
+"""Compute the change of the projector coordinate by a Gaussian: the lift, and its coarse part.
 
 Symbols: x coordinate, G the Gaussian, lift l = G x - x, coarse part c = G l; see `_filter`.
 
-G acts along rows, then along columns, as second differences x(-k) - 2 x + x(+k) of pixel pairs. A
-pair counts only if both its pixels are measured, so that a plane is unchanged also next to holes
-and image borders. A pair that differs by more than half a period is a wrong fringe order or
-another body, and is excluded.
+G is applied along rows, then along columns, as second differences x(-k) - 2 x + x(+k) of pixel
+pairs. A pair is used only if both its pixels are measured, so that a plane is unchanged also next
+to holes and image borders. A pair with a second difference above half a period has a wrong fringe
+order or is on another body, and is excluded.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -22,39 +22,45 @@ ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.flo
 
 
 class Smoothing(NamedTuple):
-    """Kernel of G along one direction and quantities that depend on it, see `_filter`.
+    """Kernel of G along one direction, and quantities that depend on the kernel, see `_filter`.
 
-    noise: products of the kernels of (G, c, f) summed over the plane: (0, 0) is the variance of
-    white noise after G. centre: their middle weights. limit_px: half a period.
+    noise are the products of each two of the kernels that give G x, c and f, summed over the plane.
+    Its element (0, 0) is the variance after G of white noise of variance 1. centre are the middle
+    weights of the three kernels. limit_px is half a period.
     """
 
     weights: FloatImage
     noise: FloatImage  # (3, 3)
     centre: FloatImage  # (3,)
     limit_px: np.float32
-    sigma_unit: np.float32  # to read packed sigmas
-    sigma_factor: np.float32  # to pack them
+    sigma_unit: np.float32  # factor for `unpack_row` of sigmas
+    sigma_factor: np.float32  # factor for `pack_row` of sigmas
 
 
-# Of `Planes.images`: which pixels count; 1 / sum of weights along rows and columns; the variance
-# of a single pixel's noise after G; 1 / (G usable); the filtered coordinate.
+# Indices of `Planes.images`. USABLE: 1 for pixels with a coordinate, else 0. ALONG_ROWS,
+# ALONG_COLS: 1 / sum of weights. GAIN: variance after G of noise of variance 1. PER_SUPPORT:
+# 1 / (G usable). VALUE: coordinate. VARIANCE: noise of the single pixel.
 USABLE, ALONG_ROWS, ALONG_COLS, GAIN, PER_SUPPORT = 0, 1, 2, 3, 4
 VALUE, VARIANCE, SPARE, LIFT, COARSE = 5, 6, 7, 8, 9
 IMAGES = 10
 
 
 class Planes(NamedTuple):
-    """Images of a patch and its surroundings.
+    """Images of a patch and its margin.
 
-    One array, not one for each: compiled code copies a tuple of arrays wherever it reads one.
+    All images are in one array, because compiled code copies a tuple of arrays at every access.
     """
 
     images: Any  # (image, row, col) float32
-    alike: Any  # (row,), number of preceding rows with the same mask
+    alike: Any  # (row,), number of directly preceding rows with an identical mask
 
 
 class Window(NamedTuple):
-    """Columns of the planes that are filtered: number before them, width, half the kernel."""
+    """Columns of the planes that are filtered.
+
+    gap is the number of columns before them, width their number, half the taps on either side of
+    the kernel's centre.
+    """
 
     gap: int
     width: int
@@ -118,7 +124,7 @@ def _sum_nine(lines: Any, weights: Any, out: Any) -> None:
 
 @inlined
 def _nine_along(line: Any, gap: int, end: int) -> Any:
-    """Return a row moved by -4 to 4 pixels, each without its gaps."""
+    """Return nine views of a row, columns gap to end - 1, shifted by -4 to 4 pixels."""
     return (
         line[gap - 4 : end - 4], line[gap - 3 : end - 3], line[gap - 2 : end - 2],
         line[gap - 1 : end - 1], line[gap:end], line[gap + 1 : end + 1],
@@ -128,7 +134,7 @@ def _nine_along(line: Any, gap: int, end: int) -> Any:
 
 @inlined
 def _nine_across(plane: Any, row: int) -> Any:
-    """Return a row and its four neighbours on both sides."""
+    """Return the nine rows from four above a row to four below it."""
     return (
         plane[row - 4], plane[row - 3], plane[row - 2], plane[row - 1], plane[row],
         plane[row + 1], plane[row + 2], plane[row + 3], plane[row + 4],
@@ -139,7 +145,7 @@ def _nine_across(plane: Any, row: int) -> Any:
 def _bend_along(
     line: Any, weights: Any, window: Window, limit: Any, factor: Any, out: Any
 ) -> None:  # fmt: skip
-    """Write the change of the middle pixel by the pairs along a row."""
+    """Write the change of each pixel of a row by the weighted pairs along the row."""
     gap, end, half = window.gap, window.gap + window.width, window.half
     middle = line[gap:end]
     if half == 4:
@@ -179,7 +185,7 @@ def _scale(line: Any, factor: Any, out: Any) -> None:
 
 @nested
 def _average_along(line: Any, weights: Any, window: Window, out: Any) -> None:
-    """Average a row with the plain kernel; pixels without a value are 0."""
+    """Write the weighted sum along a row with the kernel; pixels without a value count as 0."""
     gap, end, half = window.gap, window.gap + window.width, window.half
     if half == 4:
         _sum_nine(_nine_along(line, gap, end), weights, out)
@@ -243,9 +249,9 @@ def _weigh_across(row: int, images: Any, weights: Any, half: int) -> None:
 
 @merged
 def weigh(images: Any, alike: Any, weights: Any, half: int, window: Window) -> None:
-    """Write the images that depend on the mask only: sums of weights, noise, support.
+    """Write the images that depend on the mask only: sums of weights, noise gain, support.
 
-    Most rows have the mask of the preceding row.
+    A row with the same mask as the preceding row is copied from it, as in most cases.
     """
     rows = images.shape[1]
     alike[0] = 0
@@ -267,7 +273,7 @@ def weigh(images: Any, alike: Any, weights: Any, half: int, window: Window) -> N
 
 @merged
 def write_lift(images: Any, smoothing: Smoothing, window: Window) -> None:
-    """Write l = G x - x."""
+    """Write the lift l = G x - x, px, of all pixels to image LIFT."""
     weights, limit, rows = smoothing.weights, smoothing.limit_px, images.shape[1]
     gap, end, half = window.gap, window.gap + window.width, window.half
     for row in range(rows):
@@ -288,7 +294,7 @@ def _sum(a: Any, b: Any, out: Any) -> None:
 
 @merged
 def write_coarse(images: Any, weights: Any, window: Window) -> None:
-    """Write the coarse part of the lift."""
+    """Write the coarse part c = G l of the lift, px, to image COARSE."""
     gap, end, half, rows = window.gap, window.gap + window.width, window.half, images.shape[1]
     for row in range(half, rows - half):
         _average_along(images[LIFT, row], weights, window, images[SPARE, row, gap:end])

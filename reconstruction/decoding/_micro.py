@@ -1,16 +1,19 @@
 """Number the fringes of one image row by single images of near periods: micro phase shifting.
 
 Gupta and Nayar, Proc. CVPR 2012, 813. All periods are nearly equal, so that interreflection affects
-mean A and modulation B of all images equally: I_k = A + B m_k cos(2 pi x / p_k + s_k). m_k is the
-modulation relative to that of the first period, by lens blur, and the same in the whole image.
+mean A and modulation B of all images equally: I_k = A + B m_k cos(2 pi x / p_k + s_k) for image k
+of period p_k and shift s_k. m_k is the modulation relative to that of the first period; it differs
+from 1 because of lens blur, and is constant over the image.
 
-N steps of the first period give A, B and its phase, and so the candidates, one per fringe:
-x_m = p_0 (phi / 2 pi + m). Symbols, per candidate and pixel: theta = (A, B, x); r_k image k
-less the candidate; J_k its derivative by theta; v its variance; L the information of the N
-steps on theta. With H = L + sum J J^T / v and g = sum J r / v the cost of the candidate is least
-at x_m + (H^-1 g)_x, where it is c_m = sum r^2 / v - g^T H^-1 g, a chi-square. Its probability is
-exp(-c_m / 2) among all candidates (equal prior). If even the least cost exceeds the limit for
-noise, the images deviate from the model, and the variance is increased in proportion.
+N steps of the first period p_0 give A, B and the phase phi. They also give the candidates of the
+coordinate, one for each fringe m: x_m = p_0 (phi / 2 pi + m). Symbols, for each candidate and
+pixel: theta = (A, B, x); r_k the level of image k minus the model's level; J_k the derivative of
+the model by theta; v the variance of the level; L the information matrix of the N steps for theta.
+With H = L + sum J J^T / v and g = sum J r / v the cost of the candidate is least at
+x_m + (H^-1 g)_x. The least cost is c_m = sum r^2 / v - g^T H^-1 g, a chi-square. The probability of
+a candidate is proportional to exp(-c_m / 2) (equal prior probabilities). If even the least cost of
+all candidates exceeds the limit for noise, the images deviate from the model, and the variance is
+increased in proportion.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -35,27 +38,30 @@ from reconstruction.decoding._order import TURN, Numbered
 from reconstruction.decoding._phase import keep_usable
 from reconstruction.decoding._sum import Limits, RowFrames, Shifts, noise_dn2
 
-# Left edge of the projector's image.
+# Coordinate of the left edge of the projector's image.
 FIRST_PX = -0.5
-# Of a chi-square: noise does not explain a larger one.
+# Number of standard deviations above its mean up to which a chi-square is explained by noise.
 MISFIT_SIGMAS = 3.0
 
 
 class MicroPeriods(NamedTuple):
-    """Periods along one axis."""
+    """First period and single images of the further periods along one projector axis."""
 
     first_px: float
-    further_px: FloatArray  # (image,)
-    shifts_rad: FloatArray  # (image,), of the single images
+    further_px: FloatArray  # (image,), periods of the single images
+    shifts_rad: FloatArray  # (image,), shifts of the single images
     shares: FloatArray  # (image,), modulation relative to that of the first period
-    turn_cosines: FloatArray  # (image,), of its phase, from one fringe of the first period on
+    turn_cosines: FloatArray  # (image,), cosine of the phase change over one first period
     turn_sines: FloatArray
-    first_image: int  # of the single ones in the stack; 0: this axis is not shown
+    first_image: int  # stack index of the first single image; 0: no pattern along this axis
     length_px: int
 
 
 class PixelLight(NamedTuple):
-    """Levels of a pixel by the N steps, and their information on A, B and x."""
+    """Levels of a pixel by the N steps, DN, and the information matrix of A, B and x.
+
+    The fields aa to xx are the six different elements of the symmetric information matrix L.
+    """
 
     mean: float
     modulation: float
@@ -68,7 +74,10 @@ class PixelLight(NamedTuple):
 
 
 class MicroWork(NamedTuple):
-    """Scratch of one axis: values of single images, their weights, waves, costs of fringes."""
+    """Scratch arrays for one axis.
+
+    values and weights are (image,), waves (2, image), costs (candidate,).
+    """
 
     values: Any
     weights: Any
@@ -77,7 +86,10 @@ class MicroWork(NamedTuple):
 
 
 class FittedRow(NamedTuple):
-    """Result of the N steps for one row, lines of (col) float32."""
+    """Result of the N steps for one image row; every field is (col,) float32.
+
+    mean and modulation are DN, phase is rad, excess is `Fit.excess`, usable is 1 or 0.
+    """
 
     mean: Any
     modulation: Any
@@ -91,7 +103,7 @@ def _of_steps(
     mean: float, modulation: float, phase: float, excess: float, shifts: Shifts, period_px: float,
     scale: Any, limits: Limits,
 ) -> PixelLight:  # fmt: skip
-    """Return levels and information of the N steps of a pixel; `excess`: see `Fit`."""
+    """Return levels and information matrix of the N steps of a pixel; `excess` as in `Fit`."""
     aa, ab, ax, bb, bx, xx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     slope = -TURN / period_px * modulation
     c, s = math.cos(phase), math.sin(phase)
@@ -111,10 +123,12 @@ def _of_steps(
 def _candidate(
     light: PixelLight, periods: MicroPeriods, values: Any, weights: Any, waves: Any
 ) -> Any:
-    """Return the cost of a candidate, the offset of the least cost, px, and its variance.
+    """Return the least cost near a candidate, its offset from the candidate, px, and the variance.
 
-    values, weights : (image,), DN and 1 / DN^2
-    waves : (2, image), cosine and sine of every image's phase there
+    The variance, px^2, is that of the coordinate at the least cost.
+
+    values, weights : (image,), levels, DN, and 1 / variance, 1 / DN^2
+    waves : (2, image), cosine and sine of every image's phase at the candidate
     """
     mean, modulation, aa, ab, ax, bb, bx, xx = light
     ga, gb, gx, cost = 0.0, 0.0, 0.0, 0.0
@@ -141,7 +155,7 @@ def _candidate(
 
 @inlined
 def _next_fringe(periods: MicroPeriods, waves: Any) -> None:
-    """Turn the waves of all images by one fringe."""
+    """Advance cosine and sine of every image's phase to the next candidate, one period further."""
     for k in range(periods.further_px.size):
         c, s = periods.turn_cosines[k], periods.turn_sines[k]
         waves[0, k], waves[1, k] = (
@@ -155,7 +169,11 @@ def _decide(
     phase: float, light: PixelLight, periods: MicroPeriods, values: Any, weights: Any,
     waves: Any, costs: Any,
 ) -> Any:  # fmt: skip
-    """Return coordinate, its variance and the probability that another fringe is correct."""
+    """Return the coordinate, px, its variance, px^2, and the probability of a wrong fringe.
+
+    phase : of the first period, rad
+    values, weights, waves, costs : see `MicroWork`
+    """
     place = phase / TURN * periods.first_px
     place -= periods.first_px if place - periods.first_px >= FIRST_PX else 0.0
     for k in range(periods.further_px.size):
@@ -185,9 +203,10 @@ def number_micro_row(
     frames: RowFrames, periods: MicroPeriods, shifts: Shifts, limits: Limits, scale: Any,
     fitted: FittedRow, spare: MicroWork, answer: Numbered,
 ) -> None:  # fmt: skip
-    """Write the coordinate, its sigma and the probability of a wrong fringe; 0 without a phase.
+    """Write the coordinate, its sigma and the probability of a wrong fringe for one image row.
 
-    Single images that are clipped or lost are excluded.
+    All three are 0 for a pixel without a phase. Single images in which the pixel is clipped or lost
+    are excluded.
     """
     count = periods.further_px.size
     values, weights, waves, costs = spare
@@ -215,7 +234,10 @@ def number_micro_row(
 def decode_micro_rows(
     first_row: int, end_row: int, stack: Any, plan: Plan, periods: Any, maps: Maps
 ) -> None:
-    """Fill `maps` for rows first_row to end_row - 1; `periods` is a pair (column, row)."""
+    """Decode image rows first_row to end_row - 1, and write them to `maps`.
+
+    periods : pair of `MicroPeriods` for the axes column and row
+    """
     work, spare = make_work(maps.reason.shape[1], 1), tuple(map(_make_spare, periods))
     _decode_band(first_row, end_row, stack, plan, periods, (work, spare), maps)
 

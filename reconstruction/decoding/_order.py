@@ -1,7 +1,10 @@
-"""Number the fringes of one image row by Gray words; by a chain of fringe periods: `_chain`.
+"""Number the fringes of one image row by Gray code; `_chain` does so by a chain of periods.
 
-Symbols: K fringe order of the cell coordinate c = x / period + 1 / (2 period), which is whole where
-a Gray stripe ends, at the border of a projector pixel; x is whole at its centre.
+A word is the sequence of bits that a pixel reads from the Gray frames; it numbers a cell. A cell is
+one period of the projector image between the ends of Gray stripes. Symbols: x coordinate, px, a
+whole number at the centre of a projector pixel. c = x / period + 1 / (2 period) is the cell
+coordinate, a whole number where a Gray stripe ends, at the border of two projector pixels. K is the
+whole part of c.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -21,10 +24,10 @@ OUTSIDE_PROJECTOR = np.uint8(Reason.OUTSIDE_PROJECTOR)
 VALID = np.uint8(Reason.VALID)
 PER_TURN = np.float32(0.5 / np.pi)
 TURN = 2.0 * np.pi
-# Far from the edges of all words (within 1/16 of a period) they must agree with the phase.
+# Within 1/16 of a period about the middle of a half cell, all words must agree with the phase.
 MIDDLE_TURNS = np.float32(1.0 / 16.0)
 LOWER, HALF, UPPER, ONE = np.float32(0.25), np.float32(0.5), np.float32(0.75), np.float32(1.0)
-# Sigmas from the threshold beyond which a bit is certain: 6e-16.
+# A bit further than this many sigmas from its threshold is certain (error probability 6e-16).
 NEAR_SIGMAS = 8.0
 ROOT = math.sqrt(2.0)
 PLAIN, COMPLEMENTARY, SHIFTED = 0, 1, 2
@@ -32,25 +35,25 @@ ZERO, BIT, TWO = np.uint32(0), np.uint32(1), np.uint32(2)
 SHIFTS = (np.uint32(16), np.uint32(8), np.uint32(4), np.uint32(2))
 NONE, STEP = np.int32(0), np.int32(1)
 NOTHING, INFINITE = np.float32(0.0), np.float32(np.inf)
-# Left edge of the first projector pixel.
+# Coordinate of the left edge of the first projector pixel.
 FIRST = np.float32(-0.5)
 TINY = 1e-12
-# Distance from a border, in periods, within which the phase decides between two plain words.
+# Distance from a border, in periods, within which the phase decides between two PLAIN words.
 BORDER_TURNS = np.float32(1.0 / 8.0)
 MOST_LOG = 700.0
 
 
 class Word(NamedTuple):
-    """The Gray word of one row along one axis, lines of (col)."""
+    """Gray words of one image row along one axis, and their thresholds; every field is (col,)."""
 
     gray: Any  # uint32, first frame in the highest bit
     nearest: Any  # smallest distance of a level from its threshold, DN
-    mean: Any
-    margin: Any  # nearer levels are not certain, DN
+    mean: Any  # threshold, DN
+    margin: Any  # a level within this distance of the threshold is not certain, DN
 
 
 class FringeRow(NamedTuple):
-    """Result of the fringes for one row along one axis, lines of (col) float32."""
+    """Fringe phase of one image row along one axis; every field is (col,) float32."""
 
     phase: Any  # rad
     sigma: Any  # rad, including all uncertainty of the phase
@@ -58,7 +61,7 @@ class FringeRow(NamedTuple):
 
 
 class Numbered(NamedTuple):
-    """Coordinates of one row along one axis, lines of (col) float32."""
+    """Coordinates of one image row along one axis; every field is (col,) float32."""
 
     coordinate: Any  # px
     sigma: Any  # px
@@ -66,36 +69,37 @@ class Numbered(NamedTuple):
 
 
 class Code(NamedTuple):
-    """The projected code along one axis.
+    """Description of the Gray code along one projector axis.
 
-    period_high_px has so few digits that its product with an order is exact in single precision;
-    period_low_px is the rest.
+    kind is PLAIN (one word per period), COMPLEMENTARY (one word per half period) or SHIFTED (two
+    words, displaced by half a period). period_high_px has so few digits that its product with an
+    order is exact in single precision; period_low_px is the rest of the period.
     """
 
     kind: int
     period_px: float
     period_high_px: np.float32
     period_low_px: np.float32
-    half_px_turns: np.float32
-    words: np.int32
-    bits: int
-    safety_bits: np.uint32
+    half_px_turns: np.float32  # half a projector pixel, in periods
+    words: np.int32  # number of different first words
+    bits: int  # number of Gray frames, for all words
+    safety_bits: np.uint32  # SHIFTED: number of bits of the second word
     length_px: int
     gray_of: Any  # (2^bits) uint32, Gray word of the bits as read; empty: they are a Gray word
-    is_word: bool  # there is no phase: the word is the coordinate, a period wide
-    first_inverse: int  # of the stack, most significant bit first; -1: none, bits against the mean
+    is_word: bool  # True if there is no phase: the word gives the coordinate, one period wide
+    first_inverse: int  # stack index of the first inverse frame; -1: none, the threshold is `mean`
 
 
 @inlined
 def reflected(word: Any, code: Code) -> Any:
-    """Return the Gray word of bits as they were read."""
+    """Return the reflected Gray word for a word as it was read, in the encoding of `code`."""
     read = np.uint32(word)
     return code.gray_of[read] if code.gray_of.size else read
 
 
 @nested
 def reflect_row(code: Code, word: Any, gray: Any) -> None:
-    """Write the Gray words of bits as they were read."""
+    """Write the reflected Gray words, (col,), for words as they were read."""
     for col in range(word.size):
         gray[col] = reflected(word[col], code)
 
@@ -113,7 +117,11 @@ def _binary(gray: Any) -> Any:
 
 @inlined
 def _cell(phase: Any, code: Code) -> Any:
-    """Return the position within the cell, in periods, and 1 if that cell is the next one."""
+    """Return the position within the cell, in periods, and 1 if the cell is that of the next order.
+
+    The phase starts half a projector pixel after the start of the cell. The end of a period of the
+    phase is therefore already in the next cell.
+    """
     cell = phase * PER_TURN + code.half_px_turns
     over = STEP if cell >= ONE else NONE
     return cell - np.float32(over), over
@@ -121,7 +129,7 @@ def _cell(phase: Any, code: Code) -> Any:
 
 @inlined
 def _off_middle(cell: Any) -> Any:
-    """Return the distance from the middle of this half of the cell, where words must agree."""
+    """Return the distance, in periods, of a position from the middle of its half of the cell."""
     return abs(cell - (UPPER if cell >= HALF else LOWER))
 
 
@@ -153,7 +161,7 @@ def _number_shifted(gray: Any, cell: Any, code: Code) -> Any:
 
 @inlined
 def _number(gray: Any, cell: Any, code: Code) -> Any:
-    """Return K and whether the words contradict the phase or each other."""
+    """Return the order K, and True if the words contradict the phase or each other."""
     if code.kind == COMPLEMENTARY:
         return _number_complementary(gray, cell, code)
     if code.kind == SHIFTED:
@@ -185,9 +193,10 @@ def _read_bit(frame: Any, threshold: Any, factor: Any, word: Any, nearest: Any) 
 
 @nested
 def read_word_row(frames: RowFrames, code: Code, read: Word) -> None:
-    """Write the bits as read, and the smallest distance of a bit from its threshold, DN.
+    """Write the words of one row as read, and the smallest distance of a bit from its threshold.
 
-    The threshold is the mean; of pairs of frames it is the inverse frame, at half the difference.
+    The distance is in DN. Without inverse frames the threshold is `read.mean`. With inverse frames
+    it is the level of the inverse frame, and the distance is half the difference of the two.
     """
     stack, first, row = frames
     word, nearest, mean, inverse = read.gray, read.nearest, read.mean, code.first_inverse
@@ -210,11 +219,11 @@ def read_word_row(frames: RowFrames, code: Code, read: Word) -> None:
 
 @nested
 def place_words(code: Code, answer: Numbered) -> None:
-    """Move coordinates from the first pixel of each word to its middle; sigma: uniform.
+    """Move coordinates from the first pixel of each word to its middle, and write their sigma.
 
-    The edge of a stripe is at w p - 1/2, because x is whole at the centre of a pixel.
-    p / sqrt(12) is the standard deviation of the uniform distribution. The last
-    word may be cut off by the end of the image.
+    For a code without fringes, with words of p pixels. The stripe of word w starts at w p - 1/2,
+    because x is whole at the centre of a pixel. Sigma is p / sqrt(12), the standard deviation of
+    the uniform distribution. The end of the projector image may cut off the last word.
     """
     end = np.float32(code.length_px - 0.5)
     middle = np.float32(0.5 * (code.period_px - 1.0))
@@ -229,7 +238,10 @@ def place_words(code: Code, answer: Numbered) -> None:
 
 @nested
 def number_row(code: Code, word: Any, phase: Any, order: Any, answer: Numbered) -> None:
-    """Write order and coordinate as read, and error probability 1 where words contradict."""
+    """Write order and coordinate, px, from word and phase of every pixel of one row.
+
+    The error probability is 1 where the words contradict the phase or each other, else 0.
+    """
     coordinate, error = answer.coordinate, answer.error
     # The code is chosen outside the loops: otherwise they do not become vector code.
     if code.kind == COMPLEMENTARY:
@@ -260,7 +272,7 @@ def _tail(sigmas: float) -> float:
 
 @inlined
 def _distance(code: Code, frames: RowFrames, bit: int, col: int, mean: Any) -> Any:
-    """Return how far a bit, counted from the last, is from its threshold, DN."""
+    """Return the distance of a bit from its threshold, DN; `bit` 0 is the last one of the word."""
     stack, place = frames.stack, code.bits - 1 - bit
     level = np.float32(stack[frames.first + place, frames.row, col])
     if code.first_inverse < 0:
@@ -272,12 +284,13 @@ def _distance(code: Code, frames: RowFrames, bit: int, col: int, mean: Any) -> A
 def weigh_near_bits(
     code: Code, frames: RowFrames, gray_sigmas: Any, read: Word, phase: Any, order: Any, error: Any
 ) -> None:
-    """Add the probability that a bit near its threshold was misread, if the order depends on it.
+    """Add to `error` the probability that a misread bit has changed the order, for one row.
 
-    If such a bit is within `gray_sigmas` of its threshold the order is uncertain.
+    Only bits within `read.margin` of their threshold can be misread. A bit counts if the order
+    depends on it. If such a bit is within `gray_sigmas` of its threshold, `error` becomes 1.
     """
     word, nearest, mean, margin = read
-    # At the border of two words both are half a word off, which sigma includes.
+    # At the border of two words either word is wrong by half a word only, which sigma includes.
     allowed = STEP if code.is_word else NONE
     is_settled = (code.kind == PLAIN) & (code.gray_of.size == 0) & (not code.is_word)
     for col in range(word.size):
@@ -292,7 +305,7 @@ def weigh_near_bits(
             flipped = reflected(word[col] ^ (BIT << np.uint32(bit)), code)
             neighbour, _ = _number(flipped, cell, code)
             off = abs(neighbour - over - order[col])
-            # Neighbours at the border of plain words are settled by `settle_borders`.
+            # `settle_borders` handles neighbouring orders at the border of two PLAIN words.
             if off == STEP and is_settled and min(cell, ONE - cell) < BORDER_TURNS:
                 continue
             if off > allowed:
@@ -303,7 +316,7 @@ def weigh_near_bits(
 
 @inlined
 def _bit_between(low: Any, code: Code) -> int:
-    """Return the bit, from the last, that flips between the Gray words of `low` and the next."""
+    """Return the bit that differs between the Gray words of `low` and `low` + 1; last bit: 0."""
     # Reflected code: the place of the lowest 0 of the lower word.
     bit = 0
     while bit < code.bits - 1 and (low >> bit) & 1:
@@ -313,14 +326,16 @@ def _bit_between(low: Any, code: Code) -> int:
 
 @inlined
 def _misread(far: Any, near: Any, contrast: Any, noise: Any) -> Any:
-    """Return the log likelihood ratio of the word as read and its neighbour.
+    """Return the log likelihood ratio of the word as read to the neighbouring word.
 
-    A pixel near the border of two plain words has one bit between its levels: that of this border.
-    If the word was read correctly it is the near bit. If the second bit was misread it is the far
-    bit, and the near bit has its full contrast. Profile likelihood: the level is only assumed to be
-    between the levels of the edge.
+    Near the border of two words only the bit that flips at this border may have a level between
+    white and black. Two bits are candidates: `near` flips at the border nearest to the pixel if the
+    word was read correctly, `far` if it was misread. The other of the two then has its full
+    contrast. The ratio is one of profile likelihoods: the level of the flipping bit is only assumed
+    to be between white and black.
 
     far, near : distances of the two bits from their threshold, DN
+    contrast, noise : full distance of a bit from its threshold, and its sigma, DN
     """
     off_far, off_near = min(far, contrast) - contrast, min(near, contrast) - contrast
     return (far * far + off_near * off_near - off_far * off_far) / (2.0 * noise * noise)
@@ -330,12 +345,13 @@ def _misread(far: Any, near: Any, contrast: Any, noise: Any) -> Any:
 def settle_borders(
     code: Code, frames: RowFrames, read: Word, fringe: FringeRow, order: Any, answer: Numbered
 ) -> None:
-    """Decide by the phase on which side of the border of two plain words a pixel is.
+    """Decide by the phase on which side of the border of two words of kind PLAIN a pixel is.
 
-    There the bit that flips and the phase that wraps have independent noise, and an edge that the
+    At the border one bit flips and the phase wraps, with independent noise. A stripe edge that the
     projector's response or blur displaced is misread even without noise. The levels of the two bits
-    next to the word determine which border it is. The error probability is that of confusing them
-    and, if neither bit is between its levels, that of noise moving the phase over the border.
+    that flip at the two ends of the word determine at which end the pixel is. The error probability
+    is that of confusing the two ends. If neither bit has a level between white and black, the
+    probability that noise moved the phase over the border is added.
     """
     mean, margin = read.mean, read.margin
     step_px = np.float32(code.period_px)
@@ -367,7 +383,7 @@ def settle_borders(
 
 @nested
 def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
-    """Add the probability that noise moved the phase over the end of a plain Gray word."""
+    """Add to `error` the probability that noise moved the phase over the end of a PLAIN word."""
     for col in range(error.size):
         cell, _ = _cell(phase[col], code)
         to_border_rad = TURN * min(cell, ONE - cell)
@@ -379,7 +395,11 @@ def weigh_wrap(code: Code, phase: Any, sigma: Any, error: Any) -> None:
 def settle_row(
     length_px: int, max_order_error: Any, answer: Numbered, usable: Any, reason: Any
 ) -> None:
-    """Mark uncertain orders and coordinates outside the projector; no phase, no probability."""
+    """Write the reasons of pixels with an uncertain order or a coordinate outside the projector.
+
+    A reason with a smaller code than the new one is kept. For a pixel without a phase, the reason
+    is unchanged and `error` becomes 0.
+    """
     coordinate, error = answer.coordinate, answer.error
     last, most = np.float32(length_px - 0.5), np.float32(max_order_error)
     for col in range(reason.size):
@@ -396,6 +416,6 @@ def settle_row(
 
 @nested
 def write_valid(values: Any, reason: Any, out: Any) -> None:
-    """Copy a row; masked pixels become 0."""
+    """Copy the values of one row to `out`; masked pixels become 0."""
     for col in range(reason.size):
         out[col] = values[col] if reason[col] == VALID else NOTHING

@@ -1,11 +1,12 @@
-"""Phase of one image row and its sigma; least squares for pixels with damaged frames.
+"""Compute the phase of one image row and its sigma, also for pixels with damaged frames.
 
-Symbols: z phasor, phi its phase in [0, 2 pi), B modulation.
+Symbols: z phasor, phi its phase in [0, 2 pi), B modulation, N steps.
 
-Frames that are clipped, lost or not finite are excluded from the fit of their pixel. Symbols: g_n =
-(1, sqrt(2) cos t_n, -sqrt(2) sin t_n), t_n = 2 pi n / N; M = sum g g^T / n over the n good frames,
-the identity when all are good. Condition number: |M| |M^-1| / 3 with the Frobenius norm |.|, 1 when
-all frames are good, and at least 1/3 of the spectral condition number.
+Damaged frames of a pixel (clipped, lost or not finite) are excluded from the pixel's least-squares
+fit. The fit uses the vectors g_n = (1, sqrt(2) cos t_n, -sqrt(2) sin t_n) with t_n = 2 pi n / N.
+M is the mean of g g^T over the good frames, the identity if all frames are good. The condition
+number is |M| |M^-1| / 3 with the Frobenius norm |.|. It is 1 if all frames are good, and at least
+1/3 of the spectral condition number.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -40,14 +41,15 @@ TINY = np.float32(1e-30)
 HALF, QUARTER = np.float32(0.5), np.float32(0.25)
 STEPS_PER_RAD, ROUNDING = np.float32(65536.0 / TURN), np.float32(0.5)
 ROOT = np.sqrt(2.0)
-# Nodes on both sides of a slope: single nodes are uneven because of 8-bit levels.
+# A slope of a table is taken over this many nodes on either side, because 8-bit levels make the
+# difference of two neighbouring nodes irregular.
 SPAN = 2
 LARGEST = 1e30
 
 
 @nested
 def keep_usable(usable: Any, phase: Any) -> None:
-    """Zero the phases of pixels without one; not by a product, as NaN times 0 is NaN."""
+    """Set the phases of pixels that are not usable to 0, also those that are NaN."""
     for col in range(usable.size):
         phase[col] = phase[col] if usable[col] > 0.0 else np.float32(0.0)
 
@@ -68,7 +70,10 @@ def _arctangent(t: Any) -> Any:
 
 @nested
 def phase_row(real: Any, imag: Any, phase: Any) -> None:
-    """Write arg z in [0, 2 pi) without a branch; 0 for z = 0."""
+    """Write the phase arg z, rad, in [0, 2 pi), from real and imaginary part of z; 0 for z = 0.
+
+    The loop has no branches, so that the compiler vectorises it.
+    """
     for col in range(phase.size):
         x, y = abs(real[col]), abs(imag[col])
         long, short = max(x, y), min(x, y)
@@ -81,7 +86,10 @@ def phase_row(real: Any, imag: Any, phase: Any) -> None:
 
 @nested
 def write_turns(phase: Any, out: Any) -> None:
-    """Write phases as steps of 1 / 65536 turn; phases that round up to a whole turn become 0."""
+    """Write phases, rad, as uint16 in steps of 1 / 65536 turn.
+
+    A phase that rounds up to a whole turn becomes 0.
+    """
     for col in range(phase.size):
         out[col] = np.uint16(np.int32(phase[col] * STEPS_PER_RAD + ROUNDING))
 
@@ -90,10 +98,11 @@ def write_turns(phase: Any, out: Any) -> None:
 def phase_sigma(
     steps: int, limits: Limits, scale: Any, usable: Any, mean: Any, modulation: Any, sigma: Any
 ) -> None:  # fmt: skip
-    """Write the predicted sigma of the phase, rad; 0 where there is none.
+    """Write the predicted sigma of the phase, rad; 0 for pixels that are not usable.
 
-    sigma_phi^2 = (2 / N) sigma_I^2 / B^2 (Surrel 1997). sigma_I at the mean is valid for N >= 4,
-    for which the modulated part of the shot noise averages out; see `shot_sigma` for N = 3.
+    sigma_phi^2 = (2 / N) sigma_I^2 / B^2 (Surrel 1997), where sigma_I is the sigma of a level. The
+    value of sigma_I at the mean level is valid for N >= 4, for which the modulated part of the shot
+    noise averages out; see `shot_sigma` for N = 3.
     """
     factor = np.float32(np.sqrt(2.0 / steps))
     for col in range(sigma.size):
@@ -106,7 +115,9 @@ def phase_sigma(
 def shot_sigma(
     table: Any, limits: Limits, scale: Any, phase: Any, mean: Any, modulation: Any, sigma: Any
 ) -> None:  # fmt: skip
-    """Correct sigma for shot noise that depends on the light of the single steps, not their mean.
+    """Correct the phase sigma for shot noise, which depends on the light of each single step.
+
+    `phase_sigma` uses the shot noise at the mean of the steps.
 
     table : (node,) over one turn of the measured phase, see `ripple.Ripple.shot_share`
     """
@@ -117,15 +128,16 @@ def shot_sigma(
         node = min(int(phase[col] * per_rad + HALF), table.size - 1)
         even = noise_dn2(mean[col], scale[col], limits)
         more = scale[col] * limits.gain_dn_per_e * modulation[col] * table[node]
-        # At least 0.25: a fit of few electrons may have any modulation.
+        # At least 0.25 of the variance: the modulation of a fit to few electrons may be very wrong.
         sigma[col] *= np.sqrt(max(even + more, QUARTER * even) / even)
 
 
 @nested
 def straighten_row(table: Any, phase: Any, sigma: Any) -> None:
-    """Subtract the ripple of the projector's response from the phase; table: (node,) per turn.
+    """Subtract the phase error by the projector's response from the phase, and correct its sigma.
 
-    A phase that changes faster than the true one, by d, has larger noise by it: sigma (1 - d).
+    table : (node,) phase error, rad, over one turn of the measured phase. With its slope d, the
+        noise of the corrected phase is sigma (1 - d)
     """
     nodes = table.size - 1
     per_rad = np.float32(nodes / TURN)
@@ -143,7 +155,12 @@ def straighten_row(table: Any, phase: Any, sigma: Any) -> None:
 
 @nested
 def doubt_row(table: Any, phase: Any, sigma: Any, doubt: Any) -> None:
-    """Write the sigma of the phase including the ripple's uncertainty; 0 without a phase."""
+    """Write the phase sigma including the uncertainty of the subtracted phase error, rad.
+
+    The result is 0 for pixels without a phase.
+
+    table : (node,) standard uncertainty of the phase error, rad, over one turn of the phase
+    """
     nodes = table.size - 1
     per_rad = np.float32(nodes / TURN)
     for col in range(phase.size):
@@ -154,20 +171,23 @@ def doubt_row(table: Any, phase: Any, sigma: Any, doubt: Any) -> None:
 
 @nested
 def grow_sigma(excess: Any, sigma: Any) -> None:
-    """Increase sigma of fits over fewer frames: excess is a share of the variance."""
+    """Increase sigma for fits with excluded frames; `excess`: relative increase of the variance."""
     for col in range(sigma.size):
         sigma[col] *= np.sqrt(np.float32(1.0) + excess[col])
 
 
 @inlined
 def _is_good(level: Any, lowest: Any, limit: Any) -> Any:
-    """Return whether a frame is valid; false for NaN."""
+    """Return True if a level is neither lost nor clipped; False for NaN."""
     return lowest < level < limit
 
 
 @inlined
 def _normal_sums(frames: RowFrames, col: int, shifts: Shifts, lowest: Any, limit: Any) -> Any:
-    """Return n and the sums over good frames: g1, g2, g1 g1, g1 g2, g2 g2, I, g1 I, g2 I."""
+    """Return sums over the good frames of a pixel, with level I and g = (1, g1, g2).
+
+    The nine sums are those of 1, g1, g2, g1 g1, g1 g2, g2 g2, I, g1 I and g2 I.
+    """
     n, s1, s2, s11, s12, s22, y, y1, y2 = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for step in range(shifts.cosines.size):
         level = np.float64(frames.stack[frames.first + step, frames.row, col])
@@ -181,7 +201,11 @@ def _normal_sums(frames: RowFrames, col: int, shifts: Shifts, lowest: Any, limit
 
 @inlined
 def _inverse(a: float, b: float, c: float, d: float, e: float, f: float) -> Any:
-    """Return the inverse of [[a b c] [b d e] [c e f]], row by row, and its condition number."""
+    """Return the inverse of [[a b c] [b d e] [c e f]], and the condition number of the matrix.
+
+    The inverse is its six different elements in the order a to f. The module docstring defines the
+    condition number.
+    """
     ia, ib, ic = d * f - e * e, c * e - b * f, b * e - c * d
     id_, ie, if_ = a * f - c * c, b * c - a * e, a * d - b * b
     determinant = a * ia + b * ib + c * ic
@@ -196,7 +220,10 @@ def _inverse(a: float, b: float, c: float, d: float, e: float, f: float) -> Any:
 def _square_residuals(
     frames: RowFrames, col: int, shifts: Shifts, lowest: Any, limit: Any, cosine: Any
 ) -> float:
-    """Return the sum of squared residuals of the good frames from the cosine (A, p, q)."""
+    """Return the sum of squared residuals, DN^2, of a pixel's good frames from a fitted cosine.
+
+    cosine : coefficients (A, p, q) of the vector g
+    """
     total = 0.0
     for step in range(shifts.cosines.size):
         level = np.float64(frames.stack[frames.first + step, frames.row, col])
@@ -212,7 +239,11 @@ def refit_row(
     frames: RowFrames, shifts: Shifts, limits: Limits, scale: Any, damaged: Any, sums: Sums,
     fit: Fit, reason: Any,
 ) -> None:  # fmt: skip
-    """Refit the pixels with damaged frames, or mark them SATURATED."""
+    """Fit pixels with damaged frames again without these frames, or mark them as `SATURATED`.
+
+    A pixel is marked if fewer than three frames remain or if the condition number of the remaining
+    frames is too large.
+    """
     mean, modulation, variance, excess = fit
     steps, lowest, black = shifts.cosines.size, limits.lowest_dn, limits.black_level_dn
     for col in range(damaged.size):

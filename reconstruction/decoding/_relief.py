@@ -1,8 +1,9 @@
-"""Shares of relief and noise in the filter's lift, block by block; see `_filter`.
+"""Estimate the shares of relief and noise in the lift of the filter, block by block; see `_filter`.
 
-Symbols: c share of the coarse part that is relief, f share of the fine part. With the lines of
-`Blocks.values`: sigma^2 = own variance * values[2] + values[3] + excess gain * values[4], including
-the bias values[5]. Each loop has few arrays: with more the compiler does not vectorise it.
+Symbols: c is the share of the coarse part that is relief, f that of the fine part. With the lines
+of `Blocks.values`: sigma^2 = own variance * values[2] + values[3] + excess gain * values[4]. The
+bias values[5] is included in values[3]. Each loop has few arrays: with more arrays the compiler
+does not vectorise the loop.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -25,25 +26,30 @@ from reconstruction.decoding._lift import (
 )
 from reconstruction.decoding._rows import add, fill, larger, smaller
 
-# Mean squares are averaged over 5 x 5 blocks of 4 x 4 pixels, for any patch.
+# Mean squares are averages over 5 x 5 blocks of 4 x 4 pixels; AROUND blocks on either side.
 BLOCK, AROUND = 4, 2
 REACH = BLOCK * (AROUND + 1)
-# A part counts as relief above this multiple of its expected noise, 2.4 sigmas of a mean square of
-# noise. Coarse relief implies fine relief, so it lowers the threshold of the fine part.
+# The mean square of a part counts as relief above a multiple of its expected noise: for the coarse
+# part COARSE_FLOOR, 2.4 sigmas of a mean square of noise. For the fine part the multiple is
+# 1 + FINE_EXTRA; it is lower where the coarse part is relief, because fine relief is likely there.
 COARSE_FLOOR, FINE_EXTRA, RELIEF_EXTRA = np.float32(1.8), np.float32(0.2), np.float32(0.3)
 SHARE_STEPS, ROUNDING = np.float32(255.0), np.float32(0.5)
 
 
 class Blocks(NamedTuple):
-    """Sums over blocks (squares of coarse and fine part, variances, counts) and their results."""
+    """Buffers for sums over blocks of pixels, and for values computed from the sums.
 
-    lines: Any  # (sum, col), over the rows of one block row
+    The four sums are those of the squared coarse part, the squared fine part, the variances, px^2
+    each, and the number of usable pixels.
+    """
+
+    lines: Any  # (sum, col), sums over the rows of one block row
     sums: Any  # (sum, block row, block col)
-    around: Any  # (sum, block col), of one block row
-    shares: Any  # (coarse or fine, block col)
-    values: Any  # (value, block col), factors of lift and of coarse part; terms of sigma
-    spread: Any  # (value, col)
-    written: Any  # (3, col): variance, sigma, and one to pack with
+    around: Any  # (sum, block col), sums over 5 x 5 blocks for one block row
+    shares: Any  # (2, block col), shares c and f of coarse and fine part that are relief
+    values: Any  # (value, block col), factors of lift and of coarse part, four terms of sigma^2
+    spread: Any  # (value, col), `values` for every pixel
+    written: Any  # (3, col): variance, sigma, and a scratch line for packing
 
 
 def make_blocks(rows: int, cols: int) -> Blocks:
@@ -60,7 +66,7 @@ def make_blocks(rows: int, cols: int) -> Blocks:
 
 @merged
 def sum_blocks(images: Any, half: int, lines: Any, sums: Any) -> None:
-    """Write the sums over every block: squares of both parts, variances and usable pixels."""
+    """Write the four sums of `Blocks` over every block of a patch."""
     rows = images.shape[1]
     for block in range(sums.shape[1]):
         for part in range(4):
@@ -93,7 +99,7 @@ def _sum_five(a: Any, b: Any, c: Any, d: Any, e: Any, out: Any) -> None:
 
 @nested
 def _sum_around(block: int, blocks: Blocks) -> None:
-    """Write the sums over the 5 x 5 blocks around each block of a block row."""
+    """Write the four sums over the 5 x 5 blocks around each block of one block row."""
     for part in range(4):
         s, line, out = blocks.sums[part], blocks.lines[part], blocks.around[part]
         size, end = out.size, out.size - AROUND
@@ -107,13 +113,18 @@ def _sum_around(block: int, blocks: Blocks) -> None:
 
 @inlined
 def _excess(expected: Any, measured: Any) -> Any:
-    """Return the share by which `measured` exceeds the expected noise."""
+    """Return the share of a mean square that exceeds the expected noise, at least 0."""
     return larger(ONE - expected / larger(measured, TINY), ZERO)
 
 
 @compiled
 def find_shares(large: Any, small: Any, noise: Any, ratios: Any, c: Any, f: Any) -> None:
-    """Write the shares of the coarse and of the fine part that are relief."""
+    """Write the shares c and f of the coarse and of the fine part that are relief.
+
+    large, small : sums of the squared coarse and fine part
+    noise : sum of the variances of single pixels
+    ratios : `Smoothing.noise`
+    """
     of_coarse, of_fine = ratios[1, 1], ratios[2, 2]
     for col in range(c.size):
         coarse = _excess(COARSE_FLOOR * of_coarse * noise[col], large[col])
@@ -123,7 +134,7 @@ def find_shares(large: Any, small: Any, noise: Any, ratios: Any, c: Any, f: Any)
 
 @compiled
 def predict_bias(large: Any, small: Any, c: Any, f: Any, count: Any, out: Any) -> None:
-    """Write the mean square of the relief that is not restored."""
+    """Write the mean square, px^2, of the relief that is not restored."""
     for col in range(out.size):
         coarse_loss, fine_loss = ONE - c[col], ONE - f[col]
         bias = (
@@ -135,7 +146,7 @@ def predict_bias(large: Any, small: Any, c: Any, f: Any, count: Any, out: Any) -
 
 @compiled
 def weigh_own(c: Any, f: Any, centre: Any, out: Any) -> None:
-    """Write the squared weight of a pixel's own value."""
+    """Write the squared weight of a pixel's own unfiltered value in its filtered value."""
     g0, c0, f0 = centre[0], centre[1], centre[2]
     for col in range(out.size):
         middle = g0 - c[col] * c0 - f[col] * f0
@@ -146,7 +157,7 @@ def weigh_own(c: Any, f: Any, centre: Any, out: Any) -> None:
 def weigh_neighbours(
     c: Any, f: Any, own: Any, noise: Any, count: Any, bias: Any, ratios: Any, out: Any
 ) -> None:  # fmt: skip
-    """Write the variance that neighbouring pixels add, including the bias."""
+    """Write the variance, px^2, of the filtered value by the noise of neighbours, plus the bias."""
     g, gc, gf = ratios[0, 0], ratios[0, 1], ratios[0, 2]
     cc, cf, ff = ratios[1, 1], ratios[1, 2], ratios[2, 2]
     for col in range(out.size):
@@ -170,7 +181,10 @@ def _weigh_relief(c: Any, f: Any, all_lift: Any, all_coarse: Any) -> None:
 
 @merged
 def weigh_blocks(block: int, smoothing: Smoothing, blocks: Blocks) -> None:
-    """Write the values that are equal for all pixels of a block, see `Blocks.values`."""
+    """Write the values of all blocks of one block row, and spread them to the pixels.
+
+    See `Blocks.values` and the module docstring.
+    """
     _sum_around(block, blocks)
     sums, values, ratios = blocks.around, blocks.values, smoothing.noise
     large, small, noise, count = sums[0], sums[1], sums[2], sums[3]
@@ -186,7 +200,7 @@ def weigh_blocks(block: int, smoothing: Smoothing, blocks: Blocks) -> None:
 
 @nested
 def _spread(values: Any, out: Any) -> None:
-    """Write the value of its block to every pixel."""
+    """Write to every pixel the values of the block that contains the pixel."""
     for part in range(values.shape[0]):
         line, pixels = values[part], out[part]
         for col in range(line.size):

@@ -1,9 +1,10 @@
-"""Kernels for an image row: fill, add, multiply; pack to 16 bits and unpack.
+"""Kernels for one image row: fill, add, multiply, and conversion to and from 16 bits.
 
-Non-negative values are stored as 16-bit floats (IEEE 754 binary16). Compiled code has no float16,
-so its bits are made from those of float32: after a factor of 2^(15 - 127), the difference of the
-exponents' offsets, they are the upper 16 bits below the sign. By the same factor, values that are
-too small for a normal number become subnormal.
+Non-negative values are stored as 16-bit floats (IEEE 754 binary16). Compiled code has no float16
+type, so the bits are taken from a float32. The value is first multiplied by 2^(15 - 127), where the
+exponent is the difference of the exponent offsets of the two formats. The 16 bits below the sign
+bit are then those of the 16-bit float. The multiplication also makes those values subnormal that
+are too small for a normal 16-bit float.
 """
 
 from typing import Any
@@ -55,16 +56,20 @@ def copy_row(line: Any, out: Any) -> None:
 
 @nested
 def move_row(line: Any, factor: Any, by: Any, out: Any) -> None:
-    """Write line + factor by."""
+    """Write line + factor * by to `out`."""
     for col in range(out.size):
         out[col] = line[col] + factor * by[col]
 
 
 @compiled
 def pack_row(line: Any, factor: Any, spare: Any, out: Any) -> None:
-    """Write line / unit as the bits of float16, rounded; too large and NaN become the largest.
+    """Write values / unit, rounded, as the bits of float16; all values must be non-negative.
 
+    Values above the range of float16 and NaN become the largest value of float16.
+
+    line : (col,) values
     factor : BIAS / unit
+    spare : (col,) float32 scratch line
     """
     bits = spare.view(np.uint32)
     for col in range(line.size):
@@ -76,7 +81,10 @@ def pack_row(line: Any, factor: Any, spare: Any, out: Any) -> None:
 
 @compiled
 def unpack_row(stored: Any, factor: Any, line: Any) -> None:
-    """Write the values behind the bits; factor : unit / BIAS."""
+    """Write the values, (col,) float32, of which `pack_row` wrote the bits.
+
+    factor : unit / BIAS
+    """
     bits = line.view(np.uint32)
     for col in range(line.size):
         bits[col] = np.uint32(stored[col]) << DROPPED

@@ -1,4 +1,4 @@
-"""Phase frames of one image row: sums, least squares and the masks of single pixels.
+"""Fit mean and modulation to the phase frames of one image row, and mask single pixels.
 
 Symbols: A mean, B modulation, N steps, z = sum I_n exp(-2 pi i n / N) = (N B / 2) exp(i phi).
 Every inner loop runs along one image row with few arrays, so that the compiler vectorises it.
@@ -15,7 +15,7 @@ from reconstruction.compiling import compiled, inlined, nested
 from reconstruction.decoding._rows import larger, smaller
 from reconstruction.rig.sensor import QUANTISATION_DN2
 
-# As wide as the mask: a plain int would make whole loops run in 64 bits.
+# Of the type of the mask: with a Python int the compiler would use 64 bits in the whole loop.
 DARK = np.uint8(Reason.DARK)
 LOW_MODULATION = np.uint8(Reason.LOW_MODULATION)
 SATURATED = np.uint8(Reason.SATURATED)
@@ -24,59 +24,63 @@ QUANTISATION = np.float32(QUANTISATION_DN2)
 
 
 class Layout(NamedTuple):
-    """Positions of frames in the stack; pairs are (column, row)."""
+    """Stack indices of the frames, and their numbers; pairs are for the axes column and row."""
 
-    first_axis: int  # those from here to end_axis - 1 are shown: 0 columns, 1 rows
+    first_axis: int  # patterns exist along the axes first_axis to end_axis - 1: 0 columns, 1 rows
     end_axis: int
-    phase_first: tuple[int, int]
+    phase_first: tuple[int, int]  # index of the first phase frame
     gray_first: tuple[int, int]
-    inverse_first: tuple[int, int]  # -1: there are none
-    gray_bits: tuple[int, int]
-    white: int  # -1: there is none
+    inverse_first: tuple[int, int]  # -1: there are no inverse frames
+    gray_bits: tuple[int, int]  # number of Gray frames
+    white: int  # index of the white frame, -1: there is none
     black: int
-    steps: int  # 0: words only
-    sets: int
-    cosines: Any  # (axis, set, step) float32, of the shifts
+    steps: int  # phase frames per set, 0: Gray code without fringes
+    sets: int  # fringe sets per axis
+    cosines: Any  # (axis, set, step) float32, cosines of the phase shifts
     sines: Any
 
 
 class Shifts(NamedTuple):
-    """Cosine and sine of the shift of every step of one fringe set, (step,) float32."""
+    """Cosine and sine of the phase shift of every step of one fringe set, (step,) float32."""
 
     cosines: Any
     sines: Any
 
 
 class RowFrames(NamedTuple):
-    """The frames of one fringe set, or of one Gray word, in one image row: the first of them."""
+    """Frames of one fringe set, or of the Gray code along one axis, in one image row."""
 
-    stack: Any  # (frame, row, col)
-    first: int
-    row: int
+    stack: Any  # (frame, row, col), all frames
+    first: int  # index of the first frame
+    row: int  # image row
 
 
 class Sums(NamedTuple):
-    """Sums of one fringe set over one row, lines of (col) float32; real and imag: z."""
+    """Sums over the frames of one fringe set for one image row; every field is (col,) float32."""
 
-    total: Any
-    real: Any
-    imag: Any
-    square: Any
-    high: Any
-    low: Any
+    total: Any  # sum of the levels, DN
+    real: Any  # real part of z
+    imag: Any  # imaginary part of z
+    square: Any  # sum of the squared levels
+    high: Any  # largest level
+    low: Any  # smallest level
 
 
 class Fit(NamedTuple):
-    """Result of the fit of one fringe set for one row, lines of (col) float32."""
+    """Fit of one fringe set for one image row; every field is (col,) float32."""
 
-    mean: Any
-    modulation: Any
-    variance: Any
-    excess: Any  # relative increase of the phase variance compared with all frames
+    mean: Any  # A, DN
+    modulation: Any  # B, DN
+    variance: Any  # variance of the residuals, DN^2
+    excess: Any  # relative increase of the phase variance because of excluded frames
 
 
 class Limits(NamedTuple):
-    """Sensor model and thresholds of the masks, single precision: more pixels per vector."""
+    """Sensor model and thresholds of the masks, see `SensorNoise` and `DecodeOptions`.
+
+    They have single precision, so that vector instructions process more pixels at a time.
+    A level at or below lowest_dn is that of a lost frame; -inf: no frame is lost.
+    """
 
     gain_dn_per_e: np.float32
     read_noise_dn: np.float32
@@ -93,9 +97,11 @@ class Limits(NamedTuple):
 
 @inlined
 def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
-    """Return the variance of a pixel that was multiplied by `scale` (above the black level).
+    """Return the noise variance, DN^2, of a pixel with the given mean level, DN.
 
-    `SensorNoise.variance_dn2` in single precision; a test compares the two.
+    This is `SensorNoise.variance_dn2` in single precision; a test compares the two.
+
+    scale : factor by which the pixel's level above the black level was multiplied
     """
     above = mean - limits.black_level_dn
     shot = limits.gain_dn_per_e * (above if above > ZERO else ZERO)
@@ -107,7 +113,7 @@ def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
 def _add_six(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
     a, b, c, d, e, f = lines
     total, real, imag, square, high, low = sums
-    # Many frames at once: access to the accumulators, not to the frames, dominates the time.
+    # Six frames in one loop, because access to the accumulators dominates the run time.
     g0, g1, g2, g3, g4, g5 = cosines[0], cosines[1], cosines[2], cosines[3], cosines[4], cosines[5]
     h0, h1, h2, h3, h4, h5 = sines[0], sines[1], sines[2], sines[3], sines[4], sines[5]
     for col in range(a.size):
@@ -159,7 +165,7 @@ def _add_one(a: Any, cosine: Any, sine: Any, sums: Sums) -> None:
 
 @nested
 def add_frames(frames: RowFrames, steps: int, shifts: Shifts, sums: Sums) -> None:
-    """Write the sums of one fringe set over one row."""
+    """Write the sums over the frames of one fringe set for one image row."""
     stack, first, row = frames
     total, real, imag, square, high, low = sums
     for col in range(total.size):
@@ -184,7 +190,7 @@ def add_frames(frames: RowFrames, steps: int, shifts: Shifts, sums: Sums) -> Non
 
 @nested
 def find_damaged(sums: Sums, scale: Any, limits: Limits, damaged: Any) -> Any:
-    """Mark pixels with a clipped, lost or non-finite frame; return how many there are."""
+    """Mark pixels with a clipped, lost or non-finite frame; return the number of such pixels."""
     black, span = limits.black_level_dn, limits.clipped_from_dn - limits.black_level_dn
     total, high, low = sums.total, sums.high, sums.low
     count = 0
@@ -201,10 +207,11 @@ def find_damaged(sums: Sums, scale: Any, limits: Limits, damaged: Any) -> Any:
 
 @nested
 def finish_sums(steps: int, sums: Sums, fit: Fit) -> None:
-    """Turn sums into A, B and the variance of the fit.
+    """Write mean A, modulation B and the variance of the residuals from the sums.
 
-    sum r^2 = sum I^2 - N A^2 - N B^2 / 2 for equal steps, with N - 3 degrees of freedom. In single
-    precision the rounding of the squares limits it to some 3e-4 of the level.
+    The residuals have sum r^2 = sum I^2 - N A^2 - N B^2 / 2 for equal steps, and N - 3 degrees of
+    freedom. In single precision the rounding of the squares limits the resolution of the residuals'
+    standard deviation to about 3e-4 of the level.
     """
     total, real, imag, square = sums.total, sums.real, sums.imag, sums.square
     mean, modulation, variance = fit.mean, fit.modulation, fit.variance
@@ -224,7 +231,7 @@ def finish_sums(steps: int, sums: Sums, fit: Fit) -> None:
 
 @compiled
 def find_noise(mean: Any, scale: Any, limits: Limits, noise: Any) -> None:
-    """Write the predicted sigma of a pixel value at the mean, DN."""
+    """Write the predicted sigma, DN, of the level of each pixel at its mean level."""
     for col in range(mean.size):
         noise[col] = np.sqrt(noise_dn2(mean[col], scale[col], limits))
 
@@ -233,7 +240,13 @@ def find_noise(mean: Any, scale: Any, limits: Limits, noise: Any) -> None:
 def mark_low_modulation(
     steps: int, limits: Limits, modulation: Any, noise: Any, reason: Any
 ) -> None:
-    """Mark pixels with a too large phase sigma, unless they have no modulation."""
+    """Mark pixels as `LOW_MODULATION` if their phase sigma would exceed its limit.
+
+    Pixels with less modulation than `limits.min_modulation_dn` are also marked. Pixels that are
+    already marked as `SATURATED` are unchanged.
+
+    noise : (col,) sigma of the level, DN
+    """
     # sigma_phi = sqrt(2 / N) sigma_I / B (Surrel 1997), solved for B.
     per_noise = np.float32(np.sqrt(2.0 / steps) / limits.max_phase_sigma_rad)
     least = limits.min_modulation_dn
@@ -247,7 +260,7 @@ def mark_low_modulation(
 
 @compiled
 def mark_dark(white: Any, black: Any, scale: Any, limits: Limits, reason: Any) -> None:
-    """Mark pixels on which white and black frame do not differ."""
+    """Mark pixels as `DARK` if white does not exceed black by `limits.dark_sigmas` sigmas."""
     square = limits.dark_sigmas * limits.dark_sigmas
     for col in range(white.size):
         code, factor = reason[col], scale[col]
@@ -263,10 +276,12 @@ def mark_dark(white: Any, black: Any, scale: Any, limits: Limits, reason: Any) -
 def level_row(
     frames: RowFrames, first_inverse: int, count: int, is_ordered: bool, mean: Any, modulation: Any
 ) -> None:
-    """Write level and contrast of pairs of frames, the mean of `count`.
+    """Write mean level and half difference, DN, of pairs of frames, averaged over `count` pairs.
 
-    first_inverse : the first inverse frame
-    is_ordered : the first frame of a pair should be the brighter one, as white is
+    frames : first frames of the pairs, from `frames.first` on
+    first_inverse : stack index of the second frame of the first pair
+    is_ordered : True if the first frame of each pair is the brighter one, as for white and black;
+        False: the absolute difference is used
     """
     stack, first, row = frames
     share = np.float32(0.5 / count)
@@ -283,7 +298,7 @@ def level_row(
 
 @nested
 def mark_faint(modulation: Any, limits: Limits, reason: Any) -> None:
-    """Mark pixels with a contrast below the required minimum."""
+    """Mark pixels as `LOW_MODULATION` if their modulation is below `min_modulation_dn`."""
     for col in range(modulation.size):
         is_kept = modulation[col] >= limits.min_modulation_dn or reason[col] != 0
         reason[col] = reason[col] if is_kept else LOW_MODULATION

@@ -1,6 +1,7 @@
-"""Wrapped phases of a whole image, and coordinates from an order that numpy code determined.
+"""Compute wrapped phases of a whole image, and maps from coordinates that numpy code determined.
 
-Used by codes and functions in numpy only: compiled codes never store whole images of phases.
+Only pattern codes and user functions in numpy use this module: compiled codes never store whole
+images of phases.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -27,13 +28,13 @@ from reconstruction.decoding._sum import find_noise
 
 
 class WrappedMaps(NamedTuple):
-    """Maps of single precision, (axis, row, col) unless stated."""
+    """Wrapped phases and levels of a whole image, float32; (axis, row, col) unless stated."""
 
     phases: Any  # (axis, set, row, col), rad
     sigmas: Any  # (axis, set, row, col), rad
     mean: Any  # DN
-    modulation: Any  # DN, of the measuring period
-    noise: Any  # DN, of one frame at the mean
+    modulation: Any  # modulation of the measuring period, DN
+    noise: Any  # sigma of one frame at the mean level, DN
     usable: Any  # (row, col), 1 or 0
 
 
@@ -47,7 +48,7 @@ class OrderedMaps(NamedTuple):
 def wrap_rows(
     first_row: int, end_row: int, stack: Any, plan: Plan, maps: Maps, wrapped: WrappedMaps
 ) -> None:
-    """Fill `wrapped`, reasons and residuals for rows first_row to end_row - 1."""
+    """Fit image rows first_row to end_row - 1, and write `wrapped`, and reasons and residuals."""
     work = make_work(maps.reason.shape[1], plan.layout.sets)
     _wrap_band(first_row, end_row, stack, plan, work, maps, wrapped)
 
@@ -74,7 +75,10 @@ def _wrap_band(
 def place_rows(
     first_row: int, end_row: int, plan: Plan, wrapped: WrappedMaps, ordered: OrderedMaps, maps: Maps
 ) -> None:
-    """Fill `maps` for rows first_row to end_row - 1."""
+    """Write the maps of image rows first_row to end_row - 1 from coordinates in `ordered`.
+
+    Pixels with an uncertain order or outside the projector are masked.
+    """
     work = make_work(maps.reason.shape[1], plan.layout.sets)
     _place_band(first_row, end_row, plan, work, wrapped, ordered, maps)
 

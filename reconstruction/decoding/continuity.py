@@ -1,10 +1,11 @@
-"""Check of fringe orders after decoding: whether coordinates of neighbouring pixels agree.
+"""Check fringe orders after decoding: whether coordinates of neighbouring pixels are continuous.
 
-On a continuous surface a coordinate changes from one cell of the projector, S wide, to the next in
-small steps. With Gray frames in a wrong order, or a wrong first shift, it jumps there instead.
-Steps and edges of a real scene jump as well, but rarely at most of the crossings between lines of
-the image and borders of cells. Measured shares are 0 to 0.34 for correct decodes of real captures
-with edges of depth, and 0.55 to 1 with two visible, resolved frames exchanged.
+A cell is an interval of projector coordinates, one period wide or a larger power of two of it. On a
+continuous surface the coordinate changes in small steps where an image line crosses the border of
+two cells. With Gray frames in a wrong order, or a wrong first shift, it jumps there instead. Steps
+and edges of a real scene cause jumps as well, but rarely at most of the crossings. The measured
+share of crossings with a jump is 0 to 0.34 for correctly decoded real captures with edges of depth.
+It is 0.55 to 1 if two visible, resolved frames were exchanged.
 """
 
 import numpy as np
@@ -13,28 +14,32 @@ from reconstruction.arrays import BoolImage, FloatImage, IntArray
 
 # Lines of the image that are checked, along rows and along columns.
 LINES = 64
-# Width of a cell: in steps from pixel to pixel, and in periods of words without fringes.
+# Least width of a cell, in median steps from pixel to pixel, and for a Gray code without fringes
+# also in widths of a word.
 LEAST_STEPS, LEAST_WORDS = 6.0, 4.0
 LEAST_CROSSINGS = 50
 DOUBTFUL_SHARE = 0.45
-"""Above this share fringe orders are doubtful."""
+"""Share of crossings with a jump above which the fringe orders of a capture are doubtful."""
 
 
 def jump_share(
     coordinate_px: FloatImage, valid: BoolImage, period_px: float, *, is_word: bool
 ) -> float:
-    """Return the largest share of jumps among the crossings of cells, over cells of all widths.
+    """Return the share of crossings of cell borders with a jump of the coordinate.
+
+    It is the largest share for cells of one, two, four ... periods.
 
     Parameters
     ----------
     coordinate_px : (row, col), projector px
-    valid : (row, col)
-    period_px : of the fringes, or the width of a word
-    is_word : there are no fringes: words of a few projector pixels are not continuous
+    valid : (row, col) bool, pixels with a coordinate
+    period_px : period of the fringes, or width of a word of a Gray code without fringes
+    is_word : True for a Gray code without fringes, for which cells of one word or two are left out
+        because coordinates jump from word to word
 
     Returns
     -------
-    in [0, 1]; 0 if fewer than LEAST_CROSSINGS crossings are in view
+    in [0, 1]; 0 if fewer than LEAST_CROSSINGS crossings exist
     """
     rows, cols = (_places(length) for length in valid.shape)
     lines = [

@@ -1,8 +1,9 @@
-"""From a stack of camera frames to projector coordinates, with sigma and reason for every pixel.
+"""Decode a stack of camera frames to projector coordinates, with sigma and reason per pixel.
 
-Frames: camera pixels (row, col), row 0 at the top; projector coordinates in px, integer = centre of
-a projector pixel. Formulas: see `patterns`; N-step least squares after Surrel, Appl. Opt. 36, 271
-(1997); codes and edge-safe rules: see `PatternSet`, `_order`, `_chain`.
+Camera pixels are (row, col), row 0 at the top. Projector coordinates are in px, whole at the centre
+of a projector pixel. `patterns` has the formulas of the fringes. The N-step least squares are those
+of Surrel, Appl. Opt. 36, 271 (1997). `PatternSet`, `_order` and `_chain` describe the codes and how
+fringe orders are determined at the edges of stripes.
 """
 
 from typing import Any
@@ -48,32 +49,33 @@ def decode(
     response: ProjectorResponse | None = None,
     unwrap: Unwrap | None = None,
 ) -> Decoded:
-    """Decode a stack of frames.
+    """Return the projector coordinates of every camera pixel from a stack of frames.
 
     Parameters
     ----------
     stack : (frame, row, col) uint8, uint16 or float32, DN, in the order of `patterns.frames`
-    sensor : noise model; gives the masks and the predicted sigma
+    patterns : sequence of patterns that the projector showed
+    sensor : noise model of the camera, from which masks and predicted sigma are computed
     options : filter and masks; None: the defaults of `DecodeOptions`
-    scale : (row, col) float32, factor of each pixel's DN above the black level, see
-        `merge_exposures`; None: 1
-    response : of the projector; its harmonics are subtracted from the phase, their uncertainty is
-        part of sigma and of the probability of a wrong order; None: it is linear
-    unwrap : own function that numbers the fringes of one axis, see `codes.Unwrap`; None: the rule
-        of the pattern code
+    scale : (row, col) float32, factor by which each pixel's DN above the black level was
+        multiplied, see `merge_exposures`; None: 1 everywhere
+    response : of the projector; the phase error by its harmonics is subtracted, and the uncertainty
+        of this error is part of sigma and of the order's error probability; None: linear response
+    unwrap : function of the caller that numbers the fringes of one axis, see `codes.Unwrap`; None:
+        the rule of the pattern code
 
     Raises
     ------
-    InputError : wrong number of axes, frames or type of the stack, or shape of the scale; a
-        response of the projector with a code that cannot correct it; `unwrap` without fringes, or
-        with a result of another shape
+    InputError : the stack has a wrong type or number of axes or frames; `scale` has a wrong shape
+        or values that are not positive; `response` is given with a code that cannot correct it;
+        `unwrap` is given for patterns without fringes, or returns a wrong shape
     """
     _check(stack, patterns, scale, response)
     frames = np.ascontiguousarray(stack)
     options = options or DecodeOptions()
     ripple = ripple_of(patterns, response)
     rule = patterns.kind.rule if unwrap is None else Rule.OWN
-    # The kernels decode displaced words at x + displacement; own functions get the phases at x.
+    # For displaced patterns the kernels decode x + displacement; numpy functions get phases at x.
     displacement = 0.0 if rule is Rule.OWN else patterns.kind.displacement
     plan = make_plan(
         frames, patterns, sensor, options, scale, ripple=ripple, displacement=displacement
@@ -130,7 +132,7 @@ def _check_stack(stack: Stack, patterns: PatternSet) -> None:
 
 def _smoothed(maps: Maps, options: DecodeOptions, patterns: PatternSet) -> Smoothed:
     source = Unfiltered(maps.coordinate_px, maps.sigma, maps.reason)
-    # Word steps without fringes are no noise between pixels: no mean reduces them.
+    # Without fringes the coordinate is quantised by word. This is no noise that a mean reduces.
     if options.filter_taps == 0 or patterns.steps == 0:
         no_bias = np.zeros(source.sigma.shape, np.uint8)
         return Smoothed(source.coordinate_px, source.sigma, no_bias, source.reason)
@@ -153,10 +155,11 @@ def _smoothed(maps: Maps, options: DecodeOptions, patterns: PatternSet) -> Smoot
 
 
 def _with_ripple(smoothed: Smoothed, maps: Maps, ripple: Ripple, patterns: PatternSet) -> Smoothed:
-    """Add the uncertainty of the ripple to sigma: it spans many pixels and is not filtered.
+    """Return the maps with the uncertainty of the projector's response added to sigma.
 
-    The value of the measuring period is used for all periods of a weighted mean: an upper bound, as
-    their ripples are not in step.
+    The phase error by the response is correlated over many pixels, so that the filter does not
+    reduce its uncertainty. For a weighted mean of several periods the value of the measuring period
+    is used. This is an upper bound, because the errors of different periods partly cancel.
     """
     sigma, share = smoothed.sigma.copy(), smoothed.bias_share.copy()
     for k, axis in enumerate(AXES):

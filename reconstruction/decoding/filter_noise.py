@@ -1,13 +1,14 @@
-"""The filter on the coordinate as a linear map: propagation of single pixels' noise.
+"""Propagate the noise of single pixels through the filter of the coordinate, as a linear map.
 
 For a given relief the filter (see `_filter`) adds to each pixel a share of its lift and of the
-lift's coarse part: e = K n with K = 1 + (1 - f) L + (f - c) P G L. L is the lift, G the Gaussian, P
-the support; c and f are the shares of coarse and fine part that are relief. n, the noise of the
-single pixels, is independent from pixel to pixel; e is not. A parameter that is fitted to filtered
-pixels with the derivatives s has the variance sum_j (K^T s)_j^2 var n_j, which includes the
-covariance of neighbours. The shares depend on the data. Here they are computed from the relief
-without noise and the expected squares of the noise, without random samples. Fluctuations of the
-shares with the noise are neglected.
+lift's coarse part. Noise n of the single pixels becomes e = K n of the filtered ones, with
+K = 1 + (1 - f) L + (f - c) P G L. L is the map to the lift, G the Gaussian, P the division by the
+sum of its weights on usable pixels. c and f are the shares of coarse and fine part that are relief.
+n is independent from pixel to pixel; e is not. A parameter that is fitted to filtered pixels with
+the derivatives s has the variance sum_j (K^T s)_j^2 var n_j, which includes the covariance of
+neighbours. The shares depend on the data. Here they are computed from the relief without noise and
+the expected squares of the noise, without random samples. Fluctuations of the shares with the noise
+are neglected.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,7 +34,10 @@ Maps = Sequence[FloatArray]
 
 
 def without_edges(reason: ReasonImage) -> ReasonImage:
-    """Return the mask after the filter: `EDGE` next to pixels without light."""
+    """Return the mask (row, col) with `EDGE` on valid pixels next to an unlit pixel.
+
+    It is the mask that the decoder's filter returns.
+    """
     marked = np.zeros_like(reason)
     mark_edges(0, reason.shape[0], np.ascontiguousarray(reason), marked)
     return marked
@@ -41,14 +45,14 @@ def without_edges(reason: ReasonImage) -> ReasonImage:
 
 @dataclass(frozen=True, eq=False)
 class _Bends:
-    """Second differences along one direction of an image.
+    """The Gaussian along one direction of an image, as weighted second differences of pixel pairs.
 
     Attributes
     ----------
-    axis : 0 across rows, 1 along them
-    weights : (half,) of the pairs, nearest first
-    pairs : per distance, (row, col) bool: both pixels of the pair count
-    factor : (row, col) 1 / sum of weights
+    axis : 0: pairs along a column, 1: pairs along a row
+    weights : (half,) weights of the pairs, nearest pair first
+    pairs : for each distance (row, col) bool, True if both pixels of the pair about a pixel count
+    factor : (row, col) 1 / sum of weights; 0 for pixels that are not usable
     """
 
     axis: int
@@ -74,7 +78,7 @@ class _Bends:
         return cls(axis, weights[half + 1 :], tuple(pairs), usable / factor)
 
     def of_values(self, value: FloatArray) -> FloatArray:
-        """Return the change of each pixel by its pairs."""
+        """Return the change of each pixel of an image by its pairs, (row, col)."""
         total = np.zeros_like(value)
         for weight, pair, (inner, before, after) in self._weighted_pairs():
             bend = value[before] + value[after]
@@ -85,7 +89,7 @@ class _Bends:
         return total
 
     def transposed(self, slope: FloatArray) -> FloatArray:
-        """Return the adjoint map of derivatives (row, col)."""
+        """Return the adjoint of `of_values`, applied to derivatives (row, col)."""
         scaled, total = self.factor * slope, np.zeros_like(slope)
         for weight, pair, (inner, before, after) in self._weighted_pairs():
             part = weight * pair[inner] * scaled[inner]
@@ -95,7 +99,10 @@ class _Bends:
         return total
 
     def gain(self, variance: FloatArray) -> FloatArray:
-        """Return a pixel-dependent variance after the weighted mean."""
+        """Return the variance (row, col) after the Gaussian of noise with the given variance.
+
+        The noise is independent from pixel to pixel.
+        """
         middle = float(1.0 - 2.0 * self.weights.sum())
         total = middle**2 * variance
         for weight, pair, (inner, before, after) in self._weighted_pairs():
@@ -115,7 +122,11 @@ _Views = tuple[_View, _View, _View]
 
 
 def _pair_views(by: int, axis: int) -> _Views:
-    """Return the pixels with both neighbours at distance `by`, and those neighbours."""
+    """Return three index tuples: the pixels with both neighbours, and those two neighbours.
+
+    by : distance of pixel and neighbour, px
+    axis : 0: neighbours along a column, 1: along a row
+    """
     rest = (slice(None),) * axis
     ends = slice(by, -by), slice(None, -2 * by), slice(2 * by, None)
     inner, before, after = ((*rest, part) for part in ends)
@@ -124,11 +135,12 @@ def _pair_views(by: int, axis: int) -> _Views:
 
 @dataclass(frozen=True, eq=False)
 class FilterNoise:
-    """Effect of the filter on the noise of one coordinate over one relief.
+    """Effect of the filter on the noise of one coordinate, for a given relief.
 
     Attributes
     ----------
-    variance_px2 : (row, col) of the filtered coordinate by noise, as the decoder reports it
+    variance_px2 : (row, col) variance of the filtered coordinate by noise, as the decoder predicts
+        it, without the bias
     bias_px2 : (row, col) mean square of the relief that the filter may remove
     """
 
@@ -143,20 +155,26 @@ class FilterNoise:
     _of_coarse: FloatArray
 
     def noise(self, slope: FloatArray) -> float:
-        """Return the standard deviation of sum(slope * filtered coordinate), (row, col) per px."""
+        """Return the standard deviation by noise of sum(slope * filtered coordinate).
+
+        slope : (row, col) derivative of a parameter by the filtered coordinate, unit per px
+        """
         rows, cols = _around(slope != 0.0, 4 * (len(self._gauss) // 2))
         part = self._part(rows, cols).transposed(slope[rows, cols])
         return float(np.sqrt(np.sum(part**2 * self._single_px2[rows, cols])))
 
     def transposed(self, slope: FloatArray) -> FloatArray:
-        """Return K^T s: the derivative by the coordinate of each single pixel, (row, col)."""
+        """Return K^T s, (row, col): the derivatives by the unfiltered coordinate of each pixel.
+
+        slope : (row, col) s, the derivatives by the filtered coordinate
+        """
         through = _smoothed(self._support * self._of_coarse * slope, self._gauss)
         lifted = self._of_lift * slope + through
         across = self._across.transposed(lifted)
         return np.asarray(slope + across + self._along.transposed(lifted + across))
 
     def _part(self, rows: slice, cols: slice) -> "FilterNoise":
-        """Return the map over a part of the image; exact for derivatives away from its border."""
+        """Return the map for a part of the image; exact for derivatives not near its border."""
         cut = np.s_[rows, cols]
         along, across = (
             _Bends(b.axis, b.weights, tuple(p[cut] for p in b.pairs), b.factor[cut])
@@ -178,15 +196,16 @@ def filter_noise(
     sigma_px: float,
     limit_px: float,
 ) -> FilterNoise:
-    """Return the effect of the filter on noise, for a relief.
+    """Return the effect of the filter on the noise of the coordinate, for a given relief.
 
     Parameters
     ----------
-    coordinate_px : (row, col) without noise
-    single_px2 : (row, col) variance of each single pixel's coordinate
-    usable : (row, col) pixels that are filtered
+    coordinate_px : (row, col) coordinate without noise
+    single_px2 : (row, col) noise variance of each pixel's unfiltered coordinate, px^2
+    usable : (row, col) bool, pixels that are filtered
     taps, sigma_px : width and standard deviation of the Gaussian; taps 0: no filter
-    limit_px : a pair of pixels with a mean that differs by more than half of this is excluded
+    limit_px : a pair of pixels is excluded if its mean differs by more than half of this value from
+        the pixel in its middle
     """
     value = np.where(usable, coordinate_px, 0.0).astype(np.float64)
     variance = np.where(usable, single_px2, 0.0).astype(np.float64)
@@ -223,10 +242,10 @@ def _block_values(
     lift: FloatArray, coarse: FloatArray, variance: FloatArray, usable: BoolImage,
     smoothing: Smoothing,
 ) -> Maps:  # fmt: skip
-    """Return by block the values that `_relief` computes from the sums around it.
+    """Return six maps (block row, block col) of the values that `_relief` computes for each block.
 
-    Factors of lift and of coarse part, weight of the own variance, variance of the neighbours,
-    factor of the excess gain, bias.
+    The values are the factors of lift and of coarse part, the weight of the pixel's own variance,
+    the variance of the neighbours, the factor of the excess gain, and the bias.
     """
     noise, count = _around_blocks(variance), _around_blocks(usable.astype(np.float64))
     large = _around_blocks(coarse**2) + smoothing.noise[1, 1] * noise
@@ -246,7 +265,7 @@ def _block_values(
 
 
 def _around_blocks(image: FloatArray) -> FloatArray:
-    """Return sums over blocks and their neighbours, (block row, block col)."""
+    """Return the sums of an image over 5 x 5 blocks about each block, (block row, block col)."""
     rows, cols = image.shape
     padded = np.pad(image, ((0, -rows % BLOCK), (0, -cols % BLOCK)))
     shape = padded.shape[0] // BLOCK, BLOCK, padded.shape[1] // BLOCK, BLOCK
@@ -262,7 +281,7 @@ def _per_pixel(blocks: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _around(marked: BoolImage, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns that contain all marked pixels, with a margin."""
+    """Return the slices of rows and columns that contain all marked pixels, with a margin, px."""
     slices = []
     for axis, size in ((1, marked.shape[0]), (0, marked.shape[1])):
         places = np.flatnonzero(marked.any(axis=axis))

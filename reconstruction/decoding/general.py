@@ -1,7 +1,7 @@
-"""Fringe orders by a function in numpy, on whole images.
+"""Determine fringe orders by a function in numpy that takes whole images.
 
-Phases, their noise and the masks come from the compiled kernels; the function numbers the fringes
-of one axis; the kernels then mask and store the result as they do for compiled codes.
+The compiled kernels compute phases, their noise and the masks. The function numbers the fringes of
+one axis. The kernels then mask and store the result, as they do for compiled codes.
 """
 
 from functools import partial
@@ -20,11 +20,13 @@ from reconstruction.patterns import AXES, Axis, PatternSet
 def unwrap_maps(
     stack: Stack, patterns: PatternSet, plan: Plan, maps: Maps, unwrap: Unwrap | None
 ) -> None:
-    """Fill `maps` with the coordinates of `unwrap`, or of the pattern code's own function.
+    """Write `maps` from coordinates that `unwrap` returns, or the pattern code's own function.
+
+    unwrap : see `codes.Unwrap`; None: the function of the pattern code
 
     Raises
     ------
-    InputError : there are no fringes, or the result has another shape
+    InputError : the patterns have no fringes, or the function returns a wrong shape
     """
     if not patterns.steps:
         raise InputError(
@@ -51,7 +53,15 @@ def _blank(sets: int, rows: int, cols: int) -> WrappedMaps:
 def _ordered(
     wrapped: Wrapped, patterns: PatternSet, unwrap: Unwrap | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return coordinates, px, and the probability of a wrong order; 1 where unknown."""
+    """Return coordinates, px, and the probability of a wrong order, both (row, col).
+
+    Where the function returns no finite coordinate, the coordinate is 0 and the probability 1. For
+    a function of the caller, the probability is 0 elsewhere.
+
+    Raises
+    ------
+    InputError : the coordinates have a wrong shape
+    """
     coordinate_px = np.asarray((unwrap or patterns.kind.unwrap)(wrapped), np.float64)
     if coordinate_px.shape != wrapped.usable.shape:
         raise InputError(
@@ -83,7 +93,10 @@ def _wrapped(
 def _read_words(
     stack: Stack, patterns: PatternSet, plan: Plan, fitted: WrappedMaps, axis: Axis
 ) -> tuple[tuple[IntArray, ...], FloatImage]:
-    """Return the values of all words, and the least threshold distance of a bit, sigmas."""
+    """Return the values of each word, (row, col), and a measure of their certainty, (row, col).
+
+    The measure is the distance from its threshold, in sigmas, of the bit nearest to its threshold.
+    """
     k = AXES.index(axis)
     threshold_dn = fitted.mean[k] + np.float32(plan.threshold_share[k]) * fitted.modulation[k]
     noise_dn = np.maximum(plan.threshold_noise * fitted.noise[k], 1e-12)

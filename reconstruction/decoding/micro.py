@@ -1,8 +1,9 @@
-"""Loss of modulation by blur in the single images of micro phase shifting.
+"""Estimate the relative modulation of the single images of micro phase shifting.
 
-Blur of a lens lowers the contrast more for finer periods: by 2 % between 15.5 and 20.7 px at a blur
-of 0.7 px. Neglecting it would cause errors of many times the noise. One share per image for the
-whole capture: variation of the blur over the field is neglected.
+Relative modulation is the modulation of an image over that of the first period's N steps.
+Lens blur reduces the modulation of finer periods more: at a blur of 0.7 px the modulations for 15.5
+and 20.7 px differ by 2 %. Neglecting this loss would cause errors of many times the noise. One
+relative modulation is estimated for each image: variation of the blur over the field is neglected.
 """
 
 import math
@@ -20,16 +21,18 @@ from reconstruction.decoding.plan import blank_maps, make_plan, units_of
 from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
-# Pixels from which the shares are estimated; with fewer than the least all shares are 1.
+# Approximate number of pixels from which relative modulations are estimated. If fewer than
+# LEAST_PIXELS of them are valid, all relative modulations are 1.
 PIXELS, LEAST_PIXELS = 20_000, 200
 
 
 def micro_periods(
     stack: Stack, patterns: PatternSet, sensor: SensorNoise, scale: FloatImage | None
 ) -> tuple[MicroPeriods, MicroPeriods]:
-    """Return the periods along columns and rows, with the modulation of their single images.
+    """Return the periods along columns and rows, with the relative modulation of single images.
 
-    From a subset of the pixels, decoded without a correction for blur.
+    The modulation is estimated from a subset of the pixels, which are first decoded without a
+    correction for blur.
     """
     even = _even_periods(patterns, AXES[0]), _even_periods(patterns, AXES[1])
     stride = max(1, round(math.sqrt(stack[0].size / PIXELS)))
@@ -50,7 +53,10 @@ def micro_periods(
 
 
 class _Steps(NamedTuple):
-    """Result of the N steps for some pixels, (pixel,): phase, levels and a coordinate near by."""
+    """Result of the N steps of the first period for some pixels; every field is (pixel,).
+
+    near_px is a decoded coordinate, exact to the fringe number only; turns is the phase in turns.
+    """
 
     near_px: FloatArray
     turns: FloatArray
@@ -65,7 +71,10 @@ def _steps_of(maps: Maps, axis: int, usable: BoolImage, unit_dn: float) -> _Step
 
 
 def _with_shares(periods: MicroPeriods, frames: FloatArray, steps: _Steps) -> MicroPeriods:
-    """Regress single images on cosines at the coordinate from the N steps only.
+    """Return the periods with the relative modulation of each single image.
+
+    It is the regression coefficient of the image on the cosine that the N steps of the first
+    period predict for the image.
 
     frames : (frame, pixel) DN
     """

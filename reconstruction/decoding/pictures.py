@@ -1,4 +1,4 @@
-"""Figure of decoded projector coordinates: needs Matplotlib, which decoding does not."""
+"""Draw a figure of decoded projector coordinates; this module imports Matplotlib."""
 
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,15 @@ from reconstruction.decoding import Decoded
 from reconstruction.drawing import Drawing
 from reconstruction.writing import write_bytes
 
-# Share of the valid pixels that defines the colour scale.
+# Percentiles of the valid pixels that are the ends of the colour scale.
 _SHOWN = (1.0, 99.0)
 
 
 def draw_decoded(path: Path, decoded: Decoded) -> None:
-    """Draw maps per axis (coordinate, sigma, modulation), and the reasons of masked pixels."""
+    """Draw a PNG file with maps of coordinate, sigma and modulation, and of the reason codes.
+
+    The first three maps are drawn for each axis.
+    """
     rows = len(decoded.axes)
     drawing = Drawing(4, rows)
     places = drawing.subplots(rows, 4, squeeze=False)
@@ -36,7 +39,7 @@ def draw_decoded(path: Path, decoded: Decoded) -> None:
 
 
 def _draw_reasons(drawing: Drawing, place: Axes, decoded: Decoded) -> None:
-    """Draw the reasons why pixels have no coordinate, only those that occur."""
+    """Draw a map of the reason code of every pixel; the colour bar names the codes that occur."""
     reasons = [Reason(code) for code in np.unique(decoded.mask_reason)]
     shown = place.imshow(
         np.searchsorted(reasons, decoded.mask_reason),

@@ -1,6 +1,6 @@
-"""Parameters of the compiled decoder from a sequence, a sensor and the options; blank maps.
+"""Compute the parameters of the compiled decoder from patterns, sensor and options; blank maps.
 
-Every value that is the same for all pixels is computed here, once.
+Every value that is equal for all pixels is computed here, before the kernels run.
 """
 
 import math
@@ -22,7 +22,8 @@ from reconstruction.patterns import AXES, Axis, Kind, PatternSet
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.words import gray_word
 
-# Product with an order of up to 12 bits, exact in the 24 bits of single precision.
+# Bits of `Code.period_high_px`: its product with an order of up to 12 bits is exact in the 24 bits
+# of single precision.
 HIGH_BITS = 12
 # Half precision spans 1e-9 to 1000 px, and 2e-12 to 1.
 SIGMA_UNIT_PX = 2.0**-6
@@ -44,11 +45,14 @@ def make_plan(
     ripple: Ripple | None = None,
     displacement: float = 0.0,
 ) -> Plan:
-    """Return the plan of one decoding.
+    """Return the parameters of the kernels for decoding one stack of frames.
 
     Parameters
     ----------
-    displacement : phases are decoded at x + displacement x period, see `place_displaced`
+    stack, patterns, sensor, options, scale : as in `decode`
+    ripple : tables of the projector's response; None: the response is linear
+    displacement : share of the period; the kernels decode x + displacement * period, see
+        `place_displaced`
     """
     tables = turned(ripple or ripple_of(patterns, None), displacement)
     column, row = AXES
@@ -70,10 +74,10 @@ def make_plan(
 
 
 def _threshold_noise(patterns: PatternSet) -> float:
-    """Return the noise of a bit minus its threshold, in sigmas of one frame.
+    """Return the sigma of a bit's level minus its threshold, in sigmas of one frame.
 
-    The threshold is the mean of N phase frames, or of white and black; for a pair of frames half
-    the difference is used.
+    The threshold is the mean of N phase frames, or of white and black. With inverse frames, half
+    the difference of frame and inverse frame takes the place of level minus threshold.
     """
     if patterns.inverse:
         return math.sqrt(0.5)
@@ -101,13 +105,13 @@ def _layout(patterns: PatternSet, displacement: float) -> Layout:
 
 
 def _first(patterns: PatternSet, kind: Kind, axis: Axis) -> int:
-    """Return the stack index of the first frame of a kind, -1 without such frames."""
+    """Return the stack index of the first frame of a kind along an axis; -1: no such frame."""
     indices = [i for i, f in enumerate(patterns.frames) if f.kind == kind and f.axis == axis]
     return indices[0] if indices else -1
 
 
 def _shifts(patterns: PatternSet) -> FloatArray:
-    """Return the shift of every phase step, (axis, set, step), rad."""
+    """Return the phase shift of every phase frame, (axis, set, step), rad."""
     sets, periods = patterns.sets, len(patterns.periods_px)
     turns = 2.0 * np.pi * np.arange(patterns.steps) / max(patterns.steps, 1)
     angles = np.broadcast_to(turns, (2, sets, patterns.steps)).copy()
@@ -121,7 +125,7 @@ def _shifts(patterns: PatternSet) -> FloatArray:
 def _limits(
     stack: Stack, patterns: PatternSet, sensor: SensorNoise, options: DecodeOptions
 ) -> Limits:
-    # A camera with a black level never delivers 0: that frame was lost.
+    # A camera with a black level never records the level 0, so a frame with 0 was lost.
     has_lost = sensor.black_level_dn > 0.0 or _has_lost_frame(stack, patterns)
     return Limits(
         gain_dn_per_e=np.float32(sensor.gain_dn_per_e),
@@ -139,7 +143,7 @@ def _limits(
 
 
 def _has_lost_frame(stack: Stack, patterns: PatternSet) -> bool:
-    """Return True if a phase frame is 0 everywhere; a few pixels exclude most frames."""
+    """Return True if a phase frame is 0 everywhere; a sparse test first excludes most frames."""
     sparse = np.s_[::61, ::61]
     shown = sum(frame.kind == "phase" for frame in patterns.frames)
     return any(not stack[n][sparse].any() and not stack[n].any() for n in range(shown))
@@ -148,8 +152,8 @@ def _has_lost_frame(stack: Stack, patterns: PatternSet) -> bool:
 def units_of(sensor: SensorNoise, scale: FloatImage | None) -> tuple[float, float, float]:
     """Return the units of levels (DN), sigmas (px) and probabilities in half precision.
 
-    Powers of two: half precision spans 2^-24 to 2^16 units. Saturation is at most 2^14 of them, as
-    the fit of clipped fringes exceeds it.
+    The units are powers of two. Half precision covers 2^-24 to 2^16 units. The saturation level is
+    at most 2^14 units, because the fit to clipped fringes may exceed it.
     """
     largest = sensor.saturation_dn * (1.0 if scale is None else float(scale.max()))
     return 2.0 ** (math.frexp(largest)[1] - 14), SIGMA_UNIT_PX, CHANCE_UNIT
@@ -190,11 +194,11 @@ def _gray_words(patterns: PatternSet, axis: Axis) -> NDArray[np.uint32]:
 
 
 def place_displaced(maps: Maps, patterns: PatternSet) -> None:
-    """Subtract the patterns' displacement from decoded coordinates, px, and phases, in place.
+    """Subtract the displacement of the patterns from decoded coordinates and phases, in place.
 
-    The displacement is a share of the period. If the number of periods is a power of two, the end
-    of the image has the same word as an earlier period. The two cannot be distinguished: pixels of
-    both become invalid, with the reason `ORDER_UNCERTAIN`.
+    The displacement is `patterns.kind.displacement`, a share of the period. If the number of
+    periods is a power of two, the end of the projector image has the word of an earlier period. The
+    two cannot be distinguished: pixels of both are masked with the reason `ORDER_UNCERTAIN`.
     """
     displacement = patterns.kind.displacement
     for k, axis in enumerate(AXES):
@@ -231,7 +235,7 @@ def _unwrapping(patterns: PatternSet, axis: Axis) -> Unwrapping:
 
 
 def blank_maps(rows: int, cols: int) -> Maps:
-    """Return zeroed maps of an image."""
+    """Return packed maps for an image of the given size, filled with 0."""
     turns, mean, modulation, sigma, residual, error = (
         np.zeros((2, rows, cols), np.uint16) for _ in range(6)
     )

@@ -1,10 +1,11 @@
-"""Phase error by a projector with a nonlinear response, and its uncertainty.
+"""Compute the phase error by a projector with a nonlinear response, and its uncertainty.
 
-Symbols: g gamma, N steps, phi phase, B_m the harmonics of a fringe. N steps cancel all harmonics
-except m = k N +- 1. These change the phase by about (B_(N-1) - B_(N+1)) / B_1 sin(N phi), which for
-N = 3 and 4 exceeds the noise. Zhang and Huang, Opt. Eng. 46, 063601 (2007), correct it by a table
-over the phase, as this module does. Lens blur weakens high harmonics more than the first one: the
-table includes it, and is computed from the 8-bit levels that were shown.
+The phase error is a ripple with N periods per fringe. Symbols: N steps, phi phase, B_m amplitude of
+harmonic m of a fringe. N steps cancel all harmonics except m = k N +- 1 with whole k. These change
+the phase by about (B_(N-1) - B_(N+1)) / B_1 sin(N phi), which for N = 3 and 4 exceeds the noise.
+Zhang and Huang, Opt. Eng. 46, 063601 (2007), correct this error by a table over the phase, as this
+module does. Lens blur reduces high harmonics more than the first one. The table includes this
+blur, and is computed from the 8-bit levels that were shown.
 """
 
 from dataclasses import dataclass, replace
@@ -18,30 +19,34 @@ from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.projected_light import GAMMA_RANGE, ProjectorResponse, blurred
 
 NODES = 512
-"""Nodes of a table over one turn, at n / NODES. Each is a local mean, to which a curvature k adds
-k h^2 / 12 at the node distance h: 0.2 mrad at N = 3 and gamma 2.2."""
+"""Number of nodes of a table over one turn of the phase, at n / NODES turns. The value of a node is
+a local mean. A curvature k of the phase error adds k h^2 / 12 to the mean at the node distance h:
+0.2 mrad for N = 3 and gamma 2.2."""
 
 TURN = 2.0 * np.pi
 _PER_NODE = 2
 _MOST_PERIODS = 24
 # A pixel further from the end of the image than this many blurs is not affected by it.
 _EDGE_BLURS = 4.0
-# Differences for the uncertainty: small compared with gamma and blur, large against rounding.
+# Step of gamma and of blur, px, for numerical derivatives: small compared with both, large compared
+# with rounding errors.
 _STEP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Ripple:
-    """Tables over the measured phase, at NODES + 1 nodes: the last node equals the first.
+    """Tables over the measured phase for a projector's response, at NODES + 1 nodes.
+
+    The last node equals the first. A table that is not needed has the shape (2, 0, 0).
 
     Attributes
     ----------
     error_rad : (axis, set, node) float32, measured minus true phase
-    sigma_rad : (axis, set, node) float32, uncertainty of error_rad
-    shot_share : (axis, set, node) float32; excess of the light that determines the phase's shot
-        noise over the mean of the steps, as a share of the modulation
-    threshold_share : (axis,); difference of a Gray level halfway between white and black and the
-        mean of the phase frames, as a share of the modulation
+    sigma_rad : (axis, set, node) float32, standard uncertainty of error_rad
+    shot_share : (axis, set, node) float32; the light that determines the shot noise of the phase,
+        minus the mean light of the steps, as a share of the modulation
+    threshold_share : (axis,); level halfway between white and black, minus the mean of the phase
+        frames, as a share of the modulation
     """
 
     error_rad: FloatImage
@@ -54,10 +59,10 @@ _EMPTY: FloatImage = np.zeros((2, 0, 0), np.float32)
 
 
 def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Ripple:
-    """Return the tables of a sequence of fringes for a projector of this response.
+    """Return the tables of a pattern sequence for a projector with the given response.
 
-    Missing tables have the shape (2, 0, 0): all tables without fringes; without a response all but
-    the share of the shot noise for three steps, which is uneven.
+    Without fringes, or for None, a linear response, the tables have the shape (2, 0, 0). The
+    exception is `shot_share` for three steps, which is computed also for a linear response.
     """
     if response is None or not patterns.steps:
         shot = _of_three_steps(patterns) if patterns.steps == 3 else _EMPTY
@@ -75,7 +80,7 @@ def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Rippl
 
 
 def turned(ripple: Ripple, share: float) -> Ripple:
-    """Return the tables of a phase with its origin shifted by a share of a turn."""
+    """Return the tables as functions of a phase that is larger by a share of a turn."""
     if share == 0.0:
         return ripple
 
@@ -94,7 +99,11 @@ def turned(ripple: Ripple, share: float) -> Ripple:
 
 
 def _of_three_steps(patterns: PatternSet) -> FloatImage:
-    """Return -cos 3 (phi + t_0) / 2: (2 / N) sum cos(x_n) sin^2(x_n) for N = 3, 0 for more."""
+    """Return `Ripple.shot_share` of three steps for a linear response: -cos(3 (phi + t_0)) / 2.
+
+    This is (2 / N) sum cos(x_n) sin^2(x_n) with x_n = phi + t_n for N = 3 and the first shift t_0.
+    The sum is 0 for more steps.
+    """
     shot: FloatImage = np.zeros((2, len(patterns.periods_px), NODES + 1), np.float32)
     turns = np.arange(NODES + 1) / NODES
     for axis in patterns.axes:
@@ -107,9 +116,11 @@ def _of_three_steps(patterns: PatternSet) -> FloatImage:
 def _shot_table(
     patterns: PatternSet, axis: Axis, fringes: int, response: ProjectorResponse
 ) -> FloatArray:
-    """Return ((2 / N) sum L_n sin^2(x_n) - mean L) / modulation over the measured phase.
+    """Return `Ripple.shot_share` (node,) of one fringe set over the measured phase.
 
-    The phase of N equal steps errs by -(2 / N B) sum n_n sin(x_n), x_n = phi + t_n (Surrel 1997).
+    It is ((2 / N) sum L_n sin^2(x_n) - mean L) / modulation with the light L_n of step n. The error
+    of the phase of N equal steps is -(2 / (N B)) sum e_n sin(x_n), with the noise e_n of step n and
+    x_n = phi + t_n (Surrel 1997).
     """
     light, phasor, turns = _frames_at(patterns, axis, fringes, response)[1:]
     weight = 2.0 * np.sin(np.angle(phasor)[:, None] + TURN * turns) ** 2
@@ -133,7 +144,11 @@ def _tables(
 def _changes(
     response: ProjectorResponse,
 ) -> list[tuple[ProjectorResponse, float, float]]:
-    """Return responses changed by a small step, the step, and the standard uncertainty along it."""
+    """Return changed responses for numerical derivatives of the tables.
+
+    Each entry is a response with gamma or blur changed by a small step, the step, and the standard
+    uncertainty of gamma or blur.
+    """
     up = response.gamma + _STEP <= GAMMA_RANGE[1]
     step = _STEP if up else -_STEP
     steeper = replace(response, gamma=1.0 if response.curve else response.gamma + step)
@@ -148,10 +163,10 @@ def _changes(
 def _table(
     patterns: PatternSet, axis: Axis, fringes: int, response: ProjectorResponse
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the mean error of the phase at each node, and its spread over the periods, rad.
+    """Return the mean phase error (node,), rad, and its standard deviation over the periods, rad.
 
-    The spread is caused by the 8-bit levels, which differ from period to period unless the period
-    is a whole number of pixels.
+    The phase error varies because of the 8-bit levels, which differ from period to period unless
+    the period is a whole number of pixels.
     """
     u_px, _, phasor, _ = _frames_at(patterns, axis, fringes, response)
     period_px = patterns.periods_along(axis)[fringes]
@@ -160,7 +175,7 @@ def _table(
 
 
 def _over_nodes(values: FloatArray, phase_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and spread of values at phases about each node."""
+    """Return mean and standard deviation (node,) of values (place,) at phases near each node."""
     place = phase_rad / TURN % 1.0 * NODES
     low = np.floor(place)
     share = place - low
@@ -176,9 +191,12 @@ def _over_nodes(values: FloatArray, phase_rad: FloatArray) -> tuple[FloatArray, 
 def _frames_at(
     patterns: PatternSet, axis: Axis, fringes: int, response: ProjectorResponse
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return positions on the projector, (place,) px, and the light of all steps, (place, step).
+    """Return positions and the light there that the decoder would measure, for one fringe set.
 
-    Also the phasor that the decoder measures, (place,) complex, and the shifts, turns.
+    Returns
+    -------
+    Four arrays: positions on the projector (place,), px; light of all steps (place, step); the
+    phasor that the decoder measures (place,), complex; the phase shifts (step,), turns
     """
     first = patterns.index("phase", axis).start + fringes * patterns.steps
     frames = patterns.frames[first : first + patterns.steps]
@@ -194,14 +212,18 @@ def _frames_at(
 
 
 def _filled(total: NDArray[Any], weight: NDArray[Any]) -> FloatArray:
-    """Return means over nodes; nodes without samples are interpolated from their neighbours."""
+    """Return the weighted mean at each node; nodes without samples are interpolated."""
     weighted = np.flatnonzero(weight > 0.0)
     nodes = np.arange(NODES)
     return np.asarray(np.interp(nodes, weighted, total[weighted] / weight[weighted], period=NODES))
 
 
 def _threshold_share(patterns: PatternSet, axis: Axis, response: ProjectorResponse) -> float:
-    """Return (mid-level - mean) / modulation of the light of one full period of fringes."""
+    """Return `Ripple.threshold_share` of one axis, from the light of the measuring period.
+
+    It is the mean light of low and high level minus the mean light of the fringes, over the
+    modulation.
+    """
     low, high = response.light(
         np.array([patterns.low_level, patterns.high_level], dtype=np.uint8)
     ).tolist()

@@ -1,6 +1,7 @@
-"""Dimensions of measured surfaces, each with a stated definition and a robust fit; lengths mm.
+"""Measure dimensions of surfaces, each with a stated definition and a robust fit; lengths in mm.
 
-A module is imported at the first use of one of its names: SciPy's optimisers take half a second.
+A module of this package is imported at the first use of one of its names, because importing SciPy's
+optimisers takes half a second.
 """
 
 from importlib import import_module

@@ -1,7 +1,7 @@
-"""Decision whether a value is within its tolerance, by ISO 14253-1 with guard band U.
+"""Decide whether a value is within its tolerance, by ISO 14253-1 with guard band U.
 
-Conformity is proved if the value is inside the tolerance by at least the expanded uncertainty U,
-non-conformity if it is outside by as much; in between neither is proved.
+U is the expanded uncertainty. Conformity is proved if the value is inside the tolerance by at least
+U. Non-conformity is proved if the value is outside by at least U. Otherwise neither is proved.
 """
 
 from dataclasses import dataclass
@@ -16,17 +16,24 @@ CANNOT_TELL: Decision = "cannot tell"
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Allowed values, limits included; no limit: infinite."""
+    """Range of allowed values, from `lower` to `upper`, both included; infinite: no limit."""
 
     lower: float = -inf
     upper: float = inf
 
     def margin(self, value: float, expanded: float) -> float:
-        """Return the distance to the nearer limit, positive inside, less U; 0 or more: within."""
+        """Return the distance of a value from the nearer limit, positive inside, minus U.
+
+        Conformity is proved if the result is 0 or more.
+
+        Parameters
+        ----------
+        value, expanded : measured value, and its expanded uncertainty U in the same unit
+        """
         return min(value - self.lower, self.upper - value) - expanded
 
     def verdict(self, value: float, expanded: float) -> Decision:
-        """Return the decision; `expanded` is U, in the unit of the value."""
+        """Return the decision for a value with the expanded uncertainty U = `expanded`."""
         if self.margin(value, expanded) >= 0:
             return WITHIN
         outside = max(self.lower - value, value - self.upper)
@@ -35,14 +42,15 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class CombinedUncertainty:
-    """Standard uncertainties of one value, in its unit, and the coverage factor k.
+    """Contributions to the standard uncertainty of one value, in its unit, and coverage factor k.
 
     Attributes
     ----------
-    noise : of the points, propagated through the fit
-    repeatability : of setting up and measuring again
-    calibration : of the reference that the sensor was calibrated with
-    elastomer : of the thickness that is subtracted between coat and object
+    noise : contribution of the noise of the points, propagated through the fit
+    repeatability : contribution of setting up and measuring again
+    calibration : contribution of the reference with which the sensor was calibrated
+    coverage_factor : k, the ratio of expanded to standard uncertainty
+    elastomer : contribution of the thickness that is subtracted between coat and object
     """
 
     noise: float
@@ -53,10 +61,10 @@ class CombinedUncertainty:
 
     @property
     def standard(self) -> float:
-        """Combined standard uncertainty."""
+        """Combined standard uncertainty, the root sum of squares of all contributions."""
         return hypot(self.noise, self.repeatability, self.calibration, self.elastomer)
 
     @property
     def expanded(self) -> float:
-        """U = k u."""
+        """Expanded uncertainty U = k u, with the combined standard uncertainty u."""
         return self.coverage_factor * self.standard

@@ -1,9 +1,10 @@
-"""Deviation of points from a known surface, after a stated alignment; lengths mm.
+"""Compute the deviation of points from a known surface after an alignment; lengths in mm.
 
-A coordinate metrologist's "best fit": the points are moved, never stretched, so that the sum of
-squared distances is least. `none` does not move the points, `offset` shifts them along z,
-`offset_tilt` also tilts them, `rigid` moves and rotates them freely. Degrees of freedom that the
-surface does not constrain (a ball's rotation, a plane's sliding) are zero.
+The alignment is the "best fit" of coordinate metrology: a rigid motion of the points, without a
+change of scale, that makes the sum of squared distances least. `none` does not move the points,
+`offset` shifts them along z, `offset_tilt` also tilts them, `rigid` shifts and rotates them with
+all six degrees of freedom. Degrees of freedom that the surface does not constrain, such as the
+rotation of a ball, are zero.
 """
 
 from collections.abc import Callable
@@ -19,13 +20,15 @@ from reconstruction.evaluate.fit import inliers, p95_of_size, rms
 
 ALIGNMENTS: tuple[Alignment, ...] = ("none", "offset", "offset_tilt", "rigid")
 Distance = Callable[[FloatArray], FloatArray]
-"""Signed distance (n,) of points (n, xyz) from the surface, positive outside."""
+"""Function that returns signed distances (n,), mm, of points (n, xyz) from a surface, positive
+outside."""
 
 _FREE = {"none": 0, "offset": 1, "offset_tilt": 3, "rigid": 6}
 # The second pass corrects for the surface's curvature; a third has no effect.
 _TURNS = 2
 _STEP_MM = 1e-4
-# A motion that moves the surface along itself has a singular value of rounding and facets.
+# Singular values below this ratio to the largest one belong to motions that shift the surface along
+# itself; they are not 0 because of rounding and facets.
 _STIFF = 1e-3
 _DISPERSION = (0.025, 0.975)
 _WINDOW = 0.01
@@ -33,14 +36,14 @@ _WINDOW = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Residuals between points and surface after alignment.
+    """Deviations of points from a surface after alignment, and the motion of the alignment.
 
     Attributes
     ----------
-    deviation_mm : (n,) signed, along the surface's normal, positive outside
-    points_mm : (n, xyz) the points as aligned
-    offset_mm : shift of the points along z, at their centroid
-    tilt_deg : angle of their rotation
+    deviation_mm : (n,) signed distances along the surface's normal, positive outside
+    points_mm : (n, xyz) the aligned points
+    offset_mm : shift of the centroid of the points along z
+    tilt_deg : angle of the rotation of the points
     """
 
     deviation_mm: FloatArray
@@ -60,9 +63,14 @@ class Deviations:
         return FittedDimension(value, slope, self.deviation_mm, np.ones(count, bool))
 
     def form(self, upward: FloatArray) -> FittedDimension:
-        """Width of the band that holds the middle 95 % of the deviations (as D95 %, ISO 10360-8).
+        """Return the width, mm, of the band with the middle 95 % of the deviations.
 
-        A quantile moves with the points next to it: 1 % of the points around it.
+        This is D95 % of ISO 10360-8. For the derivatives, each end of the band is taken to move
+        with the mean of the points in the 1 % of the ranks on either side of it.
+
+        Parameters
+        ----------
+        upward : (n,) z component of the surface's unit normal at each point
         """
         low, high = np.quantile(self.deviation_mm, _DISPERSION)
         order = np.argsort(self.deviation_mm)
@@ -77,12 +85,15 @@ class Deviations:
 
     @property
     def p95_mm(self) -> float:
-        """95th percentile of the deviations' size."""
+        """95th percentile of the absolute deviations, mm."""
         return p95_of_size(self.deviation_mm)
 
 
 def normals_of(points_mm: FloatArray, distance: Distance) -> FloatArray:
-    """Return the gradient (n, xyz) of a distance by central differences of 0.1 um."""
+    """Return the unit normals (n, xyz) of a surface nearest to each of the points (n, xyz).
+
+    They are gradients of the distance, by central differences of +-0.1 um.
+    """
     steps = np.eye(3) * _STEP_MM
     sides = [distance(points_mm + step) - distance(points_mm - step) for step in steps]
     gradient = np.stack(sides, axis=-1) / (2 * _STEP_MM)
@@ -92,17 +103,18 @@ def normals_of(points_mm: FloatArray, distance: Distance) -> FloatArray:
 def deviations(
     points_mm: FloatArray, distance: Distance, alignment: Alignment, normals: FloatArray
 ) -> Deviations:
-    """Align points and return their remaining distances.
+    """Align points to a surface, and return their deviations from it.
 
     Parameters
     ----------
     points_mm : (n, xyz) float
-    distance : of the surface
-    normals : (n, xyz) of the surface nearest to each point, see `normals_of`
+    distance : signed distance from the surface
+    alignment : degrees of freedom of the alignment, see the module docstring
+    normals : (n, xyz) unit normals of the surface nearest to each point, see `normals_of`
 
     Raises
     ------
-    FitError : fewer points than the alignment's degrees of freedom plus four
+    FitError : there are fewer points than the alignment's degrees of freedom plus four
     """
     freedoms = _FREE[alignment]
     if len(points_mm) < freedoms + 4:
@@ -121,14 +133,20 @@ def deviations(
 
 
 def _columns(lever_mm: FloatArray, normals: FloatArray) -> FloatArray:
-    """Change of the distances by shift along z, turn about x and y; shift along x, y, turn on z."""
+    """Return the derivatives (n, 6) of the distances by the six motions of an alignment.
+
+    The motions are: shift along z, rotation about x and y, shift along x and y, rotation about z.
+    """
     turns = np.cross(lever_mm, normals)
     columns = [normals[:, 2], turns[:, 0], turns[:, 1], normals[:, 0], normals[:, 1], turns[:, 2]]
     return np.column_stack(columns)
 
 
 def _moved(lever_mm: FloatArray, motion: FloatArray) -> FloatArray:
-    """Turn and shift points about their centroid (Rodrigues)."""
+    """Return points (n, xyz), relative to their centroid, after a rotation about it and a shift.
+
+    motion : (6,) in the order of `_columns`, mm and rad
+    """
     turn, shift = motion[[1, 2, 5]], motion[[3, 4, 0]]
     angle = float(np.linalg.norm(turn))
     if angle:

@@ -1,9 +1,10 @@
-"""Dimensions with their standard uncertainty: plateaus, grooves, waves, balls, cylinders; mm.
+"""Fit steps, grooves, waves, balls and cylinders, with derivatives for their uncertainty; mm.
 
-Each fit returns its value and the derivative of the value by each point's height, so that any
-uncertainty of the points can be propagated: u^2 = N sum (dv/dz_i)^2 sigma_i^2 (JCGM 100, 5.1.2).
-N is the number of neighbouring points that share one error: a Gaussian filter of standard deviation
-s pixels averages the noise of 4 pi s^2 points, which then carry the information of a single point.
+Each fit returns its value v and the derivative of v by the height z_i of each point. The standard
+uncertainties sigma_i of the points are then propagated by u^2 = N sum (dv/dz_i)^2 sigma_i^2
+(JCGM 100, 5.1.2). N is the number of neighbouring points that have a common error: a Gaussian
+filter of standard deviation s pixels averages the noise of 4 pi s^2 points, which then have the
+information of a single point.
 """
 
 from dataclasses import dataclass
@@ -24,23 +25,25 @@ from reconstruction.evaluate.robust import (
 
 _LEAST_POINTS = 5
 _LEAST_IN_FIT = 20
-# Residuals of 0.1 um are no outliers, for any accuracy of the remaining points.
+# Residuals up to 0.1 um are never outliers, however small the other residuals are.
 _NEVER_OUT_MM = 1e-4
 _SINGULAR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class FittedDimension:
-    """A value that was fitted to points.
+    """A dimension fitted to points, with the derivatives that propagate the points' uncertainty.
 
     Attributes
     ----------
-    value : mm
+    value : fitted dimension, mm
     slope : (n,) derivative of the value by each point's height; 0 for an unused point
-    residuals_mm : (n,) of all points; `used` marks the fitted points
-    design : (n, k) change of each point's height by the parameters of the shape, 0 for an unused
-        point; None if no shape is fitted
-    gradient : (k,) derivative of the value by these parameters
+    residuals_mm : (n,) residuals of the points
+    used : (n,) bool, points used in the last fit
+    design : (n, k) derivative of each point's height by the k parameters of the shape, 0 for an
+        unused point; None if no shape is fitted
+    gradient : (k,) derivative of the value by the parameters of the shape; None if no shape is
+        fitted
     """
 
     value: float
@@ -51,36 +54,38 @@ class FittedDimension:
     gradient: FloatArray | None = None
 
     def noise_mm(self, sigma_mm: FloatArray, together: float) -> float:
-        """Return the standard uncertainty that the points' sigma (n,) causes.
+        """Return the standard uncertainty of the value, mm, from that of the points' heights.
 
         Parameters
         ----------
-        together : number of neighbouring points that share one error, at least 1
+        sigma_mm : (n,) standard uncertainty of each point's height
+        together : number of neighbouring points that have a common error, at least 1
         """
         alone = float(np.sum((self.slope * sigma_mm) ** 2))
-        # At most, shared errors move all points by their sigma in one direction.
+        # Upper limit: one common error moves all points by their sigma.
         all_as_one = float(np.sum(np.abs(self.slope) * sigma_mm)) ** 2
         return float(np.sqrt(min(max(together, 1.0) * alone, all_as_one)))
 
     def bound_mm(self, sigma_mm: FloatArray, points_each: float = 1.0) -> float | None:
-        """Return the least standard deviation that any unbiased fit of the shape can have.
+        """Return the least standard deviation, mm, that any unbiased fit of the shape can have.
 
-        The Cramer-Rao bound sqrt(g^T F^-1 g), F = sum_i J_i J_i^T / sigma_i^2 the information of
-        independent, normally distributed errors, J_i `design`, g `gradient`; a fit weighted
-        by 1 / sigma^2 attains it. None if no shape is fitted, or its points do not determine it.
+        This is the Cramer-Rao bound sqrt(g^T F^-1 g) with the information
+        F = sum_i J_i J_i^T / sigma_i^2 of independent, normally distributed errors. J_i is row i of
+        `design`, g is `gradient`. A fit weighted by 1 / sigma^2 attains the bound. None if no shape
+        is fitted, or if the points do not determine it.
 
         Parameters
         ----------
-        sigma_mm : (n,) of the heights, above 0 where used
+        sigma_mm : (n,) standard deviation of each height, above 0 for every used point
         points_each : number of measured points per point of the fit
         """
         parts = self._bound_parts(sigma_mm)
         return None if parts is None else float(np.sqrt(parts.sum() / points_each))
 
     def bound_shares(self, sigma_mm: FloatArray) -> FloatArray | None:
-        """Return the relative change of the bound with each point's sigma, d ln b / d ln sigma.
+        """Return the share of each point in the bound: d ln(bound) / d ln(sigma_i), (n,).
 
-        (n,), at least 0 and with sum 1: each point's share of the information about the value.
+        The shares are at least 0 and their sum is 1. None if there is no bound, see `bound_mm`.
         """
         parts = self._bound_parts(sigma_mm)
         if parts is None:
@@ -90,7 +95,10 @@ class FittedDimension:
         return shares
 
     def _bound_parts(self, sigma_mm: FloatArray) -> FloatArray | None:
-        """Return (J_i x)^2 / sigma_i^2 of the points used, x = F^-1 g: they add up to g^T x."""
+        """Return the contribution of each used point to the squared bound, mm^2, or None.
+
+        The contributions are (J_i x)^2 / sigma_i^2 with x = F^-1 g; their sum is g^T x.
+        """
         if self.design is None or self.gradient is None:
             return None
         weighted = self.design[self.used] / sigma_mm[self.used, None]
@@ -105,9 +113,14 @@ class FittedDimension:
 
 
 def shared_by(filter_sigma_px: float, stride_px: int = 1) -> float:
-    """Return the number of points (every `stride_px`-th pixel) that share one error after a filter.
+    """Return the number of neighbouring points that have a common error after a Gaussian filter.
 
-    The squared sum over the sum of squares of a Gaussian's autocorrelation: 4 pi sigma^2.
+    It is 4 pi sigma^2 pixels: the squared sum of the filter's weights over the sum of squares.
+    Points are every `stride_px`-th pixel along rows and columns.
+
+    Parameters
+    ----------
+    filter_sigma_px : standard deviation sigma of the filter
     """
     return max(1.0, 4.0 * np.pi * filter_sigma_px**2 / stride_px**2)
 
@@ -115,18 +128,18 @@ def shared_by(filter_sigma_px: float, stride_px: int = 1) -> float:
 def step_between(
     xy_mm: FloatArray, z_mm: FloatArray, upper: BoolImage, lower: BoolImage
 ) -> FittedDimension:
-    """Fit two parallel planes z = a + b x + c y + h upper; the value is h.
+    """Fit a step between two parallel planes, z = a + b x + c y + h upper; the value is h.
 
-    ISO 5436-1 type A1 with planes in the place of lines: the caller excludes the edges.
+    This is ISO 5436-1 type A1 with planes instead of lines. The caller excludes points near edges.
 
     Parameters
     ----------
     xy_mm, z_mm : (n, 2), (n,) float
-    upper, lower : (n,) bool, points on the raised and on the lower plateau
+    upper, lower : (n,) bool, points on the upper and on the lower plateau
 
     Raises
     ------
-    FitError : fewer than five points on a plateau
+    FitError : there are fewer than five points on a plateau
     """
     for name, part in (("upper", upper), ("lower", lower)):
         if part.sum() < _LEAST_POINTS:
@@ -136,16 +149,16 @@ def step_between(
 
 
 def fit_linear(design: FloatArray, z_mm: FloatArray) -> FittedDimension:
-    """Fit heights z = design p without outliers; the value is the first parameter of p.
+    """Fit the parameters p of heights z = design p without outliers; the value is p[0].
 
     Parameters
     ----------
-    design : (n, k) float, change of each height by each parameter
+    design : (n, k) float, derivative of each height by each parameter
     z_mm : (n,) float, heights
 
     Raises
     ------
-    FitError : fewer than five points, or fewer than parameters
+    FitError : there are fewer than five points, or fewer points than parameters
     """
     least = max(_LEAST_POINTS, design.shape[1])
     if len(z_mm) < least:
@@ -154,7 +167,9 @@ def fit_linear(design: FloatArray, z_mm: FloatArray) -> FittedDimension:
 
 
 def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDimension:
-    """Fit a + b s and a sine of known pitch; the value is its depth from crest to root.
+    """Fit a line a + b s plus a sine of known pitch to a profile of grooves.
+
+    The value is the height of the sine from crest to root.
 
     Parameters
     ----------
@@ -162,7 +177,7 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
 
     Raises
     ------
-    FitError : too few points, or less than one pitch of them
+    FitError : there are fewer than 20 points, or they cover less than one pitch
     """
     if len(s_mm) < _LEAST_IN_FIT or np.ptp(s_mm) < pitch_mm:
         raise FitError(f"grooves: {len(s_mm)} points, 20 over at least one pitch needed")
@@ -184,7 +199,7 @@ def wave_depth(s_mm: FloatArray, z_mm: FloatArray, pitch_mm: float) -> FittedDim
 
 @dataclass(frozen=True, eq=False)
 class GrooveFit:
-    """A V groove: its depth, its width at the face, and the position of its root."""
+    """Fitted V groove: depth, width at the face, and position s of the root; all in mm."""
 
     depth: FittedDimension
     width: FittedDimension
@@ -192,16 +207,18 @@ class GrooveFit:
 
 
 def v_groove(s_mm: FloatArray, z_mm: FloatArray, depth_mm: float, width_mm: float) -> GrooveFit:
-    """Fit z = a + b s - depth max(0, 1 - 2 |s - root| / width): a face and two straight flanks.
+    """Fit a groove with two straight flanks in a flat face to a profile.
+
+    The model is z = a + b s - depth max(0, 1 - 2 |s - root| / width).
 
     Parameters
     ----------
-    s_mm, z_mm : (n,) float
+    s_mm, z_mm : (n,) float, position across the groove and height
     depth_mm, width_mm : approximate depth and width of the groove, within a factor of two
 
     Raises
     ------
-    FitError : too few points, or the fit does not converge
+    FitError : there are fewer than 20 points, or the fit does not converge
     """
     if len(s_mm) < _LEAST_IN_FIT:
         raise FitError(f"groove: {len(s_mm)} points, 20 needed")
@@ -237,11 +254,11 @@ def v_groove(s_mm: FloatArray, z_mm: FloatArray, depth_mm: float, width_mm: floa
 
 
 def ball_radius(points_mm: FloatArray) -> tuple[FittedDimension, BallFit]:
-    """Fit a ball without outliers; the value is its radius.
+    """Fit a ball to points (n, xyz) without outliers; the value is its radius.
 
     Raises
     ------
-    FitError : too few or coplanar points
+    FitError : there are too few points, or they are coplanar
     """
     fit = fit_ball(points_mm)
     used_mm = points_mm[fit.inliers]
@@ -252,11 +269,11 @@ def ball_radius(points_mm: FloatArray) -> tuple[FittedDimension, BallFit]:
 
 
 def ball_radius_of_all(points_mm: FloatArray) -> FittedDimension:
-    """Fit a ball to all points by least squares; the value is its radius.
+    """Fit a ball to all points (n, xyz) by least squares; the value is its radius.
 
     Raises
     ------
-    FitError : too few or coplanar points
+    FitError : there are too few points, or they are coplanar
     """
     fit = fit_sphere(points_mm)
     normals = points_mm - fit.centre_mm
@@ -267,11 +284,15 @@ def ball_radius_of_all(points_mm: FloatArray) -> FittedDimension:
 
 
 def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDimension, CylinderFit]:
-    """Fit a cylinder without outliers, its axis within some 20 degrees of `axis` (xyz).
+    """Fit a cylinder to points (n, xyz) without outliers; the value is its radius.
+
+    Parameters
+    ----------
+    axis : (xyz) approximate direction of the axis, within about 20 degrees
 
     Raises
     ------
-    FitError : too few points, or the fit does not converge
+    FitError : there are too few points, or the fit does not converge
     """
     fit = fit_cylinder(points_mm, axis)
     used_mm = points_mm[fit.inliers] - fit.point_mm
@@ -287,7 +308,17 @@ def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDime
 def _radius(
     radius_mm: float, design: FloatArray, upward: FloatArray, used: BoolImage, residuals: FloatArray
 ) -> FittedDimension:
-    """Return a radius; an error along z counts by its component along the surface normal."""
+    """Return a radius with its derivatives by the heights of the points.
+
+    An error of a height changes the radial distance by its component along the surface normal.
+
+    Parameters
+    ----------
+    design : (used, k) negative derivative of the radial residual by radius and k - 1 parameters
+    upward : (used,) z component of the surface's unit normal
+    used : (n,) bool, fitted points
+    residuals : (used,) radial residuals, mm
+    """
     slope, all_residuals = np.zeros(len(used)), np.zeros(len(used))
     slope[used] = np.linalg.pinv(design)[0] * upward
     all_residuals[used] = residuals
@@ -300,9 +331,10 @@ def _radius(
 def _parameters(
     design: FloatArray, z_mm: FloatArray, groups: tuple[BoolImage, ...], count: int = 1
 ) -> list[FittedDimension]:
-    """Fit by least squares, repeated without outliers; return the first `count` parameters.
+    """Fit heights z = design p by least squares without outliers; return the first `count` of p.
 
-    Outliers are determined in each group, so that a large level does not hide or exclude a small.
+    Outliers are determined separately in each group of points (n,) bool. Otherwise a large plateau
+    could hide the outliers of a small one, or exclude its points.
     """
 
     def good(residuals: FloatArray) -> BoolImage:

@@ -1,4 +1,4 @@
-"""Least-squares spheres and planes, residual statistics, and outliers; lengths mm."""
+"""Fit spheres and planes by least squares, with residual statistics and outliers; lengths in mm."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,21 +11,22 @@ from scipy.optimize import least_squares
 from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import FitError
 
-# Singular value ratio below which points count as coplanar (collinear): rounding only.
+# Ratio of singular values below which points count as coplanar or collinear; rounding errors only.
 DEGENERATE_RATIO = 1e-10
 # 1.4826 MAD estimates the standard deviation of a normal distribution.
 MAD_TO_SIGMA = 1.4826
-# A Gauss-Newton step is 0.01 of the last one if the points determine a sphere well.
+# A Gauss-Newton step is about 0.01 x the previous step if the points determine a sphere well.
 _MOST_STEPS, _STEP_OF_ROUNDING = 30, 1e-13
 REJECT_BEYOND_SIGMAS = 4.0
-"""One of 16,000 normally distributed residuals is larger."""
+"""Residuals beyond this many standard deviations are outliers; one of 16,000 normally distributed
+residuals is."""
 
 Shape = TypeVar("Shape")
 
 
 @dataclass(frozen=True)
 class ResidualStats:
-    """RMSE, MAE and 95th percentile of the absolute residuals, as the paper defines them."""
+    """RMS, mean and 95th percentile of the absolute residuals, mm, as the paper defines them."""
 
     rmse_mm: float
     mae_mm: float
@@ -34,7 +35,10 @@ class ResidualStats:
 
 @dataclass(frozen=True, eq=False)
 class SphereFit:
-    """Least-squares sphere; residuals_mm (n,) are radial distances, positive outside."""
+    """Sphere fitted to points by least squares.
+
+    centre_mm is (xyz). residuals_mm (n,) are the radial distances of the points, positive outside.
+    """
 
     centre_mm: FloatArray
     radius_mm: float
@@ -42,13 +46,17 @@ class SphereFit:
 
     @property
     def stats(self) -> ResidualStats:
-        """Statistics of the radial residuals."""
+        """Statistics of the radial distances of the points from the sphere."""
         return residual_stats(self.residuals_mm)
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneFit:
-    """Least-squares plane; unit normal with z >= 0; residuals_mm (n,) positive along it."""
+    """Plane fitted to points by least squares.
+
+    centroid_mm is the mean of the points (xyz). normal is the unit normal (xyz) with z >= 0.
+    residuals_mm (n,) are the distances of the points, positive along the normal.
+    """
 
     centroid_mm: FloatArray
     normal: FloatArray
@@ -56,12 +64,12 @@ class PlaneFit:
 
     @property
     def stats(self) -> ResidualStats:
-        """Statistics of the distances from the plane."""
+        """Statistics of the distances of the points from the plane."""
         return residual_stats(self.residuals_mm)
 
 
 def residual_stats(residuals_mm: ArrayLike) -> ResidualStats:
-    """Return the statistics of signed residuals, (n,) mm.
+    """Return RMSE, MAE and 95th percentile of signed residuals, (n,) mm.
 
     Raises
     ------
@@ -88,7 +96,7 @@ def rms(values: NDArray[np.floating]) -> float:
 
 
 def p95_of_size(values: NDArray[np.floating]) -> float:
-    """Return the 95th percentile of the values' sizes."""
+    """Return the 95th percentile of the absolute values."""
     return quantile(np.abs(values), 0.95)
 
 
@@ -98,10 +106,11 @@ def median(values: NDArray[np.floating]) -> float:
 
 
 def quantile(values: NDArray[np.floating], share: float) -> float:
-    """Return the quantile at `share` of the values (n,), all finite; linear between two values.
+    """Return the quantile of finite values (n,) at a share between 0 and 1.
 
-    One partition at one index: numpy's own median and percentile partition the values at three
-    indices, which takes several times as long.
+    The quantile is interpolated linearly between two values. It is found by a partition at one
+    index. The median and percentile of numpy partition the values at three indices, which takes
+    several times as long.
     """
     at = share * (len(values) - 1)
     low = int(at)
@@ -121,18 +130,19 @@ def fit_sphere(points_mm: ArrayLike) -> SphereFit:
 
     Raises
     ------
-    FitError : too few, coplanar or non-finite points
+    FitError : points are too few, coplanar or not finite
     """
     return fit_sphere_both_ways(points_mm)[0]
 
 
 def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
-    """Fit the sphere with the least sum of squared differences of squared distances.
+    """Fit the sphere with the least sum of squares of (squared distance from its centre - R^2).
 
-    Linear, and therefore common in short programs; but noise biases it towards smaller spheres
-    (Kasa, IEEE Transactions on Instrumentation and Measurement 25, 8-14, 1976). On a cap the radius
-    decreases to R / (1 + 12 sigma^2 / S^2) for points spread evenly over the plan, with their noise
-    sigma and the cap's height S, both much less than R.
+    This fit is linear, and therefore common in short programs; but noise biases it towards smaller
+    spheres (Kasa, IEEE Transactions on Instrumentation and Measurement 25, 8-14, 1976). On a
+    spherical cap the radius decreases from R to R / (1 + 12 sigma^2 / S^2). This holds for points
+    distributed evenly over the cap's projection, with their noise sigma and the cap's height S,
+    both much less than R.
 
     Parameters
     ----------
@@ -140,7 +150,7 @@ def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
 
     Raises
     ------
-    FitError : too few, coplanar or non-finite points
+    FitError : points are too few, coplanar or not finite
     """
     points = _checked(points_mm, 4, "sphere")
     local, offset, scale = _centred(points)
@@ -148,13 +158,13 @@ def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
 
 
 def fit_sphere_both_ways(points_mm: ArrayLike) -> tuple[SphereFit, SphereFit]:
-    """Return `fit_sphere` and `fit_sphere_algebraic` of the same points, (n, 3) float.
+    """Return the results of `fit_sphere` and `fit_sphere_algebraic` for points, (n, 3) float.
 
-    The second is the start of the first.
+    The algebraic fit is the start of the iteration of `fit_sphere`, so that it needs no extra time.
 
     Raises
     ------
-    FitError : too few, coplanar or non-finite points
+    FitError : points are too few, coplanar or not finite
     """
     points = _checked(points_mm, 4, "sphere")
     # Centred and scaled: the algebraic start and the iteration then work with numbers near one.
@@ -170,9 +180,15 @@ def fit_sphere_both_ways(points_mm: ArrayLike) -> tuple[SphereFit, SphereFit]:
 
 
 def _gauss_newton(local: FloatArray, start: FloatArray) -> FloatArray | None:
-    """Return the sphere (centre, radius) of least radial distances, from the algebraic sphere.
+    """Return the sphere (4,) of centre and radius with the least squared radial distances.
 
-    None if the steps do not decrease to rounding: for points that hardly determine a sphere.
+    None if the steps do not decrease to rounding errors, as for points that hardly determine a
+    sphere.
+
+    Parameters
+    ----------
+    local : (n, 3) centred and scaled points
+    start : (4,) the algebraic sphere
     """
     axes, sphere, before = np.ascontiguousarray(local.T), start, np.inf
     for _ in range(_MOST_STEPS):
@@ -199,13 +215,16 @@ def _gauss_newton(local: FloatArray, start: FloatArray) -> FloatArray | None:
 def _sphere_of(
     sphere: FloatArray, points: FloatArray, offset: FloatArray, scale: float
 ) -> SphereFit:
-    """Return the sphere of a solution (centre, radius) in centred and scaled coordinates, in mm."""
+    """Return the sphere in mm from a solution (4,) in centred and scaled coordinates."""
     centre, radius = sphere[:3] * scale + offset, abs(float(sphere[3])) * scale
     return SphereFit(centre, radius, np.linalg.norm(points - centre, axis=1) - radius)
 
 
 def _centred(points: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return points about their mean in units of their spread, the mean, and that spread."""
+    """Return centred and scaled points, their mean (xyz), mm, and the scale, mm.
+
+    The scale is the RMS distance of the points from their mean.
+    """
     offset = points.mean(axis=0)
     scale = float(np.sqrt(np.mean(np.sum((points - offset) ** 2, axis=1)))) or 1.0
     return (points - offset) / scale, offset, scale
@@ -220,7 +239,7 @@ def fit_plane(points_mm: ArrayLike) -> PlaneFit:
 
     Raises
     ------
-    FitError : too few, collinear or non-finite points
+    FitError : points are too few, collinear or not finite
     """
     points = _checked(points_mm, 3, "plane")
     centroid = points.mean(axis=0)
@@ -245,7 +264,7 @@ def _checked(points_mm: ArrayLike, least: int, shape: str) -> FloatArray:
 
 
 def _algebraic_sphere(local: FloatArray) -> FloatArray:
-    """Return centre and radius from the linear system |p|^2 = 2 c p + k."""
+    """Return centre c and radius, (4,), from the linear system |p|^2 = 2 c p + k for points p."""
     system = np.column_stack([2.0 * local, np.ones(len(local))])
     solution, _, _, singular = np.linalg.lstsq(system, np.sum(local**2, axis=1))
     if singular[-1] <= DEGENERATE_RATIO * singular[0]:
@@ -255,28 +274,31 @@ def _algebraic_sphere(local: FloatArray) -> FloatArray:
 
 
 def radial_mm(sphere: FloatArray, points_mm: FloatArray) -> FloatArray:
-    """Return the distances (n,) of points (n, 3) from a sphere (centre, radius)."""
+    """Return the radial distances (n,) of points (n, 3) from a sphere (4,), positive outside.
+
+    The elements of `sphere` are the centre (xyz) and the radius.
+    """
     toward = sphere[:3] - points_mm
     distance: FloatArray = np.sqrt(np.einsum("ij,ij->i", toward, toward)) - sphere[3]
     return distance
 
 
 def radial_jacobian(sphere: FloatArray, points_mm: FloatArray) -> FloatArray:
-    """Return the slopes (n, 4) of `radial_mm` by centre and radius."""
+    """Return the derivatives (n, 4) of `radial_mm` by centre (xyz) and radius."""
     toward = sphere[:3] - points_mm
-    # A point at the centre has no direction; any finite value will do for that row.
+    # A point at the centre has no direction; its row may have any finite value.
     distance = np.maximum(np.sqrt(np.einsum("ij,ij->i", toward, toward)), 1e-300)
     return np.column_stack([toward / distance[:, None], -np.ones(len(points_mm))])
 
 
 def spread(values: NDArray[np.floating]) -> float:
-    """Robust standard deviation of values, (n,)."""
+    """Return the robust standard deviation of values (n,): 1.4826 x median absolute deviation."""
     away = values - median(values)
     return MAD_TO_SIGMA * median(np.abs(away, out=away))
 
 
 def inliers(residuals_mm: FloatArray) -> BoolImage:
-    """Return which residuals, (n,) mm, are within four robust standard deviations of the median."""
+    """Return True, (n,), for residuals within four robust standard deviations of their median."""
     limit = REJECT_BEYOND_SIGMAS * max(spread(residuals_mm), 1e-12)
     is_inlier: BoolImage = np.abs(residuals_mm - median(residuals_mm)) <= limit
     return is_inlier
@@ -284,13 +306,14 @@ def inliers(residuals_mm: FloatArray) -> BoolImage:
 
 @dataclass(frozen=True, eq=False)
 class InlierFit(Generic[Shape]):
-    """A shape fitted without outliers.
+    """Result of `fit_inliers`: a shape fitted to points without outliers.
 
     Attributes
     ----------
-    shape : of the last fit
-    fitted : (n,) points of the last fit
-    inliers : (n,) points that are no outliers of it; equal to `fitted` unless the fits were ended
+    shape : result of the last fit
+    fitted : (n,) bool, points used in the last fit
+    inliers : (n,) bool, points that are no outliers of the last fit; equal to `fitted` unless the
+        largest number of fits was reached
     """
 
     shape: Shape
@@ -305,15 +328,15 @@ def fit_inliers(
     judge: Callable[[FloatArray], BoolImage] = inliers,
     most_fits: int = 21,
 ) -> InlierFit[Shape]:
-    """Repeat a fit without the outliers of the previous fit, until the same points remain.
+    """Repeat a fit without the outliers of the previous fit, until the used points do not change.
 
     Parameters
     ----------
-    fit : points to use (n,) to the shape
-    residuals_mm : shape to the residuals (n,) of all points
-    first : (n,) points of the first fit
-    judge : residuals (n,) to the points that are no outliers
-    most_fits : largest number of fits; the last one is returned
+    fit : function that returns the shape fitted to the points in a mask (n,) bool
+    residuals_mm : function that returns the residuals (n,) of all points for a shape
+    first : (n,) bool, points of the first fit
+    judge : function that returns the points (n,) bool that are no outliers, for residuals (n,)
+    most_fits : largest number of fits; the last fit is returned
     """
     used, good = first, first
     for _ in range(most_fits):

@@ -1,4 +1,4 @@
-"""Dimensions on a plane: flatness (ISO 12781-1), roughness (ISO 25178-2), step and bar width."""
+"""Measure flatness (ISO 12781-1), roughness (ISO 25178-2), steps and bar widths; lengths in mm."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,23 +12,24 @@ from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import PlaneFit, fit_inliers, fit_plane, rms
 from reconstruction.evaluate.robust import fit_heights
 
-# Gaussian of ISO 16610-61: exp(-pi (x / (a L))^2) / (a L)^2 with a = sqrt(ln 2 / pi).
+# Standard deviation over nesting index L of the Gaussian of ISO 16610-61,
+# exp(-pi (x / (a L))^2) / (a L)^2 with a = sqrt(ln 2 / pi).
 _SIGMA_OVER_NESTING = np.sqrt(np.log(2.0) / np.pi) / np.sqrt(2.0 * np.pi)
 _LEAST_SUPPORT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Flatness:
-    """Deviations of points from their plane.
+    """Flatness deviations of points from their reference plane.
 
     Attributes
     ----------
     peak_to_valley_mm, rms_mm : float
-        ISO 12781-1's peak-to-valley and RMS flatness deviation, over the inliers.
+        Peak-to-valley and RMS flatness deviation of ISO 12781-1, over the inliers.
     inliers : (n,) bool
         Points that are no outliers.
     plane : PlaneFit
-        Through the inliers.
+        Reference plane, fitted to the inliers.
     """
 
     peak_to_valley_mm: float
@@ -38,7 +39,9 @@ class Flatness:
 
 
 def flatness(points_mm: ArrayLike) -> Flatness:
-    """Fit the reference plane (least squares, repeated without outliers); return the deviations.
+    """Return the flatness deviations of points from their reference plane.
+
+    The plane is fitted by least squares, repeated without outliers.
 
     Parameters
     ----------
@@ -59,14 +62,18 @@ def flatness(points_mm: ArrayLike) -> Flatness:
 
 
 def distances_mm(points_mm: FloatArray, plane: PlaneFit) -> FloatArray:
-    """Signed distances of points (n, 3) from a plane."""
+    """Return the signed distances (n,) of points (n, 3) from a plane, positive along its normal."""
     distances: FloatArray = (points_mm - plane.centroid_mm) @ plane.normal
     return distances
 
 
 @dataclass(frozen=True)
 class ArealRoughness:
-    """Height parameters of the S-L surface; Sz is the height between highest and lowest point."""
+    """Height parameters of the S-L surface by ISO 25178-2.
+
+    sa_mm is the arithmetic mean height Sa and sq_mm the RMS height Sq. sz_mm is the maximum height
+    Sz, from the lowest to the highest point.
+    """
 
     sa_mm: float
     sq_mm: float
@@ -74,28 +81,33 @@ class ArealRoughness:
 
 
 _LONGEST_NESTING = 10.0
-"""Over the longer side of the field; the Gaussian's memory and time increase with it."""
+"""Largest nesting index over the longer side of the field: the memory and run time of the Gaussian
+filter increase with the nesting index."""
 
 
 def areal_roughness(
     z_mm: ArrayLike, valid: ArrayLike, pitch_mm: float, nesting_mm: float
 ) -> ArealRoughness:
-    """Remove the plane and the waviness (Gaussian L-filter of ISO 16610-61), and rate the rest.
+    """Return height parameters after removal of plane and waviness.
+
+    The waviness is removed by the Gaussian L-filter of ISO 16610-61.
 
     Parameters
     ----------
     z_mm : (row, col) float
         Heights on a square grid.
     valid : (row, col) bool
-        Where there is a height.
+        True at grid nodes with a height.
     pitch_mm : float
-        Distance of the grid's nodes.
+        Distance of neighbouring grid nodes.
     nesting_mm : float
-        Nesting index of the L-filter: of a wave this long 50 % passes into the roughness.
+        Nesting index of the L-filter: the wavelength of which 50 % of the amplitude remains in the
+        roughness.
 
     Raises
     ------
-    FitError : too few heights, or a nesting index below two pitches or above ten fields
+    FitError : there are too few heights, or the nesting index is below two pitches or above ten
+        times the longer side of the field
     """
     z, has_height = np.asarray(z_mm, np.float64), np.asarray(valid, bool)
     longest_mm = _LONGEST_NESTING * max(z.shape) * pitch_mm
@@ -120,7 +132,15 @@ def areal_roughness(
 
 
 def _without_waviness(level: FloatArray, has_height: FloatArray, sigma_px: float) -> FloatArray:
-    """Heights less their Gaussian mean, where at least 50 % of the filter's weight has heights."""
+    """Return heights minus their Gaussian mean, minus the mean of the difference, (n,) mm.
+
+    Nodes are left out if less than 50 % of the filter's weight there is at nodes with a height.
+
+    Parameters
+    ----------
+    level : (row, col) heights after removal of the plane, 0 at nodes without a height
+    sigma_px : standard deviation of the Gaussian, in pitches
+    """
     weight = gaussian_filter(has_height.astype(np.float64), sigma_px, mode="constant")
     wave = gaussian_filter(level, sigma_px, mode="constant") / np.maximum(weight, 1e-12)
     rated = has_height & (weight >= _LEAST_SUPPORT)
@@ -133,20 +153,21 @@ def _without_waviness(level: FloatArray, has_height: FloatArray, sigma_px: float
 _LEAST_POINTS = 5
 _MOST_LINE_FITS = 10
 _STEPS_PER_SIGMA = 4
-# Of the fastest change of slope on a side: the least that is an edge, not texture.
+# Least change of slope that counts as an edge and not as texture, over the largest one on a side.
 _STRONG = 0.5
 _REACH_STEPS = 4 * _STEPS_PER_SIGMA
 
 
 @dataclass(frozen=True)
 class StepHeight:
-    """Height of a groove or ridge after ISO 5436-1, type A1; negative for a groove.
+    """Height of a ridge or groove by ISO 5436-1, type A1.
 
     Attributes
     ----------
     height_mm : float
+        Height of a ridge; negative for a groove.
     rms_mm : float
-        Of the residuals of the two parallel lines.
+        RMS of the residuals from the two parallel lines.
     """
 
     height_mm: float
@@ -155,15 +176,16 @@ class StepHeight:
 
 @dataclass(frozen=True)
 class BarWidth:
-    """Width of a raised bar where it crosses a stated fraction of its height.
+    """Width of a raised bar or crest in a profile.
 
     Attributes
     ----------
     width_mm : float
+        Distance of the two ends.
     height_mm : float
-        Median of the top third over median of the ground.
+        Height of the top above the ground, as the function that measured it defines both.
     left_mm, right_mm : float
-        Positions of the crossings, interpolated between samples.
+        Positions of the two ends along the profile, interpolated between samples.
     """
 
     width_mm: float
@@ -173,22 +195,23 @@ class BarWidth:
 
 
 def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: float) -> StepHeight:
-    """Fit z = a + b s + h d(s) to a profile with a ridge or groove between two edges.
+    """Return the height h of a ridge or groove between two edges in a profile.
 
-    d is 1 over the middle third of the width W between the edges and 0 over the two stretches that
-    start W / 3 outside of them and are 2 W / 3 long (ISO 5436-1, 7.2); the points between them are
-    not used. Outliers are excluded from a second fit.
+    z = a + b s + h d(s) is fitted to the profile. d is 1 over the middle third of the width W
+    between the edges. d is 0 on each side over a stretch that starts W / 3 outside of the edge and
+    is 2 W / 3 long (ISO 5436-1, 7.2). All other points are not used. The fit is repeated without
+    outliers.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-        Positions along the profile and heights; points without height are removed beforehand.
+        Positions along the profile and heights; the caller removes points without a height.
     left_mm, right_mm : float
-        The edges.
+        Positions of the edges.
 
     Raises
     ------
-    FitError : fewer than five points on one of the three stretches
+    FitError : one of the three stretches has fewer than five points
     """
     s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
     width = right_mm - left_mm
@@ -206,18 +229,20 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
 
 
 def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWidth:
-    """Measure a bar on a level ground between its crossings of `fraction` of its height.
+    """Measure the width of a bar between the positions at a fraction of its height.
+
+    The ground is the median of the lowest third of the heights, the top that of the highest 10 %.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-        Positions, ascending, and heights.
+        Positions along the profile, ascending, and heights.
     fraction : float
-        Between 0 and 1; half the height by default.
+        Level of the crossings above the ground over the height of the bar, between 0 and 1.
 
     Raises
     ------
-    FitError : the profile has no bar with ground on both sides
+    FitError : the profile has fewer than 20 points, or no bar with ground on both sides
     """
     s, z = np.asarray(s_mm, np.float64), np.asarray(z_mm, np.float64)
     if not 0.0 < fraction < 1.0 or s.size < 4 * _LEAST_POINTS:
@@ -234,34 +259,36 @@ def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWid
 
 
 def break_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
-    """Measure a crest between the breaks of its slope, where it bends most.
+    """Measure the width of a crest between the two positions where its curvature is largest.
 
-    On either side the position in the upper half of the crest at which the downward curvature
-    -z'' / (1 + z'^2)^(3/2) of the profile, smoothed by a Gaussian, is largest: the upper edge of
-    a trapezoid, up to one sigma inside of steep ones. A round crest has no such edge and
-    no break width.
+    The profile is smoothed by a Gaussian. Each end is the position, in the upper half of a side of
+    the crest, where the downward curvature -z'' / (1 + z'^2)^(3/2) is largest. On a trapezoid this
+    is the upper edge; for steep flanks it is up to one sigma inside of the edge. A round crest has
+    no such edge and no break width. The ground is the median of the lowest third of the heights,
+    the top is the largest height.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
-        Positions, ascending, and heights.
+        Positions along the profile, ascending, and heights.
     sigma_mm : float
         Standard deviation of the Gaussian.
 
     Raises
     ------
-    FitError : the profile does not bend down on both sides of its middle, or the distance of its
-        bends is less than sigma_mm, as on a round crest
+    FitError : the profile does not bend down on both sides of its middle, or the distance of the
+        two ends is less than sigma_mm, as on a round crest
     """
     return _width_between_bends(s_mm, z_mm, sigma_mm, _curvature)
 
 
 def slope_change_width(s_mm: ArrayLike, z_mm: ArrayLike, sigma_mm: float) -> BarWidth:
-    """Measure a crest between the positions where its slope changes fastest; as `break_width`.
+    """Measure the width of a crest between the positions where its slope changes fastest.
 
-    There -z'' of the smoothed profile is largest: the upper edge of a trapezoid of any steepness.
-    If a sheet spans free over the flanks and bends a second time, the first edge is used: from the
-    middle outward the first maximum of -z'' that is at least 50 % of its largest value.
+    Parameters and errors are those of `break_width`. At each end -z'' of the smoothed profile is
+    largest, which is the upper edge of a trapezoid with flanks of any steepness. A sheet that spans
+    free over the flanks may bend a second time further outside. The end is therefore the first
+    maximum of -z'', from the middle outwards, that is at least 50 % of the largest value.
     """
     return _width_between_bends(s_mm, z_mm, sigma_mm, _slope_change, _first_strong)
 
@@ -298,14 +325,17 @@ def _width_between_bends(
 
 
 def _first_strong(outward: FloatArray) -> int:
-    """Index of the first local maximum that is strong; of the largest value without such."""
+    """Return the index of the first local maximum of at least 50 % of the largest value.
+
+    It is the index of the largest value if there is no such local maximum.
+    """
     higher = np.r_[False, outward[1:-1] >= np.maximum(outward[:-2], outward[2:]), False]
     strong = np.flatnonzero(higher & (outward >= _STRONG * outward.max()))
     return int(strong[0]) if strong.size else int(np.argmax(outward))
 
 
 def _summit(s: FloatArray, values: FloatArray, at: int) -> float:
-    """Position of a largest value: vertex of the parabola through three samples."""
+    """Return the position, mm, of the maximum of a parabola through three samples about `at`."""
     if not 0 < at < s.size - 1:
         return float(s[at])
     before, here, after = values[at - 1 : at + 2]
@@ -315,17 +345,23 @@ def _summit(s: FloatArray, values: FloatArray, at: int) -> float:
 
 
 def _curvature(z: FloatArray, step: float) -> FloatArray:
-    """Curvature of a profile smoothed by a Gaussian of `_STEPS_PER_SIGMA` samples."""
+    """Return the curvature (n,), 1/mm, of heights (n,) at a step, mm, after smoothing.
+
+    The standard deviation of the Gaussian is `_STEPS_PER_SIGMA` samples.
+    """
     slope = gaussian_filter1d(z, _STEPS_PER_SIGMA, order=1, mode="nearest") / step
     return np.asarray(_slope_change(z, step) / (1.0 + slope**2) ** 1.5)
 
 
 def _slope_change(z: FloatArray, step: float) -> FloatArray:
-    """Second derivative of a profile smoothed by a Gaussian of `_STEPS_PER_SIGMA` samples."""
+    """Return the second derivative (n,), 1/mm, of heights (n,) at a step, mm, after smoothing.
+
+    The standard deviation of the Gaussian is `_STEPS_PER_SIGMA` samples.
+    """
     return np.asarray(gaussian_filter1d(z, _STEPS_PER_SIGMA, order=2, mode="nearest") / step**2)
 
 
 def _crossing(s: FloatArray, z: FloatArray, at: int, level: float) -> float:
-    """Position between samples `at` and `at + 1` where z crosses a level."""
+    """Return the position, mm, between samples `at` and `at + 1` where z crosses a level."""
     share = (level - z[at]) / (z[at + 1] - z[at])
     return float(s[at] + share * (s[at + 1] - s[at]))

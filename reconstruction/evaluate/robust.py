@@ -1,4 +1,4 @@
-"""Balls, cylinders and linear shapes from points with outliers; mm."""
+"""Fit balls, cylinders and linear models of heights to points with outliers; lengths in mm."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,25 +22,27 @@ from reconstruction.evaluate.fit import (
     spread,
 )
 
-# The first scale is from a fit that outliers have biased: it is computed again once.
+# Number of soft-L1 fits: the scale of the residuals for the first one is from a fit that outliers
+# have biased.
 _SOFT_TURNS = 2
 _LEAST_POINTS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class BallFit:
-    """Sphere through the points of a ball.
+    """Sphere fitted to the points of a ball without outliers.
 
     Attributes
     ----------
     centre_mm : (xyz) float
     radius_mm : float
     radius_sigma_mm : float
-        Standard uncertainty of the radius from the scatter of the residuals, taken as independent
-        of each other; filtered maps have correlated ones and a larger uncertainty.
-    residuals_mm : (n,) float
-        Radial distances of the inliers, positive outside.
+        Standard uncertainty of the radius from the scatter of the residuals, which count as
+        independent. Points of filtered maps have correlated residuals and a larger uncertainty.
+    residuals_mm : (inlier,) float
+        Radial distances of the inliers from the sphere, positive outside.
     inliers : (n,) bool
+        Points that are no outliers.
     """
 
     centre_mm: FloatArray
@@ -51,19 +53,20 @@ class BallFit:
 
     @property
     def form_mm(self) -> float:
-        """Range of the radial distances, as in the probing error (form) of VDI/VDE 2634-2."""
+        """Largest minus smallest radial distance, the probing error (form) of VDI/VDE 2634-2."""
         return float(np.ptp(self.residuals_mm))
 
     @property
     def stats(self) -> ResidualStats:
-        """Statistics of the radial residuals."""
+        """Statistics of the radial distances of the inliers."""
         return residual_stats(self.residuals_mm)
 
 
 def fit_ball(points_mm: ArrayLike) -> BallFit:
-    """Fit a sphere: soft-L1 first, then least squares, repeated without outliers.
+    """Fit a sphere to the points of a ball without outliers.
 
-    Unlike `reconstruction.evaluate.fit.fit_sphere`, which keeps every point.
+    A fit with soft-L1 loss is the start of least squares that are repeated without outliers.
+    `reconstruction.evaluate.fit.fit_sphere` uses every point.
 
     Parameters
     ----------
@@ -71,7 +74,7 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
 
     Raises
     ------
-    FitError : too few, coplanar or non-finite points
+    FitError : points are too few, coplanar or not finite
     """
     points = np.asarray(points_mm, np.float64)
     start = fit_sphere(points)
@@ -88,7 +91,12 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
 
 
 def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
-    """Return centre and radius with the least soft-L1 sum of radial distances."""
+    """Return centre and radius, (4,), with the least soft-L1 loss of the radial distances.
+
+    Parameters
+    ----------
+    start : (4,) centre and radius of a first fit
+    """
     parameters = start
     for _ in range(_SOFT_TURNS):
         scale_mm = max(spread(radial_mm(parameters, points)), 1e-9)
@@ -106,7 +114,11 @@ def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
 
 
 def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: FloatArray) -> float:
-    """Return s sqrt((J^T J)^-1) of the radius; J: minus the unit normals, minus one."""
+    """Return the standard uncertainty of a fitted radius, mm, from the scatter of the residuals.
+
+    It is the radius's element of s sqrt((J^T J)^-1), with the standard deviation s of the residuals
+    and the Jacobian J with the rows (-unit normal, -1).
+    """
     freedom = len(points) - 4
     if freedom < 1:
         raise FitError(f"ball: {len(points)} points are left without outliers, 5 needed")
@@ -120,18 +132,19 @@ def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: Fl
 
 @dataclass(frozen=True, eq=False)
 class CylinderFit:
-    """Cylinder round an axis.
+    """Cylinder fitted to points without outliers.
 
     Attributes
     ----------
     point_mm : (xyz) float
-        Point of the axis nearest to the points' centroid.
+        Point of the axis nearest to the centroid of the points.
     axis : (xyz) float
-        Unit vector with its largest component positive.
+        Unit vector along the axis, with its largest component positive.
     radius_mm : float
-    residuals_mm : (n,) float
-        Radial distances of the inliers, positive outside.
+    residuals_mm : (inlier,) float
+        Radial distances of the inliers from the cylinder, positive outside.
     inliers : (n,) bool
+        Points that are no outliers.
     """
 
     point_mm: FloatArray
@@ -142,22 +155,24 @@ class CylinderFit:
 
     @property
     def stats(self) -> ResidualStats:
-        """Statistics of the radial residuals."""
+        """Statistics of the radial distances of the inliers."""
         return residual_stats(self.residuals_mm)
 
 
 def fit_cylinder(points_mm: ArrayLike, axis: ArrayLike) -> CylinderFit:
-    """Fit a cylinder: soft-L1 first, then least squares without outliers.
+    """Fit a cylinder to points without outliers.
+
+    A fit with soft-L1 loss determines the outliers; least squares then use the other points.
 
     Parameters
     ----------
     points_mm : (n, 3) float
     axis : (3,) float
-        Direction within some 20 degrees of the true one.
+        Approximate direction of the axis, within about 20 degrees.
 
     Raises
     ------
-    FitError : too few points, or the fit does not converge
+    FitError : there are fewer than 20 points, or the fit does not converge
     """
     points = np.asarray(points_mm, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < _LEAST_POINTS:
@@ -180,7 +195,7 @@ def fit_cylinder(points_mm: ArrayLike, axis: ArrayLike) -> CylinderFit:
 
 
 def _frame(axis: FloatArray) -> FloatArray:
-    """Rows: axis and two directions across it."""
+    """Return a rotation matrix (3, 3); its rows are the unit axis and two directions across it."""
     axis = axis / np.linalg.norm(axis)
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     across /= np.linalg.norm(across)
@@ -188,7 +203,11 @@ def _frame(axis: FloatArray) -> FloatArray:
 
 
 def _start(local: FloatArray) -> FloatArray:
-    """Start from a circle across the axis: y^2 + z^2 = 2 a y + 2 b z + c, linear (Kasa 1976)."""
+    """Return the start (5,) of a cylinder fit in the local frame, with x along the axis.
+
+    The parameters are y and z of the axis, its two slopes, here 0, and the radius. A circle is
+    fitted across the axis by the linear equation y^2 + z^2 = 2 a y + 2 b z + c (Kasa 1976).
+    """
     y, z = local[:, 1], local[:, 2]
     design = np.column_stack([2.0 * y, 2.0 * z, np.ones_like(y)])
     (a, b, c), *_ = np.linalg.lstsq(design, y * y + z * z, rcond=None)
@@ -203,7 +222,10 @@ def _solve(local: FloatArray, start: FloatArray, loss: str, scale_mm: float) -> 
 
 
 def _axis_of(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Direction, and the axis' point nearest to the origin, in the local frame."""
+    """Return unit direction and the point nearest to the origin, of a cylinder's axis.
+
+    Both are (xyz) in the local frame. `parameters` are those of `_start`.
+    """
     y, z, slope_y, slope_z, _ = parameters
     direction = np.array([1.0, slope_y, slope_z])
     direction /= np.linalg.norm(direction)
@@ -231,9 +253,14 @@ def fit_heights(
     first: BoolImage | None = None,
     most_fits: int = 20,
 ) -> InlierFit[FloatArray]:
-    """Fit heights z = design p, design (n, k), by least squares, repeated without outliers.
+    """Fit the parameters p of heights z = design p by least squares, repeated without outliers.
 
-    The first fit takes all points by default; other arguments as of `fit_inliers`.
+    Parameters
+    ----------
+    design : (n, k) derivative of each height by each parameter
+    z_mm : (n,) heights
+    judge, most_fits : as in `fit_inliers`
+    first : (n,) bool, points of the first fit; None: all points
     """
     return fit_inliers(
         lambda used: np.asarray(np.linalg.lstsq(design[used], z_mm[used], rcond=None)[0]),

@@ -1,7 +1,7 @@
-"""The measured surface for further programs: height map on a grid, triangle mesh, files.
+"""Convert measured points to a height map on a grid and a triangle mesh, and write files of both.
 
-A cell's height is the mean world z of the valid points in it; a cell without a point has none.
-There is no interpolation, so every height was measured.
+The height of a cell is the mean world z of the valid points in the cell. A cell without a point has
+no height: heights are not interpolated.
 """
 
 import json
@@ -23,29 +23,32 @@ from reconstruction.triangulation import PointMap
 from reconstruction.writing import write_bytes, write_exr_channels, write_png, write_text
 
 _PNG_LEVELS = 65534
-"""Levels 1 to 65535 are heights, 0 is no height."""
+"""Number of steps: PNG levels 1 to 65535 are heights, level 0 is a cell without a height."""
 Triangles = NDArray[np.int32]
 _VERTEX: list[tuple[str, str, int]] = [("xyz", "<f4", 3)]
 _RGB = ("rgb", "u1", 3)
 
 CUT_OVER_TYPICAL = 5.0
-"""An edge this many times longer than the typical one bridges a jump: 79 degrees of slope."""
+"""Ratio of an edge's length to the median one above which a triangle is left out, because it joins
+the two sides of a jump in height; corresponds to a slope of 79 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeightGrid:
-    """Mean heights per cell.
+    """Mean height of the measured points in each cell of a square grid.
 
     Attributes
     ----------
     x_mm : (col,) float
-        World x of the cells' centres, growing.
+        World x of the cells' centres, increasing.
     y_mm : (row,) float
-        World y of the cells' centres, falling: row 0 is the top of a picture.
+        World y of the cells' centres, decreasing: row 0 is the top of a picture.
     z_mm : (row, col) float32
-        Mean world z; 0 where there is none.
+        Mean world z of the points in the cell; 0 in a cell without a point.
     valid : (row, col) bool
+        True for cells with a point.
     pitch_mm : float
+        Edge length of a cell.
     """
 
     x_mm: FloatArray
@@ -56,14 +59,14 @@ class HeightGrid:
 
 
 def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightGrid:
-    """Average the valid points over square cells.
+    """Return the height map of the valid points, averaged over square cells.
 
     Parameters
     ----------
     points : PointMap
     pitch_mm : float, optional
-        Edge of a cell; by default one and a half times the typical distance of neighbouring
-        points, so that nearly every cell on the surface gets one.
+        Edge length of a cell; by default 1.5 x the median distance of neighbouring points, so that
+        nearly every cell on the surface contains a point.
 
     Raises
     ------
@@ -80,7 +83,7 @@ def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightGrid:
 
 
 def _typical_distance_mm(points: PointMap) -> float:
-    """Median lateral distance of neighbours in an image row."""
+    """Return the median x-y distance, mm, of valid points at adjacent pixels of an image row."""
     world, both = points.points_world_mm, points.valid[:, 1:] & points.valid[:, :-1]
     if not both.any():
         raise InputError("height map: no two neighbouring points; give the pitch")
@@ -89,7 +92,7 @@ def _typical_distance_mm(points: PointMap) -> float:
 
 
 def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
-    """Write as netCDF-4 with coordinates x and y, mm."""
+    """Write a height map as a netCDF-4 file with the coordinates x and y, mm."""
     height = {"units": "mm", "long_name": "mean world z of the points in the cell"}
     valid = {"units": "1", "long_name": "1 where there is a height"}
     arrays = LabelledArrays(
@@ -107,7 +110,10 @@ def write_height_netcdf(path: Path, heights: HeightGrid) -> None:
 
 
 def write_height_png(path: Path, heights: HeightGrid) -> None:
-    """Write as 16-bit PNG, and PATH.json with the scale: z = first + step (level - 1)."""
+    """Write a height map as a 16-bit PNG, and its scale as PATH.json.
+
+    The heights are z = first_z_mm + step_z_mm (level - 1); level 0 is a cell without a height.
+    """
     z = heights.z_mm[heights.valid].astype(np.float64)
     first, step = float(z.min()), max(float(np.ptp(z)) / (_PNG_LEVELS - 1), 1e-9)
     level = np.rint((heights.z_mm - first) / step) + 1
@@ -126,20 +132,20 @@ def write_height_png(path: Path, heights: HeightGrid) -> None:
 
 
 def write_height_exr(path: Path, heights: HeightGrid) -> None:
-    """Write as EXR with the channels Z (mm) and A (1 where there is a height)."""
+    """Write a height map as an EXR file with channels Z, mm, and A, 1 in cells with a height."""
     write_exr_channels(path, {"Z": heights.z_mm, "A": heights.valid.astype(np.float32)})
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMesh:
-    """Triangles over the valid points.
+    """Triangle mesh of the valid points.
 
     Attributes
     ----------
     vertices_mm : (vertex, xyz) float32
-        World frame.
+        Valid points, world frame.
     triangles : (triangle, 3) int32
-        Anticlockwise seen from the camera.
+        Vertex numbers, anticlockwise as seen from the camera.
     """
 
     vertices_mm: FloatImage
@@ -147,17 +153,17 @@ class SurfaceMesh:
 
 
 def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMesh:
-    """Join valid points that are neighbours in the image.
+    """Return a triangle mesh that joins valid points at neighbouring pixels.
 
     Parameters
     ----------
     points : PointMap
     longest_mm : float, optional
-        Triangles with a longer edge are left out; five times the typical edge by default.
+        Triangles with a longer edge are left out; five times the median edge length by default.
 
     Raises
     ------
-    InputError : no three neighbouring points
+    InputError : there are no three valid points at neighbouring pixels
     """
     v = points.valid
     number = (np.cumsum(v.ravel(), dtype=np.int32) - 1).reshape(v.shape)
@@ -183,9 +189,13 @@ def surface_mesh(points: PointMap, longest_mm: float | None = None) -> SurfaceMe
 def _edges_mm(
     world_mm: FloatImage, upper: BoolImage, lower: BoolImage
 ) -> tuple[FloatImage, FloatImage]:
-    """Return all edges of the triangles, (3 triangles) float32, and the longest of each triangle.
+    """Return the lengths, mm, of all edges (3 triangles,), and of each triangle's longest edge.
 
-    Each edge is measured once, on the pixels, though two triangles share it.
+    Distances of neighbouring pixels are computed once, though two triangles share an edge.
+
+    Parameters
+    ----------
+    upper, lower : (row - 1, col - 1) bool, which of the two triangles of four pixels exist
     """
     x, y, z = np.ascontiguousarray(np.moveaxis(world_mm, -1, 0))
 
@@ -205,7 +215,12 @@ def _edges_mm(
 
 
 def write_mesh_ply(path: Path, mesh: SurfaceMesh, rgb: Levels | None = None) -> None:
-    """Write as little-endian binary PLY, mm; `rgb` (vertex, 3) uint8 colours the vertices."""
+    """Write a mesh as a little-endian binary PLY file, mm.
+
+    Parameters
+    ----------
+    rgb : (vertex, 3) uint8, colours of the vertices; None: no colours
+    """
     coloured = "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment units mm\n"
@@ -224,10 +239,14 @@ def write_mesh_ply(path: Path, mesh: SurfaceMesh, rgb: Levels | None = None) -> 
 
 
 def write_surface(folder: Path, points: PointMap, deviation: Deviation | None = None) -> None:
-    """Write points.ply, and where there are neighbouring points the height map and the mesh.
+    """Write the files of a measured surface to a folder: points, height map and mesh.
 
-    height_map.nc, height_map.png with height_map.png.json, height_map.exr, surface.ply. Points and
-    mesh have the colour of the deviation where it is known.
+    The files are points.ply, and if there are three valid neighbouring pixels also height_map.nc,
+    height_map.png with height_map.png.json, height_map.exr and surface.ply.
+
+    Parameters
+    ----------
+    deviation : gives points and mesh their colours; None: no colours
     """
     jobs = [lambda: write_point_map_ply(folder / "points.ply", points, deviation)]
     if (points.valid[1:, 1:] & points.valid[:-1, 1:] & points.valid[1:, :-1]).any():

@@ -1,8 +1,9 @@
-"""Photometric stereo: heights from the colours that lamps on three sides give a pressed gel.
+"""Photometric stereo: measure heights of a pressed gel from its colours under lamps on three sides.
 
-Image frame: row 0 at the top, rows down, columns right; height is positive towards the camera, so
-an indentation is positive; slopes are (2, row, col) mm/mm, along rows and along columns. Images
-are 8-bit, red first.
+Image frame: row 0 is at the top, rows increase downwards, columns to the right. Height is positive
+towards the camera, so an indentation of the gel is positive. Slopes are (2, row, col) mm/mm: change
+of height per distance downwards, and to the right. Images are 8-bit, red
+first.
 """
 
 from reconstruction.arrays import PhotometricReason

@@ -1,7 +1,8 @@
-"""Reference ball presses: contact circle of a ball, and samples of colour and slope.
+"""Find the contact circle in images of pressed balls, and collect samples of colour and slope.
 
-A ball of radius R pressed into the gel from behind shows the camera h = sqrt(R^2 - r^2) + const
-within the circle of contact: dh/dx = -x / sqrt(R^2 - r^2), x and r measured from its centre.
+A ball of radius R is pressed into the face of the gel away from the camera. Within the circle of
+contact the height is h = sqrt(R^2 - r^2) + const, and its slope dh/dx = -x / sqrt(R^2 - r^2). x and
+r are measured from the centre of the circle.
 """
 
 from collections.abc import Sequence
@@ -12,26 +13,28 @@ import cv2
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
+from reconstruction.colour_maps import Samples
 from reconstruction.errors import FitError, InputError, require_integer, require_number
 from reconstruction.photometric.images import GROWTH_PX, checked_image, find_markers, smoothed
 
 SMOOTHING_PX = 5
 SECTORS = 72
 ROUNDS = 3
-# Share of the ring's typical contrast below which a direction has no edge (no lamp on that side).
+# A direction with a peak below this share of the median peak has no edge (no lamp on that side).
 LEAST_CONTRAST = 0.35
 # Directions with a residual of more than this many robust sigmas are excluded.
 OUTLIER_SIGMAS = 2.5
 SIGMA_PER_MAD = 1.4826
 # Margin inside the circle: its radius is uncertain by a few pixels (published practice: 4 px).
 RIM_PX = 4.0
-# Undeformed pixels per pixel in contact: makes undeformed gel flat (published practice).
+# Number of undeformed samples per sample in contact, so that undeformed gel gets the slope 0
+# (published practice).
 UNTOUCHED_SHARE = 0.2
 UNTOUCHED_RADII = 2.5
-# Largest ratio of contact radius to ball radius: slope 2.1, more than any gel follows.
+# Largest ratio of contact radius to ball radius: a slope of 2.1, steeper than any gel in contact.
 LARGEST_SINE = 0.9
-# Least such ratio: below it slopes are under 0.1, too small for a calibration press, so that the
-# ball's diameter or the pitch must be in another unit.
+# Least ratio of contact radius to ball radius. Below it slopes are under 0.1, too small for a
+# calibration press, so that the ball's diameter or the pitch is probably in a wrong unit.
 SMALLEST_SINE = 0.1
 
 Part = tuple[FloatImage, FloatImage, FloatArray, FloatArray]
@@ -39,7 +42,7 @@ Part = tuple[FloatImage, FloatImage, FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class ContactCircle:
-    """Circle in pixels; centres of pixels have integer coordinates."""
+    """Edge of the contact of a ball, a circle in the image; whole coordinates are pixel centres."""
 
     row_px: float
     col_px: float
@@ -49,23 +52,23 @@ class ContactCircle:
 def find_contact_circle(
     image: FloatImage, background: FloatImage, threshold_levels: float = 15.0
 ) -> ContactCircle:
-    """Find the contact of a ball.
+    """Return the circle of contact of a ball in an image.
 
     Parameters
     ----------
-    image, background : (row, col, 3), 8-bit levels
-    threshold_levels : Euclidean colour difference that separates contact from undeformed gel
+    image, background : (row, col, 3), 8-bit levels of the pressed and of the undeformed gel
+    threshold_levels : Euclidean colour difference that distinguishes contact from undeformed gel
 
     Raises
     ------
-    FitError : no pixel in contact, or no circle
+    FitError : no pixel is in contact, or no circle can be fitted
 
     Notes
     -----
-    The largest region above the threshold, with holes closed, gives a first circle; it includes
-    the skirt that the gel forms around the ball. The slope of a ball increases up to the edge of
-    contact and drops outside it, so the colour difference has a peak there in every direction. A
-    circle is fitted to these peaks, without outliers, until it converges.
+    The largest region above the threshold, with holes closed, gives a first circle. This region
+    includes the gel next to the contact, which the ball also deforms. The slope of a ball increases
+    up to the edge of contact and decreases outside it, so the colour difference has a peak at the
+    edge in every direction. A circle is fitted to these peaks without outliers, three times.
     """
     difference = cv2.GaussianBlur(
         np.linalg.norm(image.astype(np.float32) - background, axis=2), (0, 0), SMOOTHING_PX / 3.0
@@ -99,7 +102,13 @@ def _first_circle(difference: FloatImage, threshold_levels: float) -> ContactCir
 
 
 def _refined(difference: FloatImage, circle: ContactCircle) -> ContactCircle:
-    """Fit a circle to the peaks of the difference along rays from the centre."""
+    """Return a circle through the peaks of the colour difference along rays from the centre.
+
+    Parameters
+    ----------
+    difference : (row, col) colour difference to the background
+    circle : circle of the previous fit
+    """
     angles = 2.0 * np.pi * np.arange(SECTORS) / SECTORS
     radii = np.arange(0.4 * circle.radius_px, 1.3 * circle.radius_px, 0.5)
     rows = circle.row_px + np.outer(np.sin(angles), radii)
@@ -130,7 +139,10 @@ def _robust_circle(points: FloatArray) -> ContactCircle:
 
 
 def _circle_through(points: FloatArray) -> ContactCircle:
-    """Least squares of |p|^2 = 2 c p + k (Kåsa 1976, IEEE Trans. Instrum. Meas. 25, 8)."""
+    """Return the circle of centre c by least squares of |p|^2 = 2 c p + k for points p (n, 2).
+
+    See Kåsa 1976, IEEE Trans. Instrum. Meas. 25, 8.
+    """
     offset = points.mean(axis=0)
     local = points - offset
     system = np.column_stack([2.0 * local, np.ones(len(local))])
@@ -141,7 +153,7 @@ def _circle_through(points: FloatArray) -> ContactCircle:
 
 @dataclass(frozen=True, eq=False)
 class BallPress:
-    """One calibration image, (row, col, 3) uint8 RGB, of a ball of known diameter."""
+    """Calibration image, (row, col, 3) uint8 RGB, of one ball of known diameter in the gel."""
 
     image: Levels
     ball_diameter_mm: float
@@ -153,20 +165,20 @@ class BallPress:
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """Options for reading calibration images.
+    """Options for collecting samples from calibration images.
 
     Parameters
     ----------
-    threshold_levels : colour difference that separates contact from undeformed gel
-    smoothing_px : side of the square over which colours are averaged; odd, 1 for none
-    marker_level : largest grey level of a printed dot (70 in the vendor's programs), which is
-        excluded; 0 for a gel without dots
-    unreadable_share : share of the images that may have no contact circle; they are excluded.
-        0: every image must have one
+    threshold_levels : Euclidean colour difference that distinguishes contact from undeformed gel
+    smoothing_px : side of the square over which colours are averaged; odd, 1: no average
+    marker_level : largest grey level of a printed dot (70 in the vendor's programs); dots are
+        excluded; 0: the gel has no dots
+    unreadable_share : share of the images that may have no contact circle, or one that does not fit
+        the ball; these images are excluded. 0: every image must have a circle
 
     Raises
     ------
-    InputError : a value out of range
+    InputError : a value is out of range
     """
 
     threshold_levels: float = 15.0
@@ -183,28 +195,13 @@ class SampleOptions:
             raise InputError(f"smoothing_px is {self.smoothing_px}; give an odd number")
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Pixels with known slope.
-
-    Parameters
-    ----------
-    levels : (n, 3) float32, smoothed 8-bit levels, red first
-    background : (n, 3) float32, levels of the undeformed gel at the same pixels
-    places_px : (n, 2) float, row and column
-    slopes : (n, 2) float, mm/mm, along rows and along columns
-    """
-
-    levels: FloatImage
-    background: FloatImage
-    places_px: FloatArray
-    slopes: FloatArray
-
-
 def ball_slopes(
     circle: ContactCircle, ball_radius_mm: float, pitch_mm: float, places_px: FloatArray
 ) -> FloatArray:
-    """Return the slopes of a ball at pixels (n, 2) within its radius, (n, 2) mm/mm."""
+    """Return the slopes (n, 2) of a ball, mm/mm, downwards and to the right, at pixels (n, 2).
+
+    The pixels are (row, col), at less than the ball's radius from the centre of the circle.
+    """
     offset_mm = (places_px - (circle.row_px, circle.col_px)) * pitch_mm
     depth_mm = np.sqrt(ball_radius_mm**2 - np.sum(offset_mm**2, axis=1))
     return np.asarray(-offset_mm / depth_mm[:, np.newaxis])
@@ -216,19 +213,22 @@ def sample_presses(
     pitch_mm: float,
     options: SampleOptions | None = None,
 ) -> Samples:
-    """Collect the pixels inside the contacts, and some undeformed ones with slope 0.
+    """Collect samples of colour and slope from the calibration images.
+
+    They are pixels in contact, and some undeformed pixels with slope 0.
 
     Parameters
     ----------
-    presses : images of the shape of `background`
+    presses : calibration images of the shape of `background`
     background : (row, col, 3) float32, mean of images of the undeformed gel
     pitch_mm : distance of neighbouring pixels on the surface
+    options : None: the defaults of `SampleOptions`
 
     Raises
     ------
-    InputError : an image of another shape, a number out of range
-    FitError : no circle in an image (the message has its number), or none that fits its ball, in
-        more images than `options.unreadable_share` allows
+    InputError : an image has a different shape, or a number is out of range
+    FitError : more images than `options.unreadable_share` allows have no circle, or one that does
+        not fit the ball; the message has the number of the first such image
     """
     require_number("pitch_mm", pitch_mm, 0.0, open_low=True)
     how, parts = options or SampleOptions(), list[Part]()
@@ -267,7 +267,12 @@ def _require_fit(contact_mm: float, ball_radius_mm: float) -> None:
 
 
 def _places(circle: ContactCircle, visible: BoolImage) -> tuple[FloatArray, FloatArray]:
-    """Return the pixels inside the contact and a few undeformed ones, (n, 2) each."""
+    """Return the pixels inside the contact, (n, 2), and a few undeformed pixels, (m, 2).
+
+    Parameters
+    ----------
+    visible : (row, col) bool, pixels without printed dots
+    """
     row, col = np.ogrid[: visible.shape[0], : visible.shape[1]]
     distance_px = np.hypot(row - circle.row_px, col - circle.col_px)
     touched = (distance_px <= circle.radius_px - RIM_PX) & visible

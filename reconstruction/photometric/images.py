@@ -1,6 +1,6 @@
-"""Colour images of a photometric sensor, and the dots printed on its gel.
+"""Check and smooth colour images of a photometric sensor, and find dots printed on its gel.
 
-8-bit display values, red first, row 0 at the top.
+Levels are 8-bit display values, red first, row 0 at the top.
 """
 
 import cv2
@@ -11,18 +11,24 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
 from reconstruction.errors import InputError
 
 CHANNELS = ("red", "green", "blue")
-# Default growth of dots: their rims are half dark.
+# Default distance by which found dots are enlarged, because their rims are only partly dark.
 GROWTH_PX = 2
-# Dots are narrower than this, 0.5 mm in radius at 0.0634 mm/px, and darker than the adjacent gel
-# by this.
+# Upper limit of a dot's width, px (dots have a radius of 0.5 mm at 0.0634 mm/px), and of the ratio
+# of its level to that of the adjacent gel.
 WIDEST_PX, DOT_CONTRAST = 25, 0.8
-# Smoothings of filled slopes: enough for dots of 8 px radius (0.5 mm at 0.0634 mm/px), since the
-# nearest neighbours they start from are already right at the rim.
+# Number of smoothings of filled slopes: enough for dots of 8 px radius (0.5 mm at 0.0634 mm/px),
+# because they start from the values of the nearest visible pixels.
 SMOOTHINGS = 40
 
 
 def checked_image(image: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> Levels:
-    """Return `image` as (row, col, 3) uint8 or raise InputError naming it."""
+    """Return `image` if it is (row, col, 3) uint8, or raise InputError.
+
+    Parameters
+    ----------
+    name : name of the image in the error message
+    shape : required shape; None: any shape
+    """
     levels = np.asarray(image)
     if levels.dtype != np.uint8 or levels.ndim != 3 or levels.shape[2] != 3:
         raise InputError(
@@ -34,11 +40,11 @@ def checked_image(image: ArrayLike, name: str, shape: tuple[int, ...] | None = N
 
 
 def mean_background(images: ArrayLike) -> FloatImage:
-    """Return the mean of images of the undeformed gel, (frame, row, col, 3) uint8, as float32.
+    """Return the mean (row, col, 3) float32 of images (frame, row, col, 3) uint8 of undeformed gel.
 
     Raises
     ------
-    InputError : no image, wrong type or shape
+    InputError : there is no image, or the images have a wrong type or shape
     """
     frames = np.asarray(images)
     if frames.ndim != 4 or len(frames) == 0:
@@ -49,7 +55,10 @@ def mean_background(images: ArrayLike) -> FloatImage:
 
 
 def smoothed(image: Levels | FloatImage, side_px: int) -> FloatImage:
-    """Return float32 levels averaged over a square of odd side; side 1 copies the levels."""
+    """Return levels (row, col, 3) float32, averaged over a square of odd side about each pixel.
+
+    A side of 1 px copies the levels.
+    """
     levels = image.astype(np.float32)
     if side_px == 1:
         return levels
@@ -59,15 +68,15 @@ def smoothed(image: Levels | FloatImage, side_px: int) -> FloatImage:
 def find_markers(
     levels: FloatImage, highest_level: float, grow_px: int, small: bool = False
 ) -> BoolImage:
-    """Return where the grey level is at most `highest_level`, grown by `grow_px`, (row, col).
-
-    Level 0 is for a gel without dots.
+    """Return the pixels of printed dots, (row, col) bool: those with a low grey level.
 
     Parameters
     ----------
     levels : (row, col, 3) float32, red first; grey = 0.299 R + 0.587 G + 0.114 B
-    small : exclude dark areas larger than a dot, such as the corners of the field, which the
-        lamps hardly reach; the vendor's programs include them
+    highest_level : largest grey level of a dot; 0: the gel has no dots, no pixel is True
+    grow_px : distance by which the dark areas are enlarged
+    small : True to exclude dark areas larger than a dot, such as the corners of the field, which
+        receive little light; the vendor's programs include these areas
     """
     if highest_level == 0:
         return np.zeros(levels.shape[:2], dtype=np.bool_)
@@ -83,7 +92,10 @@ def find_markers(
 
 
 def fill_nearest(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
-    """Replace hidden slopes by approximately those of the nearest visible pixel, as the vendor."""
+    """Return slopes (2, row, col) in which hidden pixels have the slopes of a near visible pixel.
+
+    It is approximately the nearest visible pixel, as in the vendor's programs.
+    """
     if not hidden.any() or hidden.all():
         return slopes
     _, label = cv2.distanceTransformWithLabels(
@@ -97,9 +109,10 @@ def fill_nearest(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
 
 
 def fill_smooth(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
-    """Replace hidden slopes by a membrane through their surroundings.
+    """Return slopes (2, row, col) in which hidden pixels are interpolated smoothly.
 
-    Exact where the slopes are linear, as on a paraboloid; nearest neighbours make it a plateau.
+    The interpolation is that of a membrane between the visible pixels. It is exact where slopes are
+    linear functions of the position, as on a paraboloid. `fill_nearest` makes slopes constant.
     """
     if not hidden.any() or hidden.all():
         return slopes

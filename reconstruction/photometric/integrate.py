@@ -1,12 +1,12 @@
-"""Heights from slopes: an exact Poisson solver, and the vendor's with their scale error.
+"""Integrate slopes to heights by an exact Poisson solver, or by the vendor's with its scale error.
 
-Height is positive towards the camera (an indentation is positive), row 0 at the top; slopes are
-(2, row, col) mm/mm, along rows (down) and along columns (right). Each scheme sets its own zero.
+Height is positive towards the camera (an indentation is positive), row 0 is at the top. Slopes are
+(2, row, col) mm/mm: slope downwards, and slope to the right. The zero of the heights
+depends on the integration scheme.
 
-Steps between pixels: Poisson equation, solved exactly, and weighted least squares.
-
-The unknown is a height per pixel, the data a height step per edge between neighbours. The normal
-equations of least squares, D^T D h = D^T s, are the five-point Laplacian:
+The unknown is a height h for each pixel. The data are a height step s for each pair of adjacent
+pixels, called an edge. D is the map from heights to steps. Without weights the normal equations of
+least squares, D^T D h = D^T s, are the five-point Laplacian, which fast transforms solve exactly:
 
 | boundary | transform | eigenvalue of mode (k, l) of an M x N grid |
 |---|---|---|
@@ -17,12 +17,12 @@ Strang 1999, The discrete cosine transform, SIAM Review 41, 135; Simchony, Chell
 Direct analytical methods for solving Poisson equations in computer vision problems, IEEE TPAMI 12,
 435.
 
-With weights: conjugate gradients, preconditioned by the fast solver. They minimise sum over edges
-of w (step of h - measured step)^2. Without weights the preconditioner is the solution. With holes
-(weight 0) the unknowns are the other pixels and the preconditioner is that of the fictitious
-domain: solve on the whole grid, use the pixels outside the holes. The number of iterations then
-depends on the ratio of the weights and on the shape of the holes, hardly on the number of pixels: a
-height field around a hole can be continued into it with bounded energy.
+With weights w, conjugate gradients with this solver as preconditioner minimise the sum over edges
+of w (step of h - measured step)^2. If there are holes (pixels of weight 0), the unknowns are the
+other pixels. The preconditioner is then that of the fictitious domain: it solves on the whole grid
+and uses the result outside the holes. The number of iterations depends on the ratio of the weights
+and on the shape of the holes, but hardly on the number of pixels, because a height field around a
+hole can be continued into the hole with bounded energy.
 """
 
 from dataclasses import dataclass
@@ -43,15 +43,16 @@ MAX_ITERATIONS = 500
 
 
 def edge_steps(slopes: FloatArray, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
-    """Return the height steps to the next row, (M-1, N), and the next column, (M, N-1), mm.
+    """Return the height steps to the next row, (M-1, N), and to the next column, (M, N-1), mm.
 
     Parameters
     ----------
-    slopes : (2, M, N) float, mm/mm: height per row direction (down), per column direction (right)
+    slopes : (2, M, N) float, mm/mm, downwards and to the right
+    pitch_mm : distance of neighbouring pixels on the surface
 
     Notes
     -----
-    The trapezoid rule: slopes are known at pixel centres, steps are needed halfway between.
+    A step is the mean slope of the two pixels times the pitch (trapezoid rule).
     """
     along_row, along_col = slopes
     half_mm = 0.5 * pitch_mm
@@ -62,7 +63,12 @@ def edge_steps(slopes: FloatArray, pitch_mm: float) -> tuple[FloatArray, FloatAr
 
 
 def sum_of_steps(row_steps: FloatArray, col_steps: FloatArray) -> FloatArray:
-    """Return D^T s, (M, N): steps into a pixel minus steps out of it."""
+    """Return D^T s, (M, N): for each pixel the steps that end at it minus those that start at it.
+
+    Parameters
+    ----------
+    row_steps, col_steps : (M-1, N), (M, N-1) steps to the next row and to the next column
+    """
     rows, cols = col_steps.shape[0], row_steps.shape[1]
     total = np.zeros((rows, cols), dtype=row_steps.dtype)
     total[1:] += row_steps
@@ -73,7 +79,10 @@ def sum_of_steps(row_steps: FloatArray, col_steps: FloatArray) -> FloatArray:
 
 
 def solve_poisson(right_side: FloatArray, boundary: Boundary = "neumann") -> FloatArray:
-    """Return h with D^T D h = `right_side`, (M, N); mean 0 (neumann) or border 0 (dirichlet)."""
+    """Return the heights h, (M, N), that solve D^T D h = `right_side`.
+
+    The mean of h is 0 for `neumann`; the border pixels are 0 for `dirichlet`.
+    """
     return _neumann(right_side) if boundary == "neumann" else _dirichlet(right_side)
 
 
@@ -112,9 +121,9 @@ def _frozen(values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class EdgeWeights:
-    """Weights of the height differences between neighbouring pixels.
+    """Weights of the height steps between neighbouring pixels.
 
-    Shape (M-1, N) for differences to the next row, (M, N-1) for those to the next column.
+    to_next_row is (M-1, N), to_next_col (M, N-1).
     """
 
     to_next_row: FloatArray
@@ -122,10 +131,10 @@ class EdgeWeights:
 
 
 def edge_weights(weights: FloatArray) -> EdgeWeights:
-    """Return the weight of a step from those of both pixels, (M, N).
+    """Return the weights of the steps from the weights of the pixels, (M, N).
 
-    A step is the mean of two slopes. With weights 1 / variance its own weight is proportional to
-    the harmonic mean, which is also 0 if one of the pixels is invalid.
+    A step is proportional to the mean of two slopes. If weights are 1 / variance, the weight of the
+    step is proportional to the harmonic mean of the two. It is 0 if either pixel has weight 0.
     """
     return EdgeWeights(
         _harmonic_mean(weights[1:], weights[:-1]), _harmonic_mean(weights[:, 1:], weights[:, :-1])
@@ -143,14 +152,21 @@ def solve_weighted(
     weights: FloatArray,
     boundary: Boundary = "neumann",
 ) -> FloatArray:
-    """Return the heights that fit the steps best, (M, N), in the unit of the steps.
+    """Return the heights (M, N) with the least weighted sum of squares, in the unit of the steps.
 
-    Pixels of weight 0 get height 0. With a free border (neumann) the mean over the other pixels
-    is 0; each part separated by weight-0 pixels has its own unknown constant.
+    Pixels of weight 0 get the height 0. With a free border (`neumann`) the mean over the other
+    pixels is 0. If pixels of weight 0 separate the image into parts, the heights of the parts
+    relative to each other are undetermined.
+
+    Parameters
+    ----------
+    row_steps, col_steps : (M-1, N), (M, N-1) steps to the next row and to the next column
+    weights : (M, N), at least 0
 
     Raises
     ------
-    FitError : no convergence, since the weights differ by too many orders of magnitude
+    FitError : the iteration does not converge, because the weights differ by too many orders of
+        magnitude
     """
     edges, used = edge_weights(weights), weights > 0.0
     if boundary == "dirichlet":
@@ -203,11 +219,17 @@ def integrate(
     boundary: Boundary = "neumann",
     weights: ArrayLike | None = None,
 ) -> FloatArray:
-    """Integrate by a scheme of `SCHEMES`; boundary and weights have no effect on the vendor's.
+    """Return the heights (row, col), mm, by an integration scheme of `SCHEMES`.
+
+    Parameters
+    ----------
+    slopes, pitch_mm, boundary, weights : as in `corrected`; boundary and weights have no effect on
+        the vendor's schemes
+    integration : name of the scheme
 
     Raises
     ------
-    InputError : unknown scheme, or as `corrected` and `sdk_faithful`
+    InputError : the scheme is unknown, or for the reasons of `corrected` and `sdk_faithful`
     """
     if integration not in SCHEMES:
         raise InputError(
@@ -225,16 +247,16 @@ def corrected(
     boundary: Boundary = "neumann",
     weights: ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the heights with steps nearest to the slopes, in (weighted) least squares.
+    """Return the heights with the steps nearest to the slopes, in (weighted) least squares.
 
     Parameters
     ----------
-    slopes : (2, row, col) float, mm/mm
+    slopes : (2, row, col) float, mm/mm, downwards and to the right
     pitch_mm : distance of neighbouring pixels on the surface
     boundary : `neumann` has a free border and mean 0; `dirichlet` fixes the border pixels at 0,
-        which is right only if the gel is undeformed there
-    weights : (row, col) float >= 0, proportional to 1 / variance of the slopes; 0: ignore the
-        pixel, its height is returned as 0. None: equal weights
+        which is correct only if the gel is undeformed there
+    weights : (row, col) float >= 0, proportional to 1 / variance of the slopes; a pixel of weight 0
+        is ignored and gets the height 0. None: equal weights
 
     Returns
     -------
@@ -242,8 +264,9 @@ def corrected(
 
     Raises
     ------
-    InputError : wrong shape, values not finite, weight below 0, unknown boundary, pitch not above 0
-    FitError : weights span too many orders of magnitude
+    InputError : shapes are wrong, values are not finite, a weight is below 0, the boundary is
+        unknown, or the pitch is not above 0
+    FitError : the weights span too many orders of magnitude
     """
     field = _checked(slopes, pitch_mm)
     if boundary not in BOUNDARIES:
@@ -255,13 +278,13 @@ def corrected(
 
 
 def sdk_faithful(slopes: ArrayLike, pitch_mm: float, form: Form = "2025") -> FloatArray:
-    """Integrate slopes as the vendor's Poisson step does, including its wrong height scale.
+    """Return the heights by the vendor's Poisson solver, including its wrong height scale.
 
     Parameters
     ----------
-    slopes : (2, row, col) float, mm/mm
+    slopes : (2, row, col) float, mm/mm, downwards and to the right
     pitch_mm : distance of neighbouring pixels on the surface
-    form : `2024` (also that of the derived research kit) or `2025`
+    form : year of the vendor's program: `2024` (also used in a derived research kit) or `2025`
 
     Returns
     -------
@@ -269,17 +292,18 @@ def sdk_faithful(slopes: ArrayLike, pitch_mm: float, form: Form = "2025") -> Flo
 
     Raises
     ------
-    InputError : wrong shape, values not finite, unknown form, pitch not above 0
+    InputError : the shape is wrong, values are not finite, the form is unknown, or the pitch is not
+        above 0
 
     Notes
     -----
-    Written from the behaviour of the published programs, not from their code. The scheme is that
-    of `corrected` with a free border and two deviations:
+    This function reproduces the behaviour of the published programs; their code was not used. The
+    scheme is that of `corrected` with a free border, with two differences:
 
-    1. 2024 divides the central difference of the slopes by one pixel instead of two, which doubles
-       all heights; 2025 takes a one-sided difference, which halves them again.
-    2. The eigenvalues are those of modes 1..N instead of 0..N-1, and the mean's is not excluded:
-       mode k is reduced by about (k / (k + 1))^2, so wider shapes become flatter.
+    1. The form 2024 divides the central difference of the slopes by one pixel instead of two, which
+       doubles all heights. The form 2025 uses a one-sided difference without this factor of two.
+    2. The eigenvalues are those of modes 1..N instead of 0..N-1, and that of the mean is not
+       excluded. Mode k is multiplied by about (k / (k + 1))^2, so wider shapes become flatter.
     """
     if form not in FORMS:
         raise InputError(f"form is {form!r}; give one of {', '.join(FORMS)}")
@@ -292,14 +316,20 @@ def sdk_faithful(slopes: ArrayLike, pitch_mm: float, form: Form = "2025") -> Flo
 
 
 def _change(along_axis: FloatArray, form: Form) -> FloatArray:
-    """Difference along axis 0 with the border repeated."""
+    """Return the difference of slopes along axis 0, (row, col), with the border values repeated.
+
+    The difference is over two pixels for the form 2024, and over one pixel for 2025.
+    """
     after = np.concatenate([along_axis[1:], along_axis[-1:]])
     before = np.concatenate([along_axis[:1], along_axis[:-1]])
     return np.asarray(after - (before if form == "2024" else along_axis))
 
 
 def _flow_through_border(along_row: FloatArray, along_col: FloatArray) -> FloatArray:
-    """Return the outward slope at the border, subtracted for an inhomogeneous Neumann condition."""
+    """Return the outward slope at border pixels, (row, col), and 0 at all others.
+
+    It is subtracted from the divergence for an inhomogeneous Neumann condition.
+    """
     flow = np.zeros_like(along_row)
     flow[0] -= along_row[0]
     flow[-1] += along_row[-1]

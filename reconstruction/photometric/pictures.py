@@ -1,4 +1,4 @@
-"""A picture of measured presses; requires Matplotlib, which the measurement does not."""
+"""Draw height maps of measured presses; this module imports Matplotlib."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,10 @@ _ACROSS, _MOST = 4, 24
 
 
 def draw_heights(path: Path, heights: Mapping[str, HeightMap]) -> None:
-    """Draw height maps on one colour scale, mm; at most 24, evenly selected."""
+    """Draw a PNG file of named height maps with a common colour scale, mm.
+
+    If there are more than 24 maps, 24 at equal intervals are drawn.
+    """
     names = list(heights)
     if len(names) > _MOST:
         names = [names[k] for k in np.linspace(0, len(names) - 1, _MOST).astype(int)]

@@ -1,4 +1,4 @@
-"""Presentation of a height map: labelled arrays, and pictures over x and y in mm."""
+"""Present a height map as labelled arrays, and as pictures over x and y in mm."""
 
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ SLOPES = ("slope_row", "slope_col")
 
 
 def height_arrays(height_map: "HeightMap") -> LabelledArrays:
-    """Return height, slopes and reason codes over image row and column, with units."""
+    """Return height, mm, slopes, mm/mm, and reason codes as arrays over image row and column."""
     meaning = ("slope of the surface down the rows", "slope of the surface along the columns")
     variables: dict[str, Labelled] = {
         name: (PIXELS, values, {"units": "1", "long_name": long_name})
@@ -41,11 +41,13 @@ def height_arrays(height_map: "HeightMap") -> LabelledArrays:
 
 
 def height_drawing(height_map: "HeightMap") -> "Drawing":
-    """Return heights, steepness, and the section at y = 0; the origin is the image's middle.
+    """Return a drawing of heights, mm, steepness, degrees, and the section of the heights at y = 0.
+
+    The origin of x and y is the middle of the image.
 
     Raises
     ------
-    InputError : no pixel carries a measurement
+    InputError : no pixel is valid
     """
     from reconstruction.drawing import Drawing, draw_cells, draw_section
     from reconstruction.errors import InputError
@@ -63,7 +65,10 @@ def height_drawing(height_map: "HeightMap") -> "Drawing":
 
 
 def places_mm(height_map: "HeightMap") -> tuple[FloatArray, FloatArray]:
-    """Return x of the columns (col,), growing, and y of the rows (row,), falling."""
+    """Return x of the columns (col,), increasing, and y of the rows (row,), decreasing; mm.
+
+    The origin is the middle of the image.
+    """
     rows, cols = height_map.height_mm.shape
     x_mm = (np.arange(cols) - 0.5 * (cols - 1)) * height_map.pitch_mm
     return x_mm, (0.5 * (rows - 1) - np.arange(rows)) * height_map.pitch_mm

@@ -1,4 +1,4 @@
-"""Presses of a photometric sensor, described by a small TOML file next to their images.
+"""Read the TOML file next to the images of a photometric sensor that describes the presses.
 
     format = "photometric-press"
     version = 1
@@ -20,7 +20,8 @@
     [options]                                  # optional, see PhotometricOptions
     integration = "corrected"
 
-File names are relative to the folder of the description; `*` and `?` in them match any letters.
+File names are relative to the folder of the description. In a file name `*` matches any characters,
+`?` any single one.
 """
 
 from collections.abc import Mapping
@@ -29,9 +30,10 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.capture.description import build, read_toml, table_of, take_header
+from reconstruction.colour_maps import DEFAULT_MAP, map_named
 from reconstruction.errors import CaptureError, InputError, require_integer, require_number
 from reconstruction.photometric.calibration_ball import SampleOptions
-from reconstruction.photometric.sensor import KINDS, PhotometricOptions
+from reconstruction.photometric.sensor import PhotometricOptions
 
 Names = tuple[str, ...]
 
@@ -40,12 +42,12 @@ FORMAT, VERSION = "photometric-press", 1
 
 @dataclass(frozen=True)
 class Framing:
-    """Crop and resize of camera frames; width and height 0 keep the size.
+    """How camera frames are cropped and then resized.
 
     Parameters
     ----------
-    crop_share : part of width and height cut off at each side, 0 to 0.45
-    width_px, height_px : size after the crop; both 0, or both given
+    crop_share : share of width and height that is cut off at each side, 0 to 0.45
+    width_px, height_px : size to which the cropped frame is resized; both 0: it is not resized
     """
 
     crop_share: float = 0.0
@@ -64,7 +66,7 @@ class Framing:
 
 @dataclass(frozen=True)
 class Balls:
-    """Images of one reference ball."""
+    """Names of the calibration images of one reference ball, and its diameter."""
 
     diameter_mm: float
     images: Names
@@ -76,33 +78,35 @@ class Balls:
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Images and options of a calibration; see `calibrate_sensor`."""
+    """Images and options of a calibration, the table [calibrate] of the file.
+
+    The options are those of `calibrate_sensor` and `SampleOptions`; `map` is the kind.
+    """
 
     pitch_mm: float
     balls: tuple[Balls, ...]
-    map: str = "polynomial"
+    map: str = DEFAULT_MAP
     threshold_levels: float = 15.0
     smoothing_px: int = 3
     marker_level: int = 0
 
     def __post_init__(self) -> None:
         require_number("pitch_mm", self.pitch_mm, 0.0, open_low=True)
-        if self.map not in KINDS:
-            raise InputError(f"map is {self.map!r}; give one of {', '.join(KINDS)}")
-        _ = self.samples
+        _ = self.samples, map_named(self.map)
 
     @property
     def samples(self) -> SampleOptions:
-        """Options of the sampling."""
+        """Options for collecting samples from the calibration images."""
         return SampleOptions(self.threshold_levels, self.smoothing_px, self.marker_level)
 
 
 @dataclass(frozen=True)
 class PressDescription:
-    """Content of the file.
+    """Content of a description of presses, see the module docstring.
 
-    Exactly one of `image` (a name) and `images` is given, and one of `calibration` (a file name)
-    and `calibrate`. `images` contains the single name, too.
+    The file has exactly one of the keys `image` (a file name) and `images` (a list of names), and
+    exactly one of `calibration` (a file name) and `calibrate` (a table). After construction
+    `images` also contains the single name of `image`.
     """
 
     image: str = ""
@@ -125,11 +129,12 @@ class PressDescription:
 
 
 def read_press_description(path: Path | str) -> PressDescription:
-    """Read the TOML file.
+    """Return the description of presses in a TOML file.
 
     Raises
     ------
-    CaptureError : no TOML, wrong format or version, unknown or missing key, value out of range
+    CaptureError : the file is no TOML or has a wrong format or version, a key is unknown or
+        missing, or a value is out of range
     """
     path = Path(path)
     values = read_toml(path)

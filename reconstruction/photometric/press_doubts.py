@@ -1,7 +1,8 @@
-"""Doubts on a calibration: whether it is of another unit or outdated.
+"""Check whether a calibration is that of a different sensor unit, or outdated.
 
-A colour map of another unit gives relief that looks plausible but has errors of about 1 mm, with no
-pixel out of its range: the heights themselves do not show it.
+A colour map of a different unit gives relief that looks plausible but has errors of about 1 mm.
+Every colour may be within the calibrated range, so that the heights themselves do not show the
+error.
 """
 
 import cv2
@@ -11,17 +12,18 @@ from reconstruction.arrays import BoolImage, FloatImage
 from reconstruction.photometric.relighting import LEAST_SHARE
 from reconstruction.photometric.sensor import HeightMap, UntouchedGel
 
-# Backgrounds of two units differ by some 15 %, of one unit within a session by 0.5 %.
+# Largest relative difference of backgrounds of one unit. Backgrounds of two units differ by some
+# 15 %, those of one unit within a session by 0.5 %.
 SAME_UNIT = 0.05
-# On presses of a real sensor undeformed gel drifts by 50 to 63 um RMS.
+# Largest RMS height of undeformed gel; on presses of a real sensor it is 50 to 63 um.
 LARGEST_DRIFT_MM = 0.2
 _SMOOTHING_PX = 8.0
 
 
 def background_difference(own: FloatImage, given: FloatImage) -> float:
-    """Return the difference of two backgrounds (row, col, 3), RMS over their mean level.
+    """Return the RMS difference of two backgrounds (row, col, 3) over the mean level of `own`.
 
-    Compares the light only: noise and texture are removed by smoothing.
+    Both are smoothed first, so that noise and texture have little effect on the result.
     """
     own_light, given_light = (
         cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX) for image in (own, given)
@@ -32,14 +34,27 @@ def background_difference(own: FloatImage, given: FloatImage) -> float:
 
 
 def untouched_drift_mm(height_map: HeightMap, untouched: BoolImage) -> float | None:
-    """Return the RMS height of undeformed gel, which should be 0; None without such gel."""
+    """Return the RMS height, mm, of undeformed gel, which should be 0.
+
+    None if too few pixels show undeformed gel.
+
+    Parameters
+    ----------
+    untouched : (row, col) bool, pixels of undeformed gel
+    """
     if untouched.mean() < LEAST_SHARE:
         return None
     return float(np.sqrt(np.mean(height_map.height_mm[untouched].astype(np.float64) ** 2)))
 
 
 def doubts_of_background(own: FloatImage, given: FloatImage) -> tuple[str, ...]:
-    """Return a message if a background may be of another unit than the calibration's own."""
+    """Return a message if a background may be that of a different unit, else an empty tuple.
+
+    Parameters
+    ----------
+    own : (row, col, 3) background of the calibration
+    given : (row, col, 3) current background
+    """
     difference = background_difference(own, given)
     if difference <= SAME_UNIT:
         return ()
@@ -50,7 +65,11 @@ def doubts_of_background(own: FloatImage, given: FloatImage) -> tuple[str, ...]:
 
 
 def doubts_of_image(height_map: HeightMap, untouched: UntouchedGel) -> tuple[str, ...]:
-    """Return messages if undeformed gel is missing, has other light, or has relief."""
+    """Return messages if an image shows that the calibration may be wrong, else an empty tuple.
+
+    The reasons are: too few pixels show undeformed gel; the light on this gel differs from that of
+    the background; or this gel has relief.
+    """
     drift_mm = untouched_drift_mm(height_map, untouched.where)
     if drift_mm is None:
         return (

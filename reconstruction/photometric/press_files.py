@@ -1,6 +1,6 @@
-"""Measure from files: the presses of a description (`press_description`), and the results.
+"""Measure the presses of a description (`press_description`) from files, and write the results.
 
-One calibration serves all presses of a description.
+All presses of a description are measured with one calibration.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +27,6 @@ from reconstruction.photometric.press_description import (
 from reconstruction.photometric.press_doubts import doubts_of_background, doubts_of_image
 from reconstruction.photometric.sensor import (
     HeightMap,
-    MapKind,
     PhotometricDecoder,
     SensorCalibration,
     UntouchedGel,
@@ -40,14 +39,15 @@ from reconstruction.reading import MOST_IMAGE_BYTES, read_bytes
 
 @dataclass(frozen=True, eq=False)
 class PhotometricResult:
-    """Measurement of one press.
+    """Measurement of one press from its image.
 
     Parameters
     ----------
-    image : (row, col, 3), as decoded
-    calibration : used for it, with the current background, for the next presses
-    untouched : the undeformed gel in the image
-    doubts : one line per reason to doubt this calibration
+    image : (row, col, 3) uint8, red first, cropped and resized as it was decoded
+    calibration : calibration with the current background that was used; it can be used again
+    height_map : measured heights
+    untouched : pixels of undeformed gel, and the change of their light
+    doubts : one line of text per reason why the calibration may be wrong
     """
 
     image: Levels
@@ -59,12 +59,14 @@ class PhotometricResult:
 
 @dataclass(frozen=True, eq=False)
 class DescribedPresses:
-    """Presses under one calibration.
+    """Presses of one description, with the decoder that measures them.
 
     Parameters
     ----------
-    files : their images
-    doubts : one line per reason to doubt the calibration, independent of the presses
+    files : images of the presses
+    frame : crop and resize of the images
+    decoder : calibrated decoder
+    doubts : one line of text per reason why the calibration may be wrong, from the backgrounds only
     """
 
     files: tuple[Path, ...]
@@ -73,11 +75,15 @@ class DescribedPresses:
     doubts: tuple[str, ...]
 
     def measure(self, file: Path) -> PhotometricResult:
-        """Measure one of the presses.
+        """Return the measurement of one press.
+
+        Parameters
+        ----------
+        file : image of the press, an element of `files`
 
         Raises
         ------
-        CaptureError : the image is missing or damaged, or does not fit the background
+        CaptureError : the image is missing or damaged, or has a different shape from the background
         """
         image = read_rgb(file, self.frame)
         try:
@@ -89,11 +95,14 @@ class DescribedPresses:
 
 
 def described_presses(description_file: Path | str) -> DescribedPresses:
-    """Read a description, and calibrate or read the calibration; see `press_description`.
+    """Read a description of presses, and calibrate or read its calibration.
+
+    See `press_description` for the file.
 
     Raises
     ------
-    InputError : a file is missing or damaged, images that do not fit each other, or no contact
+    InputError : a file is missing or damaged, images have different shapes, or the calibration
+        fails
     """
     path = Path(description_file)
     described = read_press_description(path)
@@ -104,11 +113,12 @@ def described_presses(description_file: Path | str) -> DescribedPresses:
 
 
 def reconstruct_photometric(description_file: Path | str) -> PhotometricResult:
-    """Measure the only press of a description.
+    """Return the measurement of the only press of a description.
 
     Raises
     ------
-    InputError : as `described_presses` and `DescribedPresses.measure`; or it has several presses
+    InputError : the description has several presses, or for the reasons of `described_presses` and
+        `DescribedPresses.measure`
     """
     presses = described_presses(description_file)
     if len(presses.files) > 1:
@@ -117,7 +127,12 @@ def reconstruct_photometric(description_file: Path | str) -> PhotometricResult:
 
 
 def _files(folder: Path, names: Names) -> list[Path]:
-    """Return the named files; a pattern gives the matching files, sorted by name."""
+    """Return the paths of named files; a name with `*` or `?` gives all matching files, sorted.
+
+    Raises
+    ------
+    CaptureError : no file matches a pattern
+    """
     files: list[Path] = []
     for name in names:
         if not set(name) & set("*?"):
@@ -138,7 +153,7 @@ def _files(folder: Path, names: Names) -> list[Path]:
 def _calibration(
     folder: Path, press: PressDescription
 ) -> tuple[SensorCalibration, tuple[str, ...]]:
-    """Return the calibration with the current background, and the doubts on it."""
+    """Return the calibration with the current background, and reasons why it may be wrong."""
     background = _read_all(folder, press.background, press.frame)
     if press.calibrate is not None:
         return _calibrated(folder, press.calibrate, press.frame, background), ()
@@ -163,8 +178,7 @@ def _calibrated(
         for balls in how.balls
         for image in _read_all(folder, balls.images, frame)
     ]
-    kind: MapKind = "table" if how.map == "table" else "polynomial"
-    return calibrate_sensor(presses, background, how.pitch_mm, kind, how.samples)
+    return calibrate_sensor(presses, background, how.pitch_mm, how.map, how.samples)
 
 
 def _read_all(folder: Path, names: Names, frame: Framing) -> list[Levels]:
@@ -179,11 +193,15 @@ def _read_all(folder: Path, names: Names, frame: Framing) -> list[Levels]:
 
 
 def read_rgb(path: Path, frame: Framing | None = None) -> Levels:
-    """Read an 8-bit colour image (PNG, JPEG, BMP), cut and resize it; red first.
+    """Return an 8-bit colour image from a file (PNG, JPEG, BMP), (row, col, 3), red first.
+
+    Parameters
+    ----------
+    frame : crop and resize of the image; None: the whole image
 
     Raises
     ------
-    CaptureError : missing, damaged, or no 8-bit colour image
+    CaptureError : the file is missing, damaged, or no 8-bit colour image
     """
     try:
         content = np.frombuffer(read_bytes(path, MOST_IMAGE_BYTES), np.uint8)
@@ -200,7 +218,7 @@ def read_rgb(path: Path, frame: Framing | None = None) -> Levels:
 
 
 def framed(image: Levels, frame: Framing) -> Levels:
-    """Cut `crop_share` off each side, then average down to the target size."""
+    """Return an image cropped by `crop_share` at each side, then resized to the size of `frame`."""
     rows, cols = image.shape[:2]
     top, left = int(rows * frame.crop_share), int(cols * frame.crop_share)
     cut = np.ascontiguousarray(image[top : rows - top, left : cols - left])
@@ -211,16 +229,16 @@ def framed(image: Levels, frame: Framing) -> Levels:
 
 
 def write_height_map(path: Path | str, height_map: HeightMap) -> None:
-    """Write height, slopes and reason codes as netCDF-4, one (row, col) variable each."""
+    """Write heights, slopes and reason codes as netCDF-4 variables over image row and column."""
     write_arrays(path, height_arrays(height_map))
 
 
 def read_height_map(path: Path | str) -> HeightMap:
-    """Read a file of `write_height_map`.
+    """Return the height map in a file that `write_height_map` wrote.
 
     Raises
     ------
-    CaptureError : missing or damaged file, or a map is missing
+    CaptureError : the file is missing or damaged, or a variable is missing
     """
     stored = read_maps(path)
     try:
@@ -233,6 +251,6 @@ def read_height_map(path: Path | str) -> HeightMap:
 
 
 def write_height_points(path: Path | str, height_map: HeightMap) -> None:
-    """Write the measured points as PLY, row by row; frame as `HeightMap.points_mm`."""
+    """Write the valid points as a PLY file, in the order and frame of `HeightMap.points_mm`."""
     comments = ("frame image centre, x right, y up, z towards the camera", "units mm")
     write_ply(path, height_map.points_mm(), comments=comments)

@@ -1,10 +1,11 @@
-"""The light of one press against that of the background.
+"""Estimate the ratio of the light in an image of a press to that in the background.
 
-If a lamp's flux changes, a channel's levels change by one factor everywhere (also with a power law
-of the display). If some LEDs of a row change, the factor varies slowly over the image. Without
-correction the change is read as slope, and integration converts it to relief: on 67 presses of a
-real sensor the height of undeformed gel drifts by 50 to 63 um RMS. It drifts by 28 to 35 um if each
-channel's factor is fitted over undeformed gel by a quadratic of the place.
+If the flux of a lamp changes, the levels of a colour channel change by one factor in the whole
+image. This is true also if levels are a power of the light. If some LEDs of a row of LEDs change,
+the factor varies slowly over the image. Without correction the change is interpreted as slope, and
+integration converts it to relief. On 67 presses of a real sensor undeformed gel then has heights of
+50 to 63 um RMS. The heights are 28 to 35 um RMS if the factor of each channel is fitted to
+undeformed gel by a quadratic function of the position.
 """
 
 import cv2
@@ -12,18 +13,24 @@ import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage
 
-# 1/16 of the undeformed pixels is enough for six numbers.
+# Every fourth row and column is used: 1/16 of the undeformed pixels is enough for six coefficients.
 EVERY = 4
-# Next to a contact the gel is tilted, but its colour differs by less than the contact threshold.
+# Distance from a contact within which gel is tilted although its colour is near the background's.
 SKIRT_PX = 16
-# Smaller regions above the threshold are noise, or a speck.
+# Regions narrower than this above the threshold are noise or dirt, and not a contact.
 SPECK_PX = 3
 # Least share of undeformed gel in the image for a fit over the whole image.
 LEAST_SHARE = 0.05
 
 
 def untouched_gel(levels: FloatImage, flat: FloatImage, highest: float) -> BoolImage:
-    """Return True, (row, col), where colour and background differ by less than `highest`."""
+    """Return the pixels, (row, col) bool, with a colour near that of the background.
+
+    Parameters
+    ----------
+    levels, flat : (row, col, 3) smoothed levels of the image and of the background
+    highest : Euclidean colour difference below which gel counts as undeformed, levels
+    """
     difference = levels - flat
     distance = np.einsum("rcb,rcb->rc", difference, difference)
     return np.asarray(distance < highest**2)
@@ -40,7 +47,7 @@ def light_over_background(
     Parameters
     ----------
     levels, flat : (row, col, 3) float32
-        Of the image and of the background.
+        Smoothed levels of the image and of the background.
     hidden : (row, col)
         True at printed dots, which are left out of the fit.
     highest : Euclidean colour difference below which gel counts as undeformed, levels
@@ -62,7 +69,10 @@ def _far_from_contact(untouched: BoolImage) -> BoolImage:
 
 
 def _quadratic(shape: tuple[int, int]) -> FloatArray:
-    """Return (row, col, 6) products of the place up to its square, from -1 to 1."""
+    """Return the six terms of a quadratic function of the position at each pixel, (row, col, 6).
+
+    Row and column are scaled to -1 to 1 over the image.
+    """
     y, x = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in shape), indexing="ij")
     return np.stack([np.ones(shape), x, y, x * x, x * y, y * y], axis=-1)
 
@@ -72,7 +82,12 @@ def _factor(
 ) -> FloatArray:
     """Return the ratio of a channel's illumination to that in the background, (row, col).
 
-    Fitted to differences of levels and not to ratios, which are noisy in dark areas.
+    The fit is to differences of levels and not to ratios, which are noisy in dark areas.
+
+    Parameters
+    ----------
+    basis : (row, col, 6) terms of the fitted function
+    undeformed : (row, col) bool, pixels used in the fit
     """
     background = flat[undeformed, channel].astype(np.float64)
     change = np.linalg.lstsq(

@@ -1,16 +1,16 @@
-"""A photometric sensor: its calibration and file, and the measurement from colours to heights.
+"""Calibrate a photometric sensor, store the calibration, and measure heights from colours.
 
-Colour map, background image and pitch are a NumPy archive (.npz) of plain arrays, no pickle:
-`format`, `version`, `kind` and `pitch_mm`, `smoothing_px`, `marker_level`, `background`, and the
-arrays of the map, prefixed by `map_`. A measurement is the difference to the background, slopes,
-integration, zero.
+A calibration file is a NumPy archive (.npz) of arrays without pickle: `format`, `version`, `kind`,
+`pitch_mm`, `smoothing_px`, `marker_level`, `background`, and the arrays of the colour map under
+names that start with `map_`. A measurement compares the colours with the background, maps them to
+slopes, integrates the slopes to heights, and subtracts the height of undeformed gel.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,17 +23,16 @@ from reconstruction.arrays import (
     PhotometricReason,
     ReasonImage,
 )
+from reconstruction.colour_maps import (
+    COLOUR_MAPS,
+    DEFAULT_MAP,
+    BoundMap,
+    ColourMap,
+    map_named,
+)
 from reconstruction.errors import CaptureError, InputError, require_number
 from reconstruction.integration_schemes import SCHEMES, Boundary, IntegrationScheme
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions, sample_presses
-from reconstruction.photometric.colour_maps import (
-    BoundPolynomial,
-    BoundTable,
-    ColourPolynomial,
-    ColourTable,
-    fit_polynomial,
-    fit_table,
-)
 from reconstruction.photometric.images import (
     CHANNELS,
     checked_image,
@@ -60,13 +59,11 @@ if TYPE_CHECKING:
 
     from reconstruction.drawing import Drawing
 
-MapKind = Literal["polynomial", "table"]
-ColourMap = ColourPolynomial | ColourTable
-KINDS: dict[str, type[Any]] = {"polynomial": ColourPolynomial, "table": ColourTable}
 FORMAT, VERSION = "photometric-calibration", 1
 PREFIX = "map_"
 LIT_LEVELS = 5.0, 250.0
-"""Range of a background channel's median in which pixels can become darker and brighter."""
+"""Allowed range of the median level of each channel of the background: pixels must be able to
+become darker and brighter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +72,16 @@ class SensorCalibration:
 
     Parameters
     ----------
-    colour_map : from colour (and place) to slope
+    colour_map : map from colour (and position in the image) to slope
     background : (row, col, 3) float32, mean of images of the undeformed gel, 8-bit levels
     pitch_mm : distance of neighbouring pixels on the surface
-    smoothing_px : side of the square over which colours are averaged first; odd
-    marker_level : largest grey level of a printed dot (70 in the vendor's programs); 0
-        for a gel without dots
+    smoothing_px : side of the square over which colours are averaged before they are mapped; odd
+    marker_level : largest grey level of a printed dot (70 in the vendor's programs); 0: the gel has
+        no dots
 
     Raises
     ------
-    InputError : a value out of range
+    InputError : a value is out of range
     """
 
     colour_map: ColourMap
@@ -110,40 +107,39 @@ def calibrate_sensor(
     presses: Sequence[BallPress],
     background_frames: ArrayLike,
     pitch_mm: float,
-    kind: MapKind = "polynomial",
+    kind: str = DEFAULT_MAP,
     options: SampleOptions | None = None,
 ) -> SensorCalibration:
-    """Calibrate on presses of balls (about 50 of 4 to 9 mm diameter, spread over the field).
+    """Calibrate a sensor on presses of balls of known diameter.
+
+    About 50 presses of balls of 4 to 9 mm diameter, distributed over the field, are recommended.
 
     Parameters
     ----------
-    presses : calibration images
-    background_frames : (frame, row, col, 3) uint8, of the undeformed gel; about ten
+    presses : calibration images with the diameters of their balls
+    background_frames : (frame, row, col, 3) uint8, images of the undeformed gel; about ten
     pitch_mm : distance of neighbouring pixels on the surface
-    kind : `polynomial` (smooth, depends on the place) or `table` (the classic look-up table)
-    options : threshold, smoothing, dots
+    kind : name of a map of `COLOUR_MAPS`, for example `polynomial` (smooth, depends on the position
+        in the image) or `table` (the classic look-up table)
+    options : threshold of contact, smoothing and dots; None: the defaults of `SampleOptions`
 
     Raises
     ------
-    InputError : unknown kind, images that do not fit each other, a dark or saturated background
-    FitError : a press without a contact circle or of another ball, too few presses, or colours that
-        do not determine the slopes
+    InputError : the kind is unknown, images have different shapes, or the background is dark or
+        saturated
+    FitError : images have no contact circle or one that does not fit the ball, presses are too few,
+        or the colours do not determine the slopes
     """
-    if kind not in KINDS:
-        raise InputError(f"map is {kind!r}; give one of {', '.join(KINDS)}")
-    how, background = options or SampleOptions(), mean_background(background_frames)
+    fitted, how = map_named(kind), options or SampleOptions()
+    background = mean_background(background_frames)
     _require_lit(background)
     samples = sample_presses(presses, background, pitch_mm, how)
-    colour_map: ColourMap
-    if kind == "table":
-        colour_map = fit_table(samples, smoothed(background, how.smoothing_px))
-    else:
-        colour_map = fit_polynomial(samples, (background.shape[0], background.shape[1]))
+    colour_map = fitted.fit(samples, smoothed(background, how.smoothing_px))
     return SensorCalibration(colour_map, background, pitch_mm, how.smoothing_px, how.marker_level)
 
 
 def _require_lit(background: FloatImage) -> None:
-    """Raise InputError if a channel's median in the background is dark or saturated."""
+    """Raise InputError if the median level of a channel of the background is out of range."""
     low, high = LIT_LEVELS
     for name, level in zip(CHANNELS, np.median(background, axis=(0, 1)).tolist(), strict=True):
         if not low <= level <= high:
@@ -154,12 +150,11 @@ def _require_lit(background: FloatImage) -> None:
 
 
 def write_sensor_calibration(path: Path | str, calibration: SensorCalibration) -> None:
-    """Write `calibration` to an .npz file; the same calibration gives the same bytes."""
-    kind = next(k for k, part in KINDS.items() if isinstance(calibration.colour_map, part))
+    """Write a calibration to an .npz file; equal calibrations give files with equal bytes."""
     arrays: dict[str, NDArray[Any]] = {
         "format": np.array(FORMAT),
         "version": np.array(VERSION),
-        "kind": np.array(kind),
+        "kind": np.array(calibration.colour_map.name),
         "pitch_mm": np.array(calibration.pitch_mm),
         "smoothing_px": np.array(calibration.smoothing_px),
         "marker_level": np.array(calibration.marker_level),
@@ -170,11 +165,12 @@ def write_sensor_calibration(path: Path | str, calibration: SensorCalibration) -
 
 
 def read_sensor_calibration(path: Path | str) -> SensorCalibration:
-    """Read a file of `write_sensor_calibration`.
+    """Return the calibration in a file that `write_sensor_calibration` wrote.
 
     Raises
     ------
-    CaptureError : the file is missing or damaged, of another format, or an array does not fit
+    CaptureError : the file is missing or damaged or has a wrong format, or an array has a wrong
+        shape or value
     """
     try:
         arrays = read_arrays(path)
@@ -193,15 +189,16 @@ def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
     if header != (FORMAT, VERSION):
         raise CaptureError(f"format and version are {header}; this program reads {FORMAT, VERSION}")
     kind = str(arrays["kind"])
-    if kind not in KINDS:
-        raise CaptureError(f"map is {kind!r}; this program reads {', '.join(KINDS)}")
+    if kind not in COLOUR_MAPS:
+        known = ", ".join(COLOUR_MAPS.names())
+        raise CaptureError(f"map is {kind!r}; this program reads {known}")
     parts = {
         name.removeprefix(PREFIX): values
         for name, values in arrays.items()
         if name.startswith(PREFIX)
     }
     return SensorCalibration(
-        KINDS[kind].from_arrays(parts),
+        COLOUR_MAPS[kind].from_arrays(parts),
         arrays["background"],
         float(arrays["pitch_mm"]),
         int(arrays["smoothing_px"]),
@@ -211,21 +208,23 @@ def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
 
 @dataclass(frozen=True)
 class PhotometricOptions:
-    """Options of the decoder.
+    """Options of the decoder from colours to heights.
 
     Parameters
     ----------
-    integration : name of a scheme of `SCHEMES`: `corrected`, or the vendor's `sdk_2024`, `sdk_2025`
-    boundary : border of `corrected`: `neumann` (free) or `dirichlet` (fixed at 0)
-    doubtful_weight : weight of pixels with a reason code in `corrected`, 0.001 to 1; below 1 the
-        weighted solver runs, several times slower
-    untouched_levels : colour difference below which gel counts as undeformed, for light and zero
-    relighting : `corrected` compensates a slow change of the lamps' light, see
+    integration : name of the integration scheme, see `SCHEMES`: `corrected`, or the vendor's
+        `sdk_2024` and `sdk_2025`
+    boundary : border of the heights in `corrected`: `neumann` (free) or `dirichlet` (fixed at 0)
+    doubtful_weight : weight in `corrected` of pixels that are not valid, 0.001 to 1, relative to
+        valid pixels; below 1 the weighted solver is used, which is several times slower
+    untouched_levels : Euclidean colour difference, levels, below which gel counts as undeformed;
+        used for the change of the light and for the zero of the heights
+    relighting : True: `corrected` compensates a slow change of the lamps' light over the image, see
         `light_over_background`
 
     Raises
     ------
-    InputError : a value out of range
+    InputError : a value is out of range
     """
 
     integration: str = "corrected"
@@ -246,19 +245,21 @@ class PhotometricOptions:
 
     @property
     def scheme(self) -> IntegrationScheme:
-        """The integration scheme."""
+        """Integration scheme with the name `integration`."""
         return SCHEMES[self.integration]
 
 
 @dataclass(frozen=True, eq=False)
 class HeightMap:
-    """Result, row 0 at the top.
+    """Heights and slopes of a pressed gel measured from one image; row 0 is at the top.
+
+    Heights and slopes are finite at all pixels; at pixels that are not valid they are estimates.
 
     Parameters
     ----------
     height_mm : (row, col) float32, positive towards the camera, 0 for undeformed gel
-    slopes : (2, row, col) float32, mm/mm, along rows (down) and along columns (right)
-    mask_reason : (row, col) uint8, see `PhotometricReason`; all values are finite everywhere
+    slopes : (2, row, col) float32, mm/mm, downwards and to the right
+    mask_reason : (row, col) uint8, reason why a pixel is not valid, see `PhotometricReason`
     pitch_mm : distance of neighbouring pixels on the surface
     """
 
@@ -269,13 +270,13 @@ class HeightMap:
 
     @property
     def valid(self) -> BoolImage:
-        """Pixels that carry a measurement, (row, col)."""
+        """Pixels with a measured slope, (row, col) bool: those without a reason code."""
         return np.asarray(self.mask_reason == PhotometricReason.VALID)
 
     def points_mm(self) -> FloatArray:
-        """Return the valid points row by row, (n, 3): x right, y up, z towards the camera.
+        """Return the valid points (n, xyz), mm, row by row: x right, y up, z towards the camera.
 
-        The origin is the middle of the image.
+        The origin is the middle of the image, at the height 0.
         """
         row, col = np.nonzero(self.valid)
         rows, cols = self.height_mm.shape
@@ -294,7 +295,7 @@ class HeightMap:
         return as_html("height map", self._in_short(), self.plot())
 
     def _in_short(self) -> dict[str, str]:
-        """Return range of heights and share of valid pixels as texts, by name."""
+        """Return the share of valid pixels and the range of their heights as texts, by name."""
         valid = self.valid
         shown = {"points": f"{100 * valid.mean():.1f} % of all pixels"}
         if valid.any():
@@ -303,18 +304,21 @@ class HeightMap:
         return shown
 
     def plot(self) -> "Drawing":
-        """Draw heights, steepness and a section: a Matplotlib figure.
+        """Return a figure of heights, mm, steepness, degrees, and a section of the heights.
 
         Raises
         ------
-        InputError : no pixel carries a measurement
+        InputError : no pixel is valid
         """
         from reconstruction.photometric.presentation import height_drawing
 
         return height_drawing(self)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return height, slopes and reasons over image row and column, with x and y in mm."""
+        """Return heights, slopes and reason codes over image row and column.
+
+        The coordinates x and y, mm, of columns and rows are included.
+        """
         from reconstruction.photometric.presentation import height_arrays, places_mm
 
         x_mm, y_mm = places_mm(self)
@@ -324,13 +328,13 @@ class HeightMap:
 
 @dataclass(frozen=True, eq=False)
 class UntouchedGel:
-    """Undeformed gel in an image, and its light.
+    """Undeformed gel in an image, and the change of the light compared with the background.
 
     Parameters
     ----------
-    where : (row, col), the colour is the background's
-    light_change : RMS over image and channels of the light over the background's, minus 1; 0
-        without compensation
+    where : (row, col) bool, pixels with a colour near that of the background
+    light_change : RMS over image and channels of (light in the image / light in the background
+        - 1); 0 if the change is not compensated
     """
 
     where: BoolImage
@@ -339,7 +343,10 @@ class UntouchedGel:
 
 @dataclass(frozen=True)
 class PhotometricDecoder:
-    """A calibrated sensor with all precomputed values that do not depend on the image."""
+    """Decoder of a calibrated sensor: measures heights from images.
+
+    All values that do not depend on the image are computed when the decoder is constructed.
+    """
 
     calibration: SensorCalibration
     options: PhotometricOptions = field(default_factory=PhotometricOptions)
@@ -348,7 +355,7 @@ class PhotometricDecoder:
         _ = self._bound, self._hidden_in_background
 
     @cached_property
-    def _bound(self) -> BoundPolynomial | BoundTable:
+    def _bound(self) -> BoundMap:
         return self.calibration.colour_map.bound_to(self._flat)
 
     @cached_property
@@ -360,7 +367,7 @@ class PhotometricDecoder:
         return self._markers(self.calibration.background)
 
     def decode(self, image: ArrayLike) -> HeightMap:
-        """Measure an image.
+        """Return the heights and slopes measured from an image.
 
         Parameters
         ----------
@@ -368,8 +375,8 @@ class PhotometricDecoder:
 
         Raises
         ------
-        InputError : wrong type or shape
-        FitError : weights below 1 and no convergence
+        InputError : the image has a wrong type or shape
+        FitError : `doubtful_weight` is below 1, and the weighted solver does not converge
         """
         sensor = self.calibration
         raw = checked_image(image, "image", sensor.background.shape)
@@ -385,11 +392,15 @@ class PhotometricDecoder:
         )
 
     def untouched(self, image: ArrayLike) -> UntouchedGel:
-        """Return the gel that `decode` treats as undeformed.
+        """Return the gel that `decode` treats as undeformed in an image, and its change of light.
+
+        Parameters
+        ----------
+        image : (row, col, 3) uint8, red first, of the shape of the background
 
         Raises
         ------
-        InputError : wrong type or shape
+        InputError : the image has a wrong type or shape
         """
         raw = checked_image(image, "image", self.calibration.background.shape)
         hidden = self._hidden(raw)
@@ -400,7 +411,11 @@ class PhotometricDecoder:
         return self._markers(raw.astype(np.float32)) | self._hidden_in_background
 
     def _lit_as_background(self, raw: Levels, hidden: BoolImage) -> tuple[FloatImage, float]:
-        """Return smoothed levels in the background's light, and the RMS of the correction."""
+        """Return smoothed levels (row, col, 3) divided by the change of light, and that change.
+
+        The change is `UntouchedGel.light_change`. If the light is not compensated, or too little
+        undeformed gel is visible, the levels are unchanged and the change is 0.
+        """
         levels = smoothed(raw, self.calibration.smoothing_px)
         if not (self.options.relighting and self.options.scheme.corrects_light):
             return levels, 0.0
@@ -430,7 +445,10 @@ class PhotometricDecoder:
         )
 
     def _zero(self, height: FloatArray, levels: FloatImage, hidden: BoolImage) -> float:
-        """Median height of undeformed gel; 0 with a fixed border or without undeformed gel."""
+        """Return the median height of undeformed gel, in the unit of `height`.
+
+        It is 0 if the border is fixed or too little undeformed gel is visible.
+        """
         if self.options.scheme.takes_boundary and self.options.boundary == "dirichlet":
             return 0.0
         untouched = self._untouched(levels, hidden)

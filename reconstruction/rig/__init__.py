@@ -1,1 +1,1 @@
-"""Known properties of a rig's devices: pinholes, their calibration, the camera's noise."""
+"""Models of the devices of a rig: calibrated geometry, projector light and camera noise."""

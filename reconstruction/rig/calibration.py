@@ -1,6 +1,6 @@
-"""Calibration of camera and projector, and its file: OpenCV YAML, readable by other tools.
+"""Calibration of camera and projector, and its file in OpenCV's YAML format.
 
-Transforms T_a_from_b map points of frame b to frame a; lengths mm.
+A transform T_a_from_b maps coordinates in frame b to coordinates in frame a, in mm.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ __all__ = ["Calibration", "Pinhole", "read_calibration", "write_calibration"]
 DEVICES = ("camera", "projector")
 TRANSFORMS = ("T_world_from_cam", "T_world_from_proj")
 LAYERS = "layers"
-# Least distance of the devices: from one place there is no depth information.
+# Least distance between the devices: without a baseline there is no depth information.
 LEAST_BASELINE_MM = 1e-3
 MOST_MM = 1e6
 # Accepts a rotation printed with seven digits.
@@ -32,18 +32,18 @@ ROTATION_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Both devices and their poses.
+    """Geometry of a rig: intrinsics and poses of camera and projector, and clear layers.
 
     Parameters
     ----------
     camera, projector : intrinsics
-    T_world_from_cam, T_world_from_proj : (4, 4) float, mm, rigid motions
-    layers : clear media above the surface, planes z = const of the world; None: air only
+    T_world_from_cam, T_world_from_proj : (4, 4) float, rigid motions, translation in mm
+    layers : clear media above the surface, with interfaces z = const of the world; None: air only
 
     Raises
     ------
-    InputError : a transform is no rigid motion, both devices are at one place, or one of them is
-        not above the layers
+    InputError : a transform is not a rigid motion, both devices are at the same position, or a
+        device is not above the layers
     """
 
     camera: Pinhole
@@ -70,13 +70,13 @@ class Calibration:
 
     @property
     def T_proj_from_cam(self) -> FloatArray:  # noqa: N802 - the frame names of the paper's symbols
-        """Motion from the camera's to the projector's frame, (4, 4), mm."""
+        """Transform from the camera's to the projector's frame, (4, 4), translation in mm."""
         motion = np.linalg.solve(self.T_world_from_proj, self.T_world_from_cam)
         return np.asarray(motion, dtype=np.float64)
 
     @property
     def triangulation_angle_deg(self) -> float:
-        """Angle between camera and projector as seen from the world's origin."""
+        """Angle between the directions to camera and projector from the world's origin, degrees."""
         a, b = self.T_world_from_cam[:3, 3], self.T_world_from_proj[:3, 3]
         cosine = float(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
         return float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
@@ -99,7 +99,7 @@ def _require_rigid(name: str, matrix: FloatArray) -> None:
 
 
 def write_calibration(path: Path | str, calibration: Calibration) -> None:
-    """Write OpenCV YAML to `path`, for `read_calibration` or cv2.FileStorage."""
+    """Write a calibration as OpenCV YAML, which `read_calibration` and cv2.FileStorage can read."""
     storage = cv2.FileStorage(".yaml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
     for name in DEVICES:
         _write_pinhole(storage, name, getattr(calibration, name))
@@ -131,12 +131,12 @@ def _write_layers(storage: Any, layers: PlaneLayers) -> None:
 
 
 def read_calibration(path: Path | str) -> Calibration:
-    """Read a calibration.
+    """Read a calibration that `write_calibration` or cv2.FileStorage wrote as YAML.
 
     Raises
     ------
-    CaptureError : the file is missing or is no YAML, a key is missing, a value has the wrong shape,
-        a transform is no rigid motion
+    CaptureError : the file is missing or not YAML, a key is missing, a value has the wrong shape,
+        or `Calibration` rejects the values
     """
     tree = read_storage(path)
     try:

@@ -1,8 +1,8 @@
-"""Convert calibrations of other programs.
+"""Convert a calibration of another program to a calibration of this package.
 
-File formats are kinds of `reconstruction.rig.importers`. Numbers are identified by their names, in
-the same way for all programs: camera matrix, distortion and image size of both devices, and the
-motion from the camera's frame to the projector's.
+`reconstruction.rig.importers` reads the file formats. The numbers are identified by their names, in
+the same way for all programs. Needed are the camera matrix, distortion and image size of both
+devices, and the motion from the camera's frame to the projector's frame.
 
 | program | file |
 |---|---|
@@ -12,12 +12,12 @@ motion from the camera's frame to the projector's.
 | Camera Calibration Toolbox for MATLAB (Bouguet) | Calib_Results_stereo.mat (fc_left, om, ...) |
 | MATLAB's stereo calibrator | s = toStruct(stereoParams); save("x.mat", "-struct", "s", "-v7") |
 
-Pixel (0, 0) is the centre of the first pixel in all of them except MATLAB's calibrator: there it is
-(1, 1), and matrices multiply row vectors from the right.
+The centre of the first pixel is (0, 0) in all of these files except those of MATLAB's stereo
+calibrator. There it is (1, 1), and matrices multiply row vectors from the right.
 
-Left, first and 1 are the camera, right, second and 2 the projector. The world's origin is the point
-of the camera's axis nearest to the projector's axis; x to the right, y up in the image, z to the
-camera.
+Names with left, first or 1 are of the camera, names with right, second or 2 of the projector. The
+origin of the world frame is the point of the camera's optical axis nearest to the projector's axis.
+World x points to the right in the camera image, y up in the image, z to the camera.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -37,9 +37,10 @@ from reconstruction.rig.pinhole import Pinhole
 from reconstruction.rig.plausibility import Check, require_plausible, rig_checks
 
 MOST_REFIT_PX = 0.05
-"""Largest error of the fit by our five coefficients; a lens with a larger one is rejected."""
+"""Largest allowed error, px, of the fit of a lens model by k1, k2, p1, p2, k3 without skew."""
 
-# Lower case without separators, the device's first; text before the last "/" counts too.
+# Names in lower case without separators. A name in a file is that of the device and that of the
+# quantity, in either order, or both separated by "/".
 _FIRST = ("camera", "cam", "left", "l", "1", "c")
 _SECOND = ("projector", "proj", "prj", "right", "r", "2", "p", "dlp")
 _MATRIX = ("cameramatrix", "intrinsicmatrix", "intrinsics", "int", "matrix", "kk", "k", "m", "a")
@@ -50,24 +51,25 @@ _ROTATION = ("r", "rotation", "rotationmatrix", "rmat", "rvec", "om", "rstereo",
 _TRANSLATION = ("t", "translation", "translationvector", "tvec", "tstereo", "stereot")
 _COEFFICIENTS = (4, 5, 8, 12, 14)
 _TO_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-# Grid of the refit, and least distance of two axes' directions from parallel.
+# Grid of points (columns, rows) of the lens fit, and least sine of the angle between the two axes.
 _GRID = (41, 31)
 _LEAST_SINE = 0.02
-# From lenses in contact to the size of a hall; lengths in another unit are outside.
+# Plausible baselines, from lenses in contact to the size of a hall: detects a wrong unit of length.
 _BASELINES_MM = (1.0, 2e4)
 
 
 @dataclass(frozen=True)
 class Importing:
-    """Options for values that a file may not determine.
+    """Options that give the values which a calibration file may lack.
 
     Attributes
     ----------
-    camera_size, projector_size : (width, height), px; None: in the file
-    unit : of the file's lengths
-    projector_first : the file's first device is the projector, and its motion is to the camera
-    standoff_mm : from the camera to the world's origin; None: to the axis point
-        nearest to the projector's
+    camera_size, projector_size : image size (width, height), px; None: it is in the file
+    unit : unit of length in the file: mm, cm or m
+    projector_first : whether the first device of the file is the projector, and the motion in the
+        file therefore leads from the projector's to the camera's frame
+    standoff_mm : distance from the camera to the world's origin on its axis; None: distance to the
+        point of the axis nearest to the projector's axis
     """
 
     camera_size: tuple[int, int] | None = None
@@ -79,12 +81,14 @@ class Importing:
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """A converted calibration, the names used, and the changes of the lenses.
+    """A converted calibration, and the numbers in the files from which it was made.
 
     Attributes
     ----------
-    used : the name in the files for each required number
-    refit_px : (camera, projector) largest deviation of the lens from the file's; 0: unchanged
+    calibration : converted calibration
+    used : name in the files of each required quantity
+    refit_px : largest deviation, px, of the fitted lens from that in the file, of the camera and of
+        the projector; 0: the lens was used unchanged
     """
 
     calibration: Calibration
@@ -100,8 +104,8 @@ def import_calibration(
 
     Raises
     ------
-    CaptureError : a file is missing, damaged or of no known kind; a number is missing, or has
-        another shape; a lens cannot be fitted; the rig is implausible
+    CaptureError : a file is missing, damaged or of no known format; a required number is missing or
+        has another shape; a lens cannot be fitted; or the rig is implausible
     """
     numbers: dict[str, FloatArray] = {}
     for path in paths:
@@ -114,11 +118,11 @@ def import_calibration(
 
 
 def numbers_of(path: Path) -> dict[str, FloatArray]:
-    """Return every number and matrix of a file by its path inside.
+    """Return every number and matrix of a calibration file by its path in the file.
 
     Raises
     ------
-    CaptureError : see `import_calibration`
+    CaptureError : the file is missing, damaged or of no known format
     """
     return importer_of(path).read(path)
 
@@ -128,7 +132,7 @@ def _plain(name: str) -> str:
 
 
 class _Names:
-    """Numbers of files, with a search by all names that programs use for them."""
+    """Numbers and matrices of the files, searched by all names that programs use for a quantity."""
 
     def __init__(self, numbers: Mapping[str, FloatArray]) -> None:
         self.numbers = numbers
@@ -138,9 +142,15 @@ class _Names:
     def of_device(
         self, device: Sequence[str], names: Sequence[str], sizes: Collection[int]
     ) -> FloatArray | None:
-        """Return the number called by a device and one of some names, in either order.
+        """Return the first array with a name made of a device's and a quantity's name, or None.
 
-        Its size must be one of `sizes`: K1 is a matrix in one program, a coefficient in another.
+        The number of elements must be one of `sizes`, because K1 is a matrix in one program and a
+        coefficient in another.
+
+        Parameters
+        ----------
+        device : possible names of the device
+        names : possible names of the quantity, before or after that of the device
         """
         forms = [
             form
@@ -156,7 +166,7 @@ class _Names:
         return self._first(f"{device[0]} {names[0]}", forms, sizes)
 
     def of_any_device(self, names: Sequence[str], sizes: Collection[int]) -> FloatArray | None:
-        """Return the number with one of some names and one of some sizes."""
+        """Return the first array with one of these names and numbers of elements, or None."""
         return self._first(names[0], names, sizes)
 
     def _first(self, key: str, forms: Sequence[str], sizes: Collection[int]) -> FloatArray | None:
@@ -168,7 +178,7 @@ class _Names:
         return None
 
     def missing(self, quantity: str) -> InputError:
-        """Return the error for a number that is missing under every name."""
+        """Return the error to raise if a quantity is found under none of its names."""
         return InputError(
             f"no {quantity} is found; the file holds {few(sorted(self.numbers)) or '-'}"
         )
@@ -203,14 +213,24 @@ def _assembled(names: _Names, options: Importing) -> Imported:
 
 @dataclass(frozen=True, eq=False)
 class _Lens:
-    """A device as in the file: camera matrix with skew, any of OpenCV's coefficients."""
+    """Lens of a device as in the file: camera matrix with skew, any number of coefficients.
+
+    Parameters
+    ----------
+    matrix : (3, 3) camera matrix, px
+    distortion : (n,) coefficients in OpenCV's order, n = 4, 5, 8, 12 or 14
+    size : image size (width, height), px; None: it is not in the file
+    """
 
     matrix: FloatArray
     distortion: FloatArray
     size: tuple[int, int] | None
 
     def pinhole(self, name: str, size: tuple[int, int] | None) -> tuple[Pinhole, float]:
-        """Return the pinhole with five coefficients without skew, and the largest deviation, px."""
+        """Return a pinhole with five coefficients without skew, and its largest deviation, px.
+
+        If the lens has another model, the pinhole is fitted to the lens.
+        """
         size = size or self.size
         if size is None:
             raise InputError(f"the {name}'s image size is not in the file; give --{name}-size")
@@ -229,7 +249,10 @@ def _five(values: FloatArray) -> tuple[float, float, float, float, float]:
 
 
 def _refitted(name: str, start: Pinhole, lens: _Lens) -> tuple[Pinhole, float]:
-    """Fit a pinhole with five coefficients to a lens over its image."""
+    """Fit a pinhole with five coefficients to a lens; return it and its largest deviation, px.
+
+    The fit minimises the distances, px, on a grid of points over the image.
+    """
     u, v = np.meshgrid(
         *(
             np.linspace(0, n - 1, m)
@@ -272,7 +295,8 @@ def _device(names: _Names, device: Sequence[str]) -> _Lens:
     first_px = 0.0
     if stored is not None:
         stored = stored.reshape(3, 3)
-        # MATLAB's calibrator: rows times matrix, and the first pixel's centre is (1, 1).
+        # In files of MATLAB's calibrator the centre of the first pixel is (1, 1), and the matrix
+        # multiplies row vectors from the right.
         first_px = (
             1.0 if "cameraparameters" in _plain(names.used[f"{device[0]} {_MATRIX[0]}"]) else 0.0
         )
@@ -323,7 +347,10 @@ def _size(names: _Names, device: Sequence[str]) -> tuple[int, int] | None:
 
 
 def _motion(names: _Names, to_mm: float) -> FloatArray:
-    """Return the motion from the first device's frame to the second's, (4, 4), mm."""
+    """Return the motion from the first device's frame to the second's, (4, 4), translation in mm.
+
+    `to_mm` is the length of the file's unit in mm.
+    """
     rotation, translation = (
         names.of_any_device(_ROTATION, {3, 9}),
         names.of_any_device(_TRANSLATION, {3}),
@@ -343,7 +370,7 @@ def _motion(names: _Names, to_mm: float) -> FloatArray:
 
 
 def inverse(motion: FloatArray) -> FloatArray:
-    """Return the inverse motion, (4, 4)."""
+    """Return the inverse of a rigid motion (4, 4)."""
     return np.asarray(np.linalg.inv(motion), np.float64)
 
 
@@ -361,7 +388,10 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 
 
 def _world(T_proj_from_cam: FloatArray, standoff_mm: float | None) -> FloatArray:
-    """Return T_world_from_cam with the world's origin on the camera's axis."""
+    """Return T_world_from_cam, (4, 4), with the world's origin on the camera's optical axis.
+
+    `standoff_mm` None: the origin is the point of the axis nearest to the projector's axis.
+    """
     if standoff_mm is None:
         standoff_mm = _nearest_on_axis_mm(inverse(T_proj_from_cam))
     T_world_from_cam = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -370,12 +400,12 @@ def _world(T_proj_from_cam: FloatArray, standoff_mm: float | None) -> FloatArray
 
 
 def _nearest_on_axis_mm(T_cam_from_proj: FloatArray) -> float:
-    """Return the distance from the camera to the point of its axis nearest the projector's."""
+    """Return the distance, mm, from the camera to the point of its axis nearest the other axis."""
     axis, centre = T_cam_from_proj[:3, 2], T_cam_from_proj[:3, 3]
     sine_square = 1.0 - axis[2] ** 2
     if sine_square < _LEAST_SINE**2:
         raise InputError("the axes are parallel and have no nearest point; give --standoff-mm")
-    # The difference of z e_z and c + s a is perpendicular to both directions.
+    # The shortest connection of the axes z e_z and c + s a is perpendicular to both directions.
     along = (centre[2] - axis[2] * float(axis @ centre)) / sine_square
     if along <= 0:
         raise InputError("the axes are nearest to each other behind the camera; give --standoff-mm")

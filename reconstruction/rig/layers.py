@@ -1,4 +1,4 @@
-"""Clear plane layers between the devices and the surface: a gel, its window, a gap of air."""
+"""Clear plane layers between the devices and the measured surface: gel, window, air gap."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,16 +9,18 @@ from reconstruction.errors import InputError, require_number
 
 @dataclass(frozen=True)
 class PlaneLayers:
-    """Media with plane interfaces z = const of the world frame, from the top down; air above.
+    """Clear media with plane interfaces z = const of the world frame. Above them is air.
+
+    The media are listed from the top (the devices) down. The last one contains the surface.
 
     Parameters
     ----------
-    tops_mm : world z of the interface above each medium, descending
-    iors : refractive index of each relative to air, 1 to 3; the last medium contains the surface
+    tops_mm : world z of the upper interface of each medium, descending
+    iors : refractive index of each medium relative to air, 1 to 3
 
     Raises
     ------
-    InputError : no medium, lists of different lengths, interfaces that do not descend
+    InputError : there is no medium, the lengths differ, or the interfaces do not descend
     """
 
     tops_mm: tuple[float, ...]
@@ -41,7 +43,7 @@ class PlaneLayers:
                 )
 
     def require_below(self, device: str, height_mm: float) -> None:
-        """Raise InputError if a device at this world z is not above the layers, in air."""
+        """Raise InputError unless a device at world z = `height_mm` is above all layers."""
         if height_mm <= self.tops_mm[0]:
             raise InputError(
                 f"layers: the topmost ends at z = {self.tops_mm[0]:g} mm, above the {device} at "
@@ -50,7 +52,7 @@ class PlaneLayers:
 
 
 def plane_layers(media: Sequence[tuple[float, float]]) -> PlaneLayers | None:
-    """Return the layers of (top mm, index) pairs from the top down; None without any."""
+    """Return the layers of pairs (top_mm, ior), from the top down; None if there are no pairs."""
     if not media:
         return None
     tops_mm, iors = zip(*media, strict=True)

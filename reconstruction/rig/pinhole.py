@@ -1,10 +1,11 @@
-"""Pinhole with Brown-Conrady distortion, in OpenCV's frame: x right, y down, z forward, mm.
+"""Pinhole model with Brown-Conrady distortion, in OpenCV's frame: x right, y down, z forward, mm.
 
 Pixel (0, 0) is the CENTRE of the first pixel. Normalised coordinates are (x / z, y / z).
 
-A barrel distortion folds the field: beyond some angle the image runs back towards the centre.
-Points beyond the fold are not visible, and image points outside the fold's image have no ray. One
-inverse by Newton's method serves numpy, the compiled kernels and the renderer.
+A model with barrel distortion folds the image: beyond some field angle, the fold, the distorted
+radius decreases again. Points beyond the fold are not visible. Image points at a larger radius than
+the image of the fold have no ray. The distortion is inverted by Newton's method, with the same step
+in numpy, in the compiled kernels and in the renderer.
 """
 
 from dataclasses import dataclass
@@ -17,19 +18,23 @@ from reconstruction.arrays import BoolImage, FloatArray
 from reconstruction.errors import InputError, require_integer, require_number
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
-# Newton doubles the digits per step: a step of 1e-12 gives a point far more exact than 1e-10.
+# Newton's method doubles the number of exact digits per step: after a step below 1e-12 the error is
+# far below 1e-10.
 INVERSE_TOLERANCE = 1e-12
 INVERSE_STEPS = 30
 # A fold more than a million focal lengths off axis is ignored.
 LEAST_INVERSE = 1e-12
-# Beyond any device; larger numbers overflow in the calculation.
+# Limits that no device reaches; numbers outside of them would overflow in the calculation.
 LEAST_FOCAL_PX, MOST_PX = 1e-3, 1e9
-# Precision 1/4096 of the distance from the image's centre.
+# Twelve halvings give a precision of 1/4096 of the distance from the image's centre to a corner.
 CORNER_HALVINGS = 12
 
 
 def distort(x: Any, y: Any, distortion: tuple[float, ...]) -> tuple[Any, Any]:
-    """Return the distorted normalised coordinates (OpenCV, Brown 1966); scalars or arrays."""
+    """Return the distorted coordinates of normalised coordinates x, y: scalars or arrays.
+
+    The model is that of OpenCV (Brown 1966), with the coefficients k1, k2, p1, p2, k3.
+    """
     k1, k2, p1, p2, k3 = distortion
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -39,7 +44,10 @@ def distort(x: Any, y: Any, distortion: tuple[float, ...]) -> tuple[Any, Any]:
 
 
 def distortion_jacobian(x: Any, y: Any, distortion: tuple[float, ...]) -> tuple[Any, Any, Any]:
-    """Return d(xd)/dx, d(xd)/dy = d(yd)/dx and d(yd)/dy of `distort`; the matrix is symmetric."""
+    """Return the Jacobian of `distort`, which is symmetric: d(xd)/dx, d(xd)/dy, d(yd)/dy.
+
+    (xd, yd) are the distorted coordinates of the normalised coordinates (x, y).
+    """
     k1, k2, p1, p2, k3 = distortion
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -53,26 +61,37 @@ def distortion_jacobian(x: Any, y: Any, distortion: tuple[float, ...]) -> tuple[
 def newton_step(
     x_residual: Any, y_residual: Any, jacobian: tuple[Any, Any, Any]
 ) -> tuple[Any, Any]:
-    """Return the step in x and y that cancels the residual of `distort`, to first order."""
+    """Return the Newton step in x and y, which to first order makes the residuals 0.
+
+    The residuals are target minus distorted coordinates; `jacobian` is the result of
+    `distortion_jacobian`.
+    """
     xx, xy, yy = jacobian
     scale = 1.0 / (xx * yy - xy * xy)
     return scale * (yy * x_residual - xy * y_residual), scale * (xx * y_residual - xy * x_residual)
 
 
 def is_before_fold(x: Any, y: Any, jacobian: tuple[Any, Any, Any], fold_square: float) -> Any:
-    """Return True if the image radius increases all the way from the centre to a direction.
+    """Return True if the distorted radius increases all the way from the centre to (x, y).
 
-    Beyond a fold the Jacobian is not positive definite. Beyond a second fold it is again, but
-    there the radius exceeds `fold_square`.
+    Beyond a fold the Jacobian is not positive definite. Beyond a second fold the Jacobian is
+    positive definite again, but there x^2 + y^2 exceeds `fold_square`.
+
+    Parameters
+    ----------
+    x, y : normalised coordinates, scalars or arrays
+    jacobian : result of `distortion_jacobian` at (x, y)
+    fold_square : result of the function `fold_square`
     """
     xx, xy, yy = jacobian
     return (xx > 0.0) & (xx * yy > xy * xy) & (x * x + y * y < fold_square)
 
 
 def fold_square(distortion: tuple[float, ...]) -> float:
-    """Return the square of the radius at which the radial part first folds; inf: no fold.
+    """Return the squared normalised radius of the first fold of the radial part; inf: no fold.
 
-    The least s > 0 with d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 = 0, solved for 1 / s.
+    It is the least s = r^2 > 0 with d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 = 0. The
+    equation is solved for 1 / s.
     """
     k1, k2, _, _, k3 = distortion
     roots = np.roots([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3])
@@ -116,7 +135,7 @@ class Pinhole:
             require_number("pinhole distortion", value, -1e9, 1e9)
 
     def project(self, points_dev_mm: ArrayLike) -> FloatArray:
-        """Return the pixels where points in this device's frame appear.
+        """Return the image positions, px, of points in this device's frame.
 
         Parameters
         ----------
@@ -124,7 +143,7 @@ class Pinhole:
 
         Returns
         -------
-        (..., 2) float, px; also outside the image
+        (..., 2) float, px: column and row; also of points outside the image
 
         Raises
         ------
@@ -141,15 +160,15 @@ class Pinhole:
         return np.stack([self.fx_px * x + self.cx_px, self.fy_px * y + self.cy_px], axis=-1)
 
     def unproject(self, pixels_px: ArrayLike) -> FloatArray:
-        """Return the normalised coordinates at pixels, the inverse of `project`.
+        """Return the normalised coordinates of image positions, the inverse of `project`.
 
         Parameters
         ----------
-        pixels_px : (..., 2) float, px
+        pixels_px : (..., 2) float, px: column and row
 
         Returns
         -------
-        (..., 2) float, accurate to 1e-10
+        (..., 2) float: x / z and y / z, accurate to 1e-10
 
         Raises
         ------
@@ -168,9 +187,10 @@ class Pinhole:
         return rays
 
     def seen_corners(self) -> FloatArray:
-        """Return the normalised coordinates at the image's corners, (4, 2), in turn from (0, 0).
+        """Return the normalised coordinates at the four corners of the image, (4, 2).
 
-        For a corner without a ray, those of the last point with a ray on the line to it.
+        The order is top left, top right, bottom right, bottom left. A corner without a ray is
+        replaced by the last point with a ray on the line from the image's centre to the corner.
 
         Raises
         ------
@@ -187,7 +207,7 @@ class Pinhole:
         return self.unproject(centre + low * (corners - centre))
 
     def _rays(self, pixels_px: FloatArray) -> tuple[FloatArray, BoolImage]:
-        """Return normalised coordinates (..., 2), and whether they exist (...)."""
+        """Return normalised coordinates (..., 2) and a mask (...), True where they exist."""
         x_target = (pixels_px[..., 0] - self.cx_px) / self.fx_px
         y_target = (pixels_px[..., 1] - self.cy_px) / self.fy_px
         x, y, close = x_target, y_target, np.zeros(x_target.shape, np.bool_)

@@ -1,14 +1,14 @@
-"""Check whether a calibration can be of a real rig, by limits that hold for every real rig.
+"""Check whether a calibration can be that of a real rig, by limits that hold for every real rig.
 
-A wrong pixel size, a mirrored image or a wrong unit often still gives numbers. They are far outside
-these limits; a poor calibration is inside. Limits and reasons:
+With a wrong pixel size, a mirrored image or a wrong unit a calibration often still converges, but
+its numbers are far outside these limits. An inaccurate but valid calibration is inside.
 
-| check | plausible | reason |
+| quantity | plausible range | reason for the limits |
 |---|---|---|
-| field of view, diagonal | 0.1 to 170 degrees | rays parallel within the noise; no pinhole |
-| image centre to principal point | to 80 degrees | 100 % offset at throw ratio 0.25: 63 degrees |
-| pixel ratio fy / fx | 0.1 to 10 | chips have 1/2, 1 or 2 |
-| triangulation angle | 0.5 to 150 degrees | no depth; no face visible to both |
+| diagonal field of view | 0.1 to 170 degrees | below: parallel rays; above: no pinhole lens |
+| image centre to principal point | up to 80 degrees | it is 63 at 100 % offset, throw ratio 0.25 |
+| pixel ratio fy / fx | 0.1 to 10 | real devices have 1/2, 1 or 2 |
+| triangulation angle | 0.5 to 150 degrees | below: no depth; above: no surface visible to both |
 """
 
 import math
@@ -22,20 +22,20 @@ from reconstruction.rig.pinhole import Pinhole
 FIELDS_OF_VIEW_DEG = (0.1, 170.0)
 MOST_AXIS_OFFSET_DEG = 80.0
 PIXEL_RATIOS = (0.1, 10.0)
-"""Width of a pixel over its height, fy / fx."""
+"""Plausible range of fy / fx, the width of a pixel divided by its height."""
 TRIANGULATION_ANGLES_DEG = (0.5, 150.0)
-# A calibration without meaning fails nearly all checks.
+# Largest number of failed checks in a message: a meaningless calibration fails nearly all checks.
 MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
 class Check:
-    """One figure with the range in which it is plausible.
+    """Value of one quantity of a calibration, and the range in which the value is plausible.
 
     Parameters
     ----------
-    name : of the figure, with its unit
-    value, low, high : in that unit
+    name : name of the quantity; it ends with the unit
+    value, low, high : value and ends of the plausible range, in that unit
     """
 
     name: str
@@ -45,7 +45,7 @@ class Check:
 
     @property
     def is_plausible(self) -> bool:
-        """Whether the value is a number inside the range."""
+        """Whether the value is inside the range; False for NaN."""
         return bool(self.low <= self.value <= self.high)
 
     def __str__(self) -> str:
@@ -57,7 +57,7 @@ class Check:
 
 
 def lens_checks(name: str, device: Pinhole) -> tuple[Check, ...]:
-    """Return the checks of a camera's or projector's intrinsics."""
+    """Return the checks of the intrinsics of the camera or projector called `name`."""
     half_diagonal = math.hypot(device.width_px / device.fx_px, device.height_px / device.fy_px) / 2
     across = (device.cx_px - (device.width_px - 1) / 2) / device.fx_px
     down = (device.cy_px - (device.height_px - 1) / 2) / device.fy_px
@@ -71,7 +71,7 @@ def lens_checks(name: str, device: Pinhole) -> tuple[Check, ...]:
 
 
 def rig_checks(calibration: Calibration) -> tuple[Check, ...]:
-    """Return the checks of both devices and of the angle between them at the world's origin."""
+    """Return the checks of both devices' intrinsics and of the triangulation angle."""
     angle_deg = calibration.triangulation_angle_deg
     return (
         *lens_checks("camera", calibration.camera),
@@ -81,13 +81,13 @@ def rig_checks(calibration: Calibration) -> tuple[Check, ...]:
 
 
 def implausible(checks: Iterable[Check]) -> str:
-    """Return the checks that fail as one line; empty: none."""
+    """Return the failed checks, at most three, as one line of text; "" if no check fails."""
     failed = [str(check) for check in checks if not check.is_plausible]
     return ", ".join(failed[:MOST_NAMED])
 
 
 def require_plausible(checks: Sequence[Check], remedy: str) -> None:
-    """Raise InputError with the failed checks and the remedy."""
+    """Raise InputError if a check fails; the message has the failed checks and `remedy`."""
     failed = implausible(checks)
     if failed:
         raise InputError(f"the calibration is implausible: {failed}; {remedy}")

@@ -1,10 +1,11 @@
-"""Light of a projector for 8-bit levels: response curve, DMD pixel box and lens blur.
+"""Compute the light of a projector from 8-bit levels: response curve, pixel box and lens blur.
 
-Frame: projector pixels along one axis, integer = centre of a pixel. Symbols: g gamma, s standard
-deviation of the lens blur, L relative light, 0 for level 0 and 1 for level 255.
+Frame: projector pixels along one axis, integer = centre of a pixel.
 
-A pixel emits L; the lens spreads it by the DMD's pixel box and a Gaussian. Light of level 0 (finite
-contrast) is a constant in addition to the light of every frame, and is not included in L.
+A pixel emits the relative light L, which is 0 for level 0 and 1 for level 255. On the surface this
+light is distributed as the convolution of a box of one DMD pixel with a Gaussian, the lens blur.
+The light that a projector of finite contrast emits at level 0 is equal in all frames and not
+included in L.
 """
 
 from dataclasses import dataclass
@@ -24,17 +25,17 @@ _REACH_SIGMAS = 6.0
 
 @dataclass(frozen=True)
 class ProjectorResponse:
-    """Known relation between a projector's levels and its light.
+    """Relation between the levels of a projector and its light, as known to the decoder.
 
     Parameters
     ----------
-    gamma : L = (level / 255) ** gamma
-    gamma_uncertainty : its standard uncertainty
+    gamma : exponent in L = (level / 255) ** gamma
+    gamma_uncertainty : standard uncertainty of gamma
     blur_px : standard deviation of the lens blur, projector px, in addition to the pixel box
-    blur_uncertainty_px : its standard uncertainty; defaults of both are for a lens focused by
-        hand
-    curve : measured instead of gamma: L at equally spaced levels from 0 to 255, from 0 to 1,
-        rising; () if not measured
+    blur_uncertainty_px : standard uncertainty of `blur_px`; the defaults of both are for a lens
+        that is focused by hand
+    curve : measured L, rising from 0 to 1, at equally spaced levels from 0 to 255; replaces gamma;
+        (): not measured
 
     Raises
     ------
@@ -68,14 +69,18 @@ class ProjectorResponse:
         return tuple(float(value) for value in values)
 
     def light(self, levels: Levels) -> FloatArray:
-        """Return L of 8-bit levels of any shape."""
+        """Return the relative light L, 0 to 1, for 8-bit levels; arrays of any shape."""
         return relative_light(levels, self.gamma, self.curve)
 
 
 def relative_light(
     levels: Levels | FloatArray, gamma: float, curve: tuple[float, ...] = ()
 ) -> FloatArray:
-    """Return the light of levels, 0 to 255: power law, or a curve at equally spaced levels."""
+    """Return the relative light L, 0 to 1, of levels 0 to 255 of any shape.
+
+    L is (level / 255) ** gamma. If `curve` is given, which has L at equally spaced levels from 0 to
+    255, L is interpolated in it instead.
+    """
     relative = levels.astype(np.float64) / 255.0
     if curve:
         return np.asarray(np.interp(relative, np.linspace(0.0, 1.0, len(curve)), curve))
@@ -83,10 +88,16 @@ def relative_light(
 
 
 def blurred(light: FloatArray, nodes_px: FloatArray, blur_px: float) -> FloatArray:
-    """Convolve pixel values (pixel, frame) with the DMD box and a Gaussian, at the nodes.
+    """Return the light (node, frame) at positions `nodes_px` after the pixel box and lens blur.
 
-    The weight of pixel j at x is the Gaussian's mass over [x - j - 1/2, x - j + 1/2]; outside the
-    image there is no light.
+    The weight of pixel j at position x is the integral of the Gaussian over
+    [x - j - 1/2, x - j + 1/2]. Outside the image there is no light.
+
+    Parameters
+    ----------
+    light : (pixel, frame), relative light of each pixel
+    nodes_px : (node,) positions along the axis, projector px
+    blur_px : standard deviation of the Gaussian, projector px
     """
     reach = int(np.ceil(0.5 + _REACH_SIGMAS * blur_px))
     pixel = np.rint(nodes_px).astype(int)[:, None] + np.arange(-reach, reach + 1)
@@ -102,8 +113,8 @@ def blurred(light: FloatArray, nodes_px: FloatArray, blur_px: float) -> FloatArr
 
 def _mass(offset_px: FloatArray, blur_px: float) -> FloatArray:
     def below(edge_px: FloatArray) -> FloatArray:
-        # The limit of no blur: a node on the border of two pixels belongs to each by 50 %;
-        # otherwise the ramp to the next node would shift the border by half a node.
+        # Without blur a node on the border of two pixels gets 50 % of the light of each. Otherwise
+        # linear interpolation to the next node would shift the border by half a node distance.
         return np.sign(edge_px) if blur_px == 0.0 else erf(edge_px / (np.sqrt(2.0) * blur_px))
 
     return np.asarray(0.5 * (below(offset_px + 0.5) - below(offset_px - 0.5)))

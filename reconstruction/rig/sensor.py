@@ -1,6 +1,6 @@
-"""Camera noise as in a data sheet (EMVA 1288), in digital numbers (DN).
+"""Camera noise in digital numbers (DN), by the figures of a data sheet (EMVA 1288).
 
-Symbols: K `gain_dn_per_e`, sigma_d `read_noise_e`.
+Symbols: K is `gain_dn_per_e`, sigma_d is `read_noise_e`.
 """
 
 import math
@@ -14,20 +14,23 @@ from reconstruction.errors import InputError, require_number
 
 QUANTISATION_DN2 = 1.0 / 12.0
 
-# One saturated pixel in 1e9 is missed; with 4 sigmas it was one in 30,000. Each has a phase error
-# far beyond its sigma, because the light of a saturated pixel is unknown.
+# With 6 sigmas one saturated pixel in 1e9 is not recognised; with 4 sigmas it was one in 30,000.
+# Each of them has a phase error far beyond its sigma, because its light is unknown.
 CLIP_SIGMAS = 6.0
 
 
 def noise_variance_dn2(
     mean_dn: Any, gain_dn_per_e: Any, read_noise_e: Any, black_level_dn: Any
 ) -> Any:
-    """Return the variance of one pixel value, DN^2; scalars and arrays alike.
+    """Return the variance, DN^2, of a pixel value with the expected value `mean_dn`.
+
+    The arguments are scalars or arrays.
 
     Notes
     -----
-    (K sigma_d)^2 + K (mean - black)+ + 1/12, EMVA 1288 release 4, linear model. It is a plain
-    function so that the compiled kernels and `SensorNoise` share one definition.
+    The variance is (K sigma_d)^2 + K max(mean - black, 0) + 1/12: EMVA 1288 release 4, linear
+    model. This is a function, not a method, so that the compiled kernels and `SensorNoise` share
+    one definition.
     """
     read_dn = gain_dn_per_e * read_noise_e
     shot_dn2 = gain_dn_per_e * np.maximum(mean_dn - black_level_dn, 0.0)
@@ -36,16 +39,16 @@ def noise_variance_dn2(
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Noise and limits of the camera.
+    """Noise of the camera, and its black and saturation levels.
 
     Parameters
     ----------
     gain_dn_per_e : system gain K, DN per electron
-    read_noise_e : temporal dark noise, electrons
-    black_level_dn : DN without light
-    saturation_dn : DN of a saturated pixel, mostly the largest code; see `clipped_from_dn`
-    dsnu_e : standard deviation of the dark offsets of pixels, electrons; also that of the level
-        of a saturated pixel
+    read_noise_e : temporal dark noise sigma_d, electrons
+    black_level_dn : mean pixel value without light, DN
+    saturation_dn : value of a saturated pixel, DN, mostly the largest code; see `clipped_from_dn`
+    dsnu_e : standard deviation of the dark offset from pixel to pixel, electrons; also that of the
+        value of a saturated pixel
 
     Raises
     ------
@@ -75,16 +78,17 @@ class SensorNoise:
 
     @property
     def clipped_from_dn(self) -> float:
-        """Least value of a saturated pixel: from this level pixels count as clipped.
+        """Least value, DN, that a saturated pixel can have; from it on pixels count as clipped.
 
-        A pixel saturates before it is read, so that read noise and dark offset (`CLIP_SIGMAS` of
-        both) and half a level of rounding may reduce it below `saturation_dn`.
+        A pixel saturates before it is read. Therefore read noise and dark offset, `CLIP_SIGMAS`
+        standard deviations of both together, and rounding by 0.5 DN may reduce its value below
+        `saturation_dn`.
         """
         spread_e = math.hypot(self.read_noise_e, self.dsnu_e)
         return self.saturation_dn - CLIP_SIGMAS * self.gain_dn_per_e * spread_e - 0.5
 
     def variance_dn2(self, mean_dn: float | FloatArray) -> FloatArray:
-        """Return the variance of a pixel with the expected value `mean_dn`, DN^2."""
+        """Return the variance, DN^2, of a pixel value with the expected value `mean_dn`, DN."""
         variance = noise_variance_dn2(
             mean_dn, self.gain_dn_per_e, self.read_noise_e, self.black_level_dn
         )

@@ -1,11 +1,12 @@
-"""OpenCV's YAML and XML read without OpenCV: its reader corrupts memory on some damaged files.
+"""Read OpenCV's YAML and XML files without OpenCV, whose reader corrupts memory on damaged files.
 
-The part of YAML that `cv2.FileStorage` writes: maps and lists, indented or in brackets, numbers and
-texts, and matrices `!!opencv-matrix` of rows, cols, dt and data. In XML the same by elements: a map
-has one of each name, items of a list are named `_`, and numbers are separated by blanks.
+Only the part of YAML is read that `cv2.FileStorage` writes: maps and lists, indented or in
+brackets; numbers and texts; matrices `!!opencv-matrix` with the keys rows, cols, dt and data. In
+XML each of these is an element. The elements of a map have different names, the items of a list are
+named `_`, and numbers are separated by blanks.
 
-PyYAML splits YAML into events, ElementTree splits XML; both limit the resources that a file can
-use, and neither gives a value a type: that is done here.
+PyYAML splits YAML into events, ElementTree splits XML into elements. Both limit the resources that
+a file can use. Neither converts a text to a number; this module does.
 """
 
 import math
@@ -24,7 +25,7 @@ from reconstruction.reading import read_text, shown
 
 YAML, XML = "%YAML", "<?xml"
 MATRIX = "opencv-matrix"
-# A calibration has 3 kB in short lines and two levels.
+# Limits far above a calibration file, which has 3 kB, short lines and two levels.
 MOST_BYTES, MOST_LINE, MOST_NESTED = 1_000_000, 1000, 32
 _WHOLE_TYPES = ("u", "c", "w", "s", "i")
 _TAG = f"tag:yaml.org,2002:{MATRIX}"
@@ -36,16 +37,16 @@ _LOADER = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 
 
 def read_storage(path: Path | str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]:
-    """Return the content of a file of OpenCV: maps, lists, numbers, texts, and float matrices.
+    """Return the content of an OpenCV file: maps, lists, numbers, texts, and float64 matrices.
 
     Parameters
     ----------
-    heads : allowed starts of the file
+    heads : allowed first characters of the file
 
     Raises
     ------
-    CaptureError : no such file, it is not from OpenCV, damaged, or longer or deeper than any
-        calibration; the message has the line
+    CaptureError : the file is missing, is not of OpenCV, is damaged, or is longer or more deeply
+        nested than any calibration; for a fault in YAML the message has the line number
     """
     try:
         text = read_text(path)
@@ -58,11 +59,11 @@ def read_storage(path: Path | str, heads: tuple[str, ...] = (YAML,)) -> dict[str
 
 
 def parse_storage(text: str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]:
-    """Return the content of such a file from its text, as `read_storage`.
+    """Return the content of an OpenCV file, as `read_storage`, from the text of the file.
 
     Raises
     ------
-    InputError : as `read_storage`; the message has the line
+    InputError : as the CaptureError of `read_storage`
     """
     if not text.startswith(heads):
         raise InputError(
@@ -81,7 +82,7 @@ def parse_storage(text: str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]
 
 
 def numbers_in(path: Path) -> dict[str, FloatArray]:
-    """Return every number and matrix of a YAML or XML file by its path, `camera/matrix`.
+    """Return every number and matrix of an OpenCV file by its path in it, e.g. `camera/matrix`.
 
     Raises
     ------
@@ -114,7 +115,7 @@ def _of_yaml(text: str) -> Any:
 
 
 class _Nodes:
-    """Values from the events of a YAML parser."""
+    """Parser that makes maps, lists, numbers, texts and matrices from the events of PyYAML."""
 
     def __init__(self, events: Iterator[Any]) -> None:
         self._events = (event for event in events if not isinstance(event, yaml.StreamStartEvent))

@@ -1,11 +1,14 @@
-"""From projector coordinates to points: intersect camera rays with the projector's plane or ray.
+"""Triangulate: intersect each camera ray with the projector's light plane or ray.
 
-Result in the world frame (z up towards the devices), mm. Along a ray there is one unknown, the
-depth; it is found by Gauss-Newton with weights 1 / sigma^2 and its sigma follows from the slope:
-sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2), sigma_xyz = sigma_d |R (x, y, 1)|.
+The points are in the world frame (z up, towards the devices), mm. The only unknown of a camera ray
+is the depth d along the camera's optical axis. It is computed by Gauss-Newton iteration from the
+projector coordinates u_i (column, row or both) with the weights 1 / sigma_i^2. Its standard
+deviation is sigma_d = (sum_i (du_i / dd)^2 / sigma_i^2)^(-1/2). The standard deviations of the
+point along the world axes are sigma_xyz = sigma_d |R (x, y, 1)|. Here (x, y, 1) is the ray in the
+camera frame, and R rotates from the camera to the world frame.
 
-Below plane clear layers (a window, a gel) both rays are refracted by Snell's law, see `_layers`;
-the unknown is then the depth below the last interface.
+Below plane clear layers (a window, a gel) both rays are refracted by Snell's law, see `_layers`.
+The unknown is then the depth below the last interface.
 """
 
 from dataclasses import dataclass
@@ -34,9 +37,9 @@ from reconstruction.triangulation._ray import (
     meet_rows,
 )
 
-# The first row of a band takes more steps than the others, which start from the row before.
+# The first row of a band needs more iterations than the others, which start from the row above.
 BAND_ROWS = 48
-# Half precision has the range from 6e-11 to 64 mm.
+# Unit in which sigma_d is stored in half precision: values from 6e-11 to 64 mm.
 SIGMA_UNIT_MM = 2.0**-10
 
 Use = Literal["column", "row", "both"]
@@ -44,10 +47,16 @@ Use = Literal["column", "row", "both"]
 
 @dataclass(frozen=True)
 class EpipolarTolerance:
-    """Largest distance of a decoded coordinate from the triangulated point: absolute plus sigmas.
+    """Largest allowed distance between a decoded coordinate and that of the triangulated point.
 
-    One projector pixel by default: real calibrations have errors of some 0.1 px, wrong fringe
-    orders a whole period.
+    The coordinate of the point is that of its projection into the projector. The default is one
+    projector pixel. Real calibrations have smaller errors, some 0.1 px, and a wrong fringe order
+    has a larger one, a whole period.
+
+    Parameters
+    ----------
+    absolute_px : constant part of the allowed distance, projector px
+    sigmas : additional part, in standard deviations of the distance
     """
 
     absolute_px: float = 1.0
@@ -61,17 +70,19 @@ class EpipolarTolerance:
 @keeps_compact("sigma_xyz_mm")
 @dataclass(frozen=True, eq=False)
 class PointMap:
-    """One point per camera pixel; everything is 0 where mask_reason is not VALID.
+    """The triangulated point of each camera pixel and its standard deviation.
+
+    Points and standard deviations are 0 where mask_reason is not VALID.
 
     Parameters
     ----------
-    points_world_mm : (row, col, xyz) float
-    sigma_xyz_mm : (row, col, xyz) float, predicted standard deviations along the world axes from
-        those of the coordinates, without the calibration's own uncertainty. The error of a
-        point is along its camera ray: its covariance is `covariance_mm2`, of rank 1. Computed
-        at each access, from the points and the sigma of their depth
-    mask_reason : (row, col) Reason
-    T_world_from_cam : (4, 4) float, mm
+    points_world_mm : (row, col, xyz) float, world frame
+    sigma_xyz_mm : (row, col, xyz) float, predicted standard deviations along the world axes. They
+        follow from those of the projector coordinates and do not include the uncertainty of the
+        calibration. The error of a point is along its camera ray, so its covariance
+        `covariance_mm2` has rank 1. The array is computed at each access
+    mask_reason : (row, col) uint8, codes of `Reason`
+    T_world_from_cam : (4, 4) float, pose of the camera, translation in mm
     """
 
     points_world_mm: FloatImage
@@ -81,27 +92,27 @@ class PointMap:
 
     @property
     def sigma_z_mm(self) -> FloatImage:
-        """Predicted standard deviation of world z, (row, col)."""
+        """Predicted standard deviation of world z, (row, col), mm; 0 where masked."""
         sigma = stored_value(self, "sigma_xyz_mm")
         return sigma.component(2) if isinstance(sigma, RaySpread) else self.sigma_xyz_mm[..., 2]
 
     @cached_property
     def points_cam_mm(self) -> FloatImage:
-        """The points in the camera's frame (z = depth), (row, col, xyz); 0 where masked."""
+        """The points in the camera's frame (z = depth), (row, col, xyz) mm; 0 where masked."""
         T = self.T_world_from_cam
         points = (self.points_world_mm - T[:3, 3]) @ T[:3, :3]
         return np.where(self.valid[..., np.newaxis], points, 0.0).astype(np.float32)
 
     @property
     def covariance_mm2(self) -> FloatImage:
-        """Covariance of each point in the world frame, (row, col, xyz, xyz)."""
+        """Covariance matrix of each point in the world frame, (row, col, xyz, xyz), mm^2."""
         along = self.points_world_mm - self.T_world_from_cam[:3, 3].astype(np.float32)
         signed = np.copysign(self.sigma_xyz_mm, along)
         return signed[..., :, np.newaxis] * signed[..., np.newaxis, :]
 
     @property
     def valid(self) -> BoolImage:
-        """Pixels with a point, (row, col) bool."""
+        """Whether a pixel has a triangulated point, (row, col) bool."""
         return np.equal(self.mask_reason, Reason.VALID)
 
 
@@ -111,19 +122,21 @@ def triangulate(
     use: Use = "column",
     tolerance: EpipolarTolerance | None = None,
 ) -> PointMap:
-    """Triangulate the points of the decoded coordinates.
+    """Triangulate a point for each camera pixel with decoded projector coordinates.
 
     Parameters
     ----------
-    decoded : both projector coordinates of every camera pixel
-    calibration : devices, at the camera's image size
-    use : coordinate that determines the depth; the second is only compared with it. If only one
-        axis was decoded, it is that axis, without a comparison
-    tolerance : pixels with a larger difference are masked EPIPOLAR_MISMATCH
+    decoded : projector coordinates of every camera pixel, along one axis or both
+    calibration : geometry of the rig, for the image size of `decoded`
+    use : coordinate that determines the depth. The other one is only compared with the projection
+        of the point. If only one axis was decoded, `use` must be that axis, and there is no
+        comparison
+    tolerance : pixels with a larger difference get the reason EPIPOLAR_MISMATCH
 
     Raises
     ------
-    InputError : the image size is not the calibrated one, or `use` is unknown
+    InputError : the image size is not that of the calibration, `use` is unknown, or `use` is an
+        axis that was not decoded
     """
     _check(decoded, calibration, use)
     limits = tolerance or EpipolarTolerance()

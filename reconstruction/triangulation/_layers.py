@@ -1,18 +1,22 @@
 """Intersect camera rays below plane clear layers with the decoded projector coordinate.
 
-World frame, z up; air above medium 1, the surface in medium m. With w_i the vertical path in medium
-i (air is 0) and t the tangent of the angle to the vertical IN AIR, Snell's law gives the horizontal
-path
+Frame: world, z up. Medium 0 is air, above medium 1; the surface is in the last medium m. Medium i
+has the refractive index n_i. The path of a ray in it has the vertical component w_i. In AIR the
+angle between ray and vertical has the tangent t. By Snell's law the horizontal component of the
+whole path is
 
     r(t) = sum_i w_i t / q_i,   q_i = sqrt(n_i^2 + (n_i^2 - 1) t^2),
     dr/dt = sum_i w_i n_i^2 / q_i^3,
 
-and the tangent t / q_m in the last medium. A camera ray of known t enters that medium at a known
-point A with the direction G = (h / q_m, -1), h its horizontal path in air per mm of height. On
-X = A + s G the unknown is s, the depth below the last interface. The projector's ray to X has the t
-that solves r(t) = |X - P| horizontally. r is concave and increasing, so that Newton's method from
-the left of the root never overshoots. The derivative of its image by s is from the implicit
-function theorem.
+and the tangent of the angle in the last medium is t / q_m.
+
+A camera ray with known t enters the last medium at a known point A. Its direction there is
+G = (h / q_m, -1), with the horizontal vector h of its path in air per mm of height. The unknown of
+the point X = A + s G is s, the depth below the last interface.
+
+The t of the ray from the projector, at P, to X solves r(t) = |X - P|, the horizontal distance. The
+function r is concave and increasing, so Newton's method from the left of the root never overshoots.
+The derivative of the projector pixel by s follows from the implicit function theorem.
 
 Light reflected between the interfaces is neglected.
 """
@@ -44,20 +48,21 @@ from reconstruction.triangulation._ray import (
     weights,
 )
 
-# A gel behind a window needs two iterations from the straight line, thick layers of index 3 five.
+# Most Newton iterations for t. From the straight line, a gel behind a window needs two of them,
+# thick layers of index 3 need five.
 MAX_TURNS = 20
 TANGENT_TOLERANCE = 1e-12
-# The remaining error is that step times the next contraction, below 1e-3.
+# A step below this value ends the iteration. The remaining error is less than 1e-3 of the step.
 STEP_TOLERANCE_MM = 1e-5
-# Rays flatter than this in air (89.9 degrees) have no point.
+# Least cosine of the angle to the vertical in air (89.9 degrees) of a camera ray with a point.
 FLATTEST = 1e-3
 
 
 class LayeredRig(NamedTuple):
-    """Lenses, motions between the frames, mm, and the media from the top down.
+    """Lenses, transforms between the frames, mm, and clear media from the top down.
 
-    projector_mm : place of the projector in the world
-    tops_mm, iors : (medium,) double precision
+    projector_mm : position of the projector in the world frame
+    tops_mm, iors : (medium,) float64, world z of the upper interface and refractive index
     """
 
     camera: Lens
@@ -70,7 +75,7 @@ class LayeredRig(NamedTuple):
 
 
 class SpreadRows(NamedTuple):
-    """Result: points and their sigmas, (row, 3 col) x y z mm, and (row, col) codes."""
+    """Result: points and their sigmas, each (row, 3 col) as x y z, mm; (row, col) reason codes."""
 
     points_world_mm: Any
     sigma_xyz_mm: Any
@@ -78,9 +83,11 @@ class SpreadRows(NamedTuple):
 
 
 class LayerEntry(NamedTuple):
-    """Lines of one row: point at which each camera ray enters the last medium, and its direction.
+    """For each pixel (col) of one row, where and how its camera ray enters the last medium.
 
-    The direction has -1 as its z. depth: of the point below the last interface.
+    x, y : world coordinates of the entry point, mm
+    x_slope, y_slope : direction (x_slope, y_slope, -1) of the ray in the last medium
+    depth : depth of the triangulated point below the last interface, mm
     """
 
     x: Any
@@ -92,7 +99,10 @@ class LayerEntry(NamedTuple):
 
 @inlined
 def _reach(t_square: float, air_mm: float, last_mm: float, rig: LayeredRig) -> Any:
-    """Return r / t, dr / dt and q of the last medium."""
+    """Return r / t, dr / dt and q_m at t^2 = `t_square`.
+
+    air_mm, last_mm : vertical path in the air and in the last medium, w_0 and w_m
+    """
     tops, iors = rig.tops_mm, rig.iors
     reach, slope, q = air_mm, air_mm, 1.0
     for i in range(tops.size):
@@ -124,9 +134,11 @@ def _enter_row(rays: Rays, rig: LayeredRig, entry: LayerEntry, reason: Any) -> N
 
 @inlined
 def _towards(x: float, y: float, depth: float, tangent: float, rig: LayeredRig) -> Any:
-    """Return the tangent in air of the projector's ray to a place, and r / t, dr / dt, q there.
+    """Return the tangent t in air of the projector's ray to a point, and r / t, dr / dt and q_m.
 
-    x, y : horizontal distance from the projector; tangent : not above the solution
+    x, y : horizontal position of the point relative to the projector, mm
+    depth : depth of the point below the last interface, mm
+    tangent : start value of t, at most the solution
     """
     distance = np.sqrt(x * x + y * y)
     air_mm = rig.projector_mm[2] - rig.tops_mm[0]
@@ -144,9 +156,11 @@ def _towards(x: float, y: float, depth: float, tangent: float, rig: LayeredRig) 
 def _projector_ray(
     x: float, y: float, x_slope: float, y_slope: float, depth: float, rig: LayeredRig
 ) -> Any:
-    """Return the projector's ray to a place, (x, y, z) in its frame, and its derivative by depth.
+    """Return the projector's ray to a point, (x, y, z) in its frame, and its derivative by depth.
 
-    x, y : horizontal distance from the projector; x_slope, y_slope : its derivative by depth
+    x, y : horizontal position of the point relative to the projector, mm
+    x_slope, y_slope : derivative of x and y by the depth
+    depth : depth of the point below the last interface, mm
     """
     air_mm = rig.projector_mm[2] - rig.tops_mm[0]
     height = air_mm + rig.tops_mm[0] - rig.tops_mm[-1] + depth
@@ -175,7 +189,12 @@ def _projector_ray(
 
 @inlined
 def _image(ray: Any, turn: Any, lens: Lens) -> Any:
-    """Return the pixel of a ray, its derivative by depth, and whether it is in the lens's field."""
+    """Return the projector pixel of a ray, its derivative by depth, and whether it is valid.
+
+    The pixel is valid if the ray points forward and is before the fold of the lens model.
+
+    ray, turn : (x, y, z) of the ray in the projector's frame, and the derivative of it by depth
+    """
     inverse = 1.0 / ray[2]
     px, py = ray[0] * inverse, ray[1] * inverse
     px_slope, py_slope = (turn[0] - px * turn[2]) * inverse, (turn[1] - py * turn[2]) * inverse
@@ -197,7 +216,7 @@ def _meet_row(
     view: ProjectorView,
     reason: Any,
 ) -> None:
-    """Take Gauss-Newton steps on the weighted residuals of each pixel, from its left neighbour."""
+    """Compute the depth of each pixel by Gauss-Newton steps, from the depth of the pixel before."""
     place, lens = rig.projector_mm, rig.projector
     start = 0.0
     for col in range(reason.size):
@@ -229,7 +248,7 @@ def _meet_row(
 def _place_row(
     entry: LayerEntry, floor_mm: float, sigma: Any, reason: Any, world: Any, spread: Any
 ) -> None:
-    """Write points and sigmas in the world frame, x y z of one pixel after the other."""
+    """Write points and their sigmas in the world frame, mm, to lines (3 col): x y z per pixel."""
     for col in range(reason.size):
         if reason[col] != 0:
             continue
@@ -245,7 +264,10 @@ def _place_row(
 def meet_rows_below(
     first_row: int, end_row: int, fringe: Fringe, match: Match, rig: LayeredRig, points: SpreadRows
 ) -> None:  # fmt: skip
-    """Fill `points` of some rows; `reason` masks and is updated."""
+    """Triangulate the rows from `first_row` to before `end_row` and write them to `points`.
+
+    Only pixels with `points.reason` 0 are triangulated; those that fail get their reason code.
+    """
     width = points.reason.shape[1]
     work = Lines(np.zeros((11, width)), np.zeros((7, width), np.float32), np.zeros(width, np.bool_))
     _meet_band(first_row, end_row, fringe, match, rig, work, points)

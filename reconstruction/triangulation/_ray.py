@@ -1,11 +1,11 @@
-"""Intersect the camera rays of one image row with the decoded projector coordinate.
+"""Intersect the camera rays of one image row with the decoded projector coordinate, in air.
 
-In double precision; the inverse of the lens distortion takes a whole row per step.
+The geometry is in double precision. The iterations of the inverse lens distortion and of
+Gauss-Newton run over a whole image row each, so that the compiler makes vector code of the loops.
 
-Symbols: d depth along the camera's z axis; (x, y, 1) ray in the camera frame; X = d a + b point in
-the projector frame, with a = R ray and b = t of T_proj_from_cam; (u, v) projector pixel.
-
-A whole image row takes each Gauss-Newton step together, so that the loops become vector code.
+Symbols: d is the depth along the camera's z axis, (x, y, 1) the ray in the camera frame, (u, v) the
+projector pixel. X = d a + b is the point in the projector frame, with a = R (x, y, 1) and b = t
+from T_proj_from_cam = [R t].
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -28,7 +28,7 @@ from reconstruction.rig.pinhole import (
     newton_step,
 )
 
-# Newton squares the error: after a step below 1e-7 it is far below 1e-12.
+# Newton's method squares the error in each step: after a step below 1e-7 it is far below 1e-12.
 RAY_TOLERANCE = 1e-7
 
 distort_inlined = inlined(distort)
@@ -39,19 +39,24 @@ EPIPOLAR_MISMATCH = np.uint8(Reason.EPIPOLAR_MISMATCH)
 NO_POINT = np.uint8(Reason.NO_POINT)
 VALID = np.uint8(Reason.VALID)
 MAX_STEPS = 20
-# Relative depth step that ends the iteration. The remaining error is this step times the next
-# contraction, below 1e-3: at most 2e-6 mm at 200 mm.
+# Step, relative to the depth, that ends the iteration. The remaining error is less than 1e-3 of
+# this step: at most 2e-6 mm at 200 mm.
 DEPTH_TOLERANCE = 1e-5
 # Prevents an infinite weight for a sigma of zero.
 SMALLEST_SIGMA_PX = np.float32(1e-9)
 ZERO = np.float32(0.0)
 
-# Rows of [R t]. Tuples, because arrays handed over per pixel cost more than the geometry.
+# Rows of [R t]. They are tuples, because passing arrays to a function for each pixel takes more
+# time than the geometry.
 Motion = tuple[tuple[float, ...], ...]
 
 
 class Lens(NamedTuple):
-    """Intrinsics of one device, pixels and OpenCV coefficients."""
+    """Intrinsics of one device: focal lengths and centre in px, OpenCV's k1, k2, p1, p2, k3.
+
+    is_ideal : whether there is no distortion
+    fold_square : squared normalised radius of the fold, see `reconstruction.rig.pinhole`
+    """
 
     fx: float
     fy: float
@@ -63,7 +68,7 @@ class Lens(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """Work arrays for a band of rows, because compiled code does not allocate any."""
+    """Work arrays for a band of rows, because the compiled code does not allocate arrays."""
 
     long: Any  # (line, col) float64
     short: Any  # (line, col) float32
@@ -71,10 +76,11 @@ class Lines(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """Lines of one row: the rays (x, y, 1) in the camera frame, and whether they exist.
+    """Rays of the pixels (col) of one row: (x, y, 1) in the camera frame, if `is_valid`.
 
-    x_bend, y_bend : displacement of each ray by the lens; those of the row before are a good
-        start, as neighbours are similar: one step is enough in all but the first row
+    x_bend, y_bend : displacement of x and y by the inverse lens distortion. The values of the row
+        above are the start values, because neighbouring rows are similar: one iteration suffices
+        in all but the first row
     """
 
     x: Any
@@ -100,7 +106,7 @@ def lens_of(device: Pinhole) -> Lens:
 
 @nested
 def _newton_row(row: int, camera: Lens, rays: Rays) -> Any:
-    """Improve the rays of a row by one Newton step; return how many have not converged."""
+    """Improve the rays of a row by one Newton step; return the number of rays not converged."""
     x, y, x_bend, y_bend, is_valid = rays
     x_scale, y_target = 1.0 / camera.fx, (row - camera.cy) / camera.fy
     pending = 0
@@ -136,7 +142,7 @@ def _reset_invalid(is_valid: Any, x_bend: Any, y_bend: Any) -> None:
 
 @compiled
 def ray_row(row: int, camera: Lens, rays: Rays) -> None:
-    """Write the rays of an image row; bends are those of the row before, or 0."""
+    """Compute the rays of an image row; at entry `rays` has the bends of the row above, or 0."""
     if camera.is_ideal:
         _ideal_row(row, camera, rays)
         return
@@ -147,7 +153,11 @@ def ray_row(row: int, camera: Lens, rays: Rays) -> None:
 
 
 class Match(NamedTuple):
-    """Coordinates that determine the depth, and the tolerance of the second coordinate."""
+    """Coordinates that determine the depth, and the tolerance of the decoded coordinates.
+
+    A decoded coordinate may differ from that of the projected point by `tolerance_px` plus
+    `tolerance_sigmas` standard deviations of the difference.
+    """
 
     use_column: bool
     use_row: bool
@@ -156,9 +166,9 @@ class Match(NamedTuple):
 
 
 class Fringe(NamedTuple):
-    """Decoded coordinates, (row, col) px, and their sigmas in half precision.
+    """Decoded projector coordinates, (row, col) px, and their sigmas in half precision.
 
-    sigma_unit_px : factor for `unpack_row`
+    sigma_unit_px : factor with which `unpack_row` converts a sigma to px
     """
 
     column: Any
@@ -169,7 +179,7 @@ class Fringe(NamedTuple):
 
 
 class LensPair(NamedTuple):
-    """Both lenses and the motions between the frames, mm."""
+    """Both lenses and the transforms between the frames, translations in mm."""
 
     camera: Lens
     projector: Lens
@@ -178,9 +188,10 @@ class LensPair(NamedTuple):
 
 
 class PointRows(NamedTuple):
-    """Result: (row, 3 col) x y z mm, (row, col) sigma of the depth in half precision and codes.
+    """Result: points (row, 3 col) as x y z, mm; (row, col) sigma of the depth; reason codes.
 
-    sigma_factor : for `pack_row`
+    sigma_depth : in half precision
+    sigma_factor : factor with which `pack_row` converts a sigma in mm to half precision
     """
 
     points_world_mm: Any
@@ -190,7 +201,7 @@ class PointRows(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """Decoded coordinates of one row and their sigmas, lines of (col) px."""
+    """Decoded projector coordinates of one camera row and their sigmas, each (col,) px."""
 
     u: Any
     v: Any
@@ -199,11 +210,12 @@ class Pixels(NamedTuple):
 
 
 class ProjectorView(NamedTuple):
-    """Lines of one row: projection of each point into the projector.
+    """Projection of the points of one camera row into the projector, each field (col,).
 
-    Reprojection residual (decoded minus projected pixel) and the pixel's change per mm of depth,
-    single precision; displacement by the lens, double precision: that of the row before is a
-    good start.
+    u_residual, v_residual : decoded minus projected pixel, px, float32
+    u_slope, v_slope : change of the projected pixel per mm of depth, float32
+    u_bend, v_bend : displacement of the projected pixel by the lens distortion, px, float64. The
+        values of the row above are the start values
     """
 
     u_residual: Any
@@ -225,7 +237,7 @@ def _rotate(T: Motion, x: float, y: float) -> Any:
 
 @inlined
 def weights(su: Any, sv: Any, match: Match) -> Any:
-    """Return the weights of both coordinates up to a common factor, without division for one."""
+    """Return the weights of column and row, 1 / sigma^2 up to a common factor; 0 if not used."""
     if match.use_column and match.use_row:
         su, sv = max(su, SMALLEST_SIGMA_PX), max(sv, SMALLEST_SIGMA_PX)
         return sv * sv, su * su
@@ -242,7 +254,10 @@ def _start_row(
     view: ProjectorView,
     reason: Any,
 ) -> None:
-    """Write the depth with the lens displacement of the row before: weighted planes."""
+    """Write the start value of the depth: linear solution with the lens displacement as given.
+
+    The lens displacements in `view` are those of the row above.
+    """
     x, y, is_valid, u_bend, v_bend = rays.x, rays.y, rays.is_valid, view.u_bend, view.v_bend
     u, v, su, sv = pixels
     lens, T = rig.projector, rig.T_proj_from_cam
@@ -262,7 +277,7 @@ def _step_row(
     rays: Rays, pixels: Pixels, match: Match, rig: LensPair, is_last: bool, depth: Any,
     view: ProjectorView, reason: Any,
 ) -> Any:  # fmt: skip
-    """Take one Gauss-Newton step on the weighted residuals; return how many have not converged."""
+    """Take one Gauss-Newton step in the depth; return the number of pixels not converged."""
     x, y = rays.x, rays.y
     u, v, su, sv = pixels
     lens, T = rig.projector, rig.T_proj_from_cam
@@ -304,7 +319,7 @@ def _step_row(
 
 @nested
 def judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, reason: Any) -> None:
-    """Write the sigma of the depth, and mask coordinates that contradict the point."""
+    """Write the sigma of the depth; set the code EPIPOLAR_MISMATCH beyond the tolerance."""
     su, sv = pixels.u_sigma, pixels.v_sigma
     u_residual, v_residual, u_slope, v_slope, _, _ = view
     tolerance = np.float32(match.tolerance_px)
@@ -317,7 +332,8 @@ def judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, rea
             s = u_sigma * v_sigma / np.sqrt(u_share * u_share + v_share * v_share)
         else:
             s = u_sigma / abs(us) if match.use_column else v_sigma / abs(vs)
-        # Squares, not roots: beyond the tolerance by so many sigmas of the difference.
+        # The excess over the tolerance is compared with a number of sigmas of the difference. The
+        # squares of both are compared, which needs no roots.
         u_over, v_over = abs(u_residual[col]) - tolerance, abs(v_residual[col]) - tolerance
         u_along, v_along = us * s, vs * s
         u_limit = square * (u_sigma * u_sigma + u_along * u_along)
@@ -332,7 +348,7 @@ def judge_row(pixels: Pixels, match: Match, view: ProjectorView, sigma: Any, rea
 
 @nested
 def _place_row(rays: Rays, depth: Any, reason: Any, T: Motion, world: Any) -> None:
-    """Write the points in the world frame, x y z of one pixel after the other."""
+    """Write the points in the world frame, mm, to a line (3 col): x y z per pixel; 0 if masked."""
     x, y = rays.x, rays.y
     for col in range(depth.size):
         ray_x, ray_y, ray_z = _rotate(T, x[col], y[col])
@@ -345,7 +361,10 @@ def _place_row(rays: Rays, depth: Any, reason: Any, T: Motion, world: Any) -> No
 def meet_rows(
     first_row: int, end_row: int, fringe: Fringe, match: Match, rig: LensPair, points: PointRows
 ) -> None:  # fmt: skip
-    """Fill `points` of some rows; `reason` masks and is updated."""
+    """Triangulate the rows from `first_row` to before `end_row` and write them to `points`.
+
+    Only pixels with `points.reason` 0 are triangulated; those that fail get their reason code.
+    """
     width = points.reason.shape[1]
     work = Lines(np.zeros((7, width)), np.zeros((8, width), np.float32), np.zeros(width, np.bool_))
     _meet_band(first_row, end_row, fringe, match, rig, work, points)

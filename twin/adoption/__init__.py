@@ -1,1 +1,1 @@
-"""The twin of a real rig: a rig file with the values that its captures determine."""
+"""Make the twin of a real rig: a rig file with the values that its captures determine."""

@@ -1,7 +1,8 @@
 """Make the twin of a real rig: from captures and their calibration to the fields of a rig file.
 
-Fields that the captures do not determine have the value of the model rig, and `assumed` as their
-source. The table in `fields` lists the source of each field.
+Fields that the captures do not determine have the value of the model rig, and their source starts
+with `assumed`. The table in `twin.adoption.fields` lists the data from which each field is
+estimated.
 """
 
 from collections.abc import Sequence
@@ -55,16 +56,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Given:
-    """Inputs of an adoption.
+    """Inputs of `adopt`.
 
     Attributes
     ----------
-    captures : folders
-    model : rig that gives every value that the captures do not determine
-    dark, flat : folders of images without light, and of an evenly lit surface
-    reference : capture of a flat matte surface in the coat's place, at the same exposure
-    reference_albedo : of that surface, with its standard uncertainty
-    press : of a known ball into the sheet
+    captures : folders of captures, at least one
+    model : model rig; its values are used for all fields that the captures do not determine
+    dark, flat : folders of images without light, and of an evenly lit surface; None: no images
+    reference : capture of a flat matte surface in the coat's place, at the same exposure; None: the
+        coat's albedo is not determined
+    reference_albedo : albedo of that surface, with its standard uncertainty
+    press : press of a known ball into the sheet; None: the elastomer is not determined
     """
 
     captures: tuple[Path, ...]
@@ -88,12 +90,19 @@ class Adopted:
 
     Attributes
     ----------
+    fields : fields that the captures determine or state, by dotted path
+    tables : all tables of the rig file
+    experiment : an experiment with the adopted rig
     capture, points : the first capture with the estimated noise and response, and its
         reconstruction
-    experiment : an experiment with the adopted rig
-    noise_from : method by which gain and read noise were estimated, as text
-    stated : noise according to capture.toml
-    sparkle : local contrast of the coat in the white frame
+    fit : fitted projector response of the first capture that could be fitted; None: no such capture
+    noise : camera noise; None: not determined
+    noise_from : method by which the camera noise was estimated, as text
+    placed : poses and lenses of camera and projector
+    stated : camera noise according to capture.toml
+    two_period_chi2 : chi-square per pixel of two captures with different periods; None: not
+        determined
+    sparkle : local contrast of the coat in the white frame; None: not determined
     notes : remarks for the user, one line each
     """
 
@@ -123,7 +132,7 @@ class Adopted:
         return as_html("twin of a real rig; units in the names", rows, self.plot())
 
     def plot(self) -> "Drawing":
-        """Draw the points that the first capture gives with this rig: a Matplotlib figure.
+        """Draw the reconstruction of the first capture with this rig, as a Matplotlib figure.
 
         Raises
         ------
@@ -132,12 +141,14 @@ class Adopted:
         return self.points.plot()
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the maps of these points over camera row and column."""
+        """Return the maps of the reconstruction of the first capture over camera row and column."""
         return self.points.to_xarray()
 
 
 def adopt(given: Given, watch: ProgressCallback = no_progress) -> Adopted:
-    """Make the rig.
+    """Return the rig that the captures determine, with the intermediate results.
+
+    `watch` is called with the name of each stage and its finished fraction.
 
     Raises
     ------
@@ -204,11 +215,13 @@ def adopt_rig(
     Parameters
     ----------
     captures : folders with capture.toml, calibration and white and black frames; at least one
-    model : rig that gives every value that the captures do not determine
-    dark, flat : folders of images without light, and of an evenly lit surface
-    reference : capture of a flat matte surface in the coat's place, at the same exposure
-    reference_albedo : of that surface, and its standard uncertainty
-    press : of a known ball into the sheet
+    model : model rig; its values are used for all fields that the captures do not determine
+    dark, flat : folders of images without light, and of an evenly lit surface; None: no images
+    reference : capture of a flat matte surface in the coat's place, at the same exposure; None: the
+        coat's albedo is not determined
+    reference_albedo : albedo of that surface, with its standard uncertainty
+    press : press of a known ball into the sheet; None: the elastomer is not determined
+    watch : called with the name of each stage and its finished fraction
 
     Raises
     ------
@@ -229,7 +242,7 @@ def adopt_rig(
 def _albedo_field(
     given: Given, scene: Scene, experiment: Experiment, watch: ProgressCallback
 ) -> dict[str, RigField]:
-    """Return the coat's albedo, if a reference is given."""
+    """Return the field of the coat's albedo by path; empty if no reference is given."""
     if given.reference is None or given.reference_albedo is None:
         return {}
     watch("render", 0.0)
@@ -245,7 +258,7 @@ def _albedo_field(
 
 
 def _press_fields(given: Given, known: Capture, watch: ProgressCallback) -> dict[str, RigField]:
-    """Return the elastomer, if a press of a known ball is given."""
+    """Return the fields of the elastomer by path; empty if no press of a known ball is given."""
     if given.press is None:
         return {}
     watch("press", 0.0)
@@ -278,7 +291,10 @@ def _known(
     noise: PhotonTransfer | None,
     response: ProjectorResponse | None,
 ) -> Capture:
-    """Return the capture with the estimated noise and response."""
+    """Return the capture with the estimated camera noise and projector response.
+
+    Without an estimate (None), the noise is `sensor` and the response that of the capture.
+    """
     if noise is not None:
         read_e = noise.read_noise_e.value if noise.read_noise_e else 0.0
         sensor = replace(sensor, gain_dn_per_e=noise.gain_dn_per_e.value, read_noise_e=read_e)
@@ -286,7 +302,10 @@ def _known(
 
 
 def coat_sparkle(capture: Capture, points: Reconstruction) -> Sparkle | None:
-    """Return the coat's local contrast; None without a white frame, or with too few pixels."""
+    """Return the coat's local contrast in the white frame.
+
+    The result is None if the capture has no white frame or too few pixels with a point.
+    """
     if not capture.patterns.uniform:
         return None
     white = capture.stack[capture.patterns.index("white").start]

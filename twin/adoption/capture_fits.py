@@ -1,4 +1,4 @@
-"""Dark frames, projector response and camera noise, estimated from captures of a rig."""
+"""Estimate black level, projector response and camera noise from captures of a rig."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,19 +28,24 @@ from reconstruction.triangulation import triangulate
 from twin.adoption.defocus import CaptureBlur
 from twin.adoption.fields import read_images
 
-# Of the square of a normal number.
+# Median of the square of a standard normal number.
 _MEDIAN_OF_SQUARE = 0.455
-# Largest ratio of squared differences of two captures of one scene to the variance of their noise.
+# Largest ratio of squared differences to the variance of noise for two captures of one scene: for
+# fitted noise, and for that of capture.toml.
 _MOST_OVER_FITTED, _MOST_OVER_STATED = 1.5, 20.0
-# Of dark frames over the darkest frame of a capture: rounding and drift of the black level.
+# Largest excess of the mean of dark frames over that of the darkest frame of a capture, for
+# rounding and drift of the black level.
 _BRIGHTER_DN, _BRIGHTER_SIGMAS = 1.0, 5.0
 UNFILTERED = DecodeOptions(filter_taps=0)
 
 
 def dark_frames(folder: Path, capture: Capture) -> Dark:
-    """Return black level and noise of the dark frames; they must not be brighter than the capture.
+    """Return black level and noise of the dark frames in a folder.
 
-    The mean of the capture's darkest frame is the black level plus ambient light.
+    Raises
+    ------
+    InputError : the dark frames are brighter than the darkest frame of the capture, which shows
+        the black level plus ambient light
     """
     dark = dark_of(read_images(folder, capture))
     black = dark.black_level_dn
@@ -55,7 +60,7 @@ def dark_frames(folder: Path, capture: Capture) -> Dark:
 
 
 def with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
-    """Return the camera noise with the black level of the dark frames, if there are any."""
+    """Return the camera noise with the black level of `dark`; unchanged if that is None."""
     if dark is None:
         return sensor
     return replace(sensor, black_level_dn=max(dark.black_level_dn.value, 0.0))
@@ -63,7 +68,7 @@ def with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class FittedCapture:
-    """Projector response of a capture, and its blur by distance."""
+    """Fitted projector response of a capture, and its blur with the distances of its points."""
 
     fit: ProjectorFit
     blur: CaptureBlur
@@ -75,7 +80,7 @@ def fit_captures(
     sensor: SensorNoise,
     notes: list[str],
 ) -> list[FittedCapture]:
-    """Fit each capture; add a note for each that cannot be fitted."""
+    """Return the fits of all captures that can be fitted; add a note for each other capture."""
     results = []
     for folder, capture in zip(folders, captures, strict=True):
         try:
@@ -95,7 +100,10 @@ def fit_captures(
 
 
 def _fit_twice(capture: Capture, sensor: SensorNoise, decoded: Decoded) -> ProjectorFit:
-    """Fit, decode with the fitted response, and fit again from there."""
+    """Return the projector response of a capture by two fits.
+
+    The capture is decoded with the response of the first fit, and then fitted again.
+    """
     stack, patterns = capture.stack, capture.patterns
     first = fit_projector(stack, patterns, sensor, decoded)
     if not patterns.kind.takes_response:
@@ -108,7 +116,7 @@ def _fit_twice(capture: Capture, sensor: SensorNoise, decoded: Decoded) -> Proje
 
 
 def _inverse_distances(decoded: Decoded, calibration: Calibration) -> FloatArray:
-    """Return the inverse distance of all points along the projector's axis, 1/mm."""
+    """Return the inverse distance (n,), 1/mm, of all points along the projector's axis."""
     points = triangulate(decoded, calibration)
     if not points.valid.any():
         raise InputError("no pixel has a point; does the calibration belong to the capture?")
@@ -123,7 +131,11 @@ def noise_of(
     sensor: SensorNoise,
     notes: list[str],
 ) -> tuple[PhotonTransfer | None, str]:
-    """Return the noise, and its source as text: repeated captures, or residuals of a fit."""
+    """Return the camera noise, and its source as text.
+
+    It is estimated from repeated captures, or else from the residuals of a fit. If neither is
+    possible, the noise is None and a line is added to `notes`.
+    """
     own = next((fit.noise for fit in fits if fit.noise is not None), None)
     pairs = _pairs(captures, sensor, own)
     if pairs is not None:
@@ -140,9 +152,10 @@ def noise_of(
 def _pairs(
     captures: Sequence[Capture], sensor: SensorNoise, own: PhotonTransfer | None
 ) -> NoiseSamples | None:
-    """Return samples of all successive captures of the same scene; None: there are none.
+    """Return noise samples of all pairs of successive captures of the same scene.
 
-    Such captures differ by noise only: the fitted noise, or about the noise of capture.toml.
+    The captures of such a pair differ by noise only. Its variance is that of the fitted noise
+    `own`, or of about the magnitude of the noise in capture.toml. None: there is no such pair.
     """
     all_samples: NoiseSamples | None = None
     for earlier, later in pairwise(captures):
@@ -161,9 +174,10 @@ def _pairs(
 
 
 def two_period_chi2(captures: Sequence[Capture], known: Capture) -> float | None:
-    """Return chi-square per pixel of two captures of one scene with different periods, or None.
+    """Return chi-square per pixel of two captures of one scene with different fringe periods.
 
-    It compares coordinates of unfiltered pixels, with the estimated sensor and response.
+    The decoded columns of unfiltered pixels are compared, with the noise and the response of
+    `known`. The result is None without such captures, or if they do not show the same scene.
     """
     first = captures[0]
     for second in captures[1:]:
@@ -185,10 +199,11 @@ def two_period_chi2(captures: Sequence[Capture], known: Capture) -> float | None
 
 
 def chi2_of(first: Decoded, second: Decoded) -> float | None:
-    """Return the mean square of the differences of columns over their sigma, for the same scene.
+    """Return the mean square of differences of decoded columns, divided by their uncertainties.
 
-    Pixels that differ by more than 10 sigma show another scene or have a wrong fringe order: they
-    are left out. The result is None if they are more than 1 % of the pixels.
+    Pixels that differ by more than 10 sigma show another scene or have a wrong fringe order, and
+    are left out. The result is None if these are 1 % of the pixels or more, or if fewer than 100
+    pixels are valid in both captures.
     """
     both = first.valid & second.valid
     if int(both.sum()) < 100:

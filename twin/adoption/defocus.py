@@ -1,10 +1,10 @@
 """Blur of the projector by distance, from captures of surfaces at several heights.
 
-Each capture's fit gives one blur b. With u = 1 / z, the inverse of its points' axial distance, the
-thin lens makes b^2 = b_0^2 + g^2 (u - u_0)^2 (`twin.optics.light.Defocus`), a parabola in u: three
-heights give best focus 1 / u_0, the blur b_0 there, and the growth g, focal length (px) times the
-diameter of the exit pupil over 4. A surface has many distances: the fit uses the means of u and of
-u^2 over its points.
+The fit of each capture gives one blur b. Let u = 1 / z be the inverse of the axial distance of the
+capture's points. For a thin lens b^2 = b_0^2 + g^2 (u - u_0)^2 (`twin.optics.light.Defocus`), a
+parabola in u. Captures at three heights determine the distance of best focus 1 / u_0, the blur b_0
+at that distance, and the growth g: focal length (px) times the diameter of the exit pupil over 4. A
+surface has many distances, so that the fit uses the means of u and of u^2 over its points.
 """
 
 from collections.abc import Sequence
@@ -17,18 +17,21 @@ from reconstruction.characterise import UncertainValue
 from twin.adoption.findings import RigField
 
 LEAST_CAPTURES = 3
-# Relative, of each blur: one Gaussian was fitted to a surface with points of different blur. The
-# errors of two rendered rigs are 1 to 4 % (tests/adoption).
+# Relative uncertainty of each blur, because one Gaussian was fitted to points of different blur.
+# The errors for two rendered rigs are 1 to 4 % (tests/adoption).
 _MIXED = 0.02
 # Least ratio of the growth to its uncertainty for a significant defocus.
 _LEAST_SIGNIFICANCE = 3.0
-# Captures with a smaller relative difference of distance have the same height.
+# Captures with a smaller relative difference of their distances count as one height.
 _SAME_HEIGHT = 0.002
 
 
 @dataclass(frozen=True)
 class CaptureBlur:
-    """Blur of one capture, and the inverse axial distances of its points: mean and spread."""
+    """Blur of one capture, and mean and standard deviation of its points' inverse distances.
+
+    Distances are along the projector's axis; the blur is the sigma of a Gaussian, projector px.
+    """
 
     inverse_per_mm: float
     spread_per_mm: float
@@ -37,7 +40,7 @@ class CaptureBlur:
 
 @dataclass(frozen=True)
 class FittedDefocus:
-    """A projector's blur by distance."""
+    """Defocus of a projector: blur at best focus, its growth g, and distance of best focus."""
 
     blur_px: UncertainValue
     growth_px_mm: UncertainValue
@@ -45,10 +48,11 @@ class FittedDefocus:
 
 
 def defocus_of(blurs: Sequence[CaptureBlur]) -> FittedDefocus | None:
-    """Return the parabola through blurs; None if the captures do not determine it.
+    """Return the defocus from the blurs of captures; None if they do not determine it.
 
-    That is: fewer than three heights, heights too close, or best focus (in 1 / z) farther than
-    their range from their middle, where the blur would be an extrapolation.
+    They do not determine it if there are fewer than three heights, or if the heights are too close
+    to each other. The same applies if 1 / z of best focus is farther from the captures' mean than
+    their range: then the blur there would be an extrapolation.
     """
     u = np.array([item.inverse_per_mm for item in blurs])
     spread = np.array([item.spread_per_mm for item in blurs])
@@ -83,7 +87,7 @@ def defocus_of(blurs: Sequence[CaptureBlur]) -> FittedDefocus | None:
 
 
 def _heights(u: FloatArray) -> list[float]:
-    """Return the distinct inverse distances."""
+    """Return the distinct values of the captures' inverse distances, 1/mm, ascending."""
     distinct: list[float] = []
     for u_per_mm in sorted(u.tolist()):
         if not distinct or u_per_mm - distinct[-1] > _SAME_HEIGHT * u_per_mm:
@@ -92,11 +96,11 @@ def _heights(u: FloatArray) -> list[float]:
 
 
 def defocus_fields(defocus: FittedDefocus, focal_px: float, captures: int) -> dict[str, RigField]:
-    """Return blur, pupil and best focus as fields of a rig.
+    """Return blur, diameter of the pupil and distance of best focus as fields of a rig, by path.
 
     Parameters
     ----------
-    focal_px : of the projector
+    focal_px : focal length of the projector, px
     captures : number of captures of the fit
     """
     how = f"blur of {captures} captures over their distance"

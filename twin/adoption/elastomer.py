@@ -1,8 +1,8 @@
-"""The elastomer of an adopted rig, from one press of a known ball.
+"""Determine the elastomer of an adopted rig from one press of a known ball.
 
 The press is an ordinary capture, read with the estimated noise and response. The assumed values of
-sheet and load are those of a layer file, as for `twin compensate`. The ball determines the
-thickness, and with back pressure also the modulus, see `reconstruction.compensation.known_ball`.
+sheet and load are from a layer file, as for `twin compensate`. The ball determines the thickness of
+the sheet, and with back pressure also its modulus, see `reconstruction.compensation.known_ball`.
 """
 
 from dataclasses import dataclass, replace
@@ -21,13 +21,13 @@ _HARDNESS = ("shore_a", "shore_00", "young_modulus_kpa")
 
 @dataclass(frozen=True)
 class KnownBallPress:
-    """A known ball, pressed into the sheet.
+    """Press of a known ball into the sheet, as input of an adoption.
 
     Attributes
     ----------
-    capture : folder
+    capture : folder of the capture of the press
     layer : file with the assumed values of sheet and load
-    diameter_mm : of the ball
+    diameter_mm : diameter of the ball
     """
 
     capture: Path
@@ -36,16 +36,20 @@ class KnownBallPress:
 
 
 def press_capture(press: KnownBallPress, known: Capture) -> Capture:
-    """Return the capture of the press with the estimated noise and response."""
+    """Return the capture of the press with the noise and the response of `known`."""
     return replace(read_capture(press.capture), sensor=known.sensor, response=known.response)
 
 
 def elastomer_fields(press: KnownBallPress, capture: Capture) -> dict[str, RigField]:
-    """Return the elastomer: thickness and modulus from the ball, the rest as stated.
+    """Return the fields of the elastomer by path.
+
+    The ball determines the thickness and, if possible, modulus and rim compliance. All other values
+    are those of the layer file.
 
     Raises
     ------
-    InputError : no such layer, the elastomer is no thin sheet, or the press shows no ball
+    InputError : the layer file is missing, the elastomer is no thin sheet, or the capture shows no
+        ball
     """
     points = reconstruct(capture, ReconstructOptions()).point_map
     assumed = load_sensor_layer(press.layer)
@@ -71,7 +75,7 @@ def elastomer_fields(press: KnownBallPress, capture: Capture) -> dict[str, RigFi
 
 
 def _stated(layer: SensorLayer, file: Path) -> dict[str, RigField]:
-    """Return all values of the elastomer in a layer file."""
+    """Return all values of the elastomer in a layer file as fields of a rig, by key."""
     stated: dict[str, Any] = layer.elastomer.model_dump(
         mode="json", exclude_none=True, exclude_unset=True
     )

@@ -1,13 +1,14 @@
-"""The fields of a rig, from the estimates of its captures.
+"""Make the fields of a rig file from estimates of its captures.
 
-| field | from |
+| field | estimated from |
 |---|---|
 | poses, focal lengths, distortion | calibration.yaml (`poses`) |
 | full well (from the gain), read noise | photon transfer |
-| black level, DSNU | dark frames; PRNU: flat frames |
+| black level, DSNU | dark frames |
+| PRNU | flat frames |
 | gamma, blur | the fit of all frames, phase steps and Gray edges |
-| contrast | the black frame, with dark frames |
-| automatic exposure's level | white frames |
+| contrast | the black frame and dark frames |
+| level of the automatic exposure | white frames |
 """
 
 from collections.abc import Sequence
@@ -40,7 +41,12 @@ _BINNINGS = (4, 2, 1)
 
 
 def read_images(folder: Path, capture: Capture) -> Stack:
-    """Read all images of a folder of dark or flat frames."""
+    """Return all images (frame, row, col), DN, of a folder of dark or flat frames.
+
+    Raises
+    ------
+    InputError : the folder has no images, or their size is not that of the capture
+    """
     files = sorted(
         path for path in (folder.iterdir() if folder.is_dir() else ())
         if path.suffix.lower() in _IMAGES and is_regular(path)
@@ -69,7 +75,10 @@ def camera_fields(
     noise_from: str,
     dark: Dark | None,
 ) -> dict[str, RigField]:
-    """Return the camera's fields from the images, their noise and dark frames."""
+    """Return the camera's fields by path, from the images, their noise and dark frames.
+
+    `noise_from` is the source of the noise as text.
+    """
     binning, sensor = _binning(capture, model), capture.sensor
     rows, cols = capture.stack.shape[1:]
     depth = next(bits for bits in _BIT_DEPTHS if bits >= capture.bit_depth)
@@ -119,7 +128,10 @@ def _per_gain(
 def pose_fields(
     capture: Capture, model: ModelRig, placed: Placed, notes: list[str]
 ) -> dict[str, RigField]:
-    """Return poses and lenses of both devices; a large misfit is appended to `notes`."""
+    """Return the fields of poses and lenses of camera and projector, by path.
+
+    A large misfit of rig and calibration is added to `notes`.
+    """
     calibration, binning = capture.calibration, _binning(capture, model)
     camera, projector = calibration.camera, calibration.projector
     pitch_um = float(model.value("camera.pixel_pitch_um"))
@@ -152,7 +164,7 @@ def pose_fields(
 def flat_fields(
     folder: Path, capture: Capture, sensor: SensorNoise, dark: Dark | None
 ) -> dict[str, RigField]:
-    """Return the PRNU of a folder of flat frames."""
+    """Return the field of the PRNU by path, estimated from a folder of flat frames."""
     dsnu_dn = dark.dsnu_dn.value if dark else 0.0
     frames = read_images(folder, capture)
     prnu = prnu_of(frames, sensor.black_level_dn, dsnu_dn, sensor.clipped_from_dn)
@@ -164,10 +176,11 @@ def flat_fields(
 
 
 def joint(estimates: Sequence[UncertainValue]) -> UncertainValue:
-    """Return the weighted mean; its uncertainty includes the scatter of the values.
+    """Return the weighted mean of estimates; its uncertainty includes the scatter of the values.
 
-    Birge's ratio: the square root of chi-square per degree of freedom, at least 1. The result is at
-    least the smallest given uncertainty, as captures of a rig have common systematic errors.
+    The uncertainty of the mean is multiplied by Birge's ratio: the square root of chi-square per
+    degree of freedom, at least 1. It is at least the smallest given uncertainty, because captures
+    of a rig have common systematic errors.
     """
     weight = np.array([1.0 / max(estimate.uncertainty, 1e-9) ** 2 for estimate in estimates])
     value = np.array([estimate.value for estimate in estimates])
@@ -179,7 +192,10 @@ def joint(estimates: Sequence[UncertainValue]) -> UncertainValue:
 
 
 def light_fields(fits: Sequence[ProjectorFit], dark: Dark | None) -> dict[str, RigField]:
-    """Return gamma, blur and, with dark frames, contrast of the projector."""
+    """Return the fields of gamma, blur and, with dark frames, contrast of the projector, by path.
+
+    The result is empty if no capture was fitted.
+    """
     if not fits:
         return {}
     how = f"fit of all frames of {len(fits)} captures; chi-square {fits[0].chi2:.3g} per frame"
@@ -195,7 +211,7 @@ def light_fields(fits: Sequence[ProjectorFit], dark: Dark | None) -> dict[str, R
 
 
 def pattern_fields(capture: Capture) -> dict[str, RigField]:
-    """Return the projected sequence, in the fields of a rig file."""
+    """Return the fields of the capture's pattern sequence, by path."""
     shown, stated = capture.patterns, "stated: capture.toml"
     values = Patterns.of(shown).model_dump(mode="json")
     paths = {f"patterns.{name}": value for name, value in values.items() if value != []}
@@ -203,7 +219,10 @@ def pattern_fields(capture: Capture) -> dict[str, RigField]:
 
 
 def _contrast(fit: ProjectorFit, dark: Dark) -> UncertainValue | None:
-    """Return full white over full black; None if black is not above the dark level."""
+    """Return the light of full white over that of full black.
+
+    The result is None if the black frame is not significantly above the dark level.
+    """
     black_dn = fit.offset_dn - dark.black_level_dn.value
     bright = fit.light_dn > np.percentile(fit.light_dn, 20)
     black, light = float(np.mean(black_dn[bright])), float(np.mean(fit.light_dn[bright]))
@@ -215,7 +234,10 @@ def _contrast(fit: ProjectorFit, dark: Dark) -> UncertainValue | None:
 
 
 def level_field(capture: Capture) -> dict[str, RigField]:
-    """Return the level of the automatic exposure that gives the brightness of these images."""
+    """Return the fields of an automatic exposure with the brightness of the white frame, by path.
+
+    The result is empty if the capture has no white frame.
+    """
     if not capture.patterns.uniform:
         return {}
     white = capture.stack[capture.patterns.index("white").start].astype(np.float64)
@@ -236,7 +258,8 @@ def response_of(
 ) -> ProjectorResponse | None:
     """Return the projector's response in the first capture; None if it was not estimated.
 
-    Out of focus, the blur of that capture differs from the blur of the rig.
+    If a defocus was fitted, the blur of the rig is that at best focus; then the fitted blur of the
+    first capture is returned instead.
     """
     gamma = fields.get("projector.gamma")
     if gamma is None or not fits:

@@ -1,4 +1,4 @@
-"""The fields of an adopted rig, each with its source, and the rig file.
+"""Fields of an adopted rig, each with its source, and the rig file.
 
 | start of the source | meaning |
 |---|---|
@@ -28,7 +28,7 @@ COVERAGE = 2.0
 
 _DIGITS = 7
 _TABLES = ("camera", "projector", "coating", "elastomer")
-# Specimen and press for an experiment that validates the rig.
+# Experiment that provides specimen and press to validate the rig.
 _TRIED_WITH = "examples/slab_ball"
 _NEEDS = {
     "camera.prnu_percent": "flat frames (--flat)",
@@ -55,6 +55,7 @@ class RigField:
 
     Attributes
     ----------
+    path : dotted path of the field in the rig file
     uncertainty : standard uncertainty in the unit of the field; None: not estimated
     source : how the value was obtained, for the report
     """
@@ -66,11 +67,14 @@ class RigField:
 
     @classmethod
     def measured(cls, path: str, estimate: UncertainValue, how: str) -> "RigField":
-        """Return a field that the captures determine."""
+        """Return a field that the captures determine; `how` names the data or the method."""
         return cls(path, estimate.value, estimate.uncertainty, f"measured: {how}")
 
     def quantity(self) -> dict[str, Any]:
-        """Return the field in the form of data files."""
+        """Return the field as a table of a rig file: value, range and source.
+
+        The range is the 95 % interval; it is missing if no uncertainty was estimated.
+        """
         content: dict[str, Any] = {"value": _rounded(self.value)}
         if self.uncertainty is not None and isinstance(self.value, float):
             half = COVERAGE * self.uncertainty
@@ -91,7 +95,7 @@ def _rounded(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class ModelRig:
-    """The rig that gives all values that no capture determines: its name and its tables."""
+    """The model rig: its values are used for all fields that no capture determines."""
 
     name: str
     tables: Mapping[str, Any]
@@ -116,7 +120,7 @@ class ModelRig:
 
     @property
     def coating(self) -> type[Coating]:
-        """The kind of the model's coat."""
+        """Class of the model rig's coating."""
         return COATINGS[str(self.value("coating.kind") or default_kinds(Experiment)["coating"])]
 
 
@@ -157,14 +161,14 @@ def _assumed_source(path: str, model: ModelRig) -> str:
 
 
 def write_rig(path: Path, name: str, tables: Mapping[str, Any]) -> None:
-    """Write the rig file; experiments take it by `use = "./rig.toml"`."""
+    """Write the rig file, which an experiment includes by `use = "./rig.toml"`."""
     head = f'# Adopted from captures of {name}. Experiments take it by use = "./rig.toml".'
     content = {"description": f"twin of {name}", **tables}
     write_text(path, "\n".join([head, *_lines(content, "")]) + "\n")
 
 
 def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
-    """Yield the TOML lines of a table: a quantity in one line, inner tables after the values."""
+    """Yield the TOML lines of a table: each quantity in one line, then the inner tables."""
     inner = {k: v for k, v in table.items() if isinstance(v, Mapping) and not is_quantity(v)}
     if name and len(inner) < len(table):
         yield f"\n[{name}]"

@@ -1,10 +1,10 @@
-"""Conversion of a calibration to the fields of a rig: poses and lenses of the devices.
+"""Convert a calibration to the fields of a rig: poses and lenses of camera and projector.
 
-A rig has fewer parameters than a calibration: the rays of both image centres meet in one point of
-the coat, pixels are square, and the principal point is offset along one direction only. The rig is
-fitted by least squares, so that points of the coat are projected to the same pixels as by the
-calibration; the misfit, px, is the RMS of the residuals. The common point of the rays becomes the
-world's origin.
+A rig has fewer parameters than a calibration. The rays of both image centres intersect in one point
+of the coat, pixels are square, and the principal point is offset along one direction only. The rig
+is fitted by least squares, so that it projects points near the coat to the same pixels as the
+calibration does. The misfit, px, is the RMS of the residuals. The common point of the rays becomes
+the origin of the world frame.
 """
 
 from collections.abc import Callable
@@ -32,10 +32,10 @@ class Placed:
 
     Attributes
     ----------
-    camera_focal_px, projector_focal_px : of square pixels
+    camera_focal_px, projector_focal_px : focal lengths in square pixels
     axis_row_px : row of the projector's optical axis
-    origin_mm : the rig's origin in the calibration's world frame
-    misfit_px : RMS over the image of camera and projector
+    origin_mm : (xyz) the rig's origin in the world frame of the calibration
+    misfit_px : RMS residual over the image of the camera, and over that of the projector
     """
 
     camera_pose: Pose
@@ -133,7 +133,7 @@ def _fitted(off_px: Callable[[FloatArray], FloatArray], start: FloatArray) -> Fl
 
 
 def _looked_at(calibration: Calibration) -> FloatArray:
-    """Return the intersection of the ray of the camera's image centre with z = 0."""
+    """Return the intersection (xyz), mm, of the ray of the camera's image centre with z = 0."""
     camera, motion = calibration.camera, calibration.T_world_from_cam
     centre = np.array([(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
     ray = motion[:3, :3] @ np.append(camera.unproject(centre), 1.0)
@@ -146,7 +146,7 @@ def _looked_at(calibration: Calibration) -> FloatArray:
 
 
 def _points(calibration: Calibration) -> FloatArray:
-    """Return points on two planes about z = 0, on the rays of pixels all over the camera image."""
+    """Return points (n, xyz), mm, on two planes near z = 0, seen all over the camera image."""
     camera, motion = calibration.camera, calibration.T_world_from_cam
     x, y = np.meshgrid(
         np.linspace(0, camera.width_px - 1, _GRID), np.linspace(0, camera.height_px - 1, _GRID)
@@ -193,7 +193,11 @@ def _pose(position_mm: FloatArray, roll_rad: float) -> Pose:
 
 
 def _roll_rad(motion: FloatArray, pinhole: Pinhole, position_mm: FloatArray) -> float:
-    """Return the roll angle at which the pose's image axes best agree with the calibration."""
+    """Return the roll angle, rad, at which a pose's image axes agree best with the calibration.
+
+    `motion` is (4, 4), from device to world in the calibration; `position_mm` is the device's
+    position relative to the rig's origin.
+    """
     at_zero = world_from_device(_pose(position_mm, 0.0), pinhole)[:3, :3]
     turn = at_zero.T @ motion[:3, :3]
     return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))

@@ -1,7 +1,7 @@
-"""Rendering of the captured scene: its measured surface in the view of the adopted rig.
+"""Render a captured scene: its measured surface in the view of the adopted rig.
 
-The surface is the reconstruction after slight smoothing, as its noise would change the shading.
-Without a point of the capture, a pixel of the rendered image is black.
+The surface is the slightly smoothed reconstruction, because noise would change the shading. A pixel
+of the rendered image is black if the capture has no point at this pixel.
 """
 
 from collections.abc import Sequence
@@ -24,21 +24,24 @@ from twin.pipeline.progress import Stopwatch
 from twin.specimens.solids import grid_facets
 
 _SMOOTH_PX = 2.0
-# Nodes of the largest face, fine enough for any image.
+# Approximate limit of the number of nodes of a face, fine enough for any image.
 _MOST_NODES = 250_000
-# Nodes on the rays of pixels would let some of these rays pass between facets.
+# Pixels per node, no integer: with nodes on the rays of pixels some rays pass between facets.
 _UNALIGNED = 1.618
 _RIM_PX = 8
 _BLOCKS = 8
 _LEAST_PIXELS = 1000
-# Error of the shading by the noise of the smoothed surface, and of the rendering itself.
+# Relative error of the shading, from the noise of the smoothed surface and from the rendering.
 _SHADING_RELATIVE = 0.005
 # Only the uniform frames are used.
 _UNIFORM = Patterns(period_px=64.0, steps=3, code="gray")
 
 
 def face_of(points: PointMap, origin_mm: tuple[float, float, float]) -> trimesh.Trimesh:
-    """Return the measured surface as a mesh in the rig's frame, normals up."""
+    """Return the smoothed measured surface as a mesh in the rig's frame, mm, with normals up.
+
+    `origin_mm` (xyz) is the rig's origin in the world frame of the points.
+    """
     valid = points.valid
     weight = gaussian_filter(valid.astype(np.float64), _SMOOTH_PX)
     smooth = (
@@ -58,7 +61,7 @@ def face_of(points: PointMap, origin_mm: tuple[float, float, float]) -> trimesh.
     is_inside = _between(valid.astype(np.float64), places).ravel() > 0.999
     facets = grid_facets(*nodes.shape[:2])
     facets = facets[is_inside[facets].all(axis=1)]
-    # Image rows mostly run towards -y: then the grid's facets look down.
+    # If image rows ascend towards -y, which is usual, the grid's facets face down.
     corner = nodes.reshape(-1, 3)[facets]
     up = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2]
     facets = facets[:, ::-1] if float(up.mean()) < 0.0 else facets
@@ -73,7 +76,7 @@ def _between(image: FloatArray, places: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A capture, its reconstruction, and the rig's origin in its world frame."""
+    """A capture, its reconstruction, and the rig's origin (xyz) in the capture's world frame."""
 
     capture: Capture
     points: Reconstruction
@@ -87,19 +90,19 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """The captured scene rendered by the twin: frames in DN, and their reconstruction."""
+    """Simulated capture of a scene that was captured before, and its reconstruction."""
 
     capture: Capture
     points: Reconstruction
 
 
 def patterns_of(capture: Capture) -> Patterns:
-    """Return the sequence as a rig file states it."""
+    """Return the pattern sequence of a capture in the form of a rig file."""
     return Patterns.of(capture.patterns)
 
 
 def render_again(experiment: Experiment, scene: Scene) -> Rendered:
-    """Render the measured surface with the adopted rig, and record and measure it."""
+    """Render the measured surface with the adopted rig, record the frames and reconstruct them."""
     captured = experiment.model_copy(update={"patterns": patterns_of(scene.capture)})
     radiance = render(captured, scene.face)
     recorded = expose_capture(captured, radiance, Stopwatch(), 0).capture
@@ -110,16 +113,17 @@ def render_again(experiment: Experiment, scene: Scene) -> Rendered:
 def albedo_of(
     experiment: Experiment, scene: Scene, reference: Capture, reference_albedo: UncertainValue
 ) -> UncertainValue:
-    """Return the coat's albedo from its light over that of a matte reference, both also rendered.
+    """Return the coat's albedo, from captures of the coat and of a matte reference.
 
-    The radiance of the coat is a constant (its flakes) plus its albedo times the radiance of white
-    ink: two renderings give both terms at every pixel. Both captures have the same exposure and
-    gain.
+    The ratio of the light of both captures is compared with that of renderings of both surfaces.
+    The radiance of the coat is a constant (its flakes) plus a term in proportion to its albedo; two
+    renderings with different albedos give both terms at every pixel. Both captures must have the
+    same exposure and gain.
 
     Raises
     ------
-    InputError : the coat has no albedo, the captures share too few pixels, or they give an albedo
-        outside of 0 to 1
+    InputError : the coat has no albedo, too few pixels have a point in both captures, or the
+        resulting albedo is outside 0 to 1
     """
     coat = experiment.coating
     if not coat.albedo_field:
@@ -163,7 +167,7 @@ def _require_albedo(albedo: float, reference: float) -> None:
 
 
 def _light(experiment: Experiment, coat: Coating, scene: Scene) -> FloatArray:
-    """Return white minus black radiance of a measured surface with a coat, (row, col)."""
+    """Return the rendered radiance (row, col) of a measured surface: white minus black frame."""
     varied = experiment.model_copy(update={"coating": coat, "patterns": _UNIFORM})
     frames = render(varied, scene.face).frames
     return np.asarray(frames[-2].astype(np.float64) - frames[-1])
@@ -178,7 +182,10 @@ def _white_less_black(capture: Capture) -> FloatArray:
 
 
 def _inside(points: PointMap) -> BoolImage:
-    """Return pixels with points all around: smoothing displaces the surface near its rims."""
+    """Return whether each pixel (row, col) has points all around.
+
+    Near the rims of the surface, smoothing displaces it.
+    """
     weight: FloatImage = gaussian_filter(points.valid.astype(np.float32), _SMOOTH_PX)
     # The weight at a straight rim is 0.5; single missing pixels are filled by their neighbours.
     inside = points.valid & (weight > 0.9)
@@ -188,7 +195,10 @@ def _inside(points: PointMap) -> BoolImage:
 
 
 def _spread_of_blocks(values: FloatArray, inside: BoolImage) -> float:
-    """Return the standard error of a median, from the medians of blocks of the image."""
+    """Return the standard error of the median of `values` (n,), from medians of 8 x 8 blocks.
+
+    `inside` (row, col) are the pixels of the image to which the values belong.
+    """
     rows, cols = inside.shape
     row, col = np.nonzero(inside)
     block = row * _BLOCKS // rows * _BLOCKS + col * _BLOCKS // cols

@@ -1,11 +1,11 @@
-"""Files of an adopted rig.
+"""Write the files of an adopted rig.
 
 | file | content |
 |---|---|
 | rig.toml | the rig: value, range and source of every field |
-| experiment.toml | a ball pressed on it, resolved: runs with twin measure |
+| experiment.toml | an experiment with a ball pressed on this rig, for twin measure |
 | response.toml | the projector's response, a table for capture.toml; if it was estimated |
-| photon_transfer.csv | variance over mean, if it was estimated |
+| photon_transfer.csv | variance of the noise (DN^2) by mean signal (DN); if it was estimated |
 | result.json | figures, digest, versions |
 """
 
@@ -28,7 +28,7 @@ RIG_FILE, RESPONSE_FILE, NOISE_FILE = "rig.toml", "response.toml", "photon_trans
 
 
 def write_adopted(folder: Path, adopted: Adopted, given: Given) -> dict[str, Any]:
-    """Write all but the report; returns the figures of result.json."""
+    """Write all files of an adopted rig except the report; return the figures of result.json."""
     figures = adopted_metrics(adopted)
     write_rig(folder / RIG_FILE, given.captures[0].name, adopted.tables)
     write_text(folder / EXPERIMENT_FILE, to_toml(adopted.experiment))
@@ -47,7 +47,11 @@ def write_adopted(folder: Path, adopted: Adopted, given: Given) -> dict[str, Any
 
 
 def adopted_metrics(adopted: Adopted) -> dict[str, Any]:
-    """Return the figures: estimates with their uncertainties, and counts of assumed fields."""
+    """Return the figures of an adopted rig by name, for result.json.
+
+    They are the estimates with their standard uncertainties, the misfits, and the numbers of
+    determined and of assumed fields.
+    """
     figures: dict[str, Any] = {}
     if adopted.noise is not None:
         gain = adopted.noise.gain_dn_per_e
@@ -74,7 +78,7 @@ def adopted_metrics(adopted: Adopted) -> dict[str, Any]:
 
 
 def _sparkle_figures(adopted: Adopted) -> dict[str, Any]:
-    """Return the local contrast of the white frame."""
+    """Return the figures of the white frame's local contrast; empty if it was not determined."""
     sparkle = adopted.sparkle
     if sparkle is None:
         return {}

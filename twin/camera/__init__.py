@@ -1,4 +1,4 @@
-"""EMVA 1288 camera: exposure and sensor (`sensor`), its noise (`noise`, `noise_function`)."""
+"""Camera model by EMVA 1288: exposure and sensor (`sensor`), noise (`noise`, `noise_function`)."""
 
 from twin.camera.noise_function import NoiseFunction
 from twin.camera.sensor import (

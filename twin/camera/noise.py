@@ -1,19 +1,19 @@
-"""Noise of one frame, drawn and recorded row by row in one compiled pass.
+"""Compiled kernel that records one frame with noise, row by row.
 
-Every pixel of every frame has its own random numbers, computed from its indices: blocks of four
-words of 32 bits by Threefry 4x32-20 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2,
-3") from the counter (i, row, frame, kind) and a key, each for the columns i and n/2 + i. Therefore
-rows and frames can be recorded in any order and by any number of threads. The two words of kind 0
-give two independent normal numbers (Box and Muller 1958), for shot and read noise; kind 1 is for
-small counts.
+Every pixel of every frame has its own random numbers, computed from its indices. Threefry 4x32-20
+(Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") gives blocks of four random
+32-bit words from a key and the counter (i, row, frame, kind). In a row of n columns, block i has
+two words for column i and two for column n/2 + i. Therefore rows and frames can be recorded in any
+order and by any number of threads. The two words of kind 0 give two independent normal numbers (Box
+and Muller 1958), for shot and read noise. The words of kind 1 are used for small counts.
 
-For means of at least `FROM_NORMAL`, a Poisson number is computed from a normal number: the
-Cornish-Fisher expansion of the Poisson quantile to the third cumulant order, with the variance
-reduced by the 1/12 that rounding to whole electrons adds (Sheppard). The total variation from the
-Poisson distribution is 1.6e-5 for means of at least 100, and 5e-7 from 1000 on: a test needs
-billions of draws of one pixel to distinguish them. Smaller means are drawn by inversion, to the 32
-bits of a word: a tabulated Poisson number of the mean rounded down to 1/8, plus a Poisson number of
-the remainder.
+For means of at least `FROM_NORMAL` electrons, a Poisson number is computed from a normal number by
+the Cornish-Fisher expansion of the Poisson quantile to the third cumulant order. The variance is
+reduced by the 1/12 that rounding to whole electrons adds (Sheppard). The total variation distance
+from the Poisson distribution is 1.6e-5 for means of at least 100, and 5e-7 from 1000 on: a test
+needs billions of numbers of one pixel to detect it. For smaller means a Poisson number is drawn by
+inversion with the 32 bits of a word. It is the sum of two Poisson numbers: a tabulated number for
+the mean rounded down to 1/8 electron, and a number for the remaining mean.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -30,11 +30,11 @@ from scipy.special import pdtr
 from reconstruction.arrays import FloatImage
 from reconstruction.compiling import NESTED, OPTIONS, Function, compile_and_keep, digest_of_sources
 
-#: Mean from which normal numbers are used.
+#: Smallest mean, in electrons, for which normal numbers are used.
 FROM_NORMAL = 100
 
 _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("noise.py",))
-# Size of the tables of small counts; a count beyond the last has a probability below 2^-32.
+# Sizes of the tables of small counts; the probability of a count beyond the last is below 2^-32.
 _STEPS_PER_ELECTRON, _COUNTS, _BUCKET_BITS = 8, 192, 8
 
 _F = np.float32
@@ -51,11 +51,12 @@ Key = tuple[np.uint32, np.uint32, np.uint32, np.uint32]
 
 
 class Sensor(NamedTuple):
-    """Parameters of one camera for a kernel.
+    """Parameters of one camera for the compiled kernel.
 
     Attributes
     ----------
-    per_radiance : electrons per mW / (mm^2 sr)
+    per_radiance : electrons in one exposure per radiance, mW / (mm^2 sr)
+    dark_e : mean dark electrons in one exposure
     """
 
     per_radiance: np.float32
@@ -68,14 +69,14 @@ class Sensor(NamedTuple):
 
 
 class SmallCounts(NamedTuple):
-    """Tables of the Poisson distribution for means from 0 to `FROM_NORMAL` electrons, equal steps.
+    """Tables of the Poisson distribution for means of 0 to `FROM_NORMAL` electrons, step 1/8.
 
     Attributes
     ----------
     ends : (mean, count) uint64
-        A 32-bit random word below this value gives at most this count.
+        A random 32-bit word below this value gives at most this count.
     first : (mean, bucket) uint8
-        Count for the smallest word of a bucket; the highest bits of a word number its bucket.
+        Count for the smallest word of a bucket; the highest 8 bits of a word are its bucket.
     """
 
     ends: NDArray[np.uint64]
@@ -96,7 +97,7 @@ def _inlined(function: Function) -> Function:
 
 @cache
 def small_counts() -> SmallCounts:
-    """Return tables to draw Poisson counts of small mean, in electrons, from random words."""
+    """Return the tables by which random words give Poisson counts of small mean."""
     mean = np.arange(FROM_NORMAL * _STEPS_PER_ELECTRON + 1)[:, None] / _STEPS_PER_ELECTRON
     ends = np.rint(pdtr(np.arange(_COUNTS), mean) * 2.0**32).astype(np.uint64)
     ends[:, -1] = 1 << 32
@@ -118,19 +119,20 @@ def record_frame(
     Parameters
     ----------
     radiance : (row, col) float32, mW / (mm^2 sr)
-    response, offset_e : (row, col) float32; relative, and e-
+    response : (row, col) float32; relative response of the pixels
+    offset_e : (row, col) float32; dark offset of the pixels, e-
     place : key and number of the frame, which determine its random numbers
-    recorded : (row, col) uint16, DN; filled
+    recorded : (row, col) uint16, DN; output, overwritten
     """
     (key, frame), pattern = place, (response, offset_e)
-    # Slices would cause another compilation.
+    # A copy: the kernel would be compiled again for arrays that are not contiguous.
     plain = np.ascontiguousarray(radiance, np.float32)
     lines = _lines(plain.shape[1])
     _record(plain, pattern, sensor, small_counts(), key, np.uint32(frame), lines, recorded)
 
 
 class _RowScratch(NamedTuple):
-    """Work arrays of a row; compiled code allocates no arrays."""
+    """Work arrays for one row of pixels, because compiled code allocates no arrays."""
 
     words: NDArray[np.uint32]
     mean: FloatImage
@@ -150,7 +152,7 @@ def _turned(word: Any, bits: int) -> Any:
 
 @_inlined
 def _mixed(word: Any, turns: Any) -> Any:
-    """Four rounds of Threefry 4x32 with these pairs of rotations."""
+    """Return four words after four rounds of Threefry 4x32 with the rotations `turns`, in bits."""
     a, b, c, d = word
     for n in range(2):
         a, c = np.uint32(a + b), np.uint32(c + d)
@@ -165,7 +167,7 @@ def _mixed(word: Any, turns: Any) -> Any:
 
 @_inlined
 def _keyed(word: Any, key: Any, number: Any) -> Any:
-    """Add a key of four words, and the number of the addition."""
+    """Return four words after adding a key of four words, and `number` to the last word."""
     last = np.uint32(word[3] + key[3] + number)
     return (
         np.uint32(word[0] + key[0]),
@@ -177,7 +179,7 @@ def _keyed(word: Any, key: Any, number: Any) -> Any:
 
 @_inlined
 def threefry(counter: Any, key: Any) -> Any:
-    """Return four random words of a counter and a key of four words each, by twenty rounds."""
+    """Return four random 32-bit words from a counter and a key of four words each (20 rounds)."""
     a, b, c, d = key
     e = np.uint32(_PARITY ^ a ^ b ^ c ^ d)
     word = _keyed(counter, (a, b, c, d), np.uint32(0))
@@ -190,7 +192,7 @@ def threefry(counter: Any, key: Any) -> Any:
 
 @_inlined
 def _log(x: Any) -> Any:
-    """Natural logarithm of a positive normal float32, to 2 units in the last place.
+    """Return the natural logarithm of a positive normal float32, to 2 units in the last place.
 
     x = m 2^e with m in [sqrt(1/2), sqrt(2)); the polynomial of log(m) is that of Cephes' logf.
     """
@@ -212,9 +214,10 @@ def _log(x: Any) -> Any:
 
 @_inlined
 def normal_pair(word_0: Any, word_1: Any) -> Any:
-    """Return two independent standard normal numbers of two words (Box and Muller 1958).
+    """Return two independent standard normal numbers from two words (Box and Muller 1958).
 
-    The two highest bits select a quarter turn; the other bits the angle within +- 1/8 turn.
+    The first word gives the radius, the second the angle: its two highest bits select one of four
+    quarter turns, its other bits an angle within +- 1/8 turn.
     """
     radius = np.sqrt(-_TWO * _log((np.float32(word_0) + _HALF) * _PER_WORD))
     within = np.float32(np.uint32(word_1 << np.uint32(2)).view(np.int32)) * _EIGHTH_TURN_PER_WORD
@@ -235,7 +238,7 @@ def normal_pair(word_0: Any, word_1: Any) -> Any:
 
 @_inlined
 def count_of_normal(mean: Any, normal: Any) -> Any:
-    """Turn a standard normal number into a Poisson number of a large mean, by equal quantiles."""
+    """Return the Poisson number of a large mean at the quantile of a standard normal number."""
     spread = np.sqrt(max(mean, _ONE) - _12TH)
     square = normal * normal
     skew = (square - _ONE) * _6TH
@@ -244,7 +247,7 @@ def count_of_normal(mean: Any, normal: Any) -> Any:
 
 @_inlined
 def _small_count(mean: Any, word_0: Any, word_1: Any, tables: Any) -> Any:
-    """Return a Poisson number of a mean below `FROM_NORMAL` by inversion."""
+    """Return a Poisson number of a mean below `FROM_NORMAL` from two words, by inversion."""
     step = np.int64(mean * _STEPS)
     count = np.int64(tables.first[step, word_0 >> np.uint32(32 - _BUCKET_BITS)])
     while np.uint64(word_0) >= tables.ends[step, count]:
@@ -264,7 +267,7 @@ def _small_count(mean: Any, word_0: Any, word_1: Any, tables: Any) -> Any:
 
 @_nested
 def _fill(words: Any, key: Any, place: Any) -> None:
-    """Fill (2, 2 n) words of one row: block i is for the columns i and n + i."""
+    """Fill the words (2, 2 n) of a row: two for each column; block i is for columns i and n + i."""
     row, frame, kind = place
     half = words.shape[1] // 2
     for i in range(half):
@@ -276,7 +279,7 @@ def _fill(words: Any, key: Any, place: Any) -> None:
 def _draw_row(
     mean: Any, tables: Any, key: Any, place: Any, words: Any, counts: Any, read: Any
 ) -> None:
-    """Draw a Poisson number and a normal number for each mean of one row."""
+    """Fill `counts` and `read` of one row with Poisson numbers of `mean` and normal numbers."""
     row, frame = place
     _fill(words, key, (row, frame, np.uint32(0)))
     small = 0

@@ -1,9 +1,11 @@
-"""Noise by a function of the user, instead of the EMVA 1288 model.
+"""Noise of the camera by a function of the user, instead of the EMVA 1288 model.
 
-def gaussian(mean_e, rng):
-return mean_e + rng.normal(0.0, 20.0, mean_e.shape)
+    def gaussian(mean_e, rng):
+        return mean_e + rng.normal(0.0, 20.0, mean_e.shape)
 
-twin.measure(experiment, noise=gaussian)
+    twin.measure(experiment, noise=gaussian)
+
+The arguments and the result of such a function are described at `NoiseFunction`.
 """
 
 from collections.abc import Callable
@@ -15,19 +17,19 @@ from reconstruction.arrays import FloatImage
 from reconstruction.errors import InputError
 
 NoiseFunction = Callable[[FloatImage, np.random.Generator], Any]
-"""From the mean electrons of a frame (row, col) float32 to its electrons (row, col).
+"""Function from the mean electrons of a frame to its electrons with noise, both (row, col).
 
-The mean contains light, relative response of the pixels and dark current. The result
-replaces shot and read noise; full well, dark offsets, gain, rounding and the converter's limits
-follow. The function is called once for each frame, in their order, with a random generator that is
-seeded by experiment, trial and frame.
+The mean (float32) contains light, relative response of the pixels and dark current. The noise of
+the function replaces shot and read noise. Full well, dark offsets, gain, rounding and the limits of
+the converter are applied to its result. The function is called once for each frame, in order of the
+frames, with a random generator that is seeded by experiment, trial and frame.
 """
 
 
 def noisy_electrons(
     noise: NoiseFunction, mean_e: FloatImage, rng: np.random.Generator
 ) -> FloatImage:
-    """Return the electrons of a frame by a function of the user, (row, col) float32.
+    """Return the electrons of a frame (row, col), float32, by a function of the user.
 
     Raises
     ------

@@ -1,14 +1,14 @@
-"""EMVA 1288 camera (release 4): linear radiance in, digital numbers out.
+"""Camera model by EMVA 1288 (release 4): from radiance to digital numbers.
 
-Order of the steps matters: photons and dark current are one Poisson process, the pixel
-saturates at its full well, and only then read noise, gain, quantisation and the converter's limits
-follow.
+The order of the steps is that of a sensor. Photons and dark current are one Poisson process, then
+the pixel saturates at its full well. After this, read noise, gain, quantisation and the limits of
+the converter are applied.
 
-Binning sums b x b pixels: full well, dark current and fixed pattern add up, noise variances add,
-and the gain is divided by b^2, so that the full scale in DN is constant. The b x b pixels are
-assumed to have equal signals, so that their sum clips at once. If only some of them clip, the sum
-is near full scale, with an error of a few sigmas of its shot noise. Decoded coordinates are not
-affected (measured at 1.5 full wells).
+Binning sums b x b pixels: full well and dark current are b^2 times those of a pixel, read noise and
+the spread of dark offsets b times. The gain is divided by b^2, so that the full scale in DN is
+constant. The b x b pixels are assumed to have equal signals, so that all of them saturate together.
+If only some of them saturate, the sum is near full scale, with an error of a few standard
+deviations of its shot noise. Decoded coordinates are not affected (measured at 1.5 full wells).
 """
 
 import math
@@ -37,12 +37,13 @@ _LIGHT_SPEED_M_PER_S = 2.99792458e8
 
 @dataclass(frozen=True)
 class Exposed:
-    """The recorded sequence.
+    """Frames of a camera, as `expose` records them.
 
     Attributes
     ----------
-    stack : (frame, row, col) uint16, DN; float32 when camera.noise is off
-    exposure_ms : set value, or result of the automatic exposure
+    stack : (frame, row, col) uint16, DN; float32 if camera.noise is false
+    exposure_ms : configured exposure time, or that of the automatic exposure
+    sensor : noise parameters of the camera, for a decoder
     """
 
     stack: NDArray[np.uint16] | FloatImage
@@ -52,7 +53,7 @@ class Exposed:
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Fixed pattern of one camera: relative response and dark offset (e-) per pixel."""
+    """Fixed pattern of one camera: relative response and dark offset (e-), both (row, col)."""
 
     response: FloatImage
     offset_e: FloatImage
@@ -67,20 +68,21 @@ def expose(
     *,
     noise: NoiseFunction | None = None,
 ) -> Exposed:
-    """Record a radiance stack.
+    """Record a sequence of radiance images with the camera.
 
     Parameters
     ----------
     radiance : sequence of (row, col) float32, mW / (mm^2 sr)
     white_frame : index of the frame for the automatic exposure, the white frame if there is one
     trial : number of the repetition: same camera and fixed pattern, new temporal noise
-    progress : called with the finished fraction
+    progress : called with the finished fraction, 0 to 1
     noise : function of the user instead of shot and read noise, see `NoiseFunction`; None:
         the EMVA 1288 model
 
     Raises
     ------
-    InputError : no exposure fits; `noise` with camera.noise = false, or it returns no electrons
+    InputError : the automatic exposure fails, see `choose_exposure_ms`; `noise` is given although
+        camera.noise is false, or its result is no image of electrons
     """
     camera = experiment.camera
     _check_noise(camera, noise)
@@ -109,7 +111,7 @@ def expose(
             mean_e = radiance[frame] * np.float32(per_radiance) + np.float32(dark_e)
             stack[frame] = _expected_dn(camera, mean_e)
 
-    # A function of the user may have a state: frames are recorded sequentially.
+    # With a function of the user, which may have a state, frames are recorded one after the other.
     with ThreadPoolExecutor(threads() if noise is None else 1) as pool:
         for done, _ in enumerate(pool.map(record, range(len(radiance))), start=1):
             progress(done / len(radiance))
@@ -125,12 +127,19 @@ def _check_noise(camera: Camera, noise: NoiseFunction | None) -> None:
 
 
 def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
-    """Return the set exposure, or the exposure with the white frame at `auto_level`.
+    """Return the configured exposure time, ms, or that of the automatic exposure.
+
+    The automatic exposure puts the 99.5th percentile of the white frame at `auto_level` times the
+    full well.
+
+    Parameters
+    ----------
+    white : (row, col) float32, mW / (mm^2 sr); radiance of the white frame
 
     Raises
     ------
-    InputError : automatic exposure on a white frame without light, or with a result outside the
-        range of exposure times
+    InputError : the white frame has no light, or the automatic exposure is outside the range of
+        exposure times
     """
     camera = experiment.camera
     if camera.exposure_ms != "auto":
@@ -158,7 +167,10 @@ def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
 def _fixed_pattern(
     seed: int, prnu_percent: float, offset_e: float, shape: tuple[int, ...]
 ) -> _Pixels:
-    """Draw a camera's fixed pattern; cached, as drawing takes as long as an exposure."""
+    """Return the random fixed pattern of a camera; cached, because this takes as long as a frame.
+
+    `offset_e` is the standard deviation of the dark offsets, e-.
+    """
     rng = np.random.default_rng(keyed_sequence(seed, "fixed_pattern"))
     response = 1.0 + prnu_percent / 100.0 * rng.standard_normal(shape, np.float32)
     offset = offset_e * rng.standard_normal(shape, np.float32)
@@ -179,7 +191,7 @@ def _digitised(camera: Camera, electrons: FloatImage, offset_e: FloatImage) -> N
 
 
 def _sensor(camera: Camera, per_radiance: float, dark_e: float) -> Sensor:
-    """Return the kernel's parameters of the camera."""
+    """Return the parameters of the camera for the compiled kernel."""
     return Sensor(
         per_radiance=np.float32(per_radiance),
         dark_e=np.float32(dark_e),
@@ -192,44 +204,45 @@ def _sensor(camera: Camera, per_radiance: float, dark_e: float) -> Sensor:
 
 
 def _key(experiment: Experiment, trial: int) -> Key:
-    """Return the key of the random numbers of one repetition."""
+    """Return the key, four words, of the random numbers of one repetition."""
     a, b, c, d = seed_sequence(experiment, "sensor", trial).generate_state(4, np.uint32)
     return a, b, c, d
 
 
 def full_well_e(camera: Camera) -> float:
-    """Saturation capacity of a binned pixel, e-."""
+    """Return the saturation capacity of a binned pixel, e-."""
     return camera.full_well_e * camera.binning**2
 
 
 def read_noise_e(camera: Camera) -> float:
-    """Temporal dark noise of a binned pixel, e-."""
+    """Return the temporal dark noise of a binned pixel, e- (standard deviation)."""
     return camera.read_noise_e * camera.binning
 
 
 def dark_offset_e(camera: Camera) -> float:
-    """Spread of the dark offsets of binned pixels (DSNU), e-."""
+    """Return the standard deviation of the dark offsets of binned pixels (DSNU), e-."""
     return camera.dsnu_e * camera.binning
 
 
 def largest_code_dn(camera: Camera) -> int:
-    """Largest digital number of the converter."""
+    """Return the largest digital number of the converter, DN."""
     return int(2**camera.bit_depth) - 1
 
 
 def gain_dn_per_e(camera: Camera) -> float:
-    """System gain K: the full well maps to the largest code."""
+    """Return the system gain K, DN/e-, with which the full well gives the largest DN."""
     return (largest_code_dn(camera) - camera.black_level_dn) / full_well_e(camera)
 
 
 def electrons_per_ms(camera: Camera, wavelength_nm: float) -> float:
-    """Photoelectrons per ms and per unit radiance (mW / (mm^2 sr)) of a binned pixel.
+    """Return the photoelectrons of a binned pixel per ms and per radiance in mW / (mm^2 sr).
 
     Notes
     -----
-    Irradiance behind a lens at magnification m: E = pi L tau / (4 (N (1 + m))^2), pupil
-    magnification 1; electrons = QE * E * area * t * wavelength / (h c). Natural vignetting
-    (cos^4, 2 % in the corner of the paper's camera) is left to callers with wide fields of view.
+    The irradiance behind a lens at magnification m is E = pi L tau / (4 (N (1 + m))^2), for a pupil
+    magnification of 1. L is the radiance, tau the transmission and N the f-number. Then
+    electrons = QE * E * area * t * wavelength / (h c). Natural vignetting (cos^4, 2 % in the corner
+    of the paper's camera) is not included.
     """
     magnification = camera.focal_length_mm / (camera.pose.standoff_mm - camera.focal_length_mm)
     working_f_number = camera.f_number * (1.0 + magnification)

@@ -1,4 +1,7 @@
-"""Command line of the twin. Heavy packages are imported inside the commands."""
+"""Command line of the twin.
+
+Packages that take long to import are imported inside the commands.
+"""
 
 import gc
 import sys
@@ -22,14 +25,14 @@ from twin.working import end_process, end_within, unwind_on_signals
 __all__ = ["main", "run"]
 
 SIGNAL_DELAY_S = 1.2
-"""Time after a signal, s, at which a command in a long call is ended."""
+"""Time, s, from a signal to the end of the process if the current call does not return."""
 
 OBJECTS_PER_COLLECTION = 50_000
-"""New objects between two collections: at Python's default of 700 imports take 20 % longer."""
+"""New objects between two garbage collections; at the default of 700 imports take 20 % longer."""
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run one command line (default: the process' own arguments) and return its exit code."""
+    """Run one command line (default: the arguments of the process) and return its exit code."""
     words = choose_level(sys.argv[1:] if arguments is None else arguments)
     return guarded(lambda: _dispatch(words))
 

@@ -28,30 +28,30 @@ def adopt(
 ) -> None:
     """Make the twin of a real rig: a rig file with value, range and source of every field.
 
-    Poses and lenses are taken from the captures' calibration; noise, gamma and blur are fitted to
-    their frames. Other fields keep the model's value, source "assumed"; see docs/adopt.md.
+    Poses and lenses are those of the captures' calibration; noise, gamma and blur are fitted. All
+    other fields have the value of --like and the source "assumed"; see docs/adopt.md.
 
     Parameters
     ----------
     captures
-        Folders with capture.toml, calibration and white and black frames; the first should show the
-        coat at rest. Two captures of the same scene give the noise; with another period, a check.
+        Folders with capture.toml, calibration, white and black frames; first the coat at rest. Two
+        captures of the same scene give the noise; with another fringe period, they are a check.
     like
         Rig that gives every value that the captures do not determine.
     dark
-        Folder of two or more images without light: black level, read noise, DSNU.
+        Folder of two or more images without light, which give black level, read noise and DSNU.
     flat
-        Folder of two or more images of an evenly lit surface: PRNU.
+        Folder of two or more images of an evenly lit surface, which give PRNU.
     reference
         Capture of a flat matte surface of known albedo in the coat's place, at the same exposure.
     reference_albedo
-        Albedo of the reference.
+        Albedo of the reference, 0 to 1.
     reference_uncertainty
         Standard uncertainty of the albedo of the reference.
     ball
-        Capture of a known ball pressed into a thin sheet: thickness and modulus.
+        Capture of a known ball pressed into a thin sheet, for its thickness and modulus.
     ball_diameter_mm
-        Diameter of the ball.
+        Diameter of that ball, mm.
     layer
         TOML file with the assumed values of sheet and load; see docs/compensation.md.
     """
@@ -75,7 +75,7 @@ def adopt(
 
 
 def _print_fields(adopted: "Adopted") -> None:
-    """Print the fields and the notes."""
+    """Print value, 95 % interval and source of each field of the adopted rig, and the notes."""
     from twin.adoption.findings import rows_of
 
     rows = [

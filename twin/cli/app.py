@@ -1,4 +1,4 @@
-"""The application: options, exit codes, and the input and output of commands.
+"""The command line application: common options, exit codes, and the input and output of commands.
 
 Progress and failures go to stderr, figures and paths to stdout.
 """
@@ -27,10 +27,11 @@ if TYPE_CHECKING:
     from twin.study.workers import Workers
 
 BAD_INPUT, MISSING_BACKEND, FAILURE = 2, 3, 1
-# The system raises such an error for any access to the name, even a test whether it exists.
+# The operating system raises these errors for any access to a file name that it does not accept,
+# even for a test whether the file exists.
 _NO_SUCH_NAME = (errno.ENAMETOOLONG, errno.ELOOP)
 BY_SIGNAL = 128
-"""Exit code of a command that a signal ended, minus the number of the signal."""
+"""The exit code of a command that a signal ended is this number plus the number of the signal."""
 
 app = App(
     name="twin",
@@ -76,7 +77,7 @@ DryRun = Annotated[
 
 
 def guarded(run: Callable[[], Any]) -> int:
-    """Run a command; turn expected failures into one line and an exit code."""
+    """Run a command and return its exit code; report an expected failure in one line on stderr."""
     try:
         return int(run() or 0)
     except KeyboardInterrupt as error:
@@ -84,7 +85,7 @@ def guarded(run: Callable[[], Any]) -> int:
         write_end_message(number)
         return BY_SIGNAL + number
     except BrokenPipeError:
-        # The reader has closed our output; Python would report that again when it flushes.
+        # The reader of the output has closed it; Python would report that again when it flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BY_SIGNAL + signal.SIGPIPE
     except Exception as error:
@@ -127,19 +128,19 @@ def _of_the_system(error: OSError) -> tuple[str, int] | None:
 
 
 def load(file: Path, settings: list[str] | None) -> "Experiment":
-    """Load an experiment and apply KEY=VALUE settings."""
+    """Load an experiment file and apply KEY=VALUE settings to it."""
     from twin.config import load_experiment
 
     return load_experiment(str(file), settings_of(settings))
 
 
 def settings_of(texts: list[str] | None) -> dict[str, Any]:
-    """Return KEY=VALUE settings as values by dotted path."""
+    """Return KEY=VALUE texts as a mapping from dotted path to value."""
     return dict(_setting(text) for text in texts or [])
 
 
 def _setting(text: str) -> tuple[str, Any]:
-    """Split KEY=VALUE; the value is read as TOML, and as a plain string if it is none."""
+    """Split KEY=VALUE; read the value as TOML, or take it as a string if it is not valid TOML."""
     key, separator, value = text.partition("=")
     if not separator or not key.strip():
         raise InputError(f"--set {text}: found no '='; write KEY=VALUE, e.g. camera.binning=2")
@@ -150,14 +151,14 @@ def _setting(text: str) -> tuple[str, Any]:
 
 
 def workers_of(count: int | None, cluster: str | None = None) -> "Workers":
-    """Return the workers: of a cluster, or processes on this machine."""
+    """Return the workers: of the Dask scheduler `cluster`, or `count` processes on this machine."""
     from twin.study.workers import dask_workers, default_count, local_workers
 
     return dask_workers(cluster) if cluster else local_workers(count or default_count())
 
 
 def print_metrics(figures: dict[str, Any]) -> None:
-    """Print figures as a table; a dash marks a figure without a value."""
+    """Print figures as a table of name and value; a dash marks a figure without a value."""
     print_table(
         ("figure", "value"),
         (
@@ -168,7 +169,7 @@ def print_metrics(figures: dict[str, Any]) -> None:
 
 
 def cell(value: Any, digits: int) -> str:
-    """Write a value for a table's cell."""
+    """Return a value as the text of a table cell; floats have `digits` significant digits."""
     if value is None:
         return "-"
     return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
@@ -184,9 +185,9 @@ def print_table(
 
     Parameters
     ----------
-    headings, rows : texts
+    headings, rows : texts of the heading and of the cells
     styles : Rich style of the cells in the first column, by their text; that column never wraps
-    width : columns of the terminal; None: its own
+    width : width of the table in characters; None: the width of the terminal
     """
     from rich.console import Console
     from rich.table import Table
@@ -202,5 +203,5 @@ def print_table(
 
 
 def say(text: str) -> None:
-    """Print a line on stdout."""
+    """Print one line of text on stdout."""
     sys.stdout.write(f"{text}\n")

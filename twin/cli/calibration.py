@@ -1,4 +1,4 @@
-"""Commands for calibrations: of captures of a board, and of the files of other programs."""
+"""Commands for calibrations: from captures of a board, and from files of other programs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,9 +22,12 @@ _TAKING_COEFFICIENTS = ("--camera-distortion", "--projector-distortion")
 
 
 def with_repeated_options(words: Sequence[str]) -> list[str]:
-    """Write `--camera-distortion k1 k2` as one option for each coefficient.
+    """Return the words of a command line with one `--camera-distortion` per coefficient.
 
-    Cyclopts assigns either one word to an option or all following words, including the source.
+    The same is done for `--projector-distortion`: `k1 k2` after the option becomes two options.
+
+    Without this, Cyclopts assigns to an option either one word or all following words, including
+    the source.
     """
     written: list[str] = []
     option = ""
@@ -69,7 +72,8 @@ def calibrate(
     keep_captures
         Keep the rendered captures as captures/pose_NN.
     as_images
-        Keep them as PNG images, as a real camera gives them; camera.bit_depth=8 makes 8-bit ones.
+        Keep the rendered captures as PNG images, as a real camera gives them; camera.bit_depth=8
+        makes 8-bit images.
     """
     from reconstruction.calibration import AdjustOptions, Freedom
     from twin.config.board import load_board
@@ -120,11 +124,12 @@ def import_calibration(
     camera_size, projector_size
         Width and height, px, if no file contains them.
     unit
-        Of the files' lengths.
+        Unit of the lengths in the files.
     projector_first
-        The files' first (left) device is the projector.
+        The first (left) device in the files is the projector.
     standoff_mm
-        From the camera to the world's origin; default: where both axes come nearest.
+        Distance from the camera to the origin of the world frame. Default: the origin is where the
+        optical axes of camera and projector come nearest.
     """
     from reconstruction.rig.importing import Importing
     from reconstruction.rig.importing import import_calibration as read

@@ -48,9 +48,10 @@ def reconstruct(
     use
         Projector coordinate that gives the depth.
     filter_taps
-        Width of the Gaussian on the coordinate, px; 0 switches it off; default: as in twin keys.
+        Width of the Gaussian filter on the projector coordinate, camera px; 0 switches the filter
+        off; default: see twin keys.
     filter_sigma_px
-        Standard deviation of that Gaussian, px; default: as in twin keys.
+        Standard deviation of that filter, camera px; default: see twin keys.
     photometric
         CAPTURE is a TOML file that describes one or many presses seen by a photometric-stereo
         sensor; see docs/photometric.md.
@@ -82,9 +83,10 @@ def decode(
     capture
         Folder with capture.toml; see docs/real_rig.md on how to list the frames of any set.
     filter_taps
-        Width of the Gaussian on the coordinate, px; 0 switches it off; default: as in twin keys.
+        Width of the Gaussian filter on the projector coordinate, camera px; 0 switches the filter
+        off; default: see twin keys.
     filter_sigma_px
-        Standard deviation of that Gaussian, px; default: as in twin keys.
+        Standard deviation of that filter, camera px; default: see twin keys.
     """
     from twin.pipeline.captures import decode_capture
 
@@ -125,11 +127,12 @@ def describe(
     Parameters
     ----------
     folder
-        Images of fringes or bits that another program recorded, in it or in folders of it.
+        Folder with images of fringes or bits that another program recorded, also in subfolders.
     out
         File to write; default: capture.toml in FOLDER; an existing file is never overwritten.
     projector
-        Its width and height, px, which images do not contain; default: 1280 720, marked as unsure.
+        Width and height of the projector, px, which images do not show; default: 1280 720, marked
+        as unsure.
     """
     from reconstruction.capture.description import DESCRIPTION_FILE
     from reconstruction.capture.guess import guess
@@ -189,9 +192,9 @@ def evaluate(
     along
         World axis of a cylinder or a bar.
     fraction
-        Of a bar's height, at which its width is measured.
+        Fraction of a bar's height at which the width of the bar is measured.
     nesting_mm
-        Nesting index of the roughness filter.
+        Nesting index of the roughness filter, mm.
     """
     from twin.output import end_exchange
     from twin.pipeline.dimensions import Region, dimensions
@@ -224,8 +227,8 @@ def compensate(
         TOML file with the known values of elastomer and press, see docs/compensation.md; default:
         those of the result's own experiment.
     ball_diameter_mm
-        Diameter of the pressed balls: thickness and modulus of the sheet are fitted to them and
-        written to OUT/layer.toml, for --layer of later measurements.
+        Diameter of the pressed balls, mm: thickness and modulus of the sheet are fitted to the
+        balls and written to OUT/layer.toml, for --layer of later measurements.
     """
     from twin.output import end_exchange
     from twin.pipeline.compensation import compensate_result
@@ -318,7 +321,7 @@ def report(folder: Path, /) -> None:
 
 
 def _drawer(folder: Path) -> "Callable[..., Path]":
-    """Return the function that draws the report of a folder; imports only its module."""
+    """Return the function that draws the report of a folder; import only its module."""
     from twin.pipeline.comparison import is_comparison
     from twin.propagation.results import is_uncertainty
 

@@ -49,12 +49,12 @@ def press(
     ----------
     transfer
         Also report the contact transfer: the share of a groove's depth that the coat shows, by
-        pitch; for a thin sheet, of ridges as high as the specimen's under its back pressure.
+        pitch. For a thin sheet, the share of the height of ridges under the back pressure.
     solid
         Also write the pressed slab as a watertight body, slab.stl and slab.ply.
     by
-        Also differentiate a thin sheet by this number of elastomer, press or specimen, for example
-        elastomer.thickness_mm: derivatives of face, force and travel; repeat it for several fields.
+        Number of elastomer, press or specimen, for example elastomer.thickness_mm: also compute the
+        derivatives of face, force and travel of a thin sheet; repeat it for several numbers.
     """
     from twin.mechanics import write_in_plane
     from twin.mechanics.models import model_of
@@ -89,7 +89,11 @@ def press(
 def _write_transfer(
     folder: Path, experiment: "Experiment", pressed: "PressedElastomer"
 ) -> "dict[str, Metric]":
-    """Write the contact transfer, the coat's relief by pitch of grooves; return its figures."""
+    """Write and draw the contact transfer of a press; return its figures.
+
+    The contact transfer is the share of a groove's depth that the coat shows, by the groove's
+    pitch.
+    """
     from twin.pipeline.press import transfer_of
     from twin.report.press import draw_transfer
     from twin.results.parts import transfer_metrics, write_transfer
@@ -118,7 +122,7 @@ def _write_derivatives(
     derivatives: "Sequence[PressDerivative]",
     report: bool,
 ) -> dict[str, float]:
-    """Write a press's derivatives, and return those of its figures."""
+    """Write the derivatives of a press with respect to fields; return those of its figures."""
     from twin.results.press_derivatives import derivative_metrics, write_derivatives
 
     write_derivatives(folder / "derivatives.nc", pressed, derivatives)
@@ -187,9 +191,10 @@ def measure(
 
 @app.command
 def demo(*, out: Out = Path("out/demo"), full: bool = False) -> None:
-    """Measure the paper's two balls, its nut and its brick, by its sensor as identified.
+    """Measure the paper's two balls, nut and brick with the sensor that was identified for it.
 
-    One page: true object, paper and twin side by side, then press, images and measurement.
+    The result is one page with true object, paper and twin side by side, then press, images and
+    measurement.
 
     Parameters
     ----------
@@ -221,7 +226,7 @@ def compare(
     match: Literal["force", "depth"] = "force",
     report: Report = True,
 ) -> int:
-    """Measure each specimen by each method and set the results side by side.
+    """Measure each specimen by each method, and compare the results in one report.
 
     A measurement that is in OUT already is not repeated; delete its folder to repeat it.
 
@@ -235,9 +240,9 @@ def compare(
         Sensor of photometric_stereo: TOML file without specimen, or name of a shipped rig.
         Specimen, load and scoring come from EXPERIMENT.
     photometric_set
-        KEY=VALUE over that rig, as --set is over EXPERIMENT.
+        KEY=VALUE that replaces a value of that rig, as --set does for EXPERIMENT.
     match
-        Load that is equal for contact_fpp and photometric_stereo: force or depth.
+        Quantity of the load that is equal for contact_fpp and photometric_stereo: force or depth.
     """
     from twin.output import adding
     from twin.pipeline.comparison import (

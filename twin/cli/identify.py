@@ -26,8 +26,8 @@ def identify(
     problem
         TOML file, or the name of a shipped problem such as problems/slab.
     quick
-        25 % of the simulations, with 50 % of the repeats, without refinement: a preview with wider
-        intervals.
+        Use only 25 % of the simulations, with 50 % of the repeats, without refinement: a preview
+        with wider intervals.
     """
     from twin.config.problem import load_problem
     from twin.identification.record import COMMAND, WRITTEN, write_identified

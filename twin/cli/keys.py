@@ -1,4 +1,4 @@
-"""The keys of an experiment file as text: all keys, or those that contain given words."""
+"""Description of the keys of an experiment file as text: all keys, or those with given words."""
 
 import difflib
 import shutil
@@ -10,11 +10,11 @@ from twin.config.schema import Key, experiment_keys
 
 
 def matching(pattern: str) -> list[Key]:
-    """Return the keys with every word of `pattern` in their path, allowed values or meaning.
+    """Return the keys that contain all words of `pattern` in path, allowed values or meaning.
 
     Raises
     ------
-    InputError : there is no such key; the message has the nearest keys
+    InputError : there is no such key; the message contains the most similar keys
     """
     every = list(experiment_keys())
     words = pattern.lower().split()
@@ -25,7 +25,7 @@ def matching(pattern: str) -> list[Key]:
 
 
 def lines_of(keys: Iterable[Key]) -> Iterator[str]:
-    """Yield the full description of keys in lines, wrapped to the width of the terminal."""
+    """Yield the description of keys as lines, wrapped to the width of the terminal."""
     width = max(40, shutil.get_terminal_size().columns)
     for key in keys:
         yield key.path
@@ -42,7 +42,7 @@ def _text(key: Key) -> str:
 
 
 def _nearest(pattern: str, every: Iterable[Key]) -> str:
-    """Return a hint with the keys that have a similarly spelt last part."""
+    """Return a hint with up to three keys that have a similar last part; empty if none."""
     by_name = {key.path.rpartition(".")[2]: key.path for key in every}
     near = difflib.get_close_matches(pattern, by_name, n=3, cutoff=0.5)
     return f"; nearest: {', '.join(by_name[name] for name in near)}" if near else ""

@@ -9,11 +9,11 @@ OPTION = "--plugin"
 
 
 def without_plugins(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split a command line into its words without --plugin FILE, and the files.
+    """Split a command line into the words without --plugin FILE, and the list of the files.
 
     Raises
     ------
-    InputError : the option has no file
+    InputError : the option is given without a file
     """
     options = list(takewhile(lambda word: word != "--", words))
     other_words: list[str] = []
@@ -32,11 +32,11 @@ def without_plugins(words: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def load_plugins(words: Sequence[str]) -> list[str]:
-    """Load the files of a command line, and return its other words.
+    """Load the plugin files of a command line; return the words without --plugin FILE.
 
     Raises
     ------
-    InputError : the option has no file, or a file cannot be loaded
+    InputError : the option is given without a file, or a file cannot be loaded
     """
     other_words, files = without_plugins(words)
     if files:

@@ -1,4 +1,4 @@
-"""Commands about this machine and the experiment file."""
+"""Commands that check the machine, write templates, list keys, and print completion scripts."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Commands that measure many times: a design space, an uncertainty, the paper."""
+"""Commands that repeat measurements: for a design space, an uncertainty, or the paper's tables."""
 
 import sys
 from pathlib import Path
@@ -58,7 +58,8 @@ def sweep(
 ) -> int:
     """Compute every case of a study that is not in OUT yet; run it again to continue.
 
-    Prints why cases failed. Exit code 1: no case has a result, or some could not be saved.
+    The reasons of failed cases are printed. Exit code 1: no case has a result, or some cases could
+    not be saved.
 
     Parameters
     ----------
@@ -100,11 +101,13 @@ def _on_message(sentence: str) -> None:
 
 
 def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
-    """Print the cases that cannot be measured, of a search the points along its axes.
+    """Print the cases that cannot be measured; return exit code 2 if none can be, else 0.
+
+    A search has no list of cases; points along its axes are checked instead.
 
     Raises
     ------
-    InputError : no case has a figure that the study names
+    InputError : a figure that the study names is in no case
     """
     from twin.study.checks import check_figures
     from twin.study.measurable import probes_of, unmeasurable
@@ -122,7 +125,7 @@ def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
 
 
 def _print_outcome(outcome: "SweepOutcome", out: Path) -> None:
-    """Print the outcome of a run: unsaved cases, failures, warnings, number of finished cases."""
+    """Print unsaved and damaged cases, failures, warnings, and the number of cases by state."""
     for digest, reason in outcome.unsaved.items():
         sys.stderr.write(f"twin: case {digest} could not be saved: {reason}\n")
     for digest, reason in outcome.damaged.items():
@@ -134,7 +137,7 @@ def _print_outcome(outcome: "SweepOutcome", out: Path) -> None:
 
 
 def _print_failures(outcome: "SweepOutcome", out: Path) -> None:
-    """Print the reasons of failures, most frequent first, each with an example file."""
+    """Print the reasons of failures, the most frequent first, each with an example file."""
     ranked = sorted(outcome.failures.items(), key=lambda item: -len(item[1]))
     for reason, digests in ranked[:_MOST_REASONS]:
         file = out / "cases" / digests[0] / "failure.json"
@@ -145,7 +148,7 @@ def _print_failures(outcome: "SweepOutcome", out: Path) -> None:
 
 
 def _print_remarks(remarks: "Sequence[Remark]", of: int, out: Path) -> None:
-    """Print the warnings of the cases: each kind once, with its number of cases and an example."""
+    """Print each kind of warning once, with the number of cases that have it and an example."""
     for remark in remarks[:_MOST_REASONS]:
         sys.stderr.write(f"twin: {remark.in_words(of)} (case {remark.digests[0]})\n")
     if len(remarks) > _MOST_REASONS:
@@ -164,17 +167,17 @@ def best(
 ) -> int:
     """Print the best feasible designs of a study: its Pareto front.
 
-    A case is feasible if all constraints hold and all tolerances of its measurands are met with
-    their uncertainty. Exit code 1: no case is; the cases that miss the fewest conditions are
-    printed.
+    A case is feasible if it satisfies all constraints and meets all tolerances of its measurands
+    with their uncertainty. Exit code 1: no case is feasible; the cases that miss the fewest
+    conditions are printed.
 
     Parameters
     ----------
     folder
         The -o DIR of twin sweep.
     objective
-        METRIC to minimise, or +METRIC to maximise; give several for a Pareto front.
-        Default: the objectives of the study.
+        METRIC to minimise, or +METRIC to maximise; repeat the option for a Pareto front. Default:
+        the objectives of the study.
     """
     from twin.study.feasibility import feasibility_in_words
     from twin.study.table import best_rows, nearest_rows, objective_of, read_table, usable_rows
@@ -202,7 +205,7 @@ def best(
 def report(folder: Path, /, *, objective: Objectives = None) -> None:
     """Draw the HTML report of a study: best designs in pictures, effects, every case.
 
-    Of a study of trials: distributions, intervals and ranked budgets.
+    The report of a study of trials shows distributions, intervals and ranked budgets.
 
     Parameters
     ----------
@@ -290,15 +293,15 @@ def uncertainty(
     inputs
         TOML file of [inputs.NAME] tables, or the name of a shipped file.
     measurand
-        Figure of the measurement such as z_rmse_um; give several. Default: the main ones.
+        Figure such as z_rmse_um; repeat the option for several. Default: the main figures.
     calibration
         drawn: a new calibration of the rig in each trial; true: always the true rig.
     budget
         Also vary each input separately (two measurements each) and only the noise (up to 20).
     sobol
-        Base points of Sobol' indices of the pressed face, a power of 2, times inputs + 2 presses.
+        Base points N, a power of 2, of Sobol' indices of the face: N x (inputs + 2) presses.
     seed
-        Of all draws; default: that of the inputs.
+        Seed of all random draws; default: the seed in the file of inputs.
     """
     from twin.propagation.trials import plan_in_words, record_of
     from twin.results.names import of_the_object
@@ -348,7 +351,7 @@ def _swept(
 def _evaluated(
     record: "StudyRecord", out: Path, measurands: list[str], sobol: int | None
 ) -> "Uncertainty":
-    """Evaluate the trials, write the results and draw the report."""
+    """Evaluate the trials, write results and report into OUT, and return the result."""
     from twin.output import adding
     from twin.propagation.results import read_uncertainty
     from twin.propagation.sensitivity import sobol_of_face
@@ -388,7 +391,7 @@ def paper(
     full: bool = False,
     workers: WorkerCount = None,
 ) -> None:
-    """Reproduce the paper's tables and figures, its numbers next to ours.
+    """Reproduce the tables and figures of the paper, with the paper's numbers next to the twin's.
 
     Measurements that are in OUT/work already are not repeated: an interrupted run continues.
 
@@ -397,9 +400,10 @@ def paper(
     only
         Name of a group of tables or of a figure; repeat the option for several.
     trials
-        Repetitions of every repeated measurement: 100, with --quick the paper's 5.
+        Number of repetitions of every repeated measurement; default: 100, or with --quick the
+        paper's 5.
     quick
-        Five trials as in the paper; the same parameters.
+        Use five trials as in the paper, with the same parameters as without --quick.
     full
         Use all 1936 x 1464 camera pixels instead of 2 x 2 binning.
     """

@@ -1,4 +1,4 @@
-"""Verbosity of a command: quiet, usual or verbose; and its progress on stderr.
+"""Verbosity of a command (quiet, usual or verbose) and its progress on stderr.
 
 Results are printed to stdout at any verbosity.
 """
@@ -23,7 +23,7 @@ COMPILING = "(compiling, once)"
 
 
 class Loudness(IntEnum):
-    """Verbosity of the messages on stderr."""
+    """Verbosity of a command: which messages it writes to stderr."""
 
     QUIET = 0
     USUAL = 1
@@ -43,7 +43,7 @@ class _Chosen:
 
 
 def choose_level(words: Sequence[str]) -> list[str]:
-    """Set the verbosity by the last -q or -v of a command line, and return all other words."""
+    """Set the verbosity by the last -q or -v of a command line; return all other words."""
     other_words: list[str] = []
     _Chosen.level = Loudness.USUAL
     for number, word in enumerate(words):
@@ -62,7 +62,7 @@ def verbose() -> bool:
 
 
 def introduce() -> None:
-    """Write the versions of the twin and of Python on stderr, if verbose."""
+    """Write the versions of the twin and of Python to stderr if the command is verbose."""
     if verbose():
         import platform
         from importlib import metadata
@@ -72,17 +72,18 @@ def introduce() -> None:
 
 
 def note(line: str) -> None:
-    """Write a line on stderr, unless quiet."""
+    """Write a line to stderr unless the command is quiet."""
     if _Chosen.level > Loudness.QUIET:
         sys.stderr.write(f"{line}\n")
 
 
 @contextmanager
 def progress_bars() -> "Iterator[ProgressCallback]":
-    """Show one bar per stage on stderr, with percent, elapsed time and remaining time.
+    """Yield a progress callback that shows one bar per stage on stderr.
 
-    A stage that waits for the compilation of a kernel is marked. If stderr is no terminal, the
-    start of each stage is written as a line; if verbose, also its end.
+    A bar shows percent, elapsed and remaining time. A stage that waits for the compilation of a
+    kernel is marked. If stderr is not a terminal, the start of each stage is written as a line; if
+    the command is verbose, also its end.
     """
     from rich.console import Console
 

@@ -24,7 +24,7 @@ def view(
     Parameters
     ----------
     host
-        Address to listen on; 0.0.0.0 shows it to the network.
+        Address to listen on; with 0.0.0.0 other computers in the network can open the page.
     port
         Port to listen on, or the next free port.
     """

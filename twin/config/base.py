@@ -1,4 +1,4 @@
-"""Base of all configuration models: named ranges, the frozen model class, and errors."""
+"""Base of all configuration models: the frozen model class, common ranges, and errors."""
 
 import typing
 from functools import cache
@@ -10,11 +10,11 @@ from reconstruction.errors import InputError
 
 
 class ConfigError(InputError):
-    """An invalid experiment file; the message has one line per problem."""
+    """Error of an invalid configuration file or value; the message has one line per problem."""
 
 
 class AssetCycleError(ConfigError):
-    """Data files that `use` each other cyclically."""
+    """Error of data files that `use` each other in a cycle."""
 
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -22,7 +22,10 @@ Angle = Annotated[float, Field(ge=-180, le=180)]
 
 
 class Model(BaseModel):
-    """Base of all configuration: immutable; no unknown keys, no NaN, no flag for a number."""
+    """Base of all configuration models, which are immutable.
+
+    Unknown keys, NaN, infinity, and true or false for a number are rejected.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -38,7 +41,7 @@ class Model(BaseModel):
 
 
 class _Flag:
-    """A flag in a field that takes none: every other field type rejects it."""
+    """Replacement of true or false in a field that takes no flag, which then rejects it."""
 
     def __init__(self, value: bool) -> None:
         self._value = value

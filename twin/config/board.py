@@ -1,7 +1,7 @@
-"""Calibration board as data: the printed pattern, its plate, and the poses of the images.
+"""Calibration board as data: the printed pattern, its plate, and the poses of the board.
 
-Poses are in the world frame (z up towards the devices); at zero tilt and shift the board's face is
-z = 0 and its rows run along world x.
+Poses are in the world frame (z up towards the devices). At zero tilt and shift, the face of the
+board is z = 0 and its rows are along world x.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ Shift = Annotated[float, Field(ge=-1000, le=1000)]
 
 
 class Dots(Model):
-    """Square grid of dark dots, three of them larger; see `DotBoard`."""
+    """Pattern of dark dots on a square grid, three of them larger; see `DotBoard`."""
 
     kind: Literal["dots"] = "dots"
     columns: Count
@@ -33,14 +33,14 @@ class Dots(Model):
     fiducial_diameter_mm: Length
 
     def board(self) -> DotBoard:
-        """Return the pattern as the argument of the feature detector."""
+        """Return the pattern in the form that the feature detector takes."""
         return DotBoard(
             self.columns, self.rows, self.pitch_mm, self.dot_diameter_mm, self.fiducial_diameter_mm
         )
 
 
 class Chess(Model):
-    """Chessboard; columns and rows count its INNER corners."""
+    """Chessboard pattern; columns and rows are the numbers of its INNER corners."""
 
     kind: Literal["chessboard"] = "chessboard"
     columns: Count
@@ -48,12 +48,12 @@ class Chess(Model):
     square_mm: Length
 
     def board(self) -> Chessboard:
-        """Return the pattern as the argument of the feature detector."""
+        """Return the pattern in the form that the feature detector takes."""
         return Chessboard(self.columns, self.rows, self.square_mm)
 
 
 class Charuco(Model):
-    """ChArUco board with OpenCV's 4 x 4 markers; columns and rows count its INNER corners."""
+    """ChArUco pattern with OpenCV's 4 x 4 markers; columns and rows count the INNER corners."""
 
     kind: Literal["charuco"] = "charuco"
     columns: Count
@@ -62,12 +62,12 @@ class Charuco(Model):
     marker_mm: Length
 
     def board(self) -> CharucoBoard:
-        """Return the pattern as the argument of the feature detector."""
+        """Return the pattern in the form that the feature detector takes."""
         return CharucoBoard(self.columns, self.rows, self.square_mm, self.marker_mm)
 
 
 class BoardPlate(Model):
-    """Plate with the printed pattern; its face is matt (Lambertian)."""
+    """Plate with the printed pattern; its face is matte (Lambertian)."""
 
     width_mm: Length
     height_mm: Length
@@ -91,7 +91,7 @@ class BoardPose(Model):
 
 
 class BoardFile(Model):
-    """Contents of a board file."""
+    """Content of a board file: pattern, plate, and poses for a rendered calibration."""
 
     description: str = ""
     pattern: Annotated[Dots | Chess | Charuco, Field(discriminator="kind")]
@@ -102,22 +102,22 @@ class BoardFile(Model):
     provenance: dict[str, Provenance] = Field(default_factory=dict)
 
     def board(self) -> Board:
-        """Return the pattern as the argument of the feature detector."""
+        """Return the pattern in the form that the feature detector takes."""
         return self.pattern.board()
 
 
 def load_board(name: str | Path) -> BoardFile:
-    """Load a board file, or a shipped board by name ("boards/paper_dots").
+    """Load a board from a file, or a shipped board by its name ("boards/paper_dots").
 
     Raises
     ------
     ConfigError : one line per problem: key, found, allowed, remedy
-    AssetError : no such board
+    AssetError : there is no such file and no such shipped board
     """
     file = scene_file(name)
     values, origins = split_quantities(convert_units(read_toml(file)))
     values["provenance"] = {key: origin.model_dump() for key, origin in origins.items()}
     loaded = validated(BoardFile, values, f"{file}: ")
     check_ranges(values, loaded.provenance, str(file))
-    loaded.board()  # its own checks: dots must not touch
+    loaded.board()  # checks the pattern, for example that dots do not touch
     return loaded

@@ -1,9 +1,9 @@
-"""Physical ranges of an experiment's quantities, each with its reason.
+"""Physical ranges of the quantities of an experiment, each with its reason.
 
-`twin keys` prints the reason next to the range, and so does the error about a value outside it.
-Ranges are wide: they exclude values that no sensor, gel or light source has, and values outside
-the models of this project (geometrical optics, continuum mechanics, double precision). The data
-file of a product states its narrower range.
+`twin keys` prints the range and its reason; the error about a value outside the range does so,
+too. The ranges are wide. They exclude values that no sensor, gel or light source has, and values
+for which the models of this project (geometrical optics, continuum mechanics, double precision)
+are invalid. The data file of a product states a narrower range.
 """
 
 from collections.abc import Callable
@@ -15,13 +15,16 @@ from pydantic import AfterValidator, Field
 
 @dataclass(frozen=True)
 class Because:
-    """Reason for the limits of a range; metadata of an annotated type."""
+    """Reason for the limits of a range, attached to an annotated type as metadata."""
 
     reason: str
 
 
 def zero_or_at_least(least: float) -> Callable[[float], float]:
-    """Return a check that a number is 0 or not below the least that has an effect."""
+    """Return a function that raises ValueError for numbers between 0 and `least`.
+
+    0 is allowed; a number below `least` would have no effect.
+    """
 
     def check(value: float) -> float:
         if 0 < value < least:
@@ -37,32 +40,32 @@ _LENGTHS = Because("0.1 um, below which light is no ray, to 1 m, more than any t
 Length = Annotated[float, Field(ge=1e-4, le=1000), _LENGTHS]
 Place = Annotated[float, Field(ge=-1000, le=1000), Because("within 1 m of the sensor's centre")]
 Rounding = Annotated[float, Field(ge=0, le=1000), _LENGTHS]
-#: of a part of a specimen
+#: length of a part of a specimen, mm
 Size = Annotated[
     float,
     Field(ge=1e-4, le=100),
     Because("0.1 um, below which light is no ray, to 100 mm, the space under the sensor"),
 ]
-#: of a part that may be left out by giving 0
+#: length of a part of a specimen, mm; 0: the specimen does not have the part
 OptionalSize = Annotated[
     float, Field(ge=0, le=100), Because("100 mm is the space under the sensor")
 ]
 FileUnit = Annotated[
     float, Field(ge=1e-6, le=1e6), Because("files are drawn in units from the nanometre to the km")
 ]
-#: of a figure of merit in micrometres
+#: figure of merit, um
 Micrometres = Annotated[float, Field(ge=0, le=1e6), Because("1 m is more than any sensor measures")]
 Tolerance = Annotated[float, Field(gt=0, le=1e6), Because("1 m is more than any sensor measures")]
 Limit = Annotated[float, Field(ge=-1e6, le=1e6), Because("1 m is more than any sensor measures")]
 
-#: a figure of a result, in the unit of its name, or a number of an experiment
+#: figure of a result, in the unit that its name states, or a number of an experiment
 Figure = Annotated[float, Field(ge=-1e12, le=1e12), Because("no key and no figure is larger")]
 FigureSigma = Annotated[
     float,
     Field(ge=1e-12, le=1e12),
     Because("no figure is so well known, and none is larger"),
 ]
-#: or 0 for none
+#: standard deviation or half width of a distribution; 0: none
 Spread = Annotated[float, Field(ge=0, le=1e12), Because("no key and no figure is larger")]
 
 # ---- mechanics ---------------------------------------------------------------------------------
@@ -134,8 +137,8 @@ ThrowRatio = Annotated[
 Contrast = Annotated[
     float, Field(gt=1, le=1e9), Because("above 1e9 black is darker than any camera measures")
 ]
-# OpenCV's coefficients, for image heights x over focal length: up to 1.7 for 120 deg of view,
-# 0.05 for a telephoto lens. For the latter, k3 x^6 exceeds one pixel from about k3 = 1e4.
+# OpenCV's coefficients, for x = image height / focal length: up to 1.7 for 120 deg of view, and
+# 0.05 for a telephoto lens, for which k3 x^6 exceeds one pixel from about k3 = 1e4.
 DistortionCoefficient = Annotated[
     float,
     Field(ge=-1e6, le=1e6),
@@ -158,7 +161,7 @@ PixelPitch = Annotated[
 ]
 EXPOSURE_RANGE_MS = (1e-4, 1e6)
 EXPOSURE_PERCENTILE = 99.5
-"""Percentile of the white frame's pixels that the automatic exposure puts at `auto_level`."""
+"""Percentile of the white frame's pixel values that automatic exposure sets to `auto_level`."""
 Exposure = Annotated[
     float,
     Field(ge=EXPOSURE_RANGE_MS[0], le=EXPOSURE_RANGE_MS[1]),

@@ -1,8 +1,8 @@
 """The coat of the elastomer as data: its texture, and the base class of all kinds of coating.
 
-A kind is one file of `twin.optics.coatings`, of an installed package (entry points of the group
-`fringe_twin.coatings`) or of the user (`--plugin`): a subclass of `Coating` that sets `kind`, adds
-its numbers with ranges and sources, and overrides `bsdf`.
+A kind is a subclass of `Coating` that sets `kind`, adds its numbers with ranges and sources, and
+overrides `bsdf`. It is defined in one file of `twin.optics.coatings`, of an installed package
+(entry points of the group `fringe_twin.coatings`) or of the user (`--plugin`).
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from twin.config.kinds import OneOf, kind_of
 
 
 class Texture(Model):
-    """Grain and flakes of a sprayed coat: heights over its smooth face, as a random field."""
+    """Texture of a sprayed coat (grain, flakes): random heights over the coat's smooth face."""
 
     rms_um: Annotated[float, Field(gt=0, le=100)] = Field(
         description="root mean square height over all seeds"
@@ -46,7 +46,10 @@ class Texture(Model):
 
 
 def _least_excess_kurtosis(skewness: float) -> float:
-    """Return 1.01 x the log-normal distribution's: the limit of Johnson's unbounded system."""
+    """Return the least allowed excess kurtosis for a skewness.
+
+    It is 1.01 x that of the log-normal distribution, the limit of Johnson's unbounded system.
+    """
     square = skewness**2
     root = cbrt(1 + square / 2 + sqrt(square + square**2 / 4))
     w = root + 1 / root - 1
@@ -54,10 +57,10 @@ def _least_excess_kurtosis(skewness: float) -> float:
 
 
 class Coating(Model):
-    """Base class of all coats: the texture, and the reflection that each kind defines."""
+    """Base class of all kinds of coat: texture, and reflection, which each kind defines."""
 
     kind: str
-    # Left out where absent: a smooth coat keeps its digest.
+    # Excluded if None, so that digests of experiments with a smooth coat do not change.
     texture: Texture | None = Field(
         default=None,
         exclude_if=lambda texture: texture is None,
@@ -65,19 +68,19 @@ class Coating(Model):
     )
 
     differentiable: ClassVar[tuple[str, ...]] = ()
-    """Numbers by which a bound is differentiated: `bsdf` is a smooth function of them."""
+    """Names of the numbers by which bounds can be differentiated; `bsdf` is smooth in them."""
 
     albedo_field: ClassVar[str] = ""
-    """Number in which the reflected light is affine; a reference surface determines it."""
+    """Name of the number that a reference surface determines; reflected light is affine in it."""
 
     determined_by: ClassVar[Mapping[str, str]] = {}
-    """Measurement from which `twin adopt` determines a number, by the name of that number."""
+    """By name of a number, the measurement from which `twin adopt` determines that number."""
 
     def bsdf(self) -> dict[str, Any]:
-        """Return the BSDF for `mi.load_dict`.
+        """Return the BSDF of the coat as a dictionary for `mi.load_dict`.
 
-        Every number that enters it as a float is exchanged on the loaded scene, without loading or
-        compiling, when only numbers differ between two coats.
+        If two coats differ only in numbers that are floats in this dictionary, these floats are
+        replaced in the loaded scene, without loading or compiling it again.
 
         Raises
         ------
@@ -86,39 +89,39 @@ class Coating(Model):
         raise NotImplementedError(f"{type(self).__name__}.bsdf")
 
     def bsdf_with_ink(self, albedo: dict[str, Any]) -> dict[str, Any]:
-        """Return the BSDF with a texture in the place of the ink's albedo, see `albedo_over`."""
+        """Return the BSDF with a texture instead of the albedo of the ink, see `albedo_over`."""
         raise NotImplementedError(f"{type(self).__name__}.bsdf_with_ink")
 
     def albedo_over(self, reflectance: float) -> float | None:
-        """Return the albedo of the ink with an object behind it; None: the coat is opaque.
+        """Return the albedo of the ink in front of an object; None if the coat is opaque.
 
         Parameters
         ----------
-        reflectance : of the object; 0: no object touches the ink
+        reflectance : reflectance of the object, 0 to 1; 0: no object touches the ink
         """
         return None
 
     def in_medium(self, ior: float) -> Self:
-        """Return the coat with indices relative to `ior`, the refractive index around the coat.
+        """Return the coat with refractive indices relative to `ior`, that of the medium round it.
 
         Raises
         ------
-        InputError : the model of this kind is not valid in a layer with that index
+        InputError : the model of this kind is not valid in a medium with that index
         """
         return self
 
     @property
     def is_matte(self) -> bool:
-        """Whether the reflected radiance is the same in all directions."""
+        """Whether the reflected radiance is equal in all directions (Lambertian)."""
         return False
 
     @property
     def export_gap(self) -> str:
-        """Property of the coat that stock Mitsuba lacks, in one sentence; empty: none."""
+        """Property of the coat that stock Mitsuba lacks, as a sentence; empty if there is none."""
         return ""
 
 
 COATINGS: Registry[type[Coating]] = Registry("coatings", "twin.optics.coatings", kind_of)
-"""The kinds of coatings."""
+"""Registry of the kinds of coatings."""
 
 AnyCoating = Annotated[Coating, OneOf(COATINGS, default="flakes")]

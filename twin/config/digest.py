@@ -1,4 +1,4 @@
-"""Names by content: the digest of an experiment, and seeds derived from its root seed."""
+"""Digest of an experiment, which names it by its content, and seeds from its root seed."""
 
 import hashlib
 import json
@@ -13,14 +13,14 @@ from reconstruction.reading import read_bytes
 from twin.assets import mesh_path
 from twin.config.models import Experiment
 
-# Names, descriptions and sources of numbers do not change any result.
+# Fields that do not change any result: names, descriptions, and sources of numbers.
 _NOT_CONTENT = {"name", "description", "provenance", "links"}
 
 
 def digest(experiment: Experiment) -> str:
-    """Return 16 hex digits that name an experiment by everything that changes its result.
+    """Return 16 hex digits computed from all fields that change the result of an experiment.
 
-    Mesh files count by their content, not by their place.
+    A mesh file is included by its content, not by its path.
     """
     content = with_file_contents(experiment.model_dump(mode="json", exclude=_NOT_CONTENT))
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -28,7 +28,10 @@ def digest(experiment: Experiment) -> str:
 
 
 def with_file_contents(node: Any) -> Any:
-    """Replace every `file` in nested tables by the digest of that file's content."""
+    """Return nested tables in which every key `file` has a digest of the file as its value.
+
+    The digest is that of the content of the file. A file that cannot be read keeps its name.
+    """
     if not isinstance(node, dict):
         return node
     named = node.get("file")
@@ -42,7 +45,10 @@ def with_file_contents(node: Any) -> Any:
 
 
 def _read(name: str) -> bytes | None:
-    """Bytes of a named file; None when it is missing, which the stage that needs it reports."""
+    """Return the content of a named file; None if it cannot be read.
+
+    The stage that needs the file reports the error.
+    """
     try:
         return read_bytes(mesh_path(name))
     except InputError:
@@ -50,7 +56,7 @@ def _read(name: str) -> bytes | None:
 
 
 def content_digest(*parts: object) -> str:
-    """Return 16 hex digits that name arrays, dataclasses, sequences and texts by content."""
+    """Return 16 hex digits computed from the content of arrays, dataclasses and other values."""
     held = hashlib.sha256()
     for part in parts:
         _feed(held.update, part)
@@ -60,7 +66,7 @@ def content_digest(*parts: object) -> str:
 def _feed(take: Callable[[Any], None], part: object) -> None:
     if isinstance(part, np.ndarray):
         take(f"{part.dtype} {part.shape}".encode())
-        take(np.ascontiguousarray(part))  # by its own bytes: a capture has hundreds of MB
+        take(np.ascontiguousarray(part))  # without a copy: a capture has hundreds of MB
     elif is_dataclass(part) and not isinstance(part, type):
         for field in fields(part):
             _feed(take, getattr(part, field.name))
@@ -72,11 +78,14 @@ def _feed(take: Callable[[Any], None], part: object) -> None:
 
 
 def seed_sequence(experiment: Experiment, stage: str, *keys: int) -> np.random.SeedSequence:
-    """Child seed of the experiment's root seed, keyed by stage, case, trial and frame."""
+    """Return the seed of a stage of an experiment, derived from the experiment's root seed.
+
+    `keys` are further numbers that distinguish seeds, such as trial and frame.
+    """
     return keyed_sequence(experiment.seed, stage, *keys)
 
 
 def keyed_sequence(seed: int, stage: str, *keys: int) -> np.random.SeedSequence:
-    """Child seed of any root seed, keyed likewise."""
+    """Return the seed of a stage and further keys, derived from a given root seed."""
     stage_key = int.from_bytes(hashlib.blake2b(stage.encode(), digest_size=4).digest())
     return np.random.SeedSequence(seed, spawn_key=(stage_key, *keys))

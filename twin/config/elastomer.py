@@ -1,4 +1,7 @@
-"""Elastomer, press and choice of the elastomer model as data; frames and units: `models`."""
+"""Elastomer, press and choice of the elastomer model as data.
+
+Frames and units are those of `twin.config.models`.
+"""
 
 from typing import Annotated, Literal
 
@@ -21,7 +24,7 @@ from twin.config.kinds import NameOf
 
 
 class Film(Model):
-    """The coat as an elastic film of its own, the outermost part of the slab's thickness."""
+    """Coat as an elastic film with its own modulus: the outermost part of the slab's thickness."""
 
     thickness_mm: Length
     young_modulus_kpa: FilmModulus
@@ -29,7 +32,7 @@ class Film(Model):
 
 
 class Elastomer(Model):
-    """A flat silicone slab: on a rim and coated on the far face, or bonded to a window."""
+    """Flat silicone slab: on a rim and coated on the far face, or bonded to a window."""
 
     thickness_mm: Length
     length_x_mm: Length = Field(description="along world x: free span, or length of the pad")
@@ -102,12 +105,18 @@ class Elastomer(Model):
 
     @property
     def mounted_thickness_mm(self) -> float:
-        """Thickness of the elastomer in its frame: a pre-stretched sheet is thinner."""
+        """Thickness of the elastomer in its frame, mm.
+
+        A pre-stretched sheet is thinner than its unstretched thickness.
+        """
         return self.thickness_mm / self.pre_stretch**2
 
     @property
     def touched_plane_mm(self) -> float:
-        """World z of the undeformed face that the object touches; the coated face is z = 0."""
+        """World z of the undeformed face that the object touches, mm.
+
+        The undeformed coated face is z = 0.
+        """
         return -self.mounted_thickness_mm if self.layout == "opposite_face" else 0.0
 
 
@@ -146,10 +155,10 @@ class Press(Model):
 
 
 class PadFile(Model):
-    """An elastic body from CAD instead of the flat slab, for example a coated dome on a window.
+    """Elastic body from a CAD file instead of the flat slab, such as a coated dome on a window.
 
-    It is moved so that its lowest point is z = 0, and clamped on its highest plane. Contact and
-    coat are on the facets that face down (contact-face layout).
+    The body is moved so that its lowest point is at z = 0, and is clamped on its highest plane.
+    Contact and coat are on the facets that face down (contact-face layout).
     """
 
     file: str = Field(description="closed surface: STL, PLY or OBJ")
@@ -160,7 +169,7 @@ class PadFile(Model):
 
 
 class Mechanics(Model):
-    """Choice and settings of the elastomer model."""
+    """Choice and settings of the mechanical model of the elastomer."""
 
     model: Annotated[str, NameOf(MODELS, also=AUTO)] = Field(
         default=AUTO,

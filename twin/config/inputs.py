@@ -1,4 +1,4 @@
-"""Quantities that differ when a measurement is repeated: distributions as data.
+"""Inputs: quantities that differ when a measurement is repeated, with distributions, as data.
 
 Shipped files are in `scenes/inputs`; `docs/uncertainty.md` explains every key.
 """
@@ -24,7 +24,10 @@ Group = Literal["placement", "press", "elastomer", "optics"]
 
 
 class Input(Model):
-    """One quantity that differs from trial to trial, as a distribution about its nominal value."""
+    """One quantity that differs from trial to trial, with its distribution.
+
+    A choice draws from given values. Every other distribution is about the nominal value.
+    """
 
     group: Group = Field(
         description="group of the uncertainty budget; optics do not change the pressed face"
@@ -72,7 +75,7 @@ class Input(Model):
         return self
 
     def counts_for(self, experiment: Experiment) -> bool:
-        """Return True if the input can change this experiment's result."""
+        """Return True if the input can change the result of an experiment."""
         return (
             (not self.methods or experiment.modality in self.methods)
             and (not self.specimens or experiment.specimen.kind in self.specimens)
@@ -80,11 +83,11 @@ class Input(Model):
         )
 
     def nominal_in(self, experiment: Experiment) -> float:
-        """Return the nominal value.
+        """Return the nominal value of the input in an experiment, in the unit of its key.
 
         Raises
         ------
-        ConfigError : the key does not lead to a number
+        ConfigError : there is no number at the key in the experiment
         """
         number = number_at(experiment, self.key)
         if number is None:
@@ -96,7 +99,7 @@ class Input(Model):
 
 
 class Inputs(Model):
-    """All inputs that a repeated measurement varies."""
+    """All inputs that differ when a measurement is repeated."""
 
     description: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
@@ -109,7 +112,10 @@ class Inputs(Model):
 
 
 def require_distinct_keys(inputs: Mapping[str, Input]) -> None:
-    """Raise ValueError if two inputs draw the same number, or joint inputs differ in length."""
+    """Raise ValueError if two inputs have the same key, or joint inputs have unequal lists.
+
+    Joint inputs have the same `together`; their lists of values must have equal lengths.
+    """
     lists = {(drawn.together, len(drawn.values)) for drawn in inputs.values() if drawn.together}
     if len(lists) > len({name for name, _ in lists}):
         raise ValueError("inputs: found unequal numbers of values drawn together; add the missing")
@@ -125,7 +131,7 @@ def require_distinct_keys(inputs: Mapping[str, Input]) -> None:
 
 @lru_cache
 def load_inputs(name: str | Path = DEFAULT_INPUTS) -> Inputs:
-    """Load a file of inputs, or a shipped one by name.
+    """Load inputs from a file, or shipped inputs by their name.
 
     Raises
     ------
@@ -137,11 +143,11 @@ def load_inputs(name: str | Path = DEFAULT_INPUTS) -> Inputs:
 
 
 def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:
-    """Replace spreads with source and range by numbers, and set the inputs' `source`.
+    """Return tables with spreads as plain numbers, and their sources in the key `source`.
 
     Raises
     ------
-    ConfigError : a quantity without a source, or outside its range
+    ConfigError : a spread has no source, or is outside its stated range
     """
     inputs = tree.get("inputs")
     if not isinstance(inputs, dict):
@@ -155,7 +161,7 @@ def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:
 
 
 def number_at(experiment: Experiment, key: str) -> float | None:
-    """Return a number of the experiment by its dotted path; None if there is no such number."""
+    """Return the number at a dotted path of an experiment; None if there is no number."""
     node: Any = experiment
     for part in key.split("."):
         node = node.get(part) if isinstance(node, dict) else getattr(node, part, None)

@@ -1,4 +1,4 @@
-"""Tables with a `kind`, validated by the registered model of that kind.
+"""Configuration tables with a key `kind`, validated by the registered model of that kind.
 
     Material = Annotated[BaseMaterial, OneOf(MATERIALS)]
     Code = Annotated[str, NameOf(CODES)]
@@ -27,11 +27,11 @@ _FOLLOWERS: dict[Registry[Any], list[type[BaseModel]]] = {}
 
 
 def kind_of(model: type[BaseModel]) -> str:
-    """Return the `kind` of a model: the default of that field.
+    """Return the name of a model's kind: the default value of its field `kind`.
 
     Raises
     ------
-    PluginError : the model sets none
+    PluginError : the model sets no `kind`
     """
     field = getattr(model, "model_fields", {}).get("kind")
     if field is None or not isinstance(field.default, str):
@@ -42,12 +42,13 @@ def kind_of(model: type[BaseModel]) -> str:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Marks a type as a union of the models of a registry, discriminated by `kind`.
+    """Annotation of a field that takes a table of any model in a registry, selected by `kind`.
 
     Attributes
     ----------
-    without : kinds that are not allowed here
-    default : kind of a table that names none; empty: each table must name its kind
+    registry : registry of the models
+    without : kinds that are not allowed in this field
+    default : kind of a table without the key `kind`; empty: each table must have the key
     """
 
     registry: Registry[Any]
@@ -56,7 +57,7 @@ class OneOf:
 
     @property
     def models(self) -> dict[str, type[BaseModel]]:
-        """The allowed models by kind, in alphabetical order."""
+        """The allowed models by the name of their kind, in alphabetical order."""
         return {name: kind for name, kind in self.registry.items() if name not in self.without}
 
     def __get_pydantic_core_schema__(
@@ -74,7 +75,10 @@ class OneOf:
 
 @cache
 def default_kinds(document: type[BaseModel]) -> dict[str, str]:
-    """Return the default kinds of a document's tables, by the key of the table."""
+    """Return the default kind of each table of a document, by the key of the table.
+
+    Tables without a default kind are left out.
+    """
     return {
         name: marker.default
         for name, field in document.model_fields.items()
@@ -85,11 +89,14 @@ def default_kinds(document: type[BaseModel]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class NameOf:
-    """Marks text as the name of a kind; kinds that are registered later are allowed as well.
+    """Annotation of a text field that takes the name of a registered kind.
+
+    Kinds that are registered later are allowed, too.
 
     Attributes
     ----------
-    also : a word that is allowed in addition, such as 'auto'; the registry is not loaded for it
+    registry : registry of the kinds
+    also : text that is allowed in addition, such as 'auto', without loading the registry
     """
 
     registry: Registry[Any]
@@ -97,12 +104,12 @@ class NameOf:
 
     @property
     def allowed(self) -> str:
-        """The names, as a list of keys shows them."""
+        """Allowed names as text: quoted and separated by vertical bars."""
         return " | ".join(f"'{name}'" for name in self._names)
 
     @property
     def meaning(self) -> str:
-        """Name and summary of each kind, separated by semicolons."""
+        """Name and summary of each kind as text, separated by semicolons."""
         return "; ".join(f"{name}: {kind.summary}" for name, kind in self.registry.items())
 
     def __get_pydantic_core_schema__(
@@ -125,7 +132,7 @@ class NameOf:
         try:
             self.registry[name]
         except InputError as error:
-            # The field's key takes the place of the registry's name.
+            # The key of the field replaces the name of the registry in the message.
             text = str(error).partition("', ")[2]
             also = f"allowed: {self.also}, " if self.also else "allowed: "
             raise ValueError(text.replace("allowed: ", also, 1)) from None
@@ -133,7 +140,10 @@ class NameOf:
 
 
 def follows(*registries: Registry[Any]) -> Callable[[Document], Document]:
-    """Build the decorated document again when a registry gets another kind."""
+    """Return a decorator of documents that have fields with the kinds of registries.
+
+    The schema of the decorated class is built again when a registry gets a new kind.
+    """
 
     def enter(document: Document) -> Document:
         for registry in registries:
@@ -147,7 +157,8 @@ def follows(*registries: Registry[Any]) -> Callable[[Document], Document]:
 
 
 def _build_again(documents: list[type[BaseModel]]) -> None:
-    # Delete all schemas first: a document would reuse the old schema of a document inside it.
+    # All schemas are deleted first, because a document would reuse the old schema of a document
+    # inside it.
     for document in documents:
         if "__pydantic_core_schema__" in document.__dict__:
             del document.__pydantic_core_schema__

@@ -1,7 +1,8 @@
-"""A photometric-stereo sensor as data: lamps at the sides of the gel, and image processing.
+"""Photometric-stereo sensor as data: lamps at the sides of the gel, and image processing.
 
-World frame: z = 0 is the undeformed coated face, z up to the camera; in the image of a camera that
-points straight down +x is right and +y is up. Azimuths count from +x towards +y.
+World frame: z = 0 is the undeformed coated face, and z points up to the camera. In the image of a
+camera that points straight down, +x is right and +y is up. Azimuths are measured from +x towards
++y.
 """
 
 from collections.abc import Mapping
@@ -9,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
+from reconstruction.colour_maps import COLOUR_MAPS, DEFAULT_MAP
 from reconstruction.integration_schemes import SCHEMES
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import Flux, Irradiance, Length
@@ -25,9 +27,10 @@ Place = Annotated[float, Field(ge=-200, le=200)]
 
 
 class Lamp(Model):
-    """A straight row of equal LEDs that shine into the gel from its side.
+    """Straight row of LEDs that shine into the gel from its side.
 
-    Each is a point with a cosine-power lobe, I = I0 cos^exponent of the angle to the aim.
+    Each LED is a point source with the radiant intensity I = I0 cos(angle)^exponent; the angle is
+    that to the direction of strongest emission.
     """
 
     channel: Channel
@@ -40,7 +43,7 @@ class Lamp(Model):
         description="length of the row: each LED is in the middle of an equal part of it"
     )
     along_deg: Angle = Field(description="azimuth of the row")
-    # Left out where absent: a thin, even row keeps its digest.
+    # Excluded at its default, so that digests of experiments with thin, even rows do not change.
     tall_mm: Annotated[float, Field(ge=0, le=200)] = Field(
         default=0.0,
         exclude_if=lambda tall_mm: tall_mm == 0.0,
@@ -80,7 +83,7 @@ class Lamp(Model):
 
 
 class Markers(Model):
-    """Printed dots on the coat, on a rectangular lattice about the origin; they move with it."""
+    """Dots printed on the coat, on a rectangular lattice about the origin, moving with it."""
 
     pitch_x_mm: Length
     pitch_y_mm: Length
@@ -97,7 +100,7 @@ class Markers(Model):
 
 
 class WhiteBalance(Model):
-    """Gains of the driver, before the power law; they amplify noise and signal equally."""
+    """Gains of the camera driver before the power law; they amplify noise and signal equally."""
 
     red: Gain = 1.0
     green: Gain = 1.0
@@ -106,7 +109,7 @@ class WhiteBalance(Model):
 
 @follows(MATERIALS)
 class BallPresses(Model):
-    """Reference presses of balls that calibrate slope against colour."""
+    """Reference presses of balls, from which the map from colour to slope is calibrated."""
 
     model_config = ConfigDict(defer_build=True)
 
@@ -139,10 +142,10 @@ class BallPresses(Model):
 
 @follows(MATERIALS)
 class Photometric(Model):
-    """Image path and calibration of a photometric-stereo sensor.
+    """Image processing and calibration of a photometric-stereo sensor.
 
-    Linear image -> gains -> power law and 8 bits -> crop -> resize, as camera and driver do. The
-    colour filter array, sharpening and compression are left out.
+    The steps are those of camera and driver: linear image, gains, power law and 8 bits, crop,
+    resize. Colour filter array, sharpening and compression are not modelled.
     """
 
     model_config = ConfigDict(defer_build=True)
@@ -165,18 +168,21 @@ class Photometric(Model):
     field_y_mm: Length = 14.3
     markers: Markers | None = None
     presses: BallPresses = Field(default_factory=BallPresses)
-    colour_map: Literal["polynomial", "table"] = "polynomial"
+    colour_map: Annotated[str, NameOf(COLOUR_MAPS)] = Field(
+        default=DEFAULT_MAP, description="how colours become slopes"
+    )
     integration: Annotated[str, NameOf(SCHEMES)] = Field(
         default="corrected", description="how slopes become heights"
     )
 
 
 def check_lamps(lamps: Mapping[str, Lamp], tables: Mapping[str, Any]) -> None:
-    """Raise ValueError if lamps contradict the experiment's other tables.
+    """Raise ValueError if lamps contradict other tables of the experiment.
 
     Parameters
     ----------
-    tables : the validated tables of the experiment by name, without invalid tables
+    lamps : the lamps by name
+    tables : those tables of the experiment, by name, that are valid
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Clear plane layers above the coat as data: a gel, its window, an air gap between them.
+"""Clear plane layers above the coat as data, such as a gel, its window, and gaps of air.
 
-World frame: z = 0 is the undeformed coated face; layers are horizontal and laterally unbounded.
-Above the topmost layer, and in gaps between layers, is air. A layer with its bottom at or below
-z = 0 contains the coat: it extends down to the deformed coat.
+World frame: z = 0 is the undeformed coated face. Layers are horizontal and laterally unbounded.
+There is air above the topmost layer and in gaps between layers. A layer with
+its bottom at or below z = 0 contains the coat: it extends down to the deformed coat.
 """
 
 import math
@@ -18,11 +18,11 @@ from twin.config.bounds import Absorption, Length
 from twin.config.methods import TRAITS
 
 TOUCHING_MM = 1e-6
-"""Layers closer than this are in contact: no real air gap is a nanometre wide."""
+"""Layers with a smaller distance, mm, are in contact: no real air gap is 1 nm wide."""
 
 
 class Layer(Model):
-    """A plane-parallel, clear, optically smooth layer."""
+    """Plane-parallel, clear, optically smooth layer above the coat."""
 
     bottom_mm: Annotated[float, Field(ge=-1000, le=1000)] = Field(
         description="world z of its lower face; 0 or less: the layer contains the coat"
@@ -35,24 +35,24 @@ class Layer(Model):
 
     @property
     def top_mm(self) -> float:
-        """World z of its upper face."""
+        """World z of the upper face of the layer, mm."""
         return self.bottom_mm + self.thickness_mm
 
 
 @dataclass(frozen=True)
 class Medium:
-    """The medium between a plane interface and the next interface below."""
+    """Medium between a plane interface and the next interface below."""
 
-    #: world z of the interface above it
+    #: world z of the interface above the medium, mm
     top_mm: float
     ior: float
     absorption_per_mm: float
 
 
 def media_of(layers: Mapping[str, Layer]) -> tuple[Medium, ...]:
-    """List the media below the open air from the top down, gaps of air included.
+    """Return the media below the topmost interface, from top to bottom, including gaps of air.
 
-    The last medium contains the coat: a layer, or the air below the lowest layer.
+    The last medium contains the coat. It is a layer, or the air below the lowest layer.
     """
     media: list[Medium] = []
     descending = sorted(layers.values(), key=lambda layer: layer.top_mm, reverse=True)
@@ -72,18 +72,18 @@ def holding_layer(layers: Mapping[str, Layer]) -> Layer | None:
 
 @dataclass(frozen=True)
 class OuterFace:
-    """Interface to air of the layers in contact with each other that contain the coat."""
+    """Upper interface to air of the stack of touching layers that contains the coat."""
 
     height_mm: float
-    """world z"""
+    """World z of the interface, mm."""
     ior: float
-    """of the coat's medium: the angle in it determines reflection at this face"""
+    """Refractive index of the coat's medium; the angle in it determines reflection here."""
 
 
 def outer_face(layers: Mapping[str, Layer]) -> OuterFace | None:
-    """Return the face from which the layers reflect light onto the coat; None: the coat is in air.
+    """Return the face from which the layers reflect light onto the coat; None if it is in air.
 
-    n sin(angle) is constant in plane layers in contact, so that the index of the coat's medium
+    In plane layers in contact, n sin(angle) is constant. Therefore the index of the coat's medium
     determines which light the topmost layer transmits.
     """
     height_mm, ior = 0.0, 1.0
@@ -114,11 +114,12 @@ def _in_order(layers: dict[str, Layer]) -> dict[str, Layer]:
 
 
 def check_rig(layers: Mapping[str, Layer], tables: Mapping[str, Any]) -> None:
-    """Raise ValueError if layers contradict the experiment's other tables.
+    """Raise ValueError if layers contradict other tables of the experiment.
 
     Parameters
     ----------
-    tables : the validated tables of the experiment by name, without invalid tables
+    layers : the layers by name
+    tables : those tables of the experiment, by name, that are valid
 
     Raises
     ------

@@ -1,14 +1,15 @@
-"""Experiment files: read one, resolve the data files it uses, validate the whole, write it.
+"""Experiment files: read a file, resolve the data files that it uses, validate, write.
 
 Any table may set `use = "scenes/..."`, `use = "materials/..."` or, for a user's file,
-`use = "./coat.toml"`: the table's own keys override those of that file. Names of tables and meshes
-that start with `./` or `../` are relative to the file that contains them.
+`use = "./coat.toml"`. The keys of the table override those of the used file. Names of files that
+start with `./` or `../` are relative to the file that contains the name.
 
-A value may link to that of another key: `thickness_mm = "= elastomer.thickness_mm"`. Links are
-stored in `[links]` and follow later changes of the linked key; setting the key itself removes its
-link.
+A value may be linked to another key: `thickness_mm = "= elastomer.thickness_mm"`. Links are stored
+in `[links]`. The value follows later changes of the other key. Setting the value itself removes
+its link.
 
-The resolved experiment refers to no data file, so that it can be saved, loaded and run anywhere.
+The resolved experiment does not refer to any data file. It can be saved, loaded and run on any
+machine.
 """
 
 import difflib
@@ -37,17 +38,18 @@ from twin.config.quantities import (
 from twin.config.schema import keys_of_kind, validated
 
 ABSENT = "absent"
-"""Value that removes a key, so that its default applies: TOML has no null."""
-# Files that use two files each, over many levels, would expand to thousands of tables.
+"""Value that removes a key, so that the default of the key applies; TOML has no null."""
+# Limit, because files that use two files each, over many levels, would expand to thousands of
+# tables.
 MOST_USED_FILES = 200
 
 
 def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Experiment:
-    """Load and validate an experiment.
+    """Load and validate an experiment from a file, or a shipped experiment.
 
     Parameters
     ----------
-    path : a TOML file, or the name of a shipped one ("paper/two_balls")
+    path : a TOML file, or the name of a shipped experiment ("paper/two_balls")
     overrides : values by dotted path ("camera.binning") that replace those of the file
 
     Raises
@@ -61,13 +63,13 @@ def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None
 
 
 def require_experiment(value: object) -> None:
-    """Raise InputError unless a value is an experiment."""
+    """Raise InputError if a value is not an `Experiment`."""
     remedy = "give an experiment, as twin.load_experiment returns it"
     require_instance("experiment", value, Experiment, remedy)
 
 
 def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> Experiment:
-    """Build an experiment from nested tables; every problem at once, one line each."""
+    """Return the experiment of nested tables; raise ConfigError with one line per problem."""
     values, origins = split_quantities(convert_units(_linked(tree, where)))
     stated = values.pop("provenance", {})
     if not isinstance(stated, dict):
@@ -79,12 +81,12 @@ def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> E
 
 
 def decode_settings(**values: Any) -> Decode:
-    """Validate settings of the decoder, for captures without an experiment."""
+    """Return validated settings of the decoder, for captures without an experiment."""
     return validated(Decode, values, "decode.")
 
 
 def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
-    """Copy an experiment with values by dotted path replaced, validated again as a whole."""
+    """Return a copy of an experiment with values replaced by dotted path, and validate it."""
     require_experiment(experiment)
     tree = experiment.model_dump(mode="python")
     _assign_all(tree, changes)
@@ -101,7 +103,10 @@ def by_method(method: Method) -> dict[str, Any]:
 
 
 def _linked(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Set every linked key to the value of the key that it names, and list the links in [links]."""
+    """Return tables with every linked key set to the value of the key that it names.
+
+    All links are listed in the table `links`.
+    """
     listed = tree.get("links", {})
     if not isinstance(listed, dict):
         raise ConfigError(f"{where}: links: found a value, allowed a table")
@@ -123,7 +128,7 @@ def _linked(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def _own_tables(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy nested tables; the values in them are never changed, only replaced."""
+    """Return a copy of nested tables; the values in them are not copied."""
     return {k: _own_tables(node) if isinstance(node, dict) else node for k, node in tree.items()}
 
 
@@ -146,7 +151,7 @@ def _quantity_of(tree: dict[str, Any], key: str, named: Any, where: str) -> dict
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """Read a TOML file; raise ConfigError with one line if that fails."""
+    """Return the tables of a TOML file; raise ConfigError with one line if the file is invalid."""
     try:
         return reading.read_toml(file)
     except InputError as error:
@@ -156,19 +161,19 @@ def read_toml(file: Path) -> dict[str, Any]:
 def resolve_uses(
     tree: dict[str, Any], trail: tuple[Path, ...], used_files: list[Path] | None = None
 ) -> dict[str, Any]:
-    """Merge tables with the data files that they `use`; a table's own keys take precedence.
+    """Return tables merged with the data files that they `use`; keys of the tables override.
 
     Parameters
     ----------
-    trail : the chain of files that use each other, up to that of `tree`
-    used_files : all files that were used so far; None: none
+    trail : the chain of files, each used by the one before, up to the file that contains `tree`
+    used_files : list of all files used so far, to which further files are appended; None: empty
     """
     laid = [] if used_files is None else used_files
     here = trail[-1]
     own = {
         key: resolve_uses(node, trail, laid) if isinstance(node, dict) else _from_here(node, here)
         for key, node in tree.items()
-        if key != "use" or "/" not in str(node)  # decode.use = "column" is a value, no file
+        if key != "use" or "/" not in str(node)  # decode.use = "column" is a value, not a file
     }
     used = tree.get("use")
     if not isinstance(used, str) or "/" not in used:
@@ -215,12 +220,12 @@ def _is_own(name: Any) -> bool:
 
 
 def _from_here(value: Any, here: Path) -> Any:
-    """Return a name that starts with ./ or ../ relative to the working directory."""
+    """Return a value; a file name that starts with ./ or ../ is joined to the folder of `here`."""
     return str(here.parent / value) if _is_own(value) else value
 
 
 def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
-    """Override `base` by `top`; a plain value keeps the valid range of the quantity it replaces."""
+    """Return `base` with the keys of `top`; a plain value keeps the range of the old quantity."""
     merged = dict(base)
     for key, node in top.items():
         under = merged.get(key)
@@ -236,7 +241,7 @@ def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
 
 
 def _same_kind(base: dict[str, Any], top: dict[str, Any], key: str) -> bool:
-    """Whether two tables may share keys: a nut takes no diameter from a ball."""
+    """Return True if two tables are of the same kind, so that their keys may be merged."""
     kind = base.get("kind", default_kinds(Experiment).get(key))
     return kind is None or top.get("kind", kind) == kind
 
@@ -272,7 +277,7 @@ def _assign(tree: dict[str, Any], dotted: str, value: Any) -> None:
 
 
 def _drop_keys_of_other_kinds(node: dict[str, Any], path: str, kind: Any) -> None:
-    """Delete the keys that the new kind lacks; both kinds of a coat may have an albedo."""
+    """Delete the keys of a table that its new kind does not have."""
     if node.get("kind", default_kinds(Experiment).get(path)) == kind:
         return
     keys = keys_of_kind(path, kind)
@@ -285,7 +290,7 @@ def _is_absent(value: Any) -> bool:
 
 
 def _sets(dotted: str, value: Any, key: str) -> bool:
-    """Return True if assigning a value or table at a path sets or removes a key."""
+    """Return True if assigning a value or a table to a path sets or removes the key `key`."""
     if _is_absent(value):
         return key == dotted or key.startswith(f"{dotted}.")
     if isinstance(value, dict) and not is_quantity(value):
@@ -295,7 +300,7 @@ def _sets(dotted: str, value: Any, key: str) -> bool:
 
 
 def to_toml(experiment: Experiment) -> str:
-    """Return the resolved experiment as TOML text (values that are None are left out)."""
+    """Return the resolved experiment as TOML text; values that are None are left out."""
     return tomli_w.dumps(_without_none(experiment.model_dump(mode="json")))
 
 

@@ -1,9 +1,9 @@
 """Optical materials of specimens: the base class and registry of their kinds.
 
-A kind is one file of `twin.optics.surfaces`, of an installed package (entry points of the group
-`fringe_twin.materials`) or of the user (`--plugin`): a subclass of `OpticalMaterial` that sets
-`kind`, adds its numbers with ranges and sources, and overrides `bsdf`. Every material conserves
-energy by construction; complex indices are those at the projector's wavelength.
+A kind is a subclass of `OpticalMaterial` that sets `kind`, adds its numbers with ranges and
+sources, and overrides `bsdf`. It is defined in one file of `twin.optics.surfaces`, of an installed
+package (entry points of the group `fringe_twin.materials`) or of the user (`--plugin`). Every
+material conserves energy by construction. Complex indices are those at the projector's wavelength.
 """
 
 from typing import Annotated, Any
@@ -20,35 +20,35 @@ Albedo = Annotated[float, Field(ge=0, lt=1)]
 
 
 class OpticalMaterial(Model):
-    """A surface, and the bulk below it if the surface transmits light."""
+    """Base class of optical materials: a surface, and the bulk if the surface transmits light."""
 
     kind: str
 
     def bsdf(self) -> dict[str, Any]:
-        """Return the BSDF for `mi.load_dict`."""
+        """Return the BSDF of the surface as a dictionary for `mi.load_dict`."""
         raise NotImplementedError(f"{type(self).__name__}.bsdf")
 
     @property
     def is_sharp(self) -> bool:
-        """Whether light from this surface to other surfaces is traced from the projector.
+        """Whether light that reaches other surfaces over this surface is traced from the projector.
 
-        A surface that reflects or refracts sharply cannot be connected to a pinhole projector from
-        a surface behind it.
+        This is necessary if the surface reflects or refracts sharply: a point that it illuminates
+        cannot be connected to the pinhole of the projector.
         """
         return False
 
     @property
     def bulk_absorption_per_mm(self) -> float:
-        """Napierian absorption coefficient of the bulk; 0 if the surface is opaque."""
+        """Napierian absorption coefficient of the bulk, 1/mm; 0 if the surface is opaque."""
         return 0.0
 
     @property
     def normal_reflectance(self) -> float:
-        """Reflectance in air at normal incidence."""
+        """Reflectance of the surface in air at normal incidence, 0 to 1."""
         return 0.0
 
 
 MATERIALS: Registry[type[OpticalMaterial]] = Registry("materials", "twin.optics.surfaces", kind_of)
-"""The kinds of materials."""
+"""Registry of the kinds of materials."""
 
 Material = Annotated[OpticalMaterial, OneOf(MATERIALS)]

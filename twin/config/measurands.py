@@ -1,10 +1,10 @@
-"""Measured quantities of the specimen: `[[measurand]]` tables with nominal and tolerance.
+"""Requests for quantities of the specimen: `[[measurand]]` tables with nominal and tolerance.
 
-Nominal lengths (step height, width, ...) are in mm; form, deviation and all limits in um; coverage
-is a share.
+Nominal lengths (step height, width, ...) are in mm. Form, deviation and all limits are in um.
+Coverage is a share, 0 to 1.
 
-A quantity is one file of `twin.results.measurands`, of an installed package (entry points of the
-group `fringe_twin.measurands`) or of the user (`--plugin`): see `twin.results.measurands`.
+A kind of quantity is defined in one file of `twin.results.measurands`, of an installed package
+(entry points of the group `fringe_twin.measurands`) or of the user (`--plugin`).
 """
 
 from typing import Annotated, Literal
@@ -21,17 +21,19 @@ Unit = Literal["mm", "um", "share"]
 
 
 class QuantityKind:
-    """The properties of a quantity by which its `[[measurand]]` tables are checked.
+    """Properties of a kind of quantity, with which its `[[measurand]]` tables are checked.
 
     Attributes
     ----------
     name : value of the key `quantity`
-    summary : one line of documentation
-    unit : mm: a length, which has a nominal value and limits on the deviation from it; um: ideally
-        0, with a largest allowed value; share: with a least allowed value
-    hidden : if the elastomer is between object and coat, the coat's value is not the object's
-    bound_name : figure with the Cramer-Rao bound of the first measurand of this kind; empty: the
-        value is no fit that has a bound
+    summary : one line of documentation for the list of keys
+    unit : "mm": a length, which has a nominal value and limits on the deviation from it; "um": a
+        quantity that is ideally 0, with a largest allowed value; "share": a share with a least
+        allowed value
+    hidden : True: if the elastomer is between object and coat, the value of the coat is not the
+        value of the object
+    bound_name : name of the figure with the Cramer-Rao bound of the first measurand of this kind;
+        empty if the value has no such bound
     """
 
     name: str
@@ -44,13 +46,13 @@ class QuantityKind:
 MEASURANDS: Registry[QuantityKind] = Registry(
     "measurands", "twin.results.measurands", lambda kind: kind.name
 )
-"""The quantities that a measurand may have."""
+"""Registry of the kinds of quantities that a measurand may have."""
 
 Range = tuple[Place, Place]
 
 
 class ObjectMeasurand(Model):
-    """One quantity of the specimen, with its evaluated region and its tolerance."""
+    """One requested quantity of the specimen, with its evaluated region and its tolerance."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)] = Field(
         description="its figures are called object_NAME_..."
@@ -116,10 +118,13 @@ class ObjectMeasurand(Model):
 
     @property
     def unit(self) -> Unit:
-        """Unit of its value, and suffix of the value's name."""
+        """Unit of the value, which is also the suffix of the figure's name."""
         return MEASURANDS[self.quantity].unit
 
     @property
     def hidden(self) -> bool:
-        """Whether an elastomer between object and coat hides it, see `QuantityKind`."""
+        """Whether the coat does not show the object's value if the elastomer is between both.
+
+        See `QuantityKind`.
+        """
         return MEASURANDS[self.quantity].hidden

@@ -1,4 +1,4 @@
-"""The methods by name, and their traits; other modules compare traits, not names."""
+"""Measuring methods by name, and their traits; other modules compare traits, not names."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -8,13 +8,15 @@ Method = Literal["direct_fpp", "contact_fpp", "photometric_stereo"]
 
 @dataclass(frozen=True)
 class MethodTraits:
-    """Traits of a method on which other modules depend.
+    """Traits of a measuring method on which other modules depend.
 
     Attributes
     ----------
-    title, explanation : name and explanation on report pages
-    presses : it images a coat that is pressed onto the specimen, not the bare specimen
-    fringes : it projects a sequence of fringes; if not, lamps at the gel's sides light one image
+    title, explanation : name and explanation of the method on report pages
+    presses : True: the method images a coat that is pressed onto the specimen; False: the bare
+        specimen
+    fringes : True: the method projects a sequence of fringes; False: it takes one image in the
+        light of lamps at the sides of the gel
     """
 
     title: str

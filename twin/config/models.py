@@ -1,9 +1,9 @@
-"""The experiment as data: every number that describes sensor, specimen, press and decoding.
+"""Experiment as data: every number that describes sensor, specimen, press and decoding.
 
-All models are frozen and reject unknown keys; every float carries its unit in its name (mm, px,
-deg, ms, N, kPa; no suffix means dimensionless). World frame: undeformed coated face is z = 0, z
-points up to camera and projector. Device frames are OpenCV's (x right, y down, z forward; pixel
-(0, 0) is the centre of the first pixel).
+All models are frozen and reject unknown keys. The name of every float ends with the unit (mm, px,
+deg, ms, N, kPa); a name without a unit is dimensionless. In the world frame, the undeformed coated
+face is z = 0, and z points up to camera and projector. Device frames are those of OpenCV: x right,
+y down, z forward; pixel coordinate (0, 0) is the centre of the first pixel.
 """
 
 from itertools import pairwise
@@ -82,9 +82,10 @@ __all__ = [
 
 
 class Pose(Model):
-    """Pose of a device: its pinhole is on a sphere round the world origin and faces the origin.
+    """Pose of a camera or projector, given by the position of its pinhole round the world origin.
 
-    The ray of the image centre (not the optical axis, which may be off-axis) hits the origin.
+    The ray of the image centre passes through the origin. The optical axis may have another
+    direction, if the image is off-axis.
     """
 
     standoff_mm: Length = Field(description="distance from the pinhole to the world origin")
@@ -98,7 +99,7 @@ class Pose(Model):
 
 
 class Projector(Model):
-    """A DLP projector as an inverse camera with radiometry."""
+    """DLP projector: an inverse camera with radiometry."""
 
     width_px: Annotated[int, Field(ge=16, le=8192)]
     height_px: Annotated[int, Field(ge=16, le=8192)]
@@ -150,7 +151,10 @@ class Projector(Model):
 
 
 class Camera(Model):
-    """A monochrome camera: geometry of an ideal lens and EMVA 1288 noise (release 4 terms)."""
+    """Monochrome camera: geometry of an ideal lens, and noise as in EMVA 1288.
+
+    The terms are those of release 4 of the standard.
+    """
 
     width_px: Annotated[int, Field(ge=8, le=16384)]
     height_px: Annotated[int, Field(ge=8, le=16384)]
@@ -208,7 +212,8 @@ class Camera(Model):
         return black_level_dn
 
 
-# Light between specimen and stage: a fourth reflection at albedo 0.35 adds less than 1 %.
+# Reflections of light between specimen and stage that are traced: a fourth one at albedo 0.35 adds
+# less than 1 %.
 _DIRECT_BOUNCES = 3
 
 
@@ -219,7 +224,7 @@ Level = Annotated[int, Field(ge=0, le=255)]
 
 
 def _of_set(name: str, description: str) -> Any:
-    """Return a field with the default of `PatternSet`; left out of digests at this default."""
+    """Return a field with the default of `PatternSet`; at this default, digests exclude it."""
     default = getattr(PatternSet, name)
     return Field(
         default=default, exclude_if=lambda value: value == default, description=description
@@ -227,7 +232,7 @@ def _of_set(name: str, description: str) -> Any:
 
 
 class Patterns(Model):
-    """The fields of `PatternSet` that do not follow from the projector, with their ranges."""
+    """Projected patterns: the fields of `PatternSet` that do not follow from the projector."""
 
     period_px: PeriodPx
     steps: Annotated[int, Field(ge=0, le=STEPS_RANGE[1])] = Field(
@@ -257,7 +262,7 @@ class Patterns(Model):
 
     @classmethod
     def of(cls, shown: PatternSet) -> "Patterns":
-        """Return the same sequence for any projector."""
+        """Return the settings of a pattern sequence without those of its projector."""
         return cls(**{name: getattr(shown, name) for name in cls.model_fields})
 
     @field_validator("steps")
@@ -274,7 +279,7 @@ class Patterns(Model):
 
 
 class Render(Model):
-    """Settings of the renderer."""
+    """Settings of rendering: engine, samples, and reflections between surfaces."""
 
     engine: Literal["one_trace", "stock"] = Field(
         default="one_trace", description="stock: one plain Mitsuba render per frame, the oracle"
@@ -300,7 +305,7 @@ class Render(Model):
 
 
 class Decode(Model):
-    """Settings of decoding and triangulation."""
+    """Settings of decoding and triangulation: filter, coordinates, and refraction."""
 
     filter_taps: Annotated[int, Field(ge=0, le=31)] = Field(
         default=DecodeOptions.filter_taps,
@@ -315,12 +320,12 @@ class Decode(Model):
 
 
 class ScoreSettings(Model):
-    """Settings of the evaluation."""
+    """Settings of the comparison with the truth and of the sphere fits."""
 
     roi_radius_mm: Length = Field(
         description="sphere fit over points within this lateral distance of each apex"
     )
-    # Excluded if empty: the digests of experiments without regions do not change.
+    # Excluded if empty, so that digests of experiments without regions do not change.
     regions_mm: tuple[Length, ...] = Field(
         default=(),
         max_length=16,
@@ -334,7 +339,7 @@ class ScoreSettings(Model):
 
 
 class Provenance(Model):
-    """Source of one number."""
+    """Source of one number, and its valid range if stated."""
 
     source: str
     range: tuple[float, float] | None = None
@@ -401,7 +406,7 @@ class Experiment(Model):
 
     @property
     def bounces(self) -> int:
-        """Reflections after the first that are traced."""
+        """Number of traced reflections of light after the first reflection."""
         if self.render.bounces is not None:
             return self.render.bounces
         return 0 if self.method.presses else _DIRECT_BOUNCES

@@ -1,6 +1,6 @@
-"""Nominal features of specimens: their dimensions on a drawing, and the targets of fits.
+"""Nominal features of specimens: dimensions as on a drawing, to which fits are compared.
 
-Frame of the specimen: x across a feature, y along it. mm.
+Lengths are in mm. In the frame of the specimen, x is across a feature and y along it.
 """
 
 from collections.abc import Mapping
@@ -10,38 +10,38 @@ from typing import ClassVar, Literal
 
 @dataclass(frozen=True)
 class NominalFeature:
-    """A feature of known size."""
+    """Base class of the features of a specimen that have known dimensions."""
 
     is_counted: ClassVar[bool] = False
-    """Whether its measurands are numbered: radius_1, radius_2."""
+    """Whether the names of measurands of the feature have numbers: radius_1, radius_2."""
 
     @property
     def lengths_mm(self) -> Mapping[str, float]:
-        """Lengths that are measured by default, by the name of their quantity."""
+        """Nominal lengths, mm, that are measured by default, by the name of the quantity."""
         return {}
 
 
 @dataclass(frozen=True)
 class NominalBall(NominalFeature):
-    """A ball; its position is that of the shape's sphere of the same number."""
+    """Ball; its position is that of the sphere with the same number in the shape."""
 
     is_counted: ClassVar[bool] = True
     radius_mm: float
 
     @property
     def lengths_mm(self) -> Mapping[str, float]:
-        """Its radius."""
+        """Nominal radius, mm, as quantity "radius"."""
         return {"radius": self.radius_mm}
 
 
 @dataclass(frozen=True)
 class NominalRod(NominalFeature):
-    """A cylinder along an axis of the specimen.
+    """Cylinder along the x or y axis of the specimen.
 
     Attributes
     ----------
-    middle_mm : place of its axis across it
-    edge_radius_mm : rounding of the end faces' edges
+    middle_mm : position of the cylinder's axis across its length
+    edge_radius_mm : rounding of the edges of the end faces
     """
 
     is_counted: ClassVar[bool] = True
@@ -53,24 +53,24 @@ class NominalRod(NominalFeature):
 
     @property
     def lengths_mm(self) -> Mapping[str, float]:
-        """Its radius."""
+        """Nominal radius, mm, as quantity "radius"."""
         return {"radius": self.radius_mm}
 
     @property
     def width_mm(self) -> float:
-        """Width in top view."""
+        """Width of the cylinder in top view, mm."""
         return 2 * self.radius_mm
 
 
 @dataclass(frozen=True)
 class NominalBar(NominalFeature):
-    """A bar with a flat top and upright walls, along y.
+    """Bar along y with a flat top and upright walls.
 
     Attributes
     ----------
-    middle_mm : place of its middle along x
-    edge_radius_mm : rounding of its upper edges
-    gap_mm : clearance to its neighbours, inf without neighbours
+    middle_mm : position of the middle of the bar along x
+    edge_radius_mm : rounding of the upper edges
+    gap_mm : clearance to the neighbouring bars; inf without neighbours
     """
 
     is_counted: ClassVar[bool] = True
@@ -82,25 +82,25 @@ class NominalBar(NominalFeature):
 
     @property
     def lengths_mm(self) -> Mapping[str, float]:
-        """Its width."""
+        """Nominal width, mm, as quantity "width"."""
         return {"width": self.width_mm}
 
 
 @dataclass(frozen=True)
 class NominalStep(NominalFeature):
-    """Two flat levels."""
+    """Step between two flat levels."""
 
     height_mm: float
 
     @property
     def lengths_mm(self) -> Mapping[str, float]:
-        """Its height."""
+        """Nominal height, mm, as quantity "step_height"."""
         return {"step_height": self.height_mm}
 
 
 @dataclass(frozen=True)
 class NominalGroove(NominalFeature):
-    """A V groove along y, its root in x = 0, in a plate."""
+    """V groove along y in a plate; the root of the groove is at x = 0."""
 
     depth_mm: float
     opening_mm: float
@@ -109,13 +109,13 @@ class NominalGroove(NominalFeature):
 
     @property
     def lengths_mm(self) -> Mapping[str, float]:
-        """Its depth, and its opening as width."""
+        """Nominal depth, mm, as quantity "depth", and nominal opening, mm, as quantity "width"."""
         return {"depth": self.depth_mm, "width": self.opening_mm}
 
 
 @dataclass(frozen=True)
 class NominalGrating(NominalFeature):
-    """A plate with sinusoidal grooves along y."""
+    """Plate with sinusoidal grooves along y."""
 
     pitch_mm: float
     depth_mm: float
@@ -124,17 +124,17 @@ class NominalGrating(NominalFeature):
 
     @property
     def lengths_mm(self) -> Mapping[str, float]:
-        """Depth of its grooves."""
+        """Nominal depth of the grooves from crest to root, mm, as quantity "depth"."""
         return {"depth": self.depth_mm}
 
 
 @dataclass(frozen=True)
 class NominalHexNut(NominalFeature):
-    """A hexagonal prism with a flat ring round its hole; two of its flats are normal to y.
+    """Hexagonal nut with a flat ring round its hole; two of its flats are normal to y.
 
     Attributes
     ----------
-    ring_radius_mm : middle of the ring between hole and chamfer
+    ring_radius_mm : radius of the middle of the ring between hole and chamfer
     chamfer_fall_mm : height of the ring above the chamfered corners
     """
 

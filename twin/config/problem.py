@@ -1,7 +1,7 @@
-"""An identification problem as data: unknown fields of a sensor, and measured figures.
+"""Identification problem as data: unknown fields of a sensor, and measured figures.
 
-`twin identify` estimates the values of the free fields from the measured rows. Shipped problems are
-in `scenes`; `docs/identify.md` explains every key.
+`twin identify` estimates the values of the free (unknown) fields from the measured rows. A row is
+one measured figure. Shipped problems are in `scenes`; `docs/identify.md` explains every key.
 """
 
 import itertools
@@ -30,7 +30,7 @@ DottedPath = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*
 
 
 class Free(Model):
-    """A field of the experiments with an unknown value, and its prior."""
+    """Free field: a field of the experiments with an unknown value, and the prior of the value."""
 
     path: DottedPath = Field(description="dotted path of the field")
     low: Figure
@@ -70,7 +70,7 @@ class Free(Model):
         return self
 
     def axis(self, name: str) -> Axis:
-        """Return the field as an axis of a study."""
+        """Return the field as an axis of a study, with the given name."""
         return Axis(
             path=self.path,
             name=name,
@@ -81,7 +81,7 @@ class Free(Model):
         )
 
     def place(self, probability: FloatArray) -> FloatArray:
-        """Return shares (0 to 1) of the axis at cumulative prior probabilities."""
+        """Return the shares (0 to 1) of the axis at cumulative probabilities of the prior."""
         if self.mean is None or self.sd is None:
             return np.asarray(probability, dtype=np.float64)
         middle, width = self.share(self.mean), self._width(self.sd)
@@ -90,13 +90,13 @@ class Free(Model):
         return np.asarray(np.clip(share, 0.0, 1.0))
 
     def value(self, share: FloatArray) -> FloatArray:
-        """Return the field's values at shares (0 to 1) of the axis."""
+        """Return the values of the field, in its unit, at shares (0 to 1) of the axis."""
         if self.scale == "log":
             return np.asarray(self.low * (self.high / self.low) ** share)
         return np.asarray(self.low + (self.high - self.low) * share)
 
     def share(self, value: float) -> float:
-        """Return the share (0 to 1) of the axis at a value."""
+        """Return the share (0 to 1) of the axis at a value of the field."""
         if self.scale == "log":
             return float(np.log(value / self.low) / np.log(self.high / self.low))
         return (value - self.low) / (self.high - self.low)
@@ -108,7 +108,7 @@ class Free(Model):
 
 
 class SensorChoice(Model):
-    """One hypothesis of an alternative: its fields, or its figures for the rows."""
+    """One choice of an alternative: fields that it sets, and figures of the rows under it."""
 
     set: dict[str, Any] = Field(
         default={}, description="tables that override those of the experiments"
@@ -125,12 +125,12 @@ class SensorChoice(Model):
 
     @property
     def instead_named(self) -> dict[str, tuple[str, ...]]:
-        """Names of experiments in `instead`, by key."""
+        """All names of experiments in `instead`, under the key "instead"; empty without names."""
         return {"instead": (*self.instead, *self.instead.values())} if self.instead else {}
 
 
 class Alternative(Model):
-    """A discrete unknown: one of several choices is true, for all experiments that it names."""
+    """Discrete unknown: one of several choices is true, for the named experiments or for all."""
 
     choices: Annotated[dict[Name, SensorChoice], Field(min_length=2)]
     experiments: tuple[Name, ...] = Field(
@@ -140,14 +140,14 @@ class Alternative(Model):
 
 
 class Nuisance(Model):
-    """A nuisance parameter: an error common to several rows, as of a scale or an artefact."""
+    """Nuisance parameter: an error common to several rows, as that of a scale or an artefact."""
 
     sd: FigureSigma = Field(description="standard deviation; its mean is 0")
     source: str | None = None
 
 
 class Setup(Model):
-    """An experiment in which rows were measured."""
+    """Experiment in which rows were measured, with the numbers of its simulations."""
 
     base: str = Field(description="experiment file next to the problem, or a shipped one")
     set: dict[str, Any] = Field(default={}, description="tables that override those of `base`")
@@ -164,7 +164,7 @@ class Setup(Model):
 
 
 class Design(Model):
-    """Number of simulations that train the emulator, and length of the Markov chain."""
+    """Number of simulations to which emulators are fitted, and length of the Markov chains."""
 
     count: Annotated[int, Field(ge=8, le=100_000)] = Field(
         default=128, description="Sobol' points per experiment and choice"
@@ -246,36 +246,37 @@ class SensorProblem(Model):
 
     @property
     def fitted(self) -> dict[str, Row]:
-        """Rows that are fitted."""
+        """Rows, by name, from which the free fields are estimated."""
         return {name: row for name, row in self.rows.items() if not row.held_out}
 
     @property
     def figures(self) -> dict[str, Row | Limit]:
-        """Figures that the emulator learns: rows, limits and possible measurements."""
+        """Figures, by name, to be emulated: rows, limits and possible measurements."""
         return {**self.rows, **self.worth, **self.limits}
 
     def quick(self) -> "SensorProblem":
-        """Return the problem with a quarter of the simulations and half of the repeats.
+        """Return the problem with 25 % of the simulations and 50 % of the repeats.
 
-        At least 12 simulations and 2 repeats remain if there are as many; none is refined.
+        At least 12 simulations and 2 repeats remain if there are as many. Simulations are not
+        refined, and chains are shorter.
         """
         setups = {name: _quicker(setup) for name, setup in self.experiments.items()}
         design = _quicker(self.design).model_copy(update={"longest": _QUICK_STEPS})
         return self.model_copy(update={"design": design, "experiments": setups})
 
     def refined(self, experiment: str) -> int:
-        """Return how many simulations of an experiment are drawn from a first posterior."""
+        """Return the number of simulations of an experiment at points from a first posterior."""
         own = self.experiments[experiment].refine
         return self.design.refine if own is None else own
 
     def combinations(self) -> Iterator[dict[str, str]]:
-        """Yield every combination of one choice per alternative."""
+        """Yield every combination: one choice for each alternative, by the alternative's name."""
         names = list(self.alternatives)
         for chosen in itertools.product(*(self.alternatives[name].choices for name in names)):
             yield dict(zip(names, chosen, strict=True))
 
     def weight(self, combination: Mapping[str, str]) -> float:
-        """Return the prior probability of a combination."""
+        """Return the prior probability of a combination of choices."""
         shares = [
             unknown.choices[combination[name]].weight
             / sum(choice.weight for choice in unknown.choices.values())
@@ -284,7 +285,7 @@ class SensorProblem(Model):
         return float(np.prod(shares))
 
     def experiment_of(self, row: Row | Limit, combination: Mapping[str, str]) -> str:
-        """Return the experiment in which a row was measured under a combination of choices."""
+        """Return the name of the experiment in which a row was measured, under given choices."""
         replaced = [self.alternatives[n].choices[c].instead for n, c in combination.items()]
         return next(
             (names[row.experiment] for names in replaced if row.experiment in names),
@@ -292,7 +293,7 @@ class SensorProblem(Model):
         )
 
     def metric_of(self, name: str, row: Row | Limit, combination: Mapping[str, str]) -> Metric:
-        """Return the metric of a row under a combination of choices."""
+        """Return the name or names of a row's figure, under given choices."""
         for alternative, choice in combination.items():
             metric = self.alternatives[alternative].choices[choice].metrics.get(name)
             if metric is not None:
@@ -304,7 +305,7 @@ class SensorProblem(Model):
         return [n for n, f in self.free.items() if not f.experiments or experiment in f.experiments]
 
     def simulated_in(self, experiment: str) -> list[str]:
-        """Return the names of the free fields that an experiment's simulations vary."""
+        """Return the names of the free fields that the simulations of an experiment vary."""
         return [name for name in self.free_in(experiment) if self.free[name].among is None]
 
 
@@ -312,7 +313,7 @@ _Counted = TypeVar("_Counted", Setup, Design)
 
 
 def _quicker(counted: _Counted) -> _Counted:
-    """Return an experiment or a design with the counts of a quick run."""
+    """Return an experiment or a design with the smaller counts of a quick run."""
     fewer: dict[str, int | None] = {"refine": 0, "count": _fewer(counted.count, 12, 4)}
     if isinstance(counted, Setup):
         fewer["repeats"] = _fewer(counted.repeats, 2, 2)
@@ -320,7 +321,10 @@ def _quicker(counted: _Counted) -> _Counted:
 
 
 def _fewer(count: int | None, least: int, share: int) -> int | None:
-    """Return count // share, but at least the smaller of `least` and the count."""
+    """Return count / share, rounded down, but at least the smaller of `least` and `count`.
+
+    None if `count` is None.
+    """
     return None if count is None else max(min(count, least), count // share)
 
 
@@ -344,11 +348,11 @@ def _each_name_once(tables: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]]:
-    """Read a problem and its experiments, by their names in it.
+    """Load a problem, and its experiments by their names in the problem.
 
     Parameters
     ----------
-    path : a TOML file, or the name of a shipped one
+    path : a TOML file, or the name of a shipped problem
 
     Raises
     ------
@@ -367,7 +371,7 @@ def _experiment(setup: Setup, file: Path) -> Experiment:
 
 
 def _with_files(problem: SensorProblem, file: Path) -> SensorProblem:
-    """Replace the files that choices `use` by their values."""
+    """Return the problem with the files that choices `use` replaced by the values in the files."""
     alternatives = {}
     for name, alternative in problem.alternatives.items():
         choices = {

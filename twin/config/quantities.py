@@ -1,12 +1,13 @@
-"""Numbers of data files: with their unit, their source and their valid range.
+"""Numbers in data files, with their unit, source and valid range.
 
     thickness_mm = { value = 2.0, range = [1.0, 5.0], source = "assumed: ..." }
 
-The value is stored in the experiment; source and range in its provenance, by dotted path.
+The value is stored in the experiment. Source and range are stored in the table `provenance` of the
+experiment, by dotted path.
 
-Lengths and times may be written with their unit in TOML, `thickness_mm = "120 um"`: the key's
-suffix names the unit of the stored number; a string value may carry another unit of the same
-quantity and is converted once, at the boundary.
+A number may be written with a unit in TOML, `thickness_mm = "120 um"`. The suffix of the key is
+the unit of the stored number. A text with another unit of the same quantity is converted when the
+file is read. Length, time, force, pressure and power have such units.
 """
 
 import re
@@ -32,7 +33,7 @@ _KEYS = {"value", "source", "range"}
 
 
 def convert_units(tree: dict[str, Any], path: str = "") -> dict[str, Any]:
-    """Replace strings such as "120 um" by numbers in the unit of their key.
+    """Return tables with texts such as "120 um" replaced by numbers in the unit of their key.
 
     Parameters
     ----------
@@ -41,7 +42,7 @@ def convert_units(tree: dict[str, Any], path: str = "") -> dict[str, Any]:
 
     Raises
     ------
-    ConfigError : the unit is unknown or of another quantity than the key
+    ConfigError : a unit is unknown, or is of another quantity than the key
     """
     return {key: _convert(key, value, f"{path}{key}") for key, value in tree.items()}
 
@@ -49,7 +50,7 @@ def convert_units(tree: dict[str, Any], path: str = "") -> dict[str, Any]:
 def _convert(key: str, value: Any, path: str) -> Any:
     if isinstance(value, dict):
         inner = convert_units(value, f"{path}.")
-        if "value" in value and "source" in value:  # a quantity: the unit is its own key's
+        if "value" in value and "source" in value:  # a quantity: its key states the unit
             inner["value"] = _convert(key, value["value"], path)
         return inner
     unit = key.rsplit("_", 1)[-1]
@@ -65,23 +66,23 @@ def _rescale(number: float, written: str, unit: str, path: str) -> float:
     if kind_and_scale is None or kind_and_scale[0] != quantity:
         allowed = ", ".join(_UNITS[quantity])
         raise ConfigError(f"{path}: found unit '{written}', allowed for a {quantity}: {allowed}")
-    # One rounding step, so that "120 um" is the same number as 0.12.
+    # Rounded to 15 digits, so that "120 um" becomes the same number as 0.12.
     return float(f"{number * kind_and_scale[1] / scale:.15g}")
 
 
 def is_quantity(node: Any) -> bool:
-    """Return True if a table is one number with its source."""
+    """Return True if a table is a number with source and range: keys value, source, range."""
     return isinstance(node, dict) and "value" in node and node.keys() <= _KEYS
 
 
 def split_quantities(
     tree: dict[str, Any], prefix: str = ""
 ) -> tuple[dict[str, Any], dict[str, Provenance]]:
-    """Separate plain values from their provenance.
+    """Return tables with plain values, and the provenance of the values by dotted path.
 
     Raises
     ------
-    ConfigError : a quantity without a source
+    ConfigError : a quantity has no source
     """
     values: dict[str, Any] = {}
     provenance: dict[str, Provenance] = {}
@@ -112,7 +113,7 @@ def _provenance(node: dict[str, Any], path: str) -> Provenance:
 
 
 def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance], where: str) -> None:
-    """Check that values are in the ranges that their data files state.
+    """Check that values are within the ranges that their data files state.
 
     Raises
     ------
@@ -136,7 +137,7 @@ def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance], wher
 
 
 def value_at(values: dict[str, Any], path: str) -> Any:
-    """Return the value or table at a dotted path of nested tables; None: no such path."""
+    """Return the value or table at a dotted path of nested tables; None if there is none."""
     node: Any = values
     for key in path.split("."):
         node = node.get(key) if isinstance(node, dict) else None

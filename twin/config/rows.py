@@ -15,7 +15,7 @@ LearnedAs = Literal["value", "log", "reciprocal"]
 
 
 class Row(Model):
-    """One measured value of a figure, with its standard uncertainty."""
+    """One measured value of a figure, with its standard uncertainty, for an identification."""
 
     experiment: Name
     metric: Metric = Field(
@@ -71,9 +71,10 @@ class Row(Model):
 
     @property
     def scatter_share(self) -> float:
-        """Ratio of the row's standard deviation to the learned standard deviation of the repeats.
+        """Factor from the emulated standard deviation of the repeats to that of the row.
 
-        For a mean: of the part that is common to its trials. For a deviation: of the remainder.
+        For a mean, it gives the part that is common to the trials of the row. For a standard
+        deviation, it gives the remaining part.
         """
         if self.statistic == "sd":
             return float(np.sqrt(1.0 - (self.shared or 0.0)))
@@ -82,7 +83,7 @@ class Row(Model):
 
     @property
     def needs_repeats(self) -> str:
-        """Key of the row that needs several measurements per simulation; empty: none."""
+        """Key of the row that needs several measurements per simulation; empty if none does."""
         if self.statistic == "sd":
             return "statistic = 'sd'"
         return "" if self.realisations is None else "realisations"
@@ -94,7 +95,7 @@ class Row(Model):
 
 
 class Limit(Model):
-    """A one-sided bound on a figure, for example from an image or a meter at its end of range."""
+    """Known one-sided bound on a figure, for example from an image or a saturated meter."""
 
     experiment: Name
     metric: Metric = Field(description="as of a row")
@@ -117,20 +118,20 @@ class Limit(Model):
 
     @property
     def value(self) -> float:
-        """The limit itself."""
+        """Value of the bound, in the unit of the figure."""
         (given,) = (bound for bound in (self.at_least, self.at_most) if bound is not None)
         return given
 
     @property
     def side(self) -> int:
-        """1 if figures above the value are allowed, -1 if those below are."""
+        """Allowed side: 1 if figures above the bound are allowed, -1 if figures below are."""
         return 1 if self.at_least is not None else -1
 
     @property
     def words(self) -> str:
-        """The limit as text."""
+        """The bound as text, for example "at least 5"."""
         return f"at {'least' if self.side > 0 else 'most'} {self.value:g}"
 
     def allows(self, figure: float) -> bool:
-        """Return True if a figure is on the allowed side."""
+        """Return True if a figure is on the allowed side of the bound, or equal to it."""
         return self.side * (figure - self.value) >= 0.0

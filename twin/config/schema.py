@@ -1,6 +1,7 @@
-"""The schema of documents: the list of their keys, and one-line messages on invalid documents.
+"""Schema of configuration documents: list of their keys, and messages on invalid documents.
 
-Each message states key, found, allowed and remedy. Keys and ranges are read from the models.
+Each message is one line with key, found value, allowed values and remedy. Keys and ranges are read
+from the models.
 """
 
 import difflib
@@ -28,12 +29,12 @@ Loc = tuple[int | str, ...]
 
 _WRONG_KIND = {"union_tag_invalid", "union_tag_not_found"}
 _OUTSIDE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
-# Branches of a union of plain values, such as camera.exposure_ms.
+# Names that pydantic inserts into paths for unions of plain values, such as camera.exposure_ms.
 _SCALAR_TAGS = {"constrained-float", "float", "literal['auto']"}
 
 
 def validated(document: type[Document], tree: Any, before: str = "") -> Document:
-    """Build a document from nested tables.
+    """Return the document of nested tables, validated.
 
     Raises
     ------
@@ -49,10 +50,10 @@ def validated(document: type[Document], tree: Any, before: str = "") -> Document
 
 
 def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
-    """Return pydantic's report on a document as lines; for a misspelt key with a suggestion.
+    """Return pydantic's errors on a document as lines of text; suggest keys for misspelt keys.
 
-    A misspelt required key causes two errors (an unknown key and a missing key): the second line is
-    omitted if the suggestion of the first names it.
+    A misspelt required key causes two errors: an unknown key and a missing key. The second line is
+    omitted if the first line suggests the missing key.
     """
     lines: list[str] = []
     suggested, outside = set(), set()
@@ -83,7 +84,7 @@ def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
 
 
 def _kind_line(path: str, context: Mapping[str, Any], table: Any) -> str:
-    """Return the message on a table with an unknown or missing kind."""
+    """Return the line of text on a table with an unknown or missing kind."""
     discriminator = str(context["discriminator"]).strip("'")
     key = f"{path}.{discriminator}"
     if "tag" not in context:
@@ -96,7 +97,7 @@ def _kind_line(path: str, context: Mapping[str, Any], table: Any) -> str:
 
 
 def _whole_range(loc: Loc, document: type[BaseModel]) -> str:
-    """Return both ends of a number's range and the reason for them; empty without a reason."""
+    """Return the range of a number and its reason as text; empty if no reason is stated."""
     for metadata in _metadata_at(loc, document):
         reasons = [item.reason for item in metadata if isinstance(item, Because)]
         if reasons:
@@ -105,7 +106,7 @@ def _whole_range(loc: Loc, document: type[BaseModel]) -> str:
 
 
 def limits_at(path: str, document: type[BaseModel] = Experiment) -> tuple[float, ...]:
-    """Return the ends of the ranges that the numbers at a dotted path may have."""
+    """Return all lower and upper limits of the numbers at a dotted path."""
     return tuple(
         getattr(item, name)
         for metadata in _metadata_at(tuple(path.split(".")), document)
@@ -116,7 +117,7 @@ def limits_at(path: str, document: type[BaseModel] = Experiment) -> tuple[float,
 
 
 def keys_of_kind(path: str, kind: Any, document: type[BaseModel] = Experiment) -> set[str]:
-    """Return the keys of a kind's table at a dotted path; empty: no such kind."""
+    """Return the keys of a table of the given kind at a dotted path; empty if no such kind."""
     models = _walk(tuple(path.split(".")), document)[1]
     return {
         key
@@ -134,7 +135,7 @@ def _metadata_at(loc: Loc, document: type[BaseModel]) -> list[list[Any]]:
 
 
 def _annotated(field: FieldInfo) -> Iterator[list[Any]]:
-    """Yield the metadata of a field, and of the annotated types in a union or a list."""
+    """Yield the metadata of a field, and of each annotated type in its union or list."""
     yield field.metadata
     inside = [field.annotation]
     while inside:
@@ -148,7 +149,7 @@ def _annotated(field: FieldInfo) -> Iterator[list[Any]]:
 
 
 def _flat(metadata: Iterable[Any]) -> list[Any]:
-    """Return metadata with every `Field` replaced by its own metadata."""
+    """Return metadata in which every `Field` is replaced by the metadata of that field."""
     return [part for item in metadata for part in getattr(item, "metadata", [item])]
 
 
@@ -163,7 +164,7 @@ def _short(value: Any) -> str:
 
 
 def _path(loc: Loc, document: type[BaseModel]) -> str:
-    """Dotted path as a user writes it: without the tags that pydantic inserts for unions."""
+    """Return the dotted path of a key as in a file, without the tags of pydantic for unions."""
     return ".".join(_walk(loc, document)[0])
 
 
@@ -174,7 +175,7 @@ def _closest(key: str, loc: Loc, document: type[BaseModel]) -> str | None:
 
 
 def _walk(loc: Loc, document: type[BaseModel]) -> tuple[list[str], list[type[BaseModel]]]:
-    """Follow a location from the document; return its path and the models at its end."""
+    """Follow a location, as pydantic gives it, in a document; return its path and its models."""
     path: list[str] = []
     here: list[Any] = [document]
     for part in map(str, loc):
@@ -194,7 +195,7 @@ def _models(options: list[Any]) -> list[type[BaseModel]]:
 
 
 def _inside(place: Any, part: str) -> list[Any]:
-    """Types that a field of a model, or a value of a table by name, may have."""
+    """Return the types that the field `part` of a model, or an entry of a table, may have."""
     if typing.get_origin(place) is dict:
         return _options(typing.get_args(place)[1])
     if typing.get_origin(place) is tuple:
@@ -204,7 +205,7 @@ def _inside(place: Any, part: str) -> list[Any]:
 
 
 def _options_of(field: FieldInfo) -> list[Any]:
-    """Return the types that a field may have; its kinds if a registry defines them."""
+    """Return the types that a field may have: the kinds of its registry, if there is one."""
     return _kinds_in(field.metadata) or _options(field.annotation)
 
 
@@ -223,7 +224,7 @@ def _kinds_in(metadata: Iterable[Any]) -> list[Any]:
 
 @dataclass(frozen=True)
 class Key:
-    """One key of an experiment file."""
+    """One key of an experiment file; path, allowed values, default and meaning are texts."""
 
     path: str
     allowed: str
@@ -232,7 +233,7 @@ class Key:
 
 
 def experiment_keys() -> Iterator[Key]:
-    """Yield every key of an experiment file; keys of materials and layers at the end."""
+    """Yield every key of an experiment file; keys of materials and layers come last."""
     yield from list_keys(Experiment)
     for kind, material in MATERIALS.items():
         yield from list_keys(material, f"specimen.material({kind}).")
@@ -240,7 +241,7 @@ def experiment_keys() -> Iterator[Key]:
 
 
 def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
-    """Yield every key of a model and of the models inside it, in file order."""
+    """Yield every key of a model and of the models in its fields, in the order of the fields."""
     for name, field in model.model_fields.items():
         inner = models_of(field)
         if inner and set(inner) <= set(MATERIALS):
@@ -260,7 +261,7 @@ def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
 
 
 def _meaning(field: FieldInfo) -> str:
-    """Return a key's description, and the reasons for its range."""
+    """Return the description of a key, and the reasons for its range, as text."""
     metadata = itertools.chain.from_iterable(_annotated(field))
     reasons = [item.reason for item in metadata if type(item) is Because]
     ranges = [f"range: {reason}" for reason in dict.fromkeys(reasons)]
@@ -273,9 +274,9 @@ def _names_in(field: FieldInfo) -> list[NameOf]:
 
 
 def models_of(field: FieldInfo) -> list[type[BaseModel]]:
-    """Return the tables that a field may be; none for tables by name."""
+    """Return the models of the tables that a field may be; empty for a dict of tables."""
     if typing.get_origin(field.annotation) is dict:
-        return []  # keys are any names; the caller lists the tables under a placeholder
+        return []  # its keys are arbitrary names; the caller lists the tables under a placeholder
     if typing.get_origin(field.annotation) is tuple:
         return _models(_options(typing.get_args(field.annotation)[0]))
     return _models(_options_of(field))

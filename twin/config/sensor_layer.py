@@ -1,6 +1,7 @@
-"""Elastomer and load of a sensor as input of a compensation: from a file or an experiment.
+"""Assumed elastomer and load, with which the object behind the coat is reconstructed, as data.
 
-`twin compensate RESULT --layer layer.toml`; docs/compensation.md explains every key.
+They are read from a file (`twin compensate RESULT --layer layer.toml`) or taken from an
+experiment. docs/compensation.md explains every key.
 """
 
 from pathlib import Path
@@ -31,7 +32,7 @@ from twin.config.specimen_base import SPECIMENS, AnySpecimen
 
 
 class MeasuredLoad(Model):
-    """Measured load of one press."""
+    """Measured load of one press: air pressure, travel and force."""
 
     back_pressure_kpa: AirPressure = Field(default=0.0, description="air on the coated face")
     depth_mm: Travel | None = Field(
@@ -69,7 +70,7 @@ class LayerSigma(Model):
 
 
 class PressedBar(Model):
-    """Approximate pose and size of a flat-topped bar: start values for the fit of its walls."""
+    """Approximate pose and size of a bar with a flat top: start values of the fit of its walls."""
 
     x_mm: Place = Field(default=0.0, description="world x of its middle, within 0.5 mm")
     y_mm: Place = 0.0
@@ -84,7 +85,7 @@ class PressedBar(Model):
 
 @follows(SPECIMENS, MATERIALS)
 class SensorLayer(Model):
-    """Elastomer, load of the press, and their standard uncertainties."""
+    """Assumed elastomer and load of the press, and their standard uncertainties."""
 
     model_config = ConfigDict(defer_build=True)
 
@@ -109,7 +110,7 @@ class SensorLayer(Model):
 
 
 def load_sensor_layer(path: Path) -> SensorLayer:
-    """Load a layer file; its tables may `use` data files, as in an experiment.
+    """Load a layer from a file; its tables may `use` data files, as in an experiment file.
 
     Raises
     ------
@@ -124,7 +125,7 @@ def load_sensor_layer(path: Path) -> SensorLayer:
 
 
 def sensor_layer_of(experiment: Experiment) -> SensorLayer:
-    """Return the elastomer and load of an experiment, with uncertainties of zero."""
+    """Return elastomer and load of an experiment, with standard uncertainties of zero."""
     press = experiment.press
     load = MeasuredLoad(
         back_pressure_kpa=press.back_pressure_kpa, depth_mm=press.depth_mm, force_n=press.force_n

@@ -1,8 +1,8 @@
 """Base class of all specimens: pose, optical material, shape and nominal features.
 
-A kind of specimen is one file of `twin/specimens/kinds`, a subclass of `Specimen` that registers
-itself in `SPECIMENS`. Lengths in mm, relative to the slab's centre; the specimen presses from
-below.
+A kind of specimen is a subclass of `Specimen` in one file of `twin/specimens/kinds`, which
+registers the class in `SPECIMENS`. Lengths are in mm. Positions are relative to the centre of the
+slab. The specimen presses from below.
 """
 
 from collections.abc import Mapping
@@ -22,17 +22,17 @@ Feature = TypeVar("Feature", bound=NominalFeature)
 
 
 class Stage(Model):
-    """The matte table under a bare specimen (direct FPP)."""
+    """Matte table under a bare specimen (direct FPP)."""
 
     albedo: Albedo = 0.35
     size_mm: Length = Field(default=80.0, description="edge of the square, round the world origin")
 
 
 class Specimen(Model):
-    """A specimen in its pose on the stage, relative to the slab's centre.
+    """Base class of specimens: the specimen in its pose, relative to the centre of the slab.
 
-    A kind sets `kind`, adds its dimensions and overrides `shape`. Further overrides state which of
-    its dimensions are measured and fitted.
+    A subclass sets `kind`, adds its dimensions and overrides `shape`. Further overrides state
+    which dimensions are measured and fitted.
     """
 
     model_config = ConfigDict(defer_build=True)
@@ -54,14 +54,14 @@ class Specimen(Model):
     material: Material | None = Field(
         default=None, description="required if the camera images the bare specimen (direct_fpp)"
     )
-    # After the pose: experiment files that are written keep the order of their keys.
+    # After the pose, so that written experiment files keep the order of their keys.
     kind: str
 
     slab_fit_paths: ClassVar[tuple[str, ...]] = ()
-    """Numbers that `twin compensate` fits under a thick slab unless a layer file sets `fitted`."""
+    """Names of the numbers that `twin compensate` fits under a slab if no file sets `fitted`."""
 
     def shape(self) -> Shape:
-        """Return the shape in the specimen's own frame; its pose and height are applied later.
+        """Return the geometry in the specimen's own frame; pose and height are applied later.
 
         Raises
         ------
@@ -70,26 +70,26 @@ class Specimen(Model):
         raise NotImplementedError(f"{type(self).__name__}.shape")
 
     def nominal_features(self) -> tuple[NominalFeature, ...]:
-        """Return the features of known size, counted along x; none by default."""
+        """Return the features with known dimensions, sorted along x; empty by default."""
         return ()
 
     def nominal(self, kind: type[Feature]) -> tuple[Feature, ...]:
-        """Return the nominal features of one kind."""
+        """Return the nominal features that are of one class."""
         return tuple(feature for feature in self.nominal_features() if isinstance(feature, kind))
 
     @property
     def finest_pitch_mm(self) -> float | None:
-        """Finest pitch of the ridges or grooves that a sheet may span; None without ridges."""
+        """Finest pitch, mm, of ridges or grooves that a sheet may span; None without ridges."""
         return None
 
     @property
     def ridge_height_mm(self) -> float | None:
-        """Height of the ridges or grooves, crest to root; None without ridges."""
+        """Height of the ridges or grooves from root to crest, mm; None without ridges."""
         return None
 
     @property
     def components(self) -> "Mapping[str, Specimen]":
-        """Specimens that this one consists of, by name; empty unless it is a group."""
+        """Parts of a group by name, each a specimen; empty if the specimen is not a group."""
         return {}
 
     def warnings(self) -> tuple[str, ...]:
@@ -106,7 +106,7 @@ def _kind_of(specimen: type[Specimen]) -> str:
 
 
 SPECIMENS: Registry[type[Specimen]] = Registry("specimens", "twin.specimens.kinds", _kind_of)
-"""The kinds of specimens."""
+"""Registry of the kinds of specimens."""
 
 AnySpecimen = Annotated[Specimen, OneOf(SPECIMENS)]
 

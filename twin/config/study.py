@@ -1,10 +1,10 @@
-"""A study as data: a base experiment, the axes over which it is varied, and the figures of merit.
+"""Study as data: a base experiment, the axes over which it is varied, and figures of merit.
 
 Shipped studies are in `scenes/studies`; `docs/sweeps.md` explains every key.
 
-An axis moves one field, by its dotted path, or several fields at once between named choices. Its
-levels are a list of values, a range with a count, or the choices; samplers draw from a range
-without a count, or pick among the levels.
+An axis varies one field, given by its dotted path, or several fields together between named
+choices. The levels of an axis are a list of values, a range with a count, or the choices. Samplers
+draw values from a range without a count, or select levels.
 """
 
 from collections.abc import Mapping
@@ -25,19 +25,19 @@ from twin.config.methods import Method
 from twin.config.models import Experiment
 from twin.config.schema import validated
 
-_ROUNDING = 1e-9  # relative
+_ROUNDING = 1e-9  # relative rounding error of a constrained number
 
 
 @dataclass(frozen=True)
 class Level:
-    """One level of an axis: its label in tables, and the values it sets by dotted path."""
+    """One level of an axis: its label in tables, and the values that it sets, by dotted path."""
 
     label: Any
     changes: Mapping[str, Any]
 
 
 class Axis(Model):
-    """One axis of a study."""
+    """One axis of a study: a field, or several fields together, and the levels or the range."""
 
     path: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*$")] | None = Field(
         default=None, description="dotted path of the field that is varied"
@@ -100,16 +100,16 @@ class Axis(Model):
 
     @property
     def title(self) -> str:
-        """Heading in tables and plots."""
+        """Heading of the axis in tables and plots: the name, or else the path."""
         return self.name or str(self.path)
 
     @property
     def is_continuous(self) -> bool:
-        """Whether any value of the range may be drawn."""
+        """Whether the axis is a range without count, of which any value may be drawn."""
         return self.low is not None and self.count is None
 
     def levels(self) -> tuple[Level, ...]:
-        """Return the axis' levels; of a range without count there are none."""
+        """Return the levels of the axis; empty for a range without count."""
         if self.choices is not None:
             return tuple(Level(label, changes) for label, changes in self.choices.items())
         if self.values is not None:
@@ -120,14 +120,14 @@ class Axis(Model):
         return tuple(self._level(value) for value in rounded)
 
     def level_at(self, share: float) -> Level:
-        """Return the level at a share (0 to 1) of the axis, as samplers draw it."""
+        """Return the level at a share (0 to 1) of the axis, which a sampler has drawn."""
         if self.is_continuous:
             return self._level(self._at(share))
         levels = self.levels()
         return levels[min(int(share * len(levels)), len(levels) - 1)]
 
     def level_of(self, value: float) -> Level:
-        """Return the level of a value within a range without count."""
+        """Return the level with a given value, for an axis that is a range without count."""
         return self._level(round(value) if self.integer else value)
 
     def _at(self, share: float) -> float | int:
@@ -137,7 +137,7 @@ class Axis(Model):
             value = self.low * (self.high / self.low) ** float(share)
         else:
             value = self.low + (self.high - self.low) * float(share)
-        # Ten digits identify a level, without the rounding error of the last bit.
+        # Rounded to ten digits, so that levels do not differ by rounding errors.
         return round(value) if self.integer else float(f"{value:.10g}")
 
     def _level(self, value: Any) -> Level:
@@ -146,11 +146,11 @@ class Axis(Model):
 
 
 MOST_CASES = 100_000
-"""Of a study, repeats and methods counted: about a minute and 2 GB before the first runs."""
+"""Most cases of a study, including repeats and methods: making them takes about 1 min and 2 GB."""
 
 
 class Sampling(Model):
-    """Selection of the points of the design space."""
+    """Method by which the points of the design space are selected."""
 
     method: Literal[
         "grid", "latin_hypercube", "sobol", "saltelli", "morris", "optimise", "gradient", "trials"
@@ -199,14 +199,14 @@ class Sampling(Model):
 
 
 class Objective(Model):
-    """A figure to minimise or maximise."""
+    """Figure of the result to be minimised or maximised."""
 
     metric: str
     goal: Literal["minimise", "maximise"] = "minimise"
 
 
 class Optimise(Model):
-    """Search by Optuna (extra `sweep`)."""
+    """Settings of a search by Optuna, which needs the extra `sweep`."""
 
     objectives: Annotated[tuple[Objective, ...], Field(min_length=1)]
     trials: Annotated[int, Field(ge=1, le=100_000)]
@@ -218,7 +218,7 @@ class Optimise(Model):
 
 
 class GradientSearch(Model):
-    """Gradient search with the derivatives of a bound (SciPy's SLSQP)."""
+    """Settings of a gradient search with the derivatives of a bound (SciPy's SLSQP)."""
 
     objective: Objective
     evaluations: Annotated[int, Field(ge=2, le=10_000)] = Field(
@@ -231,7 +231,7 @@ class GradientSearch(Model):
 
 
 class Constraint(Model):
-    """A bound on a field of the experiment, a metric, or the ratio of two of them."""
+    """Lower or upper limit of a field of the experiment, a metric, or the ratio of two of them."""
 
     value: str = Field(description="dotted path of a number in the experiment, or a metric")
     per: str | None = Field(default=None, description="divided by this path or metric")
@@ -245,14 +245,14 @@ class Constraint(Model):
         return self
 
     def holds_for(self, number: float) -> bool:
-        """Return True if a value is within the bounds."""
+        """Return True if a number is within the limits."""
         return self.excess(number) <= 0.0
 
     def excess(self, number: float) -> float:
-        """Return the excess of a value over the bounds; 0 or less: within the bounds.
+        """Return the excess of a number over the limits; 0 or less if it is within the limits.
 
-        A relative excess up to 1e-9 counts as 0, because levels of an axis and ratios are rounded
-        (0.3 in three steps from 0.1 is 0.30000000000000004).
+        A relative excess up to 1e-9 counts as 0, because levels and ratios have rounding errors
+        (three steps of 0.1 give 0.30000000000000004).
         """
         over = [] if self.at_most is None else [number - self.at_most]
         under = [] if self.at_least is None else [self.at_least - number]
@@ -261,7 +261,7 @@ class Constraint(Model):
 
     @property
     def title(self) -> str:
-        """The bound as text of reports."""
+        """The constraint as text for reports, for example "1 <= camera.binning <= 4"."""
         name = self.value if self.per is None else f"{self.value} / {self.per}"
         low = "" if self.at_least is None else f"{self.at_least:g} <= "
         high = "" if self.at_most is None else f" <= {self.at_most:g}"
@@ -301,7 +301,7 @@ class Study(Model):
         default=(), description="figures of merit of a study without a search"
     )
     optimise: Optimise | None = None
-    # Excluded if there is none: older records keep their digest.
+    # Excluded if None, so that digests of older records do not change.
     gradient: GradientSearch | None = Field(default=None, exclude_if=lambda plan: plan is None)
 
     @model_validator(mode="after")
@@ -360,18 +360,18 @@ class Study(Model):
 
     @property
     def goals(self) -> tuple[Objective, ...]:
-        """Figures of merit: the objectives of the search or of the study."""
+        """Objectives of the search, or of the study if it has no search."""
         if self.gradient:
             return (self.gradient.objective,)
         return self.optimise.objectives if self.optimise else self.objectives
 
 
 def load_study(path: str | Path) -> tuple[Study, Experiment]:
-    """Read a study and the experiment that it varies.
+    """Load a study and the experiment that it varies.
 
     Parameters
     ----------
-    path : a TOML file, or the name of a shipped one ("studies/albedo_flakes")
+    path : a TOML file, or the name of a shipped study ("studies/albedo_flakes")
 
     Raises
     ------
@@ -393,7 +393,7 @@ def _study_of(tree: dict[str, Any], where: str, file: Path) -> Study:
 
 
 def _with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]:
-    """Override the inputs of the file that the study names by the study's own."""
+    """Return the tables of a study, with inputs of its `inputs_file` that its own override."""
     own, named = with_sources(tree, where), tree.get("inputs_file")
     if not isinstance(named, str) or not named:
         return own
@@ -406,7 +406,7 @@ def _with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]
 
 
 def _with_files(axis: Axis, file: Path) -> Axis:
-    """Replace the files that choices `use` by their values."""
+    """Return the axis with the files that choices `use` replaced by the values in the files."""
     if axis.choices is None:
         return axis
     read = {label: resolve_uses(tree, (file,)) for label, tree in axis.choices.items()}
@@ -414,7 +414,7 @@ def _with_files(axis: Axis, file: Path) -> Axis:
 
 
 def without_absent(node: Any) -> Any:
-    """Replace "absent" by None in nested tables."""
+    """Return nested tables with every value "absent" replaced by None."""
     if isinstance(node, dict):
         return {key: without_absent(value) for key, value in node.items()}
     return None if node == ABSENT else node

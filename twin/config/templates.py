@@ -13,14 +13,14 @@ _FIRST = ("gel", "part", "sheet", "gelsight", "rig", "study")
 
 @dataclass(frozen=True)
 class StarterTemplate:
-    """Name and description of a starter template."""
+    """Starter template for a new experiment or study file: name and description."""
 
     name: str
     description: str
 
 
 def templates() -> list[StarterTemplate]:
-    """Return the starter templates: the most usual first, those of $TWIN_ASSETS last."""
+    """Return all starter templates; those of $TWIN_ASSETS are last."""
     names = _template_names()
     order = [*(name for name in _FIRST if name in names), *sorted(set(names) - set(_FIRST))]
     return [
@@ -34,7 +34,7 @@ def _template_names() -> list[str]:
 
 
 def read_template(name: str) -> str:
-    """Return the text of a template.
+    """Return the text of the starter template with a given name.
 
     Raises
     ------

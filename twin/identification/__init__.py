@@ -1,1 +1,1 @@
-"""Identify unknown fields of a sensor from measurements made with it."""
+"""Estimate unknown fields of a sensor from measurements made with it, by Bayes' theorem."""

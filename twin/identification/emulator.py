@@ -1,12 +1,14 @@
 """Emulators: interpolate a simulated figure over the free fields, with a standard deviation.
 
-A Gaussian process per figure (universal kriging): quadratic trend, anisotropic Matern 5/2
-covariance, and the simulations' own noise (the camera's). Rasmussen and Williams, Gaussian
-Processes for Machine Learning (2006), eqs 2.41 and 2.42. The error is cross-validated in closed
-form (Dubrule, Mathematical Geology 15, 687-699, 1983); if it exceeds the predicted standard
-deviation, that deviation is widened. With few simulations the trend has no products, or no
-squares. Places are shares (0 to 1) of the free fields' axes. A figure may be learned as its
-logarithm or reciprocal.
+An emulator is a Gaussian process (universal kriging) of one figure. It has a quadratic trend, an
+anisotropic Matern 5/2 covariance, and noise, which represents the camera noise in the simulations
+(Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eqs 2.41 and 2.42). The
+error is cross-validated in closed form (Dubrule, Mathematical Geology 15, 687-699, 1983). If that
+error exceeds the predicted standard deviation, the standard deviation is enlarged. If there are
+few simulations, the trend has no product terms, or neither products nor squares.
+
+A place is a point in the space of the free fields; its coordinates are shares (0 to 1) of the
+fields' axes. Instead of a figure itself, its logarithm or its reciprocal may be emulated.
 """
 
 from dataclasses import dataclass
@@ -25,37 +27,41 @@ from twin.config.rows import LearnedAs
 
 _LEAST_POINTS = 8
 _RESTARTS = 2
-# Shares of an axis; a variation over less than the shortest length is taken as camera noise.
+# Correlation lengths in shares of an axis; a variation over less than the shortest length is taken
+# as camera noise.
 _LENGTHS = (0.2, 30.0)
 _NOISE = (1e-10, 1.0)
 _JITTER = 1e-12
 _NEGLIGIBLE = 0.01
-# Points from which the lengths of a covariance are estimated; more points do not improve them.
+# Largest number of points from which the correlation lengths are estimated; more points do not
+# improve the lengths.
 _MOST_FOR_LENGTHS = 400
 
 
 @dataclass(frozen=True, eq=False)
 class Emulator:
-    """An emulated figure.
+    """Gaussian process that predicts one figure at any place of the free fields.
 
     Attributes
     ----------
-    columns : which free fields it depends on
+    columns : indices of the free fields on which the figure depends
     known : (point, column) places of the simulations that gave the figure
-    learned : (point,) the figure there, or its logarithm or reciprocal, see `learned_as`
-    covariance, noise : of the figure without noise, and the noise's variance, in units of `spread`
-        squared
-    directions : (direction, point) whitened eigenvectors of the simulations' covariance with noise;
-        the omitted ones together reduce a prediction's variance by less than 1 %
+    learned : (point,) the figure at `known`, or its logarithm or reciprocal, see `learned_as`
+    covariance, noise : covariance function of the figure without noise, and variance of the noise;
+        both in units of `spread` squared
+    directions : (direction, point) whitened eigenvectors of the covariance, with noise, of the
+        simulations; the omitted eigenvectors together reduce the variance of a prediction by less
+        than 1 %
     trend, trend_lower : (term,) coefficients of 1, x, x^2 and x y, and the Cholesky factor of the
         inverse of their covariance, in units of `spread`
     trend_weights : (term, point) the trend's terms at the simulations times inverse covariance
     residual_weights : (point,) inverse covariance times the residuals of the trend
-    left_out : (point,) error at each simulation when it is predicted from all others
-    spread : RMS residual of the trend, in the figure's unit
-    widening : factor on the process' own standard deviation, 1 or more
+    left_out : (point,) error at each simulation when it is predicted from all others, in units of
+        `spread`
+    spread : RMS residual of the trend, in the unit of `learned`
+    widening : factor on the standard deviation that the Gaussian process predicts, 1 or more
     missing : share of the simulations that gave no figure
-    learned_as : the function of the figure that is learned
+    learned_as : the function of the figure that is emulated: "value", "log" or "reciprocal"
     """
 
     columns: tuple[int, ...]
@@ -76,7 +82,7 @@ class Emulator:
 
     @property
     def cross_validated_rmse(self) -> float:
-        """RMS error at simulations when each is predicted from the others, in the figure's unit."""
+        """RMS error at the simulations, each predicted from all others, in the figure's unit."""
         figures = _figure(self.learned, self.learned_as)
         missed = self.spread * self.left_out * _slope(figures, self.learned_as)
         return float(np.sqrt(np.mean(missed**2)))
@@ -84,7 +90,8 @@ class Emulator:
     def predict(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation (n,) of the figure at places (n, free field).
 
-        The deviation is the emulator's own, without the simulations' noise.
+        The standard deviation is that of the interpolation only; the noise of a simulation is not
+        included.
         """
         at = places[:, self.columns]
         across, terms = self._about(at)
@@ -97,11 +104,11 @@ class Emulator:
         return figure, deviation * _slope(figure, self.learned_as)
 
     def mean(self, places: FloatArray) -> FloatArray:
-        """Return the mean without its deviation, (n,); much faster than `predict`."""
+        """Return the predicted figure (n,) at places (n, free field), faster than `predict`."""
         return self._mean(*self._about(places[:, self.columns]))
 
     def _about(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return covariance with the simulations (n, known), and the trend's terms (n, term)."""
+        """Return the covariance (n, point) with the simulations and the trend's terms (n, term)."""
         return self.covariance(at, self.known), _terms(at)[:, : self.trend.size]
 
     def _mean(self, across: FloatArray, terms: FloatArray) -> FloatArray:
@@ -110,7 +117,7 @@ class Emulator:
 
     @property
     def _sane(self) -> tuple[float, float]:
-        """Bounds of the learned function: a reciprocal must not approach 0."""
+        """Bounds of the emulated function of the figure; they keep a reciprocal away from 0."""
         low = float(self.learned.min())
         return (0.2 * low if self.learned_as == "reciprocal" else -np.inf), np.inf
 
@@ -122,26 +129,29 @@ def fit_emulator(
     learned_as: LearnedAs = "value",
     simulation: IntArray | None = None,
 ) -> Emulator:
-    """Learn a figure from simulations.
+    """Fit the emulator of a figure to simulations.
 
     Parameters
     ----------
     places : (n, free field) float
         Shares of the axes, 0 to 1.
     figures : (n,) float
-        Simulated figure there; NaN where a simulation did not give it.
+        Simulated figure at each place; NaN if a simulation did not give the figure.
     columns : tuple of int
         The free fields that the figure can depend on.
     learned_as : "value", "log" or "reciprocal"
-        Figures of 0 or less have neither logarithm nor reciprocal here: they count as missing.
+        Function of the figure that is emulated. For "log" and "reciprocal", figures of 0 or less
+        count as missing.
     simulation : (n,) int, optional
-        Number of the simulation that gave each figure, where one gave several: they are left out
-        together when the error is cross-validated. Default: each has its own.
+        Number of the simulation that gave each figure, needed if one simulation gave several
+        figures. In the cross-validation all figures of one simulation are left out together.
+        Default: each figure is from another simulation.
 
     Raises
     ------
     InputError
-        Fewer simulations gave the figure than are needed.
+        Too few simulations gave the figure: fewer than 8, or fewer than twice the number of terms
+        of the linear trend.
     """
     valid = np.isfinite(figures)
     if learned_as != "value":
@@ -165,9 +175,10 @@ def fit_emulator(
 
 
 def _trend(at: FloatArray, count: int, simulated: int) -> FloatArray:
-    """Return the terms (n, term) of the largest trend with at most `count` / 2 terms.
+    """Return the terms (n, term) of the largest trend that has at most `count` / 2 terms.
 
-    `count` simulations gave the figure, of `simulated` in all.
+    `count` is the number of simulations that gave the figure, out of `simulated` simulations.
+    InputError if `count` is too small for the linear trend.
     """
     every, fields = _terms(at), at.shape[1]
     for terms in (every.shape[1], 1 + 2 * fields, 1 + fields):
@@ -192,7 +203,7 @@ def _figure(learned: FloatArray, learned_as: LearnedAs) -> FloatArray:
 
 
 def _slope(figures: FloatArray, learned_as: LearnedAs) -> FloatArray:
-    """Return the derivative of a figure with respect to its learned function."""
+    """Return the derivative of the figure with respect to its emulated function, at the figures."""
     if learned_as == "value":
         return np.ones_like(figures)
     return figures if learned_as == "log" else np.asarray(figures**2)
@@ -201,7 +212,10 @@ def _slope(figures: FloatArray, learned_as: LearnedAs) -> FloatArray:
 def _universal(
     at: FloatArray, trend_terms: FloatArray, scaled: FloatArray, kernel: Any, simulation: IntArray
 ) -> dict[str, Any]:
-    """Return an emulator's parts for figures of unit spread, trend and its uncertainty included."""
+    """Return the computed attributes of an `Emulator` for a figure in units of its spread.
+
+    The trend is fitted, too, and its uncertainty is included.
+    """
     noise = float(kernel.k2.noise_level) + _JITTER
     signal, axes = np.linalg.eigh(kernel.k1(at))
     signal = np.maximum(signal, 0.0)
@@ -226,10 +240,11 @@ def _universal(
 
 
 def _narrowing(signal: FloatArray, noise: float) -> int:
-    """Return the first direction (variances ascend) that matters to a prediction's variance.
+    """Return the index of the first eigenvector that matters to the variance of a prediction.
 
-    In the mean over the simulated places, of a direction's variance s the simulations reduce
-    s^2 / (s + n); s n / (s + n) remains.
+    The variances s of the eigenvectors ascend; n is the variance of the noise. In the mean over the
+    simulated places, the simulations reduce the variance s by s^2 / (s + n), and s n / (s + n)
+    remains.
     """
     narrowed = np.cumsum(signal**2 / (signal + noise))
     left = np.sum(signal * noise / (signal + noise))
@@ -239,9 +254,10 @@ def _narrowing(signal: FloatArray, noise: float) -> int:
 def _left_out(
     free: FloatArray, weighted: FloatArray, simulation: IntArray
 ) -> tuple[FloatArray, float]:
-    """Return the error (n,) at each simulation's figures predicted from all other simulations.
+    """Return the error (n,) of each figure when it is predicted from all other simulations.
 
-    And the sum of their squares over their predicted covariance, which is n if that is right.
+    The second value is the sum of the squares of these errors over their predicted covariance. Its
+    expected value is n if the predicted covariance is right.
     """
     left_out, surprise = np.zeros(len(free)), 0.0
     for number in np.unique(simulation):
@@ -252,13 +268,13 @@ def _left_out(
 
 
 def _terms(at: FloatArray) -> FloatArray:
-    """Return (n, term): 1, x, the squares and then the products of x."""
+    """Return the terms (n, term) of the quadratic trend: 1, x, the squares, the products."""
     i, j = np.triu_indices(at.shape[1], 1)
     return np.concatenate((np.ones((len(at), 1)), at, at**2, at[:, i] * at[:, j]), axis=1)
 
 
 def _kernel(at: FloatArray, left: FloatArray) -> Any:
-    """Return the most likely covariance of a trend's residuals, of unit spread."""
+    """Return the most likely covariance function of the trend's residuals, of unit spread."""
     if len(at) > _MOST_FOR_LENGTHS:
         some = np.random.default_rng(0).choice(len(at), _MOST_FOR_LENGTHS, replace=False)
         at, left = at[some], left[some]
@@ -266,6 +282,7 @@ def _kernel(at: FloatArray, left: FloatArray) -> Any:
     process = GaussianProcessRegressor(
         signal + WhiteKernel(0.1, _NOISE), n_restarts_optimizer=_RESTARTS, random_state=0
     )
-    # Valid fits: a length at its bound (a field without influence), noise at its bound (none).
+    # A parameter at its bound is valid: a length, if the field has no influence; the noise, if
+    # there is none.
     with warnings_ignored(ConvergenceWarning):
         return process.fit(at, left).kernel_

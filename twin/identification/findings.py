@@ -1,4 +1,9 @@
-"""Conclusions from a posterior: intervals, predicted rows, ridges, prior sensitivity, worth."""
+"""Conclusions from the posterior of an identification.
+
+They are intervals of the fields, predictions of rows, probabilities of limits, ridges
+(combinations of fields that cannot be separated), the effect of the prior, and the worth of
+further measurements. A row is one measured figure with its standard deviation.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,16 +17,16 @@ from twin.identification.posterior import Likelihood, Posterior
 
 # A field is not determined if its posterior variance is more than this share of the prior's.
 _UNDETERMINED = 0.5
-# A field takes part in a ridge if its component of the unit vector is larger.
+# A field takes part in a ridge if its component of the unit vector across the ridge is larger.
 _NEGLIGIBLE = 0.25
-# Largest variance across a ridge over that of each of its fields.
+# Largest ratio of the variance across a ridge to the variance of each field in the ridge.
 _NARROW = 0.1
 _HALF = float(np.sqrt(0.5))
 
 
 @dataclass(frozen=True)
 class Marginal:
-    """Mean, standard deviation and central 68.3 and 95 % intervals."""
+    """Mean, standard deviation, central 68.3 % and 95 % intervals of a quantity, in its unit."""
 
     mean: float
     sd: float
@@ -32,7 +37,7 @@ class Marginal:
 
 
 def interval_of(samples: FloatArray) -> Marginal:
-    """Return the interval of samples (n,)."""
+    """Return mean, standard deviation and central intervals of samples (n,)."""
     quantiles = np.quantile(samples, (0.1585, 0.8415, 0.025, 0.975))
     low_68, high_68, low_95, high_95 = map(float, quantiles)
     return Marginal(float(samples.mean()), float(samples.std()), low_68, high_68, low_95, high_95)
@@ -40,17 +45,20 @@ def interval_of(samples: FloatArray) -> Marginal:
 
 @dataclass(frozen=True)
 class Prediction:
-    """A measured row and the twin's prediction of it, given the rows that were fitted.
+    """A measured row and the twin's prediction of its figure, given the rows that were fitted.
 
     Attributes
     ----------
-    scatter : standard deviation of one measurement, where `sd` is that of a mean
-    twin : of the figure given the fitted rows, with the remaining uncertainty of fields, emulator,
-        nuisance, discrepancy and coat
-    any_coat : the same for another sensor with these fields; its coat, scale and emulator error are
-        independent of the fitted rows
-    deviation : (measured - any_coat) over the standard deviation of their difference: whether the
-        fields explain the row without an effect of its own coat
+    row : name of the row
+    measured, sd : measured value and its standard deviation
+    scatter : standard deviation of one measurement; `sd` may be that of a mean of several
+    fitted : True if the row was fitted, False if it was held out
+    twin : figure of the twin given the fitted rows, with the remaining uncertainty of fields,
+        emulator, nuisance, discrepancy and coat
+    any_coat : figure of another sensor with the same fields. Its coat, scale and emulator error are
+        independent of those of the fitted rows
+    deviation : (measured - any_coat) over the standard deviation of this difference. It shows
+        whether the fields explain the row without an effect of the row's own coat
     """
 
     row: str
@@ -64,18 +72,18 @@ class Prediction:
 
     @property
     def steps(self) -> float:
-        """Measured minus the twin's mean, in standard deviations of one measurement."""
+        """Measured value minus the twin's mean, in standard deviations of one measurement."""
         return (self.measured - self.twin.mean) / self.scatter
 
 
 def predict_rows(posterior: Posterior, rows: Likelihood, seed: int) -> list[Prediction]:
-    """Predict rows, fitted and held out, from the posterior.
+    """Predict the figures of rows, fitted or held out, from the posterior of the fields.
 
     Parameters
     ----------
     posterior : Posterior
     rows : Likelihood
-        The rows to predict, of the same free fields.
+        The rows to predict, with the free fields of the posterior.
     seed : int
     """
     given, unconditioned = draw_rows(posterior, rows, seed), _unconditioned(posterior, rows, seed)
@@ -92,13 +100,14 @@ def predict_rows(posterior: Posterior, rows: Likelihood, seed: int) -> list[Pred
 
 @dataclass(frozen=True)
 class LimitMet:
-    """A limit and the twin's prediction of its figure.
+    """Probability that a limit (a known bound of a figure) is met, and the predicted figure.
 
     Attributes
     ----------
-    limit : its name
-    twin : of the figure given the fitted rows and limits, with the remaining uncertainty
-    before, probability : that the limit is met, over the prior and given rows and limits
+    limit : name of the limit
+    twin : figure of the twin given the fitted rows and limits, with the remaining uncertainty
+    before, probability : probability that the limit is met: over the prior, and given the fitted
+        rows and limits
     """
 
     limit: str
@@ -108,7 +117,10 @@ class LimitMet:
 
 
 def limits_met(posterior: Posterior, seed: int) -> list[LimitMet]:
-    """Return the probability of each limit, over the posterior and as many draws of the prior."""
+    """Return the probability that each limit is met, over the prior and over the posterior.
+
+    The number of draws from the prior is the number of samples of the posterior.
+    """
     rng, likelihood = np.random.default_rng(seed), posterior.likelihood
     prior = rng.standard_normal(posterior.z.shape)
     limits = []
@@ -121,12 +133,13 @@ def limits_met(posterior: Posterior, seed: int) -> list[LimitMet]:
 
 
 def draw_rows(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
-    """Return figures (sample, row) given the fitted rows, without the rows' own noise.
+    """Draw the figures (sample, row) of rows given the fitted rows, without the noise of `rows`.
 
-    The fitted rows constrain the fields and the errors that rows share: nuisances, emulators'
-    errors, the draw of a coat. At each sample of the fields these are normal: joint draws of all
-    rows, and of the noise of the fitted rows, are corrected by the regression on the measured
-    values (Matheron's rule; Rasmussen and Williams 2006, eq. 2.19).
+    The fitted rows constrain the fields and the errors that rows share: nuisances, the errors of
+    emulators, the effect of a coat. At each sample of the fields these errors are normally
+    distributed. Therefore all rows, and the noise of the fitted rows, are drawn jointly. The draws
+    are then corrected by the regression on the measured values (Matheron's rule; Rasmussen and
+    Williams 2006, eq. 2.19).
     """
     every, fitted = rows.among(posterior.likelihood), posterior.likelihood.rows
     drawn, loadings = _drawn(posterior, every, seed)
@@ -143,12 +156,12 @@ def draw_rows(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
 
 
 def _unconditioned(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
-    """Return figures (sample, row) of another sensor with these fields: independent errors."""
+    """Draw figures (sample, row) of another sensor with the same fields and independent errors."""
     return _drawn(posterior, rows, seed)[0]
 
 
 def _drawn(posterior: Posterior, rows: Likelihood, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Return figures (sample, row) with drawn shared errors, and the loadings of these."""
+    """Return figures (sample, row) with drawn shared errors, and loadings (sample, row, error)."""
     figures, loadings = rows.predicted(posterior.z)
     latent = np.random.default_rng(seed).standard_normal((len(figures), loadings.shape[2], 1))
     return figures + (loadings @ latent)[..., 0], loadings
@@ -156,16 +169,17 @@ def _drawn(posterior: Posterior, rows: Likelihood, seed: int) -> tuple[FloatArra
 
 @dataclass(frozen=True)
 class Ridge:
-    """A combination of fields that the rows determine better than each of these fields.
+    """A combination of fields that the rows determine better than each single field.
 
-    Along the ridge the fields trade off: only their combination is known.
+    Along the ridge a change of one field compensates a change of another one; only their
+    combination is known.
 
     Attributes
     ----------
-    share : component by field of the unit vector across the ridge, in standard deviations of the
-        prior
-    variance_ratio : posterior over prior variance across it
-    open_ratio : posterior over prior variance of the best determined of its single fields
+    share : by name of the field, its component of the unit vector across the ridge; the vector is
+        in standard deviations of the prior
+    variance_ratio : posterior over prior variance across the ridge
+    open_ratio : smallest ratio of posterior to prior variance among the single fields in the ridge
     """
 
     share: Mapping[str, float]
@@ -176,9 +190,9 @@ class Ridge:
 def ridges(posterior: Posterior) -> list[Ridge]:
     """Return the combinations of two or more fields that the rows cannot separate.
 
-    Principal directions of the posterior with less than 10 % of the variance of each field that
-    takes part, the narrowest first. Then pairs of fields on a curve: after a parabola in one field
-    is subtracted, the other has less than 10 % of its variance.
+    First come straight ridges, the narrowest first: principal directions of the posterior with less
+    than 10 % of the variance of each field that takes part. Then come pairs of fields on a curve:
+    after a parabola in one field is subtracted, the other field has less than 10 % of its variance.
     """
     straight = _straight_ridges(posterior)
     named = [set(ridge.share) for ridge in straight]
@@ -226,7 +240,7 @@ def _left_by_parabola(of: FloatArray, by: FloatArray) -> float:
 
 
 def undetermined(posterior: Posterior) -> list[str]:
-    """Return the fields that the rows hardly narrow: more than 50 % of the prior's variance."""
+    """Return the names of fields with a posterior variance over 50 % of the prior's."""
     variances = posterior.z.var(axis=0)
     names = posterior.likelihood.free
     return [name for name, v in zip(names, variances, strict=True) if v > _UNDETERMINED]
@@ -234,12 +248,14 @@ def undetermined(posterior: Posterior) -> list[str]:
 
 @dataclass(frozen=True)
 class Worth:
-    """Expected reduction of the fields' variances by one more measurement.
+    """Expected reduction of the variances of the fields by one more measurement.
 
     Attributes
     ----------
-    expected_sd : of the figure before it is measured
-    shrink : by field, its expected variance after the measurement over the present one
+    row : name of the candidate row
+    expected_sd : standard deviation of the figure before it is measured, in the figure's unit
+    shrink : by name of the field, its expected variance after the measurement over its present
+        variance
     """
 
     row: str
@@ -248,14 +264,15 @@ class Worth:
 
     @property
     def gain(self) -> float:
-        """Expected information (nats), summed over the single fields."""
+        """Expected gain of information (nats), summed over the fields as if independent."""
         return float(-0.5 * np.sum(np.log(list(self.shrink.values()))))
 
 
 def worth_of(posterior: Posterior, candidates: Likelihood, seed: int) -> list[Worth]:
-    """Return the worth of measuring each candidate row, the largest information first.
+    """Return the worth of measuring each candidate row, the largest gain of information first.
 
-    Linear Bayes estimate from the posterior's samples: 1 - corr^2 of the field with the figure
+    The remaining share of a field's variance is estimated from the samples of the posterior (linear
+    Bayes estimate). It is 1 - corr^2, with corr the correlation of the field with the figure
     including its measurement noise.
     """
     if not candidates.rows:
@@ -275,16 +292,17 @@ def worth_of(posterior: Posterior, candidates: Likelihood, seed: int) -> list[Wo
 
 @dataclass(frozen=True)
 class PriorShift:
-    """Effect of a tilted prior: its density is doubled at one end and zero at the other.
+    """Effect of a tilted prior: the prior density is doubled at one end and zero at the other end.
 
     Attributes
     ----------
     field, towards : field with the tilted prior, and the end with doubled density, "low" or "high"
-    mean_before, mean : of the field, in its own unit
+    mean_before, mean : posterior mean of the field before and after the tilt, in the field's unit
     row, row_steps : row with the largest change of its prediction, and that change in standard
         deviations of the prediction
-    probability : of the most probable choices
-    effective_share : of the samples, (sum w)^2 / (n sum w^2): few count where it is small
+    probability : probability, after the tilt, of the most probable combination of choices
+    effective_share : effective share of the samples, (sum w)^2 / (n sum w^2), with weights w. If it
+        is small, the result depends on few samples
     """
 
     field: str
@@ -300,16 +318,17 @@ class PriorShift:
 def prior_shifts(
     posteriors: Sequence[Posterior], chances: Sequence[float], rows: Likelihood, seed: int
 ) -> list[PriorShift]:
-    """Return the effect of each field's prior on mean, prediction and probability.
+    """Return the effect of tilting each field's prior on means, predictions and probabilities.
 
-    Samples are weighted by 2 u or 2 (1 - u), u the prior's own quantile of the field; the evidence
-    of a model changes by the mean of the weights (importance sampling).
+    Samples are weighted by 2 u or 2 (1 - u), where u (0 to 1) is the field's quantile under the
+    original prior. The evidence of a model is multiplied by the mean of the weights (importance
+    sampling).
 
     Parameters
     ----------
-    posteriors, chances : of the models with their probabilities, the most probable first
+    posteriors, chances : posterior and probability of each model, the most probable model first
     rows : Likelihood
-        All rows to predict, of the first model.
+        All rows to predict, with the emulators of the first model.
     seed : int
     """
     best = posteriors[0]
@@ -340,5 +359,5 @@ def prior_shifts(
 
 
 def _tilted(z: FloatArray, towards: str) -> FloatArray:
-    """Return weights (sample,) of the tilted prior over the prior, 1 in the mean over the prior."""
+    """Return the ratio (sample,) of the tilted to the original prior density, of prior mean 1."""
     return np.asarray(2.0 * ndtr(z if towards == "high" else -z))

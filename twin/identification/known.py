@@ -1,4 +1,4 @@
-"""The result of an identification: every combination of choices, its posterior and conclusions."""
+"""Result of an identification: the posterior of the fields for every combination of choices."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,16 +36,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SensorModel:
-    """The sensor under one combination of choices.
+    """Model of the sensor for one combination of choices, with the posterior of its free fields.
 
     Attributes
     ----------
-    combination : choice by alternative
-    prior, probability : of the combination, before and after the fitted rows
-    emulators : by row, of `rows` and `worth`
-    scatters : of the figures over the repeats, by the rows with `realisations`
-    rotated : by held-out row, its prediction when the other rows are fitted; empty except in the
-        most probable model
+    combination : by name of the alternative, the name of the choice
+    prior, probability : probability of the combination before and after the rows are fitted
+    emulators : by name of the row or limit, the emulator of its figure; also for the rows of
+        `worth`
+    scatters : by name of each row with `realisations`, the emulator of the figure's standard
+        deviation over the repeats
+    posterior : samples of the free fields given the fitted rows and limits
+    predictions : prediction of every row, fitted or held out
+    rotated : by name of the row, its prediction when this row is held out and the other rows are
+        fitted; empty except in the most probable model
     """
 
     combination: Mapping[str, str]
@@ -60,7 +64,14 @@ class SensorModel:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """Identified fields of a sensor, with the most probable model first."""
+    """Identified fields of a sensor: one model per combination of choices, the most probable first.
+
+    Attributes
+    ----------
+    problem : the unknown fields, rows, limits and choices
+    models : posterior and predictions for each combination of choices
+    seed : of all random draws
+    """
 
     problem: SensorProblem
     models: tuple[SensorModel, ...]
@@ -81,21 +92,21 @@ class Identified:
         return as_html(self.problem.name, fields_in_short(self) | best, self.plot())
 
     def plot(self) -> "Drawing":
-        """Draw the samples of each field with its 95 % interval: a Matplotlib figure."""
+        """Draw the samples of each field with its 95 % interval into a Matplotlib figure."""
         return posterior_drawing(self)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the samples (model, sample) of the free fields, as in posterior.nc."""
+        """Return the samples (model, sample) of each free field, as in `posterior.nc`."""
         return samples_of(self).to_xarray()
 
     @property
     def best(self) -> SensorModel:
-        """The most probable model."""
+        """Model of the most probable combination of choices."""
         return self.models[0]
 
     @cached_property
     def values(self) -> FloatArray:
-        """(sample, free field) over all models, in numbers proportional to their probability."""
+        """Samples (sample, free field) of all models, with shares equal to their probability."""
         return mixed([model.posterior.values for model in self.models], self._weights, self.seed)
 
     @property
@@ -103,37 +114,43 @@ class Identified:
         return [model.probability for model in self.models]
 
     def intervals(self) -> dict[str, Marginal]:
-        """Return mean, SD and 68.3 and 95 % intervals of each fitted field by name, in its unit."""
+        """Return mean, SD, 68.3 % and 95 % interval of each free field by name, in its unit."""
         return {n: interval_of(v) for n, v in zip(self.problem.free, self.values.T, strict=True)}
 
     def ridges(self) -> list[Ridge]:
-        """Return the combinations of fields that the rows cannot separate, in the best model."""
+        """Return the combinations of fields that the rows cannot separate (best model)."""
         return ridges(self.best.posterior)
 
     def undetermined(self) -> list[str]:
-        """Return the fields that the rows hardly narrow."""
+        """Return the names of fields with a posterior variance over 50 % of the prior's.
+
+        The most probable model is used.
+        """
         return undetermined(self.best.posterior)
 
     def limits(self) -> list[LimitMet]:
-        """Return the probability of each limit in the most probable model."""
+        """Return the probability that each limit is met, in the most probable model."""
         return limits_met(self.best.posterior, self.seed)
 
     def worth(self) -> list[Worth]:
-        """Return by how much each measurement of `worth` would narrow the fields."""
+        """Return the expected reduction of the fields' variances by each row of `worth`."""
         candidates = likelihood_of(
             self.problem, self.problem.worth, self.best.emulators, self.best.scatters
         )
         return worth_of(self.best.posterior, candidates, self.seed)
 
     def prior_shifts(self) -> list[PriorShift]:
-        """Return the effect of each field's prior on the conclusions."""
+        """Return the change of the conclusions when the prior of each field is tilted."""
         best = self.best
         rows = likelihood_of(self.problem, self.problem.rows, best.emulators, best.scatters)
         posteriors = [model.posterior for model in self.models]
         return prior_shifts(posteriors, self._weights, rows, self.seed)
 
     def profiles(self) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Return the profile of the likelihood by field: its values and log likelihood."""
+        """Return the profile likelihood of each field: values in the field's unit, log likelihood.
+
+        The log likelihood is relative to its maximum; the most probable model is used.
+        """
         profiles = {}
         for number, (name, free) in enumerate(self.problem.free.items()):
             shares, heights = profile(self.best.posterior, number)
@@ -142,7 +159,7 @@ class Identified:
 
 
 def mixed(samples: list[FloatArray], weights: list[float], seed: int) -> FloatArray:
-    """Draw from the models' samples, each with its weight."""
+    """Draw samples (sample, free field) from several models, in shares given by their weights."""
     rng = np.random.default_rng(seed)
     count = min(len(values) for values in samples)
     shares = rng.multinomial(count, np.array(weights) / sum(weights))

@@ -1,13 +1,18 @@
-"""The posterior of the free fields: samples by MCMC, evidence, and the profile of the likelihood.
+"""Posterior of the free fields: samples by MCMC, evidence, and the profile of the likelihood.
 
-Coordinates: z, standard normal under the prior, one per free field; a place is the prior's
-quantile of Phi(z) on the field's axis. Rows are normal. Their variance is the sum of their own
-uncertainty, the model's discrepancy, the scatter over realisations (coats) and the emulator's
-error; nuisances, linear with normal priors, are integrated out: C = diag(s^2) + L L^T, with L the
-change of each row by one standard deviation of each source of error. Rows of one figure share the
-error of its emulator, and rows of one coat the draw of its texture. A limit is met with the
-probability that a normal figure, with the sum of the limit's and the emulator's variance, is on
-the allowed side.
+Each free field has a coordinate z that is standard normal under the prior. The place of z, a share
+of the field's axis, is the quantile of the prior at the probability Phi(z).
+
+The measured values of rows are normally distributed. Their variance is the sum of four variances:
+the row's own uncertainty, the discrepancy of the model, the scatter over realisations (coats) and
+the emulator's error. Nuisances are linear with normal priors and are integrated out. The covariance
+is C = diag(s^2) + L L^T, with s the rows' own standard deviations. L contains the change of each
+row by one standard deviation of each source of error.
+
+Rows of one figure share the error of its emulator, and rows of one coat share the random effect of
+the coat's texture. A limit is a bound of a figure from one side. The figure is normally
+distributed; its variance is the sum of the variances of limit and emulator. The likelihood of the
+limit is the probability that the figure is on the allowed side.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -39,15 +44,17 @@ _PROFILE = 25
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """How likely the values of some rows are at a place.
+    """Likelihood of the measured values of some rows and limits, as a function of the free fields.
 
     Attributes
     ----------
     free : the free fields by name, in the order of the columns of places
-    rows, limits : by name; limits count in the likelihood and are never predicted
-    emulators : by name of the row or limit
-    nuisance_sd : standard deviation by nuisance
-    scatters : emulated scatter over the repeats, by name of the rows with `realisations`
+    rows, limits : rows and limits by name; limits contribute to the likelihood but are not
+        predicted
+    emulators : emulator of the figure, by name of the row or limit
+    nuisance_sd : standard deviation of each nuisance, by its name
+    scatters : emulator of the standard deviation over the repeats, by name of each row with
+        `realisations`
     """
 
     free: Mapping[str, Free]
@@ -58,16 +65,17 @@ class Likelihood:
     limits: Mapping[str, Limit] = field(default_factory=dict)
 
     def places(self, z: FloatArray) -> FloatArray:
-        """Return places (n, free field) of standard normal coordinates (n, free field)."""
+        """Return places, shares of the axes, of coordinates z; both (n, free field)."""
         probability = ndtr(np.clip(z, -_FARTHEST, _FARTHEST))
         columns = [free.place(p) for free, p in zip(self.free.values(), probability.T, strict=True)]
         return np.stack(columns, axis=1)
 
     def predicted(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return figures (n, row) and the loadings (n, row, latent) of their shared errors.
+        """Return figures (n, row) at coordinates z, and error loadings (n, row, latent).
 
-        A row differs from its figure by its loadings times independent standard normal latents:
-        the error of each emulator, the draw of each coat, each nuisance, each row's discrepancy.
+        The expected value of a row differs from its figure by its loadings times independent
+        standard normal latent variables: the error of each emulator, the effect of each coat, each
+        nuisance, and the discrepancy of each row.
         """
         at = self.places(z)
         figures, emulated = self._figures(at)
@@ -83,7 +91,7 @@ class Likelihood:
         return figures, np.concatenate(loadings, axis=2)
 
     def _figures(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return figures (n, row), scaled to each row's statistic, and emulators' deviations."""
+        """Return figures and emulators' standard deviations (n, row), scaled to the statistic."""
         emulators = [self.emulators[name] for name in self.rows]
         predicted = _each_once(emulators, lambda emulator: emulator.predict(at))
         rows = self.rows.values()
@@ -92,7 +100,7 @@ class Likelihood:
         return means * factor, sds * factor
 
     def _scatter(self, at: FloatArray) -> FloatArray:
-        """Return (n, row) the standard deviation that a row's realisations share, or 0."""
+        """Return the common standard deviation (n, row) of a row's realisations; 0 if none."""
         scatter = np.zeros((len(at), len(self.rows)))
         numbers = [i for i, row in enumerate(self.rows.values()) if row.realisations is not None]
         names, rows = list(self.rows), list(self.rows.values())
@@ -103,14 +111,14 @@ class Likelihood:
         return scatter
 
     def _coats(self) -> list[object]:
-        """Return a key of the coat by row: rows of one figure on one coat have the same key."""
+        """Return a key of each row's coat: rows of one figure on one coat have the same key."""
         return [
             name if row.coat is None else (row.coat, id(self.scatters[name]))
             for name, row in self.rows.items()
         ]
 
     def among(self, others: "Likelihood") -> "Likelihood":
-        """Return the joint likelihood of these rows and of those rows that only `others` has."""
+        """Return the joint likelihood of the rows of this one and the further rows of `others`."""
         return replace(
             self,
             rows={**self.rows, **{n: r for n, r in others.rows.items() if n not in self.rows}},
@@ -119,7 +127,7 @@ class Likelihood:
         )
 
     def log(self, z: FloatArray) -> FloatArray:
-        """Return the logarithm of the likelihood (n,)."""
+        """Return the natural logarithm of the likelihood (n,) at coordinates z (n, free field)."""
         figures, loadings = self.predicted(z)
         factor = np.linalg.cholesky(self.covariance(loadings))
         residual = np.array([row.value for row in self.rows.values()]) - figures
@@ -130,19 +138,19 @@ class Likelihood:
         return np.asarray(rows + sum(self.within(name, z) for name in self.limits))
 
     def within(self, limit: str, z: FloatArray) -> FloatArray:
-        """Return the logarithm of the probability (n,) that a limit is met."""
+        """Return the logarithm of the probability (n,) that a limit is met at coordinates z."""
         stated = self.limits[limit]
         figure, emulated = self.emulators[limit].predict(self.places(z))
         steps = stated.side * (figure - stated.value) / np.hypot(stated.sd, emulated)
         return np.asarray(log_ndtr(steps))
 
     def log_posterior(self, z: FloatArray) -> FloatArray:
-        """Return log likelihood plus log prior density (n,), both with their constants."""
+        """Return log likelihood plus log prior density (n,), with normalising constants."""
         log_density = self.log(z) + _log_prior(z)
         return np.where(np.abs(z).max(axis=1) < _FARTHEST, log_density, -np.inf)
 
     def covariance(self, loadings: FloatArray) -> FloatArray:
-        """Return the covariance (n, row, row) of the measured rows about the twin's figures."""
+        """Return the covariance (n, row, row) of measured rows about the twin's figures."""
         own = np.diag([row.sd**2 for row in self.rows.values()])
         return np.asarray(loadings @ loadings.transpose(0, 2, 1) + own)
 
@@ -150,14 +158,17 @@ class Likelihood:
 def _each_once(
     emulators: Sequence[Emulator], predict: Callable[[Emulator], _Prediction]
 ) -> list[_Prediction]:
-    """Return the prediction of each emulator, computed once for rows that share an emulator."""
+    """Return the prediction by each emulator in the list; compute equal emulators only once."""
     distinct = {id(emulator): emulator for emulator in emulators}
     predicted = {key: predict(emulator) for key, emulator in distinct.items()}
     return [predicted[id(emulator)] for emulator in emulators]
 
 
 def _loaded(sd: FloatArray, latent: Sequence[object]) -> FloatArray:
-    """Return loadings (n, row, latent) of deviations (n, row), by the latent of each row."""
+    """Return loadings (n, row, latent) from standard deviations (n, row).
+
+    `latent` has a key of the latent variable of each row; rows with equal keys share the variable.
+    """
     columns = {key: number for number, key in enumerate(dict.fromkeys(latent))}
     membership = np.zeros((len(latent), len(columns)))
     membership[range(len(latent)), [columns[key] for key in latent]] = 1.0
@@ -165,7 +176,7 @@ def _loaded(sd: FloatArray, latent: Sequence[object]) -> FloatArray:
 
 
 def _log_prior(z: FloatArray) -> FloatArray:
-    """Return the logarithm of the prior density (n,) at standard normal coordinates."""
+    """Return the logarithm of the prior density (n,) at coordinates z (n, free field)."""
     return np.asarray(-0.5 * np.sum(z**2, axis=1) - 0.5 * z.shape[1] * np.log(2 * np.pi))
 
 
@@ -175,7 +186,7 @@ def likelihood_of(
     emulators: Mapping[str, Emulator],
     scatters: Mapping[str, Emulator] = MappingProxyType({}),
 ) -> Likelihood:
-    """Return the likelihood of some rows of a problem, and of all its limits."""
+    """Return the likelihood of the given rows of a problem and of all limits of the problem."""
     sds = {name: nuisance.sd for name, nuisance in problem.nuisance.items()}
     ours = {name: nuisance for name, nuisance in scatters.items() if name in rows}
     return Likelihood(problem.free, rows, emulators, sds, ours, problem.limits)
@@ -183,14 +194,16 @@ def likelihood_of(
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Samples of the free fields given the rows.
+    """Samples of the free fields given the fitted rows and limits.
 
     Attributes
     ----------
-    z : (sample, free field) standard normal under the prior
-    log_evidence : logarithm of the probability of the rows, over prior and noise
-    log_evidence_sd : its standard uncertainty
-    steps, correlation_time : of the chains
+    likelihood : likelihood of the fitted rows and limits
+    z : (sample, free field) coordinates, standard normal under the prior
+    log_evidence : natural logarithm of the evidence: the probability density of the measured rows,
+        integrated over the prior
+    log_evidence_sd : standard uncertainty of `log_evidence`
+    steps, correlation_time : number of steps of the chains, and their autocorrelation time in steps
     independent : effective number of independent samples of the chains
     """
 
@@ -204,7 +217,7 @@ class Posterior:
 
     @property
     def is_converged(self) -> bool:
-        """Whether the chains have the required length and independent samples."""
+        """Whether the chains are long enough and have enough independent samples."""
         return (
             self.independent >= 0.75 * _EFFECTIVE
             and self.steps >= _CORRELATION_TIMES * self.correlation_time
@@ -212,36 +225,36 @@ class Posterior:
 
     @property
     def places(self) -> FloatArray:
-        """(sample, free field) shares of the axes."""
+        """Places of the samples (sample, free field): shares, 0 to 1, of the axes."""
         return self.likelihood.places(self.z)
 
     @property
     def values(self) -> FloatArray:
-        """(sample, free field) in the fields' own units."""
+        """Values of the samples (sample, free field), each field in its own unit."""
         free = self.likelihood.free.values()
         return np.stack([f.value(x) for f, x in zip(free, self.places.T, strict=True)], axis=1)
 
     @property
     def best_z(self) -> FloatArray:
-        """(free field,) the most probable sample."""
+        """Coordinates (free field,) of the sample with the largest posterior density."""
         best: FloatArray = self.z[int(np.argmax(self.likelihood.log_posterior(self.z)))]
         return best
 
 
 def sample(likelihood: Likelihood, seed: int, longest: int = LONGEST_CHAIN) -> Posterior:
-    """Sample the posterior by affine-invariant ensembles (Goodman and Weare 2010).
+    """Sample the posterior by an affine-invariant ensemble of chains (Goodman and Weare 2010).
 
-    The walkers start from places of the prior drawn by their likelihood, so that every basin of
-    the likelihood has walkers. Chains run until they are 20 autocorrelation times long and have
-    1000 independent samples, or for `longest` steps.
+    The start positions of the chains are drawn from the prior with weights by their likelihood, so
+    that every maximum of the likelihood has chains. The chains run until they are 20
+    autocorrelation times long and have 1000 independent samples, or for `longest` steps.
     """
     rng = np.random.default_rng(seed)
     fields = len(likelihood.free)
     walkers = max(_LEAST_WALKERS, _WALKERS_PER_FIELD * fields)
     walkers += walkers % 2
-    # Not emcee's snooker move: it weighs proposals by the root of the ratio that detailed balance
-    # requires (ter Braak and Vrugt 2008, eq. 4); with a weight of 0.1 it narrowed 68 % intervals to
-    # 60 %.
+    # emcee's snooker move is not used: it weighs proposals by the root of the ratio that detailed
+    # balance requires (ter Braak and Vrugt 2008, eq. 4). With 10 % of such moves, 68 % intervals
+    # contained only 60 %.
     moves = [(emcee.moves.StretchMove(), 0.5), (emcee.moves.DEMove(), 0.5)]
     sampler = emcee.EnsembleSampler(
         walkers, fields, likelihood.log_posterior, moves=moves, vectorize=True
@@ -264,7 +277,8 @@ def _starts(likelihood: Likelihood, walkers: int, rng: np.random.Generator) -> F
     unit = qmc.Sobol(len(likelihood.free), rng=rng).random_base2(_START_EXPONENT)
     z = norm.ppf(np.clip(unit, 1e-6, 1 - 1e-6))
     log_likelihood = likelihood.log(z)
-    # Tempered until some hundred places count: starts at the single best place miss other basins.
+    # Tempered until some hundred places have a notable weight: with starts at the best place only,
+    # chains would miss other maxima.
     for temper in 2.0 ** np.arange(0, 40):
         weight = np.exp((log_likelihood - log_likelihood.max()) / temper)
         weight /= weight.sum()
@@ -277,10 +291,11 @@ def _starts(likelihood: Likelihood, walkers: int, rng: np.random.Generator) -> F
 def _evidence(
     likelihood: Likelihood, z: FloatArray, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Sample by importance from prior and t densities round the samples, in equal parts.
+    """Return the log evidence and its standard uncertainty, by importance sampling.
 
-    The draws from the prior keep the weights bounded where there are no samples (defensive
-    mixture, Hesterberg 1995).
+    50 % of the proposals are from the prior and 50 % from t densities round the samples. The
+    proposals from the prior keep the weights bounded where there are no samples (defensive mixture,
+    Hesterberg 1995).
     """
     count, fields = 2**_PROPOSALS_EXPONENT, z.shape[1]
     shape = np.atleast_2d(np.cov(z.T)) * 0.5 + 1e-8 * np.eye(fields)
@@ -299,9 +314,11 @@ def _evidence(
 
 
 def profile(posterior: Posterior, field: int) -> tuple[FloatArray, FloatArray]:
-    """Return shares (n,) of a field's axis and there the largest log likelihood over all others.
+    """Return the profile likelihood of a field: shares (n,) of its axis and log likelihood (n,).
 
-    Relative to the largest of all; -0.5 marks a 68 %, -1.92 a 95 % interval (one field).
+    At each share the log likelihood is the largest over all other fields. It is relative to its
+    maximum; a value of -0.5 marks the ends of a 68 % interval and -1.92 of a 95 % interval (for one
+    field).
     """
     likelihood, z = posterior.likelihood, posterior.z
     grid = norm.ppf(np.linspace(0.01, 0.99, _PROFILE))
@@ -338,13 +355,13 @@ def _highest(
 
 
 def _with_slope(function: Any, at: FloatArray, step: float = 1e-4) -> tuple[float, FloatArray]:
-    """Return value and central differences in one vectorised call."""
+    """Return the value and the gradient, by central differences, in one vectorised call."""
     moves = step * np.eye(at.size)
     values = function(np.concatenate((at[None], at + moves, at - moves)))
     return float(values[0]), (values[1 : at.size + 1] - values[at.size + 1 :]) / (2 * step)
 
 
 def probabilities(posteriors: Sequence[Posterior], weights: Sequence[float]) -> FloatArray:
-    """Return the posterior probabilities of models from their evidence and prior weights."""
+    """Return posterior probabilities (model,) from the models' evidence and prior weights."""
     logs = np.log(weights) + np.array([posterior.log_evidence for posterior in posteriors])
     return np.asarray(np.exp(logs - logsumexp(logs)))

@@ -1,4 +1,4 @@
-"""Presentation of an identification: samples as labelled arrays, intervals as texts and plots."""
+"""Presentation of an identification: samples as labelled arrays, intervals as texts, plots."""
 
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ _PANELS = 3
 
 
 def samples_of(identified: "Identified") -> LabelledArrays:
-    """Return the samples of the free fields by model, in the fields' own units."""
+    """Return the samples (model, sample) of each free field, and each model's probability."""
     count = min(len(model.posterior.z) for model in identified.models)
     dims = ("model", "sample")
     by_model = np.stack([model.posterior.values[-count:] for model in identified.models])
@@ -31,7 +31,7 @@ def samples_of(identified: "Identified") -> LabelledArrays:
 
 
 def fields_in_short(identified: "Identified") -> dict[str, str]:
-    """Return mean and central 95 % interval of each free field as texts; units in the names."""
+    """Return the mean and central 95 % interval of each free field as text, by the field's name."""
     return {
         name: f"{interval.mean:.4g} ({interval.low_95:.4g} to {interval.high_95:.4g})"
         for name, interval in identified.intervals().items()
@@ -39,7 +39,7 @@ def fields_in_short(identified: "Identified") -> dict[str, str]:
 
 
 def posterior_drawing(identified: "Identified") -> "Drawing":
-    """Return the samples of each free field with its central 95 % interval."""
+    """Draw the histogram of each free field's samples with its central 95 % interval."""
     from reconstruction.drawing import Drawing, draw_distribution
 
     rows = -(-len(identified.problem.free) // _PANELS)

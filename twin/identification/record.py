@@ -1,4 +1,4 @@
-"""The folder of an identification: its files and how they are written.
+"""Output folder of an identification: its files and the functions that write them.
 
 | in the folder | content |
 |---|---|
@@ -34,14 +34,15 @@ WRITTEN = (POSTERIOR_FILE, EXPERIMENTS_FOLDER, RESULT_FILE, EXPERIMENT_FILE)
 def experiments_at_best(
     identified: Identified, experiments: Mapping[str, Experiment]
 ) -> dict[str, Experiment]:
-    """Return the experiments with the most probable choices and values.
+    """Return the experiments, by name, with the most probable choices and field values.
 
-    Every value states that it is identified, its 95 % interval, and the rows that were fitted.
+    Every identified value is stored with its 95 % interval and with a source that names the fitted
+    rows.
 
     Raises
     ------
     ConfigError
-        The values do not fit an experiment.
+        An experiment is invalid with these choices or values.
     """
     values = identified_values(identified)
     return {
@@ -51,7 +52,11 @@ def experiments_at_best(
 
 
 def identified_values(identified: Identified) -> dict[str, dict[str, Any]]:
-    """Return the most probable values of the fields by name, as data files state them."""
+    """Return the most probable value of each field by name, with range and source.
+
+    The format is that of a value in a data file: `range` is the 95 % interval, extended to contain
+    the value; `source` names the fitted rows.
+    """
     problem, best = identified.problem, identified.best.posterior
     at = best.likelihood.places(best.best_z[None])[0]
     source = f"identified: {problem.name}, from the rows {_fitted_names(problem)}; 95 % interval"
@@ -87,7 +92,7 @@ def _at(
 
 
 def figures_of(identified: Identified) -> dict[str, Any]:
-    """Return all results of the identification for result.json; fields and rows by their names."""
+    """Return all results of the identification as nested tables for `result.json`."""
     return {
         "fields": {
             name: {"path": identified.problem.free[name].path} | asdict(interval)
@@ -125,7 +130,7 @@ def figures_of(identified: Identified) -> dict[str, Any]:
 def write_identified(
     folder: Path, identified: Identified, experiments: Mapping[str, Experiment]
 ) -> None:
-    """Write results, samples, and the experiments at the most probable values."""
+    """Write `result.json`, `posterior.nc`, and the experiments at the most probable values."""
     best = experiments_at_best(identified, experiments)
     (folder / EXPERIMENTS_FOLDER).mkdir()
     for name, experiment in best.items():

@@ -1,4 +1,4 @@
-"""Identify a sensor: simulate, fit emulators, sample the posterior; then refine near it."""
+"""Identification of a sensor: simulate, fit emulators, sample the posterior, refine near it."""
 
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
@@ -46,16 +46,16 @@ def identify(
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
     inputs: Iterable[Path] = (),
 ) -> Identified:
-    """Estimate the free fields from the rows.
+    """Estimate the free fields of a problem from its measured rows.
 
     Parameters
     ----------
     problem, experiments
-        As from `twin.config.problem.load_problem`.
+        Problem and experiments as `twin.config.problem.load_problem` returns them.
     folder : Path
-        Where the simulations are stored, below `studies`.
+        Output folder; the simulations are stored in its subfolder `studies`.
     workers : Workers
-        Processes that simulate; the result is the same with any number.
+        Processes that simulate; the result does not depend on their number.
 
     Raises
     ------
@@ -80,8 +80,8 @@ def identify(
 def _refined_places(first: Identified) -> dict[Variant, FloatArray]:
     """Draw places (point, free field) from a first posterior, for each variant to be refined.
 
-    A variant is refined if a limit or row, fitted or not, needs it under a combination of choices
-    with a probability of at least 1 %.
+    A variant is refined if a row or limit needs it. This applies to fitted and held-out rows, under
+    every combination of choices with a probability of at least 1 %.
     """
     problem, rng = first.problem, np.random.default_rng(first.seed)
     drawn: dict[Variant, FloatArray] = {}
@@ -106,12 +106,13 @@ def infer(
     *,
     longest: int | None = None,
 ) -> Identified:
-    """Return the identification from the rows, given the simulations.
+    """Return the identification from the measured rows and from simulations that are already run.
 
     Parameters
     ----------
-    workers : fit and sample in parallel; the result is the same with any. Default: this process
-    longest : most steps of a chain; default: those of the problem's design
+    workers : processes that fit emulators and sample in parallel; the result does not depend on
+        their number. Default: only this process
+    longest : largest number of steps of a chain; default: `longest` of the problem's design
     """
     tasks = workers or local_workers(1)
     executor, steps = tasks.open(), longest or problem.design.longest
@@ -125,12 +126,13 @@ _Map = Callable[..., list[Any]]
 
 
 def _in_parallel(executor: Executor, function: Callable[..., Any], *arguments: Any) -> list[Any]:
-    """Return the results of a function over lists of arguments, computed in parallel."""
+    """Return the results of a function for each set of arguments, computed in parallel."""
     return list(executor.map(partial(_on_one_thread, function), *arguments))
 
 
 def _on_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
-    # Small matrices are slower on several threads; the last digits depend on the threads' number.
+    # Small matrices are slower on several threads, and the last digits depend on the number of
+    # threads.
     with one_blas_thread():
         return function(*arguments)
 
@@ -163,7 +165,11 @@ def _infer(
 
 
 def _keys(problem: SensorProblem, combination: Mapping[str, str]) -> dict[tuple[str, bool], _Key]:
-    """Return the figures to be emulated: that of each row, and its scatter over realisations."""
+    """Return the figures to be emulated, by (name of row or limit, whether it is the scatter).
+
+    The scatter of a figure is its standard deviation over the repeats; only rows with
+    `realisations` need it.
+    """
     keys: dict[tuple[str, bool], _Key] = {}
     for name, row in problem.figures.items():
         variant = variant_for(problem, problem.experiment_of(row, combination), combination)
@@ -177,7 +183,7 @@ def _keys(problem: SensorProblem, combination: Mapping[str, str]) -> dict[tuple[
 def _emulators(
     problem: SensorProblem, combination: Mapping[str, str], learned: Mapping[_Key, Emulator]
 ) -> tuple[dict[str, Emulator], dict[str, Emulator]]:
-    """Return the emulators of all rows' figures, and of the scatter where a row has one."""
+    """Return the emulators of figures and of scatters, each by name of row or limit."""
     keys = _keys(problem, combination)
     figures = {name: learned[key] for (name, of_scatter), key in keys.items() if not of_scatter}
     return figures, {name: learned[key] for (name, scatter), key in keys.items() if scatter}
@@ -190,7 +196,7 @@ def _model(
     emulators: Mapping[str, Emulator],
     scatters: Mapping[str, Emulator],
 ) -> SensorModel:
-    """Return a model without its probability among the models."""
+    """Sample the posterior for one combination of choices; its `probability` is still NaN."""
     seed = problem.design.seed
     every = likelihood_of(problem, problem.rows, emulators, scatters)
     fitted = likelihood_of(problem, problem.fitted, emulators, scatters)
@@ -208,7 +214,7 @@ def _model(
 
 
 def _rotated(problem: SensorProblem, best: SensorModel, longest: int, held: str) -> Prediction:
-    """Predict a row of `rotate` from the other fitted rows."""
+    """Predict the row `held` from the other fitted rows, without its own measured value."""
     seed = problem.design.seed
     every = likelihood_of(problem, problem.rows, best.emulators, best.scatters)
     rows = {name: row for name, row in problem.fitted.items() if name != held}

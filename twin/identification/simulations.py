@@ -1,7 +1,7 @@
-"""Simulations over the space of free fields: studies of the experiments, saved in stores.
+"""Simulations over the space of the free fields: studies of the experiments, saved in stores.
 
-One study for every experiment and every choice that changes it. An interrupted run is resumed from
-the stores, and cases of the same content are shared within a study.
+There is one study for every experiment and every choice that changes this experiment. An
+interrupted run is resumed from the stores. Within a study, identical cases are simulated once.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -35,19 +35,19 @@ STUDIES_FOLDER = "studies"
 
 @dataclass(frozen=True)
 class Variant:
-    """An experiment under the choices that change it."""
+    """An experiment with the choices that change it; every variant has its own study."""
 
     experiment: str
     choices: tuple[tuple[str, str], ...] = ()
 
     @property
     def name(self) -> str:
-        """Name of its study."""
+        """Name of the variant's study: the experiment and the choices, in lower case."""
         return "-".join((self.experiment, *(choice for _, choice in self.choices))).lower()
 
 
 def variants_of(problem: SensorProblem) -> list[Variant]:
-    """Return the variants that must be simulated."""
+    """Return the variants that must be simulated for the rows and limits of a problem."""
     variants = []
     for experiment in _used(problem):
         changing = _changing(problem, experiment)
@@ -58,7 +58,7 @@ def variants_of(problem: SensorProblem) -> list[Variant]:
 
 
 def variant_for(problem: SensorProblem, experiment: str, combination: Mapping[str, str]) -> Variant:
-    """Return the variant of an experiment in a combination of choices."""
+    """Return the variant of an experiment for one combination of choices."""
     changing = _changing(problem, experiment)
     return Variant(experiment, tuple((name, combination[name]) for name in changing))
 
@@ -85,7 +85,7 @@ def record_of(
     Raises
     ------
     ConfigError
-        A choice does not fit the experiment.
+        The experiment is invalid with one of the choices.
     """
     setup = problem.experiments[variant.experiment]
     names = problem.simulated_in(variant.experiment)
@@ -108,17 +108,19 @@ def record_of(
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """The simulations of one variant.
+    """Simulations of one variant at the points of its study.
 
     Attributes
     ----------
-    columns : which free fields were varied
-    places : (point, free field) shares of the axes; fields that the experiment lacks are 0.5
+    variant : the simulated variant
+    columns : indices of the free fields that were varied
+    places : (point, free field) shares of the axes; 0.5 for fields that were not varied
     rows
-        One per point and repeat, those of a point together: figures and settings by name.
+        Figures and settings by name, one row per point and repeat; repeats of a point are
+        consecutive.
     repeats : int
-    among : by name, the column of a field that varies among the figures, and by how these are
-        named its values and the shares of its axis
+    among : for each field with a fixed list of values (`among`): its column, and its values with
+        their shares of the axis, by the form of the value in names of figures
     varied : names of the fields that were varied
     """
 
@@ -138,15 +140,16 @@ class Simulated:
         Parameters
         ----------
         metric : str or tuple of str
-            Name of the figure; of several their mean.
+            Name of the figure. If several names are given, their mean is taken.
         statistic : "mean" or "sd"
-            Over the repeats of a point. The deviation is pooled over several figures.
+            Mean or standard deviation over the repeats of a point. The standard deviation is
+            pooled over several figures.
         learned_as : "value", "log" or "reciprocal"
 
         Raises
         ------
         InputError
-            No simulation gave this figure.
+            No simulation gave the figure.
         """
         names = (metric,) if isinstance(metric, str) else metric
         where = f"{self.variant.experiment}: {', '.join(names)}"
@@ -162,14 +165,18 @@ class Simulated:
         return SimulatedFigure(where, places, figures, parts[0][1], learned_as, simulation)
 
     def with_further(self, further: "Simulated") -> "Simulated":
-        """Return these simulations joined with further ones of the same variant."""
+        """Return these simulations together with further simulations of the same variant."""
         places = np.concatenate((self.places, further.places))
         return replace(self, places=places, rows=self.rows + further.rows)
 
     def _named(
         self, names: tuple[str, ...]
     ) -> Iterator[tuple[FloatArray, tuple[int, ...], tuple[str, ...]]]:
-        """Yield places, columns, and full names of figures, for each value of a field among."""
+        """Yield places, columns and full names of the figures, once per value of a field in braces.
+
+        If the names contain `{FIELD}` of a field in `among`, the braces are replaced by each value
+        of the field. Otherwise the names are yielded unchanged.
+        """
         marked = (n for n in self.among if any(f"{{{n}}}" in name for name in names))
         field_name = next(marked, None)
         if field_name is None:
@@ -183,7 +190,7 @@ class Simulated:
             yield places, tuple(sorted((*self.columns, column))), full
 
     def _figures(self, names: tuple[str, ...], statistic: Statistic) -> FloatArray:
-        """Return a figure (point,) that is the mean of several, over the repeats."""
+        """Return mean or standard deviation (point,) over the repeats, for the named figures."""
         values = {part: v for _, given in self.among.values() for part, (v, _) in given.items()}
         if names[0] in values:  # the field itself
             return np.full(len(self.places), values[names[0]])
@@ -204,7 +211,10 @@ class Simulated:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedFigure:
-    """One figure over all simulations: arguments of `fit_emulator`, and `where` for messages."""
+    """Values of one figure in all simulations of a variant: the arguments of `fit_emulator`.
+
+    `where` names experiment and figure in error messages.
+    """
 
     where: str
     places: FloatArray
@@ -214,12 +224,12 @@ class SimulatedFigure:
     simulation: IntArray
 
     def learned(self) -> Emulator:
-        """Fit the emulator of the figure.
+        """Return the emulator that is fitted to the figure.
 
         Raises
         ------
         InputError
-            Too few simulations gave it.
+            Too few simulations gave the figure.
         """
         try:
             return fit_emulator(
@@ -232,7 +242,8 @@ class SimulatedFigure:
 def summary(figures: FloatArray, statistic: Statistic) -> FloatArray:
     """Return mean or pooled standard deviation (point,) of figures (point, repeat, figure).
 
-    NaN where a point has no figure, or for a deviation fewer than two repeats of one.
+    The mean is NaN at a point where one of the figures has no value. The standard deviation is NaN
+    at a point where one of the figures has fewer than two repeats.
     """
     there = np.isfinite(figures)
     count, filled = there.sum(axis=1), np.where(there, figures, 0.0)
@@ -259,12 +270,12 @@ def simulate(
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
     inputs: Iterable[Path] = (),
 ) -> dict[Variant, Simulated]:
-    """Run all simulations that are not in the stores below `folder`.
+    """Run all simulations that are not yet in the stores below `folder`; return them by variant.
 
     Raises
     ------
     ConfigError
-        A choice or an end of an axis does not fit an experiment.
+        An experiment is invalid with one of the choices, or at an end of an axis.
     InputError
         A store cannot be used.
     MissingBackend
@@ -291,16 +302,16 @@ def refine(
     watch: ProgressCallback = no_progress,
     make_measurer: Callable[[tuple[str, ...]], Measurer] = CaseMeasurer,
 ) -> dict[Variant, Simulated]:
-    """Run further simulations, in stores of their own.
+    """Run further simulations at given places, in additional stores; return them by variant.
 
     Parameters
     ----------
-    places : (point, free field) shares of the axes, by variant
+    places : by variant, (point, free field) shares of the axes
 
     Raises
     ------
     ConfigError, InputError, MissingBackend
-        As `simulate`.
+        For the reasons of `simulate`.
     """
     simulated = {}
     for number, (variant, at) in enumerate(places.items()):
@@ -320,7 +331,7 @@ def _part(watch: ProgressCallback, number: int, count: int, stage: str, fraction
 
 
 def _read(problem: SensorProblem, variant: Variant, store: Path, shares: FloatArray) -> Simulated:
-    """Read a store with points at shares (point, axis) of the axes."""
+    """Read the simulations of a variant from its store; `shares` (point, axis) are of the axes."""
     names = list(problem.free)
     varied = problem.simulated_in(variant.experiment)
     columns = tuple(names.index(name) for name in varied)
@@ -337,7 +348,7 @@ def _read(problem: SensorProblem, variant: Variant, store: Path, shares: FloatAr
 
 
 def _derived(problem: SensorProblem) -> list[str]:
-    """Return the derived figures that rows, limits or their choices name."""
+    """Return the names of the derived figures that rows, limits or choices name."""
     figures, combinations = problem.figures, list(problem.combinations())
     metrics = {problem.metric_of(n, f, c) for n, f in figures.items() for c in combinations}
     names = {name for m in metrics for name in ((m,) if isinstance(m, str) else m)}
@@ -345,5 +356,5 @@ def _derived(problem: SensorProblem) -> list[str]:
 
 
 def figure_part(value: float) -> str:
-    """Return a value as written in the name of a figure: 1p2 for 1.2."""
+    """Return a value in the form that names of figures contain, for example 1p2 for 1.2."""
     return f"{value:g}".replace(".", "p")

@@ -1,4 +1,4 @@
-"""Summary of an identification in one TOML file, which report pages and trials read.
+"""Summary of an identification in one TOML file, `identified.toml`.
 
 | table | content |
 |---|---|
@@ -30,13 +30,13 @@ _DIGITS = 5
 
 
 def write_summary(folder: Path, identified: Identified) -> None:
-    """Write the summary into a folder."""
+    """Write the summary of an identification as `identified.toml` into a folder."""
     text = tomli_w.dumps(summary_of(identified))
     write_text(folder / SUMMARY_FILE, text)
 
 
 def summary_of(identified: Identified) -> dict[str, Any]:
-    """Return the summary as nested tables of plain values."""
+    """Return the summary as nested tables of texts, numbers and lists, as TOML stores them."""
     problem, values = identified.problem, identified_values(identified)
     open_fields, intervals = identified.undetermined(), identified.intervals()
     fields = {
@@ -100,7 +100,10 @@ def _limit(identified: Identified, predicted: LimitMet) -> dict[str, Any]:
 def _draws(
     values: dict[str, dict[str, Any]], samples: FloatArray, seed: int
 ) -> dict[str, list[float]]:
-    """Return samples with all values in their stated ranges, as an experiment requires."""
+    """Draw samples of the fields, by name, from those inside all stated ranges.
+
+    An experiment rejects a value outside its stated range.
+    """
     low, high = np.array([field["range"] for field in values.values()]).T
     allowed = samples[((samples >= low) & (samples <= high)).all(axis=1)]
     chosen = np.random.default_rng(seed).choice(len(allowed), DRAWS)
@@ -108,7 +111,7 @@ def _draws(
 
 
 def _rounded(node: Any) -> Any:
-    """Return nested tables with numbers rounded to the written digits."""
+    """Return nested tables with numbers rounded to 5 significant digits."""
     if isinstance(node, dict):
         return {key: _rounded(value) for key, value in node.items()}
     if isinstance(node, (list, tuple)):

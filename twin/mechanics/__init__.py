@@ -1,4 +1,4 @@
-"""The pressed elastomer: pressure, force and the coated face."""
+"""Press a rigid specimen into the elastomer: pressure, force and shape of the coated face."""
 
 from twin.mechanics.choice import check_press, press_with
 from twin.mechanics.contact_transfer import (

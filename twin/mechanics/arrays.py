@@ -1,4 +1,4 @@
-"""A pressed elastomer as labelled arrays: names, dimensions, units of the fields of press.nc."""
+"""Convert a pressed elastomer to labelled arrays: variables, dimensions and units of press.nc."""
 
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -46,9 +46,10 @@ SHEET_VARIABLES: dict[str, tuple[str, str]] = {
 
 
 def press_arrays(pressed: "PressedElastomer") -> LabelledArrays:
-    """Return all fields over their coordinates x, y (solver cells) and face_x, face_y (nodes), mm.
+    """Return all fields of a press as labelled arrays.
 
-    Figures of `Validity` are stored as attributes.
+    Coordinates are x and y (centres of the solver's cells) and face_x and face_y (nodes of the
+    coated face), mm. The figures of `Validity` are stored as attributes.
     """
     variables = {
         name: labelled(np.asarray(getattr(pressed, name)), *figures)
@@ -67,7 +68,10 @@ def press_arrays(pressed: "PressedElastomer") -> LabelledArrays:
 def labelled(
     data: NDArray[Any], dimensions: tuple[str, ...], units: str, long_name: str
 ) -> Labelled:
-    """Return an array with its dimensions and attributes; bool as int8, which netCDF-4 has."""
+    """Return an array with its dimensions, units and long name.
+
+    A bool array is converted to int8, because netCDF-4 has no bool type.
+    """
     stored = data.astype(np.int8) if data.dtype == bool else data
     return dimensions, stored, {"units": units, "long_name": long_name}
 

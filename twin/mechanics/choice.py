@@ -1,8 +1,8 @@
-"""Press with the model that the experiment names, or with the one of the least stated error.
+"""Press with the configured elastomer model, or with the model of the least expected error.
 
-At a given depth the shape of a linear slab does not depend on its modulus. The solver works in
-pressure over modulus, so the results for any modulus are those of a unit modulus times the modulus,
-to the last bit: one press serves all moduli.
+At a given depth the shape of a linear slab does not depend on its Young's modulus. The solver
+computes pressure over modulus. Pressure and force for any modulus are therefore those of 1 kPa
+times the modulus in kPa, equal to the last bit: a single press is sufficient for all moduli.
 """
 
 from dataclasses import replace
@@ -34,15 +34,15 @@ def press_with(
     load: Press,
     progress: Progress | None = None,
 ) -> PressedElastomer:
-    """Press `specimen` into `elastomer` with the chosen model.
+    """Press `specimen` into `elastomer` with the model that `select_model` returns.
 
     Parameters
     ----------
-    progress : called with the finished share of the load steps, by models that have load steps
+    progress : called by models with load steps, with the finished fraction of them, 0 to 1
 
     Raises
     ------
-    PressError : the model cannot press this; the message states the remedy
+    PressError : the model cannot compute this press; the message states the remedy
     SolverError : the solution did not converge
     """
     case = PressInput(mechanics, specimen, elastomer, load)
@@ -55,15 +55,17 @@ def press_with(
 
 
 def settled_with(case: PressInput, progress: Progress | None = None) -> SettledPress:
-    """Press with the chosen model, and return the equilibrium for derivatives.
+    """Press with the model that `select_model` returns, and return the equilibrium.
+
+    The equilibrium computes presses with slightly changed input by its derivatives.
 
     Parameters
     ----------
-    progress : called with the finished share of the load steps
+    progress : called with the finished fraction of the load steps, 0 to 1
 
     Raises
     ------
-    PressError : the model has no derivatives, or as `press_with`
+    PressError : the model has no derivatives, or an error of `press_with`
     SolverError : the solution did not converge
     """
     return select_model(case).settle(case, progress)
@@ -76,8 +78,8 @@ def check_press(
 
     Raises
     ------
-    PressError : the model cannot press this; the message states the remedy; if `auto` may select
-        several models and none can press, the error of the first
+    PressError : the model cannot compute this press; the message states the remedy. If `auto` may
+        select several models and none of them can compute the press: the error of the first model
     """
     case = PressInput(mechanics, specimen, elastomer, load)
     errors = []
@@ -90,21 +92,21 @@ def check_press(
 
 
 def possible_models(case: PressInput) -> list[ElastomerModel]:
-    """Return the model that the experiment names, or those that `auto` may select."""
+    """Return a list of the configured model only, or of all models that `auto` may select."""
     if case.mechanics.model != AUTO:
         return [MODELS[case.mechanics.model]]
     return [model for model in MODELS if model.is_automatic and model.applies(case)]
 
 
 def select_model(case: PressInput) -> ElastomerModel:
-    """Return the model with the least stated error among those that apply.
+    """Return the model with the least expected error among the models of `possible_models`.
 
-    A model without a stated error is selected only if no model states an error. Of equal errors
-    that of a thin sheet is preferred, which is solved faster than solid elements.
+    A model without an error estimate is selected only if no model has an estimate. If two
+    estimates are equal, the model of a thin sheet is selected: it is faster than solid elements.
 
     Raises
     ------
-    PressError : no model can press this
+    PressError : no model can compute this press
     """
     models = possible_models(case)
     if len(models) == 1:
@@ -123,21 +125,22 @@ def select_model(case: PressInput) -> ElastomerModel:
 
 
 def may_wrap(elastomer: Elastomer) -> bool:
-    """Whether an elastomer is a thin sheet, which wraps the object."""
+    """Whether an elastomer is a thin sheet, which wraps round the object."""
     return is_thin_sheet(elastomer)
 
 
 def is_slab(elastomer: Elastomer) -> bool:
-    """Whether an elastomer is a slab with a rectangular rim, too thick to wrap."""
+    """Whether an elastomer is a slab, thicker than a thin sheet, on a rectangular rim."""
     thick = elastomer.thickness_mm > SHEET_THICKNESS_MM[1]
     return thick and elastomer.layout == "opposite_face" and elastomer.outline != "round"
 
 
 def modulus_only_scales(case: PressInput) -> bool:
-    """Whether the modulus only scales the pressure and force of a press, not its shape.
+    """Whether Young's modulus only scales the pressure and force of a press, not its shape.
 
-    False under force control; with a coat, weight or back pressure, which have a stiffness or
-    pressure of their own; and for the reference models, which are solved in kPa.
+    The result is False if the force is prescribed. It is False with a film, weight or back
+    pressure, because their stiffness or pressure does not scale with the modulus. It is also False
+    if a model is possible that wraps, or if none is the linear slab.
     """
     if (
         case.load.control != "depth"
@@ -155,7 +158,12 @@ def modulus_only_scales(case: PressInput) -> bool:
 def unit_press(
     mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
 ) -> PressedElastomer | None:
-    """Press an elastomer of 1 kPa; None where the modulus also changes the shape.
+    """Press the elastomer with a Young's modulus of 1 kPa instead of its own.
+
+    Returns
+    -------
+    The pressed elastomer at 1 kPa; None if the modulus also changes the shape, see
+    `modulus_only_scales`
 
     Raises
     ------
@@ -170,7 +178,7 @@ def unit_press(
 
 
 def with_modulus(pressed: PressedElastomer, elastomer: Elastomer) -> PressedElastomer:
-    """Scale the result of `unit_press` to an elastomer's own modulus."""
+    """Scale pressure and force of a `unit_press` to the Young's modulus of an elastomer."""
     modulus_kpa = young_modulus(elastomer).best_kpa
     return replace(
         pressed,

@@ -3,13 +3,14 @@
 Polonsky, I. A., Keer, L. M. (1999): A numerical method for solving rough contact problems based
 on the multi-level multi-summation and conjugate gradient techniques. Wear 231(2), 206-219.
 
-Find p >= 0 and g >= 0 with p g = 0, where the gap is g = A p + S - d: deflection plus the
-specimen's height behind its foremost point minus the depth. Arrays are (row, col).
+Find p >= 0 and g >= 0 with p g = 0, where the gap is g = A p + S - d. Here p is the pressure over
+Young's modulus, A p the deflection of the touched face, S the height of the specimen behind its
+foremost point and d the depth (lengths in mm). Arrays are (row, col).
 
-On a layer it is solved on two grids: a coarse grid locates the contact, a patch of the fine grid
-gives the pressure. The coarse solution takes a few milliseconds. It bounds the patch that the fine
-solution needs, also if the force is given and the depth is not, and it starts that solution close
-to its contact: from a poor guess a bending slab rebounds, and the contact opens and closes in turn.
+For a layer the problem is solved on two grids: a coarse grid locates the contact, then a patch of
+the fine grid gives the pressure. The coarse solution takes a few milliseconds. It bounds the patch,
+also if the force is given and the depth is not known. It also gives the fine solution a first guess
+close to its contact: from a poor guess the contact on a bending slab opens and closes alternately.
 """
 
 from collections import deque
@@ -28,44 +29,48 @@ from twin.mechanics.patch import Patch, Span
 Deflect = Callable[[FloatArray], FloatArray]
 
 
-# Largest gap of a touching cell over the largest deflection: faint pressures have no effect on sums
+# Largest allowed gap of a touching cell over the largest deflection. The criterion on the sum of
+# pressures does not detect errors of cells with a small pressure.
 _CLOSED = 3e-5
-# Number of earlier passes with energies that limit the energy of the next.
+# Number of previous passes; their largest energy limits the energy of the next pass.
 _REMEMBERED = 10
 COARSENING = 4
 _COARSE_TOLERANCE = 1e-3
 # Least number of cells per side of a coarse grid that resolves a contact.
 _FEWEST_CELLS = 64
-# The coarse contact may miss a cell at its edge: it is grown by one of its own cells.
+# Fine cells of the filter that enlarges the coarse contact by one coarse cell on each side: the
+# coarse solution may miss a cell at the contact's edge.
 _GROWN = 2 * COARSENING + 1
-# Largest overlap outside the patch, over the depth.
+# Largest allowed overlap of specimen and layer outside the patch, over the depth.
 _GAP_TOLERANCE = 1e-4
 _MOST_PATCHES = 20
-# Pressure of cells that are only suspected to touch, over the highest.
+# First guess of the pressure of cells that may touch, over the highest pressure.
 _FAINT = 1e-6
 _ADVICE = "use a thicker slab, a shorter span or a coarser press.solver_pitch_mm"
 
 
 @dataclass(frozen=True)
 class Unscaled:
-    """Plain conjugate gradients."""
+    """Scaling by 1: conjugate gradients without a preconditioner."""
 
     cell: float = 1.0
 
     def apply(self, gap: FloatArray) -> FloatArray:
-        """Return the gap itself."""
+        """Return `gap` unchanged."""
         return gap
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A solved contact; arrays (row, col)."""
+    """Solution of a contact problem; arrays are (row, col) on the solver's cells."""
 
-    #: pressure over Young's modulus
+    #: pressure over Young's modulus, 0 outside the contact
     pressure: FloatArray
     #: deflection of the touched face, mm, positive along the press
     deflection_mm: FloatArray
+    #: travel of the specimen after first touch
     depth_mm: float
+    #: number of passes of the solver
     iterations: int
 
 
@@ -79,21 +84,22 @@ def solve_contact(
     scaling: Scaling | None = None,
     start: FloatArray | None = None,
 ) -> Contact:
-    """Solve the contact by Polonsky and Keer's conjugate gradients.
+    """Return the contact of a rigid height field, by Polonsky and Keer's conjugate gradients.
 
     Parameters
     ----------
     deflect : pressure over modulus (row, col) to deflection of the touched face (row, col), mm
     height_mm : (row, col) float, mm; the specimen's height behind its foremost point, inf where
         absent
-    tolerance : largest relative change of the pressure per pass, as its sum of absolute values
-    max_iterations : passes before the solver gives up
-    scaling : approximate inverse of `deflect`; the passes then hardly grow with the grid
-    start : (row, col) float; first guess of the pressure over modulus
+    tolerance : largest sum of absolute changes of the pressure in the last pass, over its sum
+    max_iterations : largest number of passes
+    scaling : approximate inverse of `deflect`, by which the number of passes hardly increases with
+        the number of cells; None: no preconditioner
+    start : (row, col) float; first guess of pressure over modulus; None: that of `control`
 
     Raises
     ------
-    SolverError : the passes were used up
+    SolverError : no solution within `max_iterations` passes
     """
     present = np.isfinite(height_mm)
     height = np.where(present, height_mm, 0.0)
@@ -123,13 +129,14 @@ def solve_contact(
 
 
 class _Passed(NamedTuple):
-    """Result of one whole pass."""
+    """Result of one whole pass; arrays are (row, col)."""
 
+    #: pressure over modulus, and deflection of the touched face, mm
     pressure: FloatArray
     deflection: FloatArray
-    #: the same cells touch as before the pass
+    #: True if the same cells touch as before the pass
     unchanged: bool
-    #: cells without pressure overlapped
+    #: True if cells without pressure overlapped the specimen and were added to the contact
     joined: bool
 
 
@@ -140,16 +147,20 @@ def _pass(
     gap: FloatArray,
     present: BoolArray,
 ) -> _Passed:
-    """Step along the next direction, add overlapping cells to the contact, apply the control."""
+    """Make one pass of the solver.
+
+    It steps along the next search direction, adds overlapping cells to the contact and scales the
+    pressure to a prescribed force.
+    """
     touching = pressure > 0
     direction, image, step = search.step(gap, touching)
-    # A single cell under a given force has no step; its neighbours join nevertheless.
+    # The step of a single cell under a given force is 0; its neighbours are added nevertheless.
     advanced, overlapping = _advance(
         pressure - step * direction, gap, present, (step or 1.0) * search.scaling.cell
     )
     factor = search.control.scale(advanced)
     advanced *= factor
-    # An unchanged contact moves the deflection along the known image: no transform.
+    # If the contact is unchanged, the deflection follows from the known image without a transform.
     joined = bool(overlapping.any())
     unchanged = not joined and np.array_equal(advanced > 0, touching)
     after = factor * (deflection - step * image) if unchanged else search.deflect(advanced)
@@ -159,31 +170,35 @@ def _pass(
 def _advance(
     moved: FloatArray, gap: FloatArray, present: BoolArray, stiffness: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the next pressure and the cells that join: without pressure and overlapping."""
+    """Return the next pressure over modulus, and the cells to add to the contact, (row, col).
+
+    Added cells have no pressure and overlap the specimen (`gap` < 0).
+    """
     advanced = np.maximum(moved, 0.0)
     overlapping = (advanced == 0) & (gap < 0) & present
     return np.where(overlapping, -stiffness * gap, advanced), overlapping
 
 
 class _Brake:
-    """Shorten a pass that raises the energy above that of the last passes.
+    """Line search: shorten a pass that would increase the energy above that of the last passes.
 
-    Cells that join the contact get pressure as if each were loaded separately. On a bending slab
-    that opens the whole contact, and without a limit it opens and closes for hundreds of passes. A
-    non-monotone line search, in which the energy may rise now and then, does not change ordinary
-    passes: Grippo, Lampariello, Lucidi (1986), SIAM J. Numer. Anal. 23, 707.
+    Cells that are added to the contact get a pressure as if each were loaded separately. On a
+    bending slab this opens the whole contact; without a limit the contact then opens and closes for
+    hundreds of passes. The line search is non-monotone: the energy may increase in some passes, so
+    that ordinary passes are not changed (Grippo, Lampariello, Lucidi (1986), SIAM J. Numer. Anal.
+    23, 707).
     """
 
     def __init__(self) -> None:
         self._energies: deque[float] = deque(maxlen=_REMEMBERED)
 
     def share(self, energy: float, slope: float, curvature: float) -> float:
-        """Return the share of a pass that is taken.
+        """Return the fraction of the pass to apply, 0 to 1.
 
         Parameters
         ----------
-        energy : before the pass
-        slope, curvature : of the energy along the whole pass
+        energy : energy before the pass
+        slope, curvature : first and second derivative of the energy by that fraction
         """
         self._energies.append(energy)
         first = len(self._energies) == 1
@@ -193,7 +208,7 @@ class _Brake:
 
 
 class _Search:
-    """Directions and step lengths of the conjugate gradients within the contact."""
+    """Search directions and step lengths of the conjugate gradients, on cells in contact."""
 
     def __init__(self, deflect: Deflect, control: Control, scaling: Scaling) -> None:
         self.deflect, self.control, self.scaling = deflect, control, scaling
@@ -202,16 +217,20 @@ class _Search:
         self.norm = 0.0
 
     def restart(self) -> None:
-        """Discard the last direction."""
+        """Discard the last direction: the next direction is that of steepest descent."""
         self.direction = None
 
     def step(self, gap: FloatArray, touching: BoolArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return direction, its image and the step length; steepest descent if that fails."""
+        """Return the search direction (row, col), its deflection, mm, and the step length.
+
+        The direction is the conjugate one, or that of steepest descent if the conjugate direction
+        has no positive curvature.
+        """
         inside = np.where(touching, gap, 0.0)
         scaled = self._scaled(inside, touching)
         turned = scaled
         if self.direction is not None and self.norm > 0:
-            # Polak and Ribiere: resets itself when cells leave the contact.
+            # Formula of Polak and Ribiere: it restarts the search when cells leave the contact.
             turn = inner(scaled, inside - self.gap) / self.norm
             turned = np.where(touching, scaled + max(turn, 0.0) * self.direction, 0.0)
         self.gap, self.norm = inside, inner(scaled, inside)
@@ -238,14 +257,14 @@ def _finish(
 
 
 class Pressable(Protocol):
-    """The responses of a layer that the solver needs."""
+    """An elastic layer that `solve_on_layer` can press."""
 
     def deflect(self, pressure: FloatArray) -> FloatArray:
-        """Return the touched face's deflection on the whole grid."""
+        """Return the touched face's deflection (row, col), mm, for pressure over modulus."""
         ...
 
     def patch(self, rows: Span, cols: Span) -> Patch:
-        """Return the response within a patch."""
+        """Return the response of a rectangle of cells to pressure on these cells."""
         ...
 
     def coarsened(self, factor: int) -> "Pressable":
@@ -256,18 +275,18 @@ class Pressable(Protocol):
 def solve_on_layer(
     layer: Pressable, height_mm: FloatArray, control: Control, tolerance: float = 1e-5
 ) -> Contact:
-    """Solve the contact of a rigid height field with a layer.
+    """Return the contact of a rigid height field with an elastic layer.
 
     Parameters
     ----------
-    layer : best with numbers of cells that are multiples of 16
+    layer : the layer; rows and columns in multiples of 16 are solved fastest
     height_mm : (row, col) float, mm; the specimen's height behind its foremost point, inf where
         absent
-    tolerance : largest relative change of the pressure per pass
+    tolerance : largest relative change of the pressure in the last pass, see `solve_contact`
 
     Raises
     ------
-    SolverError : no solution within the passes, or the contact outgrows every patch
+    SolverError : no solution within the passes, or the contact is larger than each patch
     """
     guess, passes = _guess(layer, height_mm, control), 0
     for _ in range(_MOST_PATCHES):
@@ -289,7 +308,10 @@ def solve_on_layer(
 
 
 def _guess(layer: Pressable, height_mm: FloatArray, control: Control) -> FloatArray:
-    """Return a first pressure: the coarse contact, grown, or the control's own start."""
+    """Return a first guess of pressure over modulus (row, col).
+
+    It is the enlarged contact of the coarse grid, or without one the guess of `control`.
+    """
     present = np.isfinite(height_mm)
     first = control.start(np.where(present, height_mm, 0.0), present)
     coarse = _coarse_pressure(layer, height_mm, control)
@@ -304,7 +326,12 @@ def _guess(layer: Pressable, height_mm: FloatArray, control: Control) -> FloatAr
 def _coarse_pressure(
     layer: Pressable, height_mm: FloatArray, control: Control
 ) -> FloatArray | None:
-    """Solve on cells four times as wide; None where such cells do not resolve the contact."""
+    """Return pressure over modulus on cells four times as wide.
+
+    Returns
+    -------
+    (coarse row, coarse col) float; None if such cells do not resolve the contact
+    """
     rows, cols = height_mm.shape
     if min(rows, cols) < _FEWEST_CELLS or rows % COARSENING or cols % COARSENING:
         return None
@@ -322,7 +349,7 @@ def _coarse_pressure(
 
 
 def _between_cells(height_mm: FloatArray) -> FloatArray:
-    """Return the height at the middle of each coarse cell, the mean of four fine cells."""
+    """Return the height, mm, at the middle of each coarse cell: the mean of the four fine cells."""
     rows, cols = (count // COARSENING for count in height_mm.shape)
     blocks = height_mm.reshape(rows, COARSENING, cols, COARSENING)
     middle = slice(COARSENING // 2 - 1, COARSENING // 2 + 1)

@@ -1,16 +1,16 @@
-"""Contrast of grooves and ridges on the coated face, against their pitch.
+"""Height of grooves and ridges on the coated face over their height on the specimen, by pitch.
 
-In the opposite-face layout only the thickness matters: at any hardness a slab transfers 50 % of
-the relief at a pitch of 2.40 thicknesses and 10 % at 1.32. In the contact-face layout the coat is
-the touched face: a groove that the gel fills is transferred completely.
+In the opposite-face layout this ratio depends only on pitch over thickness: a slab of any hardness
+transfers 50 % of the relief at a pitch of 2.40 thicknesses and 10 % at 1.32. In the contact-face
+layout the coat is the touched face: a groove that the gel fills is transferred completely.
 
-That slab, 3 mm thick, touches all of a shallow groove. A thin sheet rests on the crests and the
-pressure bends it into the grooves between them: hardness and pressure matter as well, until the
-sheet touches the whole ridge and transfers the slab's T(q) of it. The sheet is one period of the
-exact elastic layer. That includes shear through the thickness, which the `sheet` press neglects: at
-a pitch of 2 thicknesses shear reduces the relief by 50 %. Ridges are cosines (y constant, x
-across). The tension of a sheet that is stretched over the specimen is neglected; it reduces the
-relief.
+A slab, 3 mm thick, touches the whole surface of a shallow groove. A thin sheet touches only the
+crests, and the pressure bends it into the grooves between them. Its ratio therefore also depends on
+hardness and pressure. When the sheet touches the whole surface, its ratio is that of a slab, T(q).
+The sheet is computed as one period of the exact elastic layer, which includes shear through the
+thickness. The `sheet` press neglects this shear, which reduces the relief by 50 % at a pitch of 2
+thicknesses. Ridges are cosines of x, constant along y. The tension of a sheet that is stretched
+over the specimen is neglected; it reduces the relief.
 """
 
 from dataclasses import dataclass
@@ -34,28 +34,28 @@ _CELLS_PER_PITCH = 32
 _Q_RANGE = 1e-3, 60.0
 #: ridge height of a fingerprint, the finest relief that the paper names
 RIDGE_MM = 0.07
-_CELLS = 128  # of half a pitch
-_PITCHES = np.geomspace(1.0, 30.0, 31)  # over the thickness
-_RANGE = 0.2, 200.0
+_CELLS = 128  # number of cells of half a pitch
+_PITCHES = np.geomspace(1.0, 30.0, 31)  # pitches over the thickness
+_RANGE = 0.2, 200.0  # bracket of the pitch for a given share, over the thickness
 _STIFF = 1e4
 
 
 @dataclass(frozen=True)
 class ContactTransfer:
-    """Share of a sinusoidal relief that the coated face reproduces, per pitch."""
+    """Share of the height of a sinusoidal relief that the coated face reproduces, per pitch."""
 
     #: (n,) mm
     pitch_mm: FloatArray
-    #: (n,) T(q) of a slab without film, 0 to 1
+    #: (n,) share T(q), 0 to 1, of a slab without film
     closed_form: FloatArray
-    #: (n,) by the press' own solver, film included; of a sheet: under its pressure
+    #: (n,) share, 0 to 1, by the solver of the press, with the film; of a sheet: under its pressure
     computed: FloatArray
-    #: pitch at which 50 %, and 10 %, is transferred (slab: closed form; sheet: computed); 0 if
+    #: pitches at which 50 % and 10 % are transferred (slab: closed form; sheet: computed); 0 if
     #: every pitch is transferred completely
     half_pitch_mm: float
     tenth_pitch_mm: float
     thickness_mm: float
-    #: of a sheet: the pressure that presses it onto ridges, and their height
+    #: pressure that presses a sheet onto the ridges, and their height; None for a slab
     pressure_kpa: float | None = None
     ridge_mm: float | None = None
 
@@ -70,11 +70,11 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
 
     Parameters
     ----------
-    pitches_mm : (n,) float, mm; pitches; by default 0.5 to 6 thicknesses
+    pitches_mm : (n,) float, mm; None: 41 pitches of 0.5 to 6 thicknesses
 
     Raises
     ------
-    PressError : a pitch that is not positive, or so long that the slab cannot be solved
+    PressError : a pitch is not positive, or is too long for the slab to be solved
     """
     thickness = elastomer.thickness_mm
     default = thickness * np.geomspace(0.5, 6.0, 41)
@@ -95,7 +95,7 @@ def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None)
 
 
 def pitch_at(share: float, thickness_mm: float) -> float:
-    """Return the pitch at which a free slab transfers a share of the relief, mm.
+    """Return the pitch, mm, at which a free slab transfers the fraction `share` of a relief.
 
     >>> round(pitch_at(0.5, 1.0), 2)
     2.4
@@ -105,11 +105,12 @@ def pitch_at(share: float, thickness_mm: float) -> float:
 
 
 def _computed(elastomer: Elastomer, pitch_mm: float) -> float:
-    """Press grooves of one pitch into a wide slab with the solver's own operators.
+    """Return the share of a relief of one pitch that a wide slab transfers.
 
-    The slab's spans are whole numbers of waves, so a wave of pressure gives the same wave on both
-    faces. The wave along the second axis is so long that the pitch hardly changes, and the pitch is
-    corrected for it.
+    It is computed with the operators of the contact solver. The pressure is a single mode of the
+    slab's sine series, so both faces deflect in the same shape. Along y the mode is half a wave of
+    a long wavelength. The wavenumber along x is reduced, so that the total wavenumber is that of
+    the pitch.
     """
     wave = 2 * np.pi / pitch_mm
     length_x, length_y = _PITCHES_ACROSS * pitch_mm, 40.0 * pitch_mm
@@ -132,7 +133,7 @@ def _computed(elastomer: Elastomer, pitch_mm: float) -> float:
 
 
 def ridge_height_mm(specimen: Specimen) -> float:
-    """Return the height of a specimen's ridges, or that of a fingerprint's if it has no ridges."""
+    """Return the height of a specimen's ridges, mm; that of a fingerprint if it has no ridges."""
     height_mm = specimen.ridge_height_mm
     return RIDGE_MM if height_mm is None else height_mm
 
@@ -140,21 +141,23 @@ def ridge_height_mm(specimen: Specimen) -> float:
 def ridge_transfer(
     elastomer: Elastomer, pressure_kpa: float, ridge_mm: float = RIDGE_MM
 ) -> ContactTransfer:
-    """Return the share of the ridges on the coated face, for pitches of 1 to 30 thicknesses.
+    """Return the share of the ridge height on the coated face, for pitches of 1 to 30 thicknesses.
 
     Parameters
     ----------
     elastomer : a sheet or slab in the opposite-face layout; its film is neglected
-    pressure_kpa : that presses the sheet onto the ridges: on a flat specimen the back pressure
-    ridge_mm : crest to root
+    pressure_kpa : pressure that presses the sheet onto the ridges; on a flat specimen this is the
+        back pressure
+    ridge_mm : height of the ridges, crest to root
 
     Returns
     -------
-    `closed_form` is T(q) of a sheet that touches all of the ridge, `computed` that under pressure
+    `closed_form` is T(q) of a sheet that touches the whole surface of the ridges, `computed` the
+    share under the given pressure
 
     Raises
     ------
-    PressError : no pressure, or a ridge without height
+    PressError : the pressure is not positive
     """
     if not pressure_kpa > 0:
         raise PressError(
@@ -178,7 +181,7 @@ def ridge_transfer(
 
 @dataclass(frozen=True)
 class Ridges:
-    """Ridges of one height under one pressure, of any pitch."""
+    """Sinusoidal ridges of one height under an elastomer with a given mean pressure."""
 
     elastomer: Elastomer
     pressure_kpa: float
@@ -192,14 +195,14 @@ class Ridges:
         return layer.coat_mm(pressure) / self.height_mm
 
     def pitch_mm(self, share: float) -> float:
-        """Return the pitch at which the coat reproduces a share of the relief."""
+        """Return the pitch, mm, at which the coat has the fraction `share` of the ridge height."""
         low, high = (np.log(self.elastomer.thickness_mm * end) for end in _RANGE)
         log_pitch = brentq(lambda log: self.shown(np.exp(log)) - share, low, high, xtol=1e-4)
         return float(np.exp(log_pitch))
 
 
 class _Period:
-    """Half a period of the elastic layer, from crest to root, symmetric at both."""
+    """Half a period of the elastic layer from crest to root of a ridge, symmetric about both."""
 
     def __init__(self, elastomer: Elastomer, pitch_mm: float) -> None:
         self.modulus_kpa = young_modulus(elastomer).best_kpa
@@ -211,22 +214,23 @@ class _Period:
         self._touched, self._coated = unit * transfer.normal_t, unit * transfer.normal_b
 
     def compliance(self) -> FloatArray:
-        """Return the touched face's deflection (col, col), mm, per cell's pressure over modulus."""
+        """Return the touched face's deflection (col, loaded col), mm, per pressure over modulus."""
         waves = fft.dct(np.eye(_CELLS), type=2, axis=0) * np.append(0.0, self._touched)[:, None]
         response: FloatArray = fft.idct(waves, type=2, axis=0)
         return (response + response.T) / 2
 
     def coat_mm(self, pressure: FloatArray) -> float:
-        """Return the coated face's relief from crest to root under (col,) pressure over modulus."""
+        """Return the coated face's relief, crest to root, mm, for (col,) pressure over modulus."""
         waves = fft.dct(pressure, type=2)[1:] / _CELLS * self._coated
         return float(2 * waves[::2].sum())
 
 
 def _pressure(layer: _Period, ridge_mm: FloatArray, mean: float) -> FloatArray:
-    """Return the contact pressure over modulus (col,), 0 or more, of a given mean.
+    """Return the contact pressure over modulus (col,), 0 or more, with a given mean.
 
-    Minimises the energy p (A p / 2 + S), with a stiff spring on the mean in place of the
-    constraint, as nonnegative least squares: an active set, which terminates for every pitch.
+    It minimises the energy p (A p / 2 + S), with A the compliance and S the ridge's height. A stiff
+    spring on the mean replaces the constraint. The problem is then one of nonnegative least
+    squares; its active-set method terminates for every pitch.
     """
     compliance = layer.compliance()
     spring = _STIFF * float(compliance.max())

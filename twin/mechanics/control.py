@@ -1,4 +1,7 @@
-"""Control of a press: a prescribed depth or force. Arrays are (row, col); see `contact`."""
+"""Control of a press by a prescribed depth or a prescribed force.
+
+Arrays are (row, col). Pressures are divided by Young's modulus. Symbols: see `contact`.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
@@ -9,43 +12,49 @@ from reconstruction.arrays import BoolArray, FloatArray
 
 
 class Scaling(Protocol):
-    """An approximate inverse of the deflection, symmetric and positive."""
+    """Preconditioner of the contact solver: a symmetric, positive approximate inverse of A."""
 
     @property
     def cell(self) -> float:
-        """Pressure per deflection of one cell."""
+        """Pressure over modulus on one cell per mm of deflection of that cell, 1/mm."""
         ...
 
     def apply(self, gap: FloatArray) -> FloatArray:
-        """Return the approximate pressure that closes `gap`."""
+        """Return the approximate pressure over modulus (row, col) that closes `gap`, mm."""
         ...
 
 
 class Control(Protocol):
-    """Steps of the contact solver that depend on the control; `raised` = A p + S."""
+    """Steps of the contact solver that depend on whether depth or force is prescribed.
+
+    The argument `raised` is A p + S, mm: deflection plus height of the specimen.
+    """
 
     def start(self, height: FloatArray, present: BoolArray) -> FloatArray:
-        """Return the first pressure."""
+        """Return the first guess of the pressure, 0 outside the cells `present`."""
         ...
 
     def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
-        """Return the travel after first touch."""
+        """Return the travel after first touch, mm."""
         ...
 
     def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
-        """Return the energy that the contact minimises; its gradient is the gap plus a constant."""
+        """Return the energy, mm, that the contact minimises.
+
+        Its derivatives by the pressures of the cells are the gap plus a constant.
+        """
         ...
 
     def gap(self, raised: FloatArray, touching: BoolArray) -> FloatArray:
-        """Return A p + S - d."""
+        """Return the gap A p + S - d between layer and specimen, mm."""
         return raised - self.depth_mm(raised, touching)
 
     def balanced(self, direction: FloatArray, touching: BoolArray, scaling: Scaling) -> FloatArray:
-        """Return a search direction without its part that the control forbids; here unchanged."""
+        """Return a search direction that keeps a prescribed force; here `direction` unchanged."""
         return direction
 
     def scale(self, pressure: FloatArray) -> float:
-        """Return the factor by which the pressure gives a prescribed force."""
+        """Return the factor that scales the pressure to a prescribed force; here 1."""
         return 1.0
 
     def coarsened(self, factor: int) -> Self:
@@ -55,59 +64,65 @@ class Control(Protocol):
 
 @dataclass(frozen=True)
 class DepthControl(Control):
-    """Press to a given travel after first touch."""
+    """Control of a press to a given travel after first touch, `depth`, mm."""
 
     depth: float
 
     def start(self, height: FloatArray, present: BoolArray) -> FloatArray:
-        """Touch at every cell that would penetrate the undeformed slab."""
+        """Return a small pressure on the cells in which the specimen overlaps the flat slab."""
         return np.where(present & (height < self.depth), 1e-6, 0.0)
 
     def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
-        """Return the given depth."""
+        """Return the given depth, mm."""
         return self.depth
 
     def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
-        """Return p (A p / 2 + S - d), summed."""
+        """Return the sum of p (A p / 2 + S - d) over the cells, mm."""
         return inner(pressure, (raised + height) / 2 - self.depth)
 
 
 @dataclass(frozen=True)
 class ForceControl(Control):
-    """Press with a given force; here force is divided by Young's modulus, mm^2."""
+    """Control of a press with a given force, divided by Young's modulus (mm^2)."""
 
     force_over_modulus: float
     cell_area_mm2: float
 
     def start(self, height: FloatArray, present: BoolArray) -> FloatArray:
-        """Spread the force over the foremost 5 % of the specimen's cells."""
+        """Return a uniform pressure with the given force on the foremost 5 % of the cells."""
         foremost = present & (height <= np.quantile(height[present], 0.05))
         uniform = foremost.astype(np.float64)
         return uniform * self.scale(uniform)
 
     def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
-        """Return the mean of A p + S over the contact: the depth follows from the force."""
+        """Return the mean of A p + S over the contact, mm: the depth follows from the force."""
         return float(raised[touching].mean())
 
     def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
-        """Return p (A p / 2 + S), summed: the force is the same for all pressures."""
+        """Return the sum of p (A p / 2 + S) over the cells, mm.
+
+        The term of the depth is a constant, because the force is given.
+        """
         return inner(pressure, (raised + height) / 2)
 
     def balanced(self, direction: FloatArray, touching: BoolArray, scaling: Scaling) -> FloatArray:
-        """Make the direction free of force, conjugate to a uniform displacement."""
+        """Return the search direction with a sum of 0, so that the force does not change.
+
+        A multiple of the pressure that displaces the contact uniformly is subtracted.
+        """
         uniform = np.where(touching, scaling.apply(touching.astype(np.float64)), 0.0)
         return np.asarray(direction - uniform * float(direction.sum() / uniform.sum()))
 
     def scale(self, pressure: FloatArray) -> float:
-        """Scale to the prescribed force."""
+        """Return the factor that scales the pressure to the given force."""
         return self.force_over_modulus / (float(pressure.sum()) * self.cell_area_mm2)
 
     def coarsened(self, factor: int) -> Self:
-        """Return the control with wider cells."""
+        """Return the same control on cells `factor` times as wide."""
         return replace(self, cell_area_mm2=self.cell_area_mm2 * factor**2)
 
 
 def inner(first: FloatArray, second: FloatArray) -> float:
-    """Return the sum of products."""
+    """Return the sum of the products of the elements of two arrays (row, col)."""
     # Not np.vdot: its BLAS starts threads, which takes ten times as long as the sum itself.
     return float(np.einsum("ij,ij->", first, second))

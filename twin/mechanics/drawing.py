@@ -1,4 +1,4 @@
-"""A pressed elastomer in pictures: the coat, the pressure, a section with both faces."""
+"""Draw a pressed elastomer: height of the coat, pressure, and a section with both faces."""
 
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def press_drawing(pressed: "PressedElastomer") -> Drawing:
-    """Return the coated face, the pressure on the touched one, and the section at y = 0."""
+    """Draw maps of the coated face and of the touched face's pressure, and the section at y = 0."""
     drawing = Drawing(3)
     panels = drawing.subplots(1, 3)
     coat = _on_nodes(pressed.face_x_mm, pressed.face_y_mm, pressed.face_z_mm)
@@ -26,6 +26,9 @@ def press_drawing(pressed: "PressedElastomer") -> Drawing:
 
 
 def _on_nodes(x_mm: FloatArray, y_mm: FloatArray, values: FloatArray) -> CellMeans:
-    """Return values on a regular grid, (row along y ascending, col), as cells of a picture."""
+    """Return values (row, col) on a regular grid as cells of a picture.
+
+    Rows of `values` are in ascending order of y; the first row of the picture has the largest y.
+    """
     everywhere = np.ones(values.shape, dtype=bool)
     return CellMeans(x_mm, y_mm[::-1], values[::-1], everywhere, float(x_mm[1] - x_mm[0]))

@@ -1,4 +1,7 @@
-"""Hardness to Young's modulus, as a range: durometers and formulas differ by 1.5 to 2.
+"""Young's modulus from hardness, as a range.
+
+Durometers and formulas differ by factors of 1.5 to 2. S is the hardness on the scale of each
+formula.
 
 Sources
 -------
@@ -8,18 +11,18 @@ E [MPa] = 0.0981 (56 + 7.62336 S) / (0.137505 (254 - 2.54 S)), trusted for 20 < 
 
 Qi, H. J., Joyce, K., Boyce, M. C. (2003): Durometer hardness and the stress-strain behavior of
 elastomeric materials. Rubber Chemistry and Technology 76(2), 419-435:
-log10 E [MPa] = 0.0235 S - 0.6403, 20 < S < 80. Base 10; calculators that use exp are wrong.
+log10 E [MPa] = 0.0235 S - 0.6403, 20 < S < 80. The base is 10; calculators that use exp are wrong.
 
-BS 903-A26 (1995): IRHD, close to Shore A above about 40,
+BS 903-A26 (1995): IRHD hardness, which is close to Shore A above about 40,
 S = 100 erf(3.186e-4 sqrt(E [Pa])).
 
 Shore 00 (ASTM D2240): a hemispherical tip of 1.19 mm radius under a spring of
-0.203 + 0.00908 S newton indents by 2.54 (1 - S / 100) mm; the modulus of a half-space with that
-indentation follows from Sneddon, I. N. (1965), Int. J. Engng. Sci. 3, 47-57, for a sphere. Spring
-constants from the literature.
+0.203 + 0.00908 S newton indents by 2.54 (1 - S / 100) mm. The modulus of a half-space with that
+indentation follows from Sneddon, I. N. (1965), Int. J. Engng. Sci. 3, 47-57, for a sphere. The
+spring constants are from the literature.
 
-The rubbers of tactile sensors (S <= 20) are below both ranges; there the data sheets' 100 %
-moduli of cast silicones are down to 1.6 times below Gent.
+The rubbers of tactile sensors (S <= 20) are below the ranges of Gent and Qi. There the 100 % moduli
+in data sheets of cast silicones are lower than Gent's relation by factors of up to 1.6.
 """
 
 from dataclasses import dataclass
@@ -36,13 +39,13 @@ if TYPE_CHECKING:
     from twin.mechanics.press import PressedElastomer
 
 VALID_SHORE_A = (20.0, 80.0)
-# A durometer's reading is good to 5 points (ISO 48-4 practice), in addition to the formula's spread
+# Uncertainty of a durometer's reading (ISO 48-4 practice), in addition to that of the formulas.
 _READING_POINTS = 5.0
 _SOFT_LOW_FACTOR = 1.6
 _LARGEST_SHORE = 95.0
 BS_903_FROM = 40.0
 _TIP_RADIUS_MM = 1.19
-# Errors of a real press: force gauge (relative), and depth with first touch.
+# Errors of a real press: relative error of the force gauge, and of the depth after first touch.
 _FORCE_SHARE, _DEPTH_ERROR_MM = 0.02, 0.01
 # Model error of a ball press: frictionless linear slab against neo-Hookean ones, bonded and free
 # (shared notes, mechanics.md, section 6), +1 to +4 %.
@@ -51,19 +54,19 @@ _MODEL_SHARE = 0.04
 
 @dataclass(frozen=True)
 class ModulusEstimate:
-    """Young's modulus with the range that the hardness allows, kPa."""
+    """Estimate of Young's modulus with its range, kPa."""
 
     low_kpa: float
     best_kpa: float
     high_kpa: float
     #: origin of the numbers, one line
     source: str
-    #: the hardness is outside the formulas' own range (20 to 80)
+    #: True if the hardness is outside the valid range of the formulas (Shore A 20 to 80)
     extrapolated: bool
 
 
 def gent_modulus_kpa(shore_a: float) -> float:
-    """Return Young's modulus by Gent 1958.
+    """Return Young's modulus, kPa, from Shore A hardness by Gent 1958.
 
     >>> round(gent_modulus_kpa(10.0))
     413
@@ -72,7 +75,7 @@ def gent_modulus_kpa(shore_a: float) -> float:
 
 
 def qi_modulus_kpa(shore_a: float) -> float:
-    """Return Young's modulus by Qi, Joyce and Boyce 2003.
+    """Return Young's modulus, kPa, from Shore A hardness by Qi, Joyce and Boyce 2003.
 
     >>> round(qi_modulus_kpa(10.0))
     393
@@ -81,11 +84,12 @@ def qi_modulus_kpa(shore_a: float) -> float:
 
 
 def bs_903_modulus_kpa(shore_a: float) -> float:
-    """Return Young's modulus by BS 903, for 40 A and harder.
+    """Return Young's modulus, kPa, from a Shore A hardness of 40 to 95 by BS 903.
 
     Raises
     ------
-    PressError : a softer rubber, for which the relation is far below every measurement
+    PressError : the hardness is outside this range; for softer rubber the relation is far below
+        every measurement
     """
     if not BS_903_FROM <= shore_a <= _LARGEST_SHORE:
         raise PressError(f"BS 903: found Shore A {shore_a:g}, allowed: 40 to 95")
@@ -93,7 +97,7 @@ def bs_903_modulus_kpa(shore_a: float) -> float:
 
 
 def sneddon_modulus_kpa(shore_00: float) -> float:
-    """Return Young's modulus from Shore 00, incompressible.
+    """Return Young's modulus, kPa, of an incompressible rubber from its Shore 00 hardness.
 
     >>> round(sneddon_modulus_kpa(30.0))
     121
@@ -110,11 +114,14 @@ def sneddon_modulus_kpa(shore_00: float) -> float:
 
 
 def estimate_modulus(shore_a: float) -> ModulusEstimate:
-    """Estimate Young's modulus from Shore A: Gent, bracketed by all valid formulas at S +- 5.
+    """Estimate Young's modulus from Shore A hardness.
+
+    The best value is that of Gent. The range contains the results of all valid formulas for a
+    hardness 5 points lower and higher; below Shore A 20 its lower end is divided by 1.6.
 
     Raises
     ------
-    PressError : hardness outside 0 to 95, where Gent's relation diverges
+    PressError : the hardness is outside 0 to 95 (at 100 Gent's relation diverges)
     """
     _check_shore("shore_a", shore_a)
     soft, hard = _reading(shore_a)
@@ -133,13 +140,14 @@ def estimate_modulus(shore_a: float) -> ModulusEstimate:
 
 
 def estimate_modulus_00(shore_00: float) -> ModulusEstimate:
-    """Estimate Young's modulus from Shore 00: Sneddon's sphere, at S +- 5.
+    """Estimate Young's modulus from Shore 00 hardness by Sneddon's sphere.
 
-    The low end is a further factor of 1.6 lower: data sheets' 100 % moduli of soft silicones.
+    The ends of the range are the moduli for a hardness 5 points lower and higher. The lower end is
+    also divided by 1.6, because of the 100 % moduli in data sheets of soft silicones.
 
     Raises
     ------
-    PressError : hardness outside 0 to 95
+    PressError : the hardness is outside 0 to 95
     """
     _check_shore("shore_00", shore_00)
     soft, hard = _reading(shore_00)
@@ -153,7 +161,7 @@ def estimate_modulus_00(shore_00: float) -> ModulusEstimate:
 
 
 def young_modulus(elastomer: Elastomer) -> ModulusEstimate:
-    """Return the configured modulus, or the estimate from hardness if no modulus is given."""
+    """Return an elastomer's configured Young's modulus, or an estimate from its hardness."""
     given = elastomer.young_modulus_kpa
     if given is not None:
         return ModulusEstimate(given, given, given, "given as young_modulus_kpa", False)
@@ -168,18 +176,19 @@ def calibrate_modulus(measured_force_n: float, pressed: "PressedElastomer") -> M
 
     Parameters
     ----------
-    measured_force_n : read from the stage, > 0
-    pressed : the same press by DEPTH, of any modulus, without back pressure, gravity or film: its
-        force is then in proportion to the modulus
+    measured_force_n : force of the real press, > 0
+    pressed : computed press to the same depth, with any modulus. It has no back pressure, gravity
+        or film, so that its force is proportional to the modulus.
 
     Returns
     -------
-    Range: errors of gauge (2 %), depth (0.01 mm with first touch; the force increases at least as
-    depth^1.5, taken as depth^2) and model (4 %) added up
+    Modulus; its range is the sum of the relative errors of force gauge (2 %), model (4 %) and
+    depth (0.01 mm including first touch; the force increases at least as depth^1.5, assumed as
+    depth^2)
 
     Raises
     ------
-    PressError : a force that is not positive
+    PressError : the force is not positive
     """
     if not measured_force_n > 0:
         raise PressError(f"measured force: found {measured_force_n:g} N, allowed: more than 0")

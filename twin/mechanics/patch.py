@@ -1,12 +1,14 @@
-"""The layer's response within a patch of its grid, which the contact solver evaluates repeatedly.
+"""Response of a layer to pressure within a rectangle of its cells (a patch).
 
-A contact covers a small part of the slab, and only the pressure and deflection within it matter
-during the solution. There the layer is a convolution with its response K to one loaded cell,
+The contact solver evaluates this response repeatedly. A contact covers a small part of the slab,
+and during the solution only the pressure and the deflection within the patch are needed. There the
+response is a convolution with the response K to one loaded cell. With i the deflected and j the
+loaded cell,
 
     free slab (sine series):  A(i, j) = K(i - j) - K(i + j + 1)   per axis,
-    bonded layer (periodic):  A(i, j) = K(i - j),
+    bonded layer (periodic):  A(i, j) = K(i - j).
 
-so a transform of twice the patch replaces one of the whole grid, without approximation.
+An FFT of twice the patch therefore replaces an FFT of the whole grid, without approximation.
 """
 
 from dataclasses import dataclass
@@ -24,60 +26,64 @@ _MARGIN = 2
 
 @dataclass(frozen=True)
 class Span:
-    """Cells first..first + count - 1 of one axis of the grid."""
+    """A range of cells along one axis of the grid: `first` to `first + count - 1`."""
 
     first: int
     count: int
 
     @classmethod
     def around(cls, cells: npt.NDArray[np.intp], count: int) -> "Span":
-        """Return the range of a contact's cells on an axis of `count` cells, with a margin."""
+        """Return the range that contains the indices `cells`, with a margin of 2 cells.
+
+        It is limited to an axis of `count` cells.
+        """
         first = max(int(cells.min()) - _MARGIN, 0)
         return cls(first, min(int(cells.max()) + _MARGIN + 1, count) - first)
 
     @property
     def padded(self) -> int:
-        """Length of a transform in which the patch's convolution does not wrap round."""
+        """Length of an FFT, in cells, in which the convolution of the patch does not wrap round."""
         return int(fft.next_fast_len(2 * self.count - 1, real=True))
 
     @property
     def cells(self) -> slice:
-        """The cells as an index."""
+        """The range as a slice."""
         return slice(self.first, self.first + self.count)
 
     def offsets(self) -> IntArray:
-        """Return i - j for each element of the padded convolution kernel."""
+        """Return i - j for each element (padded,) of the convolution kernel."""
         lag = np.arange(self.padded)
         return np.where(lag < self.count, lag, lag - self.padded)
 
     def sums(self) -> IntArray:
-        """Return i + j + 1 for each element, for a pressure in reversed order."""
+        """Return i + j + 1 for each element (padded,) of the kernel for the reversed pressure."""
         last = 2 * self.first + self.count
         return np.clip(self.offsets(), 1 - self.count, self.count - 1) + last
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """Deflection of a patch of cells by pressure on the same cells; arrays (row, col)."""
+    """Response of a rectangle of cells to pressure on the same cells; arrays are (row, col)."""
 
     rows: Span
     cols: Span
-    #: Toeplitz part first; for a sine series also the three with mirrored rows, columns, both
+    #: spectrum of the convolution kernel; for a sine series also the spectra of the kernels for
+    #: pressure in reversed order of rows, of columns, and of both
     kernels: tuple[ComplexArray, ...]
-    #: (row, half of col) spectral inverse of the layer, positive
+    #: (row, half of col) pressure over modulus per deflection at each wavenumber, 1/mm, positive
     stiffness: FloatArray
 
     @property
     def cells(self) -> tuple[slice, slice]:
-        """The patch as an index into the whole grid."""
+        """Index (rows, columns) of the patch in the whole grid."""
         return self.rows.cells, self.cols.cells
 
     def deflect(self, pressure: FloatArray) -> FloatArray:
-        """Return the touched face's deflection, mm, for pressure over modulus."""
+        """Return the touched face's deflection, mm, for pressure over modulus, both (row, col)."""
         forward = self._forward(pressure)
         image = self.kernels[0] * forward
         if len(self.kernels) > 1:
-            # Reversing a real field conjugates its spectrum: no further transform is needed.
+            # The spectrum of a reversed real field is the conjugate one: no further FFT is needed.
             over = np.roll(forward[::-1], 1, axis=0)
             image += self.kernels[1] * over
             image += self.kernels[2] * np.conj(over, out=over)
@@ -85,14 +91,15 @@ class Patch:
         return self._back(image)
 
     def apply(self, gap: FloatArray) -> FloatArray:
-        """Return about the pressure that would close a gap: the conjugate gradients' scaling."""
+        """Return the approximate pressure over modulus that closes `gap`, mm: a preconditioner."""
         return self._back(self._forward(gap) * self.stiffness)
 
     @cached_property
     def cell(self) -> float:
-        """Diagonal of `apply`, 1/mm.
+        """Diagonal element of `apply`, 1/mm.
 
-        Pressure over modulus on a cell that deflects by 1 mm while all other cells do not deflect.
+        It is the approximate pressure over modulus, per mm, on a cell that deflects while all other
+        cells do not.
         """
         weights = np.full(self.stiffness.shape[1], 2.0)
         weights[0] = 1.0
@@ -110,13 +117,27 @@ class Patch:
 
 
 def periodic_patch(kernel: FloatArray, rows: Span, cols: Span, stiffness: FloatArray) -> Patch:
-    """Cut a patch out of a periodic layer with the response `kernel` (row, col) to one cell."""
+    """Return a patch of a periodic layer.
+
+    Parameters
+    ----------
+    kernel : (row, col) float, mm; deflection of the whole layer per pressure over modulus on cell
+        (0, 0)
+    stiffness : see `Patch`
+    """
     across, along = rows.offsets() % kernel.shape[0], cols.offsets() % kernel.shape[1]
     return Patch(rows, cols, (_spectrum(kernel, across, along),), stiffness)
 
 
 def sine_patch(kernel: FloatArray, rows: Span, cols: Span, stiffness: FloatArray) -> Patch:
-    """Cut a patch out of a sine series; `kernel` covers 0..N cells per axis, even, period 2 N."""
+    """Return a patch of a layer that is solved by a sine series.
+
+    Parameters
+    ----------
+    kernel : (row, col) float, mm; K for distances of 0 to N cells per axis; K is even and has the
+        period 2 N
+    stiffness : see `Patch`
+    """
     plain, mirrored = (rows.offsets(), cols.offsets()), (rows.sums(), cols.sums())
     turns = [_reversal(rows)[:, None], _reversal(cols)[: cols.padded // 2 + 1]]
     return Patch(
@@ -146,6 +167,6 @@ def _spectrum(kernel: FloatArray, across: IntArray, along: IntArray) -> ComplexA
 
 
 def _reversal(span: Span) -> ComplexArray:
-    """Return the spectrum's factor for a field counted from the patch's last cell backwards."""
+    """Return the spectrum of a reversed field over the field's conjugate spectrum, (padded,)."""
     turn = -2j * np.pi * np.arange(span.padded) * (span.count - 1) / span.padded
     return np.asarray(np.exp(turn))

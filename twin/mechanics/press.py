@@ -1,9 +1,9 @@
 """Press a rigid specimen into the elastomer and return both faces, pressure and force.
 
 World frame, mm: the undeformed coated face is z = 0, slab and specimen are centred on the origin
-and the specimen is pressed from below. It touches the clear face at z = -thickness (opposite-face
-layout) or the coat itself (contact-face layout). Arrays are (row, col) with row along y and col
-along x, both ascending.
+and the specimen is pressed from below. The specimen touches the clear face at z = -thickness
+(opposite-face layout) or the coat (contact-face layout). Arrays are (row, col) with row along y and
+col along x, both ascending.
 
 The model is linear, frictionless and exact for the flat slab. At a given depth, without preload and
 film, the shape does not depend on the modulus, which only scales pressure and force.
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SheetFields:
-    """Further fields of a thin sheet, at the coated face's nodes, (row, col)."""
+    """Fields that only the sheet model computes, at the coated face's nodes, (row, col)."""
 
     #: local thickness: distance of the touched face from the coated one, along its normal
     thickness_mm: FloatArray
@@ -58,13 +58,13 @@ class SheetFields:
 
 
 def fields_at(sheet: SheetFields, nodes: Any) -> SheetFields:
-    """Return the fields on some of the nodes, which index (row, col)."""
+    """Return the fields of a sheet at some nodes; `nodes` is a NumPy index into (row, col)."""
     return SheetFields(**{name: values[nodes] for name, values in vars(sheet).items()})
 
 
 @dataclass(frozen=True)
 class PressedElastomer:
-    """A pressed slab; lengths in mm, world frame."""
+    """Result of a press: both faces of the elastomer, pressure and force; mm, world frame."""
 
     #: (col,) and (row,) solver cell centres
     x_mm: FloatArray
@@ -86,13 +86,14 @@ class PressedElastomer:
     #: (row, col) world z of the coated face at the nodes
     face_z_mm: FloatArray
     validity: Validity
+    #: passes of the contact solver, and whether it converged
     iterations: int
     converged: bool
     #: name of the model, see `twin.mechanics.models`
     model: str = "spectral"
     #: (row, col) height of the coat's texture, included in face_z_mm; None: the coat is smooth
     texture_mm: FloatArray | None = None
-    #: of the sheet model only
+    #: further fields of the sheet model; None for other models
     sheet: SheetFields | None = None
 
     def __repr__(self) -> str:
@@ -131,26 +132,26 @@ class PressedElastomer:
 def press(
     specimen: Specimen, elastomer: Elastomer, load: Press, *, any_depth: bool = False
 ) -> PressedElastomer:
-    """Press `specimen` into `elastomer` by `load`.
+    """Press `specimen` into `elastomer` by `load` with the spectral model, and return the result.
 
     Parameters
     ----------
     elastomer : flat slab on a simply supported rim, or gel bonded to a window
     load : depth or force, back pressure, gravity, and the pitches of solver and relief. Back
-        pressure presses the slab onto the specimen, weight lets it sag; the depth then counts from
-        the plane of the unloaded touched face.
-    any_depth : do not raise if a free slab's travel reaches its thickness: a first guess for other
-        models
+        pressure presses the slab onto the specimen, and under its weight the slab sags. The depth
+        then counts from the plane of the unloaded touched face.
+    any_depth : True: raise no error if the travel of a free slab reaches its thickness; other
+        models use such a result as their first guess
 
     Returns
     -------
-    On the solver's cells (of the contact-face layout: of a window larger than the pad) and the
-    relief's nodes
+    Fields at the solver's cells and at the relief's nodes; in the contact-face layout the cells
+    cover a window larger than the pad
 
     Raises
     ------
-    PressError : the specimen reaches over the slab, the press needs more than the slab's thickness
-        or than the specimen's height, touches no solver cell, or the force is below that of the air
+    PressError : the specimen extends beyond the slab or touches no solver cell, the depth reaches
+        the slab's thickness or a ball's widest outline, or the force is below that of the air
     SolverError : the contact did not converge
     """
     shape = shape_of(specimen)
@@ -186,12 +187,12 @@ def press(
 
 
 def check_load(shape: Shape, elastomer: Elastomer, load: Press, *, any_depth: bool = False) -> None:
-    """Raise an error for a press that is impossible, before it is solved.
+    """Raise an error if a press is impossible, without solving it; arguments as for `press`.
 
     Raises
     ------
-    PressError : the specimen reaches over the slab, the depth is the slab's thickness or more, the
-        preload does not fit the layout, or the grids take too much memory
+    PressError : the specimen extends beyond the slab, the depth is the slab's thickness or more,
+        the preload does not fit the layout, or the grids take too much memory
     """
     check_outline(shape, elastomer)
     check_face_nodes(elastomer, load)
@@ -280,7 +281,7 @@ def _check_depth(depth_mm: float, elastomer: Elastomer, load: Press) -> None:
 
 
 def _check_reached(depth_mm: float, load: Press) -> None:
-    """Raise an error if the force is below that of air or weight on the specimen."""
+    """Raise an error if the given force is below that of air or weight on the specimen."""
     if depth_mm < 0.0:
         raise PressError(
             f"press.force_n: {load.force_n:g} N is reached {-depth_mm:.3g} mm before the specimen "

@@ -1,4 +1,4 @@
-"""The coated face as a triangle mesh with smooth normals, and the slab as a closed body."""
+"""Meshes of a pressed elastomer: coated face with smooth normals, and slab as a closed body."""
 
 from dataclasses import replace
 
@@ -13,10 +13,10 @@ from twin.specimens.solids import grid_facets
 
 
 def face_mesh(pressed: PressedElastomer) -> trimesh.Trimesh:
-    """Return the coated face as a grid of triangles, world frame, mm.
+    """Return the coated face as a mesh of triangles, world frame, mm.
 
     Vertices are in row order: vertex row * cols + col is at (face_x_mm[col], face_y_mm[row]).
-    Facets and vertex normals point to +z. The mesh is an open sheet, rim included.
+    Facet and vertex normals point to +z. The mesh is an open surface that includes the rim.
     """
     mesh = trimesh.Trimesh(
         vertices=_vertices(pressed, pressed.face_z_mm),
@@ -34,15 +34,15 @@ def slab_mesh(pressed: PressedElastomer, elastomer: Elastomer) -> trimesh.Trimes
 
     Its vertices are those of `face_mesh`, then those of the second face in the same order: the
     touched face of the opposite-face layout, or the window of the contact-face layout. Straight
-    sides join the two. The touched face of a thin sheet is its local thickness behind the coated
-    face, along the normal.
+    sides join both faces. The touched face of a thin sheet is the coated face shifted along its
+    normal by the local thickness.
     """
     rows, cols = pressed.face_z_mm.shape
     coated, opposite = _vertices(pressed, pressed.face_z_mm), _opposite_vertices(pressed, elastomer)
     coated_above = coated[:, 2].mean() > opposite[:, 2].mean()
     rim = _rim(rows, cols)
     after = np.roll(rim, -1)
-    # Walls of a coated face above the second face; reversed if it is below.
+    # Facets of the sides if the coated face is above the second face; otherwise reversed.
     walls = np.concatenate(
         (
             np.stack((rim, rim + rows * cols, after + rows * cols), axis=-1),
@@ -83,7 +83,7 @@ def _opposite_face(pressed: PressedElastomer, elastomer: Elastomer) -> FloatArra
 
 
 def _rim(rows: int, cols: int) -> IntArray:
-    """Return the grid's outline, counter-clockwise seen from +z."""
+    """Return the vertex numbers on the grid's outline (n,), counter-clockwise seen from +z."""
     index = np.arange(rows * cols).reshape(rows, cols)
     return np.concatenate((index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]))
 
@@ -105,10 +105,10 @@ def _vertices(pressed: PressedElastomer, z_mm: FloatArray) -> FloatArray:
 
 
 def _derivative(z: FloatArray, nodes_mm: FloatArray, axis: int) -> FloatArray:
-    """Return dz along `axis` to fourth order, so that shading shows no grid.
+    """Return dz/dy (axis 0) or dz/dx (axis 1) at the nodes (row, col), fourth-order accurate.
 
-    The slab's deflection is odd about its simply supported rim: the odd extension is exact. At a
-    pad's side it continues the slope.
+    With a lower order the grid is visible in the shading. Beyond the rim z is extended as an odd
+    function: this is exact for a simply supported slab, and continues the slope at a pad's side.
     """
     step = float(nodes_mm[-1] - nodes_mm[0]) / (nodes_mm.size - 1)
     margin = tuple((2, 2) if direction == axis else (0, 0) for direction in range(2))

@@ -1,7 +1,7 @@
-"""Limits of the cells and nodes of a press: counted from its lengths before it is solved.
+"""Limits of the numbers of cells and nodes of a press, checked before it is solved.
 
-Memory with the mesh of the coated face, measured on 2 to 5 million: 150 bytes per node under a
-slab, 240 under a sheet, and 120 bytes per cell of the slab's grid.
+Memory per node of the coated face, with its mesh: 150 bytes for a slab and 240 for a sheet. Memory
+per cell of the slab's grid: 120 bytes. All were measured on 2 to 5 million nodes or cells.
 """
 
 import math
@@ -14,11 +14,11 @@ MOST_SLAB_CELLS = 20_000_000
 
 
 def check_face_nodes(elastomer: Elastomer, load: Press) -> None:
-    """Raise an error for a mesh of the coated face that takes more than some 5 GB.
+    """Raise an error if the mesh of the coated face would take more than some 5 GB of memory.
 
     Raises
     ------
-    PressError : names lengths and pitch, and the finest pitch that is allowed
+    PressError : the message states lengths, pitch and the finest allowed pitch
     """
     _check(
         "press.relief_pitch_mm",
@@ -29,7 +29,7 @@ def check_face_nodes(elastomer: Elastomer, load: Press) -> None:
 
 
 def check_slab_cells(window_mm: tuple[float, float], load: Press) -> None:
-    """Raise an error for a slab's grid that takes more than some 3 GB.
+    """Raise an error if the grid of a slab would take more than some 3 GB of memory.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def check_slab_cells(window_mm: tuple[float, float], load: Press) -> None:
 
     Raises
     ------
-    PressError : names lengths and pitch, and the finest pitch that is allowed
+    PressError : the message states lengths, pitch and the finest allowed pitch
     """
     _check(
         "press.solver_pitch_mm",

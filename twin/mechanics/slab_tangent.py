@@ -1,13 +1,13 @@
-"""A pressed slab, and the motion of its coat with specimen, travel and thickness, to first order.
+"""Derivatives of a pressed slab's coat by parameters of specimen, travel and layer.
 
-While the contact area is constant the gap A p + S - d is zero there: for any parameter t of
-specimen or travel
+In the contact C the gap A p + S - d is zero (symbols: see `contact`). If C does not change, for any
+parameter t of specimen or travel
 
     A_CC dp/dt = d(d)/dt - dS/dt  on the contact C,   dp/dt = 0 outside it,
 
-which is the implicit function theorem on the contact's equations. At the contact's edge the
-pressure is zero, so that the motion of the edge is of second order; that holds where the object is
-round, and on an edge as far as cells resolve its rounding.
+by the implicit function theorem. The pressure is zero at the contact's edge, so that a motion of
+that edge has an effect of second order only. This is true for a round object; for an object with an
+edge it is true if the cells resolve the edge's rounding.
 
 Arrays are (row, col) on the layer's cells. Pressures are divided by Young's modulus; with a given
 travel, the displacement does not depend on the modulus.
@@ -38,12 +38,13 @@ SlabData = tuple[Elastomer, Press]
 
 @dataclass(frozen=True, eq=False)
 class CoatMove:
-    """Rate of the coat's motion with one parameter.
+    """Derivatives of coat and force by one parameter.
 
     Attributes
     ----------
-    coat_mm : (row, col) at the middles of the coat's cells, mm per unit
-    force_mm2 : of the force over the modulus, mm^2 per unit
+    coat_mm : (row, col) derivative of z at the middles of the coat's cells, mm per unit of the
+        parameter
+    force_mm2 : derivative of force over modulus, mm^2 per unit of the parameter
     """
 
     coat_mm: FloatArray
@@ -56,8 +57,9 @@ class SolvedSlab:
 
     Attributes
     ----------
-    coat_cells : rows and columns of the coat's cells, over the whole slab
-    height_mm : height of the specimen behind its foremost point, plus the sag; inf where absent
+    height_mm : (row, col) height of the specimen behind its foremost point, plus the sag of the
+        slab; inf outside the specimen
+    coat_cells : numbers of rows and columns of the coat's cells, which cover the whole slab
     """
 
     elastomer: Elastomer
@@ -70,12 +72,12 @@ class SolvedSlab:
 
     @property
     def touching(self) -> BoolArray:
-        """Where the specimen touches."""
+        """Whether each cell touches the specimen, (row, col)."""
         return self.contact.pressure > 0
 
     @property
     def force_mm2(self) -> float:
-        """Force divided by Young's modulus."""
+        """Contact force divided by Young's modulus, mm^2."""
         return float(self.contact.pressure.sum()) * self.layer.cell_area_mm2
 
     @cached_property
@@ -92,30 +94,31 @@ class SolvedSlab:
 
     @cached_property
     def raised_mm(self) -> FloatArray:
-        """The part of `coat_mm` that the contact causes, (row, col); the rest is preload."""
+        """Part of `coat_mm`, (row, col), that the contact causes; the preload causes the rest."""
         return self._at_middles(self.contact.pressure, 0.0)
 
     def moved_by(self, rate_mm: FloatArray) -> CoatMove:
-        """Return the coat's motion if the specimen's face advances.
+        """Return the derivatives of coat and force by a parameter that moves the specimen's face.
 
         Parameters
         ----------
-        rate_mm : (row, col) on `touched_cells`, of the specimen's face along the press, mm per
-            unit; used where it touches
+        rate_mm : (row, col) on `touched_cells`; derivative of the position of the specimen's face
+            along the press, mm per unit of the parameter. It has an effect in the contact only.
         """
         return self._move(self._pressure_for(rate_mm))
 
     def moved_by_travel(self) -> CoatMove:
-        """Return the coat's motion per mm of travel."""
+        """Return the derivatives of coat and force by the travel, per mm."""
         return self.moved_by(np.ones_like(self.height_mm[self.touched_cells]))
 
     def moved_by_layer(self, low: SlabData, high: SlabData, step: float) -> CoatMove:
-        """Return the coat's motion with a parameter of the layer or its load.
+        """Return the derivatives of coat and force by a parameter of the layer or its load.
 
         Parameters
         ----------
-        low, high : elastomer and load with the parameter `step` lower and higher; a small step, as
-            all but the pressure is differenced
+        low, high : elastomer and load with the parameter smaller and larger by `step`
+        step : small, because compliance and preload are differentiated by central differences; the
+            derivative of the pressure follows from these by solving the contact's equations
         """
         thin, thick = self._under(low), self._under(high)
         pressure = self.contact.pressure
@@ -125,7 +128,10 @@ class SolvedSlab:
         return replace(own, coat_mm=own.coat_mm + (thick.coat_mm - thin.coat_mm) / (2 * step))
 
     def _under(self, data: SlabData) -> "SolvedSlab":
-        """Return a changed layer under this one's pressure: its contact is not closed."""
+        """Return the slab with another elastomer and load, but with the pressure of this one.
+
+        The contact is not solved again: its gap is not zero.
+        """
         elastomer, load = data
         modulus = young_modulus(elastomer).best_kpa
         layer = layer_on(elastomer, self.layer.x_mm, self.layer.y_mm, modulus)
@@ -138,13 +144,16 @@ class SolvedSlab:
         return CoatMove(coat, float(pressure.sum()) * self.layer.cell_area_mm2)
 
     def _at_middles(self, pressure: FloatArray, uniform: float) -> FloatArray:
-        """Evaluate the far face at the middles of the coat's cells: every other node of a grid."""
+        """Return z of the far face at the middles of the coat's cells, (row, col), mm.
+
+        These are every second node of a grid with two intervals per cell.
+        """
         rows, cols = self.coat_cells
         return self.layer.opposite_at_nodes(pressure, 2 * rows, 2 * cols, uniform)[1::2, 1::2]
 
     @property
     def touched_cells(self) -> tuple[slice, slice]:
-        """Rows and columns of the contact, as an index."""
+        """Index (rows, columns) of the rectangle of cells that contains the contact."""
         return self._patch.cells
 
     @cached_property
@@ -155,7 +164,10 @@ class SolvedSlab:
         )
 
     def _pressure_for(self, advance_mm: FloatArray) -> FloatArray:
-        """Return the pressure on the contact for a given advance of its cells, (row, col)."""
+        """Return the pressure over modulus (row, col) for a given advance of the contact's cells.
+
+        `advance_mm` is (row, col) on `touched_cells`, along the press.
+        """
         inside = self.touching[self.touched_cells]
         pressure = np.zeros_like(self.height_mm)
         pressure[self.touched_cells] = _solved(
@@ -171,11 +183,12 @@ def solve_slab(
 
     Parameters
     ----------
-    coat_cells : rows and columns of the coat's cells, over the whole slab
+    coat_cells : numbers of rows and columns of the coat's cells, which cover the whole slab
 
     Raises
     ------
-    PressError : no slab in the opposite-face layout, no depth, or the specimen reaches over it
+    PressError : the elastomer is no slab in the opposite-face layout, the load states no depth, or
+        the specimen extends beyond the slab
     SolverError : the contact did not converge
     """
     shape: Shape = shape_of(specimen)
@@ -191,7 +204,10 @@ def solve_slab(
 
 
 def _solved(patch: Patch, inside: BoolArray, wanted_mm: FloatArray) -> FloatArray:
-    """Solve A p = target on the cells inside, by conjugate gradients scaled as the contact's."""
+    """Return p with A p = `wanted_mm` on the cells `inside`, 0 elsewhere.
+
+    Solved by conjugate gradients with the preconditioner of the contact solver.
+    """
     pressure, rest = np.zeros_like(wanted_mm), wanted_mm
     scaled = np.where(inside, patch.apply(rest), 0.0)
     direction, size = scaled, inner(rest, scaled)

@@ -1,4 +1,4 @@
-"""Pressed elastomers as netCDF-4 files and their faces as PLY or STL meshes.
+"""Write and read pressed elastomers as netCDF-4 files; write their faces as PLY or STL meshes.
 
 Files follow the CF conventions: every variable has `units` and `long_name`; arrays are (y, x).
 A file is written under a temporary name and renamed, so that it is never incomplete.
@@ -34,9 +34,10 @@ from twin.mechanics.texture import in_plane_displacement
 from twin.mechanics.validity import Validity
 
 _PLAIN = "fringe-twin press 2"
-"""Files of this schema and the first have no coordinates: x is the variable x_mm, and so on."""
+"""Second schema. In files of the first two schemas x and y are variables x_mm and y_mm, not
+coordinates; the same applies to face_x and face_y."""
 _GROUPED = "fringe-twin press 1"
-"""Files of this schema have the figures of `Validity` in a group of that name."""
+"""First schema. Its files store the figures of `Validity` in a netCDF group `validity`."""
 
 
 def write_press(path: Path, pressed: PressedElastomer) -> None:
@@ -53,7 +54,7 @@ def write_press(path: Path, pressed: PressedElastomer) -> None:
 
 
 def read_press(path: Path) -> PressedElastomer:
-    """Read a file of `write_press`.
+    """Read a pressed elastomer from a file that `write_press` wrote.
 
     Raises
     ------
@@ -86,7 +87,9 @@ def read_press(path: Path) -> PressedElastomer:
 def write_in_plane(
     path: Path, pressed: PressedElastomer, elastomer: Elastomer, load: Press
 ) -> None:
-    """Write the coated face's displacement in its own plane as netCDF-4, for texture only.
+    """Write the coated face's displacements u_x and u_y in its plane as netCDF-4, mm.
+
+    They displace texture and markers; the nodes of the relief do not move.
 
     Raises
     ------
@@ -106,12 +109,12 @@ def write_in_plane(
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
-    """Write a mesh as binary PLY with its vertex normals, or as binary STL, by the file's name.
+    """Write a mesh as binary PLY with vertex normals, or as binary STL: the suffix decides.
 
     Raises
     ------
     PressError
-        The suffix is neither, or the file cannot be written.
+        The suffix is not .ply or .stl, or the file cannot be written.
     """
     kind = path.suffix.lower()
     if kind not in (".ply", ".stl"):

@@ -1,20 +1,22 @@
-"""The coat's texture: airbrush grain and flakes as random heights that move with the sheet.
+"""Texture of the coat: random heights of airbrush grain and flakes that move with the elastomer.
 
-Z(X, Y) is white noise on a lattice, blurred and interpolated by cubic B-splines: smooth (C2),
-standard normal, stationary, with the autocorrelation exp(-(lag / L0)^2), and independent of the
-points at which it is evaluated. Heights follow from Z by a `Johnson` distribution; L0 is chosen so
-that the autocorrelation of the heights themselves is 1/e at the specified length.
+Z(X, Y) is a random field over the material coordinates X and Y. It is white noise on a lattice,
+blurred and interpolated by cubic B-splines: smooth (C2), standard normal and stationary, with the
+autocorrelation exp(-(lag / L0)^2). Its value at a point does not depend on the other points that
+are evaluated. Heights follow from Z by a `Johnson` distribution. L0 is chosen so that the
+autocorrelation of the heights, not of Z, is 1/e at the specified length.
 
-The displacement of the coated face in its own plane moves the texture. Never move the nodes of
-the relief by it. Linear contact is solved at fixed world positions: the height at (x, y) is the
-face's height there, for any origin of its material. Moving the nodes sideways as well makes
-the shape four times worse against large strain, 49 instead of 12 um for a ball of 4 mm pressed 1 mm
-into a 4 mm layer (measured on our prototype).
+The displacement of the coated face in its own plane moves the texture. Never move the nodes of the
+relief by this displacement. Linear contact is solved at fixed world positions: the solved height at
+(x, y) is the height of the face there, wherever its material was before the press. If the nodes
+were moved sideways as well, the error against a large-strain solution would increase from 12 to
+49 um, for a ball of 4 mm pressed 1 mm into a 4 mm layer (measured on our prototype).
 
-The distribution is one of Johnson's unbounded system: any skewness, any tails above a log-normal's,
-X = (sinh(a Z + b) - mean) / spread of a standard normal Z: monotone, mean 0, variance 1 (Johnson,
-Biometrika 36, 149 (1949); on rough surfaces Hu and Tonder, Int. J. Machine Tools and Manufacture
-32, 83 (1992)). With w = exp(a^2) all moments are closed forms,
+The distribution belongs to Johnson's unbounded system, which has any skewness, and for each
+skewness any kurtosis above that of the log-normal distribution. X = (sinh(a Z + b) - mean) / spread
+is a monotone function of a standard normal Z and has mean 0 and variance 1 (Johnson, Biometrika 36,
+149 (1949); on rough surfaces Hu and Tonder, Int. J. Machine Tools and Manufacture 32, 83 (1992)).
+With w = exp(a^2) all moments are closed forms,
 
     mean = w^(1/2) sinh b,  spread^2 = (w - 1) (w cosh 2b + 1) / 2,
 
@@ -44,23 +46,24 @@ Extent = tuple[float, float, float, float]
 
 # Lattice cells per L0: between the lattice's points the variance of Z is 3e-4 below 1 at most.
 _CELLS_PER_LENGTH = 4
-# Of Z's kernel, which has a standard deviation of L0 / 2; of a cubic B-spline, which is part of it.
+# Variances, cells^2: of Z's kernel (standard deviation L0 / 2), and of a cubic B-spline, its part.
 _KERNEL_VARIANCE = (_CELLS_PER_LENGTH / 2) ** 2
 _SPLINE_VARIANCE = 1 / 3
 _SPLINE_AT_POINTS = np.array([1.0, 4.0, 1.0]) / 6
-# Taps on either side, 6 standard deviations.
+# Taps of the blur on either side: 6 standard deviations.
 _REACH = 12
-# Whole nanometres: the modulus only changes the last digits, and equal faces are rendered once.
+# Displacements are rounded to whole nanometres: another modulus changes only later digits, and
+# faces that are equal after rounding are rendered once.
 _DISPLACEMENT_DECIMALS = 6
 
 
-# Steps from the ends of the bracket, where cosh 2b is infinite or rounding makes it less than 1.
+# Relative distance from the bracket's ends, where cosh 2b is infinite, or less than 1 by rounding.
 _OFF_END = 1e-9
 
 
 @dataclass(frozen=True)
 class Johnson:
-    """One distribution of mean 0 and variance 1; a = 0 is the normal one."""
+    """Distribution of Johnson's unbounded system with mean 0 and variance 1; a = 0: normal."""
 
     a: float = 0.0
     b: float = 0.0
@@ -72,7 +75,10 @@ class Johnson:
         return np.asarray((np.sinh(self.a * normal + self.b) - self._mean) / self._spread)
 
     def correlation(self, of_normals: float) -> float:
-        """Return the correlation of two numbers made from normal ones of a given correlation."""
+        """Return the correlation of two numbers of this distribution.
+
+        `of_normals` is the correlation of the two normal numbers that are transformed to them.
+        """
         if self.a == 0.0:
             return of_normals
         w = self._w
@@ -80,7 +86,7 @@ class Johnson:
         return float((product - self._mean**2) / self._spread**2)
 
     def correlation_of_normals(self, target: float) -> float:
-        """Return the correlation that normal numbers need; the inverse of `correlation`."""
+        """Return the correlation of normal numbers for which `correlation` returns `target`."""
         return float(brentq(lambda r: self.correlation(r) - target, 0.0, 1.0, xtol=1e-14))
 
     @property
@@ -102,14 +108,15 @@ def johnson_of(skewness: float, excess_kurtosis: float) -> Johnson:
 
     Parameters
     ----------
-    skewness, excess_kurtosis : both 0, or tails above those of the log-normal distribution of that
-        skewness
+    skewness, excess_kurtosis : both 0, or a kurtosis above that of the log-normal distribution of
+        this skewness
 
     Notes
     -----
-    For a given w the kurtosis is a quadratic equation in cosh 2b; its root gives a skewness that
-    decreases from the log-normal's to 0 as w increases to the symmetric distribution's: one root
-    in a bracket (after Tuenter, Journal of Statistical Computation and Simulation 70, 325 (2001)).
+    For a given w the kurtosis is a quadratic equation in cosh 2b; its root gives a skewness. As w
+    increases from that of the log-normal to that of the symmetric distribution, this skewness
+    decreases to 0: w is the only root in this bracket (after Tuenter, Journal of Statistical
+    Computation and Simulation 70, 325 (2001)).
     """
     if excess_kurtosis == 0.0:
         return Johnson()
@@ -134,7 +141,7 @@ def _log_normal_kurtosis(w: float) -> float:
 
 
 def _cosh_2b(w: float, kurtosis: float) -> float:
-    """Solve the fourth moment for cosh 2b at a given w."""
+    """Return cosh 2b at which the distribution of a given w has the given kurtosis."""
     longest = _log_normal_kurtosis(w)
     square = 2 * w**2 * (longest - kurtosis)
     half = 2 * w * (w * (w + 2) - kurtosis)
@@ -150,13 +157,13 @@ def _skewness(w: float, cosh_2b: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The texture of one coat, see `texture_field`."""
+    """Texture of one coat as a function of the material coordinates, made by `texture_field`."""
 
     rms_mm: float
     distribution: Johnson
-    #: of the lattice, which has a point at the material point (0, 0)
+    #: pitch of the lattice; its point in row 0 and column 0 is the material point (0, 0)
     pitch_mm: float
-    #: row and column of coefficients[0, 0], counted from that point
+    #: row and column of the lattice at which coefficients[0, 0] is
     first: tuple[int, int]
     #: (row, col) B-spline coefficients of Z
     coefficients: FloatArray
@@ -167,7 +174,7 @@ class Field:
         Parameters
         ----------
         X_mm, Y_mm : (...) float, mm; material coordinates: world positions of the points in the
-            flat, unloaded elastomer. Within the field's extent.
+            flat, unloaded elastomer. They must be within the field's extent.
 
         Returns
         -------
@@ -191,13 +198,13 @@ class Field:
 
 
 def texture_field(texture: Texture, seed: int, extent_mm: Extent) -> Field:
-    """Draw the texture of one coat.
+    """Return the random texture of one coat.
 
     Parameters
     ----------
-    seed : root seed of the experiment: one seed, one coat
+    seed : root seed of the experiment; the same seed gives the same coat
     extent_mm : (x_low, x_high, y_low, y_high) float, mm; range of the material coordinates.
-        Heights do not depend on it, except for rounding.
+        Heights do not depend on this range, except for rounding.
     """
     distribution = johnson_of(texture.skewness, texture.excess_kurtosis)
     at_length = distribution.correlation_of_normals(exp(-1))
@@ -215,9 +222,10 @@ def texture_field(texture: Texture, seed: int, extent_mm: Extent) -> Field:
 
 @lru_cache(maxsize=1)  # one coat is pressed repeatedly, mostly with the same lattice
 def _blurred_noise(seed: int, rows: tuple[int, int], cols: tuple[int, int]) -> FloatArray:
-    """Return the blurred noise (row, col) within the first and last numbers of a lattice's lines.
+    """Return blurred noise (row, col); `rows` and `cols` are first and last index of a lattice.
 
-    Without the margin that the blur needs; not writable, because it is returned again.
+    The outermost `_REACH` rows and columns are cut off: the blur needs them as a margin. The array
+    is read-only, because the cache returns the same array again.
     """
     blurred = _white_noise(seed, *(np.arange(first, last + 1) for first, last in (rows, cols)))
     for axis in (0, 1):
@@ -234,14 +242,14 @@ def textured(
 
     Returns
     -------
-    With the textured `face_z_mm`, and `texture_mm`, the height that was added to it
+    Pressed elastomer with the textured `face_z_mm`; `texture_mm` is the height that was added
 
     Notes
     -----
-    z increases by the height times sqrt(1 + slope^2) of the smooth face: first order in the height
-    over the face's radius of curvature. The material point at a node is the node less its
-    displacement in the plane, which the spectral model and the sheet compute; in the other models
-    the texture is not stretched.
+    z increases by the height times sqrt(1 + slope^2) of the smooth face. The error is of second
+    order in the height over the face's radius of curvature. The material point at a node is the
+    node's position minus its displacement in the plane. The spectral model and the sheet compute
+    this displacement; in the other models it is neglected, so that the texture is not stretched.
     """
     X_mm, Y_mm = _material_points(pressed, elastomer, load)
     extent = (float(X_mm.min()), float(X_mm.max()), float(Y_mm.min()), float(Y_mm.max()))
@@ -251,11 +259,11 @@ def textured(
 
 
 def texture_figures(pressed: PressedElastomer) -> dict[str, float]:
-    """Measure the texture on a face: its RMS, and the lag at which its autocorrelation is 1/e.
+    """Return the texture's RMS, um, and the lag, mm, at which its autocorrelation is 1/e.
 
     Returns
     -------
-    Empty for a smooth coat. The lag is the mean of those along x and y, in plan, over the face
+    Figures by name; empty for a smooth coat. The lag is the mean of the lags along x and y, in plan
     """
     if pressed.texture_mm is None:
         return {}
@@ -285,16 +293,17 @@ def _material_points(
 
 
 def _lattice(low_mm: float, high_mm: float, pitch_mm: float) -> IntArray:
-    """Return the lattice's numbers along one axis, with the margin for splines and blur."""
+    """Return the indices of the lattice points along one axis, with a margin for the blur."""
     margin = 2 + _REACH
     first, last = floor(low_mm / pitch_mm) - margin, ceil(high_mm / pitch_mm) + margin
     return np.arange(first, last + 1)
 
 
 def _white_noise(seed: int, rows: IntArray, cols: IntArray) -> FloatArray:
-    """Draw standard normal numbers (row, col): one stream per row, from the middle outwards.
+    """Return standard normal random numbers (row, col) at the points of a lattice.
 
-    So the number at a lattice point depends only on seed, row and column.
+    Each row has its own stream of numbers, which is assigned from column 0 outwards. The number at
+    a lattice point therefore depends only on seed, row and column.
     """
     streams, places = _outwards(rows), _outwards(cols)
     count = int(places.max()) + 1
@@ -306,12 +315,12 @@ def _white_noise(seed: int, rows: IntArray, cols: IntArray) -> FloatArray:
 
 
 def _outwards(numbers: IntArray) -> IntArray:
-    """Return 0, 1, 2, 3, 4, ... for the numbers 0, -1, 1, -2, 2, ...; none is negative."""
+    """Map the indices 0, -1, 1, -2, 2, ... to 0, 1, 2, 3, 4, ..., so that none is negative."""
     return np.where(numbers >= 0, 2 * numbers, -2 * numbers - 1)
 
 
 def _taps() -> FloatArray:
-    """Return the blur that, interpolated by the B-spline, gives Z the variance 1."""
+    """Return the taps (n,) of the blur with which Z has variance 1 at the lattice points."""
     offsets = np.arange(-_REACH, _REACH + 1)
     taps = np.exp(-(offsets**2) / (2 * (_KERNEL_VARIANCE - _SPLINE_VARIANCE)))
     kernel = np.convolve(taps, _SPLINE_AT_POINTS)
@@ -319,7 +328,10 @@ def _taps() -> FloatArray:
 
 
 def _correlation_lag(heights: FloatArray) -> float:
-    """Return the lag along x, in nodes, at which the autocorrelation is 1/e."""
+    """Return the lag along x, in nodes, at which the autocorrelation of heights is 1/e.
+
+    If the autocorrelation is nowhere that low, it returns the number of columns.
+    """
     deviation = heights - heights.mean()
     variance, target, before = float(np.mean(deviation**2)), exp(-1), 1.0
     for lag in range(1, heights.shape[1]):
@@ -333,7 +345,7 @@ def _correlation_lag(heights: FloatArray) -> float:
 def in_plane_displacement(
     pressed: PressedElastomer, elastomer: Elastomer, load: Press
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the coat's displacement in its plane under contact, back pressure and weight.
+    """Return the coat's displacements in its plane under contact, back pressure and weight.
 
     Parameters
     ----------
@@ -342,7 +354,8 @@ def in_plane_displacement(
     Returns
     -------
     u_x, u_y : (row, col) float, mm
-        At the nodes of the coated face, along world x and y. For texture and markers only.
+        At the nodes of the coated face, along world x and y. They displace texture and markers;
+        the nodes of the relief do not move.
     """
     layer = layer_on(elastomer, pressed.x_mm, pressed.y_mm, pressed.young_modulus_kpa)
     pressure = pressed.pressure_kpa / pressed.young_modulus_kpa

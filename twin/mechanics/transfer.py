@@ -1,12 +1,14 @@
-"""Deflection of both faces of an elastic layer under pressure, plain or coated, per wave.
+"""Displacement of both faces of an elastic layer under pressure, per wavenumber.
 
-Frame: z along the press, from the touched face t (z = 0) to the far face b (z = h); a pressure
-p cos(k x) on t deflects by u = 2 Phi p / (E* k), E* = E / (1 - nu^2), at q = k h. Phi is
-dimensionless and independent of E; on the touched face it tends to 1 for short waves, the
-half-space.
+The layer is a slab, with or without a film. Frame: z along the press, from the touched face t
+(z = 0) to the far face b (z = h). A pressure p cos(k x) on t deflects a face by
+u = 2 Phi p / (E* k), with E* = E / (1 - nu^2) and Phi a function of q = k h. Phi is dimensionless
+and independent of E. On the touched face Phi tends to 1, the value of a half-space, for short
+waves.
 
 Symbols: q wavenumber times thickness; kappa = 3 - 4 nu; U, W amplitudes of the displacement along
-and across the layer (u_x = i U e^ikx, u_z = W e^ikx) at unit shear modulus and thickness.
+and across the layer (u_x = i U e^ikx, u_z = W e^ikx) at unit shear modulus and thickness; lam
+Lame's first parameter; div divergence of the displacement.
 
 Four solutions of Lame's equations, bounded for every q, with s = z - 1, a = exp(-q z) and
 b = exp(q s):
@@ -15,14 +17,15 @@ b = exp(q s):
     W:      -a       (kappa + q z) a    b    (kappa - q s) b
     lam div: 0       -4 nu q a          0    4 nu q b
 
-The analytic lam div makes nu = 0.5 regular.
+lam div is computed from these expressions, which are finite at nu = 0.5.
 
-A film of its own stiffness on the coated face makes two elastic layers, bonded. The state of one
-wavenumber at a depth is U, W and, over k, shear and normal traction; the slab's shear modulus is 1.
-A film is much thinner than a wave, where the bounded exponentials of a thick layer coincide; there
-the state is mapped by its exponential instead, exp(M q) with (M^2 - 1)^2 = 0.
+With a film of another stiffness on the coated face, two bonded elastic layers are solved. The state
+of one wavenumber at a depth is the vector of U, W, and shear and normal traction over k; the slab's
+shear modulus is 1. A film is much thinner than a wavelength, and then the four bounded solutions
+are nearly equal. There the state on one face follows from that on the other by the factor exp(M q),
+with (M^2 - 1)^2 = 0.
 
-A table in log q gives a whole grid of wavenumbers.
+For a whole grid of wavenumbers Phi is interpolated in a table over log q.
 """
 
 from dataclasses import dataclass
@@ -50,23 +53,24 @@ _TABLE_SIZE = 2000
 
 @dataclass(frozen=True)
 class Transfer:
-    """Dimensionless compliance Phi per wavenumber; all arrays have the shape of q."""
+    """Dimensionless compliance Phi of both faces per wavenumber; arrays have the shape of q."""
 
+    #: deflection of the touched face t and of the far face b
     normal_t: FloatArray
     normal_b: FloatArray
-    #: along the layer: (u_x, u_y) = grad(psi), psi = 2 Phi p / (E* k^2)
+    #: displacement along the layer: (u_x, u_y) = grad(psi), psi = 2 Phi p / (E* k^2)
     tangential_t: FloatArray
     tangential_b: FloatArray
 
 
 def solve_transfer(q: FloatArray, poisson_ratio: float, base: Base) -> Transfer:
-    """Solve the layer's boundary values for unit pressure on face t.
+    """Return Phi of a layer without film, for pressure on face t.
 
     Parameters
     ----------
     q : (n,) float; wavenumber times thickness, > 0
     poisson_ratio : 0 < nu <= 0.5
-    base : {"bonded", "free"}; face b: no displacement, or no traction
+    base : {"bonded", "free"}; "bonded": no displacement of face b; "free": no traction on face b
 
     Returns
     -------
@@ -74,7 +78,7 @@ def solve_transfer(q: FloatArray, poisson_ratio: float, base: Base) -> Transfer:
     """
     top, bottom = amplitudes(q, 0.0, poisson_ratio), amplitudes(q, 1.0, poisson_ratio)
     held = (bottom["U"], bottom["W"]) if base == "bonded" else (bottom["S_xz"], bottom["S_zz"])
-    # Rows divided by their largest entry: their sizes differ by orders of magnitude in q.
+    # Each row is divided by its largest entry: for extreme q rows differ by orders of magnitude.
     rows = np.stack((top["S_zz"], top["S_xz"], *held), axis=-2)
     scale = np.abs(rows).max(axis=-1, keepdims=True)
     load = np.zeros((q.size, 4, 1))
@@ -86,7 +90,10 @@ def solve_transfer(q: FloatArray, poisson_ratio: float, base: Base) -> Transfer:
 
 
 def amplitudes(q: FloatArray, z: float, nu: float) -> dict[str, FloatArray]:
-    """Return displacement and stress of the four solutions at depth z, 0 to 1, each (n, 4)."""
+    """Return the displacements U, W and stresses S_xz, S_zz of the four solutions, each (n, 4).
+
+    `q` is (n,), `z` the depth over the thickness, 0 to 1.
+    """
     kappa, s = 3 - 4 * nu, z - 1
     a, b = np.exp(-q * z), np.exp(q * s)
     shear = -2 * a, (kappa - 1 + 2 * q * z) * a, 2 * b, (kappa - 1 - 2 * q * s) * b
@@ -100,10 +107,10 @@ def amplitudes(q: FloatArray, z: float, nu: float) -> dict[str, FloatArray]:
 
 
 def opposite_transfer(q: FloatArray) -> FloatArray:
-    """Return the share of the touched face's relief on the opposite face of a free layer.
+    """Return the relief of the opposite face over that of the touched face of a free layer.
 
-    T(q) = (sinh q + q cosh q) / (sinh q cosh q + q), for any nu and E: 1 for long waves, 0.5
-    at a pitch of 2.40 thicknesses, 0.1 at 1.32.
+    T(q) = (sinh q + q cosh q) / (sinh q cosh q + q), for any nu and E. It is 1 for long waves, 0.5
+    at a pitch of 2.40 thicknesses and 0.1 at 1.32.
 
     Parameters
     ----------
@@ -121,25 +128,25 @@ def opposite_transfer(q: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class CoatFilm:
-    """A film as part of a layer's thickness, on the coated face."""
+    """A film on the coated face; its thickness is a part of the layer's thickness."""
 
     #: film thickness over the layer's whole thickness, 0 to 1
     share: float
-    #: shear modulus over the slab's
+    #: shear modulus of the film over that of the slab
     shear_ratio: float
     poisson_ratio: float
 
 
 def solve_coated(q: FloatArray, poisson_ratio: float, base: LoadedBase, film: CoatFilm) -> Transfer:
-    """Solve slab and film under unit pressure on face t: eight equations per wavenumber.
+    """Return Phi of a slab with a film, for pressure on face t: eight equations per wavenumber.
 
     Parameters
     ----------
     q : (n,) float; wavenumber times the whole thickness, > 0
-    poisson_ratio : of the slab, 0 < nu <= 0.5
-    base : {"bonded", "free", "free_turned"}; "bonded": film on the touched face t; "free": film on
-        the far face b; "free_turned": film on t of a layer with a free far face, the same slab
-        loaded from its other side
+    poisson_ratio : Poisson's ratio of the slab, 0 < nu <= 0.5
+    base : {"bonded", "free", "free_turned"}; "bonded": face b is bonded, the film is on face t;
+        "free": face b is free and has the film; "free_turned": face b is free, the film is on
+        face t, as if the slab of "free" were loaded on its coated face
 
     Returns
     -------
@@ -162,7 +169,10 @@ def solve_coated(q: FloatArray, poisson_ratio: float, base: LoadedBase, film: Co
 
 
 def _through(q: FloatArray, shear: float, nu: float) -> tuple[FloatArray, FloatArray]:
-    """Return the states (n, 4, 4) of four solutions at a layer's upper and lower face."""
+    """Return the states (n, state, solution) of four solutions at a layer's two faces.
+
+    The first array is at the face nearer to t. `shear` is the layer's shear modulus.
+    """
     upper, lower = (_bounded_states(q, z, nu) for z in (0.0, 1.0))
     long = q < _LONG_WAVE_Q
     upper[long], lower[long] = np.eye(4), _carried(q[long], nu)
@@ -177,7 +187,7 @@ def _bounded_states(q: FloatArray, z: float, nu: float) -> FloatArray:
 
 
 def _carried(q: FloatArray, nu: float) -> FloatArray:
-    """Return exp(M q), M the derivative of the state over k z at unit shear modulus."""
+    """Return exp(M q) (n, 4, 4); M is the derivative of the state by k z at unit shear modulus."""
     side = nu / (1 - nu)
     M = np.array(
         [
@@ -199,14 +209,14 @@ def _carried(q: FloatArray, nu: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class TransferTable:
-    """Phi over log q, from `lowest_q` up; constant beyond `highest_q`."""
+    """Table of Phi over log q from `lowest_q` up; above `highest_q` Phi is constant."""
 
     lowest_q: float
     highest_q: float
     splines: dict[Column, CubicSpline]
 
     def __call__(self, q: FloatArray, column: Column) -> FloatArray:
-        """Return one column of `Transfer` on a wavenumber grid (...), q >= lowest_q."""
+        """Return one column of `Transfer` at q (...), wavenumber times thickness, >= `lowest_q`."""
         inside = np.minimum(q, self.highest_q)
         phi: FloatArray = self.splines[column](np.log(inside))
         phi /= _damping(inside)
@@ -216,11 +226,11 @@ class TransferTable:
 def tabulate(
     lowest_q: float, poisson_ratio: float, base: LoadedBase, film: CoatFilm | None = None
 ) -> TransferTable:
-    """Tabulate a layer's transfer from `lowest_q` up to half-spaces on both faces.
+    """Return a table of a layer's Phi, from `lowest_q` to where both faces are half-spaces.
 
     Raises
     ------
-    PressError : the layer is too thin for its span
+    PressError : `lowest_q` is too small: the layer is too thin for its span
     """
     if lowest_q < SMALLEST_Q:
         raise PressError(
@@ -242,6 +252,9 @@ def tabulate(
 
 
 def _damping(q: FloatArray) -> FloatArray:
-    """Long waves of the free layer increase as q^-3 (plate): times this, the spline is smooth."""
+    """Return q^3 / (1 + q^3), by which Phi is multiplied before it is interpolated.
+
+    For long waves Phi of a free layer increases as q^-3 (plate); the product is smooth.
+    """
     cubed = q * q * q
     return np.asarray(cubed / (1 + cubed))

@@ -1,8 +1,9 @@
-"""Figures of how well the linear slab or the thin sheet describes a press.
+"""Figures that describe how accurately the linear slab or the thin sheet models a press.
 
-Limits and error scale come from comparisons with an axisymmetric neo-Hookean slab (shared
-notes, mechanics.md, sections 1 and 6): heights err by 1 to 2 % of the depth up to d/R = 0.6 when
-the layer is bonded; on the far face of a free slab the peak errs by 2.4 % at d = h/4 = R/4.
+Limits and error scale are from comparisons with an axisymmetric neo-Hookean slab (shared notes,
+mechanics.md, sections 1 and 6). With depth d, ball radius R and thickness h: heights of a bonded
+layer have an error of 1 to 2 % of the depth up to d/R = 0.6. On the far face of a free slab the
+peak has an error of 2.4 % at d = h/4 = R/4.
 """
 
 from dataclasses import dataclass, replace
@@ -22,39 +23,45 @@ SLOPE_LIMIT_DEG = 45.0
 DEFLECTION_OVER_THICKNESS_LIMIT = 0.4
 _FEWEST_CELLS_ACROSS = 10.0
 SHEET_THICKNESS_MM = (0.05, 1.0)
-#: thickness over its undeformed value below which a sheet flows away: silicones tear earlier
+#: smallest allowed thickness of a sheet over its undeformed thickness: silicones tear before that
 THINNEST = 0.2
 #: thickness over radius of bending up to which a thin sheet is accurate, and up to which usable
 SHEET_GOOD, SHEET_LIMIT = 0.125, 0.25
-#: pitch over thickness of the finest ridges that a thin sheet resolves: it neglects shear
+#: pitch over thickness of the finest ridges that a thin sheet models, because it neglects shear
 SHEET_RIDGES = 5.0
-# Height error of the thin sheet over h^2 / R: solid neo-Hookean elements, ball of 4 mm, sheets of
-# 0.1 to 1.5 mm, at most 18 um at h = 1 mm (shared notes on the sheet).
+# Height error of the thin sheet over h^2 / R, from solid neo-Hookean elements: ball of 4 mm, sheets
+# of 0.1 to 1.5 mm, error at most 18 um at h = 1 mm (shared notes on the sheet).
 _SHEET_ERROR = 0.072
 
 
 @dataclass(frozen=True)
 class Validity:
-    """Figures of the trust in a press, and one warning for each that is exceeded."""
+    """Figures that describe the accuracy of a press, and a warning for each exceeded limit."""
 
     depth_over_thickness: float
     #: depth over the smallest ball's radius, 0 for specimens without balls
     depth_over_radius: float
-    #: deflection of the coated face over thickness: a sheet stretches as it bends beyond about 0.4
+    #: largest deflection of the coated face over thickness; above about 0.4 bending also stretches
+    #: the elastomer
     deflection_over_thickness: float
     #: steepest slope of the specimen within the contact
     max_slope_deg: float
     #: distance from the contact to the nearest rim
     margin_mm: float
-    #: contact diameter in solver cells (of a circle as large as the contact)
+    #: diameter, in solver cells, of a circle with the area of the contact; mean over the balls
     cells_across: float
-    #: expected largest height error of the coated face from neglecting large strain
+    #: expected largest height error of the coated face, because the model neglects large strain
+    #: (slab) or shear through the thickness (sheet)
     height_error_mm: float
     warnings: tuple[str, ...]
 
 
 def max_slope_deg(height_mm: FloatArray, contact: BoolArray, pitch_mm: float) -> float:
-    """Return the specimen's steepest slope within the contact; 90 at its widest outline."""
+    """Return the specimen's steepest slope within the contact, degrees.
+
+    It is 90 if the contact reaches the specimen's outline. Arrays are (row, col) on cells at
+    intervals of `pitch_mm`.
+    """
     known = np.where(np.isfinite(height_mm), height_mm, np.nan)
     across_y, across_x = np.gradient(known, pitch_mm)
     slope = np.hypot(across_x, across_y)[contact]
@@ -64,10 +71,10 @@ def max_slope_deg(height_mm: FloatArray, contact: BoolArray, pitch_mm: float) ->
 def margin_mm(
     contact: BoolArray, x_mm: FloatArray, y_mm: FloatArray, half_mm: tuple[float, float]
 ) -> float:
-    """Return the distance from the contact's cells to the nearest edge of the slab.
+    """Return the distance from the contact's cells to the nearest edge of the slab, mm.
 
-    `half_mm` are the slab's half lengths along x and y; cells are sampled at their centres. A
-    contact smaller than a cell may include no centre: it counts as in the middle.
+    `half_mm` are the slab's half lengths along x and y; `x_mm` and `y_mm` are cell centres. A
+    contact smaller than a cell may include no centre: then it is assumed in the middle.
     """
     if not contact.any():
         return min(half_mm)
@@ -88,14 +95,14 @@ def assess(
     margin_to_rim_mm: float,
     cells_across: float,
 ) -> Validity:
-    """Collect the figures, the error estimate and the warnings.
+    """Return the figures of a linear slab, with its error estimate and warnings.
 
     Notes
     -----
-    Error scale: 2 % of the depth (free slab) or 1.2 % (bonded) up to d/R = 0.25, then in
-    proportion to d/R; for a free slab also (w/h)^2 / 10 of the coated face's peak w for the
-    stretching of thin sheets (own estimate after von Karman's plate with a rim that may move
-    inwards).
+    The error is 2 % of the depth (free slab) or 1.2 % (bonded layer) up to d/R = 0.25, and above in
+    proportion to d/R. A free slab has a further error from the stretching of thin sheets: its peak
+    deflection w times (w/h)^2 / 10. This is an own estimate after von Karman's plate with a rim
+    that may move inwards.
     """
     free = layout == "opposite_face"
     over_radius = depth_mm / radius_mm if radius_mm else 0.0
@@ -163,12 +170,12 @@ def contact_validity(
     depth_mm: float,
     deflection_mm: float,
 ) -> Validity:
-    """Collect the figures of a slab from its contact on cells.
+    """Return the figures of a linear slab from its contact on cells, see `assess`.
 
     Parameters
     ----------
     cells : (col,) x and (row,) y of the cells' centres, mm, and (row, col) whether they touch
-    depth_mm, deflection_mm : travel, and largest rise of the coated face
+    depth_mm, deflection_mm : travel, and largest deflection of the coated face
     """
     x_mm, y_mm, contact = cells
     pitch_mm = float(np.sqrt((x_mm[1] - x_mm[0]) * (y_mm[1] - y_mm[0])))
@@ -186,24 +193,25 @@ def contact_validity(
 
 
 def bend_over_ball(thickness_mm: float, shape: Shape) -> float:
-    """Return thickness over radius of bending of a sheet that wraps the smallest ball; 0: none.
+    """Return thickness over radius of bending of a sheet that wraps round the smallest ball.
 
-    Edges bend a sheet more sharply, but over less than its thickness.
+    It is 0 for a specimen without balls. Edges bend a sheet to a smaller radius, but only over a
+    length smaller than its thickness.
     """
     radius_mm = min((ball.radius_mm for ball in shape.spheres()), default=np.inf)
     return thickness_mm / (radius_mm + thickness_mm / 2)
 
 
 def sheet_estimate_mm(thickness_mm: float, ratio: float) -> float:
-    """Return the expected height error of a sheet before it is pressed.
+    """Return the expected height error of a sheet, mm, before it is pressed.
 
-    `ratio` is its thickness over its radius of bending.
+    `ratio` is the thickness of the sheet over its radius of bending.
     """
     return _SHEET_ERROR * thickness_mm * ratio
 
 
 def sheet_height_error_mm(thickness_mm: float, bend_1_mm: float) -> float:
-    """Return the expected largest height error of a thin sheet that bends by `bend_1_mm`."""
+    """Return the expected largest height error, mm, of a sheet with a curvature `bend_1_mm`."""
     return _SHEET_ERROR * thickness_mm**2 * bend_1_mm
 
 
@@ -219,10 +227,10 @@ def assess_sheet(
     cells_across: float,
     ridge_pitch_mm: float | None,
 ) -> Validity:
-    """Collect the figures, the error estimate and the warnings of a thin sheet.
+    """Return the figures of a thin sheet, with its error estimate and warnings.
 
-    `bend_1_mm` is the root mean square curvature where the specimen touches, 1 / R on a ball;
-    `ridge_pitch_mm` that of the specimen's finest grooves, None if it has none of its own.
+    `bend_1_mm` is the root mean square curvature of the sheet in the contact, 1/mm; on a ball it is
+    1 / R. `ridge_pitch_mm` is the pitch of the specimen's finest grooves, None without grooves.
     """
     ratio = thickness_mm * bend_1_mm
     checks = (

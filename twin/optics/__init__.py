@@ -1,1 +1,1 @@
-"""Mitsuba scenes and the one-trace renderer; the only place that imports Mitsuba."""
+"""Mitsuba scenes and the one-trace renderer; no other package of `twin` imports Mitsuba."""

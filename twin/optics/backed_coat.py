@@ -1,7 +1,8 @@
 """Reflectance of a thin, translucent ink with an object in contact behind it.
 
-Without contact, the light that the ink transmits is lost. The effect exists in the contact-face
-layout only, in which the object touches the coat; behind the coat of a sheet is the sheet.
+Without contact, the light that the ink transmits is lost. The effect exists only in the
+contact-face layout, in which the object touches the coat. In the sheet layouts, the sheet separates
+the coat from the object.
 """
 
 from typing import TYPE_CHECKING
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 
 
 def seen_face(experiment: Experiment, pressed: PressedElastomer) -> "trimesh.Trimesh":
-    """Return the coated face as `face_mesh`, with `INK_ALBEDO` if the ink is translucent."""
+    """Return the mesh of the coated face, world mm, for the renderer.
+
+    If the ink is translucent, the mesh has the vertex attribute `INK_ALBEDO`.
+    """
     face, albedo = face_mesh(pressed), ink_albedo(experiment, pressed)
     if albedo is not None:
         face.vertex_attributes[INK_ALBEDO] = albedo
@@ -27,10 +31,10 @@ def seen_face(experiment: Experiment, pressed: PressedElastomer) -> "trimesh.Tri
 
 
 def ink_albedo(experiment: Experiment, pressed: PressedElastomer) -> FloatArray | None:
-    """Return the ink's albedo at the vertices of the coated face, (vertex,); None: uniform.
+    """Return the ink's albedo at each vertex of the coated face, (vertex,); None if it is uniform.
 
-    A specimen without material has that of the reference balls. Groups and scenes of parts have the
-    specimen's own material in the whole contact.
+    If the specimen has no material, the material of the reference balls is assumed. A specimen of
+    several parts is assumed to have the material `specimen.material` in the whole contact.
     """
     bare = experiment.coating.albedo_over(0.0)
     if bare is None or experiment.elastomer.layout != "contact_face":
@@ -45,7 +49,10 @@ def ink_albedo(experiment: Experiment, pressed: PressedElastomer) -> FloatArray 
 
 
 def _contact_share(pressed: PressedElastomer) -> FloatArray:
-    """Return the share of contact round each node of the coated face, (row, col)."""
+    """Return the share of contact (0 to 1) at each node of the coated face, (row, col).
+
+    The share is interpolated from the contact map of the press and is 0 outside this map.
+    """
     share = RegularGridInterpolator(
         (pressed.y_mm, pressed.x_mm),
         pressed.contact.astype(np.float64),

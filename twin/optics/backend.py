@@ -2,14 +2,14 @@
 
 Dr.Jit loads the first libLLVM on its search path. LLVM older than 17 either does not load or aborts
 the process at the first maximum of two floats ("Cannot select: fmaximum"); Debian 12 and Ubuntu
-22.04 install LLVM 14 or 15 by default. Therefore each candidate library compiles and runs the
-twin's kinds of kernel in a child process with an empty kernel cache. The first library with correct
-results is used, and its path is stored in the user's cache folder.
+22.04 install LLVM 14 or 15 by default. Therefore each candidate library compiles and runs small
+kernels like those of the renderer, in a child process with an empty kernel cache. The first library
+with correct results is used, and its path is stored in the user's cache folder.
 
 ``TWIN_BACKEND`` (``llvm`` or ``cuda``) restricts the choice, ``DRJIT_LIBLLVM_PATH`` names the
 library.
 
-`python -m twin.optics.backend [--fresh]` prints it.
+`python -m twin.optics.backend [--fresh]` prints the backend; `--fresh` tests the candidates again.
 """
 
 import argparse
@@ -50,10 +50,11 @@ class MissingBackend(RuntimeError):  # noqa: N818  # named after the missing par
 
 @dataclass(frozen=True)
 class Backend:
-    """A Dr.Jit backend that ran the probe.
+    """A Dr.Jit backend that passed the test of `probe`.
 
     Parameters
     ----------
+    variant : name of the Mitsuba variant
     library : path of libLLVM; None for CUDA
     version : version of LLVM or of the CUDA driver interface
     """
@@ -70,7 +71,7 @@ class Backend:
 
 @dataclass(frozen=True)
 class Rejection:
-    """Reason for the rejection of a candidate."""
+    """Reason why a backend candidate failed the test of `probe`."""
 
     reason: str
 
@@ -78,11 +79,13 @@ class Rejection:
 def probe(
     variant: str, library: str | None = None, timeout_s: float = _PROBE_TIMEOUT_S
 ) -> Backend | Rejection:
-    """Compile and run kernels with one candidate, in a child process.
+    """Test one backend candidate: compile and run small kernels in a child process.
 
     Parameters
     ----------
+    variant : name of the Mitsuba variant
     library : path of libLLVM; None for CUDA
+    timeout_s : time limit of the child process, s
 
     Returns
     -------
@@ -129,7 +132,7 @@ def _probe_environment(folder: str, library: str | None) -> dict[str, str]:
 
 
 def _check_system_libraries(stderr: str) -> None:
-    """Raise MissingBackend if Mitsuba does not load, which no other candidate can change."""
+    """Raise MissingBackend if a system library of Mitsuba is missing: all candidates would fail."""
     absent = re.search(r"ImportError: (lib\S+\.so\S*): cannot open shared object file", stderr)
     if absent:
         raise MissingBackend(
@@ -162,7 +165,7 @@ _LIBRARY_FOLDERS = (
 
 
 def llvm_candidates() -> list[Path]:
-    """List the LLVM libraries of this machine, newest first, each once."""
+    """Return the paths of all LLVM libraries of this machine, newest version first."""
     files = {path.resolve() for path in _library_paths() if _LIBRARY_NAME.match(path.name)}
     return sorted((path for path in files if path.is_file()), key=_version_key, reverse=True)
 
@@ -203,11 +206,11 @@ def has_cuda_driver() -> bool:
 
 
 def find_backend(*, fresh: bool = False) -> Backend:
-    """Return a working backend: CUDA if there is a device, else the newest usable LLVM.
+    """Return a working backend: CUDA if it works, else the newest LLVM library that works.
 
     Parameters
     ----------
-    fresh : probe again even if the cache has an earlier result
+    fresh : test the candidates again, even if the cache has an earlier result
 
     Raises
     ------
@@ -260,13 +263,13 @@ def _search_llvm() -> Backend:
 
 
 def cache_file() -> Path:
-    """Return the path of the cache of probe results."""
+    """Return the path of the JSON file that caches the backends found by `find_backend`."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
     return Path(base) / "fringe-twin" / "backend.json"
 
 
 def circumstances() -> str:
-    """Return a digest of everything that a probe result depends on, except the library itself."""
+    """Return a digest of everything that a `probe` depends on, except the content of libLLVM."""
     facts = [
         _installed_version("mitsuba"),
         _installed_version("drjit"),
@@ -296,7 +299,10 @@ def _cpu_flags() -> str:
 
 
 def recall(key: str) -> Backend | None:
-    """Return the cached backend for a digest; None if there is none or its library changed."""
+    """Return the cached backend for a digest of `circumstances`.
+
+    Returns None if the cache has no backend for this digest, or if its library has changed.
+    """
     entry = _remembered().get(key)
     if not isinstance(entry, dict):
         return None
@@ -315,7 +321,10 @@ def _remembered() -> dict[str, Any]:
 
 
 def remember(key: str, backend: Backend) -> None:
-    """Store a probe result; if the cache cannot be written, the next process probes again."""
+    """Store a backend in the cache under a digest of `circumstances`.
+
+    A cache that cannot be written is ignored; the next process then tests the candidates again.
+    """
     path = cache_file()
     entries = _remembered() | {
         key: {"backend": asdict(backend), "modified_ns": _modified_ns(backend)}

@@ -1,4 +1,4 @@
-"""Test kernels of a backend; run in the probe's child process only."""
+"""Test kernels of a backend; `twin.optics.backend.probe` runs them in a child process."""
 
 import ctypes
 import os
@@ -9,7 +9,7 @@ from twin.optics.backend import LLVM_VARIANT
 
 
 def run_kernels(variant: str) -> None:
-    """Compile and run the twin's kinds of kernel and print the backend's version."""
+    """Compile and run small kernels like those of the renderer; print the backend's version."""
     _leave_no_core_file()
     import drjit as dr
     import mitsuba as mi

@@ -1,8 +1,8 @@
-"""A printed flat board under the rig: its albedo as an image, its plate as a mesh in a pose.
+"""Render a printed flat board under the rig: a plane mesh in a pose, with an image of its albedo.
 
-The albedo image is finer than a camera pixel and its edges are one texel wide, so that the fixed
-grid of sub-pixel rays resolves the position of every edge. A hard edge would be sampled in steps of
-0.25 px, with errors of 0.01 px in the centroids of dots.
+The albedo image is finer than a camera pixel, and its edges are one texel wide. The fixed grid of
+sub-pixel rays therefore resolves the position of every edge. A hard edge would be sampled in steps
+of 0.25 px, with errors of 0.01 px in the centroids of dots.
 """
 
 from dataclasses import replace
@@ -26,7 +26,10 @@ MAX_TEXELS = 8192
 
 
 def board_pose(pose: BoardPose) -> FloatArray:
-    """Return T_world_from_board (4, 4), mm: spin in the plane, then tilt towards the azimuth."""
+    """Return T_world_from_board, (4, 4), translation in mm.
+
+    The board is first rotated by the spin in its plane, then tilted towards the azimuth.
+    """
     azimuth, tilt, spin = np.deg2rad([pose.azimuth_deg, pose.tilt_deg, pose.spin_deg])
     T = np.eye(4)
     T[:3, :3] = about_z(azimuth) @ _about_y(tilt) @ about_z(spin - azimuth)
@@ -35,7 +38,7 @@ def board_pose(pose: BoardPose) -> FloatArray:
 
 
 def albedo_image(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage:
-    """Return the plate's albedo, (row, col) float32, row 0 at the top (board y up).
+    """Return the albedo of the board's plate, (row, col) float32; row 0 has the largest board y.
 
     Parameters
     ----------
@@ -49,12 +52,12 @@ def albedo_image(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage
 
 @lru_cache(maxsize=1)
 def _albedo_of(board: Board, plate: BoardPlate, texel_mm: float) -> FloatImage:
-    """Return the albedo image, cached for all poses: it takes as long as one render."""
+    """Return `albedo_image`, cached for all poses: its computation takes as long as a render."""
     return albedo_image(board, plate, texel_mm)
 
 
 def camera_texel_mm(experiment: Experiment) -> float:
-    """Size of a texel: half a camera pixel on the reference plane."""
+    """Return the texel size, mm: half a camera pixel, projected onto the reference plane."""
     camera = experiment.camera
     image_mm = camera.focal_length_mm / (camera.pose.standoff_mm - camera.focal_length_mm)
     return camera.pixel_pitch_um * 1e-3 * camera.binning / image_mm / TEXELS_PER_PIXEL
@@ -62,11 +65,11 @@ def camera_texel_mm(experiment: Experiment) -> float:
 
 @renderer_session()
 def render_board(experiment: Experiment, file: BoardFile, pose: BoardPose) -> Frames:
-    """Render the whole sequence on the board in one pose.
+    """Return the radiance, mW / (mm^2 sr), of all projected frames on the board in one pose.
 
-    The engine is the one-trace renderer with direct light and the experiment's rays per pixel. The
+    The one-trace renderer computes direct light only, with `render.samples` rays per pixel. The
     board is in air, without the experiment's clear layers. Defocus follows the experiment
-    (`camera.depth_of_field`, `projector.aperture_mm`); by default all distances are sharp.
+    (`camera.depth_of_field`, `projector.aperture_mm`); by default all distances are in focus.
 
     Raises
     ------
@@ -102,7 +105,10 @@ def _board_scene(plate: BoardPlate, albedo: FloatImage, T_world_from_board: Floa
 
 
 def _corners_world_mm(plate: BoardPlate, T_world_from_board: FloatArray) -> FloatImage:
-    """Return the plate's corners from the lower left, counter-clockwise from the front, (4, 3)."""
+    """Return the four corners of the plate in the world, (corner, xyz) float32, mm.
+
+    The order is counter-clockwise as seen from the printed side, from the lower left corner.
+    """
     half_x, half_y = plate.width_mm / 2.0, plate.height_mm / 2.0
     corners = np.array(
         [[-half_x, -half_y, 0], [half_x, -half_y, 0], [half_x, half_y, 0], [-half_x, half_y, 0]]

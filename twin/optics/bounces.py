@@ -1,19 +1,19 @@
-"""Light between surfaces: from coat to coat, between specimen and stage, through clear bodies.
+"""Indirect light: from coat to coat, between specimen and stage, through clear bodies.
 
 Each camera ray is continued by BSDF sampling. The first surface on a light path from the projector
 determines the estimator, so that every path is counted once:
 
-- matte or rough: the camera path is connected to the projector at this surface;
-- sharp (clear or polished), with the stage further along the path: photons carry this light to the
-  stage, where the camera path gathers it;
-- sharp, with sharp surfaces only up to the camera: connected, if the camera path has met only sharp
-  surfaces.
+- If this surface is matte or rough, the camera path is connected to the projector there.
+- If it is sharp (clear or polished) and the stage follows on the path, photons carry the light to
+  the stage. The camera path gathers this light at the stage.
+- If it is sharp and only sharp surfaces follow up to the camera, the camera path is connected to
+  the projector there.
 
-All frames use the same random numbers. Their noise therefore shifts a pixel's phase slightly, but
-does not differ from frame to frame.
+All frames use the same random numbers. The noise therefore shifts a pixel's phase slightly, but is
+the same in all frames.
 
-Left out: highlights of perfectly smooth bodies (between two pinholes they have no width), and light
-from sharp bodies to surfaces other than the stage.
+Not modelled are highlights of perfectly smooth bodies (between two pinholes they have no width),
+and light from sharp bodies to surfaces other than the stage.
 """
 
 from collections.abc import Callable
@@ -38,14 +38,16 @@ MOST_SHARP = 24
 
 @dataclass(frozen=True)
 class Bounces:
-    """Extent of the traced indirect light.
+    """Settings and surfaces for the indirect light that `add_bounces` traces.
 
     Attributes
     ----------
     most : largest number of reflections after the first one; with 1, light is reflected at most
         twice. Reflections and refractions at clear or polished bodies are not counted.
     paths : number of random continuations of each camera sample
-    stage_light : irradiance on the stage, computed from photons
+    seed : seed of the random numbers
+    surfaces : the sharp (clear or polished) bodies and the stage
+    stage_light : irradiance on the stage, computed from photons; None: no photons were traced
     """
 
     most: int
@@ -65,11 +67,11 @@ def add_bounces(
     frames: list[Any],
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[Any]:
-    """Return `frames` plus the light of two and more reflections; same units.
+    """Return `frames` plus the light that is reflected at least twice, mW / (mm^2 sr).
 
-    One loop runs over all path segments of all samples: after the last bounce, or if a path
-    exits the scene, the lane starts its next sample. One kernel is launched a few times; between
-    launches, `progress` is called with the finished fraction.
+    One loop runs over all path segments of all samples. After the last bounce, or if a path exits
+    the scene, the lane starts its next sample. The kernel is launched up to `LAUNCHES` times; after
+    each launch, `progress` is called with the finished fraction.
     """
     walks, width = grid.samples * bounces.paths, dr.width(grid.x_px)
     next_segment = _next_segment(scene, rig, light, grid, bounces)
@@ -97,7 +99,7 @@ def add_bounces(
 def _next_segment(
     scene: Any, rig: Rig, light: FrameLight, grid: SubPixels, bounces: Bounces
 ) -> Callable[..., tuple[Any, ...]]:
-    """Return the body of the loop: it extends each lane's path by one segment."""
+    """Return the loop's body, a function that extends the path of each lane by one segment."""
     walks, surfaces = grid.samples * bounces.paths, bounces.surfaces
 
     def next_segment(*state: Any) -> tuple[Any, ...]:
@@ -148,7 +150,10 @@ def _add_connected(
 
 
 def _go_on(bsdf: Any, hit: Any, rng: Any) -> tuple[Any, Any, Any]:
-    """Draw the next ray; return it, its weight (0: the path ends) and if it was transmitted."""
+    """Draw a path's next ray; return the ray, its weight and whether the light is transmitted.
+
+    The path ends where the weight is 0.
+    """
     sample, weight = bsdf.sample(
         mi.BSDFContext(),
         hit,
@@ -164,7 +169,10 @@ def _go_on(bsdf: Any, hit: Any, rng: Any) -> tuple[Any, Any, Any]:
 def _add_where(
     active: Any, values: Callable[..., list[Any]], arguments: tuple[Any, ...], sums: list[Any]
 ) -> list[Any]:
-    """Add `values(*arguments)` to the sums; skipped where no lane of a packet is active."""
+    """Return the sums of the frames; `values(*arguments)` is added in active lanes.
+
+    The computation of `values` is skipped where no lane of a packet is active.
+    """
 
     def add(arguments: tuple[Any, ...], sums: list[Any]) -> list[Any]:
         added = values(*arguments)

@@ -1,4 +1,4 @@
-"""Checks of an experiment against the limits of the renderer, before the press and the trace."""
+"""Check whether the renderer supports an experiment, before the press and the trace are run."""
 
 from reconstruction.errors import InputError
 from twin.config.layers import holding_layer
@@ -8,13 +8,16 @@ from twin.specimens import Body, bodies
 
 
 def check_renderable(experiment: Experiment) -> None:
-    """Raise InputError if the renderer cannot render the experiment for any pressed face.
+    """Raise InputError if the renderer does not support the settings of the experiment.
+
+    The result does not depend on the shape of the pressed face.
 
     Raises
     ------
-    InputError : depth of field with one sample; too large a stack of frames; a coat that cannot
-        be in the layer around it; properties that the stock engine lacks; a bare specimen without
-        material or with the stock engine; projector defocus with clear or polished specimens
+    InputError : depth of field with one sample per pixel; a stack of frames above 18 GB; a coat
+        that is not valid in the layer around it; properties that the stock engine lacks; a bare
+        specimen without material or with the stock engine; projector defocus with clear or
+        polished specimens
     """
     check_samples(experiment)
     check_stack_size(experiment)
@@ -30,10 +33,12 @@ def check_renderable(experiment: Experiment) -> None:
         check_stock(experiment)
 
 
-# Along an axis: 14 bits for 8192 stripes and their borders, and a white and a black frame.
+# Upper limit for the Gray-code frames along one axis: 14 bits for 8192 stripes and their borders,
+# and a white and a black frame.
 _MOST_WORDS = 32
 MOST_PIXEL_VALUES = 3_000_000_000
-"""Of a stack: 45 megapixels in 66 frames. Radiance and digital numbers take 6 bytes each."""
+"""Largest number of pixel values in a stack of frames: 45 megapixels in 66 frames. Each value takes
+6 bytes, for radiance and digital number together."""
 
 
 def check_stack_size(experiment: Experiment) -> None:
@@ -55,7 +60,7 @@ def check_stack_size(experiment: Experiment) -> None:
 
 
 def check_samples(experiment: Experiment) -> None:
-    """Raise InputError for depth of field with one sample, hence one lens point, per pixel."""
+    """Raise InputError for depth of field with one sample per pixel, which uses one lens point."""
     if experiment.camera.depth_of_field and experiment.render.samples == 1:
         raise InputError(
             "render.samples: found 1, allowed 4 or more with camera.depth_of_field, better 16: each"
@@ -64,14 +69,14 @@ def check_samples(experiment: Experiment) -> None:
 
 
 def check_coat(experiment: Experiment) -> None:
-    """Raise InputError if the coat cannot be in the layer around it."""
+    """Raise InputError if the model of the coat is not valid in the clear layer around the coat."""
     holder = holding_layer(experiment.layers)
     if holder is not None:
         experiment.coating.in_medium(holder.ior)
 
 
 def check_stock(experiment: Experiment) -> None:
-    """Raise InputError for properties that stock Mitsuba lacks."""
+    """Raise InputError for lens distortion or projector defocus, which stock Mitsuba lacks."""
     if any(experiment.camera.distortion):
         raise InputError(
             "camera.distortion: stock Mitsuba cannot express it;"
@@ -105,7 +110,7 @@ def check_materials(parts: tuple[Body, ...]) -> None:
 
 
 def check_focus(experiment: Experiment) -> None:
-    """Raise InputError for projector defocus with clear or polished bodies."""
+    """Raise InputError for projector defocus; call for clear or polished specimens only."""
     aperture_mm = experiment.projector.aperture_mm
     if aperture_mm:
         raise InputError(

@@ -1,8 +1,8 @@
-"""Colour images of a coat under lamps; all lamps are traced together, as linear channels.
+"""Linear RGB images of a coat under lamps; one trace contains the light of all lamps.
 
-Camera rays are refracted once (`layers`), meet the coat, and each hit is connected to every LED of
-every lamp and to its image in the outer face of the layers. Sub-pixel positions are the fixed grid
-of the one-trace renderer.
+Camera rays are refracted by the layers (see `layers`) and meet the coat. Each hit is connected to
+every LED of every lamp, and to the mirror image of every LED in the outer face of the layers.
+Sub-pixel positions are the fixed grid of the one-trace renderer.
 """
 
 from dataclasses import dataclass
@@ -38,10 +38,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LampRig:
-    """Camera, emitters and layers (None: air) of a trace.
+    """Inputs of a colour trace: camera, emitters, layers (None: air) and printed dots (`markers`).
 
-    With `heights` the scene consists of that sheet only, and rays are marched as for a `Rig`. The
-    BSDF of a `matte` coat does not depend on direction: it is evaluated once, not for every LED.
+    If `shadows` is False, no shadow rays are traced. If `heights` is given, the scene is that sheet
+    only, and rays are marched over its grid. If the coat is `matte`, its BRDF does not depend on
+    direction and is evaluated once per hit instead of once per LED.
     """
 
     camera: Device
@@ -54,11 +55,11 @@ class LampRig:
 
 
 class ColourScene:
-    """The coat under its lamps, loaded once; `put` replaces the face for each press.
+    """Mitsuba scene of a coated face under lamps, loaded once; `put` replaces the face.
 
     Parameters
     ----------
-    experiment : its lamps, layers, coating and dots are used; the specimen is not
+    experiment : its lamps, layers, coating and printed dots are used; its specimen is not
     face : coated face in world mm
     """
 
@@ -88,18 +89,18 @@ class ColourScene:
     def render(
         self, pinhole: Pinhole, T_world_from_cam: FloatArray, flux: FloatArray | None = None
     ) -> FloatImage:
-        """Return radiance in air, (row, col, channel), mW / (mm^2 sr).
+        """Return the camera image as radiance in air, (row, col, channel), mW / (mm^2 sr).
 
         Parameters
         ----------
-        flux : (emitter,) float, optional
-            Of each LED, relative to its nominal flux, see `emitters_of`.
+        flux : (LED,) float, optional
+            Flux of each LED, relative to its nominal flux, in the order of `emitters_of`.
         """
         rig = self._rig(pinhole, T_world_from_cam, flux)
         return trace_channels(self._scene, rig, self._samples)
 
     def truth(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> Truth:
-        """Return the surface points at the pixel centres; every visible point counts as lit."""
+        """Return the true surface at the pixel centres; every visible point counts as lit."""
         return trace_face(self._scene, self._rig(pinhole, T_world_from_cam))
 
     def _rig(
@@ -118,7 +119,7 @@ class ColourScene:
 
 
 def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:
-    """Render the three channels.
+    """Render the camera image in the three colour channels.
 
     Parameters
     ----------
@@ -144,7 +145,7 @@ def trace_channels(scene: Any, rig: LampRig, samples: int) -> FloatImage:
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Emitters on the device."""
+    """`Emitters` as Dr.Jit arrays on the computing device."""
 
     position_mm: Any
     aim: Any
@@ -172,7 +173,7 @@ class _Table:
 
 
 def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
-    """Radiance in air along camera rays, `mi.Color3f`."""
+    """Return the radiance in air along camera rays, `mi.Color3f`, mW / (mm^2 sr)."""
     sight = None if rig.layers is None else rig.layers.refract(ray)
     ray = ray if sight is None else sight.ray
     hit = first_hit(scene, rig.heights, ray)
@@ -202,22 +203,27 @@ def _shaded(scene: Any, rig: LampRig, table: _Table, ray: Any) -> Any:
 
 
 def _brdf_upright(hit: Any, bsdf: Any) -> Any:
-    """BRDF towards the camera for light along the normal, 1/sr."""
+    """Return the BRDF, 1/sr, from light incident along the normal towards the camera."""
     normal = hit.to_local(hit.sh_frame.n)
     return bsdf.eval(mi.BSDFContext(), hit, normal, hit.is_valid())[0]
 
 
 def _filled(table: _Table, hit: Any, brdf: Any) -> Any:
-    """Radiance due to the fill, with the BRDF of light along the normal.
+    """Return the radiance due to the fill light, mW / (mm^2 sr).
 
-    Exact for a matte coat. For flakes the error is small: they mirror a uniform sky.
+    The fill is incident from many directions, but `brdf` is that of light along the normal. This is
+    exact for a matte coat. For flakes the error is small, because the fill is uniform.
     """
     sky = dr.select(hit.is_valid(), sky_seen(hit.sh_frame.n.z, table.dark_cap) * brdf, 0.0)
     return sky * table.fill
 
 
 def _light(table: _Table, number: Any, point_mm: Any, absorption: float) -> tuple[Any, Any, Any]:
-    """Irradiance per intensity, facing the emitter (1/mm^2), direction to it, distance mm."""
+    """Return the light of an emitter at a point, the direction to the emitter and its distance, mm.
+
+    The light is the irradiance of a surface that faces the emitter, per radiant intensity along the
+    emitter's aim (1/mm^2).
+    """
     to_light = dr.gather(mi.Point3f, table.position_mm, number) - point_mm
     distance_mm = dr.norm(to_light)
     direction = to_light / distance_mm
@@ -233,7 +239,10 @@ def _light(table: _Table, number: Any, point_mm: Any, absorption: float) -> tupl
 
 
 def _dots(markers: Markers, point_mm: Any) -> Any:
-    """Factor on the reflectance; the press moves the coat vertically only."""
+    """Return the factor of the printed dots on the reflectance, 1 outside the dots.
+
+    Dots keep their x and y under load: the press is assumed to move the coat only vertically.
+    """
     x = point_mm.x - dr.round(point_mm.x / markers.pitch_x_mm) * markers.pitch_x_mm
     y = point_mm.y - dr.round(point_mm.y / markers.pitch_y_mm) * markers.pitch_y_mm
     inside = x * x + y * y < markers.radius_mm**2
@@ -241,7 +250,10 @@ def _dots(markers: Markers, point_mm: Any) -> Any:
 
 
 def trace_face(scene: Any, rig: LampRig) -> Truth:
-    """Trace one ray through every pixel centre; there is no projector: its coordinates are 0."""
+    """Trace one ray through every pixel centre and return the true surface at its hit.
+
+    There is no projector: projector coordinates are 0, and every visible point counts as lit.
+    """
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     centres = SubPixels.of_image(width, height, 1)
     ray = rig.camera.ray(centres.x_px, centres.y_px)

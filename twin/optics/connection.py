@@ -1,8 +1,8 @@
-"""Connection of a ray's hit point to the projector: the only event that adds light to the frames.
+"""Connection of a ray's hit point to the projector, which adds the projector's light to the frames.
 
-A path that ends on the projector pixel (u, v) with weight w adds w * P_k(u, v) to every frame k;
-`FrameLight` looks these up in the light tables, inside a kernel. The nearest and the farthest
-distance of a scene's surfaces from the projector bound the blur.
+A path that ends on the projector pixel (u, v) with weight w adds w * P_k(u, v) to every frame k.
+`FrameLight` looks up P_k in the light tables, inside a kernel. `axial_range_mm` returns the range
+of distances from the projector, for which the light tables need the blur.
 """
 
 from dataclasses import dataclass, replace
@@ -27,11 +27,15 @@ _SHADOW_OFFSET_MM = 1e-3
 
 @dataclass(frozen=True)
 class Rig:
-    """Parameters of all paths: both devices, the projector's irradiance at 1 mm (mW/mm^2), layers.
+    """Inputs that all camera paths share.
 
-    `layers` refract the rays of both devices above the surfaces. Without `shadows` no shadow ray is
-    traced: for scenes that provably cast no shadows. With `heights` the scene is that sheet only,
-    and rays to it, and from it to the projector, are marched.
+    Attributes
+    ----------
+    irradiance_at_1mm : irradiance of a white field at 1 mm along the projector's axis, mW/mm^2
+    layers : clear layers that refract the rays of both devices; None: air
+    shadows : False if the scene provably casts no shadows; then no shadow rays are traced
+    heights : the sheet, if it is the whole scene; then camera rays and shadow rays are marched over
+        its grid. None: rays are intersected by the scene's tree
     """
 
     camera: Device
@@ -46,7 +50,8 @@ class Rig:
 class Connection:
     """A surface point connected to the projector: its projector pixel and its weight.
 
-    `axial_mm`, the distance along the projector's axis, determines its defocus.
+    `weight` is the radiance towards the camera in white light, mW / (mm^2 sr), and 0 where `lit` is
+    False. `axial_mm` is the distance along the projector's axis, which determines the defocus.
     """
 
     column_px: Any
@@ -57,13 +62,13 @@ class Connection:
 
 
 def connect(scene: Any, rig: Rig, hit: Any, bsdf: Any, coherent: bool = True) -> Connection:
-    """Connect a hit point to the projector's pinhole; the weight of occluded points is 0.
+    """Connect hit points to the projector's pinhole; the weight of occluded points is 0.
 
     Parameters
     ----------
-    hit : may be invalid: then the weight is 0
-    bsdf : of the hit surface
-    coherent : neighbouring lanes have similar shadow rays
+    hit : surface interaction; where it is not valid, the weight is 0
+    bsdf : BSDF of the hit surface
+    coherent : True if neighbouring lanes have similar shadow rays
     """
     light = _arrive(rig, hit.p)
     column_px, row_px = light.column_px, light.row_px
@@ -92,11 +97,12 @@ def see(scene: Any, rig: Rig, ray: Any) -> tuple[Any, Connection]:
 
 
 def first_hit(scene: Any, heights: MarchedHeights | None, ray: Any) -> Any:
-    """Return the first hit of rays, from the sheet's heights or the scene's tree.
+    """Return the first intersection of each ray with the scene, a surface interaction.
 
     Parameters
     ----------
-    heights : of the sheet, if it is the whole scene; None: the tree is used for every ray
+    heights : the sheet, if it is the whole scene: rays are marched over its grid; None: rays are
+        intersected by the scene's tree
     """
     if heights is not None:
         # The facet has no derivative; that of the hit point follows from the facet.
@@ -109,7 +115,7 @@ def first_hit(scene: Any, heights: MarchedHeights | None, ray: Any) -> Any:
 
 
 def _arrive(rig: Rig, point_mm: Any) -> Arrival:
-    """Light of the projector at a point, straight or through the layers."""
+    """Return the projector's light at a point, along a straight line or through the layers."""
     if rig.layers is not None:
         return rig.layers.arrive(rig.projector, rig.irradiance_at_1mm, point_mm)
     column_px, row_px, axial_mm = rig.projector.project(point_mm)
@@ -128,7 +134,7 @@ def _arrive(rig: Rig, point_mm: Any) -> Arrival:
 
 
 def on_image(rig: Rig, column_px: Any, row_px: Any, margin_px: float) -> Any:
-    """Return True inside the projector's image or the margin of its blurred edge."""
+    """Return True for coordinates on the projector's image, or at most `margin_px` outside it."""
     pinhole, low = rig.projector.pinhole, -0.5 - margin_px
     return (
         (column_px > low)
@@ -147,12 +153,15 @@ def shaded(
     *,
     coherent: bool,
 ) -> Any:
-    """Return which hits are in the shadow of another surface.
+    """Return True for the hits that another surface shades, `mi.Bool`.
 
     Parameters
     ----------
-    heights : as of `first_hit`
-    to_light : direction to the light, and largest distance of an occluder, mm
+    heights : as in `first_hit`
+    to_light : direction to the light (unit vector), and distance within which surfaces cast
+        shadows, mm
+    active : lanes to be tested
+    coherent : True if neighbouring lanes have similar shadow rays
     """
     direction, distance_mm = to_light
     shadow = shadow_ray(hit, direction, distance_mm)
@@ -164,7 +173,11 @@ def shaded(
 
 
 def shadow_ray(hit: Any, direction: Any, distance_mm: Any) -> Any:
-    """Return the ray towards a light; surfaces that face away from it are in their own shadow."""
+    """Return the shadow ray from a hit towards a light.
+
+    The ray starts on the side of the surface that faces the light. The surfaces of a closed body
+    that face away from the light are therefore in the shadow of the body.
+    """
     facing = dr.dot(hit.n, direction)
     start = hit.p + dr.copysign(_SHADOW_OFFSET_MM, facing) * hit.n
     shadow = mi.Ray3f(start, direction)
@@ -175,7 +188,7 @@ def shadow_ray(hit: Any, direction: Any, distance_mm: Any) -> Any:
 def truth_of(
     camera: Device, hit: Any, projector_px: tuple[Any, Any], lit: Any, measured: Any
 ) -> Truth:
-    """Return the hits of the rays through a camera's pixel centres, as images."""
+    """Return the hits of the rays through all pixel centres of a camera as images, see `Truth`."""
     image, valid = (camera.pinhole.height_px, camera.pinhole.width_px), hit.is_valid()
     point, normal = (dr.select(valid, value, 0.0) for value in (hit.p, hit.sh_frame.n))
     depth_mm = dr.select(valid, camera.project(hit.p)[2], 0.0)
@@ -189,11 +202,13 @@ def truth_of(
 
 
 def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:
-    """Return the nearest and farthest distance along the projector's axis of a scene's box.
+    """Return the smallest and largest distance of a scene along the projector's axis, mm.
+
+    The distances are those of the corners of the scene's bounding box.
 
     Parameters
     ----------
-    rig : its layers make points appear nearer, but never above the highest face
+    rig : its layers make points appear nearer, but never above the highest face of the layers
 
     Raises
     ------
@@ -216,7 +231,7 @@ def axial_range_mm(scene: Any, rig: Rig) -> tuple[float, float]:
 
 
 def box_corners_mm(box: Any) -> FloatArray:
-    """Corners (8, 3) of a `mi.BoundingBox3f`."""
+    """Return the eight corners of a `mi.BoundingBox3f`, (corner, xyz), mm."""
     low, high = np.array(box.min, np.float64).ravel(), np.array(box.max, np.float64).ravel()
     return np.where(np.array(list(np.ndindex(2, 2, 2))), high, low)
 
@@ -225,7 +240,7 @@ _PACKET = 4
 
 
 class FrameLight:
-    """The light tables of both axes on the device."""
+    """The light tables of both projector axes, on the computing device."""
 
     def __init__(self, tables: dict[str, LightTable]) -> None:
         self._columns, self._rows = _on_device(tables["column"]), _on_device(tables["row"])
@@ -235,7 +250,7 @@ class FrameLight:
         self.sequence = [*tables["column"].frames, *tables["row"].frames]
 
     def values(self, path: Connection) -> list[Any]:
-        """Radiance that one path adds to each frame, in the order of `sequence`."""
+        """Return the radiance that one path adds to each frame, in the order of `sequence`."""
         # The last profile of each table is the image's blurred outline.
         *columns, column_outline = self._columns.look_up(path.column_px, path.axial_mm, path.lit)
         *rows, row_outline = self._rows.look_up(path.row_px, path.axial_mm, path.lit)
@@ -248,7 +263,10 @@ def _on_device(table: LightTable) -> "_LookUpTable":
 
 
 class _LookUpTable:
-    """A light table on the device, rows padded to whole packets of contiguous profiles."""
+    """A light table on the computing device; each node has a row with the values of all profiles.
+
+    Rows are padded with zeros to whole packets of four values, which are read together.
+    """
 
     def __init__(self, table: LightTable) -> None:
         self.nodes, self.profiles = table.profiles.shape
@@ -261,7 +279,7 @@ class _LookUpTable:
         return mi.Float(padded.ravel())
 
     def look_up(self, position_px: Any, _axial_mm: Any, active: Any) -> list[Any]:
-        """Interpolate every profile at a projector coordinate; 0 outside the table."""
+        """Return every profile at a projector coordinate, interpolated; 0 outside the table."""
         node, upper, inside = self._between_nodes(position_px, active)
         lower = 1.0 - upper
         values: list[Any] = []
@@ -273,7 +291,7 @@ class _LookUpTable:
         return values[: self.profiles]
 
     def _between_nodes(self, position_px: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Lower node, weight of the upper node, and which positions are inside the table."""
+        """Return the lower node, the weight of the upper node, and True inside the table."""
         x = (position_px - self.first_px) * OVERSAMPLING
         inside = active & (x >= 0.0) & (x < self.nodes - 1.0)
         node = mi.UInt32(dr.select(inside, x, 0.0))
@@ -289,7 +307,10 @@ class _DefocusedTable(_LookUpTable):
         self.values = self._padded(np.asarray(table.defocused))
 
     def look_up(self, position_px: Any, axial_mm: Any, active: Any) -> list[Any]:
-        """Interpolate every profile at a projector coordinate and distance; 0 outside."""
+        """Return every profile at a projector coordinate and axial distance, interpolated.
+
+        The values are 0 outside the table.
+        """
         node, upper, inside = self._between_nodes(position_px, active)
         level, blurred = self._between_levels(axial_mm, inside)
         next_level = self.nodes * self.packets
@@ -305,7 +326,7 @@ class _DefocusedTable(_LookUpTable):
         return values[: self.profiles]
 
     def _between_levels(self, axial_mm: Any, active: Any) -> tuple[Any, Any]:
-        """Lower blur level and weight of the upper level."""
+        """Return the lower blur level at an axial distance, and the weight of the next level."""
         variance_px2 = dr.select(active, self.levels.defocus.variance_px2(axial_mm), 1.0)
         variance_px2 = dr.maximum(variance_px2, LEAST_VARIANCE_PX2)
         level = (dr.log(variance_px2) - self.levels.first_log) / self.levels.step_log()

@@ -1,8 +1,8 @@
 """Camera rays and projector pixels as Dr.Jit expressions, with Brown-Conrady distortion.
 
-Distortion, its inverse and its fold are those of `reconstruction.rig.pinhole`. Single precision
-resolves an image of 1000 pixels to 1e-4 px. Camera rays start from a fixed square grid of sub-pixel
-positions on every pixel.
+Distortion, its inverse and its fold (the radius beyond which it has no inverse) are those of
+`reconstruction.rig.pinhole`. Single precision resolves an image of 1000 pixels to 1e-4 px. Camera
+rays start from a fixed square grid of sub-pixel positions on every pixel.
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ _OFF_PX = -1e6
 
 @dataclass(frozen=True)
 class Device:
-    """A pinhole at a pose, ready for use inside a kernel; a camera may have a thin lens."""
+    """A camera or projector at a pose, for use inside a kernel; a camera may have a thin lens."""
 
     pinhole: Pinhole
     T_world_from_device: FloatArray
@@ -43,7 +43,7 @@ class Device:
 
     @property
     def position_mm(self) -> Any:
-        """Pinhole in the world, `mi.Point3f`."""
+        """World position of the pinhole, `mi.Point3f`, mm."""
         return mi.Point3f(*self.T_world_from_device[:3, 3].tolist())
 
     def _axes(self) -> tuple[Any, Any, Any]:
@@ -51,10 +51,10 @@ class Device:
         return mi.Vector3f(*right), mi.Vector3f(*down), mi.Vector3f(*forward)
 
     def ray(self, x_px: Any, y_px: Any) -> Any:
-        """World ray (`mi.Ray3f`, unit direction) through continuous pixel coordinates.
+        """Return the world ray (`mi.Ray3f`, unit direction) through continuous pixel coordinates.
 
-        For a device with a thin lens, it is the chief ray. The distortion polynomial cannot be
-        inverted beyond some radius: for pixels there the ray has length 0 and hits nothing.
+        For a device with a thin lens, this is the chief ray. The distortion polynomial cannot be
+        inverted beyond some radius: for pixels there the ray has length 0 and no hit.
         """
         x, y, exists = self._slopes(x_px, y_px)
         right, down, forward = self._axes()
@@ -62,10 +62,14 @@ class Device:
         return _ended(ray, exists)
 
     def lens_ray(self, lens: ThinLens, x_px: Any, y_px: Any, place: tuple[Any, Any]) -> Any:
-        """World ray from a point on the unit disc of the lens to the focus of the chief ray.
+        """Return the world ray from a point on the lens to the point in focus on the chief ray.
 
-        At axial distance z its offset from the chief ray is radius (1 - z / focus) place; that of
-        the image is fx radius (1/z - 1/focus) place pixels.
+        At axial distance z, the offset of the ray from the chief ray is radius (1 - z / focus)
+        place. The offset in the image is fx radius (1/z - 1/focus) place, in pixels.
+
+        Parameters
+        ----------
+        place : x and y of the point on the lens, in units of the lens radius
         """
         x, y, exists = self._slopes(x_px, y_px)
         right, down, forward = self._axes()
@@ -74,13 +78,13 @@ class Device:
         return _ended(mi.Ray3f(self.position_mm + start_mm, dr.normalize(towards)), exists)
 
     def _slopes(self, x_px: Any, y_px: Any) -> tuple[Any, Any, Any]:
-        """Normalised coordinates of the rays of pixels, and whether a pixel has a ray."""
+        """Return the normalised coordinates x / z, y / z of pixels, and True if a ray exists."""
         p = self.pinhole
         x, y = (x_px - p.cx_px) / p.fx_px, (y_px - p.cy_px) / p.fy_px
         return _undistort(x, y, p.distortion) if any(p.distortion) else (x, y, mi.Bool(True))
 
     def project(self, point_mm: Any) -> tuple[Any, Any, Any]:
-        """Pixel coordinates x_px, y_px and axial distance mm of a world point.
+        """Return the pixel coordinates x_px, y_px and the axial distance, mm, of a world point.
 
         Points beyond the fold of the distortion have no pixel: their coordinates are far outside.
         """
@@ -123,9 +127,12 @@ def _undistort(x_target: Any, y_target: Any, distortion: Distortion) -> tuple[An
 
 @dataclass(frozen=True)
 class SubPixels:
-    """Centres of side x side cells on every pixel of an image; pixels in row-major order."""
+    """Sample positions in every pixel of an image: the centres of side x side equal cells.
 
-    #: pixel centres
+    Pixels are in row-major order.
+    """
+
+    #: coordinates of the pixel centres
     x_px: Any
     y_px: Any
     side: int
@@ -139,18 +146,18 @@ class SubPixels:
 
     @property
     def samples(self) -> int:
-        """Samples per pixel."""
+        """Number of samples per pixel."""
         return self.side * self.side
 
     def position(self, sample: Any) -> tuple[Any, Any]:
-        """Return x_px, y_px of one sample on every pixel."""
+        """Return the image coordinates x_px, y_px of sample number `sample` in every pixel."""
         row = sample // self.side
         column = sample - row * self.side
         dx, dy = ((mi.Float(index) + 0.5) / self.side - 0.5 for index in (column, row))
         return self.x_px + dx, self.y_px + dy
 
     def ray(self, camera: Device, sample: Any) -> Any:
-        """Return the camera ray (`mi.Ray3f`) of one sample on every pixel."""
+        """Return the camera ray (`mi.Ray3f`) of sample number `sample` in every pixel."""
         x_px, y_px = self.position(sample)
         if camera.lens is None:
             return camera.ray(x_px, y_px)

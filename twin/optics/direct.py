@@ -1,7 +1,7 @@
-"""The bare specimen on its stage (direct FPP): metal, clear plastic, print.
+"""Scene of the bare specimen on its stage, for direct fringe projection (no elastomer).
 
-The foremost point of the specimen is at world z = 0, the plane of the coat in contact FPP. A matte
-stage is below the specimen.
+The foremost point of the specimen is at world z = 0, the plane of the coat in the contact method. A
+matte stage is below the specimen.
 """
 
 from dataclasses import dataclass
@@ -27,12 +27,12 @@ AIR_GAP_MM = 0.02
 at which rays start from a surface."""
 
 CREASE_DEG = 20.0
-"""Facets that meet at a smaller angle are one smooth surface."""
+"""Adjacent facets with a smaller angle between their normals are one smooth surface."""
 
 
 @dataclass(frozen=True)
 class DirectScene:
-    """Mitsuba scene of specimen and stage, and its sharp surfaces for the tracer."""
+    """Mitsuba scene of specimen and stage, with the sharp (clear or polished) surfaces in it."""
 
     scene: Any
     surfaces: "Surfaces"
@@ -40,17 +40,20 @@ class DirectScene:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A closed surface, or the stage, as input of renderer and stock export; world mm."""
+    """Mesh (world mm) and BSDF of a part of the specimen, or of the stage.
+
+    The renderer and the export as stock Mitsuba scene use these solids.
+    """
 
     name: str
     mesh: "trimesh.Trimesh"
     bsdf: dict[str, Any]
-    #: None for the stage
+    #: material of the part; None for the stage
     material: Material | None = None
 
 
 def solids(experiment: Experiment) -> tuple[Solid, ...]:
-    """Return the stage and every part of the specimen; sharp edges kept, curved sides smooth.
+    """Return the stage and every part of the specimen; normals are smooth except at creases.
 
     Raises
     ------
@@ -75,7 +78,7 @@ def solids(experiment: Experiment) -> tuple[Solid, ...]:
 
 
 def direct_scene(experiment: Experiment) -> DirectScene:
-    """Build specimen and stage.
+    """Build the Mitsuba scene of the bare specimen on its stage.
 
     Raises
     ------
@@ -123,7 +126,7 @@ def _stage(experiment: Experiment, z_mm: float) -> Solid:
 
 
 def _smooth(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """Split the vertices along creases, so that normals are smooth on each side of them."""
+    """Return the mesh with vertices split along creases: normals are smooth on each side."""
     import trimesh.graph
 
     return trimesh.graph.smooth_shade(mesh, angle=np.deg2rad(CREASE_DEG))

@@ -1,6 +1,7 @@
-"""Write an experiment as a stock Mitsuba scene: XML, mesh and one pattern texture per frame.
+"""Write an experiment as a stock Mitsuba scene: XML, meshes and one pattern texture per frame.
 
-Any Mitsuba 3 renders it, frame by frame; a test compares it with the project's renderer.
+Any Mitsuba 3 renders the scene, one frame at a time. A test compares the result with the project's
+renderer.
 """
 
 from collections.abc import Callable
@@ -30,7 +31,7 @@ SCENE_FILE = "scene.xml"
 
 
 def inexpressible(experiment: Experiment) -> list[str]:
-    """Return the properties of an experiment that stock Mitsuba lacks, one line each."""
+    """Return one line of text for each property of the experiment that the exported scene lacks."""
     parts = () if experiment.method.presses else bodies(experiment.specimen, 0.0)
     clear = any(part.material is not None and part.material.is_sharp for part in parts)
     checks = (
@@ -79,11 +80,11 @@ def export_stock(
 
     Returns
     -------
-    Properties that the scene lacks (see `inexpressible`)
+    The lines of `inexpressible`: properties that the scene lacks
 
     Raises
     ------
-    InputError : stock Mitsuba has no such coat
+    InputError : stock Mitsuba cannot express the coat
     """
     import mitsuba as mi
 
@@ -114,7 +115,7 @@ def export_stock(
 def _write_textures(
     experiment: Experiment, rig: "Rig", folder: Path, progress: Callable[[float], None]
 ) -> "Canvas":
-    """Write the projected patterns, one EXR per frame, and return the area that they cover."""
+    """Write the projected patterns, one EXR per frame, and return the texture plane they cover."""
     from twin.optics import stock
     from twin.optics.light import light_tables, pattern_set
 
@@ -152,7 +153,7 @@ def _devices(experiment: Experiment, rig: "Rig", canvas: "Canvas", pressed: bool
 
 
 def _kind_of(value: bool | float | str) -> str:
-    """Mitsuba's XML tag of a plain parameter."""
+    """Return the tag of Mitsuba's XML for a parameter's value: boolean, string or float."""
     if isinstance(value, bool):
         return "boolean"
     return "string" if isinstance(value, str) else "float"

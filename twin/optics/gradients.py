@@ -1,15 +1,17 @@
 """Derivatives of the trace maps and of the frames by design fields, by Dr.Jit.
 
 A design field changes numbers of the scene: coat parameters, intrinsics and poses of both devices,
-the projector's irradiance. Their derivatives by the field are central differences of the scene
-description, which consists of elementary functions in double precision. All later quantities
-(rays, hits, BSDF, projector pixel, frames) are differentiated in forward mode through the one-trace
-renderer, at its fixed sub-pixel positions. One pass per field yields the tangents of all pixels.
+the projector's irradiance. The derivatives of these numbers by the field are central differences.
+They are accurate, because the numbers are elementary functions of the field in double precision.
+All later quantities (rays, hits, BSDF, projector pixel, frames) are differentiated in forward mode
+through the one-trace renderer, at its fixed sub-pixel positions. One pass per field yields the
+derivatives of all pixels.
 
-Left out, as in every renderer that differentiates under the integral: the motion of edges of
-shadows and outlines. The surface is constant: the effect of a field on the press is not included.
+As in every renderer that differentiates under the integral, the motion of edges of shadows and
+outlines is not included. The surface is constant: the effect of a field on the press is not
+included either.
 
-Import and use within a `renderer_session`.
+Import and use this module within a `renderer_session`.
 """
 
 from collections.abc import Callable
@@ -34,12 +36,12 @@ from twin.optics.scene import coating_in_layer
 from twin.optics.stack import Frames, TraceMaps
 
 Vary = Callable[[float], Experiment]
-"""Returns an experiment with one field changed by a given amount."""
+"""Function of an amount; it returns the experiment with one design field changed by this amount."""
 
 
 @dataclass(frozen=True)
 class MovingPinhole:
-    """Intrinsics as Dr.Jit numbers; the attributes of a `Pinhole` that rays need."""
+    """Intrinsics as differentiable Dr.Jit numbers: the attributes of `Pinhole` that rays need."""
 
     width_px: int
     height_px: int
@@ -56,14 +58,15 @@ class MovingDevice(Device):
 
     Attributes
     ----------
-    pose : (3, 4) rows of Dr.Jit numbers, used instead of `T_world_from_device`
+    pose : (3, 4); upper rows of the pose as differentiable Dr.Jit numbers, used instead of
+        `T_world_from_device`
     """
 
     pose: tuple[tuple[Any, ...], ...] = ()
 
     @property
     def position_mm(self) -> Any:
-        """Pinhole in the world, `mi.Point3f`."""
+        """World position of the pinhole, `mi.Point3f`, mm."""
         return mi.Point3f(*(row[3] for row in self.pose))
 
     def _axes(self) -> tuple[Any, Any, Any]:
@@ -72,18 +75,26 @@ class MovingDevice(Device):
 
 
 def derivative(numbers: Callable[[Experiment], FloatArray], vary: Vary, step: float) -> FloatArray:
-    """Return the derivative of numbers of a description by a field, by central differences."""
+    """Return the derivative of `numbers(experiment)` by one field, as a central difference.
+
+    Parameters
+    ----------
+    vary : changes the field by an amount
+    step : half the difference of the field's two values, in the field's unit
+    """
     return np.asarray((numbers(vary(step)) - numbers(vary(-step))) / (2.0 * step), np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """Derivatives by one field.
+    """Derivatives of a trace by one field, per unit of the field.
 
     Attributes
     ----------
-    maps : of the trace; its `lit` and `samples` are those of the trace itself
-    frames : of the radiance, in the order of the sequence; None if they were not requested
+    maps : derivatives of the trace maps, except `lit` and `samples`, which are copied from the
+        trace
+    frames : derivatives of the radiance of each frame, in the order of the sequence; None if they
+        were not requested
     """
 
     maps: TraceMaps
@@ -99,14 +110,14 @@ def trace_tangent(
     step: float,
     tables: dict[str, LightTable] | None = None,
 ) -> Tangent:
-    """Return the derivatives of the trace, and of the frames, by one field.
+    """Return the derivatives of the trace maps, and on request of the frames, by one field.
 
     Parameters
     ----------
-    scene : with the experiment's coat
-    vary : changes the field
-    step : of the field, for the central differences of the description
-    tables : light of the patterns, taken as constant; None: no frames are computed
+    scene : Mitsuba scene with the experiment's coat
+    vary : changes the field by an amount
+    step : amount for the central differences of the scene's numbers, in the field's unit
+    tables : light of the patterns, assumed independent of the field; None: no frames are computed
 
     Raises
     ------
@@ -142,7 +153,7 @@ def trace_tangent(
 
 
 def _tangent_maps(patches: Patches, camera: Pinhole) -> TraceMaps:
-    """Return the derivatives of the weight, and of the weighted means of the positions."""
+    """Return the derivatives of each pixel's weight and of its weighted mean positions."""
     values = maps_of(patches, camera)
     shape, lit = (camera.height_px, camera.width_px), values.lit
 
@@ -200,7 +211,7 @@ def _moving_device(device: Device, intrinsics: list[Any], pose: list[Any]) -> Mo
 
 
 class _moving_coat:  # noqa: N801 - read as a function
-    """Context in which the parameters of the coat have derivatives."""
+    """Context in which the coat's parameters carry their derivatives by the field."""
 
     def __init__(
         self, scene: Any, experiment: Experiment, vary: Vary, step: float, amount: Any

@@ -13,15 +13,16 @@ from twin.specimens.solids import grid_facets
 if TYPE_CHECKING:
     import trimesh
 
-# Largest deviation of a line of a uniform grid, in cells.
+# Largest deviation of a grid line from its position on a uniform grid, in cells.
 _UNEVEN_CELLS = 1e-3
 
 
 def height_grid(face: "trimesh.Trimesh") -> FloatArray | None:
-    """Return vertices (row, col, xyz) as the renderer rounds them; None if not a height grid.
+    """Return the face's vertices (row, col, xyz), mm, rounded to float32 as by the renderer.
 
-    Vertex row * cols + col is at (x[col], y[row]) with increasing x and y; the facets are those of
-    `grid_facets`: a graph over a rectangle.
+    Returns None if the face is no height grid, that is, no function z(x, y) on a rectangle. In a
+    height grid, vertex row * cols + col is at (x[col], y[row]) with increasing x and y, and the
+    facets are those of `grid_facets`.
     """
     vertices = np.asarray(face.vertices, np.float32).astype(np.float64)
     cols = int(np.count_nonzero(vertices[:, 1] == vertices[0, 1]))
@@ -37,9 +38,9 @@ def height_grid(face: "trimesh.Trimesh") -> FloatArray | None:
 
 
 def is_even(grid: FloatArray) -> bool:
-    """Return True if the lines of a grid (row, col, xyz) are equidistant; then it can be marched.
+    """Return True if the lines of a grid (row, col, xyz) are equidistant along x and along y.
 
-    Its facets are then treated as facets of a uniform grid.
+    Only then can rays be marched over the grid, which `MarchedHeights` treats as uniform.
     """
     for lines in (grid[0, :, 0], grid[:, 0, 1]):
         place = (lines - lines[0]) * (len(lines) - 1) / (lines[-1] - lines[0])
@@ -49,9 +50,9 @@ def is_even(grid: FloatArray) -> bool:
 
 
 def steepest_by_cell(grid: FloatArray) -> FloatArray:
-    """Return the larger slope of the two facets of each cell, (row, col).
+    """Return the slope of the steeper of the two facets of each cell, (row, col).
 
-    Each facet has one edge along x and one along y.
+    A facet's slope, in mm per mm, follows from its two edges along x and along y.
     """
     z_mm = grid[..., 2]
     slope_x = np.diff(z_mm, axis=1) / np.diff(grid[0, :, 0])
@@ -65,10 +66,10 @@ def steepest_by_cell(grid: FloatArray) -> FloatArray:
 def shades_itself(grid: FloatArray, source_mm: FloatArray) -> bool:
     """Return False if a sheet provably casts no shadow on itself in light from a point.
 
-    Where facets climb at most s per mm, the sheet rises at most s d over a horizontal distance d
-    (mean value theorem along the line between the two points, facet by facet). A ray that climbs
-    m > s per mm from a point of the sheet is above it everywhere. Towards the light at q,
-    m is smallest at the highest point and in the corner furthest from it:
+    Where facets climb at most s per mm, the sheet rises at most s d over a horizontal distance d,
+    by the mean value theorem along the line between two points, facet by facet. A ray that climbs
+    m > s per mm from a point of the sheet is above the sheet everywhere. Towards the light at q,
+    m is smallest for a point at the largest height and in the corner furthest from the light:
 
         m >= (q_z - max z) / max |q_xy - corner|
 

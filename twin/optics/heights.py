@@ -1,23 +1,24 @@
-"""Intersection of rays with a sheet given as a grid of heights: marched, exact for its facets.
+"""Intersection of rays with a sheet given as a grid of heights, exact for the facets of the grid.
 
-A pressed face is z = h(x, y) over a rectangle, with two facets per cell. A few look-ups per ray,
-in all lanes together, intersect it; a tree of boxes has to be built first and has twenty levels.
+A pressed face is z = h(x, y) over a rectangle, with two facets per cell. A few look-ups per ray
+find an intersection. A tree of bounding boxes would have to be built first and has twenty levels.
 Two methods are fast for most rays:
 
 `is_free` returns whether a ray from a point of the sheet does not meet the sheet again. If the ray
 is steeper than the steepest facet of the blocks of cells around the point, it is above them (as in
-`height_grid.shades_itself`). Further along, it is compared block by block: it is free over a block
-if it is above the highest vertex of the block and of its neighbours. The comparison ends if the
-ray is above the whole sheet or outside its border.
+`height_grid.shades_itself`). Further along the ray, each block is compared: the ray does not meet
+the sheet in a block if it is above the highest vertex of the block and of its neighbours. The
+comparison ends if the ray is above the whole sheet or outside its border.
 
 `first_hit` returns the first intersection of a ray from above with the sheet, by Newton's method.
 The intersection with the plane of a facet determines the next facet, until the facet contains the
-intersection with its own plane. The point is on the sheet; it is the first intersection if the
-reversed ray from it is free.
+intersection with its own plane. This point is on the sheet. It is the first intersection if
+`is_free` returns True for the reversed ray from the point.
 
-All remaining rays, near walls and outside the border, are marched from facet to facet (`_walk`);
-they meet the sheet where their height above it changes sign. That height is passed from a facet to
-the next, so that no ray passes between the two. Results equal a tree's except for rounding.
+All remaining rays, near steep walls and outside the border, are marched from facet to facet
+(`_walk`). They meet the sheet where their height above the sheet changes sign. The height at the
+common edge of two facets is computed once, so that no ray passes between the two facets. Results
+equal those of a tree except for rounding.
 
 Positions on the grid are in cells: x along a row of vertices, y along a column.
 """
@@ -34,7 +35,7 @@ from reconstruction.arrays import FloatArray
 from twin.optics.height_grid import is_even, steepest_by_cell
 
 _BLOCK = 8
-"""Cells along the side of a block."""
+"""Number of cells along each side of a block."""
 
 _TURNS = 12
 """Largest number of Newton steps; a smooth relief needs two or three."""
@@ -51,17 +52,17 @@ _STEEPER = 1.0 + 1e-4
 
 @dataclass(frozen=True, eq=False)
 class MarchedHeights:
-    """A sheet on the device.
+    """Height grid of a sheet on the computing device, with the intersections of rays with it.
 
     Attributes
     ----------
-    corner_mm, cells_per_mm : x and y of vertex (0, 0), and the grid's density
-    cols, last : vertices in a row; position of the last vertex along x and y
-    z_mm : of all vertices, row by row
-    lowest_mm, middle_mm, highest_mm : height of the lowest vertex, halfway, and of the highest
-    steepest, tops : by block, row by row: steepest facet and highest vertex of it and of the eight
-        blocks around it
-    block_cols : blocks in a row
+    corner_mm, cells_per_mm : position of vertex (0, 0), and cells per mm; each along x and y
+    cols, last : number of vertices in a row; position of the last vertex along x and y, in cells
+    z_mm : height of every vertex, row by row
+    lowest_mm, highest_mm, middle_mm : lowest and highest height of all vertices, and their mean
+    steepest, tops : for each block, row by row: slope of the steepest facet and height (mm) of the
+        highest vertex, in the block and in the eight blocks around it
+    block_cols : number of blocks in a row
     """
 
     corner_mm: tuple[Any, Any]
@@ -78,7 +79,7 @@ class MarchedHeights:
 
     @classmethod
     def of_grid(cls, grid: FloatArray) -> "MarchedHeights | None":
-        """Take vertices (row, col, xyz) to the device; None if the grid is not uniform."""
+        """Return the sheet with vertices (row, col, xyz), mm; None if the grid is not uniform."""
         if not is_even(grid):
             return None
         rows, cols = grid.shape[:2]
@@ -101,13 +102,13 @@ class MarchedHeights:
         )
 
     def is_free(self, point_mm: Any, direction: Any, active: Any) -> Any:
-        """Return for which points of the sheet a ray certainly does not meet the sheet, `mi.Bool`.
+        """Return True where a ray from the sheet certainly does not meet it again, `mi.Bool`.
 
         Parameters
         ----------
-        point_mm : `mi.Point3f` on the sheet
+        point_mm : `mi.Point3f`; start of the ray on the sheet
         direction : `mi.Vector3f`, unit; if it is not upward, the result is False
-        active : lanes to be tested; False in all other lanes
+        active : lanes to be tested; in all other lanes the result is False
         """
         track = self._track(point_mm, direction)
         level = dr.sqrt(direction.x * direction.x + direction.y * direction.y)
@@ -147,13 +148,13 @@ class MarchedHeights:
     def newton_hit(self, ray: Any) -> tuple[Any, Any]:
         """Return hits of rays from above, by Newton's method, and whether each is the ray's first.
 
-        The second value is True only if it is certain. The hits do not contain the shape.
+        The second value is True only if that is certain. The field `shape` of the hits is not set.
         """
         met = self._meet(ray)
         return met, self.is_free(ray(met.t), -ray.d, met.valid & (met.t < ray.maxt))
 
     def is_crossed(self, ray: Any, active: Any) -> Any:
-        """Return which rays meet the sheet before their end, from above or below, `mi.Bool`."""
+        """Return True for rays that meet the sheet before `ray.maxt`, from above or below."""
         ends = mi.Float(0.0), ray.maxt
         return self._walk(self._track(ray.o, ray.d), (ray.o.z, ray.d.z), ends, active)[2]
 
@@ -172,12 +173,14 @@ class MarchedHeights:
     def _walk(
         self, track: "_Track", height: tuple[Any, Any], ends_mm: tuple[Any, Any], active: Any
     ) -> tuple[Any, "_Facet", Any]:
-        """March from facet to facet; return distance and facet of the first hit, and if it exists.
+        """March rays from facet to facet; return distance, facet and existence of the first hit.
 
         Parameters
         ----------
-        height : world z at distance 0, mm, and its change per mm of distance
-        ends_mm : range of distances that is searched
+        track : projection of the ray onto the grid
+        height : world z of the ray at distance 0, mm, and its change per mm of distance
+        ends_mm : range of distances along the ray that is searched
+        active : lanes to be marched
         """
         high_mm, climb = height
         over = (self.lowest_mm - _MARGIN_MM, self.highest_mm + _MARGIN_MM)
@@ -219,8 +222,8 @@ class MarchedHeights:
     def _base(self, ray: Any) -> tuple[Any, Any]:
         """Return the distance of rays from above to the plane at middle height, and their z there.
 
-        From this point all distances are short and well resolved. For other rays: 0 and the z of
-        their origin.
+        Distances from this plane are short and therefore well resolved in single precision. For
+        rays that do not come from above the sheet, returns 0 and the z of their origin.
         """
         from_above = self._comes_from_above(ray)
         base_mm = dr.select(from_above, (self.middle_mm - ray.o.z) / ray.d.z, 0.0)
@@ -230,7 +233,7 @@ class MarchedHeights:
         return (ray.o.z > self.highest_mm) & (ray.d.z < -_GRAZING)
 
     def _has(self, facet: "_Facet") -> Any:
-        """Return True if the sheet has a cell with this column and row."""
+        """Return True if the column and row of a facet's cell are on the sheet."""
         col, row, _ = facet
         return (col >= 0.0) & (col < self.last[0]) & (row >= 0.0) & (row < self.last[1])
 
@@ -277,12 +280,12 @@ class MarchedHeights:
         return (x >= 0.0) & (x <= self.last[0]) & (y >= 0.0) & (y <= self.last[1])
 
     def _block(self, place: "_Place") -> Any:
-        """Index of the block at a position, or of the nearest block."""
+        """Return the index of the block that contains a position, or of the nearest block."""
         col, row = self._cell(place)
         return dr.fma(mi.UInt32(row) // _BLOCK, self.block_cols, mi.UInt32(col) // _BLOCK)
 
     def _cell(self, place: "_Place") -> "_Place":
-        """Column and row (whole numbers) of the cell at a position, or of the nearest cell."""
+        """Return column and row (whole numbers) of the cell at a position, or of the nearest."""
         # Half a cell before the last vertex is in the last cell, the vertex itself is not.
         col, row = (
             dr.floor(dr.clip(value, 0.0, end - 0.5))
@@ -295,7 +298,7 @@ class MarchedHeights:
         return col, row, place[1] - row > place[0] - col
 
     def _plane(self, facet: "_Facet", place: "_Place") -> tuple[Any, Any, Any]:
-        """Height of a facet's plane at a position, and its slopes, mm per cell."""
+        """Return the height (mm) of a facet's plane at a position, and its slopes, mm per cell."""
         col, row, second = facet
         vertex = dr.fma(mi.UInt32(row), self.cols, mi.UInt32(col))
         corner = vertex + dr.select(second, self.cols, 1)
@@ -307,7 +310,7 @@ class MarchedHeights:
         return dr.fma(x - col, slope_x, dr.fma(y - row, slope_y, first_mm)), slope_x, slope_y
 
     def _on_mesh(self, facet: "_Facet", place: "_Place") -> tuple[Any, Any]:
-        """Return a facet's index as in `grid_facets`, and a position's coordinates u, v on it."""
+        """Return a facet's index in `grid_facets`, and barycentric u, v of a position on it."""
         col, row, second = facet
         number = 2 * dr.fma(mi.UInt32(row), self.cols - 1, mi.UInt32(col))
         x, y = (
@@ -319,11 +322,11 @@ class MarchedHeights:
 
 _Place = tuple[Any, Any]
 _Facet = tuple[Any, Any, Any]
-"""Column and row of its cell, whole numbers, and whether it is the second facet of the cell."""
+"""Facet: column and row of its cell (whole numbers), and True for the second facet of the cell."""
 
 
 class _Track(NamedTuple):
-    """Projection of a ray onto the grid: start in cells, and cells per mm of the ray."""
+    """Projection of a ray onto the grid: start (x, y), cells, and (dx, dy), cells per mm of ray."""
 
     x: Any
     y: Any
@@ -334,7 +337,7 @@ class _Track(NamedTuple):
         return dr.fma(distance_mm, self.dx, self.x), dr.fma(distance_mm, self.dy, self.y)
 
     def exit_from(self, facet: _Facet) -> tuple[Any, _Facet]:
-        """Return the distance at which the ray exits a facet, and the facet beyond that edge."""
+        """Return the distance (mm) at which a ray exits a facet, and the facet that follows."""
         col, row, second = facet
         to_x, to_y = _to_line(self.x - col, self.dx), _to_line(self.y - row, self.dy)
         # The diagonal, on which both coordinates within the cell are equal.
@@ -352,13 +355,27 @@ class _Track(NamedTuple):
 
 
 def _to_line(within: Any, speed: Any) -> Any:
-    """Return the distance from a coordinate within a cell to its side; infinite along the side."""
+    """Return the distance (mm) at which a ray reaches a side of its cell; infinite if parallel.
+
+    Parameters
+    ----------
+    within : coordinate of the ray's start in the cell, in cells
+    speed : cells per mm of distance along the ray
+    """
     side = dr.select(speed > 0.0, 1.0, 0.0)
     return dr.select(speed == 0.0, dr.inf, (side - within) / speed)
 
 
 def _within(start: Any, speed: Any, ends: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Return the range of distances with a coordinate between two limits; reversed if empty."""
+    """Return the range of distances in which a coordinate is between `ends`.
+
+    If there is no such distance, the first returned value is larger than the second.
+
+    Parameters
+    ----------
+    start : coordinate at distance 0
+    speed : change of the coordinate per mm of distance
+    """
     first, last = ((end - start) / speed for end in ends)
     still, inside = speed == 0.0, (start >= ends[0]) & (start <= ends[1])
     enters = dr.select(still, dr.select(inside, -dr.inf, dr.inf), dr.minimum(first, last))
@@ -376,7 +393,7 @@ def _equal(a: _Facet, b: _Facet) -> Any:
 
 
 def _around(cells: FloatArray) -> FloatArray:
-    """Return the largest value by block of cells and the eight blocks around it."""
+    """Return the largest value in each block of cells and the eight blocks around it."""
     rows, cols = (-(-size // _BLOCK) * _BLOCK for size in cells.shape)
     padded = np.full((rows, cols), -np.inf)
     padded[: cells.shape[0], : cells.shape[1]] = cells

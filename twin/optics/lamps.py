@@ -1,20 +1,24 @@
 """Lamps of a photometric-stereo sensor as rows of point emitters, and their light in closed form.
 
-World frame, mm. The irradiance of an LED is I0 cos^m(theta) cos(incidence) exp(-a r) / r^2, up to
-theta = 90 degrees. r is its distance, theta the angle between its aim and the direction to the
-coat, and I0 is (m + 1) / 2 pi times its flux. Light paths from LED to coat are straight: LEDs
-couple into the gel through its side, and the window above it is assumed to have the gel's index n.
+Coordinates are in the world frame, mm. The irradiance of the coat by an LED is
+I0 cos^m(theta) cos(incidence) exp(-a r) / r^2, up to theta = 90 degrees. r is the distance of the
+LED, and theta the angle between its aim and the direction to the coat. a is the absorption
+coefficient of the gel. I0 is (m + 1) / 2 pi times the flux of the LED. Light paths from LED to coat
+are straight: LEDs couple into the gel through its side, and the window above the gel is assumed to
+have the gel's index n.
 
 The window's outer face reflects light that an LED emits upwards: by Fresnel, and totally beyond the
-critical angle c, sin c = 1 / n. This light has the direction of the LED's mirror image in that
-face. Left out is a second reflection at the outer face, after the coat.
+critical angle c, sin c = 1 / n. The reflected light has the direction of light from the mirror
+image of the LED in this face. A second reflection at the outer face, after the coat, is not
+modelled.
 
 The window's outer face totally reflects the share 1 - 1 / n^2, about 50 %, of the light that the
 coat scatters (beyond c). Together with light from the housing it fills the shadows. This fill is
 not traced: its radiance is assumed constant at all points and from all directions beyond c, and 0
-within c. For a facet of normal n the view factor of the whole sky is (1 + n_z) / 2. That of the
-dark cap within c is n_z / n^2 if the whole cap is above the facet (tilts up to 90 degrees - c). On
-slopes of up to 45 degrees the fill equals that on the undeformed coat.
+within c. For a facet with the vertical component n_z of its normal, the view factor of the whole
+sky is (1 + n_z) / 2. The view factor of the dark cap within c is n_z / n^2 if the whole cap is
+above the facet (tilts up to 90 degrees - c). On slopes of up to 45 degrees the fill equals that on
+the undeformed coat.
 """
 
 from collections.abc import Mapping
@@ -36,11 +40,11 @@ class Emitters:
     ----------
     positions_mm : (emitter, xyz) float
     aims : (emitter, xyz) float, unit vectors
-    exponents : (emitter,) float
+    exponents : (emitter,) float; exponent m of the angular distribution cos^m
     intensity : (emitter, channel) float, mW/sr along the aim; red, green, blue
-    fill : (channel,) float, mW/mm^2 on the undeformed coat
-    mirrored : (emitter,) bool; images of LEDs, with the light that the outer face reflects
-    ior : index of the coat's medium; 1: it is in air, and there are no images
+    fill : (channel,) float; irradiance of the undeformed coat by the fill, mW/mm^2
+    mirrored : (emitter,) bool; True for mirror images of LEDs: light that the outer face reflects
+    ior : refractive index of the coat's medium; 1: the coat is in air, without mirror images
     """
 
     positions_mm: FloatArray
@@ -59,7 +63,7 @@ class Emitters:
     def irradiance(
         self, points_mm: FloatArray, normals: FloatArray, absorption: float = 0.0
     ) -> FloatArray:
-        """Return the irradiance of each channel, mW/mm^2, without cast shadows.
+        """Return the irradiance at surface points in each channel, mW/mm^2, without cast shadows.
 
         Parameters
         ----------
@@ -93,18 +97,18 @@ def sky_seen(n_z: Any, dark_cap: float) -> Any:
     Parameters
     ----------
     n_z : vertical component of the facet's normal; number, array or Dr.Jit variable
-    dark_cap : as of `Emitters`
+    dark_cap : view factor of the dark cap, see `Emitters.dark_cap`
     """
     return (0.5 * (1.0 + n_z) - dark_cap * n_z) / (1.0 - dark_cap)
 
 
 def reflected_within(cosine: FloatArray, ior: float) -> FloatArray:
-    """Return the Fresnel reflectance of an interface to air for unpolarised light from inside.
+    """Return the Fresnel reflectance for unpolarised light from a medium onto its face to air.
 
     Parameters
     ----------
-    cosine : of the angle to the face's normal, inside
-    ior : inside, relative to air
+    cosine : cosine of the angle in the medium to the normal of the face
+    ior : refractive index of the medium, relative to air
     """
     inside = np.minimum(np.abs(cosine), 1.0)
     outside = np.sqrt(np.maximum(1.0 - ior**2 * (1.0 - inside**2), 0.0))  # 0: total
@@ -119,12 +123,13 @@ def emitters_of(
     *,
     face: OuterFace | None = None,
 ) -> Emitters:
-    """Place the LEDs of all rows, sorted by the rows' names, then their images.
+    """Return the LEDs of all lamps, sorted by the lamps' names, followed by their mirror images.
 
     Parameters
     ----------
     flux : (LED,) float, optional
-        Of each LED, relative to nominal; the fill of a row scales with the mean of its LEDs.
+        Flux of each LED, relative to nominal; None: nominal. The fill of a lamp scales with the
+        mean flux of its LEDs.
     face : outer face of the layers that contain the coat; None: the coat is in air
     """
     rows = [lamps[name] for name in sorted(lamps)]
@@ -152,7 +157,7 @@ def emitters_of(
 
 
 def _with_images(leds: Emitters, face: OuterFace) -> Emitters:
-    """Add the mirror image of every LED in the outer face."""
+    """Return the LEDs, followed by the mirror image of every LED in the outer face."""
     places = leds.positions_mm * (1.0, 1.0, -1.0) + (0.0, 0.0, 2.0 * face.height_mm)
     return replace(
         leds,
@@ -166,7 +171,7 @@ def _with_images(leds: Emitters, face: OuterFace) -> Emitters:
 
 
 def drifted_flux(lamps: Mapping[str, Lamp], rng: np.random.Generator) -> FloatArray | None:
-    """Draw the relative flux of each LED in one press, (LED,); None without drift."""
+    """Draw the flux of each LED in one press, relative to nominal, (LED,); None without drift."""
     rows = [lamps[name] for name in sorted(lamps)]
     if not any(lamp.drift_percent or lamp.led_drift_percent for lamp in rows):
         return None
@@ -180,7 +185,10 @@ def drifted_flux(lamps: Mapping[str, Lamp], rng: np.random.Generator) -> FloatAr
 
 
 def _deviations(drawn: FloatArray) -> FloatArray:
-    """Return deviations from the mean, scaled to the SD of the draws: LEDs share one current."""
+    """Return the draws minus their mean, scaled so that the SD of each remains that of the draws.
+
+    The drift that all LEDs of a lamp share is drawn separately.
+    """
     count = len(drawn)
     return np.asarray((drawn - drawn.mean()) * np.sqrt(count / max(count - 1, 1)))
 
@@ -196,10 +204,11 @@ def _row(lamp: Lamp) -> tuple[FloatArray, FloatArray]:
 
 
 def _heights(count: int) -> FloatArray:
-    """Heights along a tall row, -0.5 to 0.5: evenly distributed, with distant neighbours.
+    """Return the relative heights of the LEDs in a tall row, -0.5 to 0.5, (emitter,).
 
-    Ranks of the van der Corput sequence (Hammersley's points with the positions along the row), so
-    that every part of the row has LEDs at all heights.
+    The heights are evenly distributed, and every part of the row has LEDs at all heights: they are
+    ranks of the van der Corput sequence. With the positions along the row they form Hammersley's
+    points.
     """
     digits = (np.arange(count)[:, np.newaxis] >> np.arange(8)) & 1
     rank = np.argsort(np.argsort(digits @ 0.5 ** np.arange(1, 9)))
@@ -207,17 +216,20 @@ def _heights(count: int) -> FloatArray:
 
 
 def _steps(lamp: Lamp) -> FloatArray:
-    """Centres of equal parts of the row, -0.5 to 0.5; a single LED is in the middle."""
+    """Return the relative positions of the LEDs along a row, -0.5 to 0.5, (emitter,).
+
+    The positions are the centres of equal parts of the row; a single LED is in the middle.
+    """
     return np.asarray((np.arange(lamp.emitters) + 0.5) / lamp.emitters - 0.5)
 
 
 def _intensity(lamp: Lamp) -> FloatArray:
-    """Intensity of each LED along its aim, mW/sr; (emitter, channel)."""
+    """Return the radiant intensity of each LED along its aim, mW/sr, (emitter, channel)."""
     shares = 1.0 + lamp.taper * (0.5 - 6.0 * _steps(lamp) ** 2)
     even = lamp.flux_mw * (lamp.exponent + 1.0) / (2.0 * np.pi)
     return np.outer(even * shares / shares.sum(), _channel(lamp))
 
 
 def _channel(lamp: Lamp) -> FloatArray:
-    """1 at the lamp's channel, else 0."""
+    """Return 1 for the lamp's channel and 0 for the others, (channel,)."""
     return np.array([channel == lamp.channel for channel in CHANNELS], dtype=np.float64)

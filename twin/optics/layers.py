@@ -1,17 +1,18 @@
 """Light through plane-parallel clear layers: Snell and Fresnel in closed form, without sampling.
 
-World frame, z up. Light propagates down from the air through the media 1 .. m, each below its own
-horizontal interface; medium m contains the surface. d_i is the vertical distance in medium i (air
-is 0), t the tangent of the angle to the vertical IN AIR. Snell's invariant s = t / sqrt(1 + t^2)
-determines the horizontal distance
+Coordinates are in the world frame, z up. Light propagates down from the air through the media
+1 .. m, each below its own horizontal interface; medium m contains the surface. d_i is the vertical
+distance in medium i (air is 0) and n_i the index of medium i. t is the tangent of the angle to the
+vertical IN AIR. Snell's invariant s = t / sqrt(1 + t^2) determines the horizontal distance
 
     r(t) = sum_i d_i t / q_i,   q_i = sqrt(n_i^2 + (n_i^2 - 1) t^2) = sqrt((n_i^2 - s^2) (1 + t^2)),
 
 so that cos(theta_i) = q_i / (n_i sqrt(1 + t^2)). For n_i >= 1, r(t) is concave and increasing:
 Newton's method from the left of the root never overshoots and needs no bounds.
 
-Left out: light that is reflected between the interfaces or from them back to the surface (ghosts,
-total internal reflection), scatter in the media, dispersion within the projector's line.
+Light that is reflected between the interfaces, or from them back to the surface, is not modelled
+(ghosts, total internal reflection). Scatter in the media and dispersion within the spectral width
+of the projector's light are not modelled either.
 """
 
 from collections.abc import Iterable
@@ -26,10 +27,10 @@ from twin.config.layers import Medium
 from twin.optics.devices import Device
 
 NEWTON_TURNS = 4
-"""Newton steps. A gel behind a window is exact to float32 after one step. Layers over 90 % of the
-distance, or of index 3, need three at 50 degrees and four at 80."""
+"""Number of Newton steps. For a gel behind a window, one step is exact to float32. Layers that fill
+90 % of the distance, or have index 3, need three steps at 50 degrees and four at 80 degrees."""
 
-# Rays at larger angles to the vertical in air (89.94 degrees) have no hit.
+# Smallest cosine of the angle to the vertical in air: rays beyond 89.94 degrees have no hit.
 _FLATTEST = 1e-3
 
 
@@ -42,7 +43,10 @@ class RefractedRay:
     absorption_per_mm: float
 
     def transmission(self, distance_mm: Any) -> Any:
-        """Ratio of radiance in air to radiance at the surface at `distance_mm` on the ray."""
+        """Return radiance in air / radiance at the surface, which is at `distance_mm` on the ray.
+
+        If the medium absorbs, the ratio is 0 for rays without a hit (infinite distance).
+        """
         if not self.absorption_per_mm:
             return self.transmittance
         absorbed = dr.exp(-self.absorption_per_mm * distance_mm)
@@ -55,12 +59,12 @@ class Arrival:
 
     Attributes
     ----------
-    column_px, row_px : mi.Float Projector pixel of the light.
-    axial_mm : mi.Float Distance along the projector's axis to the point's image by the layers
-        (sagittal).
-    direction : mi.Vector3f Unit vector from the point towards the incident light.
-    clear_mm : mi.Float Largest distance of an occluder along `direction`.
-    irradiance : mi.Float On a surface element that faces `direction`, mW/mm^2.
+    column_px, row_px : mi.Float; projector pixel of the light
+    axial_mm : mi.Float; distance along the projector's axis to the sagittal image of the point,
+        which the layers form
+    direction : mi.Vector3f; unit vector from the point towards the incident light
+    clear_mm : mi.Float; distance along `direction` within which surfaces cast shadows
+    irradiance : mi.Float; on a surface element that faces `direction`, mW/mm^2
     """
 
     column_px: Any
@@ -83,10 +87,10 @@ class LayerStack:
         return self.media[-1].top_mm
 
     def refract(self, ray: Any) -> RefractedRay:
-        """Follow camera rays (`mi.Ray3f`, unit direction, in air) to below the last interface.
+        """Refract camera rays (`mi.Ray3f`, unit direction, in air) to below the last interface.
 
-        Only transmission changes radiance over index squared (Nicodemus, Applied Optics 2,
-        1371 (1963)): L_air = T L_medium / n^2.
+        The ratio of radiance to squared index changes by transmission only: L_air = T L_medium /
+        n^2 (Nicodemus, Applied Optics 2, 1371 (1963)).
         """
         down = -ray.d.z
         enters = down > _FLATTEST
@@ -107,20 +111,22 @@ class LayerStack:
         )
 
     def arrive(self, projector: Device, irradiance_at_1mm: float, point_mm: Any) -> Arrival:
-        """Find the light that the projector sends to points below the last interface.
+        """Return the projector's light at points below the last interface.
 
         Parameters
         ----------
-        irradiance_at_1mm : of a white field in air (see `rig`)
+        irradiance_at_1mm : irradiance E1 of a white field in air at 1 mm along the projector's
+            axis, mW/mm^2
 
         Notes
         -----
-        A pinhole of radiant intensity I sends I T sin(theta) dtheta dphi into the ring r dr dphi:
+        theta is the angle to the vertical in air, and T the transmittance of the layers. A pinhole
+        of radiant intensity I sends I T sin(theta) dtheta dphi into the ring r dr dphi:
         E_horizontal = I T cos^3(theta) (t / r) / r'(t), r'(t) = sum_i d_i n_i^2 / q_i^3, and
-        t / r = 1 / sum_i d_i / q_i has no singularity at r = 0. The point's sagittal image is on
-        the vertical through it, r / t below the pinhole; this is the direction of the light. With
-        I = E1 / cos^3(axis), E_horizontal = T E1 / axial^3 (r / t)^2 / r'(t), axial that of the
-        image.
+        t / r = 1 / sum_i d_i / q_i has no singularity at r = 0. The sagittal image of the point is
+        on the vertical through the point, r / t below the pinhole. In air, the light propagates
+        from the pinhole towards this image. With I = E1 / cos^3(axis), E_horizontal = T E1 /
+        axial^3 (r / t)^2 / r'(t), where axial is the axial distance of the image.
         """
         pinhole = projector.position_mm
         offset = point_mm - pinhole
@@ -146,23 +152,28 @@ class LayerStack:
         )
 
     def _depths_mm(self, from_mm: Any, to_mm: Any) -> list[Any]:
-        """Vertical distance in the air and in each medium, between a device and a point."""
+        """Return the vertical distances, mm, in the air and in each medium.
+
+        Parameters
+        ----------
+        from_mm, to_mm : world z of a device and of a point
+        """
         tops = [medium.top_mm for medium in self.media]
         between = [upper - lower for upper, lower in pairwise(tops)]
         return [from_mm - tops[0], *between, tops[-1] - to_mm]
 
     def _q(self, t_square: Any) -> list[Any]:
-        """q_0 = 1 of the air, then q_i of each medium."""
+        """Return q_0 = 1 of the air, then q_i of each medium (equation of the module)."""
         squares = [medium.ior**2 for medium in self.media]
         return [1.0, *(dr.sqrt(dr.fma(n2 - 1.0, t_square, n2)) for n2 in squares)]
 
     @property
     def _n(self) -> list[float]:
-        """Index of the air, then of each medium."""
+        """Refractive index of the air, then of each medium."""
         return [1.0, *(medium.ior for medium in self.media)]
 
     def _tangent_square(self, depths_mm: list[Any], r_square: Any) -> Any:
-        """Solve r(t) = r for t^2, from t = r / r'(0): to the left of the root."""
+        """Solve r(t) = r for t^2; Newton's method starts at t = r / r'(0), left of the root."""
         r = dr.sqrt(r_square)
         t = r / _reach(depths_mm, self._n)
         for _ in range(NEWTON_TURNS):
@@ -176,11 +187,12 @@ class LayerStack:
         return _sum(d * (n * n) / (q * q * q) for d, n, q in parts)
 
     def _transmittance(self, t_square: Any, depths_mm: list[Any]) -> Any:
-        """Fresnel transmittance of all interfaces for unpolarised light, and absorption.
+        """Return the transmittance of all interfaces (Fresnel, unpolarised light) and media.
 
         All interfaces share the plane of incidence, so that s and p polarisation are conserved. The
-        mean is taken over the two products (Born and Wolf, Principles of Optics, 1.5).
-        Media for which `depths_mm` has no entry do not absorb.
+        transmittances of all interfaces are multiplied for s and for p, and the mean of both
+        products is taken (Born and Wolf, Principles of Optics, 1.5). The result also includes the
+        transmittance of the absorbing media; media without an entry in `depths_mm` do not absorb.
         """
         slant = dr.sqrt(1.0 + t_square)
         normal = [q / slant for q in self._q(t_square)]  # n_i cos(theta_i)
@@ -200,7 +212,7 @@ class LayerStack:
 
 
 def _reach(depths_mm: list[Any], q: list[Any]) -> Any:
-    """Ratio of horizontal distance and tangent in air, r / t in mm."""
+    """Return r / t, mm: horizontal distance divided by the tangent of the angle in air."""
     return _sum(d / q_i for d, q_i in zip(depths_mm, q, strict=True))
 
 

@@ -7,15 +7,15 @@ contrast), the DMD's pixel box and the lens blur.
 
 With a projector aperture the blur depends on the distance from the focal plane, and there are
 profiles at several blurs. A pupil point has the offset a from the axis (mm); f is the focal length
-in pixels. At axial distance z its light has the offset f a (1/z - 1/z_focus) pixels from the chief
-ray's projector pixel: exact for a thin lens, anywhere in the field. A uniformly filled pupil of
-diameter D therefore spreads over the circle of confusion, c = f D |1/z - 1/z_focus| pixels in
-diameter. Its standard deviation along each axis is c / 4.
+in pixels. At axial distance z, light from this point is offset from the chief ray by
+f a (1/z - 1/z_focus) projector pixels. This is exact for a thin lens, anywhere in the field. Light
+from a uniformly filled pupil of diameter D therefore spreads over a circle of confusion of diameter
+c = f D |1/z - 1/z_focus| pixels. The standard deviation of this disc along each axis is c / 4.
 
-Approximations: the disc is replaced by the Gaussian of the same variance, which adds to that of the
-lens blur. Their transfer functions agree to second order in c times the spatial frequency. f is
-that of the undistorted image. Irradiance and shadows are those of the pupil's centre: shadows have
-no penumbra.
+Approximations: the disc is replaced by a Gaussian of equal variance, which is added to the variance
+of the lens blur. The transfer functions of disc and Gaussian agree to second order in c times the
+spatial frequency. f is that of the undistorted image. Irradiance and shadows are those of the
+pupil's centre: shadows have no penumbra.
 """
 
 from dataclasses import dataclass, replace
@@ -30,31 +30,32 @@ from twin.config.models import Patterns, Projector
 from twin.optics.rig import projector_pinhole, world_from_device
 
 OVERSAMPLING = 16
-"""Table nodes per projector pixel; linear interpolation between them has an error below 1e-3 at the
-edge of a Gray bit blurred by 0.5 px, and by < 1e-4 on an 18 px fringe."""
+"""Number of table nodes per projector pixel. The error of linear interpolation between nodes is
+below 1e-3 of white at the edge of a Gray bit blurred by 0.5 px, and below 1e-4 on an 18 px
+fringe."""
 
 MARGIN_PX = 8.0
-"""Margin of the tables beyond the image, which contains the blurred edge."""
+"""Width of the margin of the tables outside the image; the margin contains the blurred edge."""
 
 
 LEVELS_PER_OCTAVE = 4
-"""Blur levels per doubling of the variance. Between two levels the light is interpolated in the
-logarithm of the variance, where an edge's second derivative is at most 0.081: an error of
-0.081 / 8 (ln(2) / 4)^2 = 3e-4 of white."""
+"""Number of blur levels per doubling of the variance. Between two levels the light is interpolated
+in the logarithm of the variance. The second derivative of an edge by this logarithm is at most
+0.081, so that the error is at most 0.081 / 8 (ln(2) / 4)^2 = 3e-4 of white."""
 
 LEAST_VARIANCE_PX2 = 0.1**2
-"""Smallest blur of the tables: their nodes have a spacing of 1/16 px."""
+"""Smallest blur variance of the tables; nodes at a spacing of 1/16 px do not resolve less blur."""
 
 
 @dataclass(frozen=True)
 class Defocus:
-    """Blur of a projector by axial distance.
+    """Blur of a projector as a function of the axial distance z.
 
     Attributes
     ----------
-    blur_px : standard deviation in the focal plane
-    growth_px_mm : standard deviation per difference of 1/z: focal length (px) times pupil diameter
-        (mm) / 4
+    blur_px : standard deviation of the blur in the focal plane
+    growth_px_mm : standard deviation of the defocus per difference of 1/z from the focal plane:
+        focal length (px) times pupil diameter (mm) / 4
     focus_mm : axial distance of the focal plane
     """
 
@@ -64,7 +65,10 @@ class Defocus:
 
     @classmethod
     def of(cls, projector: Projector) -> "Defocus | None":
-        """Return the blur of a projector; None if its aperture is 0 and its blur constant."""
+        """Return the blur of a projector; None if its aperture is 0, so that the blur is constant.
+
+        Without `projector.focus_mm`, the focal plane contains the world origin.
+        """
         if projector.aperture_mm == 0.0:
             return None
         pinhole = projector_pinhole(projector)
@@ -76,14 +80,22 @@ class Defocus:
         return cls(projector.blur_px, growth_px_mm, origin_axial_mm)
 
     def variance_px2(self, axial_mm: Any) -> Any:
-        """Variance of the blur at an axial distance; number, numpy array or `mi.Float`."""
+        """Return the variance of the blur (px^2) at an axial distance.
+
+        Parameters
+        ----------
+        axial_mm : number, numpy array or `mi.Float`
+        """
         spread_px = self.growth_px_mm * (1.0 / axial_mm - 1.0 / self.focus_mm)
         return spread_px * spread_px + self.blur_px**2
 
 
 @dataclass(frozen=True)
 class BlurLevels:
-    """Variances of the light tables, equally spaced in their logarithm."""
+    """Blur variances (px^2) of the light tables, equally spaced in their natural logarithm.
+
+    `first_log` is the logarithm of the smallest variance, `count` the number of variances.
+    """
 
     defocus: Defocus
     first_log: float
@@ -101,18 +113,18 @@ class BlurLevels:
 
     @staticmethod
     def step_log() -> float:
-        """Logarithm of the ratio of neighbouring variances."""
+        """Return the natural logarithm of the ratio of two neighbouring variances."""
         return float(np.log(2.0) / LEVELS_PER_OCTAVE)
 
     def blurs_px(self) -> list[float]:
-        """Return the standard deviation of each level."""
+        """Return the standard deviation of the blur at each level, px."""
         logs = self.first_log + self.step_log() * np.arange(self.count)
         return [float(sigma) for sigma in np.exp(0.5 * logs)]
 
 
 @dataclass(frozen=True)
 class LightTable:
-    """Profiles along one projector axis.
+    """Light of the frames along one projector axis, as profiles on equally spaced nodes.
 
     Attributes
     ----------
@@ -132,19 +144,19 @@ class LightTable:
 
 
 def pattern_set(projector: Projector, patterns: Patterns) -> PatternSet:
-    """Return the sequence that projector and decoder share."""
+    """Return the sequence of patterns that the projector shows and the decoder assumes."""
     return PatternSet(projector.width_px, projector.height_px, **patterns.model_dump())
 
 
 def light_tables(
     projector: Projector, patterns: PatternSet, axial_mm: tuple[float, float] | None = None
 ) -> dict[str, LightTable]:
-    """Return the tables of both axes: "column" (with white and black) and "row".
+    """Return the light tables of both axes by name: "column" (with white and black) and "row".
 
     Parameters
     ----------
-    axial_mm : (nearest, farthest); range of the surfaces' distances along the projector's axis;
-        required with an aperture
+    axial_mm : (nearest, farthest) distance of the surfaces along the projector's axis; required if
+        the projector has an aperture
 
     Raises
     ------
@@ -179,12 +191,15 @@ def _table(
 
 
 def along(frame: PatternFrame) -> str:
-    """Axis of the table with a frame; uniform frames are in the table of columns."""
+    """Return the axis of the table that contains a frame; uniform frames are in "column"."""
     return frame.axis or "column"
 
 
 def response(levels: Levels | FloatArray, projector: Projector) -> FloatArray:
-    """Relative light of 8-bit levels: power law or table on top of the black level 1 / contrast."""
+    """Return the light of 8-bit levels relative to white: black level plus power law or table.
+
+    The black level is 1 / contrast.
+    """
     black = 1.0 / projector.contrast
     relative = relative_light(levels, projector.gamma, projector.response or ())
     return np.asarray(black + (1.0 - black) * relative)

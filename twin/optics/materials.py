@@ -1,4 +1,4 @@
-"""Surfaces in Mitsuba: meshes, textures, and the numbers of a BSDF."""
+"""Build Mitsuba meshes and textures, and change the numbers of a BSDF."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -28,10 +28,10 @@ def mitsuba_mesh(
     ----------
     vertices_mm : (vertex, xyz) float, mm, world
     facets : (facet, 3) int, indices of vertices
-    bsdf : for `mi.load_dict`
-    normals : (vertex, xyz) float; unit normals of a smooth surface; faceted without
-    texture : (vertex, 2) float; coordinates on the bitmap
-    shade : (vertex,) float; the attribute `vertex_shade`
+    bsdf : dictionary for `mi.load_dict`; None: Mitsuba's default
+    normals : (vertex, xyz) float; unit normals of a smooth surface; None: the surface is faceted
+    texture : (vertex, 2) float; coordinates on the bitmap, 0 to 1
+    shade : (vertex,) float; values of the vertex attribute `vertex_shade`
     """
     import mitsuba as mi
 
@@ -61,7 +61,7 @@ def mitsuba_mesh(
 
 
 def bitmap(light: FloatImage) -> dict[str, Any]:
-    """Return numbers (row, col) as a texture for `mi.load_dict`, interpolated between texels."""
+    """Return an image (row, col) as a texture for `mi.load_dict`, interpolated between texels."""
     import mitsuba as mi
 
     return {
@@ -88,11 +88,13 @@ _LISTED_AS = {"int_ior": "eta"}
 
 
 def updated(face: Any, bsdf: dict[str, Any], before: dict[str, Any]) -> bool:
-    """Set the numbers of a face's BSDF; return False if a changed number cannot be set.
+    """Set the numbers of a mesh's BSDF; return False if a changed number cannot be set.
 
     Parameters
     ----------
-    before : the present BSDF, of the same structure as `bsdf`
+    face : `mi.Mesh`
+    bsdf : dictionary with the numbers that are set
+    before : dictionary of the present BSDF, with the same structure as `bsdf`
     """
     import mitsuba as mi
 
@@ -108,7 +110,7 @@ def updated(face: Any, bsdf: dict[str, Any], before: dict[str, Any]) -> bool:
 
 
 def structure_of(bsdf: dict[str, Any]) -> dict[str, Any]:
-    """Return a BSDF's dictionary without the values of its numbers."""
+    """Return a BSDF's dictionary with the type `float` in place of each floating-point number."""
     return {
         key: structure_of(value) if isinstance(value, dict) else _without_number(value)
         for key, value in bsdf.items()
@@ -120,7 +122,10 @@ def _without_number(value: Any) -> Any:
 
 
 def bsdf_numbers(bsdf: dict[str, Any], above: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a BSDF's dictionary with their names, as of `mi.traverse`."""
+    """Yield the name and the value of each number in a BSDF's dictionary.
+
+    The names are those of `mi.traverse`; `above` is the prefix of nested dictionaries.
+    """
     for key, value in bsdf.items():
         name = above + _LISTED_AS.get(key, key)
         if isinstance(value, dict):
@@ -130,14 +135,20 @@ def bsdf_numbers(bsdf: dict[str, Any], above: str = "") -> Iterator[tuple[str, f
 
 
 def listed_as(name: str, parameters: Any) -> str | None:
-    """Return the name of a number, or of its texture, in `mi.traverse`; None: not listed."""
+    """Return the key in `parameters` of a number or of its texture; None if it has no key.
+
+    Parameters
+    ----------
+    name : of the number, as in `bsdf_numbers`
+    parameters : result of `mi.traverse`
+    """
     return next((key for key in (name, f"{name}.value") if key in parameters), None)
 
 
 def coated_mesh(face: "trimesh.Trimesh", bsdf: dict[str, Any]) -> Any:
     """Return the coated face (vertices in world mm, smooth vertex normals) as `mi.Mesh`.
 
-    Its attribute `INK_ALBEDO`, if any, is the mesh's `vertex_shade`.
+    The vertex attribute `INK_ALBEDO` of the face, if present, is `vertex_shade` of the `mi.Mesh`.
     """
     return mitsuba_mesh(
         COATED_FACE,

@@ -5,9 +5,10 @@ weight w adds w * P_k(u, v) to every frame k. Sub-pixel positions are a fixed sq
 all frames; independent jitter would act as phase noise larger than the sensor's. Camera rays,
 shadow rays, BSDF, table look-ups and all frames of all samples are fused into one kernel.
 
-Does: direct light, occlusion, any BSDF, lens distortion of both devices, depth of field and the
-projector's defocus; light between surfaces on request (`bounces`); plane clear layers between
-the devices and the scene (`layers`). Does not: light through clear objects.
+The renderer models direct light, occlusion, any BSDF, lens distortion of both devices, depth of
+field, the projector's defocus, and plane clear layers between the devices and the scene (`layers`).
+On request it adds light between surfaces (`bounces`). Without `bounces` it does not model light
+through clear objects.
 """
 
 from collections.abc import Callable
@@ -30,18 +31,20 @@ from twin.optics.stack import Frames, TraceMaps, Truth
 _OPAQUE = Surfaces()
 
 SMOOTH_WITHIN_PX = 0.25
-"""Largest distance of a pixel's samples on the projector for which they are one smooth patch: the
-light is looked up once, at their weighted mean. The mean position, and so the phase, is exact. The
-error is 1/2 x the pattern's curvature x the samples' variance: below 0.4 % of white on the edge
-of a Gray bit blurred by 0.7 px, and 0.1 % of the fringe amplitude."""
+"""Largest distance (projector pixels) between a pixel's samples for which they form a smooth patch.
+For a smooth patch, the light is looked up once, at the weighted mean position. This position, and
+therefore the phase, is exact. The error of the light is 1/2 x the pattern's curvature x the
+samples' variance: below 0.4 % of white on the edge of a Gray bit blurred by 0.7 px, and 0.1 % of
+the fringe amplitude."""
 
 
 @dataclass(frozen=True)
 class Patches:
-    """Sums over all samples of each pixel: weight, weighted position and its extent.
+    """Sums over all samples of each camera pixel: weight and weighted projector position.
 
-    They depend on geometry, rig and coat, and on no pattern: one trace serves any number of
-    sequences once it is evaluated.
+    `lowest` and `highest` are the extreme projector positions of the lit samples. All values depend
+    on geometry, rig and coat, but not on the patterns. An evaluated trace can therefore be used for
+    any number of pattern sequences.
     """
 
     samples: int
@@ -53,17 +56,22 @@ class Patches:
     highest: Any
 
     def evaluate(self) -> "Patches":
-        """Run the trace now and store its result."""
+        """Run the recorded trace, store its result and return the patches."""
         dr.eval(*(getattr(self, field.name) for field in fields(self) if field.name != "samples"))
         return self
 
     @property
     def spread_px(self) -> Any:
-        """Largest distance between two lit samples along either projector axis."""
+        """Largest distance, px, between two lit samples of a pixel along either projector axis."""
         return dr.maximum(self.highest.x - self.lowest.x, self.highest.y - self.lowest.y)
 
     def mean_connection(self, active: Any) -> Connection:
-        """One path at the samples' weighted mean position; its weight is their mean weight."""
+        """Return one connection per pixel: weighted mean position and mean weight of its samples.
+
+        Parameters
+        ----------
+        active : pixels to be connected; the others have weight 0
+        """
         lit = active & (self.weight > 0.0)
         scale = dr.select(lit, dr.rcp(self.weight), 0.0)
         column_px, row_px = self.weighted_column * scale, self.weighted_row * scale
@@ -73,7 +81,7 @@ class Patches:
 
 
 def maps_of(patches: Patches, camera: Pinhole) -> TraceMaps:
-    """Return the trace maps as images."""
+    """Return the sums of all pixels as images; positions are divided by the weight."""
     shape = camera.height_px, camera.width_px
 
     def image(values: Any) -> FloatArray:
@@ -105,17 +113,17 @@ def trace_stack(
     progress: Callable[[float], None] = lambda _: None,
     smooth_within_px: float = SMOOTH_WITHIN_PX,
 ) -> Frames:
-    """Render all frames, radiance in mW / (mm^2 sr).
+    """Return the radiance of all frames, mW / (mm^2 sr), in the order of the projected sequence.
 
     Parameters
     ----------
     scene : world in mm; emitters and sensors in it are ignored
     tables : light tables of the axes "column" and "row"
-    traced : an earlier trace; or camera rays per pixel, a square number, to trace now
-    bounces : settings of light that is reflected more than once; None: without it
+    traced : an earlier trace; or the number of camera rays per pixel, a square number, for a new
+        trace
+    bounces : settings of the light that is reflected more than once; None: this light is omitted
     progress : called with the finished fraction of the bounces
-    smooth_within_px : largest distance of a pixel's samples, in projector pixels, for one look-up
-        of the light
+    smooth_within_px : see `SMOOTH_WITHIN_PX`
     """
     patches = trace_patches(scene, rig, traced) if isinstance(traced, int) else traced
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
@@ -137,7 +145,10 @@ def frames_of_patches(
     patches: Patches,
     smooth_within_px: float = SMOOTH_WITHIN_PX,
 ) -> list[Any]:
-    """Return the direct light of every frame, in the order of `light.sequence`, not yet run."""
+    """Return the direct light of every frame, in the order of `light.sequence`, not yet evaluated.
+
+    The values are Dr.Jit variables with one lane per pixel.
+    """
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     grid = SubPixels.of_image(width, height, patches.samples)
     smooth = patches.spread_px <= smooth_within_px
@@ -151,9 +162,10 @@ def frames_of_patches(
 
 
 def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
-    """Trace all samples and return sums instead of frames: 8 numbers per pixel, not 53.
+    """Trace all samples of each pixel and return their sums: 8 numbers instead of 53 frame values.
 
-    Recorded but not run: `trace_stack` fuses it into its kernel, `Patches.evaluate` runs it.
+    The trace is recorded but not run. `trace_stack` fuses it into its own kernel, and
+    `Patches.evaluate` runs it separately.
     """
     grid = SubPixels.of_image(rig.camera.pinhole.width_px, rig.camera.pinhole.height_px, samples)
 
@@ -181,7 +193,13 @@ def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
 def _add_samples(
     frame_values: Callable[[Any], list[Any]], grid: SubPixels, active: Any, frames: list[Any]
 ) -> list[Any]:
-    """Add every sample separately in pixels without a smooth patch."""
+    """Return `frames` plus the mean light of all samples in active pixels.
+
+    Parameters
+    ----------
+    frame_values : light of one sample number in every frame
+    active : pixels with samples that do not form a smooth patch
+    """
 
     def add_sample(*state: Any) -> tuple[Any, ...]:
         sample, *totals = state
@@ -198,10 +216,11 @@ def _add_samples(
 
 
 def trace_truth(scene: Any, rig: Rig, surfaces: Surfaces = _OPAQUE) -> Truth:
-    """Trace one ray through every pixel centre and return its hit.
+    """Trace one ray through every pixel centre and return the true surface at its hit.
 
-    Through layers too, points and depth are those of the surface itself, which is then off the
-    pixel's straight ray; projector coordinates are those of the light at this point.
+    With layers, points and depth are still those of the surface, which is then not on the straight
+    ray of the pixel. Projector coordinates are those of the light at this point. The stage in
+    `surfaces` is not a measured surface.
     """
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     centres = SubPixels.of_image(width, height, 1)
@@ -212,6 +231,9 @@ def trace_truth(scene: Any, rig: Rig, surfaces: Surfaces = _OPAQUE) -> Truth:
 
 
 def _in_sequence(frames: list[Any], order: list[int], shape: tuple[int, int]) -> Frames:
-    """Sort the frames into the projected sequence, as views: copying costs as much as tracing."""
+    """Return the frames as images (row, col) in the order of the projected sequence.
+
+    The images are views, because copying would take as long as tracing.
+    """
     images = {k: np.asarray(frame).reshape(shape) for frame, k in zip(frames, order, strict=True)}
     return tuple(images[k] for k in range(len(images)))

@@ -6,18 +6,19 @@ and a share of the white image's flux; refractions and reflections follow until 
 The camera's paths gather the light that the stage reflects. All frames share the photons: their
 noise is common to all frames and cancels in the phase.
 
-For gathering, the flux of each photon is distributed to the four nearest nodes of a regular grid
-(bilinear weights), with the light of its projector pixel in every frame. The expected value of a
-camera path is interpolated between the nodes. Both together blur by 0.06 mm standard deviation,
-0.33 projector pixels of the paper's rig.
+For gathering, the flux of each photon is distributed to the four nearest nodes of a regular grid,
+with bilinear weights. In every frame, the flux is multiplied by the light of the photon's projector
+pixel. The expected value of a camera path is interpolated between the nodes. Distribution and
+interpolation together blur by 0.06 mm standard deviation, 0.33 projector pixels of the paper's rig.
 
-Does: smooth and slightly rough clear bodies and polished metals, absorption, any number of
-reflections inside. Does not: light on surfaces other than the stage, which the balance counts
-as lost.
+The model contains smooth and slightly rough clear bodies, polished metals, absorption and any
+number of reflections inside a body. It does not contain light on surfaces other than the stage,
+which `Balance` counts as lost.
 
-Against stock Mitsuba, clear ball on a stage: shadow and caustic agree within 3 % of the caustic
-with a lamp of 3 mm radius 60 mm away (a test). Against Snell and Fresnel for a pinhole: the view
-through the middle of the ball agrees within 0.5 % in the mean (a test).
+Two tests check the accuracy. For a clear ball on a stage and a lamp of 3 mm radius 60 mm away,
+shadow and caustic agree with stock Mitsuba within 3 % of the caustic. For a pinhole, the view
+through the middle of the ball agrees with Snell's law and Fresnel's equations within 0.5 % in the
+mean.
 """
 
 from dataclasses import dataclass
@@ -51,10 +52,16 @@ def _compiled(function: Function) -> Function:
 
 @dataclass(frozen=True)
 class Balance:
-    """Destinations of the flux that is first incident on a clear or polished body, mW of white.
+    """Destinations of the flux (mW, white image) first incident on clear or polished bodies.
 
-    `sent` is the sum of all destinations. `escaped`: out of the scene; `lost`: on a body that is
-    neither sharp nor the stage; `cut`: not ended after `MOST_EVENTS`.
+    Attributes
+    ----------
+    sent : sum of all destinations
+    absorbed : absorbed in or at clear or polished bodies
+    deposited : incident on the stage
+    escaped : out of the scene
+    lost : incident on other bodies, except the stage
+    cut : flux of photons that did not end within `MOST_EVENTS` reflections and refractions
     """
 
     sent: float
@@ -73,7 +80,8 @@ class Photons:
     ----------
     x_mm, y_mm : (photon,) float32; world position
     column_px, row_px : (photon,) float32; projector pixel of each photon
-    flux_mw : (photon,) float32; flux in the white image
+    flux_mw : (photon,) float32; flux of each photon in the white image
+    balance : flux of all photons by destination
     """
 
     x_mm: FloatImage
@@ -86,7 +94,10 @@ class Photons:
 
 @dataclass(frozen=True)
 class _Ends:
-    """Ends of the photon paths; one lane per photon."""
+    """State of every photon at the end of its path, as Dr.Jit variables with one lane per photon.
+
+    `weight` and `absorbed` are shares of the photon's initial flux.
+    """
 
     point_mm: Any
     weight: Any
@@ -98,12 +109,13 @@ class _Ends:
 
 
 def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed: int) -> Photons:
-    """Trace photons from the projector to the stage.
+    """Trace photons from the projector; return those that end on the stage.
 
     Parameters
     ----------
     scene : world in mm; its stage must be horizontal
-    count : photons sent towards the bounding boxes of the sharp bodies
+    count : number of photons sent towards the bounding boxes of the sharp bodies
+    seed : seed of the random numbers
     """
     low, high = _window(surfaces, rig)
     rotation = rig.projector.T_world_from_device[:3, :3]
@@ -131,7 +143,11 @@ def trace_photons(scene: Any, surfaces: Surfaces, rig: Rig, *, count: int, seed:
 
 
 def _window(surfaces: Surfaces, rig: Rig) -> tuple[FloatArray, FloatArray]:
-    """Rectangle (low, high) on the image plane at 1 mm that contains every sharp body's light."""
+    """Return the corners (low, high) of the rectangle into which photons are sent.
+
+    The rectangle is on the projector's image plane at 1 mm axial distance, x and y in mm. It
+    contains the bounding boxes of all sharp bodies, as far as they are in the image.
+    """
     corners = np.concatenate([box_corners_mm(body.shape.bbox()) for body in surfaces.sharp])
     T = rig.projector.T_world_from_device
     in_device = (corners - T[:3, 3]) @ T[:3, :3]
@@ -143,7 +159,7 @@ def _window(surfaces: Surfaces, rig: Rig) -> tuple[FloatArray, FloatArray]:
 
 
 def _image_border(rig: Rig) -> FloatArray:
-    """Points (n, 2) along the border of the projector's image and its blurred margin, px."""
+    """Return points (n, 2) along the outer border of the projector's image with its margin, px."""
     p, along = rig.projector.pinhole, np.linspace(0.0, 1.0, 33)
     low, end = -0.5 - MARGIN_PX, MARGIN_PX - 0.5
     x, y = low + along * (p.width_px + end - low), low + along * (p.height_px + end - low)
@@ -152,7 +168,10 @@ def _image_border(rig: Rig) -> FloatArray:
 
 
 def _spread(count: int, low: Any, high: Any, seed: int) -> tuple[Any, Any]:
-    """Spread points evenly over a rectangle: the R2 sequence, shifted by the seed."""
+    """Return x and y of `count` points, evenly distributed over the rectangle from low to high.
+
+    The points are the R2 sequence, shifted by a random offset that depends on the seed.
+    """
     index = dr.arange(mi.UInt32, count)
     shifts = np.random.default_rng(seed).integers(0, 2**32, 2)
     unit = [
@@ -217,7 +236,7 @@ def _follow(scene: Any, surfaces: Surfaces, ray: Any, seed: int) -> _Ends:
 
 
 def random_streams(width: int, seed: int) -> Any:
-    """Return one stream of random numbers per lane."""
+    """Return a random number generator with an independent stream in each of `width` lanes."""
     # Opaque: a literal seed would compile a new kernel.
     generator: Any = mi.PCG32
     return generator(
@@ -249,13 +268,14 @@ _PACKET = 4
 
 @dataclass(frozen=True, eq=False)
 class IrradianceMap:
-    """Irradiance of the stage by photons.
+    """Irradiance of the stage in every frame, computed from photons, on a regular grid of nodes.
 
     Attributes
     ----------
-    irradiance : (row, col, frame) float32, mW/mm^2; frames in the order of the tables: those of the
-        columns, then those of the rows; padded with zeros to a multiple of four
+    irradiance : (row, col, frame) float32, mW/mm^2; frames of the column table, then frames of the
+        row table; padded with zeros to a multiple of four frames
     first_x_mm, first_y_mm : world position of node (0, 0); x increases with column, y with row
+    pitch_mm : distance of neighbouring nodes
     frames : number of entries of the last axis without padding
     """
 
@@ -266,13 +286,16 @@ class IrradianceMap:
     frames: int
 
     def flux_mw(self, frame: int) -> float:
-        """Flux of one frame on the whole map."""
+        """Return the flux of one frame on the whole map, mW."""
         total = self.irradiance[:, :, frame].sum(dtype=np.float64)
         return float(total) * self.pitch_mm**2
 
 
 class _Places(NamedTuple):
-    """Photons in units of the map's nodes and of the light tables' nodes, and their density."""
+    """Positions of photons in nodes of the map (x, y) and of the light tables (column, row).
+
+    `density` is the flux of a photon per area of a node of the map, mW/mm^2.
+    """
 
     x: FloatImage
     y: FloatImage
@@ -282,7 +305,7 @@ class _Places(NamedTuple):
 
 
 def map_photons(photons: Photons, tables: dict[str, LightTable]) -> IrradianceMap:
-    """Collect photons into the irradiance of every frame."""
+    """Return the irradiance of the stage in every frame, summed over all photons."""
     columns, rows = tables["column"], tables["row"]
     frames = len(columns.frames) + len(rows.frames)
     padded = -(-frames // _PACKET) * _PACKET
@@ -301,7 +324,7 @@ def map_photons(photons: Photons, tables: dict[str, LightTable]) -> IrradianceMa
 
 
 def _node_coordinates(position_mm: FloatImage) -> tuple[FloatImage, float, int]:
-    """Positions in node units, the first node and the number of nodes along one axis."""
+    """Return positions in node units, the first node's position (mm) and the number of nodes."""
     if position_mm.size == 0:
         return position_mm, 0.0, 2
     first = np.floor(float(position_mm.min()) / PITCH_MM)
@@ -321,7 +344,7 @@ def _deposit(
     row_profiles: FloatImage,
     irradiance: FloatImage,
 ) -> None:
-    """Add every photon to four nodes of the map."""
+    """Add the light of every photon in every frame to the four nearest nodes of `irradiance`."""
     x, y, column, row, density = places
     on_columns, on_rows = column_profiles.shape[1] - 1, row_profiles.shape[1] - 1
     frames = on_columns + on_rows
@@ -349,7 +372,7 @@ def _deposit(
 
 
 class StageLight:
-    """An irradiance map on the device."""
+    """An irradiance map of the stage on the computing device."""
 
     def __init__(self, received: IrradianceMap) -> None:
         rows, cols, padded = received.irradiance.shape
@@ -360,11 +383,14 @@ class StageLight:
     def values(
         self, x_mm: Any, y_mm: Any, weight: Any, active: Any, random: tuple[Any, Any]
     ) -> list[Any]:
-        """Irradiance of every frame at points on the stage, times `weight`.
+        """Return the irradiance (mW/mm^2) of every frame at points on the stage, times `weight`.
 
-        One of the four nodes round a point is drawn, with its bilinear weight as probability
-        (`random`: two numbers in [0, 1)): the same mean as interpolation for a quarter of the
-        memory traffic, and the paths are random anyway.
+        One of the four nodes around a point is drawn, with its bilinear weight as probability. The
+        expected value equals bilinear interpolation, but only a quarter of the memory is read.
+
+        Parameters
+        ----------
+        random : two random numbers in [0, 1)
         """
         x = (x_mm - self._map.first_x_mm) / self._map.pitch_mm
         y = (y_mm - self._map.first_y_mm) / self._map.pitch_mm

@@ -1,7 +1,8 @@
-"""Pictures of scenes in soft light, rendered: rigs and specimens, without noise.
+"""Render pictures of rigs and specimens in soft light, for reports and figures.
 
-The measurement does not use this module. Surfaces have colours here, which the monochrome backend
-renders as three passes with the same seed, one per primary: noise is grey.
+The measurement does not use this module. Surfaces have colours here. The monochrome backend renders
+them in three passes, one per primary (red, green, blue), with the same random seed: the random
+noise of the picture is therefore grey.
 """
 
 from collections.abc import Sequence
@@ -19,11 +20,13 @@ from twin.optics.view import SceneSurface, SceneView
 Picture = Levels
 
 MOST_BOUNCES = 12
-"""Sufficient for light paths through a hollow clear body: two bounces per wall."""
+"""Largest number of surfaces on a light path. It is sufficient for light through a hollow clear
+body, which needs two bounces per wall."""
 
 # The sky is uniform; two lamps, high on the left and low on the right, give the shading.
 _SKY, _KEY, _FILL = 0.5, 1.15, 0.4
-# Half the edge of a lamp, in picture widths: large and dim, to avoid fireflies in clear bodies.
+# Half the edge length of a lamp, in picture widths: large, dim lamps avoid fireflies in clear
+# bodies.
 _LAMP = 1.0
 _PRIMARIES = 3
 
@@ -37,13 +40,14 @@ def picture(
     gray: bool = False,
     bounces: int = MOST_BOUNCES,
 ) -> Picture:
-    """Render surfaces before a white background in soft light.
+    """Render a picture of surfaces in soft light on a white background.
 
     Parameters
     ----------
-    surfaces : at least one, all names different
-    samples : paths per pixel
-    gray : True: one pass instead of three, for surfaces without colours
+    surfaces : at least one, all with different names
+    view : position, direction and image size of the picture's camera
+    samples : number of light paths per pixel
+    gray : True: render one pass instead of three, for surfaces without colours
     bounces : maximum number of surfaces on a light path; 4 suffice without clear materials
 
     Returns
@@ -61,7 +65,7 @@ def picture(
 
 
 def _render(scene: Any) -> FloatImage:
-    """Return the light of one primary over white, (row, col) float, 1 is white."""
+    """Return the picture in one primary on a white background, linear, (row, col); 1 is white."""
     import mitsuba as mi
 
     image = np.array(mi.render(scene, seed=0))
@@ -91,7 +95,10 @@ def _scene(
 
 
 def _lights(view: SceneView) -> dict[str, Any]:
-    """Sky and two square lamps that follow the view and its width."""
+    """Return the emitters for `mi.load_dict`: a uniform sky and two square lamps.
+
+    The lamps' positions and sizes follow the direction and the width of the view.
+    """
     import mitsuba as mi
 
     target, size = np.array(view.target_mm), view.width_mm
@@ -116,7 +123,7 @@ def _lights(view: SceneView) -> dict[str, Any]:
 
 
 def _mesh(part: SceneSurface, primary: int) -> Any:
-    """Return a surface in the light of one primary."""
+    """Return a surface as `mi.Mesh`, with its reflectance in one primary (0: red)."""
     one_colour = part.rgb.ndim == 1
     reflectance = (
         {"type": "spectrum", "value": float(part.rgb[primary])}
@@ -135,7 +142,7 @@ def _mesh(part: SceneSurface, primary: int) -> Any:
 
 
 def _srgb(light: FloatImage) -> Picture:
-    """Encode linear light, 1 is white (IEC 61966-2-1)."""
+    """Return linear light (1 is white) as 8-bit sRGB values (IEC 61966-2-1)."""
     linear = np.clip(light, 0.0, 1.0)
     encoded = np.where(
         linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055

@@ -114,11 +114,11 @@ def _angles(wi: Any) -> Any:
 
 
 def _spherical(direction: Any) -> tuple[Any, Any]:
-    """Return the angle to the normal, and the azimuth, of unit vectors; rad."""
+    """Return the polar angle (to the normal, z) and the azimuth of unit vectors, rad."""
     chord = dr.norm(direction - type(direction)(0.0, 0.0, 1.0))
     return 2.0 * dr.safe_asin(0.5 * chord), dr.atan2(direction.y, direction.x)
 
 
 def _unit_square(theta: Any, phi: Any) -> Any:
-    """Return the coordinates of these angles in a table, 0 to 1."""
+    """Return the table coordinates (0 to 1) of polar angle `theta` and azimuth `phi`, rad."""
     return mi.Point2f(dr.sqrt(theta * (2.0 / np.pi)), (phi + np.pi) / (2.0 * np.pi))

@@ -1,22 +1,23 @@
-"""Geometry and light of the rig, from the experiment: pinholes, poses, lens, the projector's light.
+"""Geometry and light of the rig, from the experiment: pinholes, poses, lens, projector irradiance.
 
-Frames: world z up, undeformed coated face at z = 0. Device frames are OpenCV's (x right, y down,
-z forward; pixel (0, 0) is the centre of the first pixel). The result is the true calibration: the
-renderer traces with it, and an ideally calibrated decoder triangulates with it.
+The world's z axis points up, and the undeformed coated face is at z = 0. Device frames are those of
+OpenCV (x right, y down, z forward; pixel (0, 0) is the centre of the first pixel). Pinholes and
+poses form the true calibration: the renderer traces with it, and an ideally calibrated decoder
+triangulates with it.
 
-Irradiance on a plane that faces the projector at distance z (along its axis) is
-`irradiance_at_1mm / z**2` for a full white field: the flux spread evenly over the image, as a DLP
-fills a flat screen.
+The irradiance of a full white field on a plane that faces the projector at distance z (along the
+projector's axis) is `irradiance_at_1mm / z**2`. The flux is distributed evenly over the image, as a
+DLP projector illuminates a flat screen.
 
-With a thin lens the camera's rays start on its pupil. Every sub-pixel sample has a fixed pupil
-position, the same for every pixel and frame: random positions would act as phase noise. The
-positions have exactly the centroid and variance of the disc for any number of samples, so that
-phase and mean blur of a smooth surface out of focus are exact; more samples fill the disc evenly.
+With a thin lens the camera's rays start on the lens pupil. Every sub-pixel sample has a fixed pupil
+position, the same for every pixel and frame: random positions would act as phase noise. For any
+number of samples, the positions have exactly the centroid and variance of the disc. Phase and mean
+blur of a smooth surface out of focus are therefore exact. More samples fill the disc evenly.
 
-Only this module converts to Mitsuba's conventions. Project: OpenCV device frames (x right, y
-down, z forward), pixel (0, 0) at the CENTRE of the first pixel. Mitsuba: device frames with x left,
-y up, z forward, pixel coordinates counted from the CORNER, fields of view instead of focal lengths,
-principal point offsets as fractions.
+Only this module converts to Mitsuba's conventions. The project uses OpenCV device frames (x right,
+y down, z forward), with pixel (0, 0) at the CENTRE of the first pixel. Mitsuba uses device frames
+with x left, y up, z forward, and pixel coordinates counted from the CORNER. It uses fields of view
+instead of focal lengths, and principal point offsets as fractions of the image size.
 """
 
 from dataclasses import dataclass
@@ -35,7 +36,7 @@ from twin.config.models import Camera, Experiment, Pose, Projector
 
 
 def true_calibration(experiment: Experiment) -> Calibration:
-    """Return the exact calibration of the virtual rig."""
+    """Return the exact calibration of the virtual rig: pinholes, poses and clear layers."""
     camera = camera_pinhole(experiment.camera)
     projector = projector_pinhole(experiment.projector)
     return Calibration(
@@ -50,7 +51,10 @@ def true_calibration(experiment: Experiment) -> Calibration:
 
 
 def camera_pinhole(camera: Camera) -> Pinhole:
-    """Pinhole of a thin lens focused at its standoff: image distance f u / (u - f)."""
+    """Return the camera's pinhole; the lens is focused at the standoff u of the camera.
+
+    The image distance of a thin lens of focal length f is then f u / (u - f).
+    """
     f_mm, u_mm = camera.focal_length_mm, camera.pose.standoff_mm
     image_distance_mm = f_mm * u_mm / (u_mm - f_mm)
     width_px, height_px = camera.width_px // camera.binning, camera.height_px // camera.binning
@@ -60,7 +64,7 @@ def camera_pinhole(camera: Camera) -> Pinhole:
 
 
 def projector_pinhole(projector: Projector) -> Pinhole:
-    """Pinhole of a DLP projector; 100 % offset puts the optical axis on the image's lower edge."""
+    """Return a projector's pinhole; at 100 % offset, the axis is at the lower edge of the image."""
     width_px, height_px = projector.width_px, projector.height_px
     focal_px = projector.throw_ratio * width_px
     axis_row_px = (height_px - 1) / 2 + projector.offset_percent / 100 * height_px / 2
@@ -69,9 +73,9 @@ def projector_pinhole(projector: Projector) -> Pinhole:
 
 
 def world_from_device(pose: Pose, pinhole: Pinhole) -> FloatArray:
-    """Pose (4, 4) of a device with its image-centre ray through the world origin.
+    """Return T_world_from_device (4, 4), mm; the image centre's ray is through the world origin.
 
-    At polar 0 and roll 0 the image's right is world +x and its top is world +y.
+    At polar 0 and roll 0 the right of the image is world +x and the top is world +y.
     """
     polar, azimuth = np.deg2rad(pose.polar_deg), np.deg2rad(pose.azimuth_deg)
     outward = np.array(
@@ -86,20 +90,20 @@ def world_from_device(pose: Pose, pinhole: Pinhole) -> FloatArray:
 
 
 def _looking_along(forward: FloatArray) -> FloatArray:
-    """Rotation with the z axis along `forward` and the y axis away from world +y."""
+    """Return the rotation (3, 3) with z axis along `forward` and y axis away from world +y."""
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
 def about_z(angle_rad: float) -> FloatArray:
-    """Return the rotation (3, 3) about the z axis."""
+    """Return the matrix (3, 3) of a right-handed rotation about the z axis."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _onto_z(direction: FloatArray) -> FloatArray:
-    """Smallest rotation that takes the unit vector `direction` onto the z axis (Rodrigues)."""
+    """Return the smallest rotation (3, 3) of unit vector `direction` onto z (Rodrigues)."""
     x, y, z = direction
     cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
     return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + z))
@@ -112,22 +116,24 @@ def _centre(pinhole: Pinhole) -> FloatArray:
 
 
 def irradiance_at_1mm(projector: Projector, pinhole: Pinhole) -> float:
-    """Irradiance of a white field at axial distance 1 mm, in mW/mm^2 (numerically mW/mm^2 mm^2)."""
+    """Return the irradiance of a full white field at axial distance 1 mm, mW/mm^2."""
     image_area_mm2 = (pinhole.width_px / pinhole.fx_px) * (pinhole.height_px / pinhole.fy_px)
     return projector.flux_mw / image_area_mm2
 
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
-# Correlation of pupil and pixel positions changes the blur's size; that of squares its shape.
+# A correlation of pupil and pixel positions changes the size of the blur; a correlation of their
+# squares changes its shape. The first is weighted by this factor.
 _FIRST_POWERS_COUNT = 10.0
 
 
 @dataclass(frozen=True)
 class ThinLens:
-    """Pupil of a camera; its centre is the pinhole.
+    """Pupil of a camera; the centre of the pupil is the pinhole.
 
     Attributes
     ----------
+    radius_mm : radius of the pupil
     focus_mm : axial distance of the plane in focus
     """
 
@@ -136,7 +142,10 @@ class ThinLens:
 
     @classmethod
     def of(cls, camera: Camera, T_world_from_cam: FloatArray) -> "ThinLens | None":
-        """Return the lens of a camera, in focus at the world origin's axial distance, or None."""
+        """Return the lens of a camera, focused on the plane that contains the world origin.
+
+        Returns None if the camera has no depth of field.
+        """
         if not camera.depth_of_field:
             return None
         focus_mm = float(-T_world_from_cam[:3, 3] @ T_world_from_cam[:3, 2])
@@ -145,13 +154,13 @@ class ThinLens:
 
 @lru_cache(maxsize=8)
 def lens_places(side: int) -> FloatArray:
-    """Return the position of every sub-pixel sample on the unit disc, (side * side, 2), x and y.
+    """Return the pupil position of every sub-pixel sample, (side * side, xy), in lens radii.
 
     The points of a spiral of equal areas (Vogel 1979) are assigned to the square grid of sub-pixels
-    with a stride that is coprime to their number: neighbours on the grid are distant on the lens.
-    Of all strides and several rotations of the spiral, the pair with the smallest correlation of
-    pupil and sub-pixel positions is used: pixel box and lens then blur independently (only
-    approximately with fewer than 25 samples).
+    with a stride that is coprime to the number of points. Neighbours on the grid are therefore at a
+    large distance on the lens. Of all strides and several rotations of the spiral, the function
+    uses the pair with the smallest correlation of pupil and sub-pixel positions. The blurs of pixel
+    box and lens are then independent (with fewer than 25 samples only approximately).
     """
     samples = side * side
     if samples == 1:
@@ -184,7 +193,10 @@ def _cell_centres(side: int) -> FloatArray:
 
 
 def _moments(places: FloatArray) -> FloatArray:
-    """First and second powers of positions (n, 2), centred and weighted: (n, 5)."""
+    """Return x, y, x^2, y^2 and x y of positions (n, 2), as (n, 5).
+
+    Each column has mean 0 and unit length, times the weight of its power.
+    """
     x, y = places.T
     features = np.stack([x, y, x * x, y * y, x * y], axis=-1)
     features -= features.mean(axis=0)
@@ -197,14 +209,17 @@ _OPENCV_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def to_world(T_world_from_device: FloatArray) -> FloatImage:
-    """Mitsuba's `to_world` matrix of a device with an OpenCV pose."""
+    """Return Mitsuba's `to_world` matrix (4, 4) of a device with an OpenCV pose, mm."""
     return (T_world_from_device @ _OPENCV_FROM_MITSUBA).astype(np.float32)
 
 
 def perspective_sensor(
     pinhole: Pinhole, T_world_from_cam: FloatArray, samples: int, lens: ThinLens | None = None
 ) -> dict[str, Any]:
-    """Mitsuba `perspective` or `thinlens` sensor, box filter, as a dictionary for `mi.load_dict`.
+    """Return a Mitsuba sensor (`perspective` or `thinlens`) as a dictionary for `mi.load_dict`.
+
+    The sensor's reconstruction filter is a box of one pixel. `samples` is the number of rays per
+    pixel.
 
     Raises
     ------
@@ -261,5 +276,5 @@ def _sensor_kind(pinhole: Pinhole, lens: ThinLens | None) -> dict[str, Any]:
 
 
 def field_of_view_deg(width_px: float, focal_px: float) -> float:
-    """Full opening angle of an image `width_px` wide, symmetric about the optical axis."""
+    """Return the full opening angle, deg, of an image `width_px` wide around the optical axis."""
     return float(2.0 * np.degrees(np.arctan(width_px / (2.0 * focal_px))))

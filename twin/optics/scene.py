@@ -1,4 +1,4 @@
-"""Mitsuba scenes: the coated face under the rig, and the optical classes of surfaces."""
+"""Mitsuba scene of the coated face, rig for the tracer, and sharp surfaces of a scene."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 
 class CoatedScene:
-    """Scene of a coated face only, with the query methods of a Mitsuba scene.
+    """Scene that contains only a coated face, with the ray queries of a Mitsuba scene.
 
-    Without `tree` no tree of boxes is built, and ray queries raise RuntimeError: for faces with
-    rays that are marched over a grid of heights.
+    If `tree` is False, no tree of bounding boxes is built and ray queries raise RuntimeError. This
+    is sufficient if all rays are marched over the face's grid of heights.
     """
 
     def __init__(self, face: "trimesh.Trimesh", bsdf: dict[str, Any], *, tree: bool = True) -> None:
@@ -45,7 +45,7 @@ class CoatedScene:
         self.shape = dr.opaque(mi.ShapePtr, mesh)
 
     def put(self, face: "trimesh.Trimesh") -> None:
-        """Replace the face by another with the same number of vertices, facets and attributes."""
+        """Replace the face by another face with the same facets and the same attributes."""
         parameters = mi.traverse(self._mesh)
         for key, values in (("positions", face.vertices), ("normals", face.vertex_normals)):
             parameters[f"vertex_{key}"] = np.asarray(values, np.float32).ravel()
@@ -64,9 +64,9 @@ class CoatedScene:
 
         Parameters
         ----------
-        coating : any. If only numbers of its BSDF differ from the present BSDF, they are updated
-            and the compiled kernel is reused; otherwise the BSDF is replaced and another kernel is
-            compiled
+        coating : any coating. If its BSDF differs from the present BSDF only in numbers, these are
+            updated and the compiled kernel is reused; otherwise the BSDF is replaced and another
+            kernel is compiled
         """
         bsdf, before = coating.bsdf(), self._bsdf
         if bsdf == before:
@@ -82,15 +82,15 @@ class CoatedScene:
         return [self._mesh]
 
     def bbox(self) -> Any:
-        """Return the face's `mi.BoundingBox3f`."""
+        """Return the bounding box of the face, `mi.BoundingBox3f`, mm."""
         return self._mesh.bbox()
 
     def ray_intersect(self, *ray: Any, **how: Any) -> Any:
-        """Return the first hits of rays, as `mi.Scene.ray_intersect`."""
+        """Return the first hits of rays; arguments are those of `mi.Scene.ray_intersect`."""
         return self._planted().ray_intersect(*ray, **how)
 
     def ray_test(self, *ray: Any, **how: Any) -> Any:
-        """Return which rays meet the face, as `mi.Scene.ray_test`."""
+        """Return True for rays that meet the face; arguments are those of `mi.Scene.ray_test`."""
         return self._planted().ray_test(*ray, **how)
 
     def _planted(self) -> Any:
@@ -108,9 +108,9 @@ def _tree_of(mesh: Any) -> Any:
 def marched_scene(
     experiment: Experiment, face: "trimesh.Trimesh", bsdf: dict[str, Any]
 ) -> CoatedScene:
-    """Scene of the coated face with any coat, for `coated_rig`.
+    """Return the scene of the coated face with the BSDF `bsdf`, for use with `coated_rig`.
 
-    It has a tree only if rays are not marched, or if there are bounces.
+    The scene has a tree only if rays are not marched, or if there are bounces.
 
     Raises
     ------
@@ -123,23 +123,23 @@ def marched_scene(
 
 
 def bsdf_on(face: "trimesh.Trimesh", coating: Coating) -> dict[str, Any]:
-    """Return a coat's BSDF on a face, with a texture if the face has `INK_ALBEDO`."""
+    """Return a coat's BSDF for `mi.load_dict`; a face with `INK_ALBEDO` has a texture as albedo."""
     shaded = INK_ALBEDO in face.vertex_attributes
     return coating.bsdf_with_ink(SHADE) if shaded else coating.bsdf()
 
 
 def heights_of(face: "trimesh.Trimesh") -> MarchedHeights | None:
-    """Return a face's heights on the device; None if they are not on a uniform grid."""
+    """Return the heights of a face for ray marching; None if its vertices are no uniform grid."""
     grid = height_grid(face)
     return None if grid is None else MarchedHeights.of_grid(grid)
 
 
 def rig_of(experiment: Experiment) -> Rig:
-    """Devices and radiometric scale of an experiment, ready for the tracer.
+    """Return the devices, radiometric scale and layers of an experiment, as input of the tracer.
 
     Raises
     ------
-    InputError : depth of field with one sample per pixel, hence with one point of the lens only
+    InputError : depth of field with one sample per pixel, which uses only one point of the lens
     """
     calibration = true_calibration(experiment)
     lens = ThinLens.of(experiment.camera, calibration.T_world_from_cam)
@@ -153,7 +153,10 @@ def rig_of(experiment: Experiment) -> Rig:
 
 
 def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
-    """Rig for the coated face only: rays are marched if it is a grid of heights."""
+    """Return the rig for a scene of only the coated face.
+
+    Rays are marched if the vertices of the face are a uniform grid of heights.
+    """
     rig, grid = rig_of(experiment), height_grid(face)
     if grid is None:
         return rig
@@ -163,27 +166,27 @@ def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
 
 
 def layer_stack(experiment: Experiment) -> LayerStack | None:
-    """Layers between both devices and the coat; None: only air."""
+    """Return the clear layers between both devices and the coat; None: there is only air."""
     return LayerStack(media_of(experiment.layers)) if experiment.layers else None
 
 
 def coating_in_layer(experiment: Experiment) -> Coating:
-    """Coat with its indices relative to the medium that contains it, not to air.
+    """Return the coat with refractive indices relative to the medium around it, not to air.
 
     Raises
     ------
-    InputError : no such coat can be in that medium
+    InputError : the model of the coat is not valid in that medium
     """
     holder = holding_layer(experiment.layers)
     return experiment.coating if holder is None else experiment.coating.in_medium(holder.ior)
 
 
 def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh") -> None:
-    """Raise InputError if a coated face reaches above the lowest interface.
+    """Raise InputError if a coated face reaches the lowest interface of the layers.
 
     Raises
     ------
-    InputError
+    InputError : a vertex of the face (world mm) is at the height of this interface or higher
     """
     if not layers:
         return
@@ -197,8 +200,9 @@ def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh") -> Non
 
 @dataclass(frozen=True)
 class Sharp:
-    """A clear or polished body: it refracts or reflects light into sharp directions."""
+    """A clear or polished body, which refracts or reflects light into sharp directions."""
 
+    #: `mi.Shape` of the body
     shape: Any
     #: Napierian absorption coefficient inside, 1/mm
     absorption_per_mm: float = 0.0
@@ -206,38 +210,39 @@ class Sharp:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """The sharp surfaces of a scene, and the surface that receives their light.
+    """The sharp bodies of a scene, and the stage that receives light from them.
 
     Attributes
     ----------
     sharp : bodies that refract or reflect light into sharp directions
-    stage : mi.Shape, horizontal matte plane; None: there is none
+    stage : mi.Shape, horizontal matte plane; None: the scene has no stage
     """
 
     sharp: tuple[Sharp, ...] = ()
     stage: Any = None
 
     def is_sharp(self, hit: Any) -> Any:
-        """Return which hits are on a clear or polished body (one of `sharp`), `mi.Bool`."""
+        """Return True for hits on a clear or polished body (one of `sharp`), `mi.Bool`."""
         sharp = dr.zeros(mi.Bool, dr.width(hit.t))
         for body in self.sharp:
             sharp |= hit.shape == mi.ShapePtr(body.shape)
         return sharp
 
     def is_stage(self, hit: Any) -> Any:
-        """Return which hits are on the stage, `mi.Bool`."""
+        """Return True for hits on the stage, `mi.Bool`."""
         if self.stage is None:
             return dr.zeros(mi.Bool, dr.width(hit.t))
         return hit.shape == mi.ShapePtr(self.stage)
 
     def on_stage(self, hit: Any) -> Any:
-        """Return which hits are on the stage's upper side, `mi.Bool`."""
+        """Return True for hits on the upper side of the stage, `mi.Bool`."""
         return self.is_stage(hit) & (hit.wi.z > 0.0)
 
     def transmittance(self, hit: Any, inside: Any) -> Any:
-        """Transmittance of the path inside a clear body to `hit` (Beer-Lambert).
+        """Return the transmittance (Beer-Lambert) of the last path segment, which ends at `hit`.
 
-        The body is that of the surface at the path's end: bodies do not overlap.
+        It is 1 where the segment is not `inside` a body. The body is the one hit at the end of the
+        segment, because bodies do not overlap.
         """
         absorption = mi.Float(0.0)
         for body in self.sharp:

@@ -1,6 +1,6 @@
-"""Sessions of the renderer: one thread at a time; they restore the caller's Mitsuba variant.
+"""Sessions of the renderer, in which only one thread uses Mitsuba.
 
-Mitsuba's variant is global to the process: a thread that changes the variant changes it for a
+Mitsuba's variant is global to the process: a thread that changes the variant also changes it for a
 trace that another thread is recording. Dr.Jit computes in the background, and only the thread that
 started a computation waits for it. Therefore a session holds a lock, activates the variant of this
 machine's backend, waits at its end for all started computations, and restores the caller's variant.
@@ -28,9 +28,10 @@ class _Nesting:
 
 @contextmanager
 def renderer_session() -> Iterator[Backend]:
-    """Context manager or decorator that gives this thread exclusive use of Mitsuba and Dr.Jit.
+    """Give this thread exclusive use of Mitsuba and Dr.Jit; a context manager or a decorator.
 
-    Modules that import Mitsuba are imported within a session.
+    The value of the context is the active backend. Modules that import Mitsuba must be imported
+    within a session.
 
     Raises
     ------
@@ -49,7 +50,9 @@ def renderer_session() -> Iterator[Backend]:
 
 
 def activate() -> Backend:
-    """Activate the backend of this machine permanently; repeated calls have no effect.
+    """Activate the backend of this machine permanently, and return the backend.
+
+    A further call has no effect if the variant of the backend is still active.
 
     Raises
     ------
@@ -68,7 +71,7 @@ def activate() -> Backend:
 
 @contextmanager
 def renderer_threads(count: int) -> Iterator[None]:
-    """Context in which Dr.Jit uses `count` threads; it ignores the environment's limits.
+    """Context in which Dr.Jit uses `count` threads, even if the environment sets a lower limit.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Result of the renderer: linear radiance of every frame, and the geometric truth per pixel."""
+"""Results of the renderer: linear radiance of every frame, and the true geometry at each pixel."""
 
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -17,7 +17,7 @@ class Truth:
     Attributes
     ----------
     points_world_mm : (row, col, xyz) float32; surface point; 0 without a hit
-    normals_world : (row, col, xyz) float32; unit normal of the (smooth) surface there; 0
+    normals_world : (row, col, xyz) float32; unit normal of the (smooth) surface at this point; 0
         without a hit
     depth_mm : (row, col) float32; distance from the camera along its optical axis; 0 without a
         hit
@@ -38,16 +38,19 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class TraceMaps:
-    """Sums over the rays of each camera pixel, independent of patterns; all (row, col) float64.
+    """Light and projector position of each camera pixel, for any pattern; (row, col) float64.
+
+    Means are taken over the rays of a pixel, weighted by their radiance.
 
     Attributes
     ----------
     weight : radiance under a full white field, mW / (mm^2 sr)
-    column_px, row_px : weighted mean of the projector coordinates
-    axial_mm : weighted mean distance along the projector's axis
-    column_range_px, row_range_px : between the farthest two lit samples
-    lit : bool; light arrives
-    samples : rays per pixel
+    column_px, row_px : mean projector coordinates
+    axial_mm : mean distance along the projector's axis
+    column_range_px, row_range_px : difference of the projector coordinates of the farthest two lit
+        rays
+    lit : (row, col) bool; True where light of the projector reaches the pixel
+    samples : number of rays per pixel
     """
 
     weight: FloatArray
@@ -62,13 +65,14 @@ class TraceMaps:
 
 @dataclass(frozen=True)
 class RadianceStack:
-    """All frames of one sequence, without any sensor.
+    """Radiance of all frames of one pattern sequence, before the camera model is applied.
 
     Attributes
     ----------
-    frames : tuple of (row, col) float32, mW / (mm^2 sr) Mean radiance over each camera pixel, in
-        the order of the sequence. Not one array: at full size a stack has 600 MB, and the camera
-        takes it frame by frame.
+    frames : tuple of (row, col) float32, mW / (mm^2 sr); mean radiance of each camera pixel, in the
+        order of the sequence. The frames are separate arrays, because a full-size stack has 600 MB
+        and the camera model processes one frame at a time.
+    truth : true geometry at each pixel centre
     """
 
     frames: Frames
@@ -79,7 +83,7 @@ Images = TypeVar("Images", Truth, TraceMaps)
 
 
 def rows_of(images: Images, band: slice) -> Images:
-    """Return some rows of all images."""
+    """Return the rows `band` of all images in a `Truth` or `TraceMaps`."""
     fields: dict[str, Any] = vars(images)
     rows: dict[str, Any] = {k: v[band] for k, v in fields.items() if isinstance(v, np.ndarray)}
     return replace(images, **rows)

@@ -1,9 +1,10 @@
-"""The reference renderer, an oracle for tests: one stock Mitsuba render per frame.
+"""Reference renderer for tests (engine "stock"): one render with stock Mitsuba per frame.
 
 The projector is Mitsuba's `projector` emitter, or a `spot` emitter with the pattern as its
-texture; the integrator is `direct`. Both emitters are symmetric about their axis and have neither
-an offset principal point nor distortion. The pattern is therefore drawn on a larger canvas centred
-on the optical axis: an off-axis image is in a corner of it, and distortion is a warp of the image.
+texture. The integrator is `direct`. Both emitters are symmetric about their axis and have neither
+an offset principal point nor distortion. The pattern is therefore drawn on a larger canvas, which
+is centred on the optical axis. An off-axis image is drawn outside the canvas centre, and distortion
+is drawn as a warp of the image.
 """
 
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from twin.optics.stack import Frames
 Emitter = Literal["projector", "spot"]
 
 TEXELS_PER_PX = 4
-"""Canvas texels per projector pixel; with bilinear look-up this adds a blur of 0.1 px."""
+"""Number of canvas texels along a projector pixel. Bilinear look-up then adds a blur of 0.1 px."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,9 @@ class Canvas:
 
     Attributes
     ----------
-    kind : "projector" or "spot" Emitter that carries it.
-    half_width_px, half_height_px : half extent in projector pixels
+    kind : "projector" or "spot"; emitter that has this texture
+    half_width_px, half_height_px : half of the width and height, in projector pixels
+    texels_per_px : number of texels along a projector pixel
     """
 
     kind: Emitter
@@ -44,7 +46,7 @@ class Canvas:
     texels_per_px: int
 
     def centres_px(self) -> tuple[FloatArray, FloatArray]:
-        """Texel centres (col,) and (row,), projector pixels relative to the optical axis."""
+        """Return x (col,) and y (row,) of the texel centres, px relative to the optical axis."""
         return (
             _centres(self.half_width_px, self.texels_per_px),
             _centres(self.half_height_px, self.texels_per_px),
@@ -57,7 +59,7 @@ def _centres(half_px: float, texels_per_px: int) -> FloatArray:
 
 
 def canvas_for(rig: Rig, kind: Emitter, texels_per_px: int = TEXELS_PER_PX) -> Canvas:
-    """Smallest canvas centred on the optical axis that contains the image and its blurred edge."""
+    """Return the smallest canvas around the optical axis that contains image and blurred edge."""
     p = rig.projector.pinhole
     half_width = max(p.cx_px, p.width_px - 1 - p.cx_px) + MARGIN_PX
     half_height = max(p.cy_px, p.height_px - 1 - p.cy_px) + MARGIN_PX
@@ -69,11 +71,15 @@ def canvas_for(rig: Rig, kind: Emitter, texels_per_px: int = TEXELS_PER_PX) -> C
 def frame_texture(
     frame: PatternFrame, index: int, rig: Rig, tables: dict[str, LightTable], canvas: Canvas
 ) -> FloatImage:
-    """Light of one frame on the canvas, (row, col) float32.
+    """Return the light of one frame on the canvas as a texture, (row, col) float32.
 
-    Row 0 is the image's top for a `projector`. A `spot` emits radiant intensity, so that a plane
-    receives I cos^3 / z^2: the texture is divided by cos^3, and mirrored in both
-    directions.
+    For a `projector` emitter, row 0 is the top of the image. A `spot` emitter has a radiant
+    intensity I, so that a plane receives I cos^3 / z^2. Its texture is therefore divided by cos^3.
+    It is also mirrored in both directions.
+
+    Parameters
+    ----------
+    index : number of the frame in the sequence
     """
     column_px, row_px = _pixels_on(canvas, rig)
     axis = along(frame)
@@ -87,7 +93,10 @@ def frame_texture(
 
 
 def _pixels_on(canvas: Canvas, rig: Rig) -> tuple[FloatArray, FloatArray]:
-    """Projector pixel of every texel; (1, col) and (row, 1) while there is no distortion."""
+    """Return the projector column and row (px) of every texel, each (row, col).
+
+    Without distortion, the shapes are (1, col) and (row, 1).
+    """
     p = rig.projector.pinhole
     x_px, y_px = canvas.centres_px()
     x, y = x_px[None, :] / p.fx_px, y_px[:, None] / p.fy_px
@@ -106,9 +115,11 @@ def _interpolate(table: LightTable, profile: int, at_px: FloatArray) -> FloatArr
 
 
 def emitter_dict(texture: FloatImage, rig: Rig, canvas: Canvas) -> dict[str, Any]:
-    """Stock emitter with a frame's light and the rig's radiometric scale.
+    """Return the dictionary of a stock emitter with the light of a frame and the rig's irradiance.
 
-    `texture` : from `frame_texture`, for the same canvas.
+    Parameters
+    ----------
+    texture : result of `frame_texture` for the same canvas
     """
     full_angle_deg = field_of_view_deg(2.0 * canvas.half_width_px, rig.projector.pinhole.fx_px)
     place = {"to_world": mi.ScalarTransform4f(to_world(rig.projector.T_world_from_device))}
@@ -140,7 +151,7 @@ def _cos_cubed(canvas: Canvas, rig: Rig) -> FloatArray:
 def frame_scene(
     mesh: Any, emitter: dict[str, Any], sensor: dict[str, Any], bounces: int = 0
 ) -> Any:
-    """Stock scene of one frame: `direct` integrator, or `path` for light between surfaces."""
+    """Return the stock Mitsuba scene of one frame, with the integrator for `bounces`."""
     return mi.load_dict(
         {
             "type": "scene",
@@ -154,15 +165,16 @@ def frame_scene(
 
 
 def integrator(bounces: int) -> dict[str, Any]:
-    """Stock integrator for direct light (0 bounces), or with that many further reflections."""
+    """Return the dictionary of the integrator: direct light plus `bounces` further reflections."""
     if bounces == 0:
         return {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
-    # A depth of 2 is one reflection; no roulette, so that both renderers estimate the same sum.
+    # A depth of 2 is one reflection. Without Russian roulette, both renderers estimate the same
+    # sum.
     return {"type": "path", "max_depth": bounces + 2, "rr_depth": bounces + 3}
 
 
 def render_frame(scene: Any, seed: int) -> FloatImage:
-    """Render one frame; (row, col) float32, mW / (mm^2 sr)."""
+    """Return the radiance of one rendered frame, (row, col) float32, mW / (mm^2 sr)."""
     return np.asarray(mi.render(scene, seed=seed), np.float32)[:, :, 0]
 
 
@@ -178,11 +190,19 @@ def render_stack(
     seeds: list[int],
     progress: Callable[[float], None],
 ) -> Frames:
-    """Render each frame separately; a tuple of (row, col) float32, mW / (mm^2 sr).
+    """Render each frame separately; return their radiance, (row, col) float32, mW / (mm^2 sr).
+
+    Parameters
+    ----------
+    emitter : "projector" or "spot"
+    samples : number of rays per pixel
+    bounces : number of reflections after the first one
+    seeds : seed of the random numbers of each frame
+    progress : called with the finished fraction
 
     Raises
     ------
-    ValueError : the camera has lens distortion
+    InputError : the camera has lens distortion, or a thin lens with an off-axis principal point
     """
     sensor = perspective_sensor(
         rig.camera.pinhole, rig.camera.T_world_from_device, samples, rig.camera.lens

@@ -1,12 +1,12 @@
-"""Scene description of all 3-D pictures: surfaces, lines and views, independent of the drawer.
+"""Scene description of all 3-D pictures: surfaces, lines and views, for any output medium.
 
-World frame, mm. Each output medium has one drawer:
+Coordinates are in the world frame, mm. One module draws the scene for each output medium:
 
-| medium | drawer |
+| medium | module |
 |---|---|
 | picture in soft light, with materials | `twin.optics.picture` |
 | figure of a relief, by Matplotlib | `twin.report.relief` |
-| view in a report that the reader turns | `twin.report.view` |
+| 3-D view in a report, turned by dragging | `twin.report.view` |
 | live view in a browser | `twin.viewer.live` |
 """
 
@@ -30,18 +30,19 @@ Numbers = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, eq=False)
 class SceneSurface:
-    """A triangle mesh with its colours; or a surface over a grid, which has triangles as well.
+    """A triangle mesh with colours. The vertices may be the points of a grid.
 
     Attributes
     ----------
     name : label, unique in its scene
-    vertices_mm : (vertex, xyz); of a grid row by row, NaN where there is no point
+    vertices_mm : (vertex, xyz); those of a grid are row by row, NaN where there is no point
     triangles : (triangle, 3) int, indices of vertices
     rgb : (3,) or (vertex, 3), 0 to 1: colour on a screen; reflectance in a picture with materials
-    bsdf : material for `mi.load_dict` instead of `rgb`
-    normals : (vertex, xyz) unit normals of a smooth surface; faceted without
-    cells : of a grid, (row - 1, col - 1) bool; True where the four vertices are joined
-    scale : colour map with the range from which `rgb` was computed
+    bsdf : material for `mi.load_dict`, used instead of `rgb`; None: `rgb` is used
+    normals : (vertex, xyz) unit normals of a smooth surface; None: the surface is faceted
+    cells : (row - 1, col - 1) bool, of a grid; True where the four vertices of a cell are joined;
+        None: the vertices are no grid
+    scale : colour map and range from which `rgb` was computed; None: not computed from values
     """
 
     name: str
@@ -63,7 +64,10 @@ class SceneSurface:
         bsdf: Mapping[str, Any] | None = None,
         smooth: bool = False,
     ) -> "SceneSurface":
-        """Return a mesh with its colours; `smooth` uses the normals of its vertices."""
+        """Return the surface of a mesh in the colour `rgb`, or with the material `bsdf`.
+
+        If `smooth` is True, the surface is shaded with vertex normals, otherwise by facets.
+        """
         normals = np.asarray(mesh.vertex_normals) if smooth else None
         corners, facets = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         return cls(name, corners, facets, np.asarray(rgb, np.float64), bsdf, normals)
@@ -83,8 +87,9 @@ class SceneSurface:
         Parameters
         ----------
         points_mm : (row, col, xyz), row 0 at the top
-        values : (row, col), shown as colours by `scale`
-        cut : cells with an edge this many times longer than the median edge are left out
+        values : (row, col); `scale` converts them to colours
+        cut : cells are omitted if an edge is longer than `cut` times the median edge; None: no
+            limit
         """
         cells = _joined(points_mm, cut)
         number = np.arange(points_mm[..., 0].size).reshape(points_mm.shape[:2])
@@ -102,7 +107,10 @@ class SceneSurface:
 
 
 def _joined(points_mm: Numbers, cut: float | None) -> BoolImage:
-    """Return the cells (row - 1, col - 1) of which all four edges are known and short."""
+    """Return True for cells, (row - 1, col - 1), with four finite edges that are not too long.
+
+    The limit is `cut` times the median length of all edges; None: no limit.
+    """
     across, down = (np.linalg.norm(np.diff(points_mm, axis=axis), axis=-1) for axis in (1, 0))
     longest = np.maximum.reduce([across[:-1], across[1:], down[:, :-1], down[:, 1:]])
     known = np.concatenate([edges[np.isfinite(edges)] for edges in (across, down)])
@@ -112,13 +120,13 @@ def _joined(points_mm: Numbers, cut: float | None) -> BoolImage:
 
 @dataclass(frozen=True, eq=False)
 class SceneLines:
-    """Straight pieces of one colour.
+    """Straight line segments of one colour.
 
     Attributes
     ----------
     name : label, unique in its scene
-    ends_mm : (end, xyz) float32, two ends per piece
-    rgb : 0 to 255
+    ends_mm : (end, xyz) float32, two ends per segment
+    rgb : colour, 0 to 255
     """
 
     name: str
@@ -127,20 +135,22 @@ class SceneLines:
 
     @classmethod
     def along(cls, name: str, paths: list[FloatArray], rgb: tuple[int, int, int]) -> "SceneLines":
-        """Return the pieces of paths, each (corner, xyz)."""
+        """Return the line segments of polylines, each (corner, xyz), mm."""
         pairs = [np.stack((path[:-1], path[1:]), axis=1).reshape(-1, 3) for path in paths]
         return cls(name, np.concatenate(pairs).astype("<f4"), rgb)
 
 
 @dataclass(frozen=True)
 class SceneView:
-    """A pinhole camera that looks at a point, the world's z axis upright in its picture.
+    """A pinhole camera that looks at a target; the world's z axis is upright in its picture.
 
     Attributes
     ----------
-    width_mm : width of the picture on the plane through the target, across the view
-    enlarged : factor on z
-    shows : names of the parts of the scene that are shown at first; all where it is empty
+    eye_mm, target_mm : world positions of the pinhole and of the point in the picture's centre
+    width_mm : width of the picture in the plane through the target, perpendicular to the view
+    width_px, height_px : size of the picture
+    enlarged : factor by which z is exaggerated
+    shows : names of the surfaces and lines that are visible at first; empty: all
     """
 
     eye_mm: Point
@@ -161,7 +171,10 @@ class SceneView:
         distance_mm: float | None = None,
         **more: Any,
     ) -> "SceneView":
-        """Return the view from a direction, see `turn_and_lift_rad`; by default two widths away."""
+        """Return the view of a target from the direction `turn_rad`, `lift_rad`.
+
+        The angles are those of `turn_and_lift_rad`. The default distance is twice the width.
+        """
         across, target = np.cos(lift_rad), np.asarray(target_mm, np.float64)
         towards = across * np.sin(turn_rad), -across * np.cos(turn_rad), np.sin(lift_rad)
         eye = target + (distance_mm or 2 * width_mm) * np.array(towards)
@@ -181,7 +194,7 @@ class SceneView:
 
     @property
     def pinhole(self) -> Pinhole:
-        """Intrinsics."""
+        """Intrinsics of the camera, px."""
         distance_mm = float(np.linalg.norm(np.subtract(self.target_mm, self.eye_mm)))
         focal_px = self.width_px * distance_mm / self.width_mm
         centre = (self.width_px - 1) / 2, (self.height_px - 1) / 2
@@ -189,9 +202,9 @@ class SceneView:
 
     @property
     def world_from_eye(self) -> FloatArray:
-        """Pose (4, 4) in OpenCV's frame.
+        """Pose T_world_from_eye (4, 4), mm; the frame of the eye is OpenCV's (y down, z forward).
 
-        A view straight down has world y at the top.
+        In a view straight down, world +y is at the top of the picture.
         """
         forward = np.subtract(self.target_mm, self.eye_mm)
         forward /= np.linalg.norm(forward)
@@ -204,20 +217,23 @@ class SceneView:
         return pose
 
     def project(self, points_world_mm: Any) -> FloatArray:
-        """Return the pixels (..., 2) of world points (..., 3); (0, 0) is a pixel's centre."""
+        """Return the image coordinates (..., 2), px, of world points (..., xyz), mm.
+
+        (0, 0) is the centre of the first pixel.
+        """
         pose = self.world_from_eye
         return self.pinhole.project((np.asarray(points_world_mm) - pose[:3, 3]) @ pose[:3, :3])
 
 
 def point(xyz: FloatArray) -> Point:
-    """Return (xyz) as floats."""
+    """Return the three coordinates as a tuple of Python floats."""
     x, y, z = (float(value) for value in xyz)
     return x, y, z
 
 
 @dataclass(frozen=True, eq=False)
 class SceneDescription:
-    """Surfaces, lines and views, each by its name."""
+    """Content of a 3-D picture: surfaces, lines, and views by their name."""
 
     surfaces: tuple[SceneSurface, ...]
     lines: tuple[SceneLines, ...] = ()
@@ -225,5 +241,5 @@ class SceneDescription:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Labels of surfaces and lines."""
+        """Names of all surfaces and lines."""
         return (*(part.name for part in self.surfaces), *(part.name for part in self.lines))

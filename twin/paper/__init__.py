@@ -1,1 +1,1 @@
-"""The paper, reproduced from one parameter set: every table and figure, with spread over trials."""
+"""Reproduce every table and figure of the paper from one parameter set, with spread over trials."""

@@ -1,8 +1,9 @@
-"""Ranked uncertainty budget of radius and width, and its check by the repeated trials.
+"""Ranked uncertainty budget of a measured value, and its check by the repeated trials.
 
-Inputs are varied one at a time: through the pressed face, and inputs of the balls' optics through
-the whole chain. Noise and calibration follow from differences within the trials. The trials are the
-Monte Carlo method of JCGM 101: all inputs drawn together, through the whole chain.
+Each input is varied separately, and its effect is computed on the pressed face. Optical inputs of
+the balls are varied through the whole measurement chain instead. The contributions of noise and
+calibration are computed from differences within the trials. The trials are a Monte Carlo
+propagation (JCGM 101): all inputs are drawn together and propagated through the whole chain.
 """
 
 from collections.abc import Sequence
@@ -26,7 +27,14 @@ from twin.study.measuring import TRUE_RIG
 
 
 def budget_table(name: str, parts: Sequence[Part], trials: Sequence[Trial]) -> Table:
-    """Return the budget of a specimen's figure, largest contribution first."""
+    """Return the uncertainty budget of one measurement, with the largest contribution first.
+
+    Parameters
+    ----------
+    name : specimen; `BUDGET_OF` states which of its measured values has a budget
+    parts : contributions of the varied inputs
+    trials : repeated measurements of the specimen
+    """
     output, repeated = BUDGET_OF[name], [trial for trial in trials if trial.number]
     rows = _rows([*parts, *_of_trials(parts, repeated, output)])
     spread = spread_of(values_of(repeated, output))
@@ -59,7 +67,7 @@ _LEAST_FOR_COVERAGE = 40
 
 
 def _of_trials(parts: Sequence[Part], trials: Sequence[Trial], output: str) -> list[Part]:
-    """Return the parts of noise and calibration; none from a single trial."""
+    """Return the contributions of noise and calibration to `output`; empty for a single trial."""
     ball, _, rest = output.rpartition("_radius")
     face = f"{ball}_true_face_radius{rest}" if ball else f"true_face_{output}"
     noise = noise_left(_difference(trials, f"{TRUE_RIG}{output}", face), parts)
@@ -91,6 +99,6 @@ def _coverage(spread: Spread | None) -> list[str]:
 
 
 def _difference(trials: Sequence[Trial], first: str, second: str) -> FloatArray:
-    """Return one figure minus another, in the trials that have both."""
+    """Return measured value `first` minus `second`, (trial,), of the trials that have both."""
     both = [t.figures for t in trials if None not in map(t.figures.get, (first, second))]
     return np.array([float(figures[first]) - float(figures[second]) for figures in both])

@@ -1,4 +1,4 @@
-"""Targets of the reproduction, judged from its tables, with a reason for each missed target."""
+"""Compare the tables of the reproduction with its targets; each missed target has a reason."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,22 +12,25 @@ from twin.report.table import TWIN, Cell, Column, Table
 RMSE_FACTOR = 2.0
 LEAST_RATIO = 5.0
 DIRECT_AT_MOST, CONTACT_AT_LEAST = 0.60, 0.99
-# Allowed ratio of the smaller sample's SD to the larger sample's: with 4 degrees of freedom (chi
-# square), 95 % of sample SDs are between 0.35 and 1.67 x the true SD.
+# Allowed ratio of the SD of the smaller sample to the SD of the larger sample. With 4 degrees of
+# freedom (chi square), 95 % of sample SDs are between 0.35 and 1.67 x the true SD.
 SD_LOW, SD_HIGH = 0.35, 1.67
 MOST_STEPS = 2.0
-# Each trial here has its own coat; all of the paper's trials had the same one.
+# Each trial here has its own coat; all trials of the paper had the same coat.
 RADIUS_WITHIN_MM = 0.10
 _RADII = ("radius_1", "radius_2")
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One figure against its target.
+    """Comparison of one value with its target.
 
     Attributes
     ----------
-    value : None if it was not measured
+    name : description of the value
+    allowed : target range, as text with its unit
+    value : value of the twin; None if it was not measured
+    met : True if the value is within the target range
     why : reason if the target is missed; else empty
     """
 
@@ -39,7 +42,7 @@ class Claim:
 
 
 def claims_of(tables: dict[str, Table]) -> list[Claim]:
-    """Judge every target for which there is a table."""
+    """Return the comparisons with all targets for which `tables` (by name) contains the table."""
     claims: list[Claim] = []
     if "repeated_fit" in tables:
         claims += _rmse_claims(tables["repeated_fit"])
@@ -56,7 +59,7 @@ def claims_of(tables: dict[str, Table]) -> list[Claim]:
 
 
 def claims_table(claims: Sequence[Claim]) -> Table:
-    """Return the claims as a table."""
+    """Return a table with one row per compared target."""
     rows = tuple(
         {
             "claim": claim.name,
@@ -89,7 +92,7 @@ def _mean_rmse_mm(table: Table, method: str, region: str) -> float | None:
 
 
 _AS_EVALUATED = ((CONTACT_FPP, IDENTIFIED), (GELSIGHT, OWN))
-"""Methods with the fit regions that explain the paper's rows, see `identified`."""
+"""Methods, each with the region of its sphere fit that explains the paper's rows."""
 
 
 def _rmse_claims(table: Table) -> list[Claim]:
@@ -130,7 +133,10 @@ def _radius_claims(table: Table) -> list[Claim]:
 
 
 def _consistency(table: Table) -> list[Claim]:
-    """Compare SD and mean of the first five trials with those of all, within sampling limits."""
+    """Return comparisons of the first five trials with all trials: SD and mean of the radius.
+
+    The target ranges are the sampling limits for five trials.
+    """
     claims = []
     for method, region in _AS_EVALUATED:
         key = (method, region, TWIN)

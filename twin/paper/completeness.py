@@ -1,10 +1,12 @@
-"""Completeness: share of the pixels of a specimen with a good point.
+"""Completeness of a measurement: the share of required pixels at which a good point was measured.
 
 A point is good if the error of its height is at most `score.good_within_um`. Two sets of required
-pixels are evaluated. Contact: pixels of the contact region; the true height is that of the coat.
-Specimen: pixels within its outline in the top view; the true height is its upper face raised by the
-sheet's nominal thickness. Without contact (direct FPP) the true height is that of the specimen's
-surface at the pixel.
+pixels are evaluated:
+
+- contact: pixels of the contact region. The true height is the height of the coat.
+- specimen: pixels within the outline of the specimen in the top view. The true height is the height
+  of its upper face plus the nominal thickness of the sheet. Without contact (direct fringe
+  projection), the true height is the height of the specimen's surface at the pixel.
 """
 
 from collections.abc import Callable
@@ -36,15 +38,16 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Completeness:
-    """Shares of the required pixels; None if no such pixel is in the camera's view.
+    """Shares (0 to 1) of the required pixels; None if no required pixel is in the camera's view.
 
     Attributes
     ----------
-    contact : good points on the contact region, against the coat; None without contact
-    contact_points : good or bad points there; None without contact
-    specimen : good points on the specimen, against its own face
-    specimen_points : good or bad points there
-    limit_um : largest error of a good point's height
+    contact : share of the contact region's pixels with a good point, compared with the coat; None
+        without contact
+    contact_points : share of the contact region's pixels with any point; None without contact
+    specimen : share of the specimen's pixels with a good point, compared with its upper face
+    specimen_points : share of the specimen's pixels with any point
+    limit_um : largest height error of a good point
     """
 
     contact: float | None
@@ -55,7 +58,7 @@ class Completeness:
 
     @property
     def missing(self) -> float | None:
-        """Share of the specimen without any point."""
+        """Share of the specimen's pixels without a point; None if none is in the camera's view."""
         return None if self.specimen_points is None else 1.0 - self.specimen_points
 
 
@@ -66,15 +69,15 @@ def completeness_of(
     valid: Mask,
     pressed: PressedElastomer | None,
 ) -> Completeness:
-    """Return the measured shares of specimen and contact region.
+    """Return the completeness of measured points, on the contact region and on the specimen.
 
     Parameters
     ----------
     experiment : Experiment
     truth : true surface at every pixel
     points_mm : (row, col, xyz) float, world; measured points
-    valid : (row, col) bool
-    pressed : None without contact (direct FPP)
+    valid : (row, col) bool; True where a point was measured
+    pressed : result of the press; None without contact (direct fringe projection)
     """
     limit_um = experiment.score.good_within_um
     true = truth.points_world_mm.astype(np.float64)
@@ -97,7 +100,7 @@ def completeness_of(
 
 
 def in_contact(pressed: PressedElastomer, points_mm: FloatArray) -> Mask:
-    """Return a mask of the points, (..., xyz) world, over cells that touch the specimen."""
+    """Return True for points (..., xyz), world mm, if the nearest cell touches the specimen."""
     col = _nearest(pressed.x_mm, points_mm[..., 0])
     row = _nearest(pressed.y_mm, points_mm[..., 1])
     return np.asarray(pressed.contact[row, col])
@@ -106,9 +109,16 @@ def in_contact(pressed: PressedElastomer, points_mm: FloatArray) -> Mask:
 def specimen_height_mm(
     experiment: Experiment, depth_mm: float, points_mm: FloatArray
 ) -> FloatArray:
-    """Return the height of the specimen's upper face at points, (...), plus sheet thickness.
+    """Return the height of the specimen's upper face plus the nominal sheet thickness at points.
 
-    World z, mm, of a sheet of nominal thickness on the specimen; -inf outside the outline.
+    Parameters
+    ----------
+    depth_mm : travel of the press after first contact
+    points_mm : (..., xyz), world; only x and y are used
+
+    Returns
+    -------
+    (...) world z, mm; -inf outside the outline of the specimen
     """
     shape = shape_of(experiment.specimen)
     x_low, x_high, y_low, y_high = shape.bounds_mm()
@@ -138,7 +148,7 @@ def _share(good: Mask, required: Mask) -> float | None:
 def files_for_figures(done: Measurement) -> Callable[[Path], None]:
     """Compute completeness and panel data of a measurement; return a function that writes them.
 
-    No other case reads these files.
+    The function writes into a given folder. Measurements of other cases do not read these files.
     """
     panels, completeness = panel_data_of(done), asdict(counted(done))
 
@@ -150,7 +160,7 @@ def files_for_figures(done: Measurement) -> Callable[[Path], None]:
 
 
 def shares_of(measured: Measurement) -> dict[str, Any]:
-    """Return the completeness of a measurement as further figures of it."""
+    """Return the completeness of a measurement as values with names "share_..."."""
     return {f"share_{name}": value for name, value in asdict(counted(measured)).items()}
 
 
@@ -164,7 +174,7 @@ def counted(measured: Measurement) -> Completeness:
 
 
 def completeness_table(cases: Path) -> Table:
-    """Return one row per case in a folder of cases, NAME/METHOD."""
+    """Return the completeness table, with one row per folder NAME/METHOD in `cases`."""
     rows: list[dict[str, Cell]] = []
     for file in sorted(cases.glob(f"*/*/{COMPLETENESS_FILE}")):
         content = read_json(file)

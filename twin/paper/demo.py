@@ -1,10 +1,10 @@
-"""The demo: the paper's sensor, as identified, measures its two balls, its nut and its brick.
+"""Demo: the identified model of the paper's sensor measures the paper's balls, nut and brick.
 
 | in the folder | content |
 |---|---|
-| result.json, ... | the measurement of the balls, as of `twin measure` |
-| nut/, brick/ | those of nut and brick |
-| report.html | all of them: true object, paper and twin first |
+| result.json, ... | the measurement of the balls, with the files of `twin measure` |
+| nut/, brick/ | the measurements of nut and brick, with the same files |
+| report.html | all measurements; its first section compares true object, paper and twin |
 """
 
 from collections.abc import Sequence
@@ -38,21 +38,22 @@ from twin.study.workers import default_count, local_workers
 
 COMMAND = "demo"
 FURTHER = (NUT, "brick")
-"""Specimens measured in addition to the balls, each into a folder of its name."""
+"""Specimens measured in addition to the balls; the folder of each has the specimen's name."""
 
 DemoParts = tuple[Measurement, Sequence[Measurement]]
 """Measurement of the balls, and those of the further specimens."""
 
 
 def is_demo(folder: Path) -> bool:
-    """Return True if a result folder is the demo's."""
+    """Return True if a folder contains the results of the demo's further specimens."""
     return all((folder / name / RESULT_FILE).is_file() for name in FURTHER)
 
 
 def measure_demo(folder: Path, resolution: Resolution, watch: ProgressCallback) -> DemoParts:
-    """Measure the balls into a folder and the others into folders below it; return all.
+    """Measure the specimens of the demo and return the measurements.
 
-    The measurements run in parallel, the longest first.
+    The results of the balls are written into `folder`, those of nut and brick into folders below
+    it. The measurements run in parallel; nut and brick are started first.
 
     Raises
     ------
@@ -93,13 +94,13 @@ def write_demo(
     into: Path | None = None,
     measured: DemoParts | None = None,
 ) -> Path:
-    """Write the page of the demo and its figures; return the page.
+    """Write the page of the demo and its figures; return the path of the page.
 
     Parameters
     ----------
     folder : folder of the demo's measurements, see `measure_demo`
-    into : existing folder to write into instead
-    measured : measurements of the folder, if already read
+    into : existing folder for the page; None: `folder`
+    measured : the measurements; None: they are read from `folder`
 
     Raises
     ------
@@ -111,7 +112,7 @@ def write_demo(
 
 
 def demo_page(balls: Measurement, further: Sequence[Measurement]) -> Page:
-    """Return the page: comparison with the paper, the balls, then the further specimens."""
+    """Return the page of the demo: comparison with the paper, the balls, then nut and brick."""
     page = page_of(balls)
     views = [view for measured in further for view in _views(measured)]
     first = Section("paper", "True object, paper and twin", (paper_table(balls, further), *views))
@@ -134,7 +135,11 @@ def demo_page(balls: Measurement, further: Sequence[Measurement]) -> Page:
 
 
 def renamed(sections: Sequence[Section], name: str, title: str) -> list[Section]:
-    """Return sections with prefixed names, which the balls' sections do not have."""
+    """Return copies of sections with `name` before all names and `title` before section titles.
+
+    Names are those of sections, figures and tables. On the page of the demo, this distinguishes the
+    sections from those of the balls.
+    """
     return [
         Section(
             f"{name}_{section.name}",
@@ -155,7 +160,7 @@ def _name(measured: Measurement) -> str:
 
 
 def paper_table(balls: Measurement, further: Sequence[Measurement]) -> Table:
-    """Return the table of true values, the paper's values and the twin's measured values."""
+    """Return the table that compares true values, values of the paper and values of the twin."""
     rows = [row for ball in (1, 2) for row in _ball(balls, ball)]
     rows += [
         {
@@ -231,7 +236,7 @@ def _ball(balls: Measurement, ball: int) -> list[dict[str, Cell]]:
 
 
 def _with_u(figures: Figures, name: str) -> str | None:
-    """Write a length in mm with its expanded uncertainty; None where it was not measured."""
+    """Return a length in mm with its expanded uncertainty as text; None if it was not measured."""
     value, expanded_um = figures.get(f"{name}_mm"), figures.get(f"{name}_expanded_um")
     if value is None or expanded_um is None:
         return None
@@ -239,7 +244,7 @@ def _with_u(figures: Figures, name: str) -> str | None:
 
 
 def _printed(ball: int) -> dict[str, float]:
-    """Return the paper's figures of a ball by contact-FPP: repeated fits, and the single one."""
+    """Return the paper's values of a ball by contact-FPP, from its repeated and its single fit."""
     tables = ("sphere_fit", "repeated_fit")
     rows = [row for table in tables for row in rows_of(table)]
     ours = [row for row in rows if row["method"] == CONTACT_FPP and row["sphere"] == ball]

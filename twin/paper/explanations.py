@@ -1,12 +1,16 @@
-"""Where twin and paper may differ: region and kind of the fit, GelSight's decoder, the bare nut.
+"""Tables on possible reasons for differences between twin and paper.
 
-Properties of the sensor that the paper does not state are identified, see `identified`.
+The reasons are the region and the kind of the sphere fit, GelSight's decoder, and tilt of the
+camera and roughness of the bare nut. Properties of the sensor that the paper does not state are
+identified, see `twin.paper.identified`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
+from reconstruction.colour_maps import maps_in_order
 from reconstruction.evaluate.fit import fit_sphere, fit_sphere_algebraic
 from reconstruction.integration_schemes import schemes_in_order
 from twin.config import Experiment
@@ -15,17 +19,18 @@ from twin.paper.plan import GELSIGHT, NOMINAL_RADIUS_MM, mean_of, pressed_face
 from twin.paper.statistics import values_of
 from twin.paper.trials import Trial
 from twin.report.table import Cell, Column, Table
-from twin.results.decoders import MAP_ORDER
 from twin.results.parts import face_points_mm
 from twin.specimens import shape_of
 
-_MAP_WORDS = {"table": "look-up table", "polynomial": "polynomial"}
 REGIONS_MM = (0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0)
 HEIGHT_SCALE = (0.66, 0.8, 0.9, 1.0, 1.1, 1.2, 1.33)
 
 
 def region_table(experiment: Experiment) -> Table:
-    """Return both fits of the coat over the two balls by fit region, which is not stated."""
+    """Return the radii of a geometric and an algebraic sphere fit to the true coat, by fit region.
+
+    Values are means over the two balls. The paper does not state its fit region.
+    """
     pressed = pressed_face(experiment)
     points, balls = face_points_mm(pressed), shape_of(experiment.specimen).spheres()
     rows: list[dict[str, Cell]] = []
@@ -61,7 +66,10 @@ def region_table(experiment: Experiment) -> Table:
 
 
 def height_scale_table(roi_radius_mm: float) -> Table:
-    """Return fits to a true cap with scaled heights and unscaled x, y, as by GelSight's SDK."""
+    """Return sphere fits to an exact spherical cap after its heights are multiplied by a scale.
+
+    x and y are not scaled. GelSight's SDK scales heights in this way.
+    """
     x, y = np.meshgrid(*[np.linspace(-roi_radius_mm, roi_radius_mm, 121)] * 2)
     cap = np.hypot(x, y) <= roi_radius_mm
     z = np.sqrt(NOMINAL_RADIUS_MM**2 - x[cap] ** 2 - y[cap] ** 2)
@@ -86,15 +94,18 @@ def height_scale_table(roi_radius_mm: float) -> Table:
 
 
 def decoder_table(trials: Sequence[Trial]) -> Table:
-    """Return one row per colour map and integration, means over both balls and all trials."""
+    """Return GelSight's radius and RMSE for each combination of colour map and integration.
+
+    Values are means over both balls and all trials.
+    """
     repeated = [trial for trial in trials if trial.number]
     rows: list[dict[str, Cell]] = []
-    for kind in MAP_ORDER:
-        for scheme in (known.name for known in schemes_in_order()):
-            radius, rmse = (_mean(repeated, f"{kind}_{scheme}", key) for key in ("radius", "rmse"))
-            if radius is not None and rmse is not None:
-                name = f"{_MAP_WORDS[kind]}, {scheme}"
-                rows.append({"decoder": name, "radius": radius, "rmse_um": 1e3 * rmse})
+    for kind, scheme in product(maps_in_order(), schemes_in_order()):
+        decoder = f"{kind.name}_{scheme.name}"
+        radius, rmse = (_mean(repeated, decoder, key) for key in ("radius", "rmse"))
+        if radius is not None and rmse is not None:
+            name = f"{kind.title}, {scheme.name}"
+            rows.append({"decoder": name, "radius": radius, "rmse_um": 1e3 * rmse})
     return Table(
         "explain_decoders",
         "GelSight by every decoder, same images",
@@ -126,7 +137,13 @@ def _mean(trials: Sequence[Trial], decoder: str, key: str) -> float | None:
 
 
 def nut_table(shares: Mapping[tuple[float, float], list[float]]) -> Table:
-    """Return one row per tilt of the camera and roughness of the nut."""
+    """Return the completeness of the bare nut, one row per camera tilt and roughness of the nut.
+
+    Parameters
+    ----------
+    shares : shares of the nut's pixels with a good point and with any point, by camera tilt from
+        the vertical (deg) and GGX alpha
+    """
     rows: list[dict[str, Cell]] = [
         {"tilt": tilt, "alpha": alpha, "good": good, "points": points}
         for (tilt, alpha), (good, points) in shares.items()

@@ -1,4 +1,4 @@
-"""Panels of the figures: their grid, and the drawing of pictures, maps, curves and histograms."""
+"""Arrange the panels of a figure in a grid, and draw sections, residual maps and histograms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,10 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 @dataclass(frozen=True)
 class Grid:
-    """Grid of equal cells, with labels to the left of the rows and above the columns."""
+    """Grid of equal panels in a figure, with labels left of the rows and above the columns.
+
+    All lengths are in inches.
+    """
 
     rows: int
     columns: int
@@ -47,13 +50,16 @@ class Grid:
 
     @property
     def size_in(self) -> tuple[float, float]:
-        """Width and height of the figure."""
+        """Width and height of the figure, inches."""
         across = self.columns * (self.cell_width_in + self.gap_in) - self.gap_in
         down = self.rows * (self.cell_height_in + self.row_gap_in) - self.row_gap_in
         return self.left_in + across + self.right_in, self.top_in + down + self.bottom_in
 
     def cell(self, figure: Figure, row: int, column: int, letter: bool = True) -> Axes:
-        """Return the axes of one cell; panel letters increase along the rows."""
+        """Return new axes at one cell of the grid.
+
+        If `letter` is True, the panel has a letter; letters increase along the rows.
+        """
         axes = axes_at(
             figure,
             self.left_in + column * (self.cell_width_in + self.gap_in),
@@ -92,12 +98,12 @@ class Grid:
 
 
 def panels_of(cases: Path, name: str, method: str) -> PanelData | None:
-    """Return the panels of one case; None when it was not measured.
+    """Return the panel data of the case NAME/METHOD; None if the case was not measured.
 
     Raises
     ------
     InputError
-        The case is there without panels, or they are damaged.
+        The folder of the case has no panels, or they are damaged.
     """
     folder = cases / name / method
     if not folder.is_dir():
@@ -111,7 +117,7 @@ _MOST_CELLS, _POINTS_PER_CELL, _BINS = 90, 3, 61
 
 
 def show_section(axes: Axes, data: PanelData, legend: bool = True) -> None:
-    """Show a rod's cross-section, measured and true, with its measured width."""
+    """Draw the measured and the true cross-section of a rod, and an arrow at its measured width."""
     axes.plot(*data.section.T, ".", color=MEASURED_FILL, ms=3.5, label="measured")
     axes.plot(*data.true_section.T, color=TRUE_FACE, lw=0.9, label="true coat")
     width = data.numbers.width
@@ -137,7 +143,7 @@ def show_section(axes: Axes, data: PanelData, legend: bool = True) -> None:
 
 
 def zoom_to_scored(axes: Axes, data: PanelData) -> None:
-    """Set the limits to the scored pixels with a margin, in the picture's aspect ratio."""
+    """Set the axes' limits to the scored pixels plus a margin, in the picture's aspect ratio."""
     rows, cols = data.wanted.shape
     pixels = np.argwhere(data.wanted)
     if not len(pixels):
@@ -150,12 +156,19 @@ def zoom_to_scored(axes: Axes, data: PanelData) -> None:
 
 
 def residual_limit_um(*shown: PanelData) -> float:
-    """Return the limit of a symmetric residual scale for several measurements."""
+    """Return the limit, um, of a scale from -limit to limit for the radial residuals of `shown`.
+
+    The limit is the 99.5th percentile of the absolute residuals, for the measurement where it is
+    largest.
+    """
     return max(symmetric_limit(1e3 * data.ball_points[:, 3], 99.5) for data in shown)
 
 
 def show_residuals(axes: Axes, data: PanelData, number: int, limit_um: float) -> Any:
-    """Show the radial residuals of one ball's fit over world xy; return the image for a bar."""
+    """Draw the map of radial residuals of one ball's fit over world x and y; return the image.
+
+    A colour bar can be added to the returned image.
+    """
     x, y, residual = data.ball(number).astype(np.float64).T
     cells = int(np.clip(np.sqrt(x.size / _POINTS_PER_CELL), 4, _MOST_CELLS))
     edges = [np.linspace(v.min(), v.max(), cells + 1) for v in (y, x)]
@@ -177,7 +190,7 @@ def show_residuals(axes: Axes, data: PanelData, number: int, limit_um: float) ->
 
 
 def show_histogram(axes: Axes, data: PanelData, number: int, limit_um: float) -> None:
-    """Show the histogram of the radial residuals of one ball."""
+    """Draw the histogram of the radial residuals of one ball, in percent of its points."""
     residual_um = 1e3 * data.ball(number)[:, 2].astype(np.float64)
     edges = np.linspace(-limit_um, limit_um, _BINS + 1)
     weights = np.full(residual_um.size, 100.0 / max(residual_um.size, 1))
@@ -194,6 +207,6 @@ def show_histogram(axes: Axes, data: PanelData, number: int, limit_um: float) ->
 
 
 def no_measurement(axes: Axes, words: str = "not measured") -> None:
-    """Write into an empty panel that there is no measurement."""
+    """Write the text `words` into the empty panel of a case without measurement."""
     no_ticks(axes)
     axes.text(0.5, 0.5, words, color=INK, ha="center", transform=axes.transAxes)

@@ -1,4 +1,4 @@
-"""All figures of the reproduction: cases, drawing function, title and caption of each."""
+"""All figures of the reproduction: title, caption, cases and drawing function of each figure."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,14 +28,15 @@ _FPP, _ALL = ("direct_fpp", "contact_fpp"), ("photometric_stereo", "contact_fpp"
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """One figure.
+    """Description of one figure of the reproduction.
 
     Attributes
     ----------
-    title, caption : text of the page
-    paper : the corresponding figure of the paper; empty if there is none
-    cases : (experiment's name, method) of every case that it shows
-    draw : writes `stem`.png and `stem`.pdf, given the folder of cases
+    title, caption : texts of the figure on the page
+    paper : name of the corresponding figure of the paper; empty if there is none
+    cases : (experiment's name, method) of every case that the figure shows
+    draw : function (cases, stem) that draws from the folder `cases` and writes `stem`.png and
+        `stem`.pdf
     """
 
     title: str
@@ -138,7 +139,7 @@ FIGURES: dict[str, PaperFigure] = {
         draw_sphere_fit,
     ),
 }
-"""By name, in the order of the paper."""
+"""Figures of the reproduction by name, in the order of the paper."""
 
 
 def draw_figure(name: str, cases: Path, out: Path) -> None:
@@ -147,7 +148,8 @@ def draw_figure(name: str, cases: Path, out: Path) -> None:
     Parameters
     ----------
     name : a key of FIGURES
-    cases : folder of cases, `NAME/METHOD/` with panels; a case that is not there is marked so
+    cases : folder of cases, `NAME/METHOD/` with panels; a panel of a missing case has the text "not
+        measured"
 
     Raises
     ------

@@ -25,10 +25,11 @@ class Mix:
 
     Attributes
     ----------
-    ratio : base over curing agent
-    shore_a, low_shore_a, high_shore_a : hardness and its plausible range
+    letter : name in the paper: A, B or C
+    ratio : parts of base per part of curing agent
+    shore_a, low_shore_a, high_shore_a : Shore A hardness and its plausible range
     modulus : Young's modulus with its range
-    source : of the hardness
+    source : source of the hardness
     """
 
     letter: str

@@ -1,6 +1,8 @@
-"""The paper's sensor as identified: tables of fields, rows, choices and further measurements.
+"""Tables and figure on the identification of the paper's sensor.
 
-The data are the summary of `twin identify paper/identify`, stored in scenes/paper/identified.toml.
+Fields are properties of the sensor that the paper does not state. They were estimated from the rows
+of the paper's tables by `twin identify paper/identify`. The summary of this identification is
+stored in scenes/paper/identified.toml.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +25,8 @@ from twin.report.identified_figures import field_words, mark
 from twin.report.table import Cell, Column, Table
 
 PROBLEM = "paper/identify"
-# Every experiment at the identified values is scored over the identified region.
+# Part of a figure's name for a fit region. Experiments at the identified values are scored over the
+# identified region, so that their figures' names do not have it.
 _REGION = "within_{region_mm}_"
 _RIDGE_PANELS = 3
 # Method of the cases that correspond to the paper's pictures of the coat.
@@ -32,22 +35,22 @@ _METHOD = "contact_fpp"
 
 @lru_cache
 def problem() -> SensorProblem:
-    """Return the problem that was identified."""
+    """Return the identification problem of the paper's sensor: fields, rows, alternatives."""
     return load_problem(PROBLEM)[0]
 
 
 def identified_tables(trials: Mapping[str, Sequence[Trial]]) -> list[Table]:
-    """Return the tables on fields, rows, choices and the value of one more measurement.
+    """Return the tables on fields, rows, discrete choices and the benefit of one more measurement.
 
     Parameters
     ----------
-    trials : the trials of each experiment, by its name
+    trials : repeated measurements, by the experiment's name in the identification problem
     """
     return [fields_table(), identified_rows_table(trials), choices_table(), worth_table()]
 
 
 def fields_table() -> Table:
-    """Return prior, value and intervals of each field that the paper does not state."""
+    """Return the table of prior, value and intervals of each field."""
     rows: list[dict[str, Cell]] = []
     for name, free in problem().free.items():
         known = identified()["fields"][name]
@@ -74,7 +77,7 @@ def fields_table() -> Table:
 
 
 def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
-    """Return every row: the paper's, the prediction of the identification, and the trials here."""
+    """Return the table of all rows: the paper's value, the identified prediction and the trials."""
     rows: list[dict[str, Cell]] = []
     for name, known in identified()["rows"].items():
         near = abs(known["steps"])
@@ -133,7 +136,12 @@ def _of_trials(known: Mapping[str, Any], trials: Sequence[Trial]) -> dict[str, C
 
 
 def pictures_table(cases: Path) -> Table:
-    """Return the limits from the paper's pictures, with the figures of cases NAME/METHOD here."""
+    """Return the table of limits read from the paper's pictures, with the values measured here.
+
+    Parameters
+    ----------
+    cases : folder of the measured cases NAME/METHOD
+    """
     rows: list[dict[str, Cell]] = []
     for name, limit in problem().limits.items():
         known, specimen = identified()["limits"][name], problem().experiments[limit.experiment].base
@@ -169,7 +177,10 @@ def pictures_table(cases: Path) -> Table:
 
 
 def choices_table() -> Table:
-    """Return the probabilities of the discrete choices, each summed over the other alternatives."""
+    """Return the table of probabilities of the discrete choices.
+
+    The probability of a choice is summed over all combinations with other alternatives.
+    """
     shares: dict[tuple[str, str], float] = {}
     for model in identified()["models"]:
         for alternative, choice in model["choices"].items():
@@ -192,7 +203,10 @@ def _source(alternative: str) -> str:
 
 
 def worth_table() -> Table:
-    """Return the remaining variance of the fields after one more measurement, the best first."""
+    """Return the table of the remaining share of each field's variance after one more measurement.
+
+    The most informative measurement is in the first row.
+    """
     free, worth = problem().free, identified()["worth"]
     rows: list[dict[str, Cell]] = [
         {"measurement": problem().worth[name].source, "sd": problem().worth[name].sd} | left
@@ -209,7 +223,7 @@ def worth_table() -> Table:
 
 
 def draw_ridges(_cases: Path, stem: Path) -> None:
-    """Draw joint samples of the pairs of fields with the largest correlation."""
+    """Draw joint posterior samples of the pairs of fields with the largest correlation."""
     pairs = _strongest_pairs()
     with printing(stem, 0.7 + 2.3 * len(pairs), 2.4) as figure:
         for number, (across, up) in enumerate(pairs):

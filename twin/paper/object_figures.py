@@ -1,4 +1,4 @@
-"""Figures of objects by several methods: metal and clear ones, rods, GelSight, sphere fits."""
+"""Draw figures of measured objects: metal and clear objects, rods, GelSight, sphere fits."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -35,7 +35,7 @@ RODS = {name: name[-1].upper() for name in ROD_NAMES}
 
 
 def draw_direct_and_contact(cases: Path, stem: Path) -> None:
-    """Draw fringe image and 3-D of nut, brick and ball, bare and under the coat."""
+    """Draw fringe image and 3-D view of nut, brick and ball, both bare and under the coat."""
     grid = Grid(2, 6, 1.1, 0.83, row_gap_in=0.55, bottom_in=0.55)
     with printing(stem, *grid.size_in) as figure:
         grid.label_rows(figure, list(_ROWS.values()))
@@ -47,7 +47,7 @@ def draw_direct_and_contact(cases: Path, stem: Path) -> None:
 
 
 def draw_missing(cases: Path, stem: Path) -> None:
-    """Draw reasons for missing points of direct fringe projection, and errors of both methods."""
+    """Draw reasons for missing points of direct fringe projection, and z errors of both methods."""
     grid = Grid(3, 3, 1.75, 1.32, row_gap_in=0.12, bottom_in=1.3)
     with printing(stem, *grid.size_in) as figure:
         grid.label_rows(figure, ["direct: reason", "direct: z error", "contact: z error"])
@@ -62,7 +62,7 @@ def draw_missing(cases: Path, stem: Path) -> None:
 
 
 def draw_rods(cases: Path, stem: Path) -> None:
-    """Draw image, fringe image, 3-D and cross-section of each rod, all on one height scale."""
+    """Draw picture, fringe image, 3-D view and cross-section of each rod, on one height scale."""
     section_in, gap_in = 2.5, 0.5
     grid = Grid(3, 3, 1.2, 0.9, row_gap_in=gap_in, right_in=section_in + 0.6, bottom_in=0.55)
     left_in = grid.size_in[0] - section_in - 0.1
@@ -101,7 +101,7 @@ def _rod(cells: list[Axes], data: PanelData | None, measured: list[PanelData], l
 
 
 def draw_grid(cases: Path, stem: Path) -> None:
-    """Draw object, GelSight image, fringe image and both reliefs of three objects."""
+    """Draw photograph, GelSight image, fringe image and both measured surfaces of three objects."""
     grid = Grid(5, 3, 1.5, 1.12, bottom_in=0.65)
     with printing(stem, *grid.size_in) as figure:
         grid.label_rows(
@@ -139,7 +139,7 @@ def _pair(figure: Figure, grid: Grid, at: tuple[int, int], data: PanelData | Non
 def _compared_reliefs(
     axes: tuple[Axes, Axes], gelsight: PanelData | None, contact: PanelData | None
 ) -> None:
-    """Show both reliefs with one scale, one enlargement and one size."""
+    """Draw both measured surfaces with one height scale, one enlargement of z and one size."""
     measured = [panels for panels in (gelsight, contact) if panels is not None]
     for place, data in zip(axes, (gelsight, contact), strict=True):
         if data is None:
@@ -199,9 +199,9 @@ _BALLS = 2
 
 
 def draw_sphere_fit(cases: Path, stem: Path) -> None:
-    """Draw the two joined balls by GelSight (left) and contact-FPP (right), on one height scale.
+    """Draw surfaces and fit residuals of the two joined balls by GelSight and by contact-FPP.
 
-    Residuals, too, have one scale for both methods.
+    Both methods have one height scale and one scale of the residuals.
     """
     by_method = {method: panels_of(cases, _SPECIMEN, method) for method in _METHODS}
     measured = [panels for panels in by_method.values() if panels is not None]
@@ -232,7 +232,7 @@ def _surface(axes: Axes, data: PanelData, stage: ReliefView) -> None:
 
 
 def _residuals(figure: Figure, column: int, data: PanelData, limit_um: float) -> None:
-    """Draw map over histogram for each ball."""
+    """Draw a map of the radial residuals for each ball, and their histogram below the map."""
     for place, ball in enumerate(data.numbers.balls[:_BALLS]):
         left_in = column * _HALF_IN + 0.42 + 1.3 * place
         residuals = axes_at(figure, left_in, _MAP_TOP_IN, 1.05, 1.05)

@@ -1,4 +1,4 @@
-"""One page with every table and figure, self-contained and printable."""
+"""HTML page of the reproduction with every table and figure, self-contained and printable."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from twin.report.words import shown
 
 @dataclass(frozen=True)
 class PageSection:
-    """A section of the page: names of its tables and figures."""
+    """A section of the page, with the names of its tables and figures."""
 
     name: str
     title: str
@@ -76,11 +76,11 @@ class Contents:
 
     Attributes
     ----------
-    tables : by name
+    tables : tables by name
     drawn : names of the figures in the folder `figures` of the page
-    experiment : its settings are listed as the parameter set
-    inputs : spreads of the trials
-    trials : number of repetitions
+    experiment : its settings are listed on the page as the parameter set
+    inputs : inputs that vary from trial to trial, with their distributions
+    trials : number of trials of every repeated measurement
     """
 
     tables: Mapping[str, Table]
@@ -96,7 +96,7 @@ def write_paper_page(folder: Path, contents: Contents) -> Path:
     Raises
     ------
     InputError
-        It cannot be written.
+        The page cannot be written.
     """
     tables = contents.tables
     used = ", ".join(f"{name} {version}" for name, version in versions().items())

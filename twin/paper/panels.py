@@ -1,7 +1,8 @@
-"""Data of one measurement for the figures, of reduced size: arrays and a few numbers.
+"""Reduced data of one measurement that the figures need: arrays and a few numbers.
 
-Maps are thinned to at most `MOST_PX` pixels along their longer side; balls and sections are
-computed from all points before thinning. World frame, mm; row 0 is the top.
+Maps are reduced to at most `MOST_PX` pixels along their longer side. Sphere fits and sections are
+computed from all points before this reduction. Positions are in the world frame, mm; row 0 is the
+top of an image.
 """
 
 import json
@@ -45,7 +46,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class PanelBall:
-    """Sphere fitted to one ball, as the paper's table has it; mm."""
+    """Sphere fitted to one ball: radius, and RMSE, MAE and 95th percentile of the residuals, mm."""
 
     number: int
     radius_mm: float
@@ -56,7 +57,10 @@ class PanelBall:
 
 @dataclass(frozen=True)
 class Width:
-    """A rod's width where the section crosses 50 % of its height."""
+    """Width of a rod where its cross-section crosses 50 % of its height.
+
+    `left_mm` and `right_mm` are the positions of the two crossings across the rod.
+    """
 
     width_mm: float
     height_mm: float
@@ -67,13 +71,15 @@ class Width:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Figures that are written next to the pictures.
+    """Numbers of a measurement that the figures show next to its pictures, or use as scales.
 
     Attributes
     ----------
-    outline_mm : x low, x high, y low, y high of the specimen
-    scale_mm : round ends of a scale of the true heights
-    half_field_mm : half the width and height of the camera's field on the face
+    outline_mm : smallest x, largest x, smallest y, largest y of the specimen
+    scale_mm : rounded ends of a height scale that covers the true heights
+    half_field_mm : largest abs(x) and abs(y) of the true surface in the camera's view
+    balls : fitted spheres; empty if the specimen has no balls
+    width : width of a rod; None for other specimens, or if it cannot be measured
     """
 
     name: str
@@ -92,25 +98,29 @@ class Numbers:
 
 @dataclass(frozen=True, eq=False)
 class PanelData:
-    """One measurement as pictures and points.
+    """Reduced data of one measurement for the figures: pictures, points and numbers.
 
     Attributes
     ----------
     picture : (row, col) or (row, col, 3) uint8
         Image of the camera: fringes from black to saturation, or colours.
     photograph : (row, col, 3) uint8
-        The specimen without sheet.
+        Rendered picture of the specimen without sheet.
     points_mm : (row, col, xyz) float32
+        Measured points, world.
     valid : (row, col) bool
-        Points that were measured.
+        True where a point was measured.
     true_z_mm : (row, col) float32
+        World z of the true surface.
     wanted : (row, col) bool
-        Scored pixels, on which a point is expected.
+        Scored pixels, at which a point is expected.
     reason : (row, col) uint8
-        Why a pixel of a fringe measurement has no point, `reconstruction.arrays.Reason`.
-    ball_points : (point, ball number, x, y, radial residual) float32, mm
+        Reason why a pixel of a fringe measurement has no point, `reconstruction.arrays.Reason`.
+    ball_points : (point, 4) float32
+        Ball number, x, y and radial residual of each fitted point; lengths in mm.
     section, true_section : (n, 2) float32
-        Position across a rod and height, mm; empty for everything else.
+        Measured and true cross-section of a rod: position across the rod and height, mm; empty for
+        other specimens.
     """
 
     numbers: Numbers
@@ -127,7 +137,7 @@ class PanelData:
 
     @property
     def error_um(self) -> "np.ma.MaskedArray[Any, Any]":
-        """Measured minus true z, (row, col); masked at pixels not scored or without a point."""
+        """Measured minus true z, (row, col), um; masked at pixels not scored or without a point."""
         difference = 1e3 * (self.points_mm[..., 2] - self.true_z_mm).astype(np.float64)
         return np.ma.masked_array(difference, ~(self.valid & self.wanted))
 
@@ -137,16 +147,16 @@ class PanelData:
 
 
 def thinned(values: Any) -> Any:
-    """Return every nth row and column, so that no side has more than `MOST_PX` of them.
+    """Return every nth row and column, so that no side is longer than `MOST_PX` pixels.
 
-    Not averaged: a mean across an edge is neither a height nor a code of the data.
+    Pixels are not averaged, because a mean across an edge is no valid height or code.
     """
     step = -(-max(values.shape[:2]) // MOST_PX)
     return values[::step, ::step]
 
 
 def write_panel_data(folder: Path, data: PanelData) -> None:
-    """Write arrays and numbers into a folder, which is created."""
+    """Write the arrays and numbers of the panels into a folder, which is created if necessary."""
     folder.mkdir(exist_ok=True)
     arrays = {f.name: getattr(data, f.name) for f in fields(data) if f.name != "numbers"}
     write_npz(folder / ARRAYS_FILE, arrays)
@@ -154,7 +164,7 @@ def write_panel_data(folder: Path, data: PanelData) -> None:
 
 
 def read_panel_data(folder: Path) -> PanelData:
-    """Read the folder of `write_panel_data`.
+    """Return the panel data from a folder written by `write_panel_data`.
 
     Raises
     ------
@@ -185,7 +195,7 @@ _PICTURE_PX = 500
 
 
 def panel_data_of(measured: Measurement) -> PanelData:
-    """Return the data of a measurement for the figures.
+    """Return the reduced data of a measurement for the figures.
 
     Raises
     ------

@@ -17,7 +17,9 @@ _DISTANCE, _ROOM = 7.0, 1.3
 
 
 def photograph_of(experiment: Experiment) -> Picture:
-    """Return the picture, (row, col, 3) uint8; the same specimen is rendered once per process.
+    """Return a rendered picture of the bare specimen on its stage, (row, col, 3) uint8.
+
+    Each combination of specimen and stage is rendered once per process.
 
     Raises
     ------
@@ -31,7 +33,7 @@ def photograph_of(experiment: Experiment) -> Picture:
 
 @dataclass(frozen=True)
 class _Subject:
-    """Subject of a photograph; equal if specimen and stage are equal."""
+    """Subject of a photograph, for the cache; two subjects are equal if specimen and stage are."""
 
     key: str
     experiment: Experiment = field(compare=False)

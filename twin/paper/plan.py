@@ -1,6 +1,6 @@
-"""The paper's specimens, methods and resolution, and its printed numbers as data.
+"""Specimens, methods and resolution of the reproduction, and the numbers printed in the paper.
 
-One parameter set for all of them; the numbers are those of scenes/paper/targets.toml.
+All specimens share one parameter set. The printed numbers are read from scenes/paper/targets.toml.
 """
 
 import tomllib
@@ -20,19 +20,22 @@ CONTACT_FPP, GELSIGHT = "contact-FPP", "GelSight"
 METHODS = (GELSIGHT, CONTACT_FPP)
 NOMINAL_RADIUS_MM = 4.0
 FOOTPRINT_MM = 4.0
-"""Region of a sphere fit over all of a ball."""
+"""Radius of the fit region around the apex that contains the whole ball."""
 
 BALLS, NUT = "two_balls", "nut"
 
 
 @lru_cache
 def identified() -> dict[str, Any]:
-    """Return the summary of `twin identify paper/identify`; see `twin.identification.summary`."""
+    """Return the stored summary of `twin identify paper/identify`.
+
+    Its keys are those of `twin.identification.summary`.
+    """
     return tomllib.loads(asset_path("scenes", "paper/identified").read_text(encoding="utf-8"))
 
 
 def chosen(alternative: str) -> str:
-    """Return the most probable choice of an alternative that the paper does not state."""
+    """Return the most probable choice of a discrete alternative that the paper does not state."""
     choice: str = identified()["models"][0]["choices"][alternative]
     return choice
 
@@ -45,7 +48,7 @@ WIDTH = {
     "slope_change": "rod_slope_change_width_mm",
 }[chosen("width")]
 FIT = {"geometric": "", "algebraic": "algebraic_"}[chosen("sphere_fit")]
-"""Prefix of a sphere's figures by the paper's most probable kind of fit."""
+"""Prefix in the names of fitted values, for the kind of sphere fit that the paper probably used."""
 DIRECT_AND_CONTACT = (NUT, "brick", "ball")
 GRID = ("t_bolt", "bear", BALLS)
 CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
@@ -53,11 +56,11 @@ CASES: Sequence[tuple[tuple[str, ...], tuple[Method, ...]]] = (
     (GRID, ("photometric_stereo", "contact_fpp")),
     (RODS, ("contact_fpp",)),
 )
-"""Specimens and methods of the figures."""
+"""Specimens of the figures, with the methods by which each is measured."""
 BUDGET_OF: Mapping[str, str] = {
     BALLS: "sphere_1_radius_mm",
 }
-"""By specimen, the figure with a ranked uncertainty budget."""
+"""Name of the measured value, by specimen, that has a ranked uncertainty budget."""
 
 
 @dataclass(frozen=True)
@@ -66,22 +69,23 @@ class Resolution:
 
     Attributes
     ----------
-    settings : override those of every experiment
-    cells_mm : the sheet's finest cells by specimen; default: derived from its thickness
+    settings : settings that override those of every experiment
+    cells_mm : size of the sheet's finest cells, by specimen; for other specimens it is derived from
+        the thickness of the sheet
     """
 
     settings: Mapping[str, Any]
     cells_mm: Mapping[str, float]
 
     def settings_of(self, name: str) -> dict[str, Any]:
-        """Return the settings of a specimen's experiment."""
+        """Return the settings of this resolution for the experiment of a specimen."""
         cells = {"press.cell_mm": self.cells_mm[name]} if name in self.cells_mm else {}
         return cells | dict(self.settings)
 
 
-# Binning 2 x 2: 25 % of the run time with the same projector pixels. Nodes of the coat and cells of
-# the sheet have the sizes used in the identification, so that both are the same model; objects that
-# only occur in pictures have the cells of the nut.
+# Binning 2 x 2 takes 25 % of the run time with the same projector pixels. Nodes of the coat and
+# cells of the sheet have the sizes used in the identification, so that both use one model. Objects
+# that occur only in pictures have cells as small as those of the nut.
 COARSE = Resolution(
     {"camera.binning": 2, "press.relief_pitch_mm": 0.05},
     dict.fromkeys((BALLS, "ball"), 0.3)
@@ -92,12 +96,12 @@ FINE = Resolution({}, {})
 
 
 def experiment_of(name: str, resolution: Resolution = COARSE) -> Experiment:
-    """Return one of the paper's experiments, every one on the same rig and press."""
+    """Return the experiment of one of the paper's specimens; all share the rig and the press."""
     return load_experiment(f"paper/{name}", resolution.settings_of(name))
 
 
 def pressed_face(experiment: Experiment) -> PressedElastomer:
-    """Press one of the paper's specimens; tables and figures share equal presses."""
+    """Return the pressed elastomer of an experiment; equal presses are computed only once."""
     return press(experiment, _presses()).pressed
 
 
@@ -108,17 +112,17 @@ def _presses() -> Memory:
 
 @lru_cache
 def published() -> dict[str, Any]:
-    """Return the paper's printed numbers, the whole file."""
+    """Return all numbers printed in the paper, by table, from scenes/paper/targets.toml."""
     return tomllib.loads(asset_path("scenes", "paper/targets").read_text(encoding="utf-8"))
 
 
 def rows_of(table: str) -> list[dict[str, Any]]:
-    """Return the rows of one of the paper's tables."""
+    """Return the printed rows of one table of the paper, each a dictionary by column."""
     rows: list[dict[str, Any]] = published()[table]
     return rows
 
 
 def mean_of(table: str, method: str, key: str) -> float:
-    """Return the mean over both balls of one of the paper's columns."""
+    """Return the mean over both balls of column `key` in a table of the paper, for one method."""
     values = [float(row[key]) for row in rows_of(table) if row["method"] == method]
     return sum(values) / len(values)

@@ -1,7 +1,7 @@
-"""Measured surfaces as shaded pictures seen obliquely; a missing point is a hole.
+"""Draw measured surfaces as shaded pictures in an oblique view; missing points are holes.
 
-Neighbouring points are joined except across jumps, as in the mesh files. Height is enlarged about
-z = 0 by a stated factor; colour is the true height's scale.
+Neighbouring points are joined except across jumps, as in the mesh files. Heights are enlarged about
+z = 0 by a stated factor; colours show the heights without enlargement.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ _MARGIN_MM = 3.0
 
 @dataclass(frozen=True)
 class ReliefView:
-    """Common view and scale of reliefs that are compared.
+    """View and colour scale that compared surfaces have in common.
 
     Attributes
     ----------
-    scale_mm : ends of the colour scale
-    centre_mm, half_mm : centre of the shown region, world xy, and half of its width
-    gain : enlargement of z
+    scale_mm : heights at the ends of the colour scale
+    centre_mm, half_mm : centre (world xy) and half width of the square region that is shown
+    gain : factor of enlargement of z
     """
 
     scale_mm: tuple[float, float]
@@ -39,7 +39,7 @@ class ReliefView:
 
 
 def stage_for(*shown: PanelData) -> ReliefView:
-    """Return the common view of several measurements."""
+    """Return the common view and colour scale for the surfaces of several measurements."""
     low = min(data.numbers.scale_mm[0] for data in shown)
     high = max(data.numbers.scale_mm[1] for data in shown)
     outlines = np.array([data.numbers.outline_mm for data in shown])
@@ -54,12 +54,12 @@ def stage_for(*shown: PanelData) -> ReliefView:
 def draw_relief(
     data: PanelData, stage: ReliefView, width_px: int = 480, height_px: int = 360
 ) -> Picture:
-    """Return the measured surface as (row, col, 3) uint8; white where there is none."""
+    """Return a picture of the measured surface, (row, col, 3) uint8; white outside the surface."""
     return relief_picture(_surface(data, stage), _view(stage, width_px, height_px), _LIGHT_DEG)
 
 
 def show_relief(axes: Axes, data: PanelData, stage: ReliefView, bar: bool = False) -> None:
-    """Show the measured surface with its enlargement of z, and optionally a colour bar."""
+    """Draw the measured surface and the enlargement of its z; with `bar`, also a colour bar."""
     axes.imshow(draw_relief(data, stage))
     no_ticks(axes)
     axes.spines[:].set_visible(False)
@@ -72,12 +72,15 @@ def show_relief(axes: Axes, data: PanelData, stage: ReliefView, bar: bool = Fals
 
 
 def show_scale(axes: Axes, stage: ReliefView) -> None:
-    """Put the colour bar of heights below a picture."""
+    """Add the colour bar of heights (mm) below a picture."""
     add_colorbar(axes, height_scale_of(*stage.scale_mm), "z (mm)", extend="both", side="below")
 
 
 def _surface(data: PanelData, stage: ReliefView) -> SceneSurface:
-    """Return the points near the middle and near the scale as a surface over camera pixels."""
+    """Return the measured points in the shown region as a surface over camera pixels.
+
+    Points far outside the height scale are omitted.
+    """
     points = data.points_mm
     away = np.abs(points[..., :2] - np.array(stage.centre_mm)).max(axis=-1)
     # Outliers would conceal all other points; keep a margin of 50 % of the height range.

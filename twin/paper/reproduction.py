@@ -1,16 +1,16 @@
-"""Measurements of a reproduction, each made once: cases in stores of `twin.study` in one folder.
+"""Run the measurements of a reproduction; each case is measured once and stored in a folder.
 
 | in work/ | content |
 |---|---|
 | calibration.json | covariance of the rig after its calibration |
-| calibrations/ | those of the GelSight-like sensor, each made once |
+| calibrations/ | calibrations of the GelSight-like sensor |
 | trials/NAME/ | studies of the repeated measurements; `twin report` draws their uncertainty |
-| gelsight/ | the repeated presses under the GelSight-like sensor |
-| budgets/, nut/, measured/ | steps of the budgets, the bare nut, the cases of the figures |
-| cases/NAME/METHOD | links to the cases of the figures, among them nominal trials, by these names |
+| gelsight/ | repeated presses under the GelSight-like sensor |
+| budgets/, nut/, measured/ | cases of the budgets, of the bare nut and of the figures |
+| cases/NAME/METHOD | links to the cases that the figures show, including nominal trials |
 
-All cases that the requested tables and figures need are run in one queue (`Reproduction.measure`):
-no worker waits for the end of a study.
+All cases that the requested tables and figures need are run in one queue (`Reproduction.measure`),
+so that no worker waits for the end of a study.
 """
 
 import os
@@ -70,14 +70,15 @@ _BARE_NUT = {"modality": "direct_fpp", "camera.binning": 4}
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """One run of the reproduction: its folder, number of trials, resolution and workers.
+    """Measurements of one run of the reproduction: run them, and read the stored results.
 
     Attributes
     ----------
     work : folder of the measurements
-    trials : repetitions of every repeated measurement
-    resolution : of every experiment; no property of the sensor
-    workers : for the measurements; the result is the same with any
+    trials : number of repetitions of every repeated measurement
+    resolution : numerical resolution of every experiment
+    watch : called with the progress
+    workers : processes for the measurements; their number does not change the results
     """
 
     work: Path
@@ -89,15 +90,15 @@ class Reproduction:
 
     @cached_property
     def rigs(self) -> RigCovariance:
-        """Covariance of the rig after its calibration, which is the same for all specimens."""
+        """Covariance of the rig's parameters after a calibration, the same for all specimens."""
         return calibrated(self.work, self._experiment(BALLS), BOARD, self.watch)
 
     def measure(self, names: Collection[str]) -> None:
-        """Measure groups in parallel; tables and figures then read their stored cases.
+        """Measure groups of cases in parallel and store the results for tables and figures.
 
         Parameters
         ----------
-        names : among `GROUPS`
+        names : names of groups, from `GROUPS`
 
         Raises
         ------
@@ -113,30 +114,31 @@ class Reproduction:
         run_groups(groups, self.workers, self.watch)
 
     def fringe_trials(self, name: str) -> list[Trial]:
-        """Return the repeated contact-FPP measurement of a specimen."""
+        """Return the trials of the repeated contact-FPP measurement of a specimen."""
         return self._trials_of(_trials(name))
 
     def ball_trials(self) -> dict[str, list[Trial]]:
-        """Return the repeated measurements of the two balls by method."""
+        """Return the trials of the repeated measurements of the two balls, by method."""
         return {GELSIGHT: self._trials_of("gelsight"), CONTACT_FPP: self.fringe_trials(BALLS)}
 
     def _trials_of(self, group: str) -> list[Trial]:
         return trials_among(self._group(group).cases.run, self._figures(group))
 
     def rod_trials(self) -> dict[str, list[Trial]]:
-        """Return the repeated measurements of the rods: A, B, C."""
+        """Return the trials of the repeated measurements of the rods, by letter: A, B, C."""
         return {name[-1].upper(): self.fringe_trials(name) for name in RODS}
 
     def budget(self, name: str) -> list[Part]:
-        """Return the part of every input: by the pressed face; of the balls' optics by the chain.
+        """Return the contribution of every input to the uncertainty of `BUDGET_OF[name]`.
 
-        Optical inputs, with two renders each, are varied for the balls only; in the trials of a rod
-        the row of the noise includes the optics.
+        The effect of an input is computed on the pressed face. Optical inputs are varied for the
+        balls only, through the whole measurement chain, with two renders each. In the trials of a
+        rod, the contribution of the noise includes the optics.
 
         Raises
         ------
         InputError
-            A press fails one standard uncertainty away from the nominal one.
+            A press fails for an input that is one standard uncertainty from its nominal value.
         MissingBackend
             No usable Dr.Jit backend.
         """
@@ -155,7 +157,12 @@ class Reproduction:
     def _part_of(
         self, output: str, cases: Sequence[Case], by_digest: Mapping[str, Mapping[str, Any]]
     ) -> list[Part]:
-        """Return the parts of the inputs among these cases."""
+        """Return the contributions to `output` of the inputs that these cases vary.
+
+        Parameters
+        ----------
+        by_digest : measured values of each case, by the case's digest
+        """
         values = {(c.settings[INPUT], c.settings[STEP]): by_digest[c.digest] for c in cases}
         middle = {step: figures[output] for (title, step), figures in values.items() if not title}
         parts = []
@@ -170,9 +177,9 @@ class Reproduction:
         return parts
 
     def bare_nut(self) -> dict[tuple[float, float], list[float]]:
-        """Return shares of the bare nut's pixels with a good point, and with any.
+        """Return the shares of the bare nut's pixels with a good point and with any point.
 
-        By the tilt of the camera from the vertical, deg, and the steel's roughness.
+        The keys are the tilt of the camera from the vertical (deg) and the steel's GGX alpha.
 
         Raises
         ------
@@ -196,7 +203,10 @@ class Reproduction:
         ]
 
     def _bare_nut_at(self, tilt_deg: float, alpha: float) -> Experiment:
-        """Return the bare nut with the camera tilted, at an unchanged triangulation angle."""
+        """Return the experiment of the bare nut with a tilted camera and roughness `alpha`.
+
+        The angle between camera and projector remains constant.
+        """
         bare = vary(self._experiment(NUT), _BARE_NUT)
         between_deg = bare.camera.pose.polar_deg + bare.projector.pose.polar_deg
         stated = {"range": [0.0, between_deg], "source": "varied to find what the nut shows"}
@@ -208,7 +218,7 @@ class Reproduction:
         return vary(bare, changed)
 
     def all_cases(self) -> Path:
-        """Measure every specimen of the figures; return the folder of the cases by name."""
+        """Measure every specimen of the figures; return the folder of links to their cases."""
         self._figures("measured")
         for (name, method), case in self._figure_cases().items():
             link(self.work / "cases" / name / method, self.work / "measured/cases" / case.digest)
@@ -221,7 +231,7 @@ class Reproduction:
         return self.work / "cases"
 
     def _figure_cases(self) -> dict[tuple[str, Method], Case]:
-        """Return the cases of the figures that are no nominal trial, by specimen and method."""
+        """Return the cases of the figures, by specimen and method, except nominal trials."""
         pairs = [(name, method) for names, methods in CASES for name in names for method in methods]
         return {
             (name, method): self._case(name, method)
@@ -230,7 +240,7 @@ class Reproduction:
         }
 
     def _nominal(self, name: str) -> CaseGroup:
-        """Return the nominal trial of a repeated measurement, on the true rig, as its own group."""
+        """Return a group of only the nominal trial of a repeated measurement, with the true rig."""
         record, folder = (
             fringe_study(self._experiment(name), self.trials),
             self.work / _trials(name),
@@ -247,7 +257,7 @@ class Reproduction:
         return case_of(settings, case_for(experiment, method, plan_of(0)))
 
     def _figures(self, name: str) -> dict[str, dict[str, Any]]:
-        """Measure the missing cases of a group, and return its figures by digest."""
+        """Measure the missing cases of a group; return the measured values by the case's digest."""
         group = self._group(name)
         (outcome,) = run_groups([group], self.workers, self.watch)
         return _figures(group.cases.run, group.folder, outcome)
@@ -294,11 +304,12 @@ def _trials(name: str) -> str:
 
 
 _REPEATED = (*RODS, BALLS)
-"""Specimens with trials: the figures show the nominal ones."""
+"""Specimens with repeated trials; the figures show the nominal trial of each."""
 TRIALS_OF_RODS = tuple(_trials(name) for name in RODS)
 TRIALS_OF_BALLS = ("gelsight", _trials(BALLS))
 GROUPS = (*TRIALS_OF_RODS, "gelsight", "measured", _trials(BALLS), "budgets", "nut")
-"""Folders of the groups, those with long cases first: short cases fill the end of the queue."""
+"""Names of the groups of cases, which are also their folders. Groups with long cases are first, so
+that short cases fill the end of the queue."""
 
 
 def _group(folder: Path, cases: Iterable[Case], make: MakeMeasurer) -> CaseGroup:
@@ -308,12 +319,14 @@ def _group(folder: Path, cases: Iterable[Case], make: MakeMeasurer) -> CaseGroup
 def _figures(
     cases: Sequence[Case], folder: Path, outcome: SweepOutcome
 ) -> dict[str, dict[str, Any]]:
-    """Return the figures of cases by digest; of a failed repeated trial, the reason.
+    """Return the measured values of each case, by the case's digest.
+
+    The only value of a failed repeated trial is the reason, under the name `REFUSED`.
 
     Raises
     ------
     InputError
-        Another case failed, or a case could not be saved.
+        A case that is no repeated trial failed, or a case could not be saved.
     """
     store, figures = Store(folder), {}
     for case in cases:
@@ -333,12 +346,12 @@ def _is_repeated(case: Case) -> bool:
 
 
 def link(path: Path, target: Path) -> None:
-    """Create a symbolic link, or replace an earlier link.
+    """Create a symbolic link at `path` to `target`, or replace an earlier link.
 
     Raises
     ------
     InputError
-        The path is a file or folder.
+        `path` is a file or folder.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists() and not path.is_symlink():

@@ -1,4 +1,4 @@
-"""Set-up and principle, drawn from the experiment: section, and rendered views with labels."""
+"""Draw set-up and principle of an experiment: a section, and rendered views with labels."""
 
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ _CUT = SceneView((-14.0, -95.0, 30.0), (0.0, 0.0, -5.5), 42.0, 640, 400)
 
 
 def draw_setup(stem: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
-    """Draw the whole rig, and the pressed sheet in its frame, as `stem`.png and .pdf.
+    """Draw the whole rig and the pressed sheet in its frame; write `stem`.png and `stem`.pdf.
 
     Raises
     ------
@@ -74,7 +74,9 @@ def draw_setup(stem: Path, experiment: Experiment, pressed: PressedElastomer) ->
 
 
 def draw_concept(stem: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
-    """Draw the principle in section, and the cut-open sheet rendered, as `stem`.png and .pdf.
+    """Draw a section of the principle and a rendered cut-open sheet.
+
+    Write `stem`.png and `stem`.pdf.
 
     Raises
     ------
@@ -159,11 +161,15 @@ def _label(axes: Axes, text: str, at_px: Any, offset_pt: tuple[float, float]) ->
 _SECTION_SAMPLES, _STRIPES = 401, 14
 _SILICONE, _BODY, _COAT = "#cfe3f1", "#d9cdb8", "#7a7f87"
 _SHOWN_DISTANCE = 21.0
-"""Distance of the devices from the sheet in the drawing, mm; the true one is about 10 x larger."""
+"""Distance of camera and projector from the sheet in the drawing, mm. The true distance is about
+10 x larger."""
 
 
 def draw_principle(axes: Axes, experiment: Experiment, pressed: PressedElastomer) -> None:
-    """Draw specimen, sheet and coat to scale, camera and projector in their true directions."""
+    """Draw a section with specimen, sheet and coat to scale.
+
+    Camera and projector are drawn in their true directions, at a reduced distance.
+    """
     span = slab_span(experiment, trace_through_apexes(experiment))
     _devices(axes, experiment, span)
     lowest = _section(axes, experiment, pressed, span)
@@ -237,7 +243,7 @@ def _devices(axes: Axes, experiment: Experiment, span: tuple[float, float]) -> N
 
 
 def _fan(axes: Axes, tip: Any, span: tuple[float, float], colour: str, stripes: int) -> None:
-    """Shade the light between a device and the sheet; fringes as stripes."""
+    """Draw the light between a device and the sheet as one triangle, or as `stripes` triangles."""
     edges = np.linspace(*span, 2 * max(stripes, 1) + 1)
     wedges = zip(edges[:-1:2], edges[1::2], strict=True) if stripes else [span]
     for left, right in wedges:

@@ -1,7 +1,8 @@
-"""Scene objects of the set-up: sheet, specimen, stage and frame, camera and projector.
+"""Surfaces of the rendered set-up: sheet, specimen, stage and frame, camera and projector.
 
 Poses, sheet, relief and specimen are those of the experiment. Housings, frame and stage are
-schematic: the paper shows them in a photograph without dimensions. World frame, mm.
+schematic: the paper shows them in a photograph without dimensions. Coordinates are in the world
+frame, mm.
 """
 
 from dataclasses import replace
@@ -22,7 +23,7 @@ ALUMINIUM, DARK, CREAM = (0.42, 0.44, 0.48), (0.05, 0.05, 0.06), (0.75, 0.75, 0.
 CAMERA_BLUE, PROJECTOR_ORANGE = (0.10, 0.30, 0.55), (0.75, 0.30, 0.08)
 # Matte, as in a cut-away drawing: clear silicone under its coat would be a dark slit.
 SILICONE = (0.50, 0.72, 0.88)
-# Coincident faces would flicker: the coat floats over the silicone, which floats over the specimen.
+# Gap between specimen and silicone, and between silicone and coat: coincident faces would flicker.
 _APART_MM = 0.02
 _RENDER_PITCH_MM = 0.1
 _FRINGE_DARK, _FRINGE_BRIGHT = 0.08, 0.62
@@ -31,7 +32,10 @@ _FRINGE_DARK, _FRINGE_BRIGHT = 0.08, 0.62
 def sheet_things(
     experiment: Experiment, pressed: PressedElastomer, cut_y_mm: float | None = None
 ) -> list[SceneSurface]:
-    """Return silicone and coat with a fringe pattern on it; only y > `cut_y_mm` when cut open."""
+    """Return the surfaces of the silicone, and of the coat with a fringe pattern.
+
+    If `cut_y_mm` is given, only the part with world y >= `cut_y_mm` is returned.
+    """
     coarse = _thinned(pressed, cut_y_mm)
     face = face_mesh(coarse)
     shade = fringe_shade(experiment, np.asarray(face.vertices))
@@ -46,7 +50,10 @@ def sheet_things(
 def fringe_shade(
     experiment: Experiment, points_world_mm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the albedo (n,) that looks like vertical fringes from the experiment's projector."""
+    """Return the albedo (n,) at points (n, xyz), world mm, of painted vertical fringes.
+
+    The fringes are where the experiment's projector would project them.
+    """
     rig = true_calibration(experiment)
     pose = rig.T_world_from_proj
     pixels = rig.projector.project((points_world_mm - pose[:3, 3]) @ pose[:3, :3])
@@ -56,7 +63,7 @@ def fringe_shade(
 
 
 def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneSurface]:
-    """Return the specimen where it is pressed to, and the stage under it."""
+    """Return the specimen at its position under load, and the plate of the stage below it."""
     top_mm = experiment.elastomer.touched_plane_mm + pressed.depth_mm - _APART_MM
     parts = bodies(experiment.specimen, top_mm)
     things = [
@@ -75,7 +82,10 @@ def specimen_things(experiment: Experiment, pressed: PressedElastomer) -> list[S
 
 
 def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list[SceneSurface]:
-    """Return the frame that holds the sheet's rim; open in front when cut."""
+    """Return the bars of the frame that holds the rim of the sheet.
+
+    If `cut_y_mm` is given, the frame has no front bar and no part with a smaller world y.
+    """
     slab, rim = experiment.elastomer, 8.0
     x, y, low, high = slab.length_x_mm / 2, slab.length_y_mm / 2, -slab.thickness_mm - 2.0, 0.3
     front = -y if cut_y_mm is None else cut_y_mm
@@ -93,7 +103,7 @@ def holder_things(experiment: Experiment, cut_y_mm: float | None = None) -> list
 
 
 def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[SceneSurface]:
-    """Return aluminium extrusions behind the rig, base plate and z stage, schematic."""
+    """Return schematic aluminium profiles behind the rig, base plate and z stage."""
     rig = true_calibration(experiment)
     top = float(max(rig.T_world_from_cam[2, 3], rig.T_world_from_proj[2, 3])) + 90.0
     parts = bodies(experiment.specimen, experiment.elastomer.touched_plane_mm + pressed.depth_mm)
@@ -122,7 +132,7 @@ def frame_things(experiment: Experiment, pressed: PressedElastomer) -> list[Scen
 
 
 def device_things(experiment: Experiment) -> list[SceneSurface]:
-    """Return housings round the true pinholes, lenses forward."""
+    """Return housings and lenses of camera and projector, at the true pinholes."""
     rig = true_calibration(experiment)
     camera, projector = rig.T_world_from_cam, _level_pose(rig.T_world_from_proj)
     return [
@@ -140,7 +150,10 @@ def device_things(experiment: Experiment) -> list[SceneSurface]:
 
 
 def _level_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the pose rotated so that it looks at the world's origin, without the lens offset."""
+    """Return a device pose (4, 4), rotated so that its optical axis is through the world origin.
+
+    The drawn housing then ignores the lens offset of the projector.
+    """
     forward = -pose[:3, 3] / np.linalg.norm(pose[:3, 3])
     down = pose[:3, 1] - (pose[:3, 1] @ forward) * forward
     down /= np.linalg.norm(down)
@@ -150,7 +163,7 @@ def _level_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _thinned(pressed: PressedElastomer, cut_y_mm: float | None) -> PressedElastomer:
-    """Return the press on fewer nodes, and only on those behind the cut."""
+    """Return the press on fewer nodes of the coat, without those in front of `cut_y_mm`."""
     pitch = float(pressed.face_x_mm[1] - pressed.face_x_mm[0])
     step = max(1, round(_RENDER_PITCH_MM / pitch))
     rows, cols = (_every(nodes, step) for nodes in (pressed.face_y_mm, pressed.face_x_mm))
@@ -160,7 +173,7 @@ def _thinned(pressed: PressedElastomer, cut_y_mm: float | None) -> PressedElasto
 
 
 def _every(nodes: NDArray[Any], step: int) -> NDArray[np.intp]:
-    """Return every nth index and the last."""
+    """Return every `step`-th index of the nodes, and the last index."""
     return np.union1d(np.arange(0, nodes.size, step), [nodes.size - 1])
 
 

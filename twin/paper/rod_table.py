@@ -1,4 +1,4 @@
-"""The paper's table of the acrylic rods, and of the hardness of its three mixes."""
+"""Tables of the widths of the acrylic rods, and of the hardness of the three silicone mixes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -17,7 +17,12 @@ _WIDTHS = {
 
 
 def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
-    """Return the widths of the rods over repeated presses; `trials` by name of the rod: A, B, C."""
+    """Return the table of rod widths (mm) over repeated presses.
+
+    Parameters
+    ----------
+    trials : repeated measurements by the letter of the rod: A, B, C
+    """
     rows: list[dict[str, Cell]] = []
     for published in rows_of("rods"):
         rod = {"rod": published["name"], "reference": published["reference"]}
@@ -77,7 +82,10 @@ def _rod_rows(trials: Sequence[Trial], reference_mm: float) -> Iterator[dict[str
 
 
 def hardness_table() -> Table:
-    """Return hardness and modulus of the three mixes; the paper prints a graph with one number."""
+    """Return the table of Shore A hardness and Young's modulus of the three silicone mixes.
+
+    The paper states one of the three hardness values; its graph has no numbers.
+    """
     rows: list[dict[str, Cell]] = [
         {
             "mix": mix.letter,

@@ -1,10 +1,10 @@
-"""Reproduce the paper: run the measurements of its tables and figures once, and write these.
+"""Reproduce the paper: run the required measurements once, and write tables and figures.
 
 | in the folder | content |
 |---|---|
-| tables.json, tables.md | every table with the paper's and the twin's rows, and the claims |
+| tables.json, tables.md | tables with rows of paper and twin, and comparison with targets |
 | figures/NAME.png, NAME.pdf | every figure |
-| report.html | all of it on one page |
+| report.html | all tables and figures on one page |
 | work/ | measurements: calibration, trials, cases; an interrupted run is resumed from these |
 """
 
@@ -59,7 +59,7 @@ _NAMES = (
 
 
 def sphere_tables(run: Reproduction) -> list[Table]:
-    """Return the tables on the two balls."""
+    """Return the tables on the two balls: sphere fits, uncertainty, decoders, ranked budget."""
     trials = run.ball_trials()
     return [
         sphere_fit_table(trials),
@@ -71,12 +71,12 @@ def sphere_tables(run: Reproduction) -> list[Table]:
 
 
 def rod_tables(run: Reproduction) -> list[Table]:
-    """Return the tables on the rods."""
+    """Return the table of the rod widths, in a list."""
     return [rods_table(run.rod_trials())]
 
 
 def difference_tables(run: Reproduction) -> list[Table]:
-    """Return the experiments on where twin and paper differ."""
+    """Return the tables on possible reasons for differences between twin and paper."""
     run.watch("differences", 0.0)
     balls = experiment_of(BALLS, run.resolution)
     tables = [region_table(balls), height_scale_table(balls.score.roi_radius_mm)]
@@ -94,7 +94,7 @@ def sensor_tables(run: Reproduction) -> list[Table]:
 
 
 def object_tables(run: Reproduction) -> list[Table]:
-    """Return the tables on the objects of the paper's pictures."""
+    """Return the tables on the objects in the paper's pictures: completeness, and limits."""
     cases = run.all_cases()
     return [completeness_table(cases), pictures_table(cases)]
 
@@ -116,12 +116,19 @@ _NEEDS: Mapping[str, tuple[str, ...]] = {
     "completeness": ("measured",),
     "differences": ("nut",),
 }
-"""Groups of measurements that each group of tables is made from."""
+"""Groups of measurements that each group of tables needs."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """Requested repetitions, names of tables or figures (empty: all), and full resolution."""
+    """Request for a reproduction.
+
+    Attributes
+    ----------
+    trials : number of repetitions of every repeated measurement
+    only : names of groups of tables, or of figures; empty: all
+    full : True: full resolution; False: reduced resolution with a shorter run time
+    """
 
     trials: int
     only: tuple[str, ...] = ()
@@ -137,24 +144,24 @@ class Request:
 
     @property
     def tables(self) -> list[str]:
-        """Requested groups of tables."""
+        """Names of the requested groups of tables."""
         return [name for name in TABLES if not self.only or name in self.only]
 
     @property
     def figures(self) -> list[str]:
-        """Requested figures."""
+        """Names of the requested figures."""
         return [name for name in FIGURES if not self.only or name in self.only]
 
     @property
     def measured(self) -> set[str]:
-        """Groups of measurements for the requested tables and figures."""
+        """Names of the groups of measurements that the requested tables and figures need."""
         drawn = {"measured"} if any(FIGURES[name].cases for name in self.figures) else set()
         return drawn.union(*(_NEEDS.get(name, ()) for name in self.tables))
 
 
 @dataclass(frozen=True)
 class Reproduced:
-    """Result of a run: the page, and the claims as lines."""
+    """Result of a run: path of the page, and one line of text per compared target."""
 
     page: Path
     lines: tuple[str, ...]
@@ -163,11 +170,11 @@ class Reproduced:
 def reproduce(
     out: Path, request: Request, watch: ProgressCallback = no_progress, workers: int = 1
 ) -> Reproduced:
-    """Write the requested tables and figures into `out`; measurements stored there are used.
+    """Write the requested tables and figures into `out`; reuse measurements stored in `out`.
 
     Parameters
     ----------
-    workers : number of parallel processes; the result is the same with any number
+    workers : number of parallel processes; it does not change the result
 
     Raises
     ------
@@ -218,7 +225,7 @@ def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> 
 
 
 def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
-    """Return the tables of the named groups, and the claims judged by them."""
+    """Return the tables of the named groups by name; "claims" compares them with the targets."""
     tables = {table.name: table for name in names for table in TABLES[name](run)}
     claims = claims_of(tables)
     return tables | ({"claims": claims_table(claims)} if claims else {})
@@ -227,7 +234,7 @@ def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
 def _draw(
     run: Reproduction, out: Path, names: Sequence[str], drawers: Executor
 ) -> dict[str, "Future[None]"]:
-    """Submit the figures to the workers, after their cases are measured; return them by name."""
+    """Measure the cases of the figures, then submit the drawing jobs; return these by figure."""
     folder, cases, steps = figures_folder(out), run.work / "cases", count(1)
     if any(FIGURES[name].cases for name in names):
         cases = run.all_cases()

@@ -1,4 +1,4 @@
-"""The paper's tables on the two joined balls: sphere fit, repeated fit, uncertainty budget."""
+"""Tables on the two joined balls, as in the paper: sphere fit, repeated fit, uncertainty budget."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,8 @@ from twin.results.balls import region_name
 
 PAPER_TRIALS = 5
 BALLS = (1, 2)
-# Uniform over the tolerance of +-0.01 mm, entered for the radius as the paper does.
+# Standard uncertainty of a uniform distribution over the tolerance of +-0.01 mm. It is used for the
+# radius, as in the paper.
 U_REF_MM = 0.01 / np.sqrt(3.0)
 
 _KEYS = (
@@ -45,12 +46,13 @@ Trials = Mapping[str, Sequence[Trial]]
 
 @dataclass(frozen=True)
 class Reading:
-    """Evaluation of the spheres of a method: region and kind of the fit.
+    """Evaluation of the balls measured by a method: region and kind of the sphere fit.
 
     Attributes
     ----------
-    region : of the fitted points, in words
-    kind : part of the figures' names between the ball's number and the quantity
+    method : method of measurement
+    region : region of the fitted points, in words
+    kind : part of the names of measured values between the ball's number and the quantity
     """
 
     method: str
@@ -58,12 +60,12 @@ class Reading:
     kind: str
 
     def named(self, ball: int, figure: str) -> str:
-        """Return the name of a figure of one ball."""
+        """Return the name of a measured value of one ball, for example of `radius_mm`."""
         return f"sphere_{ball}_{self.kind}{figure}"
 
     @property
     def key(self) -> dict[str, Cell]:
-        """Cells that identify the evaluation."""
+        """Table cells that identify the evaluation: method, source and region."""
         return {"method": self.method, "source": TWIN, "region": self.region}
 
 
@@ -88,7 +90,10 @@ def _readings(trials: Trials) -> Iterator[tuple[Reading, Sequence[Trial]]]:
 
 
 def sphere_fit_table(trials: Trials) -> Table:
-    """Return the fit of one press of each method: the nominal trial 0, with the true rig."""
+    """Return the table of sphere fits to one press by each method.
+
+    The press is the nominal trial 0, evaluated with the true rig.
+    """
     rows: list[dict[str, Cell]] = [
         {"source": PAPER, **{key: row[key] for key in ("method", "sphere", *_FIT)}}
         for row in rows_of("sphere_fit")
@@ -143,7 +148,7 @@ def _fit_row(reading: Reading, ball: int, trial: Trial) -> dict[str, Cell]:
 
 
 def repeated_fit_table(trials: Trials) -> Table:
-    """Return fitted radius and RMSE over repeated presses: the first five, and all."""
+    """Return the table of fitted radius and RMSE over the first five presses and over all."""
     rows: list[dict[str, Cell]] = [
         {
             "method": row["method"],
@@ -209,14 +214,21 @@ def _repeated_rows(
 
 
 def subsets(trials: Sequence[Trial]) -> list[Sequence[Trial]]:
-    """Return the first five trials, as many as the paper's, and all; trial 0 is no repetition."""
+    """Return the first five trials (the paper has five) and all trials, without trial 0.
+
+    If there are at most five trials, only one list is returned.
+    """
     repeated = [trial for trial in trials if trial.number]
     first = repeated[:PAPER_TRIALS]
     return [first] if len(first) == len(repeated) else [first, repeated]
 
 
 def uncertainty_table(trials: Trials) -> Table:
-    """Return the paper's budget: u_rep, u_ref, u_cal and U = 2 u_c of the mean fitted radius."""
+    """Return the table of uncertainty budgets of the mean fitted radius, as in the paper.
+
+    Contributions are u_rep (repetition), u_ref (reference) and u_cal (calibration); u_c is their
+    root sum of squares, and U = 2 u_c.
+    """
     rows: list[dict[str, Cell]] = [
         {"source": PAPER, "trials": PAPER_TRIALS, **row} for row in rows_of("uncertainty")
     ]
@@ -250,7 +262,10 @@ def uncertainty_table(trials: Trials) -> Table:
 
 
 def budget_of(trials: Sequence[Trial], name: str) -> Budget | None:
-    """Return the budget of one figure, a radius; None without repetitions of press or rig."""
+    """Return the uncertainty budget of the fitted radius `name`, mm.
+
+    Returns None if there are fewer than two trials, or if u_cal is unknown.
+    """
     repeated = [trial for trial in trials if trial.number]
     radius = spread_of(values_of(repeated, name))
     u_cal = calibration_uncertainty(trials, name)
@@ -260,11 +275,12 @@ def budget_of(trials: Sequence[Trial], name: str) -> Budget | None:
 
 
 def calibration_uncertainty(trials: Sequence[Trial], name: str) -> float | None:
-    """Return the standard uncertainty that the calibration gives to a fitted radius `name`, mm.
+    """Return the standard uncertainty of the fitted radius `name` due to calibration, mm.
 
-    Fringes: root mean square over the trials of the change by the drawn rig; trial 0 has the true
-    rig and does not count. Photometric stereo has no true calibration: standard deviation over
-    several calibrations, all on the image of trial 0. None with fewer than two calibrations.
+    With fringes, each trial except trial 0 is evaluated with a drawn rig and with the true rig. The
+    result is the root mean square of the difference over these trials. Photometric stereo has no
+    true calibration. The result is then the standard deviation over several calibrations, all
+    applied to the image of trial 0; None with fewer than two calibrations.
     """
     changes = [
         float(trial.figures[name]) - float(trial.figures[f"true_rig_{name}"])

@@ -1,4 +1,4 @@
-"""Means, spreads and budgets over trials, as the paper and JCGM 100 define them."""
+"""Mean, spread and uncertainty budget over trials, as defined in the paper and in JCGM 100."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -14,12 +14,13 @@ _LOW, _HIGH = 2.5, 97.5
 
 @dataclass(frozen=True)
 class Spread:
-    """One figure over repeated trials.
+    """Mean and spread of one measured value over repeated trials, in the unit of the value.
 
     Attributes
     ----------
-    mean, sd : sd is the sample standard deviation, None for a single trial
-    n : trials that gave the figure
+    mean : mean over the trials
+    sd : sample standard deviation; None for a single trial
+    n : number of trials that have the value
     low, high : 2.5th and 97.5th percentile
     """
 
@@ -37,7 +38,14 @@ class Spread:
 
 @dataclass(frozen=True)
 class Budget:
-    """The paper's uncertainty budget of a fitted radius, mm."""
+    """Uncertainty budget of a fitted radius, as in the paper; standard uncertainties in mm.
+
+    Attributes
+    ----------
+    u_rep : standard uncertainty due to repetition, of the mean radius
+    u_ref : standard uncertainty of the reference radius
+    u_cal : standard uncertainty due to calibration
+    """
 
     u_rep: float
     u_ref: float
@@ -45,23 +53,23 @@ class Budget:
 
     @property
     def combined(self) -> float:
-        """Combined standard uncertainty."""
+        """Combined standard uncertainty: root sum of squares of the contributions, mm."""
         return float(np.sqrt(self.u_rep**2 + self.u_ref**2 + self.u_cal**2))
 
     @property
     def expanded(self) -> float:
-        """Expanded uncertainty U, k = 2."""
+        """Expanded uncertainty U with coverage factor k = 2, mm."""
         return COVERAGE_FACTOR * self.combined
 
 
 def values_of(trials: Iterable[Trial], name: str) -> np.ndarray:
-    """Return a figure of every trial that has it, (n,) float."""
+    """Return the measured value `name` of every trial that has this value, (n,) float."""
     values = [trial.figures[name] for trial in trials if trial.figures.get(name) is not None]
     return np.array(values, np.float64)
 
 
 def spread_of(values: Sequence[float] | np.ndarray) -> Spread | None:
-    """Return mean and spread; None without a value."""
+    """Return mean and spread of a sample of values; None if the sample is empty."""
     sample = np.asarray(values, np.float64)
     if not sample.size:
         return None

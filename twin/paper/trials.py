@@ -1,4 +1,4 @@
-"""The paper's repeated measurements: trials of contact-FPP, and of a GelSight-like sensor."""
+"""Trials of the repeated measurements, by contact-FPP and by a GelSight-like sensor."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ INPUTS, BOARD = "paper/trials", "boards/paper_dots"
 PAPER_DECODER = {"photometric.colour_map": "table", "photometric.integration": "sdk_2024"}
 
 REFUSED = "refused"
-"""Figure of a trial that could not be pressed or measured: the reason."""
+"""Key in `Trial.figures` of the reason why a trial could not be pressed or measured."""
 
 RIGID_BAR = f"{COMPENSATED}bar_1_width_mm"
 """Figure of the rigid bar's width, estimated from the coat."""
@@ -43,7 +43,13 @@ Figures = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Trial:
-    """One repetition: its number, 0 for the nominal trial, and its measured figures."""
+    """One trial of a repeated measurement.
+
+    Attributes
+    ----------
+    number : 0 for the nominal trial
+    figures : measured values by name, with units in the names
+    """
 
     number: int
     figures: Figures
@@ -55,13 +61,16 @@ def rigid_ball(ball: int) -> str:
 
 
 def handling() -> Inputs:
-    """Return the inputs of handling and specimen that vary from trial to trial."""
+    """Return the distributions of the handling and specimen inputs that vary between trials."""
     return load_inputs(INPUTS)
 
 
 @lru_cache
 def inputs() -> Inputs:
-    """Return all inputs of the trials: handling, and joint samples of the identified fields."""
+    """Return all inputs that vary in the trials: handling, and samples of the identified fields.
+
+    The samples of all fields are drawn together from the posterior distribution.
+    """
     given = handling()
     summary = identified()
     drawn = {
@@ -82,7 +91,7 @@ def inputs() -> Inputs:
 
 
 def fringe_study(experiment: Experiment, trials: int) -> StudyRecord:
-    """Return the repeated contact-FPP measurement of a specimen.
+    """Return the study record of the repeated contact-FPP measurement of a specimen.
 
     The object behind the coat is estimated where the tables have a dimension of it.
     """
@@ -92,7 +101,10 @@ def fringe_study(experiment: Experiment, trials: int) -> StudyRecord:
 
 
 def plan_of(trial: int) -> PhotometricPlan:
-    """Return sensor and decoder of a trial; its reference presses are one of five sets."""
+    """Return the settings of GelSight-like sensor and decoder for a trial.
+
+    The trial number selects one of `CALIBRATIONS` sets of reference presses.
+    """
     seed = inputs().seed + trial % CALIBRATIONS
     settings: dict[str, Any] = {**PAPER_DECODER, "seed": seed}
     # Equal travel, not equal force: the thin sheet's force hardly indents a gel on a window.
@@ -100,15 +112,15 @@ def plan_of(trial: int) -> PhotometricPlan:
 
 
 def colour_cases(experiment: Experiment, trials: int) -> list[Case]:
-    """Return the repeated presses under the GelSight-like sensor.
+    """Return the cases of the repeated presses under the GelSight-like sensor.
 
-    And the nominal press under each calibration. A trial has the specimen, pose and load of the
-    same trial of contact-FPP.
+    Further cases evaluate the nominal press with each calibration. A trial has the specimen, pose
+    and load of the contact-FPP trial with the same number.
 
     Raises
     ------
     InputError
-        A press of contact-FPP fails; its load is needed.
+        A press of contact-FPP fails, so that its load is unknown.
     """
     # The scored region is that of the experiment, like specimen and load.
     experiment = vary(experiment, {"score.regions_mm": [FOOTPRINT_MM]})
@@ -125,7 +137,10 @@ def _colour_case(part: str, experiment: Experiment, number: int) -> Case:
 
 
 def figures_by_decoder(done: Measurement) -> dict[str, Any]:
-    """Return the balls' figures of one image by every decoder, each under its name."""
+    """Return the values of the balls measured from one image by every decoder.
+
+    The name of each value starts with the decoder's colour map and integration scheme.
+    """
     figures: dict[str, Any] = {}
     for decoded in done.colours.decoded:
         figures |= _by_decoder(decoded)
@@ -141,9 +156,13 @@ def _by_decoder(decoded: DecodedImage) -> dict[str, Any]:
 
 
 def trials_among(cases: Sequence[Case], by_digest: Mapping[str, Figures]) -> list[Trial]:
-    """Return the trials in their order, by the figures of each case's digest.
+    """Return the trials among `cases`, in the order of their number.
 
-    Trial 0 also has the balls' radii under every calibration.
+    Trial 0 also has the radii of the balls from every calibration.
+
+    Parameters
+    ----------
+    by_digest : measured values of each case, by the case's digest
     """
     redone = {
         f"calibration_{case.settings[TRIAL]}_{name}": value

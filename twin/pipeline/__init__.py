@@ -1,7 +1,8 @@
-"""The stages of a measurement: press, trace, light, record, reconstruct, score.
+"""Run the stages of a virtual measurement: press, trace, light, record, reconstruct, score.
 
-A single measurement runs the stages with an empty memory, a sweep with a persistent one. A
-command that runs some stages imports only these: imports happen at first use.
+A `Memory` caches the results of stages. A single measurement starts with an empty memory; a sweep
+uses one memory for all its measurements. A module of this package is imported at the first use of
+one of its names, so that a command imports only the stages that it runs.
 """
 
 from importlib import import_module

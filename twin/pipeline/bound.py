@@ -1,7 +1,7 @@
-"""Predicted uncertainty of a measurement without rendering it: press, trace, predict.
+"""Predict the uncertainty of a measurement without rendering its frames: press, trace, predict.
 
-No frame is rendered or decoded, no noise drawn; the stages before the frames are those of the
-measurement, and kept in the same memory.
+No frame is rendered or decoded, and no random noise is used. The stages before the frames are those
+of the measurement, and their results are cached in the same memory.
 """
 
 from collections.abc import Callable
@@ -31,12 +31,16 @@ from twin.results.prediction import PredictedMaps, predict
 def predicted(
     experiment: Experiment, pressed: PressedFace, memory: Memory
 ) -> tuple[PredictedMaps, Truth]:
-    """Trace a pressed face, and predict coordinates and sigmas of every pixel.
+    """Trace a pressed face, and predict coordinate and sigma of every camera pixel.
+
+    Returns
+    -------
+    the predicted maps, and the true surface at the pixels
 
     Raises
     ------
-    InputError : as `twin.pipeline.measure`
-    MissingBackend : no usable Dr.Jit backend
+    InputError : for the reasons of `twin.pipeline.measure`
+    MissingBackend : there is no usable Dr.Jit backend
     """
     return _prediction(experiment, pressed, memory)()
 
@@ -44,7 +48,12 @@ def predicted(
 def _prediction(
     experiment: Experiment, pressed: PressedFace, memory: Memory, ahead: bool = False
 ) -> Callable[[], tuple[PredictedMaps, Truth]]:
-    """Trace, and return the predicting function; any thread may call it if `ahead`."""
+    """Trace a pressed face, and return a function that makes the prediction.
+
+    Parameters
+    ----------
+    ahead : True to evaluate the trace at once, so that any thread may call the returned function
+    """
     geometry = loaded(experiment, pressed, memory)
     view = viewed(experiment, geometry, memory)
     rays = traced(experiment, geometry, view, memory)
@@ -63,9 +72,11 @@ def _prediction(
 def bounds_of(
     experiment: Experiment, pressed: PressedFace, memory: Memory
 ) -> Callable[[], dict[str, Metric]]:
-    """Trace, and return the function of the measurands' bounds, for any thread: it does not render.
+    """Trace a pressed face, and return a function that returns the bounds of the measurands.
 
-    The bounds are empty where the trace is not sufficient.
+    A bound is the least standard deviation that any unbiased evaluation of the frames can have. The
+    function does not render, so that any thread may call it. It returns no bounds if the trace is
+    not sufficient to predict them, see `has_bound`.
     """
     if not has_bound(experiment):
         return dict
@@ -76,13 +87,15 @@ def bounds_of(
 def bounds_alone(
     experiment: Experiment, memory: Memory
 ) -> tuple[PressedElastomer, dict[str, Metric]]:
-    """Press, trace and predict; return the press, and its figures with the bounds.
+    """Press, trace and predict, without rendering; return the press and the figures.
+
+    The figures are those of the press, the exposure time, and the bounds of the measurands.
 
     Raises
     ------
-    InputError : the trace is not sufficient for a bound of this experiment, or as
+    InputError : the trace is not sufficient for a bound of this experiment, or for the reasons of
         `twin.pipeline.measure`
-    MissingBackend : no usable Dr.Jit backend
+    MissingBackend : there is no usable Dr.Jit backend
     """
     if not has_bound(experiment):
         closed = ", ".join(code.name for code in CODES if code.has_closed_form)
@@ -100,10 +113,12 @@ def bounds_alone(
 
 
 def object_bounds(experiment: Experiment, layer: SensorLayer, memory: Memory) -> dict[str, Metric]:
-    """Return the bounds of an object's own numbers under a thick slab; empty for other layouts.
+    """Return the bounds of the fitted parameters of an object under a thick slab, by figure name.
 
-    Through optics and mechanics: by the predicted sigma of the coat's points, and how the coat
-    moves with the object. None where the coat does not determine them.
+    A bound is the least standard deviation of a parameter, in um or degrees. It is computed from
+    the predicted sigma of the coat's points and the derivatives of the coat by the parameters. The
+    bounds are None if the coat does not determine the parameters. For other layouts the result is
+    empty.
 
     Parameters
     ----------
@@ -111,8 +126,8 @@ def object_bounds(experiment: Experiment, layer: SensorLayer, memory: Memory) ->
 
     Raises
     ------
-    InputError : as `twin.pipeline.measure`
-    MissingBackend : no usable Dr.Jit backend
+    InputError : for the reasons of `twin.pipeline.measure`
+    MissingBackend : there is no usable Dr.Jit backend
     """
     fitted = is_slab(experiment.elastomer) and may_compensate(experiment)
     if not (fitted and has_bound(experiment)):

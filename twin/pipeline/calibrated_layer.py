@@ -1,4 +1,4 @@
-"""Elastomer layers calibrated on a press of known balls."""
+"""Calibrate the elastomer layer of a sensor on a press of known balls."""
 
 from typing import Any
 
@@ -23,11 +23,22 @@ def calibrated_layer(
     ball_diameter_mm: float,
     specimen: Specimen | None = None,
 ) -> tuple[SensorLayer, dict[str, Any]]:
-    """Fit thickness and modulus to a press of known balls; the layer, and the figures.
+    """Fit thickness and modulus of a layer to a press of known balls.
+
+    Parameters
+    ----------
+    points : measured points of the coat
+    layer : prior values of elastomer and load
+    ball_diameter_mm : known diameter of every ball in contact
+    specimen : ball under a thick slab, if the layer has no specimen
+
+    Returns
+    -------
+    the layer with the fitted values, and the figures for result.json
 
     Raises
     ------
-    InputError : the elastomer is neither sheet nor slab, or no ball is found
+    InputError : the elastomer is neither sheet nor slab, or no ball is in contact
     """
     elastomer, valid = layer.elastomer, points.valid
     measured = (
@@ -48,7 +59,7 @@ def calibrated_layer(
 
 
 def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
-    """Return the layer with the fitted values of its sheet and their uncertainties."""
+    """Return the layer with the fitted values of a sheet and their standard uncertainties."""
     values = {
         "shore_a": None,
         "shore_00": None,
@@ -72,7 +83,7 @@ def _with_sheet(layer: SensorLayer, sheet: SheetLayer) -> SensorLayer:
 
 
 def _calibration_figures(calibrated: CalibratedSheet) -> dict[str, Any]:
-    """Return the estimates from a known ball, for result.json; None where it determines none."""
+    """Return the figures of a calibration for result.json; a value that was not fitted is None."""
     sheet = calibrated.layer
     modulus = sheet.young_modulus_kpa, sheet.sigma_young_modulus_kpa
     rim = sheet.rim_compliance_mm2_per_n, sheet.sigma_rim_compliance_mm2_per_n
@@ -92,7 +103,10 @@ def _calibration_figures(calibrated: CalibratedSheet) -> dict[str, Any]:
 
 
 def _known_travel(layer: SensorLayer) -> KnownTravel | None:
-    """Return the stage's travel reading, if its uncertainty is stated."""
+    """Return the travel of the stage with its uncertainty; None if either is not stated.
+
+    The uncertainty includes that of the plane of the undeformed coat.
+    """
     travel_mm, sigma_mm = layer.press.depth_mm, layer.sigma.depth_mm
     if travel_mm is None or sigma_mm is None:
         return None

@@ -1,14 +1,14 @@
-"""Calibrate from captures, or render the board poses of an experiment's rig and calibrate on them.
+"""Calibrate a rig on captures of a board, or on rendered captures of an experiment's rig.
 
-In a rendered calibration the true rig and so every parameter's error is known. The names in
-its folder are the contract of `twin calibrate -o DIR`:
+In a rendered calibration the true rig is known, and so the error of every parameter. The command
+`twin calibrate -o DIR` writes these files, and other programs may rely on their names:
 
 | file | content |
 |---|---|
 | result.json | metrics (units in their names), digest, versions |
 | calibration.yaml | the calibration, OpenCV YAML |
 | parameters.csv, poses.csv, features.csv | uncertainties, residuals by pose, every feature |
-| skipped_NAME.png | mean image of a pose that took no part; reason in `warnings`, result.json |
+| skipped_NAME.png | mean image of a pose that was not used; reason in `warnings`, result.json |
 | experiment.toml | of a rendered calibration: the resolved experiment |
 """
 
@@ -59,7 +59,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SkippedPose:
-    """A pose that took no part, and why; its mean image where its frames could be read."""
+    """Board pose that was not used in a calibration.
+
+    Attributes
+    ----------
+    name : name of the capture folder
+    reason : why the pose was not used
+    picture : (row, col) mean of the frames; None if the frames could not be read
+    """
 
     name: str
     reason: str
@@ -68,14 +75,15 @@ class SkippedPose:
 
 @dataclass(frozen=True, eq=False)
 class BoardCalibration:
-    """A calibration with its captures and settings.
+    """Calibration of camera and projector on a board, with its observations.
 
     Attributes
     ----------
-    observations : one per pose
-    digest : names the inputs
-    experiment : of a rendered calibration
-    skipped : poses that took no part
+    result : calibration with uncertainties and residuals
+    observations : decoded features of each pose that was used
+    digest : hash of the inputs
+    experiment : experiment of a rendered rig; None for a real rig
+    skipped : poses that were not used
     """
 
     result: Calibrated
@@ -94,7 +102,7 @@ class BoardCalibration:
         return as_html("calibration on a board", self._in_short(), self.plot())
 
     def _in_short(self) -> dict[str, str]:
-        """Return features and RMS residuals as texts, by name."""
+        """Return the number of features and the RMS residuals as texts, by name."""
         poses = self.result.poses
         return {
             "features": str(sum(pose.features for pose in poses)),
@@ -103,7 +111,7 @@ class BoardCalibration:
         }
 
     def plot(self) -> "Drawing":
-        """Draw the residuals of camera and projector, and their RMS by pose, all in px.
+        """Return a figure of the residuals of camera and projector, and of their RMS per pose; px.
 
         Returns
         -------
@@ -128,7 +136,7 @@ class BoardCalibration:
         return drawing
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return position and residual of every feature, (feature,), px, and its pose."""
+        """Return positions and residuals, px, pose, number and use of every feature, (feature,)."""
         import xarray
 
         rows = list(_feature_rows(self))
@@ -141,7 +149,7 @@ class BoardCalibration:
 
     @property
     def truth(self) -> dict[str, float] | None:
-        """True parameters; None for a real rig."""
+        """True parameters of the rendered rig by name, units in the names; None for a real rig."""
         if self.experiment is None:
             return None
         return parameters_of(true_calibration(self.experiment))
@@ -150,11 +158,15 @@ class BoardCalibration:
 def record_board(
     experiment: Experiment, board: BoardFile, pose: BoardPose, number: int = 0
 ) -> BoardCapture:
-    """Render and expose the sequence on a board in one pose; `number` keys the temporal noise.
+    """Return the rendered capture of a board in one pose.
+
+    Parameters
+    ----------
+    number : number of the pose, which selects the temporal noise
 
     Raises
     ------
-    MissingBackend : no usable Dr.Jit backend
+    MissingBackend : there is no usable Dr.Jit backend
     """
     frames = render_board(experiment, board, pose)
     patterns = pattern_set(experiment.projector, experiment.patterns)
@@ -171,18 +183,19 @@ def calibrate_rendered(
     as_images: bool = False,
     watch: ProgressCallback = no_progress,
 ) -> BoardCalibration:
-    """Render every pose of the board file and calibrate on the images.
+    """Render every pose of a board file, and calibrate on the captures.
 
     Parameters
     ----------
-    experiment : its rig, patterns, camera noise and seed count; specimen and press do not
-    keep : new folder for the captures, each with the TRUE calibration in the same folder
-    as_images : keep image files instead, as a real camera gives them, without a calibration
+    experiment : gives rig, patterns, camera noise and seed; specimen and press are not used
+    keep : new folder in which the captures are stored, each with the true calibration; None: they
+        are not stored
+    as_images : True to store image files as of a real camera instead, without a calibration
 
     Raises
     ------
-    InputError : the board file has no poses, or the board is not recognised in one
-    MissingBackend : no usable Dr.Jit backend
+    InputError : the board file has no poses, or the board is not recognised in a pose
+    MissingBackend : there is no usable Dr.Jit backend
     """
     if not board.poses:
         raise InputError("the board file has no [[poses]]: add at least 3 (better 12) to render")
@@ -206,13 +219,14 @@ def calibrate_captures(
     *,
     watch: ProgressCallback = no_progress,
 ) -> BoardCalibration:
-    """Calibrate on a folder with one capture folder per board pose, the first used the world.
+    """Calibrate on a folder with one capture folder per board pose.
 
-    Poses that are incomplete, of another size, or show no board are left out, with a warning.
+    Poses that are incomplete, have a different image size, or show no board are left out, with a
+    warning. The first pose that is used defines the world frame.
 
     Raises
     ------
-    InputError : fewer poses than are needed are left, or they do not determine the rig
+    InputError : too few poses can be used, or they do not determine the rig
     """
     folders = pose_folders(folder)
     observed: list[Observation] = []
@@ -248,18 +262,18 @@ def calibrate_rig(
     *,
     watch: ProgressCallback = no_progress,
 ) -> BoardCalibration:
-    """Calibrate camera and projector on captures of a board, or on rendered ones.
+    """Calibrate camera and projector on real or rendered captures of a board.
 
     Parameters
     ----------
-    source : folder with one capture folder per board pose, the first of which gives the world
-        frame; or an experiment: its rig is rendered with the board's own poses
+    source : folder with one capture folder per board pose, the first of which defines the world
+        frame; or an experiment: its rig is rendered with the poses of the board file
     board : board file, or the name of a shipped board
 
     Raises
     ------
-    InputError : as `calibrate_captures` or `calibrate_rendered`
-    MissingBackend : an experiment, and no usable Dr.Jit backend
+    InputError : for the reasons of `calibrate_captures` or `calibrate_rendered`
+    MissingBackend : `source` is an experiment, and there is no usable Dr.Jit backend
     """
     kinds, remedy = (Experiment, Path, str), "give an experiment, or a folder of captures"
     require_instance("source", source, kinds, remedy)
@@ -278,7 +292,10 @@ def _require_size(name: str, capture: BoardCapture, size: str, first: str) -> No
 
 
 def _picture(capture: BoardCapture | None) -> Levels | None:
-    """Return the mean of the frames, its brightest pixel white."""
+    """Return the mean of the frames, (row, col) uint8, with the brightest pixel at 255.
+
+    None if there is no capture.
+    """
     if capture is None:
         return None
     mean = capture.stack.mean(axis=0, dtype=np.float64)
@@ -321,7 +338,11 @@ PLAUSIBILITY_FILE = "plausibility.csv"
 
 
 def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
-    """Return the figures of a calibration; `_expanded` is k = 2, `_error` found minus true."""
+    """Return the figures of a calibration for result.json, by name.
+
+    A name with `_expanded` is the expanded uncertainty of a parameter (k = 2), one with `_error`
+    the estimated minus the true value.
+    """
     result = done.result
     figures: dict[str, Any] = {
         "poses": len(result.poses),
@@ -347,7 +368,7 @@ def calibration_metrics(done: BoardCalibration) -> dict[str, Any]:
 
 
 def _pixel_ratio(device: Pinhole) -> float:
-    """Return the width of a pixel over its height: as stated, where it was not estimated."""
+    """Return the ratio of a pixel's width to its height, estimated or as given for the fit."""
     return device.fy_px / device.fx_px
 
 
@@ -356,7 +377,7 @@ def _rms(values: Sequence[float]) -> float:
 
 
 def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, Any]:
-    """Write calibration.yaml, the tables and result.json; returns the figures."""
+    """Write calibration.yaml, the tables and result.json of a calibration; return the figures."""
     figures = calibration_metrics(done)
     write_calibration(folder / CALIBRATION_FILE, done.result.calibration)
     write_rows(folder / PARAMETERS_FILE, list(parameter_rows(done)), 10)
@@ -379,7 +400,7 @@ def _finite(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_imported(folder: Path, imported: Imported) -> dict[str, Any]:
-    """Write calibration.yaml and result.json of another program's calibration; return figures."""
+    """Write calibration.yaml and result.json of an imported calibration; return the figures."""
     calibration = imported.calibration
     T_proj_from_cam = calibration.T_proj_from_cam
     figures: dict[str, Any] = {
@@ -399,7 +420,10 @@ def write_imported(folder: Path, imported: Imported) -> dict[str, Any]:
 
 
 def parameter_rows(done: BoardCalibration) -> Iterator[dict[str, Any]]:
-    """Yield one row per parameter: value, standard and expanded uncertainty, truth if known."""
+    """Yield one row per parameter: value, standard and expanded uncertainty.
+
+    For a rendered rig each row also has the true value and the error.
+    """
     truth = done.truth
     for parameter in done.result.parameters:
         row: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Reconstruct the fringes that a sensor recorded, rendered or real, without a renderer."""
+"""Reconstruct or decode captures of fringes, rendered or real; needs no renderer."""
 
 from collections.abc import Mapping
 from enum import IntEnum
@@ -36,7 +36,7 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 def reconstruct_capture(
     capture_folder: Path, out: Path, decode: Decode, watch: ProgressCallback = no_progress
 ) -> dict[str, Any]:
-    """Reconstruct `capture_folder` into `out`; returns the figures also written to result.json.
+    """Reconstruct a capture, and write the result folder `out`; return the figures of result.json.
 
     Raises
     ------
@@ -89,7 +89,12 @@ LIKELY_CAUSES = {
 
 
 def require_points(capture: Path, reasons: ReasonImage) -> None:
-    """Raise CaptureError, with the most frequent reason, if no pixel (row, col) is valid."""
+    """Raise CaptureError, with the most frequent reason code, if no pixel is valid.
+
+    Parameters
+    ----------
+    reasons : (row, col) reason codes
+    """
     if np.any(reasons == Reason.VALID):
         return
     codes, counts = np.unique(reasons, return_counts=True)
@@ -102,7 +107,7 @@ def require_points(capture: Path, reasons: ReasonImage) -> None:
 
 
 def options_of(decode: Decode) -> ReconstructOptions:
-    """Return the decoder's options as the experiment states them."""
+    """Return the options of the reconstruction for the table [decode] of an experiment."""
     return ReconstructOptions(
         decode=DecodeOptions(
             filter_taps=decode.filter_taps, filter_sigma_px=decode.filter_sigma_px
@@ -113,7 +118,12 @@ def options_of(decode: Decode) -> ReconstructOptions:
 
 
 def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
-    """Count the valid points and, by reason, the masked pixels; state their uncertainty."""
+    """Return number and uncertainty of the valid points, and the masked pixels per reason.
+
+    Parameters
+    ----------
+    use : projector axes from which the points were triangulated
+    """
     reasons = result.point_map.mask_reason
     figures: dict[str, Any] = {
         "points": int(result.point_map.valid.sum()),
@@ -130,9 +140,10 @@ def reconstruction_metrics(result: Reconstruction, use: Use) -> dict[str, Any]:
 def decode_capture(
     capture_folder: Path, out: Path, decode: Decode, watch: ProgressCallback = no_progress
 ) -> dict[str, Any]:
-    """Decode `capture_folder` into `out`, without a calibration; returns the figures.
+    """Decode a capture without a calibration, and write the result folder `out`.
 
-    `out` holds decoded.nc, decoded.png, experiment.toml and result.json.
+    Returns the figures of result.json.
+    The files of `out` are decoded.nc, decoded.png, experiment.toml and result.json.
 
     Raises
     ------
@@ -167,7 +178,7 @@ def decode_capture(
 
 
 def decoding_metrics(decoded: Decoded) -> dict[str, Any]:
-    """Count the valid and, by reason, the masked pixels; state the coordinates' uncertainty."""
+    """Return number, coordinate range and sigma of valid pixels, and masked pixels per reason."""
     figures: dict[str, Any] = {
         "pixels": int(decoded.valid.sum()),
         "valid_share": float(decoded.valid.mean()),
@@ -185,7 +196,7 @@ def decoding_metrics(decoded: Decoded) -> dict[str, Any]:
 
 
 def continuity_metrics(decoded: Decoded, patterns: PatternSet) -> dict[str, float]:
-    """Return how often the coordinates of neighbouring pixels jump, see `jump_share`."""
+    """Return the share of jumps of the projector coordinate, by figure name, see `jump_share`."""
     return {
         f"{name}{JUMPS}": jump_share(
             (decoded.row if name == "row" else decoded.column).coordinate_px,
@@ -198,7 +209,12 @@ def continuity_metrics(decoded: Decoded, patterns: PatternSet) -> dict[str, floa
 
 
 def order_doubts(figures: Mapping[str, Any]) -> list[str]:
-    """Return a warning for each axis along which neighbouring pixels disagree too often."""
+    """Return a warning for each axis with too many jumps of its coordinate between pixels.
+
+    Parameters
+    ----------
+    figures : with those of `continuity_metrics`
+    """
     shares = {axis: figures.get(f"{axis}{JUMPS}", 0.0) for axis in AXES}
     return [
         f"the {axis} coordinate jumps at {share:.0%} of the places where it should pass from one"
@@ -210,6 +226,12 @@ def order_doubts(figures: Mapping[str, Any]) -> list[str]:
 
 
 def masked_by_reason(reasons_image: ReasonImage, codes: type[IntEnum]) -> dict[str, int]:
-    """Count the masked pixels (row, col) by reason."""
+    """Return the number of pixels per reason code, except VALID, by figure name.
+
+    Parameters
+    ----------
+    reasons_image : (row, col) reason codes
+    codes : all reason codes
+    """
     reasons = (code for code in codes if code.name != "VALID")
     return {f"masked_{code.name.lower()}": int((reasons_image == code).sum()) for code in reasons}

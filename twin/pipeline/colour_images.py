@@ -1,7 +1,8 @@
-"""From a colour sensor's linear radiance to the 8-bit image that its driver delivers.
+"""Convert the rendered radiance of a colour sensor to the 8-bit image that its driver delivers.
 
-Order as in the product: the lens' vignetting, sensor noise, white balance, power law, 8 bits, crop,
-resize. Cropping is exact for a pinhole, so that only the cropped area is rendered.
+The steps are those of the product, in this order: vignetting of the lens, sensor noise, white
+balance, power law, 8 bits, crop, resize. A crop of a pinhole camera is exact, so that only the
+cropped area is rendered.
 """
 
 from dataclasses import replace
@@ -18,7 +19,7 @@ from twin.optics.rig import camera_pinhole
 
 
 def cropped_pinhole(experiment: Experiment) -> Pinhole:
-    """Pinhole of the part of the binned image that the driver keeps."""
+    """Return the pinhole camera of the part of the binned image that remains after the crop."""
     whole, share = camera_pinhole(experiment.camera), experiment.photometric.crop
     left, top = int(whole.width_px * share), int(whole.height_px * share)
     return replace(
@@ -31,10 +32,10 @@ def cropped_pinhole(experiment: Experiment) -> Pinhole:
 
 
 def image_pinhole(experiment: Experiment) -> Pinhole:
-    """Pinhole of the final image; its pixels need not be square."""
+    """Return the pinhole camera of the cropped and resized image; its pixels may not be square."""
     pinhole, size = cropped_pinhole(experiment), experiment.photometric
     x, y = size.width_px / pinhole.width_px, size.height_px / pinhole.height_px
-    # Pixel centres are half a pixel in, for any size of the pixels.
+    # The centre of the first pixel is half a pixel inside the image, for any size of the pixels.
     return replace(
         pinhole,
         width_px=size.width_px,
@@ -47,9 +48,10 @@ def image_pinhole(experiment: Experiment) -> Pinhole:
 
 
 def fixed_exposure_ms(experiment: Experiment, background: FloatImage) -> float:
-    """Return the exposure; an automatic one is set on the brightest channel of the undeformed coat.
+    """Return the exposure time, ms, for all images of a sensor.
 
-    Images are compared with the background: all must have its exposure.
+    An automatic exposure is determined from the brightest channel of the undeformed coat. All
+    images have this exposure, because they are compared with the background.
 
     Parameters
     ----------
@@ -57,21 +59,23 @@ def fixed_exposure_ms(experiment: Experiment, background: FloatImage) -> float:
 
     Raises
     ------
-    InputError : automatic exposure, and no lamp lights the coat
+    InputError : the exposure is automatic, and no lamp lights the coat
     """
     brightest = light_on_sensor(experiment, background).max(axis=-1)
     return choose_exposure_ms(experiment, brightest)
 
 
 def light_on_sensor(experiment: Experiment, radiance: FloatImage) -> FloatImage:
-    """Radiance of the projector's wavelength, seen on the axis, that frees as many electrons.
+    """Return the equivalent radiance (row, col, channel) at the projector's wavelength.
 
-    The exposure model counts photons of one wavelength: mW of red are more photons than of blue.
+    Its unit is mW / (mm^2 sr). On the axis of the camera it would release as many electrons as
+    `radiance` does on its pixel, behind the lens with vignetting. The exposure model is for photons
+    of the projector's wavelength, and 1 mW of red has more photons than 1 mW of blue.
 
     Parameters
     ----------
     radiance : (row, col, channel) float32
-        On the pixels of `cropped_pinhole`.
+        Radiance on the pixels of `cropped_pinhole`, mW / (mm^2 sr).
     """
     reference_nm = experiment.projector.wavelength_nm
     factors = [_wavelength_nm(experiment, channel) / reference_nm for channel in CHANNELS]
@@ -80,10 +84,11 @@ def light_on_sensor(experiment: Experiment, radiance: FloatImage) -> FloatImage:
 
 
 def vignetting(pinhole: Pinhole, exponent: float) -> FloatImage:
-    """Return the illuminance on the sensor over that on the axis, (row, col) float32.
+    """Return the ratio of the illuminance on the sensor to that on the axis, (row, col) float32.
 
-    By cos^4 of the angle to the axis where the lens has no stop but its pupil (natural vignetting:
-    cos^2 by the longer way, cos by the pupil's and cos by the sensor's inclination).
+    The ratio is a power of the cosine of the angle to the axis. The exponent is 4 for a lens with
+    no stop but its pupil (natural vignetting): cos^2 by the longer distance, cos by the inclination
+    of the pupil and cos by that of the sensor.
     """
     x = (np.arange(pinhole.width_px) - pinhole.cx_px) / pinhole.fx_px
     y = (np.arange(pinhole.height_px) - pinhole.cy_px) / pinhole.fy_px
@@ -92,18 +97,18 @@ def vignetting(pinhole: Pinhole, exponent: float) -> FloatImage:
 
 
 def develop(experiment: Experiment, radiance: FloatImage, trial: int = 0) -> Levels:
-    """Expose the camera and return its driver's images.
+    """Expose the camera, and return the image that its driver delivers.
 
     Parameters
     ----------
-    experiment : with a set exposure
+    experiment : experiment with a fixed exposure time
     radiance : (row, col, channel) float32, mW / (mm^2 sr)
-        On the pixels of `cropped_pinhole`.
-    trial : number of the image: same camera, new temporal noise
+        Radiance on the pixels of `cropped_pinhole`.
+    trial : number of the image, which selects the temporal noise
 
     Returns
     -------
-    (row, col, 3) uint8, red first, of the final size
+    (row, col, 3) uint8, red first, after crop and resize
     """
     camera, size = experiment.camera, experiment.photometric
     channels = list(np.moveaxis(light_on_sensor(experiment, radiance), -1, 0))
@@ -120,7 +125,7 @@ def develop(experiment: Experiment, radiance: FloatImage, trial: int = 0) -> Lev
 
 
 def _wavelength_nm(experiment: Experiment, channel: str) -> float:
-    """Mean wavelength of the lamps of a channel, weighted by their flux."""
+    """Return the mean wavelength, nm, of the lamps of a colour channel, weighted by their flux."""
     lamps = [lamp for lamp in experiment.lamps.values() if lamp.channel == channel]
     weights = [lamp.flux_mw for lamp in lamps]
     return float(np.average([lamp.wavelength_nm for lamp in lamps], weights=weights))

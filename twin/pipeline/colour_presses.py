@@ -1,8 +1,9 @@
-"""Measure presses of a photometric sensor from their images, rendered or real: one, or a folder.
+"""Measure one or several presses of a photometric sensor from their images, rendered or real.
 
-Written: height.nc and points.ply of the one press, or of each in presses/NUMBER_NAME; the
-description as experiment.toml; sensor_calibration.npz to measure with again. Of several presses
-also presses.csv with the figures of each, and heights.png.
+For one press the result folder contains height.nc and points.ply. For several presses these files
+are in presses/NUMBER_NAME for each press, and presses.csv has the figures of each press,
+heights.png the height maps. In both cases experiment.toml is the description, and
+sensor_calibration.npz the calibration for later measurements.
 """
 
 from dataclasses import dataclass
@@ -42,7 +43,7 @@ _MEDIANS = ("valid_share", "highest_mm", "untouched_share", "untouched_drift_um"
 
 @dataclass(frozen=True)
 class ColourOutcome:
-    """The measured points, and a warning for each doubt about them."""
+    """Figures of measured presses for result.json, and warnings that they may be wrong."""
 
     figures: dict[str, Any]
     doubts: tuple[str, ...]
@@ -50,7 +51,14 @@ class ColourOutcome:
 
 @dataclass(frozen=True, eq=False)
 class _Series:
-    """Figures of all presses, and the height maps of those that could be measured."""
+    """Results of several presses.
+
+    Attributes
+    ----------
+    rows : figures of each press, or the reason why it could not be measured
+    heights : height maps by name, of the presses that could be measured
+    doubts : warnings that results may be wrong
+    """
 
     rows: list[dict[str, Any]]
     heights: dict[str, HeightMap]
@@ -60,9 +68,14 @@ class _Series:
 def reconstruct_presses(
     description: Path, out: Path, watch: ProgressCallback = no_progress
 ) -> ColourOutcome:
-    """Measure the presses of `description` (TOML) into `out`; see the module.
+    """Measure the presses of a description, and write the result folder `out`.
 
-    Of several presses, those that cannot be measured are listed with the reason, the others go on.
+    The module docstring lists the files. If the description has several presses, those that cannot
+    be measured are listed with the reason, and the others are measured.
+
+    Parameters
+    ----------
+    description : TOML file, see `reconstruction.photometric.press_description`
 
     Raises
     ------
@@ -143,7 +156,11 @@ def _medians(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def press_figures(result: PhotometricResult) -> dict[str, Any]:
-    """Return the range of the valid heights, the undeformed gel's heights, and pixels by reason."""
+    """Return the figures of one press by name, units in the names.
+
+    They are the range of the valid heights, share, light and RMS height of the undeformed gel, and
+    the number of masked pixels per reason.
+    """
     height_map = result.height_map
     heights_mm = height_map.height_mm[height_map.valid]
     figures: dict[str, Any] = {

@@ -1,8 +1,9 @@
-"""Photometric stereo: the coat in the light of coloured lamps, seen through its gel.
+"""Run a virtual measurement by photometric stereo: coloured lamps light the coat behind its gel.
 
-One sensor records all presses: reference balls that calibrate the colour of each slope, the
-undeformed gel, and the specimen. All of them are pressed, rendered and developed alike. The stages
-sensor -> references -> calibrations serve every specimen under the same sensor.
+One sensor records all presses: reference balls, from which the map from colour to slope is
+calibrated, the undeformed gel, and the specimen. All presses are computed, rendered and converted
+to images by the same functions. The stages sensor -> references -> calibrations are computed once
+for all specimens under the same sensor.
 """
 
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Levels
+from reconstruction.colour_maps import COLOUR_MAPS, maps_in_order
 from reconstruction.errors import InputError
 from reconstruction.photometric import (
     BallPress,
@@ -18,7 +20,6 @@ from reconstruction.photometric import (
     calibrate_sensor,
 )
 from reconstruction.photometric.calibration_ball import SampleOptions
-from reconstruction.photometric.sensor import MapKind
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment, digest, seed_sequence
 from twin.config.models import Press
@@ -39,7 +40,7 @@ from twin.pipeline.fringes import RunContext
 from twin.pipeline.kept_calibrations import KeptCalibrations
 from twin.pipeline.memory import CachedResult, Memory
 from twin.pipeline.press import press, press_smooth, with_texture
-from twin.results.decoders import MAP_ORDER, chosen, decode_all
+from twin.results.decoders import chosen, decode_all
 from twin.results.parts import press_metrics
 from twin.results.record import Colours, Measurement
 from twin.results.score import metrics
@@ -50,23 +51,26 @@ if TYPE_CHECKING:
 
     from twin.optics.colour_trace import ColourScene
 
-# Dots of the product are read up to this grey level (measured behaviour of the vendor's programs).
+# Largest grey level of a printed dot (measured behaviour of the vendor's programs).
 MARKER_LEVEL = 70
-# A small ball in a dark corner sometimes shows no circle: such a press would be repeated.
+# Share of reference presses that may show no contact circle, as a small ball in a dark corner. With
+# a real sensor the user would repeat such a press.
 UNREADABLE_SHARE = 0.1
-# Numbers of images, so that no two share their noise: backgrounds, presses, then the specimen.
+# First numbers of the images, which select their noise: backgrounds from 0, reference presses,
+# specimen.
 _FIRST_PRESS, _FIRST_TRIAL = 1000, 2000
 
 
 @dataclass(frozen=True, eq=False)
 class LitCoat:
-    """The undeformed coat under its lamps, loaded.
+    """Loaded scene of the coat under its lamps, with the radiance of the undeformed coat.
 
     Attributes
     ----------
+    scene : scene into which pressed faces are put
     background : (row, col, channel) float32
-        Its radiance on the pixels that the driver keeps.
-    exposure_ms : set once, on the background
+        Radiance of the undeformed coat on the pixels of `cropped_pinhole`, mW / (mm^2 sr).
+    exposure_ms : exposure time of all images, determined from the background
     """
 
     scene: "ColourScene"
@@ -76,29 +80,36 @@ class LitCoat:
 
 @dataclass(frozen=True, eq=False)
 class ColourSensor:
-    """A simulated sensor that can image pressed faces; its exposure time is set."""
+    """Simulated photometric sensor with a fixed exposure time, which images pressed faces.
+
+    Attributes
+    ----------
+    experiment : experiment with the exposure time of `coat` in its camera
+    coat : loaded scene of the coat
+    """
 
     experiment: Experiment
     coat: LitCoat
 
     @classmethod
     def of(cls, experiment: Experiment, coat: LitCoat) -> "ColourSensor":
-        """Return the sensor with the exposure time that its lit coat requires."""
+        """Return the sensor of an experiment, with the exposure time of its lit coat."""
         camera = experiment.camera.model_copy(update={"exposure_ms": coat.exposure_ms})
         return cls(experiment.model_copy(update={"camera": camera}), coat)
 
     @property
     def pitch_mm(self) -> float:
-        """Width of a pixel of the final image on the coat, mean of both axes, middle of the field.
+        """Width on the coat, mm, of a pixel of the final image, in the middle of the field.
 
-        The layers raise the coat to sum of thickness / index below their top (paraxial).
+        It is the mean of both axes. Seen through the layers, the coat appears at the depth
+        sum of (thickness / refractive index) below their top (paraxial).
         """
         device, camera = image_pinhole(self.experiment), self.experiment.camera
         layers = self.experiment.layers.values()
         raised_mm = sum(layer.thickness_mm * (1.0 - 1.0 / layer.ior) for layer in layers)
         return (camera.pose.standoff_mm - raised_mm) * (1 / device.fx_px + 1 / device.fy_px) / 2
 
-    @renderer_session()  # no other thread puts a face into the same scene in between
+    @renderer_session()  # prevents that another thread puts a face into the scene meanwhile
     def image(self, face: "trimesh.Trimesh", number: int) -> Levels:
         """Return the image of a pressed face as the camera's driver outputs it, with noise.
 
@@ -112,7 +123,11 @@ class ColourSensor:
         return develop(self.experiment, radiance, number)
 
     def backgrounds(self) -> Levels:
-        """Return images without contact, (frame, row, col, 3); if truncated, their mean only."""
+        """Return images (frame, row, col, 3) uint8 of the undeformed gel.
+
+        If the experiment requests a truncated background, the only frame is their mean, rounded
+        down.
+        """
         plan, untouched = self.experiment.photometric.presses, self.coat.background
         frames = np.stack([develop(self.experiment, untouched, n) for n in range(plan.backgrounds)])
         if not plan.truncated_background:
@@ -122,7 +137,10 @@ class ColourSensor:
 
     @renderer_session()
     def truth(self, face: "trimesh.Trimesh") -> Truth:
-        """Return the true surface at the pixels of the final image; `lit`: the evaluated pixels."""
+        """Return the true surface at the pixels of the final image.
+
+        The field `lit` marks the pixels that are evaluated.
+        """
         self.coat.scene.put(face)
         return self.coat.scene.truth(*self._pose(image_pinhole(self.experiment)))
 
@@ -132,7 +150,10 @@ class ColourSensor:
 
 @dataclass(frozen=True, eq=False)
 class References:
-    """Images that a sensor is calibrated on."""
+    """Images on which a sensor is calibrated: backgrounds, and presses of reference balls.
+
+    backgrounds are (frame, row, col, 3) uint8 images of the undeformed gel.
+    """
 
     backgrounds: Levels
     presses: tuple[BallPress, ...]
@@ -143,7 +164,7 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
 
     Raises
     ------
-    InputError, MissingBackend : as `twin.pipeline.measure`
+    InputError, MissingBackend : for the reasons of `twin.pipeline.measure`
     """
     memory, clock = run.memory, run.clock
     check_sensor(experiment)
@@ -180,13 +201,17 @@ def measure_colours(experiment: Experiment, run: RunContext) -> Measurement:
 def calibrated_sensor(
     experiment: Experiment, memory: Memory | None = None
 ) -> tuple[ColourSensor, SensorCalibration]:
-    """Return the sensor and its calibration on rendered presses of reference balls.
+    """Return the simulated sensor of an experiment, calibrated on rendered presses of balls.
+
+    Parameters
+    ----------
+    memory : cache of stage results; None: no cache
 
     Raises
     ------
-    FitError : a press without a contact circle, or too few presses
-    InputError : no lamps; or a pose, lens or exposure that this method does not take
-    MissingBackend : no usable Dr.Jit backend
+    FitError : too many presses have no contact circle, or there are too few presses
+    InputError : the experiment has no lamps, or a camera pose, lens or exposure that is not allowed
+    MissingBackend : there is no usable Dr.Jit backend
     """
     check_sensor(experiment)
     coat, calibrations = _calibrated(experiment, memory or Memory())
@@ -195,11 +220,12 @@ def calibrated_sensor(
 
 
 def check_sensor(experiment: Experiment) -> None:
-    """Raise InputError if a rig is no sensor for photometric stereo.
+    """Check that the rig of an experiment is a sensor for photometric stereo.
 
     Raises
     ------
-    InputError : no lamps, a camera that leans, or depth of field
+    InputError : the rig has no lamps, its camera is not perpendicular to the coat, or has a finite
+        depth of field
     """
     if not experiment.lamps:
         raise InputError("lamps: found none; photometric stereo needs [lamps.NAME] around the gel")
@@ -214,14 +240,17 @@ def check_sensor(experiment: Experiment) -> None:
 
 
 def ball_presses(experiment: Experiment) -> list[Experiment]:
-    """Draw the reference presses: balls at random places of the field, from the root seed."""
+    """Return the experiments of the reference presses: balls at random positions of the field.
+
+    Diameters, depths and positions are random numbers from the root seed of the experiment.
+    """
     plan, size = experiment.photometric.presses, experiment.photometric
     rng = np.random.default_rng(seed_sequence(experiment, "reference_balls"))
     presses = []
     for _ in range(plan.count):
         diameter_mm = rng.uniform(plan.smallest_diameter_mm, plan.largest_diameter_mm)
         depth_mm = 0.5 * diameter_mm * rng.uniform(plan.shallowest, plan.deepest)
-        # A contact's radius is below sqrt(2 R d), the ball's section by the plane.
+        # The contact's radius is below sqrt(2 R d), that of the ball's section at the depth d.
         half = np.array([size.field_x_mm, size.field_y_mm]) / 2 - np.sqrt(diameter_mm * depth_mm)
         x_mm, y_mm = rng.uniform(-1.0, 1.0, 2) * np.maximum(half, 0.0)
         ball = Ball(diameter_mm=diameter_mm, x_mm=x_mm, y_mm=y_mm)
@@ -230,7 +259,7 @@ def ball_presses(experiment: Experiment) -> list[Experiment]:
 
 
 def with_ball(experiment: Experiment, ball: Ball, depth_mm: float) -> Experiment:
-    """Return the experiment with a ball pressed to a depth instead of its own specimen."""
+    """Return the experiment with a ball, pressed to a depth, in place of its specimen and press."""
     load = Press(
         control="depth",
         depth_mm=depth_mm,
@@ -242,8 +271,12 @@ def with_ball(experiment: Experiment, ball: Ball, depth_mm: float) -> Experiment
 
 def _calibrated(
     experiment: Experiment, memory: Memory
-) -> tuple[CachedResult[LitCoat], dict[MapKind, SensorCalibration]]:
-    """Return the lit coat and one calibration per colour map, all on the same reference images."""
+) -> tuple[CachedResult[LitCoat], dict[str, SensorCalibration]]:
+    """Return the lit coat, and one calibration per kind of colour map.
+
+    All calibrations are fitted to the same reference images. They are read from the folder of
+    stored calibrations if it has them.
+    """
     coat = memory.recall("sensor", experiment, (), _lit_coat)
     store = None if memory.calibrations is None else KeptCalibrations(memory.calibrations)
     stored = None if store is None else store.find(experiment)
@@ -258,7 +291,7 @@ def _calibrated(
     calibrations = memory.recall(
         "calibrations",
         experiment,
-        references.token,
+        (references.token, COLOUR_MAPS.names()),
         lambda watched: _calibrations(ColourSensor.of(watched, coat.value), references.value),
     )
     if store is not None:
@@ -277,7 +310,7 @@ def _lit_coat(experiment: Experiment) -> LitCoat:
 
 
 def _untouched_face(experiment: Experiment) -> "trimesh.Trimesh":
-    """Return the undeformed coat on the nodes of a pressed one: a press without its relief."""
+    """Return the mesh of the undeformed coat, with its texture, on the nodes of a pressed face."""
     case = with_ball(experiment, Ball(diameter_mm=8.0), 0.2)
     pressed = press_smooth(case)
     flat, free = np.zeros_like(pressed.face_z_mm), np.zeros_like(pressed.pressure_kpa)
@@ -287,7 +320,7 @@ def _untouched_face(experiment: Experiment) -> "trimesh.Trimesh":
 
 
 def _references(sensor: ColourSensor) -> References:
-    """Press, render and develop the reference balls."""
+    """Return the images of the pressed reference balls and of the undeformed gel."""
     references = []
     for number, case in enumerate(ball_presses(sensor.experiment)):
         assert isinstance(case.specimen, Ball)
@@ -297,13 +330,16 @@ def _references(sensor: ColourSensor) -> References:
     return References(sensor.backgrounds(), tuple(references))
 
 
-def _calibrations(sensor: ColourSensor, references: References) -> dict[MapKind, SensorCalibration]:
+def _calibrations(sensor: ColourSensor, references: References) -> dict[str, SensorCalibration]:
     markers = sensor.experiment.photometric.markers
     options = SampleOptions(
         marker_level=0 if markers is None else MARKER_LEVEL, unreadable_share=UNREADABLE_SHARE
     )
     images = references.presses, references.backgrounds
-    return {kind: calibrate_sensor(*images, sensor.pitch_mm, kind, options) for kind in MAP_ORDER}
+    return {
+        kind.name: calibrate_sensor(*images, sensor.pitch_mm, kind.name, options)
+        for kind in maps_in_order()
+    }
 
 
 def _photograph(

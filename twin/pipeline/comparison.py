@@ -1,12 +1,13 @@
-"""The same specimens by several methods, each measurement in a result folder of its own.
+"""Measure specimens by several methods, and write each measurement into its own result folder.
 
-One comparison is stored in one folder, `NAME/METHOD/` as `twin measure` writes it, and
-`result.json` over all. A finished measurement in that folder is not repeated.
+A comparison is one folder. The measurement of experiment NAME by METHOD is in `NAME/METHOD/`, in
+the format of `twin measure`; `result.json` has the figures of all measurements. Finished
+measurements in the folder are not repeated.
 
-Fringes are projected by the experiment's own rig. Photometric stereo is another sensor with another
-gel: specimen, scoring and load of the experiment are carried over to a rig of its own. The load is
-the force by default, as two sensors on one press would feel it. The same depth is another
-comparison: a gel bonded to a window resists far more than a free sheet.
+For methods with fringes the rig is that of the experiment. Photometric stereo needs a different
+sensor with a different gel, so specimen, scoring and load of the experiment are copied to a
+photometric rig. By default both presses have the same force. They may have the same depth instead;
+then the forces differ, because a gel bonded to a window is far stiffer than a free sheet.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -44,24 +45,25 @@ if TYPE_CHECKING:
 
 Match = Literal["force", "depth"]
 
-# Digits kept of a force that was computed: the last ones of the finite-element model vary.
+# Significant digits of a computed force: further digits of the finite-element model vary.
 _FORCE_DIGITS = 4
-# Not the seed: one sensor measures all specimens, with the rig's noise and reference presses.
+# Fields copied to the photometric rig. The seed is not copied: one sensor measures all specimens,
+# with the noise and the reference presses of the rig.
 _CARRIED = ("name", "description", "specimen", "stage", "score")
 _LOAD = ("control", "depth_mm", "force_n")
 _DRAWN = ("z_rmse_um", "completeness", "object_rms_um")
-"""Figures that a notebook shows."""
+"""Figures that `Comparison.plot` draws."""
 
 
 @dataclass(frozen=True)
 class PhotometricPlan:
-    """Sensor that represents photometric stereo, and the quantity common to both presses.
+    """Sensor with which a comparison represents photometric stereo, and its load.
 
     Attributes
     ----------
     rig : TOML file without specimen, or the name of a shipped rig
-    settings : values by dotted path laid over the rig
-    match : quantity that is equal in both presses: force (N) or depth (mm)
+    settings : values by dotted path that replace those of the rig
+    match : quantity that is equal to that of the experiment's own press: force (N) or depth (mm)
     """
 
     rig: str = "rigs/gelsight_mini"
@@ -70,13 +72,14 @@ class PhotometricPlan:
 
 
 def case_for(experiment: Experiment, method: Method, plan: PhotometricPlan) -> Experiment:
-    """Return the experiment as `method` measures it.
+    """Return the experiment with which a comparison measures a specimen by one method.
 
-    An experiment that brings lamps of its own is a photometric rig already and is not changed.
+    For photometric stereo it is the photometric rig with specimen, scoring and load of
+    `experiment`. An experiment with lamps has a photometric rig already, which is used.
 
     Raises
     ------
-    InputError : the rig cannot be used, or the experiment's own press fails
+    InputError : the photometric rig cannot be used, or the experiment's own press fails
     """
     if TRAITS[method].fringes or experiment.lamps:
         return vary(experiment, by_method(method))
@@ -119,7 +122,11 @@ def _carried_over(experiment: Experiment, rig: Experiment, match: Match) -> Expe
 def _load(
     experiment: Experiment, rig: Experiment, match: Match
 ) -> tuple[Press, dict[str, Provenance]]:
-    """Return the press of the rig under the experiment's load, and the source of the load."""
+    """Return the press settings of the photometric rig, and the provenance of the load.
+
+    The load has the force or depth, see `match`, of the experiment's own press, which is computed
+    if it is not stated.
+    """
     pitches = rig.press.model_dump(include={"solver_pitch_mm", "relief_pitch_mm"})
     own = experiment.press
     if match == own.control:
@@ -151,14 +158,16 @@ Filler = Callable[[Path, Experiment, ProgressCallback, Memory], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """One specimen by one method.
+    """Result of measuring one specimen by one method.
 
     Attributes
     ----------
-    name : name of the experiment
-    figures : metrics of result.json; empty when it could not be measured
-    failure : why it could not, in one line; empty when it was
-    reused : the folder held it already
+    name, description : those of the experiment
+    method : method of the measurement
+    digest : hash of the experiment that was measured; empty if it could not be measured
+    figures : metrics of result.json; None if the specimen could not be measured
+    failure : reason why it could not be measured, in one line; empty if it was measured
+    reused : True if the folder already contained the finished measurement
     """
 
     name: str
@@ -172,7 +181,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Comparison(Sequence[Outcome]):
-    """Specimens by methods, by experiment, then by method; also those that failed."""
+    """Results of a comparison, including failed measurements.
+
+    They are ordered by experiment, then by method.
+    """
 
     outcomes: tuple[Outcome, ...]
 
@@ -196,15 +208,18 @@ class Comparison(Sequence[Outcome]):
         return as_html("comparison", self._in_short(), self.plot())
 
     def _in_short(self) -> dict[str, str]:
-        """Return error and share of points, or the failure, of each measurement as texts."""
+        """Return RMS error and share of points of each measurement, or its failure, as texts."""
         return {f"{each.name}, {each.method}": _in_short(each) for each in self.outcomes}
 
     def plot(self) -> "Drawing":
-        """Draw errors and share of points by specimen and method: a Matplotlib figure."""
+        """Return a figure of RMS errors and completeness by specimen and method."""
         return draw_rows(self._rows(), "specimen", _DRAWN, by="method")
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return specimen, method, failure and all figures, along `case`; NaN where none is."""
+        """Return specimen, method, failure and all figures of each measurement, along `case`.
+
+        A figure that a measurement does not have is NaN.
+        """
         rows = self._rows()
         names = dict.fromkeys(name for row in rows for name in row)
         return rows_as_arrays(rows, [*names]).to_xarray()
@@ -227,11 +242,11 @@ def _in_short(outcome: Outcome) -> str:
 
 
 def methods_named(text: str) -> tuple[Method, ...]:
-    """Read a comma-separated list of methods.
+    """Return the methods in a comma-separated list.
 
     Raises
     ------
-    InputError : an unknown method, one named twice, or none
+    InputError : a method is unknown or named twice, or the list is empty
     """
     names = [name.strip() for name in text.split(",")]
     known: dict[str, Method] = {method: method for method in METHODS}
@@ -247,7 +262,7 @@ def methods_named(text: str) -> tuple[Method, ...]:
 def measure_whole(
     folder: Path, experiment: Experiment, watch: ProgressCallback, memory: Memory
 ) -> None:
-    """Fill a result folder as `twin measure` does, but for its report."""
+    """Measure an experiment, and write the files of `twin measure` into a folder, but no report."""
     measure_into(folder, "measure", experiment, watch, memory)
 
 
@@ -261,28 +276,29 @@ def compare(
     plan: PhotometricPlan | None = None,
     inputs: Iterable[Path] = (),
 ) -> Comparison:
-    """Measure every experiment by every method, into `out`.
+    """Measure every experiment by every method, and write the results to a folder.
 
-    All measurements share one memory, so that a sensor is calibrated once.
+    All measurements use one cache of stage results, so that a sensor is calibrated only once.
 
     Parameters
     ----------
-    experiments : at least one, each with a name of its own
-    methods : in the order in which they are shown
-    out : folder of the comparison; an earlier one is continued
-    fill : measures one experiment into a folder, which becomes visible when it is complete
-    plan : sensor and load of photometric stereo; a GelSight Mini under the same force by default
-    inputs : files that `out` must not hold, see `claim`
+    experiments : at least one experiment; all names must differ
+    methods : methods, in the order of the results
+    out : folder of the comparison; a comparison that it already contains is continued
+    fill : function that measures one experiment into a folder; the folder gets its final name when
+        the function has returned
+    plan : sensor and load of photometric stereo; None: a GelSight Mini under the same force
+    inputs : input files, which must not be in `out`, see `claim`
 
     Returns
     -------
     Comparison
-        By experiment, then by method. Measurements that failed are among them.
+        Results by experiment, then by method, including failed measurements.
 
     Raises
     ------
-    InputError : two experiments of one name, or `out` is no comparison or cannot be written
-    MissingBackend : no usable Dr.Jit backend
+    InputError : two experiments have the same name, or `out` is no comparison or cannot be written
+    MissingBackend : there is no usable Dr.Jit backend
     """
     _refuse_namesakes(experiments)
     claim(out, COMMAND, _NAMES, inputs)
@@ -296,11 +312,11 @@ def compare(
 
 
 def read_outcomes(folder: Path) -> Comparison:
-    """Read a finished comparison.
+    """Return the results of a finished comparison in a folder.
 
     Raises
     ------
-    InputError : the folder holds none, or its result is damaged
+    InputError : the folder contains no finished comparison, or its result.json is damaged
     """
     result = read_json(folder / RESULT_FILE)
     if result.get("command") != COMMAND:
@@ -314,7 +330,7 @@ def read_outcomes(folder: Path) -> Comparison:
 
 
 def is_comparison(folder: Path) -> bool:
-    """Return whether a folder holds a finished comparison."""
+    """Return True if a folder contains a finished comparison."""
     path = folder / RESULT_FILE
     return is_regular(path) and read_json(path).get("command") == COMMAND
 
@@ -351,7 +367,10 @@ def _outcome(experiment: Experiment, method: Method, run: _Run) -> Outcome:
 
 
 def _finished(folder: Path, case: Experiment) -> Metrics | None:
-    """Metrics of the same measurement by the same versions, if the folder holds it."""
+    """Return the metrics in a result folder; None if it has no result of this case.
+
+    The result must have been computed from an equal experiment by the same software versions.
+    """
     if not is_regular(folder / RESULT_FILE):
         return None
     result = read_json(folder / RESULT_FILE)

@@ -1,7 +1,8 @@
-"""The rigid object from a measured coat: `twin compensate`, and its figures in a measurement.
+"""Compute the rigid object behind a measured coat, for `twin compensate` and for measurements.
 
-The truth is not used: inputs are the measured points, and the nominal elastomer and load
-(`SensorLayer`). The specimen's nominal places only name figures: which part is ball 1.
+The simulated truth is not used. Inputs are the measured points, and the nominal elastomer and load
+(`SensorLayer`). Nominal positions of the specimen's features are used only to name the figures, for
+example which part of the contact is ball 1.
 """
 
 from collections.abc import Callable, Mapping
@@ -64,19 +65,19 @@ if TYPE_CHECKING:
     from reconstruction.drawing import Drawing
 
 CONTACT_FILE, LAYER_FILE = "contact.nc", "layer.toml"
-# Of the gel: as fine as ridges that a bonded layer still answers to.
+# Cell of a gel's relief: as fine as the finest ridges that deform a bonded layer.
 _GEL_CELL_MM = 0.08
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensationResult:
-    """A compensation with its input.
+    """Object behind a measured coat, with the assumed layer and the figures.
 
     Attributes
     ----------
     compensated : object and contact, (row, col) on the cells of the measured coat
-    layer : as it was assumed, or calibrated on a ball
-    figures : as in result.json, units in the names
+    layer : elastomer and load, as assumed or as calibrated on a ball
+    figures : figures of result.json, units in the names
     """
 
     compensated: Compensated
@@ -93,7 +94,7 @@ class CompensationResult:
         return as_html("object behind the coat", self._in_short(), self.plot())
 
     def _in_short(self) -> dict[str, str]:
-        """Return contact, force and fitted radii as texts, by name."""
+        """Return contact area, force, pressure and fitted radii as texts with units, by name."""
         radii = {
             name.removesuffix("_mm").replace("_", " "): f"{value:.4f} mm"
             for name, value in self.figures.items()
@@ -102,11 +103,11 @@ class CompensationResult:
         return in_short(self.compensated) | radii
 
     def plot(self) -> "Drawing":
-        """Draw coat, contact pressure, and a section of coat and object: a Matplotlib figure."""
+        """Return a figure with maps of coat and pressure, and a section of coat and object."""
         return object_drawing(self.compensated)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return contact, pressure and both faces over world x and y (mm), as contact.nc."""
+        """Return contact, pressure and both faces over world x and y, mm, as in file contact.nc."""
         return contact_arrays(self.compensated).to_xarray()
 
 
@@ -126,19 +127,23 @@ def compensate_result(
     *,
     ball_diameter_mm: float | None = None,
 ) -> dict[str, Any]:
-    """Compensate a result of `twin measure` or `twin reconstruct` into `out`; returns the figures.
+    """Compute the object behind the coat of a result, write it to `out`, and return the figures.
 
-    `out` holds the object's points as `twin reconstruct` writes the coat's (reconstruction.nc,
-    points.ply, surface.ply, height_map.*), contact.nc, the layer, and result.json.
+    `out` contains the points of the object in the files of `twin reconstruct` (reconstruction.nc,
+    points.ply, surface.ply, height_map.*), contact.nc, layer.toml and result.json.
 
     Parameters
     ----------
-    draw : adds a report to the folder
-    ball_diameter_mm : of every ball in contact: the layer is calibrated on them first
+    folder : result folder of `twin measure` or `twin reconstruct`
+    layer_file : TOML file of elastomer and load; None: those of the result's experiment
+    draw : function that adds a report to the folder
+    ball_diameter_mm : known diameter of every ball in contact, on which the layer is calibrated
+        first; None: the layer is not calibrated
 
     Raises
     ------
-    InputError : no points, no layer, a layout that is not known, or points that determine no object
+    InputError : there are no points or no layer, the layout is not supported, or the points do not
+        determine an object
     """
     inputs = [folder, *([layer_file] if layer_file else [])]
     with output_folder(out, inputs) as target:
@@ -172,17 +177,18 @@ def compensate(
     measured: Measurement | Reconstruction | PointMap,
     layer: SensorLayer | Path | str | None = None,
 ) -> CompensationResult:
-    """Compute the object behind a measured coat, its contact and force; writes no files.
+    """Return the object behind a measured coat, its contact and force; writes no files.
 
     Parameters
     ----------
-    measured : as `twin.measure` or `twin.reconstruct` return it, or its points
-    layer : assumed elastomer and load, or the file with them (docs/compensation.md); default: those
+    measured : result of `twin.measure` or `twin.reconstruct`, or the points of such a result
+    layer : assumed elastomer and load, or the file with them (docs/compensation.md); None: those
         of the measurement's experiment
 
     Raises
     ------
-    InputError : no points, no layer, a layout that is not known, or points that show no object
+    InputError : there are no points or no layer, the layout is not supported, or the points do not
+        determine an object
     """
     kinds = (Measurement, Reconstruction, PointMap)
     require_instance("measured", measured, kinds, "give a result of twin.measure")
@@ -210,7 +216,7 @@ def _points_of(measured: Measurement | Reconstruction | PointMap) -> PointMap:
 def _compensation(
     points: PointMap, layer: SensorLayer, experiment: Experiment | None
 ) -> CompensationResult:
-    """Compensate points, and return the figures of the object, named after nominal places."""
+    """Return the object behind measured points, with figures named by nominal feature positions."""
     specimen = experiment.specimen if experiment else None
     compensated = compensate_points(points, layer, specimen)
     balls = shape_of(specimen).spheres() if specimen else ()
@@ -223,15 +229,17 @@ def _compensation(
 def compensate_points(
     points: PointMap, layer: SensorLayer, specimen: Specimen | None = None
 ) -> Compensated:
-    """Compensate measured points under a thin sheet, a gel on a window or a thick slab.
+    """Return the object behind the coat of a thin sheet, of a gel on a window, or of a thick slab.
 
     Parameters
     ----------
-    specimen : the form with fitted numbers under a thick slab, if the layer states none
+    points : measured points of the coat
+    layer : assumed elastomer and load
+    specimen : form of the object under a thick slab, used if the layer has no specimen
 
     Raises
     ------
-    InputError : a layout that is not known, or points that determine no object
+    InputError : the layout is not supported, or the points do not determine an object
     """
     elastomer = layer.elastomer
     on_window, thin = elastomer.layout == "contact_face", may_wrap(elastomer)
@@ -254,7 +262,12 @@ def compensate_points(
 
 
 def _on_gel(points_mm: FloatArray, sigma_mm: FloatArray, layer: SensorLayer) -> CompensatedGel:
-    """Compensate the coat of a gel on a window, on the part of the pad that was measured."""
+    """Return the object in a gel on a window, over the part of the gel that was measured.
+
+    Parameters
+    ----------
+    points_mm, sigma_mm : (n, xyz) points of the coat, world, and (n,) standard uncertainty of z
+    """
     elastomer = layer.elastomer
     span_x, span_y = (
         min(length, 2 * float(np.abs(points_mm[:, axis]).max()))
@@ -287,7 +300,10 @@ def _on_gel(points_mm: FloatArray, sigma_mm: FloatArray, layer: SensorLayer) -> 
 
 
 def _margin(cells: int, pitch_mm: float, thickness_mm: float) -> int:
-    """Return the cells to add on each side: enough, and a number that is quick to transform."""
+    """Return the number of cells to add on each side of a relief along one axis.
+
+    It covers `WINDOW_MARGIN` thicknesses, and makes the total a fast length for the FFT.
+    """
     least = cells + 2 * int(np.ceil(WINDOW_MARGIN * thickness_mm / pitch_mm))
     total = fft.next_fast_len(least, real=True)
     while (total - cells) % 2:
@@ -296,14 +312,15 @@ def _margin(cells: int, pitch_mm: float, thickness_mm: float) -> int:
 
 
 def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Measurement:
-    """Return a measurement by fringes with the figures of the object behind its coat.
+    """Return a measurement with figures of the object behind its coat added to its metrics.
 
-    They begin with `compensated_`, as those of the command `twin measure`; `compensation_failure`
-    among the metrics is the reason if there are none.
+    The names of these figures begin with `compensated_`, as in the results of `twin measure`. If
+    the points do not determine an object, `compensation_failure` is the reason. A measurement by a
+    method without fringes is returned unchanged.
 
     Parameters
     ----------
-    layer : assumed elastomer and load; default: those of the measurement, or of the experiment
+    layer : assumed elastomer and load; None: those of the measurement, or of its experiment
     """
     require_instance("done", done, Measurement, "give a result of twin.measure")
     if not isinstance(done.images, Fringes):
@@ -321,7 +338,7 @@ def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Me
 
 
 def _sheet_figures(compensation: SheetCompensation) -> dict[str, Any]:
-    """Return figures of the object under a thin sheet; why, where the points show none."""
+    """Return the figures of the object under a thin sheet, or the reason why there is no object."""
     experiment, under = compensation.experiment, compensation.compensated
     if under is None:
         return {"compensation_failure": compensation.why}
@@ -334,9 +351,14 @@ def _sheet_figures(compensation: SheetCompensation) -> dict[str, Any]:
 def compensated_figures(
     experiment: Experiment, points: PointMap, layer: SensorLayer | None = None
 ) -> dict[str, Any]:
-    """Return figures of the object under a thin sheet, in addition to those of the coat.
+    """Return the figures `compensated_*` of the object behind the coat, by name.
 
-    Empty where the elastomer does not wrap; the reason, where the points determine no object.
+    The result is empty if no object is computed for the experiment, see `may_compensate`. If the
+    points do not determine an object, it has only `compensation_failure`, the reason.
+
+    Parameters
+    ----------
+    layer : assumed elastomer and load; None: those of the experiment
     """
     if not may_compensate(experiment):
         return {}
@@ -367,7 +389,7 @@ def _read_points(folder: Path) -> Reconstruction:
 
 
 def _layer_of(folder: Path, layer_file: Path | None) -> tuple[SensorLayer, Experiment | None]:
-    """Return the layer, given or the experiment's, and the experiment if there is one."""
+    """Return the layer of a file or of the result's experiment, and this experiment or None."""
     own = folder / EXPERIMENT_FILE
     tables = read_toml(own) if is_regular(own) else {}
     experiment = load_experiment(own) if "elastomer" in tables else None

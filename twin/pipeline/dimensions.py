@@ -1,4 +1,4 @@
-"""Dimensions of a part of a measured surface, by the definitions of `reconstruction.evaluate`."""
+"""Fit dimensions to a part of a measured surface, as defined in `reconstruction.evaluate`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,13 +30,14 @@ RECONSTRUCTION_FILE = "reconstruction.nc"
 
 @dataclass(frozen=True)
 class Region:
-    """A box of the world (mm; None: without bounds), and the requested dimension in it.
+    """Part of the surface in which a dimension is fitted, and options of the fit.
 
     Attributes
     ----------
-    along : the world axis of a cylinder or a bar
-    fraction : of a bar's height, at which its width is measured
-    nesting_mm : index of the roughness filter
+    x_mm, y_mm, z_mm : (lowest, highest) world coordinates of the part; None: no limit
+    along : world axis that is parallel to the cylinder, bar or step
+    fraction : level over the height of a bar or step at which its edges are located
+    nesting_mm : nesting index of the roughness filter
     """
 
     x_mm: Range | None = None
@@ -48,15 +49,17 @@ class Region:
 
 
 def dimensions(folder: Path, shape: Shape, region: Region) -> dict[str, float]:
-    """Return the figures of a shape that a part of a result's surface has; units in their names.
+    """Return the dimensions of a shape fitted to a part of a result's surface, by name.
+
+    The units are in the names.
 
     Parameters
     ----------
-    folder : result of `twin measure` or `twin reconstruct` by fringes
+    folder : result folder of `twin measure` or `twin reconstruct`, by a method with fringes
 
     Raises
     ------
-    InputError : no points, or none that determine the shape
+    InputError : there are no points in the part, or the points do not determine the shape
     """
     file = folder / RECONSTRUCTION_FILE
     if not file.exists():
@@ -71,7 +74,10 @@ def dimensions(folder: Path, shape: Shape, region: Region) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Heights:
-    """Mean heights in the cells of a part, x and y growing or falling."""
+    """Height map of a part of a surface.
+
+    x_mm (col,) increases, y_mm (row,) decreases; z_mm and valid are (row, col).
+    """
 
     x_mm: FloatArray
     y_mm: FloatArray
@@ -80,7 +86,12 @@ class _Heights:
     pitch_mm: float
 
     def profile(self, along: str) -> tuple[FloatArray, FloatArray]:
-        """Return place across and mean height of the cells along an axis, the place growing."""
+        """Return positions across an axis, increasing, and the mean heights along that axis; mm.
+
+        Parameters
+        ----------
+        along : "x" or "y", the axis along which the valid heights are averaged
+        """
         axis = 0 if along == "y" else 1
         count = self.valid.sum(axis=axis)
         place_mm, filled = (self.x_mm if along == "y" else self.y_mm), count > 0
@@ -96,7 +107,7 @@ def _within(values_mm: FloatArray, bounds_mm: Range | None) -> BoolImage:
 
 
 def _points_in(points: PointMap, region: Region) -> FloatArray:
-    """Return the valid points (n, xyz) in a box."""
+    """Return the valid points (n, xyz) within the limits of a region, world, mm."""
     points_mm = at_pixels(points.points_world_mm, points.valid).astype(np.float64)
     for axis, bounds_mm in enumerate((region.x_mm, region.y_mm, region.z_mm)):
         points_mm = points_mm[_within(points_mm[:, axis], bounds_mm)]
@@ -106,7 +117,7 @@ def _points_in(points: PointMap, region: Region) -> FloatArray:
 
 
 def _heights_in(points: PointMap, region: Region) -> _Heights:
-    """Return the height map in a box."""
+    """Return the height map within the limits of a region."""
     grid = height_map(points)
     rows, cols = _within(grid.y_mm, region.y_mm), _within(grid.x_mm, region.x_mm)
     inside = np.ix_(rows, cols)

@@ -1,9 +1,10 @@
-"""Measure with fringes: on the coat of a pressed elastomer, or on the bare specimen.
+"""Run a virtual measurement by fringes on the coat of a pressed elastomer or on the bare specimen.
 
-press -> geometry -> view -> trace, photons, tables -> frames -> capture -> reconstruction -> score
--> object. Each stage up to the reconstruction is kept in a memory, and used again for every later
-experiment that has the same values in all fields that the stage looked at, and the same earlier
-stages. A single measurement is the same way with an empty memory.
+The stages are press -> geometry -> view -> trace, photons, tables -> frames -> capture ->
+reconstruction -> score -> object. The result of each stage up to the reconstruction is cached in a
+memory. It is used again for every later experiment that has the same values in all fields that the
+stage read, and the same results of the earlier stages. A single measurement runs the same stages
+with an empty memory.
 """
 
 from collections.abc import Callable
@@ -47,15 +48,15 @@ BoundsOf = Callable[[Experiment, PressedFace, Memory], Callable[[], Metrics]]
 
 @dataclass(frozen=True, eq=False)
 class RunContext:
-    """How a measurement is made.
+    """Everything that a measurement depends on in addition to the experiment.
 
     Attributes
     ----------
-    memory : results of stages that are reused
-    clock : run times of the stages, and the callback that is notified of them
-    trial : repetition with new temporal noise
-    layer : assumed elastomer and load; None: the experiment's
-    noise : function of the user for the camera's noise; None: EMVA 1288
+    memory : cache of stage results
+    clock : run times of the stages, and the progress callback
+    trial : number of the repetition, which selects the temporal noise
+    layer : assumed elastomer and load, by which the object is computed; None: the experiment's
+    noise : function of the user for the noise of the camera; None: EMVA 1288
     """
 
     memory: Memory
@@ -66,22 +67,24 @@ class RunContext:
 
     @classmethod
     def alone(cls, clock: Stopwatch | None = None, trial: int = 0) -> "RunContext":
-        """Return a run that neither reads nor writes stored results."""
+        """Return the context of a single measurement, with an empty cache of its own."""
         return cls(Memory(), clock or Stopwatch(), trial)
 
 
 def measure_fringes(
     experiment: Experiment, run: RunContext, bounds_of: BoundsOf | None = None
 ) -> Measurement:
-    """Run one measurement, each stage only where no kept result is the same.
+    """Run one measurement by fringes; a stage runs only if its result is not in the cache.
 
     Parameters
     ----------
-    bounds_of : traces, and returns a function of further figures that runs during the later stages
+    run : cache, clock and options of the measurement
+    bounds_of : function that traces a pressed face and returns a function of further figures, which
+        another thread calls while the later stages run; None: no further figures
 
     Raises
     ------
-    InputError, MissingBackend : as `twin.pipeline.measure`
+    InputError, MissingBackend : for the reasons of `twin.pipeline.measure`
     """
     pressed, capture = _taken(experiment, run)
     with ThreadPoolExecutor(1) as executor:
@@ -113,12 +116,14 @@ def evaluate(
     *,
     noise: NoiseFunction | None = None,
 ) -> Measurement:
-    """Score a reconstruction against the truth, and put everything into one record.
+    """Score a reconstruction against the truth, and return the record of the measurement.
 
     Parameters
     ----------
-    layer : assumed elastomer and load, by which the object is found; None: the experiment's
-    noise : function of the user that the recording was made with; a warning names it
+    pressed : pressed elastomer; None for a bare specimen
+    layer : assumed elastomer and load, by which the object is computed; None: the experiment's
+    noise : function of the user by which the recording's noise was computed, named in a warning;
+        None: EMVA 1288
     """
     scored = score(experiment, reconstruction, recording.truth)
     figures = taken_figures(pressed, recording) | metrics(scored)
@@ -141,16 +146,21 @@ def evaluate(
 def take(
     experiment: Experiment, clock: Stopwatch | None = None, trial: int = 0
 ) -> tuple[PressedElastomer | None, Recording]:
-    """Press where the method presses, then record.
+    """Press, if the method has a press, then render and expose all frames.
 
     Parameters
     ----------
-    trial : repetition with new temporal noise
+    clock : run times of the stages; None: they are not used
+    trial : number of the repetition, which selects the temporal noise
+
+    Returns
+    -------
+    the pressed elastomer, None for a bare specimen, and the recording
 
     Raises
     ------
     InputError : something in the experiment cannot be pressed or rendered
-    MissingBackend : no usable Dr.Jit backend
+    MissingBackend : there is no usable Dr.Jit backend
     """
     pressed, capture = _taken(experiment, RunContext.alone(clock, trial))
     return None if pressed is None else pressed.pressed, capture.value
@@ -163,15 +173,20 @@ def record(
     trial: int = 0,
     memory: Memory | None = None,
 ) -> Recording:
-    """Render the sequence on a face that is pressed already, and expose the camera.
+    """Render the sequence on a face that was pressed before, and expose the camera.
 
-    `memory` holds results of earlier recordings, such as the loaded face; the bytes are the same.
+    Parameters
+    ----------
+    clock : run times of the stages; None: they are not used
+    trial : number of the repetition, which selects the temporal noise
+    memory : cache of earlier recordings' stages, such as the loaded face; the result has the same
+        bytes without a cache
 
     Raises
     ------
     InputError : the coat is seen through a gel (contact-face layout) that the experiment does not
         describe
-    MissingBackend : no usable Dr.Jit backend
+    MissingBackend : there is no usable Dr.Jit backend
     """
     run = RunContext.alone(clock, trial)
     if memory is not None:
@@ -182,17 +197,17 @@ def record(
 def render(
     experiment: Experiment, face: Trimesh, progress: Progress = lambda _: None
 ) -> RadianceStack:
-    """Render all frames of the experiment's sequence, and the truth behind them.
+    """Return the radiance of all frames on a coated face, and the true surface at the pixels.
 
     Parameters
     ----------
-    face : coated face in world mm, normals towards the camera
-    progress : called with the finished fraction
+    face : mesh of the coated face, world, mm, with normals towards the camera
+    progress : function that is called with the finished fraction, 0 to 1
 
     Raises
     ------
-    MissingBackend : no usable Dr.Jit backend
-    InputError : the stock engine cannot express the experiment
+    MissingBackend : there is no usable Dr.Jit backend
+    InputError : the stock engine cannot represent the experiment
     """
     require_experiment(experiment)
     require_instance("face", face, Trimesh, "give a mesh: twin.mechanics.face_mesh(pressed)")
@@ -209,15 +224,19 @@ def render(
 def render_bare(
     experiment: Experiment, progress: Progress = lambda _: None, memory: Memory | None = None
 ) -> RadianceStack:
-    """Render all frames on the bare specimen standing on its stage.
+    """Return the radiance of all frames on the bare specimen on its stage, and the true surface.
 
-    `memory` holds results of earlier renders, such as the loaded specimen; the bytes are the same.
+    Parameters
+    ----------
+    progress : function that is called with the finished fraction, 0 to 1
+    memory : cache of earlier renders' stages, such as the loaded specimen; the result has the same
+        bytes without a cache
 
     Raises
     ------
-    InputError : a part has no material, or the stock engine was requested: it renders all parts
+    InputError : a part has no material, or the stock engine was requested, which renders all parts
         behind clear bodies black
-    MissingBackend : no usable Dr.Jit backend
+    MissingBackend : there is no usable Dr.Jit backend
     """
     return _rendered(experiment, None, Memory() if memory is None else memory, progress).value
 
@@ -229,7 +248,13 @@ def expose_capture(
     trial: int,
     noise: NoiseFunction | None = None,
 ) -> Recording:
-    """Expose the camera to a rendered stack; `trial` draws new temporal noise, by `noise`."""
+    """Return the recording of a camera that is exposed to a rendered stack.
+
+    Parameters
+    ----------
+    trial : number of the repetition, which selects the temporal noise
+    noise : function of the user for the noise; None: EMVA 1288
+    """
     clock.count_frames("render", len(radiance.frames))
     patterns = pattern_set(experiment.projector, experiment.patterns)
     with clock.stage("expose") as progress:
@@ -246,7 +271,7 @@ def expose_capture(
 
 
 def decoding_warnings(experiment: Experiment) -> list[str]:
-    """Return a warning for each effect that the decoder's settings neglect."""
+    """Return a warning if the rig has layers and the reconstruction neglects their refraction."""
     if experiment.decode.through_layers or not experiment.layers:
         return []
     return [
@@ -256,7 +281,7 @@ def decoding_warnings(experiment: Experiment) -> list[str]:
 
 
 def noise_warnings(noise: NoiseFunction | None) -> list[str]:
-    """Return a warning if a result contains noise that its experiment does not describe."""
+    """Return a warning if the noise of a result is from a function of the user."""
     if noise is None:
         return []
     name = getattr(noise, "__name__", type(noise).__name__)
@@ -267,11 +292,11 @@ def noise_warnings(noise: NoiseFunction | None) -> list[str]:
 
 
 def check_layers(experiment: Experiment) -> None:
-    """Raise InputError if a coat is behind a gel that the experiment does not describe.
+    """Check that the gel in front of a coat is among the layers of the experiment.
 
     Raises
     ------
-    InputError
+    InputError : the layout is contact-face, and the experiment has no layers
     """
     if experiment.elastomer.layout == "contact_face" and not experiment.layers:
         raise InputError(
@@ -319,12 +344,16 @@ def _rendered(
 def loaded(
     experiment: Experiment, pressed: PressedFace | None, memory: Memory
 ) -> "CachedResult[Geometry]":
-    """Return the surfaces that are seen: a pressed face, or the bare specimen.
+    """Return the loaded surfaces of a scene: a pressed face, or the bare specimen on its stage.
+
+    Parameters
+    ----------
+    pressed : pressed face; None: the bare specimen
 
     Raises
     ------
-    InputError : the view cannot be rendered
-    MissingBackend : no usable Dr.Jit backend
+    InputError : the scene cannot be rendered
+    MissingBackend : there is no usable Dr.Jit backend
     """
     check = check_direct_engine if pressed is None else check_layers
     check(experiment)
@@ -344,7 +373,7 @@ def loaded(
 def viewed(
     experiment: Experiment, geometry: "CachedResult[Geometry]", memory: Memory
 ) -> "CachedResult[View]":
-    """Return the devices about a scene, and the truth behind every pixel."""
+    """Return camera and projector placed about a scene, and the true surface at every pixel."""
     from twin.pipeline import trace
 
     return memory.recall(
@@ -358,7 +387,7 @@ def traced(
     view: "CachedResult[View]",
     memory: Memory,
 ) -> "CachedResult[Patches]":
-    """Return the camera's rays, for all patterns."""
+    """Return the traced rays of the camera, which are independent of the patterns."""
     from twin.pipeline import trace
 
     return memory.recall(
@@ -375,7 +404,7 @@ def _lit(
     from twin.pipeline import trace
 
     scene, view = geometry.value, viewed(experiment, geometry, memory)
-    # Without an aperture blur is the same at every distance, and no view changes the tables.
+    # Without an aperture blur is equal at all distances, so the tables do not depend on the view.
     depth = view.token if experiment.projector.aperture_mm else ()
     tables = memory.recall(
         "tables", experiment, depth, lambda watched: trace.tables_of(watched, view.value)

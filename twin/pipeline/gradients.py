@@ -1,4 +1,4 @@
-"""Bounds of an experiment, and their derivatives by design fields."""
+"""Compute the bounds of an experiment's measurands, and their derivatives by design fields."""
 
 from collections.abc import Sequence
 
@@ -25,11 +25,11 @@ _SMALL_SHARE = 1e-4
 
 
 def value_at(experiment: Experiment, path: str) -> float:
-    """Return the number at a dotted path.
+    """Return the number at a dotted path of an experiment, such as `camera.f_number`.
 
     Raises
     ------
-    InputError : there is none
+    InputError : there is no number at this path
     """
     node: object = experiment
     for name in path.split("."):
@@ -42,20 +42,21 @@ def value_at(experiment: Experiment, path: str) -> float:
 def bound_gradient(
     experiment: Experiment, paths: Sequence[str], memory: Memory
 ) -> tuple[dict[str, Metric], dict[str, FloatArray]]:
-    """Return all figures of `bounds_alone`, and each bound's derivatives by fields.
+    """Return the figures of `bounds_alone`, and the derivatives of each bound by fields.
 
     Parameters
     ----------
-    paths : of `differentiated`
+    paths : dotted paths of the fields, from those that `differentiated` returns
 
     Returns
     -------
-    figures by name, and by the name of each bound its derivatives (path,), um per unit of the field
+    the figures by name; and the derivatives (path,) of each bound by name, um per unit of the field
 
     Raises
     ------
-    InputError : a field that moves the press or the camera, layers, or as `bounds_alone`
-    MissingBackend : no usable Dr.Jit backend
+    InputError : a path is not one of `differentiated`, for example because it changes the press;
+        the rig has layers; or for the reasons of `bounds_alone`
+    MissingBackend : there is no usable Dr.Jit backend
     """
     allowed = differentiated(experiment)
     for path in paths:
@@ -76,7 +77,7 @@ def bound_gradient(
 
 @renderer_session()
 def _log_sigma(experiment: Experiment, path: str, memory: Memory) -> FloatArray:
-    """Return d ln sigma by one field, (row, col)."""
+    """Return the derivative of ln(sigma) of each pixel's point by one field, (row, col)."""
     face = press(experiment, memory)
     geometry = loaded(experiment, face, memory)
     view = viewed(experiment, geometry, memory)
@@ -102,7 +103,10 @@ def _log_sigma(experiment: Experiment, path: str, memory: Memory) -> FloatArray:
 
 
 def with_number(experiment: Experiment, path: str, value: float) -> Experiment:
-    """Return the experiment with one number changed, unchecked: a step may leave its range."""
+    """Return the experiment with the number at a dotted path changed.
+
+    The number is not validated, because a step of a numerical derivative may leave its range.
+    """
     *tables, last = path.split(".")
     nodes = [experiment]
     for name in tables:

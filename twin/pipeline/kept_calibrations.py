@@ -1,9 +1,10 @@
-"""Stored calibrations of photometric sensors, one folder for all measurements of a sensor.
+"""Store calibrations of simulated photometric sensors in a folder, for other processes.
 
-DIR/NAME/ holds one: the values of all fields that it was made from, as the stages read them
-(`reads.json`, see `memory`), and an .npz file per colour map. It is valid for every experiment with
-the same values in these fields, by any process. `reads.json` is written last, each file under
-another name and renamed: a calibration is never half there, and two processes may write the same.
+Each calibration has a folder DIR/NAME/ with `reads.json` and an .npz file per colour map.
+`reads.json` has the values of all fields of the experiment that the stages of the calibration read,
+see `memory`. The calibration is valid for every experiment with the same values in these fields.
+Each file is written under a temporary name and renamed, and `reads.json` is written last. An
+incomplete calibration is therefore never read, and two processes may write the same calibration.
 """
 
 import hashlib
@@ -14,6 +15,7 @@ from pathlib import Path
 
 from pydantic_core import to_json
 
+from reconstruction.colour_maps import maps_in_order
 from reconstruction.errors import InputError
 from reconstruction.machine import unwritable
 from reconstruction.photometric import (
@@ -21,17 +23,15 @@ from reconstruction.photometric import (
     read_sensor_calibration,
     write_sensor_calibration,
 )
-from reconstruction.photometric.sensor import MapKind
 from reconstruction.reading import read_json
 from twin.config import Experiment
 from twin.files import naming_unwritable
 from twin.output import replace_json, versions
 from twin.pipeline.memory import Reads
-from twin.results.decoders import MAP_ORDER
 
 _READS_FILE = "reads.json"
 
-Calibrations = dict[MapKind, SensorCalibration]
+Calibrations = dict[str, SensorCalibration]
 
 
 @dataclass(frozen=True)
@@ -41,22 +41,26 @@ class KeptCalibrations:
     folder: Path
 
     def find(self, experiment: Experiment) -> Calibrations | None:
-        """Return the calibrations of an experiment's sensor by colour map, if they are kept.
+        """Return the stored calibrations of an experiment's sensor by kind of colour map.
 
-        A damaged entry counts as absent: it is computed again.
+        None if they are not stored. A damaged entry is ignored.
         """
         for file in sorted(self.folder.glob(f"*/{_READS_FILE}")):
             with suppress(InputError):
                 content = read_json(file)
                 same = content.get("versions") == versions()
                 if same and Reads.from_json(content["reads"]).hold_for(experiment):
-                    return {kind: read_sensor_calibration(_file(file, kind)) for kind in MAP_ORDER}
+                    kinds = [kind.name for kind in maps_in_order()]
+                    return {kind: read_sensor_calibration(_file(file, kind)) for kind in kinds}
         return None
 
-    def put(
-        self, reads: Sequence[Reads], calibrations: Mapping[MapKind, SensorCalibration]
-    ) -> None:
-        """Store calibrations with the fields that their stages read.
+    def put(self, reads: Sequence[Reads], calibrations: Mapping[str, SensorCalibration]) -> None:
+        """Store the calibrations of a sensor with the fields that their stages read.
+
+        Parameters
+        ----------
+        reads : fields that were read by each stage of the calibration
+        calibrations : calibration by kind of colour map
 
         Raises
         ------
@@ -76,5 +80,5 @@ class KeptCalibrations:
         replace_json(place / _READS_FILE, content)
 
 
-def _file(folder: Path, kind: MapKind) -> Path:
+def _file(folder: Path, kind: str) -> Path:
     return folder.with_name(f"{kind}.npz")

@@ -1,10 +1,10 @@
-"""Cache the stages' latest results; reuse one if every field that its stage read is the same.
+"""Cache the latest results of each stage, and reuse a result if all fields that it used are equal.
 
-A stage is handed a watched experiment, which notes every field that is read and the value found
-there. The stage is deterministic, so it takes the same course, and gives the same bytes, for every
-experiment with the same values in these fields: no list of "fields that matter to the press" is
-kept by hand, and none can become outdated. (Mokhov, Mitchell, Peyton Jones: Build systems a la
-carte, ICFP 2018, call this a constructive trace.)
+A stage receives a proxy of the experiment, which records every field that the stage reads, with its
+value. Stages are deterministic. A stage therefore returns the same bytes for every experiment with
+the same values in these fields. No list of the fields on which a stage depends is maintained by
+hand, and none can become outdated. (Mokhov, Mitchell, Peyton Jones: Build systems a la carte, ICFP
+2018, call this a constructive trace.)
 """
 
 import inspect
@@ -28,31 +28,43 @@ from twin.config.schema import models_of
 
 Path = tuple[str, ...]
 
-# Prefix of the kind of a table that was accessed: no JSON text starts with it.
+# Prefix of the record of a table of which fields were read one by one: no JSON text starts with it.
 _PRESENT = b"table "
 
 
 class Reads:
-    """The fields that were read, each with the value that was found."""
+    """Fields of an experiment that a stage read, each with its value.
+
+    A table is an object of the experiment with fields of its own, such as `camera`. A path is the
+    tuple of the names that lead to a field or table.
+    """
 
     def __init__(self) -> None:
         self._values: dict[Path, bytes] = {}
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Paths that were read, sorted; a table that is one of several kinds counts as a whole."""
+        """Paths of the fields that were read, sorted.
+
+        A table that may be of several kinds is one entry; its fields are not listed.
+        """
         return tuple(sorted(self._values))
 
     def note(self, path: Path, value: Any) -> None:
-        """Enter a field; of a table that is looked into only that it is there."""
+        """Record that a field was read.
+
+        Parameters
+        ----------
+        value : value of the field; for a table of which fields are read one by one its class
+        """
         if not isinstance(value, type):
             self._values[path] = _content(path, value)
-        elif path not in self._values:  # read as a whole before: more specific
+        elif path not in self._values:  # an entry with the table's whole content is not replaced
             self._values[path] = _presence(value)
 
     @classmethod
     def union(cls, parts: Iterable["Reads"]) -> "Reads":
-        """Return the fields that were read by any of several stages of one experiment."""
+        """Return the fields that at least one of several stages of one experiment read."""
         together = cls()
         for part in parts:
             for path, value in part._values.items():
@@ -62,30 +74,30 @@ class Reads:
         return together
 
     def as_json(self) -> list[Any]:
-        """Return path and value of every field, for `from_json`."""
+        """Return path and value of every field as a list that JSON can store, for `from_json`."""
         return [[list(path), value.decode()] for path, value in sorted(self._values.items())]
 
     @classmethod
     def from_json(cls, content: Iterable[Any]) -> "Reads":
-        """Return the reads from the output of `as_json`."""
+        """Return the fields from the output of `as_json`."""
         reads = cls()
         reads._values = {tuple(path): value.encode() for path, value in content}
         return reads
 
     def hold_for(self, experiment: Experiment) -> bool:
-        """Return True if another experiment has the same values in all these fields."""
+        """Return True if an experiment has the recorded values in all recorded fields."""
         return all(_at(experiment, path, value) == value for path, value in self._values.items())
 
 
 def watched(experiment: Experiment, reads: Reads) -> Experiment:
-    """Return a proxy of an experiment that records the fields read of it in `reads`."""
+    """Return a proxy of an experiment that records in `reads` every field that is read."""
     return cast(Experiment, _Watched(experiment, reads, (), {}))
 
 
 def values_at(experiment: Experiment, paths: Iterable[Path]) -> tuple[bytes, ...]:
-    """Values of an experiment in fields that were read, comparable and in their order.
+    """Return the values of an experiment at paths of `Reads`, in their order, for comparison.
 
-    Of a table that was looked into only its presence counts: its fields are among the paths.
+    The value of a table is only its kind if fields of the table are among the paths.
     """
     known_paths = list(paths)
     tables = {path[:-1] for path in known_paths}
@@ -94,7 +106,11 @@ def values_at(experiment: Experiment, paths: Iterable[Path]) -> tuple[bytes, ...
 
 
 class _Watched:
-    """Proxy of one table; everything that is not a plain field read counts as reading all."""
+    """Proxy of one table of an experiment that records which fields are read.
+
+    Methods and properties of the table's class run on the proxy. Every other access, such as a
+    comparison or a method of pydantic, is recorded as reading the whole table.
+    """
 
     __slots__ = ("_watched_changes", "_watched_model", "_watched_path", "_watched_reads")
 
@@ -103,11 +119,11 @@ class _Watched:
         self._watched_changes = changes
 
     def model_copy(self, *, update: Mapping[str, Any]) -> "_Watched":
-        """Return a changed copy: replaced fields do not count as read, the rest when accessed."""
+        """Return a proxy with some fields replaced; reading a replaced field is not recorded."""
         changes = {**self._watched_changes, **update}
         return _Watched(self._watched_model, self._watched_reads, self._watched_path, changes)
 
-    @property  # type: ignore[misc]  # isinstance and match ask for it
+    @property  # type: ignore[misc]  # read by isinstance and match
     def __class__(self) -> type:
         return type(self._watched_model)
 
@@ -116,7 +132,7 @@ class _Watched:
         if name in kind.model_fields:
             return self._field(name)
         if name in kind.__class_vars__:
-            return getattr(kind, name)  # the kind of a table is noted with the table
+            return getattr(kind, name)  # the kind of a table is recorded with the table
         if not hasattr(BaseModel, name):
             attribute = inspect.getattr_static(kind, name, None)
             if isinstance(attribute, property) and attribute.fget is not None:
@@ -157,12 +173,16 @@ class _Watched:
 
 
 def _only_kind(kind: type[BaseModel], name: str) -> bool:
-    """Return True if a field has a single kind of table; several kinds are read by `type()`."""
+    """Return True if a field can contain only one kind of table."""
     return len(models_of(kind.model_fields[name])) == 1
 
 
 def _at(experiment: Experiment, path: Path, like: bytes) -> bytes:
-    """Value at a path in the form in which `like` is given; empty if it does not exist."""
+    """Return the value of an experiment at a path as bytes, for comparison with `like`.
+
+    If `like` records the kind of a table, the bytes are those of the kind, else of the content. A
+    path that does not exist has the content None.
+    """
     node: Any = experiment
     for name in path:
         node = getattr(node, name, None)
@@ -176,7 +196,7 @@ def _presence(kind: type) -> bytes:
 
 
 def _content(path: Path, value: Any) -> bytes:
-    """Canonical bytes of a value; a named file counts by its content."""
+    """Return the canonical bytes of a value; the name of a file is replaced by its content."""
     if path and path[-1] == "file":
         value = with_file_contents({"file": value})
     elif isinstance(value, (Model, dict)):
@@ -190,13 +210,14 @@ _serial = itertools.count()
 
 @dataclass(frozen=True, eq=False)
 class CachedResult(Generic[Result]):
-    """A result with the fields and inputs it was computed from.
+    """Result of one stage, with the fields and inputs from which it was computed.
 
     Attributes
     ----------
-    outcome : the result, or why there is none
-    token : names this result as input of a later stage; no two results share one
-    reads : fields of the experiment that the stage looked at
+    outcome : the result, or the error that the stage raised
+    token : unique number by which a later stage identifies this result as its input
+    inputs : identifies the results of earlier stages that were used
+    reads : fields of the experiment that the stage read
     """
 
     outcome: Result | InputError
@@ -206,11 +227,11 @@ class CachedResult(Generic[Result]):
 
     @property
     def value(self) -> Result:
-        """The result.
+        """Result of the stage.
 
         Raises
         ------
-        InputError : raised by the stage for these inputs, now or before
+        InputError : the error that the stage raised for these inputs when it was computed
         """
         if isinstance(self.outcome, InputError):
             raise self.outcome
@@ -218,14 +239,15 @@ class CachedResult(Generic[Result]):
 
 
 class Memo(Generic[Result]):
-    """Results of one stage, the least recently used forgotten first.
+    """Cache of the results of one stage; the least recently used result is removed first.
 
-    Several threads may use it; two that need the same result at the same time both compute it.
+    Several threads may use the cache. If two need the same result at the same time, both compute
+    it.
 
     Parameters
     ----------
-    name : name of the stage, for counting
-    capacity : how many results are kept; one is enough when cases come sorted by their stages
+    name : name of the stage
+    capacity : largest number of results; one is enough if cases are sorted by their stages
     """
 
     def __init__(self, name: str, capacity: int = 1) -> None:
@@ -235,12 +257,12 @@ class Memo(Generic[Result]):
 
     @property
     def requests(self) -> int:
-        """Number of requests for a result."""
+        """Number of requests for a result, computed or taken from the cache."""
         return self.computed + self.recalled
 
     @property
     def latest_reads(self) -> Reads | None:
-        """Fields that the latest computation looked at."""
+        """Fields that were read for the most recently used result; None if there is no result."""
         return self._results[-1].reads if self._results else None
 
     def recall(
@@ -249,14 +271,18 @@ class Memo(Generic[Result]):
         inputs: Hashable,
         compute: Callable[[Experiment], Result],
     ) -> CachedResult[Result]:
-        """Return the result for an experiment, computed only if no kept one is the same.
+        """Return the result of the stage for an experiment, from the cache if possible.
 
         Parameters
         ----------
         inputs : identifies the results of earlier stages: their tokens, or digests of their
             contents
-        compute : the stage. It may look at the experiment that it is handed, and at its inputs,
-            only
+        compute : function that computes the result. It may read only the experiment that it
+            receives, and the results that `inputs` identifies
+
+        Raises
+        ------
+        InputError : the stage raises it for these inputs
         """
         with self._lock:
             result = self._taken(experiment, inputs)
@@ -268,7 +294,10 @@ class Memo(Generic[Result]):
         return result
 
     def _taken(self, experiment: Experiment, inputs: Hashable) -> CachedResult[Result] | None:
-        """Return a kept result, now the latest used, or make room for the one to be computed."""
+        """Return the cached result, marked as the most recently used; None if it is not cached.
+
+        If it is not cached and the cache is full, the least recently used result is removed.
+        """
         for cached in self._results:
             if cached.inputs == inputs and cached.reads.hold_for(experiment):
                 self.recalled += 1
@@ -277,7 +306,7 @@ class Memo(Generic[Result]):
                 return cached
         self.computed += 1
         if len(self._results) == self._results.maxlen:
-            self._results.popleft()  # before the next is made: two may not fit into memory
+            self._results.popleft()  # before the next is computed: both may need too much memory
         return None
 
 
@@ -292,9 +321,9 @@ def _kept(
     return CachedResult(outcome, next(_serial), inputs, reads)
 
 
-# Stages in their order, and how many results of each are kept: a pressed face has a few MB, a stack
-# of frames at full size 600 MB. One is enough if cases are sorted by their stages. First the
-# calibration of a photometric sensor: it takes longer than all later stages.
+# Stages in their order, and the number of cached results of each: a pressed face has a few MB, a
+# stack of frames at full size 600 MB. One result is enough if cases are sorted by their stages. The
+# calibration of a photometric sensor is first, because it takes longer than all later stages.
 _CAPACITY = {
     "sensor": 2,
     "references": 2,
@@ -316,12 +345,14 @@ _CAPACITY = {
 
 
 class Memory:
-    """Cache of the stages of measurements for later measurements; empty at first.
+    """Cache of the stage results of measurements, for later measurements.
+
+    A new memory is empty. Measurements that receive the same memory share results.
 
     Attributes
     ----------
-    calibrations : folder in which calibrations of photometric sensors are kept for other processes,
-        see `kept_calibrations`; None: they are not
+    calibrations : folder in which calibrations of photometric sensors are stored for other
+        processes, see `kept_calibrations`; None: they are not stored
     """
 
     def __init__(self) -> None:
@@ -335,15 +366,18 @@ class Memory:
         inputs: Hashable,
         compute: Callable[[Experiment], Result],
     ) -> CachedResult[Result]:
-        """Return a stage's result, computed only if no kept one is the same; see `Memo.recall`."""
+        """Return the result of a stage, from the cache if possible; see `Memo.recall`."""
         return self._memos[stage].recall(experiment, inputs, compute)
 
     def requests(self) -> dict[str, int]:
-        """Return the number of requests for each stage's result."""
+        """Return the number of requests for results of each stage, by name of the stage."""
         return {name: memo.requests for name, memo in self._memos.items()}
 
     def stages(self) -> Iterator[tuple[str, int, int, tuple[Path, ...]]]:
-        """Yield name, times computed, times recalled and fields read of every stage in order."""
+        """Yield (name, number computed, number from the cache, paths read) for every stage.
+
+        The stages are in their order. The paths are those of the most recently used result.
+        """
         for memo in self._memos.values():
             reads = memo.latest_reads
             yield memo.name, memo.computed, memo.recalled, reads.paths if reads else ()

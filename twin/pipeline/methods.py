@@ -1,4 +1,4 @@
-"""Run one virtual measurement by whichever method the experiment names: the one place to choose."""
+"""Run one virtual measurement by the method that the experiment names; check it beforehand."""
 
 from pathlib import Path
 from types import NoneType
@@ -33,25 +33,27 @@ def measure(
     layer: SensorLayer | None = None,
     noise: NoiseFunction | None = None,
 ) -> Measurement:
-    """Run one virtual measurement.
+    """Run one virtual measurement, and return its record.
 
     Parameters
     ----------
-    memory : cache of earlier measurements' stages, extended by this one; the bytes are the same
-    trial : repetition with new temporal noise
-    bound : also give the bound of each dimension's uncertainty among the figures, see
+    watch : progress callback
+    memory : cache of stage results, which this measurement reads and extends; None: no cache. The
+        result has the same bytes with and without a cache
+    trial : number of the repetition, which selects the temporal noise
+    bound : True to add to the figures the bound of each dimension's standard uncertainty, see
         `twin.results.bound`
-    layer : assumed elastomer and load, by which the object under a thin sheet is found; None:
+    layer : assumed elastomer and load, by which the object under a thin sheet is computed; None:
         those of the experiment
-    noise : function (mean electrons (row, col), random generator) -> electrons (row, col), in the
-        place of the shot and read noise of EMVA 1288, see `twin.camera.NoiseFunction`; for methods
-        with fringes
+    noise : function (mean electrons (row, col), random generator) -> electrons (row, col) that
+        replaces the shot and read noise of EMVA 1288, see `twin.camera.NoiseFunction`; only for
+        methods with fringes; None: EMVA 1288
 
     Raises
     ------
-    InputError : an argument of another type, or something in the experiment cannot be pressed,
+    InputError : an argument has a wrong type, or something in the experiment cannot be pressed,
         rendered or fitted
-    MissingBackend : no usable Dr.Jit backend
+    MissingBackend : there is no usable Dr.Jit backend
     """
     require_experiment(experiment)
     require_instance("memory", memory, (Memory, NoneType), "give a twin.Memory(), or none")
@@ -75,13 +77,18 @@ def measure_into(
     watch: ProgressCallback = no_progress,
     memory: Memory | None = None,
 ) -> Measurement:
-    """Measure, and write all files into an empty folder; `command` is the calling command.
+    """Measure an experiment, and write all files of the result into an empty folder.
 
-    The result equals that of `read_measurement` for that folder.
+    The returned measurement is equal to the result of `read_measurement` for the folder.
+
+    Parameters
+    ----------
+    command : name of the calling command, for result.json
+    watch, memory : as in `measure`
 
     Raises
     ------
-    InputError, MissingBackend : as `measure`
+    InputError, MissingBackend : for the reasons of `measure`
     """
     done = measure_whole(experiment, watch, memory)
     watch("write", 0.0)
@@ -93,13 +100,15 @@ def measure_into(
 def measure_whole(
     experiment: Experiment, watch: ProgressCallback = no_progress, memory: Memory | None = None
 ) -> Measurement:
-    """Measure, with the figures that a result folder holds: bounds, and the object behind the coat.
+    """Measure an experiment with all figures of a result folder.
 
-    Where the object is a fit of its own, under a slab, `twin compensate` makes it.
+    In addition to those of `measure` these are the bounds, and the figures of the object behind the
+    coat. The object under a slab is not computed, because its fit takes several seconds; the
+    command `twin compensate` computes it.
 
     Raises
     ------
-    InputError, MissingBackend : as `measure`
+    InputError, MissingBackend : for the reasons of `measure`
     """
     done = measure(experiment, watch, memory, bound=True)
     if done.pressed is not None and compensates_at_once(experiment):
@@ -110,14 +119,15 @@ def measure_whole(
 
 
 def check_measurable(experiment: Experiment) -> None:
-    """Raise InputError if it is known without measuring that an experiment cannot be measured.
+    """Check, without measuring, that an experiment can be measured.
 
-    The checks are those of the measurement itself; errors that only the press or the image shows,
-    such as the depth that a force needs, are not included.
+    The checks are those that a measurement runs first. Errors that occur only during the press or
+    the rendering, such as a force that needs too large a depth, are not detected.
 
     Raises
     ------
-    InputError : the part that cannot be pressed or rendered, and the change that is needed
+    InputError : a part of the experiment cannot be pressed or rendered; the message names the part
+        and the necessary change
     """
     method = experiment.method
     if method.presses:

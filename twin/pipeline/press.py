@@ -1,4 +1,4 @@
-"""Press the experiment's specimen: from the shape of the slab to the coated face as it is seen."""
+"""Compute the press of an experiment's specimen, and the coated face with its texture."""
 
 import hashlib
 from collections.abc import Callable
@@ -24,9 +24,10 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class PressedFace:
-    """A press, and a digest of the heights and the nodes of its coated face.
+    """Pressed elastomer, with a hash of its coated face that identifies the face in caches.
 
-    Faces with equal values have the same digest, whether they were computed or read from a file.
+    The hash is of the heights and the nodes of the face. Faces with equal values have the same
+    hash, whether they were computed or read from a file.
     """
 
     pressed: PressedElastomer
@@ -34,7 +35,7 @@ class PressedFace:
 
     @classmethod
     def of(cls, pressed: PressedElastomer) -> "PressedFace":
-        """Compute the digest of the coated face from its heights and their nodes."""
+        """Return the pressed elastomer with the hash of its coated face."""
         name = hashlib.blake2b(digest_size=16)
         for values in (pressed.face_x_mm, pressed.face_y_mm, pressed.face_z_mm):
             name.update(repr(values.shape).encode() + values.tobytes())
@@ -42,11 +43,15 @@ class PressedFace:
 
 
 def press(experiment: Experiment, memory: Memory, progress: Progress | None = None) -> PressedFace:
-    """Press by stages: the slab's shape for all moduli, or the whole press; then its texture.
+    """Press the specimen of an experiment; reuse results of stages that are in the cache.
+
+    The shape of a slab pressed to a depth is equal for all moduli and is cached as one stage.
+    Otherwise the whole press is one stage. A further stage adds the texture of the coat.
 
     Parameters
     ----------
-    progress : called with the finished share of a thin sheet's load steps
+    progress : function that is called with the finished share, 0 to 1, of a thin sheet's load
+        steps; None: no calls
 
     Raises
     ------
@@ -60,25 +65,34 @@ def press(experiment: Experiment, memory: Memory, progress: Progress | None = No
 
 
 def press_specimen(experiment: Experiment, progress: Progress | None = None) -> PressedElastomer:
-    """Press the experiment's specimen into its elastomer: the coated face as it is seen.
+    """Return the elastomer into which the experiment's specimen is pressed, with coat and texture.
+
+    Parameters
+    ----------
+    progress : as in `press`
 
     Raises
     ------
-    InputError : no experiment, or as `press`
+    InputError : `experiment` is no experiment, or for the reasons of `press`
     """
     require_experiment(experiment)
     return press(experiment, Memory(), progress).pressed
 
 
 def press_smooth(experiment: Experiment, progress: Progress | None = None) -> PressedElastomer:
-    """Press with the model that the experiment requests; the coat's texture is left out."""
+    """Press with the mechanical model that the experiment names, without the coat's texture."""
     return press_with(
         experiment.mechanics, experiment.specimen, experiment.elastomer, experiment.press, progress
     )
 
 
 def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedElastomer:
-    """Lay the experiment's texture, if its coat has one, on a smooth pressed face."""
+    """Return a pressed elastomer with the texture of the experiment's coat, if it has one.
+
+    Parameters
+    ----------
+    smooth : pressed elastomer without texture
+    """
     texture = experiment.coating.texture
     if texture is None:
         return smooth
@@ -88,7 +102,7 @@ def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedEla
 def _smooth(
     experiment: Experiment, memory: Memory, progress: Progress | None
 ) -> tuple[PressedFace, int]:
-    """Return the press without texture, and the token of its inputs."""
+    """Return the pressed face without texture, and the token of the stage that computed it."""
     shape = memory.recall("shape", experiment, (), _unit_press)
     if shape.value is None:
         own = memory.recall(
@@ -112,11 +126,13 @@ def _with_texture(experiment: Experiment, smooth: PressedFace) -> PressedFace:
 
 
 def transfer_of(experiment: Experiment, pressed: PressedElastomer) -> ContactTransfer:
-    """Return the coat's transfer of grooves of each pitch, by the kind of model that pressed.
+    """Return the contact transfer: share of a relief's amplitude that the coat shows, by pitch.
+
+    It is computed for the kind of model by which `pressed` was computed: sheet or layer.
 
     Raises
     ------
-    PressError : a thin sheet without back pressure
+    PressError : the elastomer is a thin sheet, and the back pressure is 0
     """
     if not model_of(pressed.model).wraps:
         return contact_transfer(experiment.elastomer)

@@ -1,4 +1,4 @@
-"""Progress of a command, reported to a callback, and the time of its stages."""
+"""Report the progress of a command to a callback, and measure the run time of its stages."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,19 +8,26 @@ from typing import Protocol
 
 
 class ProgressCallback(Protocol):
-    """Progress callback: receives the finished fraction of a stage."""
+    """Function that receives the progress of a command, for example to display it."""
 
     def __call__(self, stage: str, fraction: float, /) -> None:
-        """Report the finished fraction of a stage."""
+        """Receive the name of the running stage and its finished fraction, 0 to 1."""
 
 
 def no_progress(stage: str, fraction: float, /) -> None:
-    """Do without a progress callback."""
+    """Ignore the progress; the default progress callback."""
 
 
 @dataclass
 class Stopwatch:
-    """Wall-clock seconds per stage, and the calls of the progress callback."""
+    """Measures the run time of stages and calls the progress callback.
+
+    Attributes
+    ----------
+    watch : progress callback
+    seconds : wall-clock time of each finished stage by name
+    frames_per_s : frames per second of stages with counted frames, by name
+    """
 
     watch: ProgressCallback = no_progress
     seconds: dict[str, float] = field(default_factory=dict)
@@ -28,9 +35,9 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Callable[[float], None]]:
-        """Measure the run time of a stage in a `with` block.
+        """Measure the run time of a stage, in a `with` block.
 
-        Yields the function by which the stage reports its finished fraction, 0 to 1.
+        The block receives a function that it calls with the finished fraction of the stage, 0 to 1.
         """
         self.watch(name, 0.0)
         start = time.perf_counter()
@@ -39,6 +46,6 @@ class Stopwatch:
         self.watch(name, 1.0)
 
     def count_frames(self, stage: str, frames: int) -> None:
-        """Note how many frames a stage made, if this watch timed it."""
+        """Record the number of frames that a stage made; ignored for a stage without a run time."""
         if stage in self.seconds:
             self.frames_per_s[stage] = frames / self.seconds[stage]

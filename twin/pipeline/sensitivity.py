@@ -1,4 +1,4 @@
-"""How a pressed sheet moves with its data: derivatives by numbers of the experiment."""
+"""Differentiate a pressed thin sheet by numbers of the experiment."""
 
 from collections.abc import Sequence
 
@@ -12,8 +12,8 @@ from twin.pipeline.press import Progress, with_texture
 from twin.results.parts import press_metrics
 from twin.results.press_derivatives import PressDerivative
 
-# Central differences of linearised presses: their rounding error is below 1e-6. A larger
-# step would let single points begin to touch, which no derivative includes.
+# Relative step of central differences of linearised presses; their rounding error is below 1e-6.
+# With a larger step single points would begin to touch, which a derivative does not include.
 _STEP = 1e-6
 _TABLES = ("elastomer", "press", "specimen")
 
@@ -21,21 +21,25 @@ _TABLES = ("elastomer", "press", "specimen")
 def press_derivatives(
     experiment: Experiment, paths: Sequence[str], progress: Progress | None = None
 ) -> tuple[PressedElastomer, list[PressDerivative]]:
-    """Press a thin sheet and differentiate it, by the implicit function theorem at its equilibrium.
+    """Press a thin sheet, and differentiate its equilibrium by numbers of the experiment.
+
+    The derivatives are by the implicit function theorem at the equilibrium.
 
     Parameters
     ----------
-    paths : dotted, of numbers of elastomer, press and specimen, such as `elastomer.thickness_mm`
-    progress : called with the finished share of the press's load steps
+    paths : dotted paths of numbers of elastomer, press and specimen, such as
+        `elastomer.thickness_mm`
+    progress : function that is called with the finished share, 0 to 1, of the load steps; None: no
+        calls
 
     Returns
     -------
-    the press, and of it without the coat's texture a derivative by each number
+    the pressed elastomer, and one derivative per path, of the press without the coat's texture
 
     Raises
     ------
-    InputError : a path is no such number; no thin sheet presses; it sticks; a number changes the
-        sheet's grid; or several equilibria are near the solution
+    InputError : a path is not that of a number of these tables; the elastomer is no thin sheet or
+        sticks; a number changes the grid of the sheet; or several equilibria are near the solution
     """
     for path in paths:
         if path.partition(".")[0] not in _TABLES:

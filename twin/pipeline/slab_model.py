@@ -1,7 +1,8 @@
-"""An object of known form under a slab: its numbers, and the coat that they make.
+"""Compute the coat over an object of known form under a slab as a function of fitted parameters.
 
-Numbers are named by dotted paths of an experiment: `specimen.diameter_mm`, `press.depth_mm`,
-`elastomer.thickness_mm`; and `plane.*` for the undeformed coat in the frame of the points.
+Parameters are named by dotted paths of an experiment, such as `specimen.diameter_mm`,
+`press.depth_mm` and `elastomer.thickness_mm`. The parameters `plane.*` describe the plane of the
+undeformed coat in the frame of the points, and `theory.large_strain` the error of the linear model.
 """
 
 from dataclasses import dataclass
@@ -32,22 +33,23 @@ STRAIN = "theory.large_strain"
 PLANE = ("plane.z_mm", "plane.lift_x_mm", "plane.lift_y_mm")
 _OF_THE_SPECIMEN = "specimen."
 _STEP_MM = 1e-4
-# Of the layer's numbers, as a share of them.
+# Step of numerical derivatives by parameters of layer and load, over the parameter.
 _SMALL_SHARE = 1e-4
-# Large strain reduces the coat's height u: share of depth over thickness, and the power of u in
-# this decrease (docs/compensation.md).
+# Large strain reduces the coat's height u: the decrease over depth / thickness, the power of u in
+# the decrease, and the share that remains after its size is fitted (docs/compensation.md).
 _THEORY_SHARE, _THEORY_POWER, _THEORY_LEFT = 0.1, 4.0, 0.3
 
 
 @dataclass(frozen=True)
 class SlabObject:
-    """Pressed specimen and slab, and the specimen's numbers that are fitted.
+    """Specimen of known form under a slab, and the parameters of the specimen that are fitted.
 
     Attributes
     ----------
-    specimen : of the form that is known, about where it is and as large as it is
-    fitted_paths : fitted numbers of the specimen, such as `diameter_mm`
-    theory : whether effects that the linear slab neglects count as uncertainty
+    specimen : specimen with approximate size and position
+    fitted_paths : paths of the fitted parameters in the specimen, such as `diameter_mm`
+    layer : nominal slab and load, with their uncertainties
+    theory : True if effects that the linear model neglects count as uncertainty
     """
 
     specimen: Specimen
@@ -57,12 +59,12 @@ class SlabObject:
 
     @property
     def elastomer(self) -> Elastomer:
-        """The slab, its modulus a number of its own."""
+        """Slab with its modulus as a field of its own, in place of a hardness."""
         return with_modulus(self.layer.elastomer, young_modulus(self.layer.elastomer).best_kpa)
 
     @property
     def load(self) -> Press:
-        """The press, controlled by its stated travel; without one, by a start value of the fit."""
+        """Press to the stated travel, or to the start value of the fit if no travel is stated."""
         press = self.layer.press
         start = press.depth_mm or min(0.5, 0.5 * self.layer.elastomer.thickness_mm)
         return Press(
@@ -74,7 +76,15 @@ class SlabObject:
 
 @dataclass(frozen=True, eq=False)
 class PressedCoat:
-    """Function that solves the press and returns the coat, for values of the fitted numbers."""
+    """Function that returns the coat of a slab for values of the fitted parameters.
+
+    Attributes
+    ----------
+    slab : specimen, slab and load
+    relief : gives the cells on which the coat is computed
+    names : names of the parameters, in the order of their values
+    solver_pitch_mm : grid spacing of the contact solution
+    """
 
     slab: SlabObject
     relief: Relief
@@ -82,7 +92,12 @@ class PressedCoat:
     solver_pitch_mm: float
 
     def __call__(self, values: FloatArray) -> SlabCoat:
-        """Return the coat with these values; FitError where there is no such press."""
+        """Return the coat for values (n,) of the parameters.
+
+        Raises
+        ------
+        FitError : no press exists with these values
+        """
         try:
             solved = self.solved(values)
         except (PressError, SolverError) as error:
@@ -106,13 +121,13 @@ class PressedCoat:
         return CoatSlopes(np.stack([move.coat_mm for move in moves]), force_n)
 
     def solved(self, values: FloatArray) -> SolvedSlab:
-        """Return the press with these values."""
+        """Return the solution of the press for values (n,) of the parameters."""
         specimen, (elastomer, load) = self.specimen(values), self._data(values)
         return solve_slab(specimen, elastomer, load, self.relief.heights_mm.shape)
 
     def _move(self, solved: SolvedSlab, values: FloatArray, name: str) -> CoatMove:
         if name in (*PLANE, STRAIN):
-            # That the field of theory moves with the other numbers is of second order.
+            # The dependence of the field of theory on the other parameters is of second order.
             return CoatMove(self._added(solved, name), 0.0)
         if name == TRAVEL:
             return solved.moved_by_travel()
@@ -139,7 +154,7 @@ class PressedCoat:
         return stepped
 
     def specimen(self, values: FloatArray) -> Specimen:
-        """Return the specimen with these values."""
+        """Return the specimen for values (n,) of the parameters."""
         specimen = self.slab.specimen
         for name, value in zip(self.names, values.tolist(), strict=True):
             if name.startswith(_OF_THE_SPECIMEN):
@@ -159,7 +174,10 @@ class PressedCoat:
         return elastomer, load.model_copy(update=changed)
 
     def _added(self, solved: SolvedSlab, name: str) -> FloatArray:
-        """Return how the coat rises by a number of its plane (a lift: at the rim) or of theory."""
+        """Return the derivative of the coat's height (row, col) by a parameter of plane or theory.
+
+        `plane.lift_*` is the rise of the plane at the rim.
+        """
         if name == STRAIN:
             return _large_strain_mm(solved)
         x, y = self.relief.x_mm, self.relief.y_mm[:, None]
@@ -172,11 +190,11 @@ class PressedCoat:
 
 
 def value_of(specimen: Specimen, path: str) -> float:
-    """Return a number of a specimen by its path, such as `diameter_mm` or `widths_mm.0`.
+    """Return the number of a specimen at a dotted path, such as `diameter_mm` or `widths_mm.0`.
 
     Raises
     ------
-    InputError : there is no such number
+    InputError : there is no number at this path
     """
     node: Any = specimen.model_dump()
     for name in path.split("."):
@@ -192,11 +210,11 @@ def value_of(specimen: Specimen, path: str) -> float:
 
 
 def with_value(specimen: Specimen, path: str, value: float) -> Specimen:
-    """Return a specimen with one number changed.
+    """Return a specimen with the number at a dotted path changed.
 
     Raises
     ------
-    FitError : the specimen cannot have it
+    FitError : the value is not allowed for this specimen
     """
     tree = specimen.model_dump()
     *tables, last = path.split(".")
@@ -213,19 +231,22 @@ def with_value(specimen: Specimen, path: str, value: float) -> Specimen:
 
 
 def _kpa(solved: SolvedSlab) -> float:
-    """Return newtons per mm^2 of force over modulus."""
+    """Return the factor from force over modulus, mm^2, to force, N: the modulus in N/mm^2."""
     return 1e-3 * young_modulus(solved.elastomer).best_kpa
 
 
 def _large_strain_mm(solved: SolvedSlab) -> FloatArray:
-    """Return the standard deviation of the coat by large strain, mm, (row, col)."""
+    """Return the standard uncertainty of the coat's height by large strain, mm, (row, col)."""
     raised = np.maximum(solved.raised_mm, 0.0)
     highest = float(raised.max())
     return np.asarray(_strain(solved) * highest * (raised / highest) ** _THEORY_POWER)
 
 
 def _left_out_mm(solved: SolvedSlab) -> FloatArray:
-    """Return the remaining effect of large strain after fitting its size, mm, (row, col)."""
+    """Return the uncertainty of the coat's height by large strain, mm, (row, col), after the fit.
+
+    It is the part that remains after the size of the effect was fitted as a parameter.
+    """
     raised = np.maximum(solved.raised_mm, 0.0)
     return np.asarray(_THEORY_LEFT * _strain(solved) * raised * (1 - raised / float(raised.max())))
 
@@ -235,6 +256,6 @@ def _strain(solved: SolvedSlab) -> float:
 
 
 def with_modulus(elastomer: Elastomer, modulus_kpa: float) -> Elastomer:
-    """Return an elastomer with a measured modulus in place of its hardness."""
+    """Return an elastomer with the given Young's modulus in place of its hardness."""
     changes = {"shore_a": None, "shore_00": None, "young_modulus_kpa": modulus_kpa}
     return elastomer.model_copy(update=changes)

@@ -1,4 +1,4 @@
-"""The object under a thick slab from its coat: the fitted numbers, and their fit."""
+"""Fit the parameters of an object of known form under a thick slab to the slab's coat."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -40,29 +40,37 @@ from twin.pipeline.slab_model import (
 from twin.results.under_sheet import sigma_of_modulus
 from twin.specimens import shape_of
 
-# Finer than the slab's own filter by far, and coarser than a pixel: a cell's mean differs from its
-# middle by curvature times cell^2 / 24, below 0.1 um.
+# Size of the relief's cells: much finer than the finest detail that a slab transmits, and coarser
+# than a pixel. The mean of a cell differs from its middle by curvature times cell^2 / 24, < 0.1 um.
 _CELL_MM = 0.1
 _MOST_CELLS = 60_000
-# Of the slab: gaps are not filled, so that the object's surroundings are enough.
+# Least share of the slab that must be measured: the fit uses no filled gaps, so that the area
+# around the object is enough.
 _LEAST_SHARE = 0.02
-# Grids of the contact. The difference between the two is the uncertainty of the finer one.
+# Grid spacings of the contact solution. The difference of the two results is part of the
+# uncertainty of the result on the finer grid.
 _SOLVER_PITCHES_MM = 0.08, 0.055
-# Allowed range about the start: factors of lengths, positions, angles, factor of the layer.
+# Allowed ranges about the start values: factor for lengths, difference for positions and angles,
+# factor for parameters of the layer.
 _LENGTH_FACTOR, _PLACE_MM, _ANGLE_DEG, _LAYER_FACTOR = 4.0, 5.0, 20.0, 2.0
 _LEAST_TRAVEL_MM, _MOST_TRAVEL = 0.01, 0.98
 _PLANE_MM = 1.0
 _MOST_SIGMAS = 10.0
-# Force of a linear frictionless slab against a neo-Hookean one (shared notes, mechanics.md 6).
+# Relative error of the force of a linear frictionless slab, compared with a neo-Hookean slab.
 _FORCE_THEORY = 0.04
 
 
 def slab_object(layer: SensorLayer, specimen: Specimen | None) -> SlabObject:
-    """Return the fitted object: the layer's own specimen, or that of the experiment.
+    """Return the object of known form under a slab, and the parameters to be fitted.
+
+    Parameters
+    ----------
+    layer : slab and load; its specimen and list of fitted parameters are used if it has them
+    specimen : specimen of the experiment, used if the layer has none
 
     Raises
     ------
-    InputError : no specimen is stated, or its kind has no fitted numbers
+    InputError : there is no specimen, or it is not known which of its parameters to fit
     """
     pressed = layer.specimen or specimen
     if pressed is None:
@@ -88,16 +96,18 @@ def fit_slab(
     slab: SlabObject,
     extra: Sequence[FittedNumber] = (),
 ) -> CompensatedSlab:
-    """Fit the object under a slab to measured points.
+    """Fit the parameters of the object under a slab to measured points of the coat.
 
     Parameters
     ----------
-    points_mm, sigma_mm : (n, xyz) world, and (n,) standard uncertainty of z
-    extra : numbers of the layer that are fitted, in place of those with a stated sigma
+    points_mm, sigma_mm : (n, xyz) points, world, and (n,) standard uncertainty of z
+    slab : object of known form, slab and load
+    extra : parameters of the layer that are fitted without a prior; they replace those of the same
+        name with a stated standard uncertainty
 
     Raises
     ------
-    FitError : no press explains the points, or the numbers cannot be distinguished
+    FitError : no press agrees with the points, or the points do not separate the parameters
     """
     relief = _relief(points_mm, sigma_mm, slab.elastomer)
     unknowns = _unknowns(slab, extra)
@@ -108,16 +118,18 @@ def fit_slab(
 
 
 def bound_slab(points_mm: FloatArray, sigma_mm: FloatArray, slab: SlabObject) -> dict[str, float]:
-    """Return the least standard deviation of each fitted number, by noise (Cramer-Rao).
+    """Return the least standard deviation by noise (Cramer-Rao bound) of each fitted parameter.
+
+    The result is by path in the specimen, in mm or degrees.
 
     Parameters
     ----------
-    points_mm, sigma_mm : as `fit_slab`, of points with independent noise
-    slab : the object as it is
+    points_mm, sigma_mm : as in `fit_slab`, for points with independent noise
+    slab : object with its true parameters
 
     Raises
     ------
-    FitError : no such press, or numbers that the coat does not distinguish
+    FitError : no press exists with these parameters, or the coat does not separate them
     """
     relief = _relief(points_mm, sigma_mm, slab.elastomer)
     unknowns = _unknowns(slab, ())
@@ -131,18 +143,25 @@ def bound_slab(points_mm: FloatArray, sigma_mm: FloatArray, slab: SlabObject) ->
 def calibrate_slab(
     points_mm: FloatArray, sigma_mm: FloatArray, slab: SlabObject, ball_diameter_mm: float
 ) -> tuple[SensorLayer, dict[str, Any]]:
-    """Fit the slab's thickness, and its modulus where air or a gauge weighs it, to a known ball.
+    """Fit the thickness of a slab, and if possible its modulus, to a press of a known ball.
 
-    Later presses by the layer found share its errors of theory; they are counted there, not here.
+    The modulus is fitted if the back pressure is not 0 or the force is known. Errors of the linear
+    model are not included in the uncertainties here: later presses of the same slab have the same
+    errors, and include them in their uncertainties.
+
+    Parameters
+    ----------
+    points_mm, sigma_mm : as in `fit_slab`
+    ball_diameter_mm : known diameter of the ball
 
     Returns
     -------
-    the layer with the fitted values and their standard uncertainties, and the figures
+    the layer with the fitted values and their standard uncertainties, and figures of result.json
 
     Raises
     ------
     InputError : the object is no ball
-    FitError : as `fit_slab`, or the press does not determine thickness or modulus
+    FitError : for the reasons of `fit_slab`, or the press does not determine thickness or modulus
     """
     if "diameter_mm" not in slab.fitted_paths:
         kind = slab.specimen.kind
@@ -191,7 +210,11 @@ def _relief(points_mm: FloatArray, sigma_mm: FloatArray, elastomer: Elastomer) -
 
 
 def _unknowns(slab: SlabObject, extra: Sequence[FittedNumber]) -> list[FittedNumber]:
-    """Return the unknowns: the object, the travel, and the uncertain numbers of layer and plane."""
+    """Return all unknowns of a fit.
+
+    They are the parameters of the object, the travel, the uncertain parameters of layer, load and
+    plane, the effect of large strain, and `extra`.
+    """
     unknowns = [_of_the_specimen(slab.specimen, path) for path in slab.fitted_paths]
     unknowns += [number for number in [_travel(slab)] if number is not None]
     layer, extra_names = slab.layer, {number.name for number in extra}
@@ -222,7 +245,7 @@ def _of_the_specimen(specimen: Specimen, path: str) -> FittedNumber:
 
 
 def _travel(slab: SlabObject) -> FittedNumber | None:
-    """Return the travel as it is known; None where it is exact."""
+    """Return the travel as an unknown of the fit, with its prior; None if the travel is exact."""
     depth_mm, sigma = slab.layer.press.depth_mm, slab.layer.sigma.depth_mm
     most = _MOST_TRAVEL * slab.elastomer.thickness_mm
     start = slab.load.depth_mm
@@ -237,7 +260,7 @@ def _travel(slab: SlabObject) -> FittedNumber | None:
 
 
 def _force(slab: SlabObject) -> KnownForce | None:
-    """Return a gauge's force with the uncertainty of gauge and linear theory."""
+    """Return the measured force, with the uncertainties of gauge and model; None: not measured."""
     force, sigma = slab.layer.press.force_n, slab.layer.sigma.force_n
     return (
         None if force is None else KnownForce(force, float(np.hypot(sigma, _FORCE_THEORY * force)))
@@ -245,7 +268,7 @@ def _force(slab: SlabObject) -> KnownForce | None:
 
 
 def _compensated(relief: Relief, fitted: FittedSlab, model: PressedCoat) -> CompensatedSlab:
-    """Return the object where it touches, on the relief's cells."""
+    """Return contact, pressure and touched face of the fitted press on the cells of the relief."""
     solved = model.solved(fitted.values)
     specimen = model.specimen(fitted.values)
     behind = shape_of(specimen).height_above_lowest(relief.x_mm, relief.y_mm)

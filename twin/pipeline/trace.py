@@ -1,8 +1,9 @@
-"""The one-trace renderer in steps; a step is reused if the fields that it reads are the same.
+"""Run the one-trace renderer in steps, so that the result of each step can be cached separately.
 
-Surfaces serve all coats and devices; rays to them, and photons, all patterns; frames
-all cameras' noise. Each step takes the experiment for the fields it reads itself and the earlier
-steps' results for the rest. Import within a `renderer_session`.
+Loaded surfaces are valid for all coats, cameras and projectors. Traced rays and photons are valid
+for all patterns, frames for any noise of the camera. Each step receives the experiment, of which it
+reads only its own fields, and the results of earlier steps. This module must be imported within a
+`renderer_session`.
 """
 
 import gc
@@ -28,17 +29,19 @@ from twin.optics.stock import render_stack
 if TYPE_CHECKING:
     import trimesh
 
-# Any coat: each step that looks at the coat sets its own first.
+# Coat of a loaded face; each step that depends on the coat first sets that of its experiment.
 _BARE = {"type": "diffuse"}
 
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Loaded surfaces: a pressed face with a changing coat, or a bare specimen.
+    """Loaded scene: a pressed face with an exchangeable coat, or a bare specimen on its stage.
 
     Attributes
     ----------
-    face : None where the bare specimen is seen
+    scene : scene of the renderer
+    surfaces : clear and polished bodies of the scene, and the stage that receives their light
+    face : mesh of the pressed face; None for a bare specimen
     """
 
     scene: Any
@@ -48,7 +51,14 @@ class Geometry:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Devices about a scene, its largest distance from the projector, and its true geometry."""
+    """Camera and projector placed about a scene, and the true surface at every camera pixel.
+
+    Attributes
+    ----------
+    rig : camera and projector
+    axial_mm : nearest and farthest distance of the scene along the projector's axis
+    truth : true surface at the camera pixels
+    """
 
     rig: Rig
     axial_mm: tuple[float, float]
@@ -57,7 +67,14 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Traced:
-    """Input of the frames: rays of the camera, those of clear bodies, and the patterns."""
+    """Traced light from which frames are computed.
+
+    Attributes
+    ----------
+    patches : rays of the camera
+    photons : light by way of clear and polished bodies; None if there are no such bodies
+    tables : light of the patterns along the two axes of the projector, by name of the axis
+    """
 
     patches: Patches
     photons: Photons | None
@@ -66,21 +83,25 @@ class Traced:
 
 @renderer_session()
 def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
-    """Load a pressed face.
+    """Return the scene of a pressed face.
+
+    Parameters
+    ----------
+    face : mesh of the coated face, world, mm
 
     Raises
     ------
-    InputError : the face pokes through the layers that it is seen through
+    InputError : the face intersects the layers through which it is seen
     """
-    # A mesh of trimesh and a traversal of Mitsuba hold themselves: the face before this one, up to
-    # 70 MB, would stay until Python looks for such cycles by itself.
+    # A mesh of trimesh and a traversal of Mitsuba have reference cycles: the previous face, up to
+    # 70 MB, would remain in memory until Python's next collection of cycles.
     gc.collect()
     return Geometry(marched_scene(experiment, face, _BARE), Surfaces(), face)
 
 
 @renderer_session()
 def load_bare(experiment: Experiment) -> Geometry:
-    """Load the bare specimen on its stage.
+    """Return the scene of the bare specimen on its stage.
 
     Raises
     ------
@@ -92,7 +113,7 @@ def load_bare(experiment: Experiment) -> Geometry:
 
 @renderer_session()
 def view_of(experiment: Experiment, geometry: Geometry) -> View:
-    """Place the devices and trace the truth behind every camera pixel."""
+    """Return camera and projector placed about a scene, and the true surface at the pixels."""
     scene, face = geometry.scene, geometry.face
     rig = rig_of(experiment) if face is None else coated_rig(experiment, face)
     axial_mm = axial_range_mm(scene, rig)
@@ -101,24 +122,26 @@ def view_of(experiment: Experiment, geometry: Geometry) -> View:
 
 @renderer_session()
 def patches_of(experiment: Experiment, geometry: Geometry, view: View) -> Patches:
-    """Trace all camera rays, for all patterns."""
+    """Return the traced rays of all camera pixels, which are independent of the patterns."""
     dress(experiment, geometry)
     return trace_patches(geometry.scene, view.rig, experiment.render.samples).evaluate()
 
 
 @renderer_session()
 def maps_of_patches(patches: Patches, view: View) -> TraceMaps:
-    """Return the surface points at the camera's rays, as images."""
+    """Return sums over the rays of each camera pixel as images (row, col), see `TraceMaps`."""
     return maps_of(patches, view.rig.camera.pinhole)
 
 
 @renderer_session()
 def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photons | None:
-    """Trace the light that clear and polished bodies throw on the stage; None without such.
+    """Return the traced light that reaches the stage by way of clear and polished bodies.
+
+    None if the scene has no such bodies.
 
     Raises
     ------
-    InputError : blur that increases with the distance
+    InputError : the blur of the projector depends on the distance
     """
     if not geometry.surfaces.sharp:
         return None
@@ -129,7 +152,7 @@ def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photon
 
 @renderer_session()
 def tables_of(experiment: Experiment, view: View) -> dict[str, LightTable]:
-    """Return the light of the experiment's patterns along both axes of the projector."""
+    """Return the light of the patterns as tables along each axis of the projector, by axis name."""
     patterns = pattern_set(experiment.projector, experiment.patterns)
     return light_tables(experiment.projector, patterns, view.axial_mm)
 
@@ -142,8 +165,13 @@ def light(
     traced: Traced,
     progress: Callable[[float], None],
 ) -> RadianceStack:
-    """Light the traced scene with the experiment's sequence."""
-    # Pixels at edges, and bounces, trace on: they need the coat.
+    """Return the radiance of all frames of the experiment's sequence from the traced light.
+
+    Parameters
+    ----------
+    progress : function that is called with the finished fraction, 0 to 1
+    """
+    # Pixels at edges, and reflections between surfaces, are traced here, and depend on the coat.
     dress(experiment, geometry)
     bounces = _bounces(experiment, geometry, traced)
     frames = trace_stack(
@@ -165,11 +193,15 @@ def light_with_stock(
     tables: dict[str, LightTable],
     progress: Callable[[float], None],
 ) -> RadianceStack:
-    """Render every frame of a pressed face by stock Mitsuba.
+    """Return the radiance of all frames on a pressed face, each rendered by stock Mitsuba.
+
+    Parameters
+    ----------
+    progress : function that is called with the finished fraction, 0 to 1
 
     Raises
     ------
-    InputError : stock Mitsuba cannot express the experiment
+    InputError : stock Mitsuba cannot represent the experiment
     """
     check_stock(experiment)
     assert geometry.face is not None
@@ -191,13 +223,16 @@ def light_with_stock(
 
 @renderer_session()
 def dress(experiment: Experiment, geometry: Geometry) -> None:
-    """Give a loaded face the experiment's coat."""
+    """Set the coat of a loaded face to that of the experiment; a bare specimen is unchanged."""
     if geometry.face is not None:
         geometry.scene.set_coating(coating_in_layer(experiment))
 
 
 def _bounces(experiment: Experiment, geometry: Geometry, traced: Traced) -> Bounces | None:
-    """Light between surfaces; None on a coat that is seen without it."""
+    """Return the settings of light reflected between surfaces.
+
+    None for a coat if the experiment requests no such reflections.
+    """
     if geometry.face is None:
         photons = traced.photons
         received = None if photons is None else StageLight(map_photons(photons, traced.tables))
@@ -210,6 +245,6 @@ def _bounces(experiment: Experiment, geometry: Geometry, traced: Traced) -> Boun
 
 
 def _direct_seeds(experiment: Experiment) -> tuple[int, int]:
-    """Seeds of the photons and of the paths."""
+    """Return the random seeds of the photons and of the paths for a bare specimen."""
     photons, paths = seed_sequence(experiment, "direct").generate_state(2).tolist()
     return photons, paths

@@ -1,8 +1,8 @@
 """Ranked uncertainty budget: contributions of each input, of noise and of calibration.
 
-By first and second differences over one standard uncertainty of each input (JCGM 100, 5.1.3 and
-5.1.2, note), for comparison with the standard deviation of the trials, in which all inputs are
-drawn together.
+The contribution of an input is computed from first and second differences of the measurand over
+one standard uncertainty of the input (JCGM 100, 5.1.3 and 5.1.2, note). The combined budget is
+compared with the standard deviation of the trials, in which all inputs are drawn together.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,12 +17,13 @@ from twin.study.trials import HIGH, LOW, MIDDLE
 
 @dataclass(frozen=True)
 class Part:
-    """Contribution of one source to the standard uncertainty of a measurand, in its unit.
+    """Contribution of one source to the standard uncertainty of a measurand.
 
     Attributes
     ----------
-    name, group, key : of the input; noise and calibration have no key
-    u : standard uncertainty
+    name, group, key : name, group and dotted key of the input; key is empty for noise and
+        calibration
+    u : standard uncertainty from this source, in the measurand's unit
     """
 
     name: str
@@ -32,18 +33,19 @@ class Part:
 
 
 def part_of(name: str, distributed: Input, by_step: Mapping[str, float]) -> Part | None:
-    """Return the contribution of an input, from the measurand at its steps and the nominal value.
+    """Return the contribution of one input to the standard uncertainty of a measurand.
 
     Parameters
     ----------
-    name : of the input
-    distributed : the input
-    by_step : measurand by step: nominal, low and high; of a choice by value
+    name : name of the input
+    distributed : the input with its distribution
+    by_step : value of the measurand by step: nominal, low and high; if the input is a choice, by
+        the chosen value
 
     Returns
     -------
     Part or None
-        None if a step has no value: the press or the fit failed.
+        None if the measurand has no value at a step, because the press or the fit failed.
     """
     if distributed.distribution == "choice":
         weights = np.array(distributed.weights or [1.0] * len(distributed.values))
@@ -62,30 +64,39 @@ def part_of(name: str, distributed: Input, by_step: Mapping[str, float]) -> Part
 
 
 def spread_of_parabola(low: float, middle: float, high: float) -> float:
-    """Return the standard deviation of the parabola through three points, of a normal input.
+    """Return the standard deviation of a measurand that is a parabola of one normal input.
 
-    The points are spaced by one standard uncertainty. An untilted specimen is symmetric in tilt and
-    yaw: there the slope is 0 and the variance is that of the bend, 1/2 (f'' u^2)^2.
+    Parameters
+    ----------
+    low, middle, high : measurand at the nominal input minus u, at the nominal input, and plus u,
+        with u the standard uncertainty of the input
+
+    Notes
+    -----
+    An untilted specimen is symmetric in tilt and yaw. There the slope f' is 0, and the variance is
+    that of the curvature, 1/2 (f'' u^2)^2.
     """
     slope, bend = (high - low) / 2, high + low - 2 * middle
     return float(np.hypot(slope, bend / np.sqrt(2.0)))
 
 
 def noise_part(repeated: FloatArray) -> Part | None:
-    """Return the contribution of noise: standard deviation of repeats (n,) that differ in noise."""
+    """Return the contribution of noise from repeats (n,) that differ in noise; None if n < 2."""
     if repeated.size < 2:
         return None
     return Part("noise and decoding", "camera", "", float(repeated.std(ddof=1)))
 
 
 def noise_left(differences: FloatArray, parts: Sequence[Part]) -> Part | None:
-    """Return noise from trials: variance of measurement minus true face, less that of the optics.
+    """Return the contribution of noise, from trials in which all inputs are drawn; None if n < 2.
+
+    It is the variance of `differences` minus the variances of the optics.
 
     Parameters
     ----------
     differences : (n,) float
-        Measurand with the true rig minus that of the true face, by trial.
-    parts : the variances of group "optics" are in the differences, and are subtracted once
+        By trial, the measurand evaluated with the true rig minus the measurand of the true face.
+    parts : contributions of the inputs; `differences` contain those of group "optics"
     """
     if differences.size < 2:
         return None
@@ -96,23 +107,27 @@ def noise_left(differences: FloatArray, parts: Sequence[Part]) -> Part | None:
 
 
 def calibration_part(differences: FloatArray) -> Part | None:
-    """Return the calibration's contribution, from changes (n,) by recalibration on equal images."""
+    """Return the contribution of calibration; None if n < 2.
+
+    `differences` (n,) is the change of the measurand, by trial, if the same images are evaluated
+    with another calibration.
+    """
     if differences.size < 2:
         return None
     return Part("calibration", "rig", "", float(differences.std(ddof=1)))
 
 
 def ranked(parts: Sequence[Part]) -> list[Part]:
-    """Return the parts, the largest first."""
+    """Return the contributions sorted by standard uncertainty, the largest first."""
     return sorted(parts, key=lambda part: -part.u)
 
 
 def together(parts: Sequence[Part]) -> float:
-    """Return the combined standard uncertainty of independent parts (JCGM 100, 5.1.2)."""
+    """Return the combined standard uncertainty of independent contributions (JCGM 100, 5.1.2)."""
     return float(np.sqrt(sum(part.u**2 for part in parts)))
 
 
 def shares(parts: Sequence[Part]) -> list[float]:
-    """Return the share of the variance of each part, 0 to 1; all 0 if all parts are 0."""
+    """Return the share of each contribution in the variance, 0 to 1; all 0 if the variance is 0."""
     whole = sum(part.u**2 for part in parts)
     return [part.u**2 / whole if whole else 0.0 for part in parts]

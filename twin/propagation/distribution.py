@@ -1,7 +1,8 @@
-"""The distribution of a measurand over trials, as JCGM 101:2008 reports it.
+"""Distribution of a measurand over trials, as JCGM 101:2008 reports it.
 
-Mean and standard uncertainty (7.6), coverage intervals, probabilistically symmetric (7.7) and
-shortest (5.3.4), and whether the number of trials supports the digits (7.9).
+It has mean and standard uncertainty (7.6) and two coverage intervals: the probabilistically
+symmetric (7.7) and the shortest (5.3.4). It also states how many significant digits the number of
+trials supports (7.9).
 """
 
 from collections.abc import Sequence
@@ -21,27 +22,29 @@ _STATISTICS = ("mean", "standard uncertainty", "low end", "high end")
 
 @dataclass(frozen=True)
 class Interval:
-    """A coverage interval, in the measurand's unit."""
+    """Coverage interval of a measurand: its lower and upper end, in the measurand's unit."""
 
     low: float
     high: float
 
     @property
     def width(self) -> float:
-        """Distance of the ends."""
+        """Upper end minus lower end, in the measurand's unit."""
         return self.high - self.low
 
 
 @dataclass(frozen=True)
 class Stability:
-    """Whether more trials would change a result (JCGM 101, 7.9).
+    """Number of significant digits of a result that the number of trials supports (JCGM 101, 7.9).
 
     Attributes
     ----------
     digits : significant decimal digits of the standard uncertainty that the trials support, 0 to 2
-    errors : two standard deviations of mean, standard uncertainty and both ends of the symmetric
-        interval, which must not exceed the tolerance; without interval the first two
-    tolerance : of one digit, or of as many as are supported (7.9.2)
+    errors : two standard deviations of mean, standard uncertainty, lower and upper end of the
+        symmetric interval; without an interval only of the first two. They must not exceed the
+        tolerance
+    tolerance : numerical tolerance (7.9.2) for the supported digits; for one digit if none is
+        supported
     trials_for_one_digit : approximate number of trials that support one digit
     """
 
@@ -52,21 +55,21 @@ class Stability:
 
     @property
     def weakest(self) -> str:
-        """Name of the statistic with the largest error."""
+        """Name of the statistic with the largest error, for example "low end"."""
         return _STATISTICS[int(np.argmax(self.errors))]
 
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
-    """A measurand over the trials.
+    """Distribution of one measurand over the trials, in the measurand's unit.
 
     Attributes
     ----------
-    values : (n,) float, in the order of the trials
-    mean, standard_uncertainty : the latter is the sample standard deviation
-    symmetric, shortest : coverage intervals; None where the trials are too few for the coverage
-    coverage : probability of the intervals
-    stability : None where the values do not differ
+    values : (n,) float, value of each trial, in the order of the trials
+    mean, standard_uncertainty : mean and sample standard deviation of the values
+    symmetric, shortest : coverage intervals; None if there are too few trials for the coverage
+    coverage : coverage probability of the intervals, 0 to 1
+    stability : digits that the trials support; None if all values are equal
     """
 
     values: FloatArray
@@ -79,7 +82,7 @@ class Distribution:
 
 
 def distribution_of(values: ArrayLike, coverage: float = COVERAGE) -> Distribution:
-    """Return the distribution of at least two values, (n,).
+    """Return the distribution of the values (n,) of a measurand over n >= 2 trials.
 
     Raises
     ------
@@ -113,7 +116,10 @@ def symmetric_interval(values: FloatArray, coverage: float = COVERAGE) -> Interv
 
 
 def shortest_interval(values: FloatArray, coverage: float = COVERAGE) -> Interval | None:
-    """Return the shortest coverage interval (JCGM 101, 7.7.4); None where trials are too few."""
+    """Return the shortest coverage interval (JCGM 101, 7.7.4).
+
+    None if fewer than two trials would be outside: below 40 trials for 95 %.
+    """
     if not _enough(values, coverage):
         return None
     inside, ordered = _inside(values, coverage), np.sort(values)
@@ -122,13 +128,13 @@ def shortest_interval(values: FloatArray, coverage: float = COVERAGE) -> Interva
 
 
 def _inside(values: FloatArray, coverage: float) -> int:
-    """Return q of JCGM 101, 7.7.1: p M, or its nearest integer."""
+    """Return the number q of JCGM 101, 7.7.1: coverage times number of values, rounded."""
     # 0.95 * 100 differs from 95 in the last bit.
     return floor(round(coverage * values.size, 9) + 0.5)
 
 
 def _first(values: FloatArray, coverage: float) -> int:
-    """Return r of JCGM 101, 7.7.2: 50 % of the trials outside the interval, rounded up."""
+    """Return the number r of JCGM 101, 7.7.2: 50 % of the trials outside, rounded up."""
     return -(-(values.size - _inside(values, coverage)) // 2)
 
 
@@ -137,7 +143,7 @@ def _enough(values: FloatArray, coverage: float) -> bool:
 
 
 def tolerance_of(standard_uncertainty: float, digits: int) -> float:
-    """Return half a unit of significant digit number `digits` (JCGM 101, 7.9.2)."""
+    """Return half a unit of the last of `digits` significant digits (JCGM 101, 7.9.2)."""
     power = floor(log10(standard_uncertainty)) - (digits - 1)
     if round(standard_uncertainty / 10.0**power) >= 10**digits:  # 0.0996 is 0.10 in one digit
         power += 1
@@ -147,9 +153,10 @@ def tolerance_of(standard_uncertainty: float, digits: int) -> float:
 def stability_of(values: FloatArray, coverage: float = COVERAGE) -> Stability | None:
     """Return the number of digits that the trials support; None if all values are equal.
 
-    As in JCGM 101, 7.9.4, two standard deviations of mean, standard uncertainty and interval ends
-    must not exceed the tolerance. They are computed from blocks of trials, as in the guide, for
-    10^4 trials or more, and otherwise by resampling the trials with replacement (bootstrap).
+    Two standard deviations of mean, standard uncertainty and ends of the interval must not exceed
+    the tolerance (JCGM 101, 7.9.4). From 10^4 trials on, they are computed from blocks of trials,
+    as in the guide. Below, they are computed from resampled trials, drawn with replacement
+    (bootstrap).
     """
     spread = float(values.std(ddof=1))
     if not spread > 1e-12 * float(np.abs(values).max()):
@@ -163,10 +170,10 @@ def stability_of(values: FloatArray, coverage: float = COVERAGE) -> Stability | 
 
 
 def _errors(values: FloatArray, coverage: float) -> tuple[float, ...]:
-    """Return two standard deviations of the statistics of all values."""
+    """Return two standard deviations of each statistic: mean, standard deviation, interval ends."""
     if values.size >= _LEAST_FOR_BLOCKS:
         drawn = values[: values.size // _BLOCKS * _BLOCKS].reshape(_BLOCKS, -1)
-        share = 1.0 / np.sqrt(_BLOCKS)  # 7.9.4 g: of the mean over the blocks
+        share = 1.0 / np.sqrt(_BLOCKS)  # 7.9.4 g: standard deviation of the mean over the blocks
     else:
         rng, share = np.random.default_rng(0), 1.0
         drawn = values[rng.integers(0, values.size, (_RESAMPLES, values.size))]
@@ -174,7 +181,10 @@ def _errors(values: FloatArray, coverage: float) -> tuple[float, ...]:
 
 
 def _statistics(drawn: FloatArray, coverage: float) -> Sequence[FloatArray]:
-    """Return mean, standard deviation and ends of the symmetric interval, each (resample,)."""
+    """Return mean, standard deviation and ends of the symmetric interval, each (resample,).
+
+    The ends are left out if there are too few trials for the coverage.
+    """
     statistics = [drawn.mean(axis=1), drawn.std(axis=1, ddof=1)]
     if _enough(drawn[0], coverage):
         first, inside = _first(drawn[0], coverage), _inside(drawn[0], coverage)

@@ -1,4 +1,4 @@
-"""Presentation of trials: labelled arrays, and measurands as texts and plots."""
+"""Presentation of trials: labelled arrays, and results of measurands as texts and plots."""
 
 from typing import TYPE_CHECKING
 
@@ -17,11 +17,11 @@ _DESCRIPTION = "trials of a measurement; trial 0 is the nominal one"
 
 
 def trial_arrays(result: "Uncertainty", absent: float = np.nan) -> LabelledArrays:
-    """Return inputs and figures of every trial, one (trial,) variable each, units in the names.
+    """Return a variable (trial,) for each input and each figure; the unit is in the name.
 
     Parameters
     ----------
-    absent : value of a figure in trials without it
+    absent : stored value for trials that lack the figure
     """
     rows = [row for row in result.table.rows if row.get(PART) == TRIALS]
     keys = [given.key for given in result.inputs().values()]
@@ -39,7 +39,7 @@ def trial_arrays(result: "Uncertainty", absent: float = np.nan) -> LabelledArray
 
 
 def measurand_in_short(measurand: "Measurand") -> str:
-    """Return mean, standard uncertainty and coverage interval, in the measurand's unit."""
+    """Return a text with mean, standard uncertainty and coverage interval of a measurand."""
     result = measurand.distribution
     text = f"{result.mean:.6g}, u {result.standard_uncertainty:.2g}"
     if result.symmetric is None:
@@ -49,7 +49,7 @@ def measurand_in_short(measurand: "Measurand") -> str:
 
 
 def trial_drawing(result: "Uncertainty") -> "Drawing":
-    """Return the values of each measurand over the trials, with its coverage interval."""
+    """Draw the histogram of each measurand over the trials, with its coverage interval."""
     from reconstruction.drawing import Drawing, draw_distribution
 
     rows = -(-len(result.measurands) // _PANELS)

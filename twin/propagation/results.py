@@ -50,7 +50,7 @@ MAIN = (
     "completeness",
     "force_n",
 )
-"""Default measurands, as far as a measurement has them."""
+"""Default measurands; those that a measurement lacks are left out."""
 _MOST_OTHERS = 4
 
 Row = Mapping[str, Any]
@@ -58,18 +58,18 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Measurand:
-    """One figure of the measurement over the trials.
+    """One figure of the measurement and its uncertainty over the trials.
 
     Attributes
     ----------
-    name : with its unit
-    nominal : in trial 0, with the true rig; None if that has no value
-    distribution : over the trials that have a value
-    missing : trials without a value: the measurement or the fit failed
-    parts : of the budget, the largest first; empty without a budget
-    undetermined : inputs without a part, because a step has no value
-    correlations : with the inputs, the strongest first
-    effects : Sobol' indices, if they were requested
+    name : name of the figure, which ends with the unit
+    nominal : value in trial 0, the nominal measurement; None if it has no value
+    distribution : distribution over the trials that have a value
+    missing : number of trials without a value, because the measurement or the fit failed
+    parts : contributions of the budget, the largest first; empty if no budget was requested
+    undetermined : names of inputs without a contribution, because a step has no value
+    correlations : correlations with the inputs, the strongest first
+    effects : Sobol' indices; empty if they were not requested
     """
 
     name: str
@@ -83,19 +83,19 @@ class Measurand:
 
     @property
     def from_budget(self) -> float | None:
-        """Combined standard uncertainty of the parts; None without a budget."""
+        """Combined standard uncertainty of the budget in the figure's unit; None if no budget."""
         return together(self.parts) if self.parts else None
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Uncertainties from the trials of a study.
+    """Uncertainties of the measurands, evaluated from the trials of a study.
 
     Attributes
     ----------
-    table : of all cases
-    measurands : by name
-    failures : how many trials failed, by reason
+    table : table of all cases of the study
+    measurands : the measurands by name
+    failures : number of failed trials by reason
     """
 
     table: StudyTable
@@ -112,37 +112,40 @@ class Uncertainty:
         return as_html(f"uncertainty of {self.experiment.name}", self._in_short(), self.plot())
 
     def _in_short(self) -> dict[str, str]:
-        """Return trials and measurands as texts by name; u is the standard uncertainty."""
+        """Return texts by name: number of trials, mean and standard uncertainty u of measurands."""
         failed = sum(self.failures.values())
         trials = f"{self.trials}, {failed} failed" if failed else f"{self.trials}"
         measurands = {name: measurand_in_short(m) for name, m in self.measurands.items()}
         return {"trials": trials} | measurands
 
     def plot(self) -> "Drawing":
-        """Draw the values of each measurand with its coverage interval: a Matplotlib figure."""
+        """Draw the values of each measurand with its coverage interval into a Matplotlib figure."""
         return trial_drawing(self)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return inputs and figures over the trials, NaN where a trial lacks the figure."""
+        """Return inputs and figures of the trials as (trial,) variables; NaN if one is missing."""
         return trial_arrays(self).to_xarray()
 
     @property
     def trials(self) -> int:
-        """Number of requested trials, without the nominal measurement."""
+        """Number of requested trials; the nominal measurement is not counted."""
         return self.table.record.study.sampling.count or 0
 
     @property
     def experiment(self) -> Experiment:
-        """The nominal experiment, which was repeated."""
+        """The nominal experiment, which was measured repeatedly with varied inputs."""
         record = self.table.record
         return nominal(record.study, record.base)
 
     def inputs(self) -> dict[str, Input]:
-        """Return the inputs that apply to the experiment."""
+        """Return the varied inputs, by name, that apply to the experiment."""
         return counting_for(self.experiment, self.table.record.study.inputs)
 
     def metrics(self) -> dict[str, Any]:
-        """Return the figures of all measurands, with the unit at the end of each name."""
+        """Return the results of all measurands by name, as in `result.json`.
+
+        Each name ends with the unit.
+        """
         figures: dict[str, Any] = {
             "trials": self.trials,
             "failed_trials": sum(self.failures.values()),
@@ -162,11 +165,13 @@ def is_uncertainty(folder: Path) -> bool:
 def read_uncertainty(
     folder: Path, measurands: Sequence[str] = (), coverage: float = COVERAGE
 ) -> Uncertainty:
-    """Evaluate the trials in a store.
+    """Evaluate the trials in the store of a study.
 
     Parameters
     ----------
-    measurands : names of figures; by default those of the study's metrics, or the main ones
+    folder : the store
+    measurands : names of figures; default: the metrics of the study, or `MAIN` if it has none
+    coverage : coverage probability of the intervals, 0 to 1
 
     Raises
     ------
@@ -193,7 +198,7 @@ def read_uncertainty(
 
 
 def _main(trials: Sequence[Row]) -> list[str]:
-    """Return the main figures that vary over the trials, or the first other figures."""
+    """Return those of `MAIN` that vary over the trials; if none does, up to four other figures."""
     some = [row for row in trials if row["state"] == "done"]
     if not some:
         return list(MAIN[:1])
@@ -241,7 +246,7 @@ def _measurand(
 def _budget(
     table: StudyTable, name: str, inputs: Mapping[str, Input], trials: Sequence[Row]
 ) -> tuple[list[Part], list[str]]:
-    """Return the parts of inputs, noise and calibration; and the inputs without a part."""
+    """Return contributions of inputs, noise and calibration; and inputs without contribution."""
     if not table.record.study.sampling.budget:
         return [], []
     alone = [row for row in _part(table.rows, ALONE) if is_number(row.get(name))]
@@ -262,7 +267,10 @@ def _budget(
 
 
 def _calibration_changes(table: StudyTable, name: str, trials: Sequence[Row]) -> FloatArray:
-    """Return the change by another calibration, (n,); with fringes, on the same images."""
+    """Return the change (n,) of a measurand by another calibration, one value per trial.
+
+    With fringes, the same images are evaluated with the drawn calibration and with the true rig.
+    """
     both = [row for row in trials if is_number(row.get(f"{TRUE_RIG}{name}"))]
     if both:
         return _values(both, name) - _values(both, f"{TRUE_RIG}{name}")
@@ -300,7 +308,7 @@ def _metrics_of(measurand: Measurand) -> dict[str, Any]:
 
 
 def effects_as_json(record: StudyRecord, effects: Mapping[str, Sequence[Effect]]) -> dict[str, Any]:
-    """Return Sobol' indices for `SOBOL_FILE`, with a digest of the experiment and inputs."""
+    """Return Sobol' indices as the content of `SOBOL_FILE`, with a digest of the inputs."""
     by_name = {name: [asdict(effect) for effect in some] for name, some in effects.items()}
     return {"schema_version": 1, "of": _mark(record), "effects": by_name}
 
@@ -311,7 +319,7 @@ def _mark(record: StudyRecord) -> str:
 
 
 def _read_effects(folder: Path, record: StudyRecord) -> dict[str, list[Effect]]:
-    """Read Sobol' indices; empty if they are of another experiment or of other inputs."""
+    """Read Sobol' indices by measurand; empty if they are of another experiment or other inputs."""
     path = folder / SOBOL_FILE
     if not is_regular(path):
         return {}

@@ -1,4 +1,4 @@
-"""Sensitivity of a measurand to the inputs: correlations over the trials, and Sobol' indices."""
+"""Sensitivity of a measurand to each input: correlations over the trials, and Sobol' indices."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -28,8 +28,8 @@ class Correlation:
 
     Attributes
     ----------
-    name : of the input
-    linear, rank : coefficients of Pearson and Spearman, -1 to 1
+    name : name of the input
+    linear, rank : correlation coefficients of Pearson and of Spearman, -1 to 1
     """
 
     name: str
@@ -38,9 +38,9 @@ class Correlation:
 
 
 def correlation_of(name: str, inputs: ArrayLike, values: ArrayLike) -> Correlation | None:
-    """Return the correlation of an input (n,) with a measurand (n,).
+    """Return the correlation of an input (n,) with a measurand (n,) over n trials.
 
-    None with fewer than three trials, or if input or measurand is constant.
+    None if there are fewer than three trials, or if input or measurand is constant.
     """
     x, y = np.asarray(inputs, np.float64), np.asarray(values, np.float64)
     if x.size < 3 or not np.ptp(x) or not np.ptp(y):
@@ -65,21 +65,23 @@ def sobol_of_face(
 ) -> dict[str, list[Effect]]:
     """Return Sobol' indices of figures of the pressed face, without rendering.
 
-    First order and total, by `scipy.stats.sobol_indices` over the inputs' own distributions, with
-    95 % bootstrap intervals. All figures together need base points x (inputs + 2) presses.
+    First-order and total indices are computed by `scipy.stats.sobol_indices` over the
+    distributions of the inputs, with 95 % bootstrap intervals. The number of presses is base
+    points x (inputs + 2) for all figures together.
 
     Parameters
     ----------
-    inputs : inputs of the optics do not change the face and have no index
-    measurands : such as sphere_1_radius_mm, rod_width_mm, force_n, relief_peak_mm; those that the
-        face does not have are omitted
-    base_points : a power of 2
+    inputs : varied inputs by name; inputs of the optics do not change the face and have no index
+    measurands : names of figures, such as sphere_1_radius_mm, rod_width_mm, force_n,
+        relief_peak_mm; figures that the face does not have are omitted
+    base_points : number of base points, a power of 2
+    seed : seed of the points
 
     Raises
     ------
     InputError
-        `base_points` is no power of 2, a press fails, the face has none of the figures, or the
-        modality has no press.
+        `base_points` is not a power of 2, a press fails, no input changes the face, the face has
+        none of the figures, or the modality has no press.
     """
     if base_points < 2 or base_points & (base_points - 1):
         raise InputError(f"--sobol {base_points}: allowed a power of 2, for example 64")
@@ -124,7 +126,7 @@ def _require_known(measurands: Sequence[str], figures: Mapping[str, Any]) -> Non
 
 
 def _of_face(inputs: Mapping[str, Input], experiment: Experiment) -> dict[str, Input]:
-    """Return the inputs that change the pressed face."""
+    """Return the inputs, by name, that change the pressed face: not those of the optics."""
     return {
         name: given
         for name, given in counting_for(experiment, inputs).items()
@@ -135,12 +137,17 @@ def _of_face(inputs: Mapping[str, Input], experiment: Experiment) -> dict[str, I
 def sobol_points(
     distributions: Sequence[InputDistribution], base_points: int, seed: int
 ) -> FloatArray:
-    """Return the inputs (input, n) at which a model is evaluated."""
+    """Return the points at which a model is evaluated for Sobol' indices.
+
+    Returns
+    -------
+    (input, n) float, values of each input
+    """
     rng = np.random.default_rng(seed)
     shares = saltelli_shares(len(distributions), base_points, rng)
     return np.array([d.ppf(column) for d, column in zip(distributions, shares.T, strict=True)])
 
 
 def sobol_effects(values: ArrayLike, names: Sequence[str]) -> list[Effect]:
-    """Return Sobol' indices from the values (n,) at `sobol_points`."""
+    """Return the Sobol' indices of each input from a figure's values (n,) at `sobol_points`."""
     return saltelli_effects(np.asarray(values, np.float64).reshape(len(names) + 2, -1), names)

@@ -1,4 +1,4 @@
-"""Repeat a measurement with new draws of its inputs: the study of an experiment's uncertainty.
+"""Repeat a measurement with randomly drawn inputs: a study of the measurement's uncertainty.
 
 | in the folder | content |
 |---|---|
@@ -54,7 +54,7 @@ _PARTS = {
     NOISE: "repeats that differ only in noise",
     CALIBRATION: "with another calibration of the sensor",
 }
-_ABSENT = 9.969209968386869e36  # netCDF's own fill value of doubles
+_ABSENT = 9.969209968386869e36  # default fill value of netCDF for doubles
 
 
 def uncertainty(
@@ -71,31 +71,34 @@ def uncertainty(
     coverage: float = COVERAGE,
     watch: ProgressCallback = no_progress,
 ) -> Uncertainty:
-    """Repeat a measurement with new draws of its inputs, and return its figures' uncertainty.
+    """Repeat a measurement with randomly drawn inputs; return the uncertainty of its figures.
 
     Parameters
     ----------
     experiment : Experiment, Path or str
-        The nominal measurement, its file, or the name of a shipped one.
+        The nominal measurement: an experiment, its file, or the name of a shipped experiment.
     inputs : Inputs, mapping or str
         The varied inputs: a file, the name of a shipped file, or tables by name.
     n : number of trials, at least 2, in addition to the nominal measurement
     folder : path, optional
-        Where the trials are stored; cases already there are not measured again.
-    measurands : figures of the measurement, such as "sphere_1_radius_mm"; default: the main figures
+        Store of the trials; cases that it already contains are not measured again. Default: a
+        temporary folder.
+    measurands : names of figures, such as "sphere_1_radius_mm"; default: the main figures
     calibration : {"drawn", "true"}
-        A new calibration of the rig in each trial, or the true rig.
-    budget : also vary each input separately, for the ranked budget: two measurements per input
-    seed : of all draws; default: that of the inputs
+        "drawn": a new calibration of the rig in each trial; "true": always the true rig.
+    budget : also vary each input separately, for the ranked budget, which takes two measurements
+        per input
+    seed : seed of all random draws; default: the seed in the file of inputs
     workers : Workers or int
         The workers, or a number of processes on this machine.
-    coverage : probability of the coverage intervals
+    coverage : coverage probability of the intervals, 0 to 1
+    watch : is called with the stage and its completed fraction, 0 to 1
 
     Raises
     ------
     InputError
-        An input's key is no number of the experiment, a drawn value is not allowed, the nominal
-        measurement fails or has no such figure, or the folder cannot be used.
+        The key of an input is not a number in the experiment, or a drawn value is not allowed. Or
+        the nominal measurement fails or lacks a measurand, or the folder cannot be used.
     MissingBackend
         No usable Dr.Jit backend.
     """
@@ -125,18 +128,21 @@ def record_of(
     compensated: bool | None = None,
     measurands: Sequence[str] = (),
 ) -> StudyRecord:
-    """Return the study of trials of an experiment.
+    """Return the study with the trials of an experiment as its cases.
 
     Parameters
     ----------
-    measurands : figures that the nominal measurement must have; none: it must have points
-    compensated : also estimate the object behind the coat in each trial; default: if the layer
-        can be compensated, but not under a slab, where the fit takes some seconds
+    n : number of trials, without the nominal measurement
+    measurands : figures that the nominal measurement must have; if none is given, it must have
+        points
+    compensated : also estimate the surface of the object behind the coat in each trial. Default:
+        True if the layer can be compensated, but False for a slab, where the fit takes some
+        seconds
 
     Raises
     ------
     ConfigError
-        One line per problem of the inputs; or a number of trials that is not allowed.
+        The inputs are invalid (one line per problem), or the number of trials is not allowed.
     """
     if not 2 <= n <= MOST_TRIALS:
         raise ConfigError(f"trials: found {n}, allowed 2 to {MOST_TRIALS}")
@@ -163,12 +169,13 @@ def record_of(
 def plan_in_words(
     record: StudyRecord, folder: Path, workers: int, sobol: int | None = None
 ) -> list[str]:
-    """Return lines on the planned trials: inputs, number of cases, and estimated run time.
+    """Return text lines on the planned trials: inputs, number of cases, and estimated run time.
 
     Parameters
     ----------
-    folder : store of the trials; cases already there are not measured again
-    sobol : base points of Sobol' indices of the pressed face
+    folder : store of the trials; cases that it already contains are not measured again
+    workers : number of processes
+    sobol : number of base points of the Sobol' indices of the pressed face; None: no indices
     """
     experiment, cases = nominal(record.study, record.base), record.cases()
     varied = counting_for(experiment, record.study.inputs)
@@ -218,9 +225,10 @@ def _validated(kind: Any, tree: Mapping[str, Any]) -> Any:
 def write_uncertainty(
     folder: Path, result: Uncertainty, effects: Mapping[str, Sequence[Effect]] | None = None
 ) -> None:
-    """Write result.json, experiment.toml and trials.nc into the store of the trials.
+    """Write `result.json`, `experiment.toml` and `trials.nc` into the store of the trials.
 
-    The stored study states the measurands, so that a report drawn again shows the same.
+    If there are Sobol' indices, `sobol.json` is written, too. The measurands are stored in the
+    study, so that a report that is drawn later shows the same measurands.
 
     Raises
     ------
@@ -239,8 +247,8 @@ def write_uncertainty(
 
 
 def write_trials(path: Path, result: Uncertainty) -> None:
-    """Write inputs and figures of every trial as netCDF-4, one (trial) variable each.
+    """Write inputs and figures of every trial as netCDF-4, one variable (trial,) each.
 
-    A figure that a trial lacks has the missing value.
+    If a trial lacks a figure, the missing value of netCDF is stored.
     """
     write_arrays(path, trial_arrays(result, _ABSENT))

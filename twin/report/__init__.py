@@ -1,8 +1,8 @@
 """Reports of finished measurements, comparisons and studies: self-contained HTML pages and tables.
 
-Reports draw stored results and do not measure, so no renderer is needed. A page is data
+Most reports draw stored results and do not measure, so that they need no renderer. A page is data
 (`twin.report.page`): sections of text, figures and tables (`twin.report.table`). The modules of
-each kind of report are imported where they are needed: importing all of them takes seconds.
+each kind of report are imported only when they are used, because importing all takes seconds.
 """
 
 from twin.report.page import FIGURES_FOLDER, REPORT_FILE

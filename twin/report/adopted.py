@@ -1,7 +1,9 @@
 """Report of an adopted rig: known and assumed fields, and captured compared with rendered frames.
 
-The twin renders the measured surface with the adopted rig, then records and decodes the frames
-like the real ones. The twin is valid where images, histograms, noise, modulation and sigma agree.
+An adopted rig is the model of a real rig, estimated from captures of this rig. The twin renders the
+measured surface with the adopted rig. It then records and decodes the rendered
+frames in the same way as the captured frames. The twin is valid where images, histograms, noise,
+modulation and sigma agree.
 """
 
 from functools import partial
@@ -43,7 +45,9 @@ _REAL, _TWIN = "captured", "rendered"
 def write_adopted_page(
     folder: Path, adopted: Adopted, given: Given, watch: ProgressCallback = no_progress
 ) -> Path:
-    """Render the captured scene with the adopted rig, and write the page and its figures.
+    """Render the captured scene with the adopted rig; write the page and its figures.
+
+    Returns the path of the page.
 
     Raises
     ------
@@ -102,7 +106,10 @@ def _frames_section(adopted: Adopted, twin: Rendered) -> Section:
 
 
 def ratios(adopted: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
-    """Return name, captured and rendered median of each quantity, over pixels valid in both."""
+    """Return name, captured median and rendered median of each compared quantity.
+
+    The medians are taken over pixels that are valid in both; the name contains the unit.
+    """
     inside = adopted.points.point_map.valid & twin.points.point_map.valid
     real, made = adopted.points, twin.points
     compared: list[tuple[str, NDArray[Any], NDArray[Any]]] = []
@@ -131,7 +138,10 @@ def ratios(adopted: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
 
 
 def _sparkle_ratios(adopted: Adopted, twin: Rendered) -> list[tuple[str, float, float]]:
-    """Return the local contrast of the coat, captured and rendered."""
+    """Return the coat's contrast from pixel to pixel, %, captured and rendered.
+
+    The list is empty if one of the two values is unknown.
+    """
     own, made = adopted.sparkle, coat_sparkle(twin.capture, twin.points)
     if own is None or made is None:
         return []
@@ -206,7 +216,11 @@ def _text(value: object) -> str:
 
 
 def _shown_frames(capture: Capture) -> list[tuple[str, FloatArray]]:
-    """Return the white frame, if there is one, and the first phase frame along columns."""
+    """Return name and digital numbers of the white frame and of the first phase frame.
+
+    The phase frame is that of the first pattern axis. Without uniform frames, there is no white
+    frame.
+    """
     axis = capture.patterns.axes[0]
     names: list[tuple[int, str]] = []
     if capture.patterns.uniform:
@@ -255,7 +269,10 @@ def _draw_maps(real: Reconstruction, twin: Reconstruction, path: Path) -> None:
 
 
 def _masked(reconstruction: Reconstruction, field: str) -> Any:
-    """Return a map of the columns, hidden where the pixel is masked."""
+    """Return a map of the decoder for the projector columns, masked at pixels without valid value.
+
+    `field` is the name of the map, for example `modulation_dn`.
+    """
     values: FloatImage = getattr(reconstruction.decoded.column, field)
     hidden: BoolImage = ~reconstruction.decoded.valid
     return np.ma.MaskedArray(values, hidden)

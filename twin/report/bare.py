@@ -1,6 +1,6 @@
-"""The report of a measurement of the bare specimen: measured share, and reasons for missing points.
+"""Report of a measurement of the bare specimen: measured share, and reasons for missing points.
 
-Shares count the camera pixels that show the specimen (its visible area).
+All shares refer to the camera pixels that show the specimen (its visible area).
 """
 
 from pathlib import Path
@@ -50,7 +50,7 @@ REASON_WORDS = {
 
 
 def sentences(scored: Measurement) -> list[str]:
-    """Return the result for a terminal, at most 100 columns wide, in ASCII."""
+    """Return the result as lines of text for a terminal, at most 100 columns wide, in ASCII."""
     figures = scored.figures
     rms, mean, p95 = (
         number(figures[name], ".2f") for name in ("z_rmse_um", "z_bias_um", "z_p95_um")
@@ -68,7 +68,7 @@ def sentences(scored: Measurement) -> list[str]:
 
 
 def shares(scored: Measurement) -> Table:
-    """Return the figures of the specimen's visible area."""
+    """Return the table of pixel shares and z errors in the specimen's visible area."""
     figures, limit_um = scored.figures, scored.experiment.score.good_within_um
     why = why_absent(figures)
     unit = f"({why})" if why else "µm"
@@ -86,12 +86,12 @@ def shares(scored: Measurement) -> Table:
 
 
 def verdicts(scored: Measurement) -> list[Verdict]:
-    """Judge the measured share, and report why the other pixels have no point."""
+    """Return the judgement of the measured share, and the reasons for missing points."""
     return [_coverage(scored), _missing(scored)]
 
 
 def discussion(scored: Measurement) -> list[str]:
-    """Return the paragraphs that explain the result: share of good points, and wrong points."""
+    """Return paragraphs on the shares of good points and of points with a larger error."""
     if not scored.score.against_truth.points:
         return [
             "No pixel of the specimen has a point; the map above shows the reason for each pixel."
@@ -106,7 +106,7 @@ def discussion(scored: Measurement) -> list[str]:
 
 
 def missing_shares(scored: Measurement) -> dict[Reason, float]:
-    """Return the share of the scored pixels without a point by reason, largest first."""
+    """Return the share of the scored pixels without a point, by reason, largest share first."""
     scored_pixels = wanted_pixels(scored.experiment, scored.truth)
     reasons = scored.fringes.reconstruction.point_map.mask_reason[scored_pixels]
     shares_by_reason = reason_shares(reasons) if reasons.size else {}
@@ -144,12 +144,12 @@ def _missing(scored: Measurement) -> Verdict:
 
 
 _PANEL_IN, _ACROSS_IN, _TOP_IN = 3.1, 3.4, 0.3
-# Room for a colour bar below the upper line, and for all reasons below the lower one.
+# Space for a colour bar below the upper row of panels, and for all reasons below the lower row.
 _BELOW_UPPER_IN, _BELOW_LOWER_IN = 0.95, 1.4
 
 
 def sections(measured: Measurement) -> list[Section]:
-    """Return the page of a measurement of the bare specimen."""
+    """Return the sections of the page that are specific to direct fringe projection."""
     result: list[Block] = [seen_figure(measured), shares(measured), *fit_tables(measured)]
     result += discussion(measured)
     return [
@@ -160,7 +160,7 @@ def sections(measured: Measurement) -> list[Section]:
 
 
 def seen_figure(measured: Measurement) -> Figure:
-    """Return frames, heights, errors and reasons, pixel on pixel."""
+    """Return the figure of frames, heights, errors and reasons, all over the same camera pixels."""
     limit_um = measured.experiment.score.good_within_um
     return Figure(
         "seen",
@@ -176,7 +176,11 @@ def seen_figure(measured: Measurement) -> Figure:
 
 
 def draw_seen(path: Path, measured: Measurement) -> None:
-    """Draw white, fringes and true heights over measured heights, error and reasons, as PNG."""
+    """Draw six panels as PNG.
+
+    The upper row shows white frame, fringe frame and true heights; the lower row measured heights,
+    z error and reasons for missing points.
+    """
     rows, cols = measured.truth.lit.shape
     height_in = _PANEL_IN * rows / cols
     line_in = _TOP_IN + height_in + _BELOW_UPPER_IN

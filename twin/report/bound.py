@@ -1,4 +1,4 @@
-"""How well each dimension can be known by noise, in a report: bound, and spread of the fit."""
+"""Section of a report on the precision limit by noise: Cramer-Rao bound, and spread of the fit."""
 
 from twin.report.page import Note, Section
 from twin.report.table import Column, Row, Table
@@ -15,7 +15,7 @@ _HOW = (
 
 
 def bound_section(measured: Measurement) -> list[Section]:
-    """Return the section of bounds and spreads; empty if the measurement has none."""
+    """Return the section with bound and spread (um) of each dimension; empty if there are none."""
     figures = measured.figures
     rows: list[Row] = []
     for name, bound in figures.items():

@@ -1,4 +1,4 @@
-"""Figures of a calibration: reprojection residuals, residuals by pose, parameter errors."""
+"""Figures of a calibration: residuals by feature and by pose, parameter correlations and errors."""
 
 from pathlib import Path
 
@@ -31,7 +31,9 @@ ARROW_SHARE = 0.02
 
 
 def draw_calibration(folder: Path, done: BoardCalibration) -> None:
-    """Draw residuals, poses, correlations and (where the truth is known) errors as PNG.
+    """Draw the figures of a calibration as PNG: residuals by feature and by pose, correlations.
+
+    If the true rig is known, also draw the errors of the parameters.
 
     Raises
     ------
@@ -45,7 +47,7 @@ def draw_calibration(folder: Path, done: BoardCalibration) -> None:
 
 
 def draw_residuals(path: Path, done: BoardCalibration) -> None:
-    """Draw the reprojection residual of every feature used, as arrows on both images."""
+    """Draw the reprojection residual (px) of every feature used, as arrows on both images."""
     result = done.result.adjustment
     used = np.concatenate(result.used)
     measured = np.concatenate(result.measured_px)[used]
@@ -83,7 +85,7 @@ def _draw_arrows(axes: Axes, places_px: FloatArray, residuals_px: FloatArray, de
 
 
 def draw_poses(path: Path, done: BoardCalibration) -> None:
-    """Draw the root mean square residuals of every pose."""
+    """Draw the RMS residuals (px) of every pose: camera, projector and epipolar."""
     poses = done.result.poses
     place = np.arange(len(poses))
     with drawing(path, 7.0, 3.4) as figure:
@@ -104,7 +106,7 @@ def draw_poses(path: Path, done: BoardCalibration) -> None:
 
 
 def draw_correlations(path: Path, done: BoardCalibration) -> None:
-    """Draw how the errors of the rig's parameters go together."""
+    """Draw the matrix of correlations between the errors of the estimated rig parameters."""
     result = done.result.adjustment
     names = [parameter.name for parameter in done.result.parameters[:-1]]  # without the baseline
     sigma = np.array([parameter.sigma for parameter in done.result.parameters[:-1]])
@@ -121,7 +123,11 @@ def draw_correlations(path: Path, done: BoardCalibration) -> None:
 
 
 def draw_errors(path: Path, done: BoardCalibration, truth: dict[str, float]) -> None:
-    """Draw errors in units of the expanded uncertainty: one inside the band -1 to 1 is covered."""
+    """Draw the error of each estimated parameter, divided by its expanded uncertainty (k = 2).
+
+    Errors in the band from -1 to 1 are within the expanded uncertainty. `truth` has the true values
+    by the parameter's name.
+    """
     free = [parameter for parameter in done.result.parameters if parameter.sigma > 0.0]
     place = np.arange(len(free))[::-1]
     errors = [(p.value - truth[p.name]) / p.expanded for p in free]

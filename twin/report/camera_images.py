@@ -45,7 +45,7 @@ def recorded_section(measured: Measurement) -> Section:
 
 
 def frames_figure(measured: Measurement) -> Figure:
-    """Return the contact sheet of the capture."""
+    """Return the figure with small images of the camera frames, and one image row of them."""
     return Figure(
         "frames",
         "Camera frames",
@@ -58,7 +58,7 @@ def frames_figure(measured: Measurement) -> Figure:
 
 
 def decoding_figure(measured: Measurement) -> Figure:
-    """Return the maps of the decoder."""
+    """Return the figure with the decoder's maps: phase, fringe order, modulation, masked pixels."""
     return Figure(
         "decoding",
         "Phase, fringe order, modulation and masked pixels",
@@ -73,7 +73,10 @@ def decoding_figure(measured: Measurement) -> Figure:
 
 
 def draw_frames(path: Path, capture: Capture) -> None:
-    """Draw white, black, phase and Gray frames of both directions, and one image row, as PNG."""
+    """Draw small images of the frames as PNG, and the values of one image row.
+
+    Frames are white, black, and phase and Gray-code frames of both projector axes.
+    """
     rows = _sheet(capture)
     _, height, width = capture.stack.shape
     thumb_in = (_WIDTH_IN - 2 * _SIDE_IN) / _COLUMNS * 0.95
@@ -95,7 +98,10 @@ def draw_frames(path: Path, capture: Capture) -> None:
 
 
 def _sheet(capture: Capture) -> list[list[PatternFrame]]:
-    """Rows of frames: uniform + phase, then the finest Gray bits; columns first."""
+    """Return the rows of frames in the figure: uniform and phase frames, then finest Gray bits.
+
+    In each group, frames of the column patterns are before frames of the row patterns.
+    """
     patterns = capture.patterns
     uniform = [[frame] for frame in patterns.frames if frame.axis is None] or [[], []]
     phases = [_phases(capture, axis) for axis in AXES]
@@ -105,7 +111,7 @@ def _sheet(capture: Capture) -> list[list[PatternFrame]]:
 
 
 def _phases(capture: Capture, axis: Axis) -> list[PatternFrame]:
-    """Return frames with phase steps of about a quarter of a period."""
+    """Return up to four phase frames of one axis, with steps of about a quarter of a period."""
     patterns = capture.patterns
     frames = [frame for frame in patterns.frames if (frame.kind, frame.axis) == ("phase", axis)]
     chosen = sorted({round(k * patterns.steps / 4) for k in range(4)})
@@ -118,7 +124,10 @@ def _thumb(
     frame: PatternFrame,
     extent_in: tuple[float, float, float, float],
 ) -> None:
-    """Show a frame on axes in inches, its name above: axes of its own would take ten times more."""
+    """Draw a small image of a frame, with its name above, on the common axes (inches).
+
+    Separate axes for each frame would take ten times longer.
+    """
     image = capture.stack[capture.patterns.frames.index(frame)]
     left, right, bottom, top = extent_in
     sheet.text(left, top - 0.045, frame.name.replace("_", " "), fontsize=8.0, va="bottom")
@@ -130,7 +139,7 @@ def _thumb(
 
 
 def block_mean(image: NDArray[Any], side: int) -> FloatImage:
-    """Average squares of `side` pixels; plain decimation would alias the fringes."""
+    """Return the means of squares of `side` x `side` pixels; decimation would alias the fringes."""
     rows, cols = (length // side * side for length in image.shape)
     lines = image[:rows, :cols].reshape(rows // side, side, cols).sum(axis=1, dtype=np.float32)
     total = np.add.reduce([lines[:, first::side] for first in range(side)])
@@ -138,7 +147,7 @@ def block_mean(image: NDArray[Any], side: int) -> FloatImage:
 
 
 def _profile(axes: Axes, capture: Capture) -> None:
-    """One image row of three frames: shows exposure, contrast and clipping at a glance."""
+    """Draw one image row of white, fringe and black frame: exposure, contrast and clipping."""
     middle = capture.stack.shape[1] // 2
     frames, shown = capture.patterns.frames, [(fringe_frame(capture), MEASURED)]
     if capture.patterns.uniform:
@@ -165,7 +174,7 @@ _NO_PHASE = (Reason.DARK, Reason.LOW_MODULATION, Reason.SATURATED)
 
 
 def draw_decoding(path: Path, reconstruction: Reconstruction, patterns: PatternSet) -> None:
-    """Draw wrapped phase and order of both directions, modulation and reason mask as PNG."""
+    """Draw maps as PNG: phase and fringe order of both axes, modulation, reasons for masking."""
     decoded, reason = reconstruction.decoded, reconstruction.point_map.mask_reason
     rows, cols = reason.shape
     height_in = _MAP_IN * rows / cols
@@ -190,13 +199,13 @@ def _percent(share: float) -> str:
 
 
 def reason_shares(reason: Levels) -> dict[Reason, float]:
-    """Return the share of the image under each reason that occurs."""
+    """Return the share of the pixels with each mask reason that occurs in the map `reason`."""
     counts = np.bincount(reason.ravel(), minlength=len(Reason))
     return {r: float(counts[r]) / reason.size for r in Reason if counts[r]}
 
 
 def _map(axes: Axes, values: NDArray[Any], **options: Any) -> Any:
-    """Show every n-th pixel: phases and codes must not be averaged."""
+    """Draw every n-th pixel of a map, because phases and codes must not be averaged."""
     return axes.imshow(thinned(values), extent=_extent(values), **options)
 
 
@@ -254,17 +263,17 @@ def _reasons(axes: Axes, reason: Levels) -> None:
 
 
 def white_frame(capture: Capture) -> PatternFrame:
-    """Return the white frame of a sequence, or else the first one."""
+    """Return the white frame of a sequence, or its first frame if it has no uniform frames."""
     return capture.patterns.frames[capture.patterns.exposure_frame]
 
 
 def fringe_frame(capture: Capture) -> PatternFrame:
-    """Return the first frame, mostly of vertical fringes."""
+    """Return the first frame of a sequence, usually one with vertical fringes."""
     return capture.patterns.frames[0]
 
 
 def show_frame(axes: Axes, capture: Capture, frame: PatternFrame) -> None:
-    """Show a frame's digital numbers: black is 0, white is saturation."""
+    """Draw the digital numbers of a frame in gray: black is 0, white is saturation."""
     image = capture.stack[capture.patterns.frames.index(frame)]
     small = block_mean(image, -(-max(image.shape) // _SHOWN_PX))
     axes.imshow(small, cmap="gray", vmin=0, vmax=capture.sensor.saturation_dn)

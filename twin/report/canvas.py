@@ -1,7 +1,7 @@
-"""Style of all figures, and how they are written: PNG for pages, additionally PDF for print.
+"""Style, colour maps, scales and files of all figures: PNG for pages, additionally PDF for print.
 
-Figures use Matplotlib's object interface: no global state, no window system. The same data give
-the same bytes: no date and no version is written into the files.
+Figures use Matplotlib's object interface, without global state or window system. Equal data give
+files with equal bytes, because no date and no version is written into the files.
 """
 
 import io
@@ -32,9 +32,9 @@ INK, FAINT, GRID = "#1d2733", "#6b7785", "#dfe4ea"
 MEASURED, TRUE_FACE, NOMINAL, FIT = "#1f6fb2", "#2b8a57", "#8a5a00", "#c2410c"
 MEASURED_FILL = "#a9c8e3"
 GAP = "#e9ecf0"
-"""Colour of pixels without a value; in no colour map used here."""
+"""Colour of pixels without a value; no colour map of this module contains this colour."""
 
-# A scale of errors covers the noise; outliers are beyond its ends.
+# Limits of `symmetric_limit`: an error scale covers the noise, and outliers are beyond its ends.
 _CORE_PERCENT, _CORES = 68.3, 4.0
 _WIDENED, _LEAST_SPAN_MM = 0.5, 0.2
 
@@ -84,9 +84,9 @@ _PRINT: Any = _STYLE | {
 
 @contextmanager
 def drawing(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
-    """Yield a figure; at the end it is written to `path` as PNG, whole or not at all.
+    """Yield an empty figure; at the end of the context, write it atomically to `path` as PNG.
 
-    Axes are put by `axes_at`: Matplotlib's layout engines double the time of a report.
+    Place the axes with `axes_at`: Matplotlib's layout engines double the run time of a report.
 
     Raises
     ------
@@ -99,7 +99,9 @@ def drawing(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
 
 @contextmanager
 def printing(stem: Path, width_in: float, height_in: float) -> Iterator[Figure]:
-    """Yield a figure; at the end it is written as `stem`.png and .pdf, each whole or not at all.
+    """Yield an empty figure; at the end of the context, write `stem`.png and `stem`.pdf.
+
+    Each file is written atomically.
 
     Raises
     ------
@@ -133,34 +135,41 @@ def _write(figure: Figure, path: Path, dpi: int) -> None:
 
 
 def sequential() -> Colormap:
-    """Colour map of amounts; pixels without a value stay gray."""
+    """Return the colour map of amounts; pixels without a value are gray."""
     return colormaps["viridis"].with_extremes(bad=GAP)
 
 
 def diverging() -> Colormap:
-    """Colour map of signed errors, white at 0; used on scales symmetric about 0 only."""
+    """Return the colour map of signed errors, white at 0; its scale must be symmetric about 0."""
     return colormaps["RdBu_r"].with_extremes(bad=GAP)
 
 
 def cyclic() -> Colormap:
-    """Colour map of phases: 0 and 2 pi look alike."""
+    """Return the cyclic colour map of phases, with equal colours for 0 and 2 pi."""
     return colormaps["twilight"].with_extremes(bad=GAP)
 
 
 def round_up(value: float) -> float:
-    """Return the next larger round number, so that similar results have the same scale."""
+    """Return the next larger round number (or `value` if it is round); 1 for `value` <= 0.
+
+    Similar results then have the same scale.
+    """
     if not value > 0:
         return 1.0
     decade = 10.0 ** math.floor(math.log10(value))
-    # 1e-9: a value that is round already must not climb by its rounding error.
+    # 1e-9: a value that is already round must not be increased because of its rounding error.
     step = next(step for step in _ROUND_STEPS if step * decade >= value * (1 - 1e-9))
     return float(f"{step * decade:.6g}")
 
 
 def height_scale(z_mm: NDArray[Any]) -> tuple[float, float]:
-    """Return the round ends of a scale of heights: 0 and the peak, or lower where z sinks."""
+    """Return the rounded ends (mm) of a scale of heights: 0 and the peak.
+
+    The lower end is negative if the lowest height is below 0 by more than 5 % of the peak.
+    """
     low, high = float(z_mm.min()), float(z_mm.max())
-    # A free sheet dips by some per cent next to the contact: the scale need not include this.
+    # A free sheet is below 0 by some per cent of the peak next to the contact: the scale need not
+    # include these heights.
     sinks = low < -0.05 * max(high, 0.0) and low < 0
     top = 0.0 if sinks and high <= 0 else round_up(high)
     return (-round_up(-low) if sinks else 0.0, top)
@@ -174,10 +183,11 @@ def contour_levels(low: float, high: float) -> list[float]:
 
 
 def symmetric_limit(values: NDArray[Any], percent: float = 99.0) -> float:
-    """Return the rounded magnitude that `percent` of the values do not exceed; 1 without values.
+    """Return the limit of a scale from -limit to limit for signed values; 1 without values.
 
-    Outliers do not set the scale: it ends at most at four times the 68th percentile, which is the
-    standard deviation of normal noise.
+    The limit is the magnitude that `percent` of the values do not exceed, rounded up. It is at most
+    four times the 68th percentile of the magnitude, so that outliers do not determine the scale.
+    For normal noise, this percentile is the standard deviation.
     """
     if not values.size:
         return 1.0
@@ -186,10 +196,10 @@ def symmetric_limit(values: NDArray[Any], percent: float = 99.0) -> float:
 
 
 def near_truth(points_mm: FloatArray, true_mm: FloatArray) -> BoolArray:
-    """Return True for points (n, xyz) in the box of the true ones, widened by half its span.
+    """Return True for points (n, xyz) in the enlarged bounding box of the true points.
 
-    Points farther out are decoding errors; including them would make the true surface too small
-    to see.
+    The box is enlarged on each side by half its span. Points outside this box are decoding errors;
+    if they were drawn, the true surface would be too small to see.
     """
     low, high = box_of(true_mm)
     margin = _WIDENED * np.maximum(high - low, _LEAST_SPAN_MM)
@@ -202,7 +212,11 @@ def near_truth(points_mm: FloatArray, true_mm: FloatArray) -> BoolArray:
 def axes_at(
     figure: Figure, left_in: float, top_in: float, width_in: float, height_in: float
 ) -> Axes:
-    """Add axes; `left_in`, `top_in`: upper left corner relative to the figure's, inches."""
+    """Add axes to a figure and return them.
+
+    `left_in` and `top_in` are the distances, inches, of the axes' upper left corner from the left
+    and the upper edge of the figure.
+    """
     across_in, down_in = figure.get_size_inches()
     return figure.add_axes(
         (
@@ -221,7 +235,15 @@ def add_colorbar(
     extend: Literal["neither", "both", "max"] = "neither",
     side: Literal["right", "below"] = "right",
 ) -> None:
-    """Draw a colour bar with its unit next to a map, as long as the map."""
+    """Draw the colour bar of a map next to the map.
+
+    Parameters
+    ----------
+    shown : the map drawn on `axes`
+    label : quantity and unit
+    extend : ends of the scale with an arrow, for values beyond the end
+    side : side of the map on which the colour bar is drawn
+    """
     figure = axes.get_figure(root=True)
     assert figure is not None
     right = side == "right"
@@ -239,7 +261,10 @@ def add_colorbar(
 
 
 def legend_above(axes: Axes, entries: int) -> None:
-    """Put the legend in one line right above the axes, where no curve can be."""
+    """Put the legend directly above the axes, in one line of `entries` entries.
+
+    No curve can be hidden by a legend at this position.
+    """
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),
@@ -251,7 +276,7 @@ def legend_above(axes: Axes, entries: int) -> None:
 
 
 def chart(axes: Axes, title: str, xlabel: str, ylabel: str, **limits: Any) -> None:
-    """Title and label a plot of curves, set its limits, and lay a light grid behind them."""
+    """Set title, axis labels and limits of a plot of curves, and draw a light grid behind them."""
     axes.set(title=title, xlabel=xlabel, ylabel=ylabel, **limits)
     plain_spines(axes)
 
@@ -273,8 +298,10 @@ def draw_map(
     ----------
     values : (row along y, col along x), row 0 at the smallest y
     extent_mm : left, right, bottom, top
-    label : of the colour bar, with the unit
-    cmap, ends : colour map, by default that of amounts, and the values at its ends
+    label : label of the colour bar, with the unit
+    cmap : colour map; None: the colour map of amounts
+    ends : values at the ends of the colour map; None: smallest or largest value
+    extend : ends of the colour bar with an arrow, for values beyond the end
     """
     low, high = ends
     colours = cmap or sequential()
@@ -284,12 +311,12 @@ def draw_map(
 
 
 def no_ticks(axes: Axes) -> None:
-    """Remove the ticks of a picture."""
+    """Remove the ticks and tick labels of a picture."""
     axes.set(xticks=[], yticks=[])
 
 
 def label_panel(axes: Axes, letter: str) -> None:
-    """Put a panel's letter into its upper left corner, as journals do."""
+    """Draw the letter of a panel in the upper left corner of the panel, as in journals."""
     axes.text(
         0.02,
         0.97,
@@ -308,6 +335,6 @@ def plain_log(axis: Axis) -> None:
 
 
 def plain_spines(axes: Axes) -> None:
-    """Keep only the axes with numbers, and draw a light grid behind the curves."""
+    """Remove the upper and the right border of a plot, and draw a light grid behind the curves."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(visible=True)

@@ -1,4 +1,4 @@
-"""The first printed page of a measurement: object, measurands, conditions."""
+"""First printed page of the report on a measurement: object, measurands, conditions."""
 
 from dataclasses import replace
 
@@ -18,8 +18,8 @@ _VIRTUAL = (
 def certificate(measured: Measurement) -> tuple[Block, ...]:
     """Return the first printed page of a measurement.
 
-    It lists the measurands with expanded uncertainty and verdict, the conditions, and the versions
-    and digest with which the measurement can be repeated.
+    The page lists the measurands with expanded uncertainty and verdict, the conditions, and the
+    versions and digest with which the measurement can be repeated.
     """
     return (
         _head(measured),
@@ -37,7 +37,10 @@ def _head(measured: Measurement) -> Table:
 
 
 def _measurands(measured: Measurement) -> list[Table]:
-    """Return the measurands, and the deviation where no length of the object was measured."""
+    """Return the table of measurands, and the deviation table if no length was measured.
+
+    A table without values is omitted.
+    """
     score = measured.object
     tables = [quantity_table(measured)] if score.quantities else []
     lengths = any(quantity.measurand.unit == "mm" for quantity in score.quantities)

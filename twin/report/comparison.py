@@ -1,4 +1,4 @@
-"""The report of a comparison: every specimen by every method, as one HTML page and as text."""
+"""Report of a comparison of methods: every specimen by every method, as HTML page and as text."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -50,7 +50,17 @@ _RATIOS = (
 
 @dataclass(frozen=True, eq=False)
 class ComparisonSummary:
-    """Data that are compared across methods; without the frames, which take 600 MB at full size."""
+    """Data of one measurement that are compared across methods.
+
+    Frames are not included, because they take 600 MB at full size.
+
+    Attributes
+    ----------
+    figures : measured values by name
+    spheres : sphere fits of the balls; empty if the specimen has none
+    decoded : heights by every decoder of photometric stereo; empty for other methods
+    measurands : formatted values of the object's measurands, by label
+    """
 
     experiment: Experiment
     figures: Figures
@@ -61,7 +71,7 @@ class ComparisonSummary:
 
 @dataclass(frozen=True)
 class Quantity:
-    """One row of the table under each specimen."""
+    """One row of the table below each specimen: label, and function that formats the value."""
 
     label: str
     of: Callable[[ComparisonSummary], str]
@@ -75,7 +85,7 @@ def write_comparison(
     Parameters
     ----------
     folder : result folder of `twin compare`; no other file is read
-    into : existing folder to write into instead
+    into : existing folder for the page and its figures; None: `folder`
 
     Raises
     ------
@@ -137,11 +147,13 @@ def summary_of(measured: Measurement) -> ComparisonSummary:
 
 
 def press_in_words(methods: dict[str, ComparisonSummary | None]) -> str:
-    """Return force and depth of both presses in words; empty unless coat and gel are compared.
+    """Return a sentence with force and depth of the presses on coat and gel.
+
+    The text is empty unless contact-FPP and photometric stereo are compared.
 
     Parameters
     ----------
-    methods : measurement by method, None where it failed
+    methods : data of the measurement by method; None for a failed measurement
     """
     if not {_COAT, _GEL} <= set(methods):
         return ""
@@ -174,7 +186,10 @@ def press_in_words(methods: dict[str, ComparisonSummary | None]) -> str:
 
 
 def ratio_table(methods: dict[str, ComparisonSummary | None]) -> Table | None:
-    """Return the sphere-fit RMSE of contact-FPP and of every decoder; None unless both exist."""
+    """Return the table of sphere-fit RMSE by contact-FPP and by every decoder of the gel's image.
+
+    Returns None if one of the two methods has no sphere fit.
+    """
     coat, gel = methods.get(_COAT), methods.get(_GEL)
     if coat is None or gel is None or not gel.decoded or not coat.spheres:
         return None
@@ -270,7 +285,10 @@ def _specimen(
     outcomes: list[Outcome],
     fill: Callable[[str, Method, Measurement | None], None],
 ) -> Section:
-    """Draw one specimen by every method, one after the other."""
+    """Return the section on one specimen; draw the pictures of each method.
+
+    Measurements are read one at a time. `fill` draws each of them into the overview.
+    """
     summaries: dict[str, ComparisonSummary | None] = {}
     cells = []
     for outcome in outcomes:
@@ -295,7 +313,7 @@ def _specimen(
 
 
 def _cell(figures: Path, outcome: Outcome, measured: Measurement | None) -> Section:
-    """Return one specimen by one method; without a measurement only why."""
+    """Return the section on one specimen by one method; only the reason if it was not measured."""
     name, method = f"{outcome.name}_{outcome.method}", TRAITS[outcome.method]
     title = f"{method.title}: {method.explanation}"
     if measured is None:
@@ -319,7 +337,7 @@ def _cell(figures: Path, outcome: Outcome, measured: Measurement | None) -> Sect
 
 
 def _shares(measured: Measurement) -> list[Shares]:
-    """Return the shares of the scored pixels with a good point, a wrong one, and none."""
+    """Return the shares of the scored pixels with a good point, with a wrong point and without."""
     good, measured_share = measured.figures["good_share"], measured.figures["completeness"]
     if good is None or measured_share is None:
         return []
@@ -354,7 +372,7 @@ def _quantities_table(name: str, summaries: dict[str, ComparisonSummary | None])
 
 
 def _measurands(summaries: dict[str, ComparisonSummary | None]) -> list[Quantity]:
-    """Return a row for each measurand of the object that any method has."""
+    """Return a table row for each measurand of the object that at least one method measured."""
     names = dict.fromkeys(
         name for summary in summaries.values() if summary for name in summary.measurands
     )
@@ -366,7 +384,7 @@ def _measurand(name: str, summary: ComparisonSummary) -> str:
 
 
 def _figure(name: str, form: str) -> Callable[[ComparisonSummary], str]:
-    """Return a function that formats a figure; a dash if a method does not have it."""
+    """Return a function that formats the measured value `name`, or a dash if it does not exist."""
     return lambda summary: number(summary.figures.get(name), form)
 
 
@@ -415,7 +433,7 @@ QUANTITIES = (
         _of_balls(lambda b: f"{1e3 * b.true_face.stats.rmse_mm:.2f}"),
     ),
 )
-"""Rows of the table under each specimen: a new figure is added by a line here."""
+"""Rows of the table below each specimen; a further measured value needs one more entry."""
 
 
 def _short(metrics: Metrics | None) -> Row:

@@ -1,4 +1,4 @@
-"""Pictures of a comparison: small panels of one measurement, and the overview of all."""
+"""Pictures of a comparison: small panels of one measurement, and overview of all measurements."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -27,7 +27,7 @@ class Panel:
 
 
 def panels_of(measured: Measurement) -> tuple[Panel, ...]:
-    """Return two camera images, then heights and error."""
+    """Return the panels of a measurement: two camera images, measured heights and z error."""
     method = measured.experiment.method
     surface = "coat" if method.presses else "surface"
     heights, error = (partial(show, measured=measured) for show in (show_measured, show_error))
@@ -66,10 +66,11 @@ _CELL_IN, _CELL_SHARE, _GAP_IN, _LABEL_IN, _HEAD_IN = 1.75, 0.75, 0.06, 0.35, 0.
 def overview(
     path: Path, methods: Sequence[Method], names: Sequence[str]
 ) -> Iterator[Callable[[str, Method, Measurement | None], None]]:
-    """Draw camera image and heights as PNG: a row per method, two columns per specimen.
+    """Draw camera image and heights as PNG, with one row per method and two columns per specimen.
 
-    Yields a function that draws the panels of one specimen and method. It is called for one
-    measurement at a time, because a stack at full size takes 600 MB. None: no measurement.
+    Yields a function (specimen, method, measurement) that draws the two panels of one measurement;
+    None instead of a measurement marks the panel as not measured. The caller reads and draws one
+    measurement at a time, because a stack of frames at full size takes 600 MB.
     """
     height_in, pair_in = _CELL_IN * _CELL_SHARE, 2 * _CELL_IN + 3 * _GAP_IN
     down_in = _HEAD_IN + len(methods) * (height_in + _GAP_IN)

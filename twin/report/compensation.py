@@ -1,4 +1,4 @@
-"""The page of `twin compensate`: the object and its parts, the contact, and the assumed layer."""
+"""Report page of `twin compensate`: the object and its parts, the contact, the assumed layer."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -33,18 +33,18 @@ from twin.report.page import REPORT_FILE, Block, Figure, Note, Page, Section, wr
 from twin.report.table import Column, Row, Table
 
 COMPENSATION_PICTURE = "compensation"
-# At edges the pressure is many times that on faces: the scale ends at the 99th percentile.
+# The pressure at edges is many times the pressure on faces: the scale ends at the 99th percentile.
 _MOST_PERCENT = 99.0
 
 
 def write_compensation_page(
     folder: Path, result: CompensationResult, name: str, watch: ProgressCallback = no_progress
 ) -> Path:
-    """Write `report.html` and its figure into the folder of a compensation; return the page.
+    """Write `report.html` and its figure into the folder of a compensation; return the page's path.
 
     Parameters
     ----------
-    name : of the result that was compensated
+    name : name of the measurement that was compensated
 
     Raises
     ------
@@ -119,7 +119,7 @@ def _picture(result: CompensationResult) -> Figure:
 
 
 def _numbers_section(result: CompensationResult, slab: CompensatedSlab) -> Section:
-    """Return the object under a slab: the numbers that were fitted."""
+    """Return the section on an object under a slab: picture and table of the fitted numbers."""
     fitted = slab.fitted
     rows: list[Row] = [
         {
@@ -147,7 +147,11 @@ def _numbers_section(result: CompensationResult, slab: CompensatedSlab) -> Secti
 
 
 def _bars(result: CompensationResult) -> Iterator[Block]:
-    """Yield a table of the bars that have a width measurand."""
+    """Yield the table of bar widths, and notes on widths that were not measured.
+
+    A bar is listed if the compensation has the value `compensated_bar_N_width_mm`. Without bars,
+    no block is yielded.
+    """
     figures, rows, notes = result.figures, [], []
     for number in count(1):
         name = f"compensated_bar_{number}"
@@ -233,7 +237,9 @@ def _layer_rows(result: CompensationResult) -> Iterator[Row]:
 
 
 def draw_compensation(path: Path, compensated: Compensated) -> None:
-    """Draw maps of coat, contact pressure and local thickness or contact, and a section, as PNG.
+    """Draw maps of the coat, contact pressure and local thickness as PNG, and a section.
+
+    For a slab, the map of the contact replaces the map of the local thickness.
 
     Raises
     ------
@@ -272,7 +278,7 @@ def draw_compensation(path: Path, compensated: Compensated) -> None:
 
 
 def _row_of_section(compensated: Compensated) -> int:
-    """Return the row with the longest contact, the middle one of several."""
+    """Return the grid row with the longest contact; of several such rows, the middle row."""
     lengths = compensated.contact.sum(axis=1)
     longest = np.flatnonzero(lengths >= 0.98 * lengths.max())
     return int(longest[len(longest) // 2])

@@ -1,4 +1,4 @@
-"""The report of a measurement of the pressed coat by fringes: judgements, discussion, sections."""
+"""Report of a measurement of the pressed coat by fringes: judgements, discussion, sections."""
 
 import numpy as np
 from scipy.optimize import brentq
@@ -27,7 +27,7 @@ GOOD_RADIUS_SHARE, POOR_RADIUS_SHARE = 0.05, 0.25
 
 
 def verdicts(scored: Measurement) -> list[Verdict]:
-    """Judge measurement, shape transfer and press, in this order."""
+    """Return judgements of the measurement, of the shape transfer (for balls) and of the press."""
     shape = [_shape(scored)] if scored.score.spheres else []
     return [_sensor(scored), *shape, judge_press(scored)]
 
@@ -70,7 +70,7 @@ def _sensor(scored: Measurement) -> Verdict:
 
 
 def _filter_target(figures: Figures) -> list[JudgedTarget]:
-    """Return the target of the phase filter's bias where it is missed."""
+    """Return the target for the bias of the phase filter; empty if it is met or unknown."""
     share = figures["filter_bias_share"]
     if share is None or share <= MOST_FILTER_BIAS_SHARE:
         return []
@@ -103,12 +103,12 @@ def _shape(scored: Measurement) -> Verdict:
     )
 
 
-# Relative RMSE difference of fit and truth below which both have the same form.
+# Relative difference of measured and true RMSE below which both faces have the same form.
 _SAME_FORM = 0.2
 
 
 def discussion(scored: Measurement) -> list[str]:
-    """Return the paragraphs, most important first."""
+    """Return the paragraphs that explain the result, the most important paragraph first."""
     if not scored.score.against_truth.points:
         return ["No pixel has a point; the map of masked pixels shows the reason for each pixel."]
     paragraphs = [_measurement(scored)]
@@ -118,14 +118,14 @@ def discussion(scored: Measurement) -> list[str]:
 
 
 def _elastomer(scored: Measurement) -> str:
-    """Return how elastomer and layout change the radius, in words."""
+    """Return a paragraph on how elastomer and layout change the radius of a ball."""
     if model_of(str(scored.metrics["mechanics_model"])).wraps:
         return _sheet(scored)
     return _on_window() if scored.experiment.elastomer.layout == "contact_face" else _slab(scored)
 
 
 def sentences(measured: Measurement) -> list[str]:
-    """Return the result for a terminal, at most 100 columns wide, in ASCII."""
+    """Return the result as lines of text for a terminal, at most 100 columns wide, in ASCII."""
     figures = measured.figures
     absent = why_absent(figures)
     rms, p95, spread = (
@@ -141,7 +141,11 @@ def sentences(measured: Measurement) -> list[str]:
 
 
 def pitch_kept_mm(share: float, thickness_mm: float) -> float:
-    """Return the pitch at which the transfer T(q), q = 2 pi h / pitch, equals `share`."""
+    """Return the pitch (mm) of a relief at which a slab transmits `share` of its amplitude.
+
+    The transfer T(q) of `opposite_transfer` then equals `share`; q = 2 pi h / pitch, and h is the
+    thickness of the slab.
+    """
 
     def excess(q: float) -> float:
         return float(opposite_transfer(np.array([q]))[0]) - share
@@ -237,7 +241,7 @@ def _residuals(scored: Measurement) -> str:
 
 
 def sections(measured: Measurement) -> list[Section]:
-    """Return all sections of the report on a pressed coat that is measured by fringes."""
+    """Return the sections of the page that are specific to a pressed coat with fringes."""
     blocks = [
         Section(
             "glance", "Experiment", (TwoColumns((glance(measured),), (rig_figure(measured),)),)

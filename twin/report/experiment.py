@@ -1,7 +1,7 @@
-"""The experiment in a report: a line per part, side view of the rig, every setting with its source.
+"""The experiment in a report: summary, side view of the rig, and every setting with its source.
 
-The side view is projected onto the vertical plane through the line from camera to projector; its
-horizontal coordinate s, mm, is 0 at the world origin.
+The side view is projected onto the vertical plane through camera and projector. Its horizontal
+coordinate s, mm, is 0 at the world origin.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ from twin.specimens import shape_of
 def glance(measured: Measurement) -> Table:
     """Return the table that summarises the experiment, one row per part.
 
-    Rows: specimen, coat or stage, camera and light with their settings, digest of the experiment.
+    The rows are specimen, coat or stage, camera and light with their settings, and the digest.
     """
     method = measured.experiment.method
     return parts(
@@ -179,7 +179,16 @@ _NO_SOURCE = "set in the experiment, or default"
 
 @dataclass(frozen=True)
 class Setting:
-    """One value of the experiment with its source; `path` is the key for `--set`."""
+    """One value of the experiment with its source.
+
+    Attributes
+    ----------
+    section : first part of `path`, for example "camera"
+    path : key for `--set`
+    source : source of the value; empty if none is stated
+    range : valid range as text; empty if none is stated
+    assumed : True if the source states that the value is assumed
+    """
 
     section: str
     path: str
@@ -194,13 +203,13 @@ GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 
 
 def grade_of_share(share: float) -> Grade:
-    """Return the grade of the share of the scored pixels that have a good point."""
+    """Return the grade for a share (0 to 1) of the scored pixels that have a good point."""
     measured: Grade = "good" if share >= GOOD_SHARE else "check"
     return "poor" if share < POOR_SHARE else measured
 
 
 def result_in_words(measured: Measurement) -> str:
-    """Return the share of the scored pixels with a good point, as a sentence."""
+    """Return a sentence with the share of the scored pixels that have a good point."""
     method, share = measured.experiment.method, measured.figures["good_share"]
     surface = "specimen's visible area"
     if method.presses:
@@ -241,9 +250,10 @@ def appendix(measured: Measurement) -> Section:
 
 
 def settings_blocks(experiment: Experiment) -> tuple[Block, ...]:
-    """Return the settings that the experiment's method reads; collapsed, where no source is stated.
+    """Return the tables of the settings that the experiment's method reads.
 
-    All of them, and those of other methods, are in `experiment.toml`.
+    Settings without a stated source are in a collapsed section. The file `experiment.toml` contains
+    all settings, including those for other methods.
     """
     settings = settings_of(experiment)
     sourced = [setting for setting in settings if setting.source]
@@ -289,7 +299,7 @@ def _settings_table(name: str, settings: Sequence[Setting]) -> Table:
 
 
 def settings_of(experiment: Experiment) -> list[Setting]:
-    """Return the settings that the experiment's method reads, in their order."""
+    """Return the settings that the experiment's method reads, in the order of the experiment."""
     tree = experiment.model_dump(mode="json", exclude={*_HEAD, *_without_meaning(experiment)})
     return [_setting(path, value, experiment.provenance.get(path)) for path, value in _leaves(tree)]
 
@@ -302,7 +312,10 @@ def _without_meaning(experiment: Experiment) -> set[str]:
 
 
 def _metrics(figures: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return the metrics of result.json except the warnings, which the head of the report shows."""
+    """Return label, value and unit of each metric in result.json, except the warnings.
+
+    The warnings are shown at the head of the report.
+    """
     rows = []
     for name, value in figures.items():
         if name != "warnings":
@@ -344,7 +357,7 @@ def _setting(path: str, value: Any, origin: Provenance | None) -> Setting:
 
 
 def rig_figure(measured: Measurement) -> Figure:
-    """Return the side view of the rig."""
+    """Return the figure with the side view of the rig."""
     return Figure(
         "rig",
         "Side view of the rig",
@@ -356,7 +369,7 @@ def rig_figure(measured: Measurement) -> Figure:
 
 
 def draw_rig(path: Path, experiment: Experiment) -> None:
-    """Draw the side view as PNG."""
+    """Draw the side view of the rig as PNG."""
     rig = true_calibration(experiment)
     camera, projector = rig.T_world_from_cam[:3, 3], rig.T_world_from_proj[:3, 3]
     across = _horizontal(projector - camera)
@@ -386,12 +399,12 @@ def _horizontal(baseline_mm: FloatArray) -> FloatArray:
 
 
 def _flat(points_world_mm: FloatArray, across: FloatArray) -> FloatArray:
-    """Project world points (n, xyz) to (s, z)."""
+    """Return the coordinates (n, 2) in the side view, s and z, of world points (n, xyz), mm."""
     return np.stack([points_world_mm @ across, points_world_mm[:, 2]], axis=1)
 
 
 def _fan(axes: Axes, device: Pinhole, pose: FloatArray, across: FloatArray, colour: str) -> None:
-    """Shade a device's field of view between its pinhole and the undeformed face z = 0."""
+    """Draw a device's field of view as an area from its pinhole to the undeformed face z = 0."""
     rays = np.column_stack([device.seen_corners(), np.ones(4)]) @ pose[:3, :3].T
     # A grazing ray intersects the plane far away; the drawing ends at 2 x the standoff.
     reach = np.where(rays[:, 2] < 0, pose[2, 3] / np.maximum(-rays[:, 2], 1e-9), np.inf)

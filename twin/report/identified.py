@@ -1,4 +1,7 @@
-"""The report of an identification: determined and undetermined fields, and useful measurements."""
+"""Report of an identification: fields, rows, alternative models, benefit of more measurements.
+
+Fields are unknown properties of a sensor. They are estimated from rows, which are measured values.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -33,7 +36,9 @@ def write_identified(
     watch: ProgressCallback = no_progress,
     into: Path | None = None,
 ) -> Path:
-    """Write `report.html` and `figures/*.png`.
+    """Write `report.html` and `figures/*.png` of an identification; return the path of the page.
+
+    The files are written into `into`, or into `folder` if `into` is None.
 
     Raises
     ------
@@ -44,7 +49,7 @@ def write_identified(
 
 
 def page_of(identified: Identified) -> Page:
-    """Return the page of an identification."""
+    """Return the report page of an identification."""
     problem = identified.problem
     fitted = len(problem.fitted)
     lead = (
@@ -111,7 +116,7 @@ def _agreement(question: str, rows: Sequence[Prediction]) -> Verdict:
 
 
 def ridge_words(ridge: Ridge) -> str:
-    """Return a ridge in words: the joint change of fields that does not change the rows."""
+    """Return the text for a ridge, a joint change of fields that does not change the rows."""
     first, *rest = ridge.share.items()
     changes = [f"{name} {'down' if part * first[1] > 0 else 'up'}" for name, part in rest]
     return f"{first[0]} up with {', '.join(changes)} changes no row"
@@ -368,7 +373,10 @@ def _emulators(identified: Identified) -> list[Block]:
 
 
 def _sampling(identified: Identified) -> Note:
-    """Return the convergence of the chains, for the choices with the fewest independent samples."""
+    """Return a note on the convergence of the Markov chains.
+
+    The note is on the combination of choices with the fewest independent samples.
+    """
     worst = min(
         (model.posterior for model in identified.models), key=lambda model: model.independent
     )

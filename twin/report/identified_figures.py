@@ -1,4 +1,7 @@
-"""Figures of an identification: joint densities of field pairs, and differences of the rows."""
+"""Figures of an identification: joint densities of field pairs, and differences of the rows.
+
+Fields are the unknown properties, rows the measured values.
+"""
 
 from pathlib import Path
 
@@ -24,20 +27,24 @@ from twin.report.canvas import (
 from twin.report.words import split_unit
 
 AGREES = 2.0
-"""A row agrees with its prediction up to so many standard deviations of their difference."""
+"""Largest difference of a row from its prediction that counts as agreement, in standard deviations
+of this difference."""
 _PANEL_IN, _LEFT_IN, _TOP_IN, _BELOW_IN, _GAP_IN = 1.45, 0.75, 0.15, 0.5, 0.14
 _BINS = 36
 
 
 def field_words(name: str, free: Free) -> str:
-    """Return the label of a field with the unit of its path."""
+    """Return the label of a field, with the unit at the end of the field's path in brackets."""
     unit = split_unit(free.path.rsplit(".", 1)[-1])[1]
     words = split_unit(name)[0].replace("_", " ")
     return f"{words} ({unit})" if unit else words
 
 
 def draw_corner(identified: Identified, path: Path) -> None:
-    """Draw densities of fields and pairs of fields, with the profiles of the likelihood."""
+    """Draw the posterior densities of all fields and of all pairs of fields as PNG (corner plot).
+
+    The panels of single fields also show the profile of the likelihood.
+    """
     free, values = identified.problem.free, identified.values
     count, profiles = len(free), identified.profiles()
     panels = count * (_PANEL_IN + _GAP_IN)
@@ -80,7 +87,7 @@ def _edges(free: Free) -> FloatArray:
 
 
 def mark(axis: Axis, free: Free) -> None:
-    """Put ends and middle of a field's range on an axis, in plain figures."""
+    """Set the ticks of an axis to the ends and the middle of a field's range, as plain numbers."""
     marks = free.value(np.array([0.0, 0.5, 1.0]))
     axis.set_ticks(marks.tolist(), labels=[f"{value:.2g}" for value in marks])
     axis.set_minor_locator(NullLocator())
@@ -103,7 +110,11 @@ def _label(axes: Axes, free: list[tuple[str, Free]], row: int, column: int) -> N
 
 
 def draw_rows(identified: Identified, path: Path) -> None:
-    """Draw the normalised difference of every row."""
+    """Draw the normalised difference of every row as PNG.
+
+    It is the measured minus the predicted value, divided by the standard deviation of this
+    difference.
+    """
     rows = identified.best.predictions
     height = 0.9 + 0.26 * len(rows)
     with drawing(path, 7.0, height) as figure:

@@ -1,7 +1,7 @@
-"""The report of one finished measurement by any method: HTML page, and table for a terminal.
+"""Report of one finished measurement by any method: HTML page, and table for a terminal.
 
 Each method has a module with its judgements (`verdicts`), its sections (`sections`) and the result
-in words for a terminal (`sentences`); this module adds the parts that all pages have.
+as text for a terminal (`sentences`). This module adds the parts that the pages of all methods have.
 """
 
 import textwrap
@@ -29,19 +29,22 @@ from twin.results.record import Measurement
 
 
 class MethodReport(Protocol):
-    """Interface of a method's module."""
+    """Interface of the report module of a method.
+
+    `METHOD` is the name of the method, `WARNED` the heading of the warnings.
+    """
 
     METHOD: str
     WARNED: str
 
     def verdicts(self, measured: Measurement, /) -> list[Verdict]:
-        """Judge the measurement."""
+        """Return the judgements of the measurement, for the head of the page."""
 
     def sections(self, measured: Measurement, /) -> list[Section]:
-        """Return the page, but for its appendix."""
+        """Return the sections of the page that depend on the method."""
 
     def sentences(self, measured: Measurement, /) -> list[str]:
-        """Return the result for a terminal, at most 100 columns wide, in ASCII."""
+        """Return the result as lines for a terminal, at most 100 columns wide, in ASCII."""
 
 
 def write_report(
@@ -51,14 +54,15 @@ def write_report(
     measured: Measurement | None = None,
     draw: Drawer = one_by_one,
 ) -> Path:
-    """Write `report.html` and `figures/*.png` of a finished measurement; return the page.
+    """Write `report.html` and `figures/*.png` of a finished measurement; return the page's path.
 
     Parameters
     ----------
     folder : result folder of `twin measure` or `twin demo`; no other file is read
-    into : existing folder to write into instead
-    measured : content of the folder, if it is in memory already
-    draw : draws the figures; `draw_side_by_side` of `twin.report.side_by_side`: in two processes
+    into : existing folder for the page and its figures; None: `folder`
+    measured : content of the folder; None: the folder is read
+    draw : function that draws the figures; `twin.report.side_by_side.draw_side_by_side` uses two
+        processes
 
     Raises
     ------
@@ -71,7 +75,7 @@ def write_report(
 
 
 def page_of(measured: Measurement) -> Page:
-    """Return the page of a measurement by its method."""
+    """Return the report page of a measurement by any method."""
     by, experiment = _by_method(measured), measured.experiment
     return Page(
         kind=f"virtual measurement by {by.METHOD}",
@@ -109,7 +113,7 @@ def summary_table(measured: Measurement) -> str:
 
 
 def _by_method(measured: Measurement) -> MethodReport:
-    """Return the module of the method; only one of them is imported."""
+    """Return the report module of the measurement's method; the other modules are not imported."""
     method = measured.experiment.method
     if not method.fringes:
         from twin.report import photometric

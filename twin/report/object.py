@@ -1,4 +1,7 @@
-"""The object itself in a report: its measurands with verdicts, and its deviation."""
+"""The object in a report: its measurands with verdicts, and deviation from its true shape.
+
+The object is the specimen itself, in contrast to the coat over it.
+"""
 
 import numpy as np
 
@@ -25,7 +28,10 @@ _ALIGNED = (
 
 
 def object_section(measured: Measurement) -> list[Section]:
-    """Return measurands, deviation and remedies of the object; empty if it was not measured."""
+    """Return the section on the object: measurands, deviation, and remedies for missing values.
+
+    Returns an empty list if the object was not measured.
+    """
     score = measured.object
     if score.observed is None or not (score.aligned or score.quantities):
         return []
@@ -38,7 +44,10 @@ def object_section(measured: Measurement) -> list[Section]:
 
 
 def object_verdict(measured: Measurement) -> Verdict:
-    """Judge the object by its tolerances, or by its deviation if none are stated."""
+    """Return the judgement of the object by its tolerances, or by its deviation.
+
+    The deviation is used if no tolerance is stated.
+    """
     score, question = measured.object, "How accurately is the object measured?"
     judged = [quantity for quantity in score.quantities if quantity.tolerance is not None]
     if judged:
@@ -75,13 +84,13 @@ def object_verdict(measured: Measurement) -> Verdict:
 
 
 def _short(quantity: MeasuredQuantity) -> str:
-    """Write a length with its expanded uncertainty, for a headline."""
+    """Return name and value (mm) of a length with its expanded uncertainty, for a headline."""
     name = quantity.measurand.name.replace("_", " ")
     return f"{name}: {quantity.value:.4f}\N{NO-BREAK SPACE}mm {_interval(quantity)}"
 
 
 def _remedies(measured: Measurement) -> list[str]:
-    """Return how to increase the contact; empty if the dimensions of the object were measured."""
+    """Return advice on how to measure the object; empty if its dimensions were measured."""
     score, compensation = measured.object, measured.compensation
     lengths = [quantity for quantity in score.quantities if quantity.measurand.unit == "mm"]
     has_points = measured.figures.get("object_rms_um") is not None
@@ -102,12 +111,15 @@ def _grade_of_deviation(over_limit: float) -> Grade:
 
 
 def object_sentence(measured: Measurement) -> str:
-    """Return how accurately the object was measured, in ASCII: its dimensions first."""
+    """Return the result for the object as one line of ASCII text, its dimensions first."""
     return f"object: {'; '.join(object_lines(measured))}"
 
 
 def object_lines(measured: Measurement) -> list[str]:
-    """Return the result for the object as a list: dimensions, deviation, remedies."""
+    """Return the result for the object as a list of texts: dimensions, deviation, remedies.
+
+    If tolerances are stated, the list contains only the judged measurands.
+    """
     score, figures = measured.object, measured.figures
     judged = [quantity for quantity in score.quantities if quantity.tolerance is not None]
     if judged:
@@ -128,7 +140,11 @@ def object_lines(measured: Measurement) -> list[str]:
 
 
 def measurand_in_words(quantity: MeasuredQuantity) -> str:
-    """Return the result of a measurand in words: the object's value with U, then the coat's."""
+    """Return the result of a measurand as text.
+
+    The text contains the value of the object with expanded uncertainty U, the deviation from the
+    nominal value, the decision, and the apparent value in the coat. Unknown parts are omitted.
+    """
     name = quantity.measurand.name.replace("_", " ")
     verdict = f", {quantity.decision}" if quantity.decision else ""
     coat = ""
@@ -157,7 +173,7 @@ def _interval(quantity: MeasuredQuantity) -> str:
 
 
 def _is_lost(quantity: MeasuredQuantity) -> bool:
-    """Return True if the error exceeds the nominal length: a different feature was fitted."""
+    """Return True if the error exceeds the nominal length: probably another feature was fitted."""
     return (
         quantity.nominal is not None and abs(float(quantity.error or 0.0)) > 1e3 * quantity.nominal
     )
@@ -197,7 +213,11 @@ _PARTS = Column("parts", "parts of u (µm)", kind="number")
 
 
 def quantity_table(measured: Measurement) -> Table:
-    """Return the measurands: the object's value, U with its parts, verdict, and the coat's."""
+    """Return the table of measurands: value of the object, U, contributions to u, and verdict.
+
+    A further column has the apparent value in the coat. Without a coat, it has the error of the
+    true visible surface.
+    """
     score, covered = measured.object, is_covered(measured.experiment)
     factors = sorted({f"{quantity.uncertainty.coverage_factor:g}" for quantity in score.quantities})
     elastomer = "the subtracted elastomer, " if covered else ""
@@ -224,7 +244,10 @@ def quantity_table(measured: Measurement) -> Table:
 
 
 def _absences(quantities: tuple[MeasuredQuantity, ...]) -> list[str]:
-    """Return one note for each reason why measurands have no value: a column is too narrow."""
+    """Return one note for each reason why measurands have no value.
+
+    The reasons are too long for a column of the table.
+    """
     missing: dict[str, list[str]] = {}
     for quantity in quantities:
         if quantity.value is None and quantity.why:
@@ -280,7 +303,10 @@ def _limits(quantity: MeasuredQuantity) -> str:
 
 
 def deviation_table(measured: Measurement) -> Table:
-    """Return the RMS deviation from the true object after each alignment, with the coat's own."""
+    """Return the table of RMS deviations (um) from the true object after each alignment.
+
+    A second column has the deviations of the true coat, or of the true visible surface.
+    """
     figures = measured.figures
     names = {"none": "", "offset": "offset_", "offset_tilt": "offset_tilt_", "rigid": "rigid_"}
     rows: list[Row] = [
@@ -343,7 +369,10 @@ def _how(measured: Measurement) -> str:
 
 
 def object_rows(measured: Measurement) -> dict[str, str]:
-    """Return the measurands by name, with U, as a comparison of methods shows them."""
+    """Return value with U, and deviation, of each measurand as text, by label with its unit.
+
+    A comparison of methods shows these texts in its table.
+    """
     rows = {}
     for quantity in measured.object.quantities:
         name = quantity.measurand.name.replace("_", " ")

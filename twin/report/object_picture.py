@@ -1,6 +1,7 @@
-"""The object in one picture: relief, true object, deviation and section.
+"""Picture of the object: measured relief, true object, deviation and section.
 
-World frame, mm; the section runs through the specimen, s = 0 at its middle.
+Coordinates are in the world frame, mm. The section is a vertical plane through the specimen, with
+coordinate s = 0 at the middle of the specimen.
 """
 
 from pathlib import Path
@@ -38,12 +39,12 @@ _BAND_PIXELS = 1.5
 
 
 def touches(experiment: Experiment) -> str:
-    """Return the condition for a point of the object: the coat touches it, or it is visible."""
+    """Return the words for the part of the object that has points: "is touched" or "is seen"."""
     return "is touched" if experiment.method.presses else "is seen"
 
 
 def object_figure(measured: Measurement) -> Figure:
-    """Return relief, true object, deviation and section in one picture."""
+    """Return the figure of measured relief, true object, deviation and section."""
     return Figure(
         "object",
         "Measured relief, true object, deviation and section",
@@ -58,7 +59,10 @@ def object_figure(measured: Measurement) -> Figure:
 
 
 def grown(measured: Measurement) -> str:
-    """Return the offset of the drawn true object in words; empty without elastomer between."""
+    """Return the words on the offset of the drawn true object by the elastomer's thickness.
+
+    The text is empty if no constant thickness is added.
+    """
     visible = measured.object.observed
     return (
         " (offset by the thickness of the elastomer)"
@@ -68,7 +72,7 @@ def grown(measured: Measurement) -> str:
 
 
 def _behind(measured: Measurement) -> str:
-    """Return the origin of the object's points in words; empty if they are the visible points."""
+    """Return a sentence on the object points below a sheet; empty without a sheet."""
     if not measured.object.under_sheet:
         return ""
     return " Deviation and large points: object points, one local thickness below the coat."
@@ -114,7 +118,7 @@ def draw_object(path: Path, measured: Measurement) -> None:
 
 
 def _shown_points(measured: Measurement, coat: ObjectPoints) -> FloatArray:
-    """Return the points (n, xyz) near the true surface, or all where none is."""
+    """Return the measured points (n, xyz) near the true surface, or all points if none is near."""
     points, truth = coat.points_mm, measured.truth
     if not truth.measured.any():
         return points
@@ -123,7 +127,7 @@ def _shown_points(measured: Measurement, coat: ObjectPoints) -> FloatArray:
 
 
 def trace_of(experiment: Experiment) -> Trace:
-    """Return the section's line: through the balls, or along the specimen's own x axis."""
+    """Return the line of the section: through the balls, or along the x axis of the specimen."""
     if shape_of(experiment.specimen).spheres():
         return trace_through_apexes(experiment)
     turn, at = np.deg2rad(experiment.specimen.yaw_deg), experiment.specimen
@@ -158,7 +162,10 @@ def _draw_section(axes: Axes, measured: Measurement, visible: ObjectView) -> Non
 
 
 def _band(trace: Trace, points: FloatArray, pixel_mm: float) -> tuple[FloatArray, FloatArray]:
-    """Return position along a section and height of the points near it, sorted by position."""
+    """Return position along a section and height, mm, of the points near it, by position.
+
+    Points are near if they are at most 1.5 camera pixels from the section.
+    """
     near = np.abs(trace.offset(points[:, 0], points[:, 1])) <= _BAND_PIXELS * pixel_mm
     place = np.asarray(trace.position(points[near, 0], points[near, 1]), np.float64)
     order = np.argsort(place)
@@ -166,6 +173,10 @@ def _band(trace: Trace, points: FloatArray, pixel_mm: float) -> tuple[FloatArray
 
 
 def _true_profile(visible: ObjectView, trace: Trace, place: FloatArray) -> FloatArray:
-    """World z of the true object's upper side, grown by the skin, along a section; NaN: none."""
+    """Return the drawn height (world z, mm) of the true object along a section.
+
+    The height is that of the upper side of the object plus the thickness `skin_mm` of the elastomer
+    between object and coat; NaN outside the object.
+    """
     z = visible.heights.z_mm[visible.heights.cells_of(trace.points(place))] if len(place) else place
     return np.where(np.isfinite(z), z + visible.surface.skin_mm, np.nan)

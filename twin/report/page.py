@@ -1,7 +1,7 @@
-"""The page that all reports are: sections of text, figures and tables in one self-contained file.
+"""HTML page of a report: sections of text, figures and tables in one self-contained file.
 
-A report is data (`Page`); `write_page` draws its figures into `figures/NAME.png`, puts them into
-the page, and writes it atomically. `Block` lists the allowed content of a page.
+A report is data (`Page`). `write_page` draws its figures into `figures/NAME.png`, embeds them in
+the page, and writes the page atomically. `Block` lists the allowed content of a page.
 """
 
 import base64
@@ -48,13 +48,14 @@ class Figure:
 
 
 Drawer = Callable[[Sequence[Figure], Callable[[Figure], Path], Callable[[], None]], None]
-"""Draws figures to the path that the second argument returns, and calls the third after each."""
+"""Function (figures, place, step) that draws each figure to the path `place(figure)`, and calls
+`step()` after each figure."""
 
 
 def one_by_one(
     figures: Sequence[Figure], place: Callable[[Figure], Path], step: Callable[[], None]
 ) -> None:
-    """Draw figures in their order."""
+    """Draw figures one after another in their order; a `Drawer`."""
     for figure in figures:
         if figure.draw is not None:
             figure.draw(place(figure))
@@ -63,7 +64,7 @@ def one_by_one(
 
 @dataclass(frozen=True)
 class Verdict:
-    """One card at the head of a page: a question, its answer and the reasons."""
+    """Judgement at the head of a page: a question, its answer, a grade and the reasons."""
 
     question: str
     headline: str
@@ -73,7 +74,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class JudgedTarget:
-    """A target of the report, and whether the measurement meets it.
+    """A target of the report, and the grade of the measurement for this target.
 
     Attributes
     ----------
@@ -88,7 +89,9 @@ class JudgedTarget:
 def judged(
     question: str, headline: str, targets: Sequence[JudgedTarget], more: Sequence[str] = ()
 ) -> Verdict:
-    """Return the card of some targets: their worst grade, and each missed target marked "missed".
+    """Return the judgement for several targets: it has the worst grade of these targets.
+
+    The text of each target that is not met starts with "missed".
 
     Parameters
     ----------
@@ -103,7 +106,7 @@ def judged(
 
 
 def target(words: str, met: bool, otherwise: Grade = "check") -> JudgedTarget:
-    """Return a target that is met, or has the grade `otherwise`."""
+    """Return a target with the grade "good" if it is met, else with the grade `otherwise`."""
     return JudgedTarget(words, "good" if met else otherwise)
 
 
@@ -117,7 +120,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Gallery:
-    """Small figures in one row of `columns`."""
+    """Small figures next to each other, in `columns` columns."""
 
     figures: tuple[Figure, ...]
     columns: int
@@ -125,14 +128,17 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Shares:
-    """Parts of a whole as one bar with its key: (kind of colour, words, share)."""
+    """Parts of a whole, drawn as one bar with a legend.
+
+    Each part is (kind, which determines the colour; text; share from 0 to 1).
+    """
 
     parts: tuple[tuple[Literal["good", "wrong", "none"], str, float], ...]
 
 
 @dataclass(frozen=True)
 class TwoColumns:
-    """Two columns; the right one is below the left one in a narrow window."""
+    """Two columns of blocks; in a narrow window, the right column is below the left column."""
 
     left: "tuple[Block, ...]"
     right: "tuple[Block, ...]"
@@ -140,15 +146,15 @@ class TwoColumns:
 
 @dataclass(frozen=True)
 class TurnableView:
-    """A view in three dimensions that the reader turns; `twin.report.view` makes its data.
+    """A three-dimensional view that can be turned in the browser; data from `twin.report.view`.
 
     Attributes
     ----------
-    name : its place in the page
+    name : identifier of the view in the page
     caption : plotted quantities, and how to turn the view
-    data : JSON for the script
-    homes : predefined views, one button each
-    parts : surfaces and lines that can be shown and hidden
+    data : JSON for the script of the view
+    homes : names of the predefined views, with one button for each
+    parts : names of the surfaces and lines that can be shown and hidden
     """
 
     name: str
@@ -160,7 +166,7 @@ class TurnableView:
 
 @dataclass(frozen=True)
 class CollapsedSection:
-    """Blocks that the reader expands; collapsed at first, and not printed."""
+    """Blocks that are collapsed until the user opens them; they are not printed."""
 
     title: str
     blocks: "tuple[Block, ...]"
@@ -168,7 +174,7 @@ class CollapsedSection:
 
 @dataclass(frozen=True)
 class Section:
-    """Blocks under a heading; nested sections have smaller headings."""
+    """Blocks below a heading; a section inside a section has a smaller heading."""
 
     name: str
     title: str
@@ -187,24 +193,24 @@ Block = (
     | CollapsedSection
     | Section
 )
-"""Text is escaped unless it is `markupsafe.Markup`."""
+"""Content of a section. Text is escaped for HTML unless it is `markupsafe.Markup`."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """One page.
+    """Content of one report page.
 
     Attributes
     ----------
-    kind : of report, above the title
-    title, lead : heading and the paragraph below it
-    sections : in order
-    verdicts : cards at its head
-    warned, warnings : heading and lines of a box below the cards; no box without lines
-    numbered : sections carry numbers
-    contents : the page has a list of the sections before them
-    wide : for tables with many columns
-    certificate : the first printed page; not shown on a screen
+    kind : kind of report; this text is above the title
+    title, lead : heading, and the paragraph below the heading
+    sections : sections in their order
+    verdicts : judgements at the head of the page
+    warned, warnings : heading and lines of the box of warnings; without lines, there is no box
+    numbered : True: the headings of sections have numbers
+    contents : True: a list of the sections is before the first section
+    wide : True: the page is wide enough for tables with many columns
+    certificate : the first printed page; it is not shown on a screen
     """
 
     kind: str
@@ -221,7 +227,7 @@ class Page:
 
     @property
     def turns(self) -> bool:
-        """Whether the page has a view that the reader can turn, and so needs the view's script."""
+        """Whether the page has a `TurnableView`, so that it needs the script of these views."""
         blocks = (block for section in self.sections for block in section.blocks)
         return any(isinstance(block, TurnableView) for block in blocks)
 
@@ -232,7 +238,9 @@ def write_page(
     watch: ProgressCallback = no_progress,
     draw: Drawer = one_by_one,
 ) -> Path:
-    """Draw the figures of a page into `figures` in its folder, and write the page atomically.
+    """Draw the figures of a page into the folder `figures` next to it; write the page atomically.
+
+    Returns `path`.
 
     Raises
     ------
@@ -265,7 +273,7 @@ def figures_folder(folder: Path) -> Path:
 
     Raises
     ------
-    InputError : it cannot be made
+    InputError : the folder cannot be created
     """
     figures = folder / FIGURES_FOLDER
     try:
@@ -276,7 +284,7 @@ def figures_folder(folder: Path) -> Path:
 
 
 def figures_in(block: Block) -> Iterator[Figure]:
-    """Return the figures of a block in their order."""
+    """Yield the figures in a block, including nested blocks, in their order."""
     if isinstance(block, Figure):
         yield block
     inside: Sequence[Block] = ()
@@ -292,7 +300,7 @@ def figures_in(block: Block) -> Iterator[Figure]:
 
 @cache
 def _template() -> Template:
-    """Return the template of all pages; an unknown name inside it raises an error."""
+    """Return the Jinja template of all pages; an undefined variable in it raises an error."""
     environment = Environment(
         loader=PackageLoader("twin.report"),
         autoescape=True,

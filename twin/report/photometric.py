@@ -1,8 +1,9 @@
-"""The report of a measurement by photometric stereo: judgements, tables, sentences, sections."""
+"""Report of a measurement by photometric stereo: judgements, tables, sentences, sections."""
 
 from collections.abc import Callable
 from pathlib import Path
 
+from reconstruction.colour_maps import COLOUR_MAPS
 from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
 from twin.report.page import (
     Figure,
@@ -29,7 +30,7 @@ from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import relief_figure
 from twin.report.table import Column, Table, pairs
 from twin.report.words import NONE, number, percent, signed
-from twin.results.decoders import MAP_NAMES, decoder_name
+from twin.results.decoders import decoder_name
 from twin.results.record import Measurement
 
 METHOD = "photometric stereo"
@@ -46,14 +47,14 @@ _DECODERS = (
 
 
 def sections(measured: Measurement) -> list[Section]:
-    """Return the page of a measurement by photometric stereo."""
+    """Return the sections of the page that are specific to photometric stereo."""
     own, tables = (
         measured.colours.own,
         (field_table(measured), decoder_table(measured), *fit_tables(measured)),
     )
     seen_in = (
         _figure(measured, "images"),
-        _figure(measured, "slopes", colour_map=MAP_NAMES[own.colour_map]),
+        _figure(measured, "slopes", colour_map=COLOUR_MAPS[own.colour_map].title),
     )
     by_decoder = (
         relief_figure(measured),
@@ -77,12 +78,12 @@ def sections(measured: Measurement) -> list[Section]:
 
 
 def verdicts(measured: Measurement) -> list[Verdict]:
-    """Judge heights, their scale and the press, in this order."""
+    """Return judgements of the heights, of the height scale and of the press, in this order."""
     return [_of_heights(measured), _of_scale(measured), judge_press(measured)]
 
 
 def decoder_table(measured: Measurement) -> Table:
-    """Return the figures of every decoder of this image."""
+    """Return the table of height scale and z errors, one row per decoder of this image."""
     decoded = measured.colours.decoded
     return Table(
         "decoders",
@@ -112,7 +113,7 @@ def decoder_table(measured: Measurement) -> Table:
 
 
 def field_table(measured: Measurement) -> Table:
-    """Return the figures of the evaluated field."""
+    """Return the table of pixel count and shares of points in the evaluated field."""
     figures, limit_um = measured.figures, measured.experiment.score.good_within_um
     rows = [
         ("pixels of the coat in the evaluated field", str(figures["wanted_pixels"]), ""),
@@ -123,7 +124,7 @@ def field_table(measured: Measurement) -> Table:
 
 
 def discussion(measured: Measurement) -> list[str]:
-    """Return the paragraphs of the result."""
+    """Return the paragraphs that explain the result: z error, height scale, sphere fit."""
     own = measured.score.against_truth
     mean = NONE if own.z_bias_um is None else signed(own.z_bias_um, 1)
     paragraphs = [
@@ -143,7 +144,7 @@ def discussion(measured: Measurement) -> list[str]:
 
 
 def sentences(measured: Measurement) -> list[str]:
-    """Return the result for a terminal, at most 100 columns wide, in ASCII."""
+    """Return the result as lines of text for a terminal, at most 100 columns wide, in ASCII."""
     figures = measured.figures
     return [
         f"z error against the true coat: {figures['z_rmse_um']:.2f} um RMS, mean "

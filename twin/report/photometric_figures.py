@@ -1,6 +1,6 @@
-"""Figures of photometric stereo in mm on the coat: sensor, image, slopes, heights, errors, section.
+"""Figures of photometric stereo: sensor, tactile image, slopes, heights, errors, section.
 
-The image is a regular grid on the coat: x points right, y up, the origin is the middle.
+The image is a regular grid on the coat, in mm: x points right, y up, the origin is the middle.
 """
 
 from pathlib import Path
@@ -14,6 +14,7 @@ from matplotlib.ticker import MultipleLocator
 from scipy.interpolate import RegularGridInterpolator
 
 from reconstruction.arrays import FloatArray, Levels
+from reconstruction.colour_maps import maps_in_order
 from reconstruction.integration_schemes import schemes_in_order
 from twin.config.lamps import Lamp
 from twin.config.models import Experiment
@@ -37,7 +38,7 @@ from twin.report.canvas import (
 )
 from twin.report.pixel_panels import Masked, show_z, true_scale, width_mm
 from twin.report.section import Trace, face_profile, trace_through_apexes
-from twin.results.decoders import MAP_ORDER, DecodedImage, decoder_name
+from twin.results.decoders import DecodedImage, decoder_name
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
 
@@ -49,7 +50,7 @@ _TICKS_MM = 4.0
 
 
 def extent_mm(measured: Measurement) -> tuple[float, float, float, float]:
-    """Outline of the image on the coat: left, right, bottom, top."""
+    """Return the borders of the image on the coat, mm: left, right, bottom, top."""
     rows, cols = measured.picture.shape[:2]
     half_x, half_y = (
         cols * measured.colours.calibration.pitch_mm / 2,
@@ -59,20 +60,20 @@ def extent_mm(measured: Measurement) -> tuple[float, float, float, float]:
 
 
 def true_heights_mm(measured: Measurement) -> Masked:
-    """World z of the true coat behind each pixel, (row, col) masked."""
+    """Return world z (mm) of the true coat at each pixel, (row, col); masked outside the coat."""
     z_mm = measured.truth.points_world_mm[..., 2].astype(np.float64)
     return np.ma.masked_array(z_mm, ~measured.truth.measured)
 
 
 def decoder_error_um(measured: Measurement, decoder: DecodedImage) -> Masked:
-    """Measured minus true world z in the evaluated field, (row, col) masked."""
+    """Return measured minus true world z, um, (row, col); masked outside the evaluated field."""
     scored = wanted_pixels(measured.experiment, measured.truth) & decoder.heights.valid
     difference = decoder.heights.height_mm - true_heights_mm(measured).data
     return np.ma.masked_array(1e3 * difference, ~scored)
 
 
 def true_slopes(measured: Measurement) -> FloatArray:
-    """Slopes of the true coat behind each pixel, (2, row, col), down and to the right."""
+    """Return the slopes (mm/mm) of the true coat at each pixel, (2, row, col): down and right."""
     normals = measured.truth.normals_world.astype(np.float64)
     upward = np.where(np.abs(normals[..., 2]) > 1e-6, normals[..., 2], 1.0)
     # World y points up, rows count down.
@@ -80,13 +81,16 @@ def true_slopes(measured: Measurement) -> FloatArray:
 
 
 def difference_levels(measured: Measurement) -> Levels:
-    """Image minus background, enlarged, about mid-grey."""
+    """Return the difference of image and background, times `DIFFERENCE_GAIN`; 128 is no difference.
+
+    The background is the image without contact.
+    """
     change = measured.picture - measured.colours.calibration.background.astype(np.float64)
     return np.rint(np.clip(128 + DIFFERENCE_GAIN * change, 0, 255)).astype(np.uint8)
 
 
 def draw_images(path: Path, measured: Measurement) -> None:
-    """Draw tactile image, background and their difference, as PNG."""
+    """Draw tactile image, background (image without contact) and their difference as PNG."""
     background = np.rint(measured.colours.calibration.background).astype(np.uint8)
     pictures = {
         "tactile image": measured.picture,
@@ -103,7 +107,7 @@ def draw_images(path: Path, measured: Measurement) -> None:
 
 
 def draw_slopes(path: Path, measured: Measurement) -> None:
-    """Draw measured and true slopes and their difference, both directions, as PNG."""
+    """Draw measured slopes, true slopes and their difference, in both directions, as PNG."""
     slopes, true = measured.colours.own.heights.slopes.astype(np.float64), true_slopes(measured)
     limit = symmetric_limit(true, 99.5)
     error_limit = symmetric_limit(slopes - true, 99.0)
@@ -125,7 +129,7 @@ def draw_slopes(path: Path, measured: Measurement) -> None:
 
 
 def draw_heights(path: Path, measured: Measurement) -> None:
-    """Draw the true heights and those of every decoder, shaded, on one scale, as PNG."""
+    """Draw true heights and the heights of every decoder, shaded, on one scale, as PNG."""
     scale, wide_mm, extent = true_scale(measured), width_mm(measured), extent_mm(measured)
     panel_in, height_in = _panel(measured, 4)
     line_in = _TOP_IN + height_in + _BETWEEN_IN
@@ -145,7 +149,7 @@ def draw_heights(path: Path, measured: Measurement) -> None:
 
 
 def draw_errors(path: Path, measured: Measurement) -> None:
-    """Draw the height error of every decoder on one scale, as PNG."""
+    """Draw the map of the height error of every decoder, on one scale, as PNG."""
     errors = {
         id(decoder): decoder_error_um(measured, decoder) for decoder in measured.colours.decoded
     }
@@ -167,14 +171,14 @@ def draw_errors(path: Path, measured: Measurement) -> None:
 
 def _lines(measured: Measurement) -> list[list[DecodedImage]]:
     lines = [
-        [decoder for decoder in measured.colours.decoded if decoder.colour_map == kind]
-        for kind in MAP_ORDER
+        [decoder for decoder in measured.colours.decoded if decoder.colour_map == kind.name]
+        for kind in maps_in_order()
     ]
     return [line for line in lines if line]
 
 
 def _panel(measured: Measurement, count: int) -> tuple[float, float]:
-    """Width and height of one of `count` maps side by side, inches."""
+    """Return width and height, inches, of one of `count` maps next to each other."""
     rows, cols = measured.picture.shape[:2]
     width_in = (_WIDTH_IN - _LEFT_IN - count * _GAP_IN) / count
     return width_in, width_in * rows / cols
@@ -196,7 +200,7 @@ def _map(axes: Axes, measured: Measurement, values: Any, limit: float) -> Any:
 
 
 def _mark_field(axes: Axes, measured: Measurement) -> None:
-    """Outline the part of the coat that is evaluated."""
+    """Draw the outline of the evaluated field."""
     size = measured.experiment.photometric
     corner = (-size.field_x_mm / 2, -size.field_y_mm / 2)
     for colour, width, style in (("white", 1.4, "-"), (INK, 0.7, (0, (6, 4)))):
@@ -209,7 +213,7 @@ def _mark_field(axes: Axes, measured: Measurement) -> None:
 
 _SAMPLES = 601
 _COLOURS = (MEASURED, FIT, NOMINAL, "#8c6d31", "#7b4173")
-_STYLES = {"polynomial": "-", "table": ":"}
+_STYLES = ("-", ":", "--", "-.")
 
 
 def draw_sections(path: Path, measured: Measurement) -> None:
@@ -238,7 +242,10 @@ def draw_sections(path: Path, measured: Measurement) -> None:
 def profile_mm(
     decoder: DecodedImage, measured: Measurement, trace: Trace, s_mm: FloatArray
 ) -> FloatArray:
-    """Return heights of one decoder at positions s, mm; NaN outside the image."""
+    """Return the heights (mm) of one decoder at positions s (mm) along a line.
+
+    The heights are NaN outside the image.
+    """
     rows, cols = decoder.heights.height_mm.shape
     pitch_mm = decoder.heights.pitch_mm
     x_mm = (np.arange(cols) - (cols - 1) / 2) * pitch_mm
@@ -250,11 +257,12 @@ def profile_mm(
 
 def _line(axes: Axes, s_mm: FloatArray, values: FloatArray, decoder: DecodedImage) -> None:
     place = [scheme.name for scheme in schemes_in_order()].index(decoder.integration)
+    line = [kind.name for kind in maps_in_order()].index(decoder.colour_map)
     axes.plot(
         s_mm,
         values,
         color=_COLOURS[place % len(_COLOURS)],
-        ls=_STYLES[decoder.colour_map],
+        ls=_STYLES[line % len(_STYLES)],
         lw=1.2,
         label=decoder_name(decoder),
     )
@@ -291,7 +299,7 @@ def _above(axes: Axes, experiment: Experiment) -> None:
 
 
 def _reach_mm(experiment: Experiment, axis: int, edge_mm: float) -> float:
-    """Half the width of a drawing along world x or y: the pad, and all lamps."""
+    """Return half the width, mm, of a drawing along world x or y that contains gel and lamps."""
     lamps_mm = np.abs(emitters_of(experiment.lamps).positions_mm[:, axis]).max(initial=0.0)
     return max(edge_mm + 4.0, float(lamps_mm) + 1.5)
 

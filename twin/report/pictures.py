@@ -1,4 +1,4 @@
-"""The one picture that `twin press` and `twin render` give, drawn from their folders later on."""
+"""Draw the picture of `twin press` or `twin render` from its result folder."""
 
 from pathlib import Path
 
@@ -10,13 +10,13 @@ from twin.output import EXPERIMENT_FILE, RESULT_FILE
 
 PRESS_PICTURE, FRAMES_PICTURE = "press.png", "frames.png"
 PICTURES = {"press": PRESS_PICTURE, "render": FRAMES_PICTURE}
-"""By command."""
+"""Name of the picture file, by the command that writes it."""
 
 
 def picture_of(folder: Path) -> str | None:
     """Return the file name of the picture of a result folder.
 
-    None if the folder has no result.json, or if its command writes a report instead.
+    Returns None if the folder has no result.json, or if its command writes a report, not a picture.
     """
     path = folder / RESULT_FILE
     return PICTURES.get(str(read_json(path).get("command"))) if path.is_file() else None

@@ -1,4 +1,4 @@
-"""Panels in camera pixels, for all methods: image, heights, error and reasons.
+"""Panels over camera pixels, for all methods: image, heights, z error, reasons for missing points.
 
 All panels of a measurement show the same pixels at the same position, so that a gap in the heights
 can be compared with the image next to it. Row 0 is the top, as in the image.
@@ -30,9 +30,10 @@ from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
 
 Masked = Any
-"""(row, col) masked array, for which numpy has no useful type."""
+"""Masked array (row, col); numpy has no useful type for it."""
 NO_POINT = "#c3cbd4"
-"""Darker than other gaps: an error of 0 is white, and must not look like a missing point."""
+"""Colour of missing points in error maps. It is darker than `GAP`, because an error of 0 is white
+and must differ clearly from a missing point."""
 REASON_COLOURS = {
     Reason.VALID: "#d5e8da",
     Reason.DARK: "#2f3640",
@@ -50,12 +51,12 @@ _SIDE_IN, _WIDTH_IN, _BAR_IN = 0.02, 3.0, 0.95
 
 @dataclass(frozen=True)
 class ZScale:
-    """Common scale of heights that are compared.
+    """Colour scale and shading that compared height maps have in common.
 
     Attributes
     ----------
-    ends_mm : round ends of the colour scale
-    enlarged : by how much shading enlarges z: a round number, at least 1
+    ends_mm : heights at the ends of the colour scale, round numbers
+    enlarged : factor on z for the shading: a round number, at least 1
     """
 
     ends_mm: tuple[float, float]
@@ -63,7 +64,7 @@ class ZScale:
 
     @classmethod
     def of(cls, z_mm: NDArray[Any], width_mm: float) -> "ZScale":
-        """Return the scale of heights (n,) in an image that is so wide."""
+        """Return the scale for heights (n,), mm, in an image of width `width_mm` on the coat."""
         low, high = height_scale(z_mm) if z_mm.size else (0.0, 1.0)
         return cls((low, high), enlargement(width_mm, high - low))
 
@@ -73,8 +74,9 @@ def draw_small(path: Path, show: Callable[[Axes], None], shape: tuple[int, int],
 
     Parameters
     ----------
+    show : function that draws the panel on axes
     shape : (row, col) of the image
-    bar : add space for a colour bar below
+    bar : True: add space for a colour bar below the panel
     """
     inside_in = _WIDTH_IN - 2 * _SIDE_IN
     height_in, below_in = inside_in * shape[0] / shape[1], _BAR_IN if bar else _SIDE_IN
@@ -83,7 +85,7 @@ def draw_small(path: Path, show: Callable[[Axes], None], shape: tuple[int, int],
 
 
 def show_picture(axes: Axes, image: Levels) -> None:
-    """Show an 8-bit image: gray where black is 0 and white is saturation, or colours."""
+    """Draw an 8-bit image, either in colours or in gray (0 is black, 255 is white)."""
     axes.imshow(image, cmap="gray", vmin=0, vmax=255)
     no_ticks(axes)
 
@@ -97,13 +99,13 @@ def show_z(
     bar: bool = True,
     extent: tuple[float, float, float, float] | None = None,
 ) -> None:
-    """Show heights (row, col), coloured and shaded; masked pixels stay white.
+    """Draw heights (row, col), mm, coloured and shaded; masked pixels are white.
 
     Parameters
     ----------
-    width_mm : of the image on the coat
-    bar : draw a colour bar below
-    extent : of the image in the axes' coordinates; pixels by default
+    width_mm : width of the image on the coat
+    bar : True: draw a colour bar below the map
+    extent : left, right, bottom, top of the image in the coordinates of the axes; None: pixels
     """
     colours, (rows, cols) = height_scale_of(*scale.ends_mm), z_mm.shape
     pitch_mm = width_mm / cols
@@ -116,7 +118,10 @@ def show_z(
 
 
 def show_z_error(axes: Axes, error_um: Masked, limit_um: float, bar: bool = True) -> None:
-    """Show errors of z (row, col), clipped to ± the limit."""
+    """Draw z errors (row, col), um, on a colour scale from -limit to limit.
+
+    Errors beyond the ends have the colours of the ends.
+    """
     colours = diverging().with_extremes(bad=NO_POINT)
     shown = axes.imshow(error_um, cmap=colours, vmin=-limit_um, vmax=limit_um)
     no_ticks(axes)
@@ -125,66 +130,72 @@ def show_z_error(axes: Axes, error_um: Masked, limit_um: float, bar: bool = True
 
 
 def show_codes(axes: Axes, reason: Masked, **options: Any) -> None:
-    """Show reason codes (row, col); masked pixels are pale gray."""
+    """Draw reason codes (row, col) in the colours `REASON_COLOURS`; masked pixels are pale gray."""
     colours = ListedColormap([REASON_COLOURS[r] for r in Reason]).with_extremes(bad=GAP)
     norm = BoundaryNorm(np.arange(len(Reason) + 1) - 0.5, len(Reason))
     axes.imshow(reason, cmap=colours, norm=norm, **options)
 
 
 def scored_pixels(measured: Measurement) -> BoolImage:
-    """Return True for the pixels that should have a point, (row, col)."""
+    """Return True for the scored pixels, which should have a point, (row, col)."""
     return wanted_pixels(measured.experiment, measured.truth)
 
 
 def error_um(measured: Measurement) -> Masked:
-    """Measured minus true world z, um, (row, col); masked where there is no scored point."""
+    """Return measured minus true world z, um, (row, col).
+
+    Pixels that are not scored or have no point are masked.
+    """
     points, true_mm = measured.points, measured.truth.points_world_mm
     difference = (points.world_mm[..., 2] - true_mm[..., 2]).astype(np.float64)
     return np.ma.masked_array(1e3 * difference, mask=~(points.valid & scored_pixels(measured)))
 
 
 def true_scale(measured: Measurement) -> ZScale:
-    """Return the scale of the true heights in view; wrong measured points do not change it."""
+    """Return the height scale for the true heights in view, which wrong points do not change."""
     truth = measured.truth
     return ZScale.of(truth.points_world_mm[truth.depth_mm > 0][:, 2], width_mm(measured))
 
 
 def shading_words(measured: Measurement) -> str:
-    """Return the enlargement of z by the shading, in brackets; empty if it is 1."""
+    """Return the words, in brackets, on the enlargement of z by the shading; empty if it is 1."""
     enlarged = true_scale(measured).enlarged
     return "" if enlarged == 1 else f" (shading enlarges z {enlarged:g} times)"
 
 
 def width_mm(measured: Measurement) -> float:
-    """Width of the image on the flat coat."""
+    """Return the width, mm, of the image on the flat coat."""
     return float(measured.pixel_mm * measured.truth.lit.shape[1])
 
 
 def show_measured(axes: Axes, measured: Measurement, bar: bool = True) -> None:
-    """Show the measured heights on the scale of the true ones."""
+    """Draw the map of measured heights, on the colour scale of the true heights."""
     points = measured.points
     _show(axes, measured, points.world_mm[..., 2], points.valid, bar)
 
 
 def show_true(axes: Axes, measured: Measurement) -> None:
-    """Show the true heights, on the same scale as the measured ones."""
+    """Draw the map of true heights, on the same colour scale as the measured heights."""
     truth = measured.truth
     _show(axes, measured, truth.points_world_mm[..., 2], truth.depth_mm > 0, bar=True)
 
 
 def show_error(axes: Axes, measured: Measurement) -> None:
-    """Show the error of z on the scale of a good point."""
+    """Draw the map of the z error; the scale ends at the largest error of a good point."""
     show_z_error(axes, thinned(error_um(measured)), measured.experiment.score.good_within_um)
 
 
 def show_reasons(axes: Axes, measured: Measurement) -> None:
-    """Show why scored pixels have no point; all other pixels are pale gray."""
+    """Draw the map of reasons why scored pixels have no point; other pixels are pale gray."""
     show_codes(axes, thinned(np.ma.masked_array(measured.points.reason, ~scored_pixels(measured))))
     no_ticks(axes)
 
 
 def thinned(values: Any, most_px: int = _SHOWN_PX) -> Any:
-    """Keep every nth row and column: heights and codes must not be averaged across edges."""
+    """Return every nth row and column, so that no side is longer than `most_px` pixels.
+
+    Pixels are not averaged, because a mean across an edge is no valid height or code.
+    """
     step = -(-max(values.shape[:2]) // most_px)
     return values[::step, ::step]
 

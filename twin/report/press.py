@@ -1,4 +1,4 @@
-"""Figures of a press: relief, pressure, section; and the contact transfer function."""
+"""Figures of a press: relief, pressure, section, derivatives, contact transfer function."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,7 +41,8 @@ from twin.results.press_derivatives import PressDerivative
 from twin.results.record import Measurement
 
 _SAMPLES = 801
-# Edges have many times the pressure of faces: above this ratio the scale ends at a percentile.
+# The pressure at edges is many times the pressure on faces. If the largest pressure exceeds the
+# given percentile by this factor, the colour scale ends at the percentile.
 _EDGE_PEAK, _MOST_PERCENT = 2.0, 90.0
 _SHEET_MAPS = (
     " Bottom row: local thickness of the sheet (mm), its larger principal stretch, and the slope "
@@ -52,7 +53,7 @@ _SILICONE, _STEEL = "#cfe3f1", "#d9cdb8"
 
 
 def press_figure(measured: Measurement) -> Figure:
-    """Return the figure of the pressed elastomer."""
+    """Return the figure of the pressed elastomer: relief, contact pressure and sections."""
     pressed = measured.press
     return Figure(
         "press",
@@ -67,7 +68,7 @@ def press_figure(measured: Measurement) -> Figure:
 
 
 def judge_press(measured: Measurement) -> Verdict:
-    """Judge the press by its figures."""
+    """Return the judgement of the press model: estimated height error, and warnings."""
     warnings = measured.warnings
     left_out = model_of(str(measured.metrics["mechanics_model"])).leaves_out
     known = measured.figures.known
@@ -85,7 +86,10 @@ def judge_press(measured: Measurement) -> Verdict:
 
 
 def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
-    """Draw relief, pressure and the section through the apexes as PNG."""
+    """Draw relief, contact pressure and the section through the apexes as PNG.
+
+    For a thin sheet, also draw maps of thickness, stretch and slope.
+    """
     trace = trace_through_apexes(experiment)
     with drawing(path, 10.0, 8.6 if pressed.sheet is None else 11.6) as figure:
         relief = axes_at(figure, 0.65, 0.35, 3.45, 2.7)
@@ -103,7 +107,7 @@ def draw_press(path: Path, experiment: Experiment, pressed: PressedElastomer) ->
 def draw_derivatives(
     path: Path, pressed: PressedElastomer, derivatives: Sequence[PressDerivative]
 ) -> None:
-    """Draw the derivative of the coated face z with respect to each parameter as a map, as PNG."""
+    """Draw a map of the derivative of the coated face's z by each parameter, as PNG."""
     x_mm, y_mm = pressed.face_x_mm, pressed.face_y_mm
     extent_mm = (float(x_mm[0]), float(x_mm[-1]), float(y_mm[0]), float(y_mm[-1]))
     cols, rows = min(len(derivatives), 2), -(-len(derivatives) // 2)
@@ -122,7 +126,7 @@ def draw_derivatives(
 def draw_section(
     axes: Axes, experiment: Experiment, pressed: PressedElastomer, trace: Trace
 ) -> None:
-    """Draw specimen and slab in the plane of the apexes, to scale."""
+    """Draw specimen and slab in the vertical plane of the section `trace`, to scale."""
     low, high = slab_span(experiment, trace)
     s_mm = np.linspace(low, high, _SAMPLES)
     coated = face_profile(pressed, trace, s_mm)
@@ -145,7 +149,7 @@ def draw_section(
 def _coated_face(
     axes: Axes, experiment: Experiment, pressed: PressedElastomer, trace: Trace
 ) -> None:
-    """Draw the coated face with z enlarged, and the specimen shifted to the same peak."""
+    """Draw the profile of the coated face with z enlarged, and the specimen shifted to its peak."""
     low, high = slab_span(experiment, trace)
     s_mm = np.linspace(low, high, _SAMPLES)
     coated = face_profile(pressed, trace, s_mm)
@@ -220,7 +224,7 @@ def _pressure(axes: Axes, pressed: PressedElastomer) -> None:
 
 
 def _pressure_scale(pressed: PressedElastomer) -> tuple[float, bool]:
-    """Return the upper end of the scale, and whether the pressure at edges exceeds it."""
+    """Return the upper end (kPa) of the pressure scale, and True if pressures exceed this end."""
     peak = float(pressed.pressure_kpa.max())
     touching = pressed.pressure_kpa[pressed.contact]
     most = float(np.percentile(touching, _MOST_PERCENT)) if touching.size else peak
@@ -229,7 +233,7 @@ def _pressure_scale(pressed: PressedElastomer) -> tuple[float, bool]:
 
 
 def _zoom_to_contact(axes: Axes, pressed: PressedElastomer) -> None:
-    """Zoom to the contact with a margin, in the aspect ratio of the slab."""
+    """Set the limits of the map to the contact plus a margin, in the aspect ratio of the slab."""
     rows, cols = np.nonzero(pressed.contact)
     if not rows.size:
         return
@@ -252,7 +256,10 @@ def _mark_trace(axes: Axes, experiment: Experiment, trace: Trace) -> None:
 
 
 def draw_transfer(path: Path, transfer: ContactTransfer) -> None:
-    """Draw kept relief against pitch, closed form and computed, as PNG."""
+    """Draw the share of the relief that the coat shows, over the pitch of the grooves, as PNG.
+
+    A line is the closed form, points are results of the solver.
+    """
     with drawing(path, 7.0, 3.6) as figure:
         axes = axes_at(figure, 0.7, 0.55, 6.0, 2.6)
         closed, solved, layer = _labels(transfer)
@@ -273,7 +280,7 @@ def draw_transfer(path: Path, transfer: ContactTransfer) -> None:
 
 
 def _labels(transfer: ContactTransfer) -> tuple[str, str, str]:
-    """Return the labels of curve and points, and the name of the pressed layer."""
+    """Return the label of the curve, the label of the points, and the name of the layer."""
     if transfer.ridge_mm is None:
         return "closed form", "computed by the solver", "slab"
     under = f"ridges of {1e3 * transfer.ridge_mm:g} µm under {transfer.pressure_kpa:g} kPa"

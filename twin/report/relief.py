@@ -1,7 +1,7 @@
-"""Surfaces over a grid in figures: shaded, in top view or in an oblique view, by Matplotlib.
+"""Draw surfaces over a grid with Matplotlib: shaded, in top view or in an oblique view.
 
-Points are averaged on square cells, so that maps are in mm for every camera pose. World frame, mm;
-row 0 of a grid is at the top, the largest y.
+Points are averaged on square cells, so that maps are in mm for every camera pose. Coordinates are
+in the world frame, mm. Row 0 of a grid is at the top and has the largest y.
 """
 
 from dataclasses import replace
@@ -23,13 +23,14 @@ from reconstruction.cells import CellMeans, SquareCells, box_of
 from twin.optics.view import Numbers, SceneSurface, SceneView
 from twin.report.canvas import draw_map, round_up, sequential
 
-# Finer cells would leave gaps between the pixels of an oblique camera.
+# Smallest width of a cell, in camera pixels. Smaller cells of an oblique camera could be empty.
 _PIXELS_PER_CELL = 2.0
-# Maps have light from the upper left, as readers of maps expect; views from the reader's side.
+# Direction of the light, clockwise from the top of the map: maps have light from the upper left, as
+# usual for maps; oblique views have light from the side of the eye.
 MAP_LIGHT_DEG, VIEW_LIGHT_DEG = 315.0, 225.0
 _LIGHT_HEIGHT_DEG = 40.0
 _AMBIENT, _LAMP = 0.45, 0.7
-# A relief fills about this share of its width.
+# Height of an enlarged relief as a share of its width.
 _RELIEF_SHARE = 0.2
 # Painted pixels per pixel of a picture along each axis; averages have smooth edges.
 FINER = 2
@@ -38,12 +39,14 @@ FINER = 2
 def average_on_grid(
     points_world_mm: NDArray[Any], values: NDArray[Any], pixel_mm: float, most_cells: int
 ) -> CellMeans:
-    """Average `values` (n,) of `points_world_mm` (n, xyz), n > 0, on square cells.
+    """Return the means of `values` (n,) at points (n, xyz), world mm, on square cells in xy.
+
+    At least one point is required.
 
     Parameters
     ----------
-    pixel_mm : a cell is at least two camera pixels wide
-    most_cells : and at least so wide that the longer side has no more cells than this
+    pixel_mm : size of a camera pixel; a cell is at least two pixels wide
+    most_cells : largest number of cells along the longer side
     """
     points_mm = points_world_mm[:, :2].astype(float)
     low_mm, high_mm = box_of(points_mm)
@@ -58,12 +61,15 @@ def masked(cells: CellMeans) -> Any:
 
 
 def draw_cells(axes: Axes, cells: CellMeans, title: str, label: str, **options: Any) -> None:
-    """Draw means over world x and y, see `draw_map`."""
+    """Draw the map of means over world x and y; `options` are those of `draw_map`."""
     draw_map(axes, masked(cells)[::-1], cells.extent_mm, title, label, **options)
 
 
 def trimmed(cells: CellMeans) -> CellMeans:
-    """Leave out border rows and columns less than half filled: perspective frays the rim."""
+    """Return cells without border rows and columns that are filled by less than 50 %.
+
+    In perspective images, the border of the measured surface is irregular.
+    """
     rows = np.flatnonzero(cells.valid.mean(axis=1) >= 0.5)
     cols = np.flatnonzero(cells.valid.mean(axis=0) >= 0.5)
     if not rows.size or not cols.size:
@@ -74,19 +80,22 @@ def trimmed(cells: CellMeans) -> CellMeans:
 
 
 def enlargement(width_mm: float, height_mm: float, share: float = _RELIEF_SHARE) -> float:
-    """Return the factor on z with which a relief fills a share of its width: round, at least 1."""
+    """Return the factor on z with which a relief is as high as `share` times its width.
+
+    The factor is rounded up to a round number, and is at least 1.
+    """
     return max(1.0, round_up(share * width_mm / max(height_mm, 1e-9)))
 
 
 def height_scale_of(low_mm: float, high_mm: float) -> ScalarMappable:
-    """Return the colours of heights."""
+    """Return the colour map of heights from `low_mm` to `high_mm`."""
     return ScalarMappable(Normalize(low_mm, high_mm), sequential())
 
 
 def height_surface(
     name: str, cells: CellMeans, scale: ScalarMappable, values: NDArray[Any] | None = None
 ) -> SceneSurface:
-    """Return mean heights as a surface, coloured by them or by other means per cell."""
+    """Return the surface of mean heights, coloured by height or by `values` (row, col)."""
     x_mm, y_mm = np.meshgrid(cells.x_mm, cells.y_mm)
     z_mm = np.where(cells.valid, cells.mean, np.nan)
     points_mm = np.stack([x_mm, y_mm, z_mm], axis=-1)
@@ -100,26 +109,28 @@ def shaded(
     *,
     stretched: bool = True,
 ) -> FloatArray:
-    """Multiply colours by hill shading of the enlarged surface, (row, col, rgba); holes white.
+    """Return the surface's colours times the hill shading, (row, col, rgba); holes are white.
 
     Parameters
     ----------
-    surface : over a grid, nearly regular in x and y
+    surface : surface over a grid that is nearly regular in x and y
+    enlarged : factor on z before shading
     light_deg : direction to the lamp, clockwise from the top of the map
-    stretched : the least light of the surface is 0, the most is 1; else the cosine to the lamp,
-        which does not depend on other points
+    stretched : True: the shading is scaled so that its smallest value on the surface is 0 and its
+        largest 1. False: the shading is the cosine of the angle between normal and lamp, which does
+        not depend on other points
     """
     points_mm = surface.grid_mm
     rgba = np.ones((*points_mm.shape[:2], 4))
     holes = np.isnan(points_mm[..., 2])
     if holes.all():
         return rgba
-    # Holes take the nearest height, or their edges would be shaded as cliffs.
+    # Holes have the nearest height; otherwise, their edges would be shaded as steep slopes.
     nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
     normals = _normals(points_mm[..., 2][tuple(nearest)] * enlarged, _pitch_mm(points_mm))
     lamp = LightSource(light_deg, _LIGHT_HEIGHT_DEG)
     light = lamp.shade_normals(normals) if stretched else np.clip(normals @ lamp.direction, 0, 1)
-    # Only darkened and brightened: another blend would change the hues of the colour bar.
+    # Shading only darkens or brightens colours: another blend would change the hues of the scale.
     rgb = surface.rgb.reshape(rgba[..., :3].shape)
     lit = np.clip(rgb * (_AMBIENT + _LAMP * light[..., np.newaxis]), 0.0, 1.0)
     rgba[..., :3] = np.where(holes[..., np.newaxis], 1.0, lit)
@@ -134,7 +145,7 @@ def _normals(z_mm: Numbers, pitch_mm: float) -> Numbers:
 
 
 def _pitch_mm(points_mm: Numbers) -> float:
-    """Return the median distance of neighbours along x."""
+    """Return the median distance of neighbouring grid points along x, mm."""
     return float(np.nanmedian(np.abs(np.diff(points_mm[..., 0], axis=1))))
 
 
@@ -142,8 +153,8 @@ class ReliefArtist(QuadMesh):
     """A surface over a grid in an oblique view, drawn by Matplotlib as one artist.
 
     One polygon per cell would take ten times as long. Cells are painted from the farthest to the
-    nearest. In 3D axes, Matplotlib calls `do_3d_projection` before it draws; for a plain picture,
-    call `project` to compute the pixel positions of the cells' corners.
+    nearest. In 3D axes, Matplotlib calls `do_3d_projection` before it draws. In 2D axes, call
+    `project` to compute the pixel positions of the corners of the cells.
     """
 
     def __init__(self, surface: SceneSurface, view: SceneView, rgba: FloatArray) -> None:
@@ -159,11 +170,14 @@ class ReliefArtist(QuadMesh):
         self.set_facecolor(painted)
 
     def project(self, view: SceneView) -> None:
-        """Set the cells' corners to their pixel positions in a view."""
+        """Set the corners of the cells to their pixel positions in a view, with z enlarged."""
         self._coordinates = view.project(self._points_mm * (1.0, 1.0, view.enlarged))
 
     def do_3d_projection(self) -> float:
-        """Set the cells' corners to their projections; Matplotlib calls this before it draws."""
+        """Set the corners of the cells to their positions in 3D axes; Matplotlib calls this method.
+
+        Returns 0 as depth, from which Matplotlib determines the drawing order of several artists.
+        """
         axes: Any = self.axes
         x, y, _ = proj_transform(*self._points_mm.reshape(-1, 3).T, axes.get_proj())
         self._coordinates = np.stack([x, y], axis=-1).reshape(*self._points_mm.shape[:2], 2)
@@ -171,7 +185,7 @@ class ReliefArtist(QuadMesh):
 
 
 def _far_to_near(points_mm: Numbers, axis: int, view: SceneView) -> int:
-    """Return 1 if a grid approaches the eye along an axis, -1 if it recedes."""
+    """Return 1 if grid points approach the eye with increasing index along an axis, else -1."""
     step_mm = np.nanmean(np.diff(points_mm[..., :2], axis=axis), axis=(0, 1))
     return 1 if step_mm @ view.towards_eye[:2] >= 0 else -1
 
@@ -179,7 +193,7 @@ def _far_to_near(points_mm: Numbers, axis: int, view: SceneView) -> int:
 def relief_picture(
     surface: SceneSurface, view: SceneView, light_deg: float = MAP_LIGHT_DEG
 ) -> Levels:
-    """Return an oblique view of a surface as (row, col, 3) uint8; white where there is none."""
+    """Return a picture of a surface in an oblique view, (row, col, 3) uint8, on white."""
     rows, cols = view.height_px, view.width_px
     fine = replace(view, height_px=FINER * rows, width_px=FINER * cols)
     canvas = FigureCanvasAgg(Figure((fine.width_px / 100, fine.height_px / 100), dpi=100))

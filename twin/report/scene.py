@@ -1,4 +1,4 @@
-"""The scene of a measurement: relief, deviation and specimen, the rig's rays, and its views."""
+"""Scene of a measurement for 3-D views: relief, deviation, specimen, rays of the rig, views."""
 
 from dataclasses import replace
 
@@ -30,7 +30,10 @@ _BISECTIONS = 60
 
 
 def measured_scene(measured: Measurement) -> SceneDescription:
-    """Return the scene of a measurement with at least one point; views relief, deviation, rig."""
+    """Return the scene of a measurement with at least one point.
+
+    Its views are "relief", "deviation" and "rig".
+    """
     relief, deviation_um = _cells(measured)
     low, high = np.percentile(relief.mean[relief.valid], (0.5, 99.5))
     limit_um = symmetric_limit(deviation_um.mean[deviation_um.valid])
@@ -55,7 +58,10 @@ def _scale(name: str, low: float, high: float) -> ScalarMappable:
 
 
 def _cells(measured: Measurement) -> tuple[CellMeans, CellMeans]:
-    """Return the measured heights, and their deviation in um, on the same cells."""
+    """Return the measured heights (mm) and their z errors (um), averaged on the same cells.
+
+    Points far from the true surface are omitted.
+    """
     points, true_mm = measured.points, measured.truth.points_world_mm
     on = points.valid & measured.truth.measured
     on = on if on.any() else points.valid
@@ -73,7 +79,10 @@ def _cells(measured: Measurement) -> tuple[CellMeans, CellMeans]:
 
 
 def _specimen(measured: Measurement, relief: CellMeans) -> list[SceneSurface]:
-    """Return the side of the specimen that faces the elastomer, at the end of the press."""
+    """Return the surface of the specimen that faces the elastomer, in its final pressed position.
+
+    The list is empty for a measurement without press.
+    """
     if measured.pressed is None:
         return []
     experiment = measured.experiment
@@ -91,7 +100,7 @@ def _specimen(measured: Measurement, relief: CellMeans) -> list[SceneSurface]:
 
 
 def _near_view(relief: CellMeans, low_mm: float, high_mm: float) -> SceneView:
-    """Return the view of the relief from the front left."""
+    """Return the oblique view of the relief, from -y and slightly from -x, with z enlarged."""
     left, right, bottom, top = relief.extent_mm
     middle = ((left + right) / 2, (bottom + top) / 2, (low_mm + high_mm) / 2)
     width_mm = 0.84 * float(np.hypot(right - left, top - bottom))
@@ -100,7 +109,7 @@ def _near_view(relief: CellMeans, low_mm: float, high_mm: float) -> SceneView:
 
 
 def _rig_view(experiment: Experiment, shows: tuple[str, ...]) -> SceneView:
-    """Return the view of camera, projector and the world's origin."""
+    """Return the view that contains camera, projector and the world origin."""
     rig = true_calibration(experiment)
     ends_mm = np.stack((rig.T_world_from_cam[:3, 3], rig.T_world_from_proj[:3, 3], np.zeros(3)))
     middle = (ends_mm.max(axis=0) + ends_mm.min(axis=0)) / 2
@@ -109,7 +118,11 @@ def _rig_view(experiment: Experiment, shows: tuple[str, ...]) -> SceneView:
 
 
 def rig_lines(experiment: Experiment, *, elastomer: bool) -> tuple[SceneLines, ...]:
-    """Return rays to the corners of both fields, bent at the layers, and the elastomer's edges."""
+    """Return the rays of camera and projector to the corners of their fields, world mm.
+
+    The rays are refracted at the layers. If `elastomer` is True, the edges of the elastomer are
+    added.
+    """
     rig, slab = true_calibration(experiment), experiment.elastomer
     camera = field_rays(rig.camera, rig.T_world_from_cam, rig.layers)
     projector = field_rays(rig.projector, rig.T_world_from_proj, rig.layers)
@@ -125,9 +138,9 @@ def rig_lines(experiment: Experiment, *, elastomer: bool) -> tuple[SceneLines, .
 
 
 def field_corners(device: Pinhole, pose: FloatArray) -> FloatArray:
-    """Return where rays to the corners of a pinhole's field meet z = 0, (4, xyz), mm.
+    """Return the intersections of a pinhole's four corner rays with z = 0, (4, xyz), world mm.
 
-    A grazing ray would meet the plane far away; it ends at twice the standoff.
+    A ray that would meet the plane farther away than twice the standoff ends at this distance.
     """
     rays = np.column_stack([device.seen_corners(), np.ones(4)]) @ pose[:3, :3].T
     centre = pose[:3, 3]
@@ -137,7 +150,11 @@ def field_corners(device: Pinhole, pose: FloatArray) -> FloatArray:
 
 
 def field_rays(device: Pinhole, pose: FloatArray, layers: PlaneLayers | None) -> list[FloatArray]:
-    """Return the paths from a pinhole to the corners of its field on z = 0, and its outline."""
+    """Return the polylines (corner, xyz), world mm, that show the field of a pinhole.
+
+    The first five are the light paths from the pinhole to the corners and the middle of the field
+    on z = 0. The others are the outline of the field and a smaller outline near the pinhole.
+    """
     centre, ends = pose[:3, 3], field_corners(device, pose)
     frame = centre + 0.12 * (ends - centre)
     paths = [ray_path(centre, end, layers) for end in (*ends, ends.mean(axis=0))]
@@ -149,8 +166,9 @@ def ray_path(start_mm: FloatArray, end_mm: FloatArray, layers: PlaneLayers | Non
 
     Notes
     -----
-    Snell: with w_i the vertical path in medium i of index n_i and s the sine of the angle to the
-    vertical in air, the horizontal path is sum_i w_i s / sqrt(n_i^2 - s^2), which increases with s.
+    w_i is the vertical path in medium i of index n_i, and s the sine of the angle to the vertical
+    in air. By Snell's law, the horizontal path is sum_i w_i s / sqrt(n_i^2 - s^2). It increases
+    with s, so that s is found by bisection.
     """
     if layers is None or end_mm[2] >= layers.tops_mm[0]:
         return np.stack((start_mm, end_mm))
@@ -169,14 +187,17 @@ def ray_path(start_mm: FloatArray, end_mm: FloatArray, layers: PlaneLayers | Non
 
 
 def _edges(half_mm: FloatArray, levels: tuple[float, ...]) -> list[FloatArray]:
-    """Return the outlines of a rectangle at some heights, and the lines between them."""
+    """Return the edges of a box as polylines: outlines at all `levels` (z, mm), vertical edges.
+
+    `half_mm` is half the length of the box along x and y.
+    """
     turn = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half_mm
     outlines = [np.column_stack((turn, np.full(5, z))) for z in levels]
     return [*outlines, *(np.stack([corner[at] for corner in outlines]) for at in range(4))]
 
 
 def on_nodes(pressed: PressedElastomer, rows: IntArray, cols: IntArray) -> PressedElastomer:
-    """Return a press with only these rows and columns of its coated face, for pictures."""
+    """Return a press reduced to the given rows and columns of its coated face, for pictures."""
     grid = np.ix_(rows, cols)
     return replace(
         pressed,

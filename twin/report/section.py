@@ -1,6 +1,7 @@
-"""The vertical plane through a specimen's apexes, and profiles in it.
+"""The vertical plane through the apexes of a specimen, and profiles in this plane.
 
-Positions along the plane's trace are s, mm, 0 at the middle of the apexes, increasing with world x.
+The trace is the line of the plane in world xy. Positions s along the trace are in mm. s is 0 in the
+middle between the apexes and increases with world x.
 """
 
 from dataclasses import dataclass
@@ -18,35 +19,38 @@ from twin.specimens import height_above_lowest, shape_of
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """A straight line in the world xy plane."""
+    """A straight line in the world xy plane: point with s = 0 (mm), and unit direction."""
 
     origin_mm: FloatArray
     direction: FloatArray
 
     def points(self, s_mm: FloatArray) -> FloatArray:
-        """Return world xy of positions s, (n, 2)."""
+        """Return the world points at positions s (n,), as (n, xy), mm."""
         return self.origin_mm + s_mm[:, None] * self.direction
 
     def position(self, x_mm: Any, y_mm: Any) -> Any:
-        """Return the position s of the foot of world points."""
+        """Return the position s, mm, of the perpendicular projection of world points, mm."""
         return (x_mm - self.origin_mm[0]) * self.direction[0] + (
             y_mm - self.origin_mm[1]
         ) * self.direction[1]
 
     def offset(self, x_mm: Any, y_mm: Any) -> Any:
-        """Return the signed distance of world points from the line."""
+        """Return the signed distance, mm, of world points from the line."""
         return (y_mm - self.origin_mm[1]) * self.direction[0] - (
             x_mm - self.origin_mm[0]
         ) * self.direction[1]
 
     @property
     def axis(self) -> str:
-        """Label of the direction of the line."""
+        """Axis label for positions s: "x" if the line is along x, else "along the section"."""
         return "x" if abs(self.direction[1]) < 1e-9 else "along the section"
 
 
 def trace_through_apexes(experiment: Experiment) -> Trace:
-    """Line through the first and the last apex; along x for one apex or none."""
+    """Return the line through the apexes of the first and the last ball.
+
+    With one ball or none, the line is along world x, and s is world x.
+    """
     balls = shape_of(experiment.specimen).spheres()
     if not balls:
         return Trace(np.array([0.0, experiment.specimen.y_mm]), np.array([1.0, 0.0]))
@@ -61,14 +65,17 @@ def trace_through_apexes(experiment: Experiment) -> Trace:
 def specimen_profile(
     experiment: Experiment, pressed: PressedElastomer, trace: Trace, s_mm: FloatArray
 ) -> FloatArray:
-    """World z of the pressed-in specimen's upper side at positions s; -inf where there is none."""
+    """Return world z (mm) of the upper side of the pressed specimen at positions s.
+
+    The value is -inf outside the specimen.
+    """
     points = trace.points(s_mm)
     height = np.diagonal(height_above_lowest(experiment.specimen, points[:, 0], points[:, 1]))
     return np.asarray(pressed.depth_mm + experiment.elastomer.touched_plane_mm - height)
 
 
 def face_profile(pressed: PressedElastomer, trace: Trace, s_mm: FloatArray) -> FloatArray:
-    """World z of the coated face at positions s; 0 beyond the rim."""
+    """Return world z (mm) of the coated face at positions s; 0 beyond the rim."""
     grid = (pressed.face_y_mm, pressed.face_x_mm)
     return _along(grid, pressed.face_z_mm, trace, s_mm, fill=0.0)
 
@@ -76,14 +83,17 @@ def face_profile(pressed: PressedElastomer, trace: Trace, s_mm: FloatArray) -> F
 def touched_profile(
     experiment: Experiment, pressed: PressedElastomer, trace: Trace, s_mm: FloatArray
 ) -> FloatArray:
-    """World z of the touched face at positions s; undeformed beyond the outermost cells."""
+    """Return world z (mm) of the touched face at positions s.
+
+    Beyond the outermost cells, the face is assumed to be undeformed.
+    """
     grid = (pressed.y_mm, pressed.x_mm)
     fill = experiment.elastomer.touched_plane_mm
     return _along(grid, pressed.touched_face_mm, trace, s_mm, fill)
 
 
 def slab_span(experiment: Experiment, trace: Trace) -> tuple[float, float]:
-    """Return the positions s of both ends of the slab along the trace."""
+    """Return the positions s, mm, of the two points where the trace crosses the slab's border."""
     half = np.array([experiment.elastomer.length_x_mm, experiment.elastomer.length_y_mm]) / 2
     with np.errstate(divide="ignore"):
         crossings = (np.array([[-1.0], [1.0]]) * half - trace.origin_mm) / trace.direction

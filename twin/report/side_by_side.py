@@ -1,11 +1,12 @@
-"""Draw the figures of a page in two processes while files are written: Matplotlib uses one core.
+"""Draw the figures of a page in two processes, because Matplotlib uses only one core.
 
 On platforms without fork (Windows), this process draws all figures.
 
-The second process is a fork of this one and has the data of the figures in memory: it reads and
-computes no data. Both processes take the next figure from one queue, a pipe of numbers. The fork
-does not have the threads of this process, so that it must not render, and it ends by `os._exit`.
-It closes all files of this process: the lock of a working folder must not outlive its owner.
+The second process is a fork of this process. It has the data of the figures in memory and neither
+reads nor computes data. Both processes take the next figure from one queue, a pipe of numbers. The
+fork does not have the threads of this process. It must therefore not render, and it ends by
+`os._exit`. It closes all files of this process, so that it does not keep the lock of a working
+folder after this process has ended.
 """
 
 import gc
@@ -23,7 +24,8 @@ from twin.report.page import Figure
 from twin.working import ENDING_SIGNALS
 
 PATIENCE_S = 60.0
-"""Time after which a second process that has not ended is killed; a figure takes less than 1 s."""
+"""Time for which this process waits for the end of the second process before it kills it. A figure
+takes less than 1 s."""
 
 _NUMBER = struct.Struct("<H")
 
@@ -34,13 +36,13 @@ def draw_side_by_side(
     step: Callable[[], None],
     first_task: Callable[[], object] = lambda: None,
 ) -> None:
-    """Draw figures in this and in a second process; in this process only if there is one core.
+    """Draw figures in this and in a second process; with one core, in this process only.
 
     Parameters
     ----------
-    place : returns the path of a figure's picture
-    step : called once per figure
-    first_task : called first in this process, while the second process draws
+    place : function that returns the path of a figure's picture
+    step : called once per figure, in this process
+    first_task : function that this process calls first, while the second process draws
     """
     queue, left, parent = _queue(len(figures)), dict(enumerate(figures)), os.getpid()
 
@@ -72,7 +74,10 @@ def _draw(figure: Figure, place: Callable[[Figure], Path]) -> None:
 
 
 def _queue(count: int) -> int:
-    """Return a pipe with the numbers below `count`; the process that reads a number draws it."""
+    """Return the read end of a pipe with the numbers below `count`.
+
+    The process that reads a number draws the figure with this number.
+    """
     queue, end = os.pipe()
     with os.fdopen(end, "wb") as numbers:
         numbers.write(b"".join(map(_NUMBER.pack, range(count))))
@@ -86,7 +91,10 @@ def _taken(queue: int) -> Iterator[int]:
 
 @contextmanager
 def _second_process(work: Callable[[], None], queue: int) -> Iterator[Callable[[], bool]]:
-    """Run `work` in a fork; yields a function that waits for it and returns True on success."""
+    """Run `work` in a fork; yield a function that waits for its end and returns True on success.
+
+    If no fork is possible, `work` does not run and the function returns False.
+    """
     if threads() < 2 or not hasattr(os, "fork"):
         yield lambda: False
         return
@@ -116,7 +124,10 @@ def _second_process(work: Callable[[], None], queue: int) -> Iterator[Callable[[
 
 
 def _forked(work: Callable[[], None], open_files: Sequence[int]) -> int:
-    """Fork, run `work` in the child and end it; `open_files`: file descriptors that stay open."""
+    """Fork a child process that runs `work` and ends; return the child's process number.
+
+    `open_files` are file descriptors that remain open in the child.
+    """
     # Handlers would write into the pipe that ends this process (`working.end_within`).
     held = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
     try:

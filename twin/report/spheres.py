@@ -1,4 +1,4 @@
-"""Sphere fits: one table for all methods, one figure per ball, and the influence of the region."""
+"""Sphere fits in a report: table, one figure per ball, and influence of the fit region."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -36,7 +36,7 @@ from twin.results.record import Colours, Measurement
 from twin.results.score import wanted_pixels
 
 _MAP_CELLS, _BINS, _CURVE_POINTS = 200, 81, 201
-# Regions of the fit, as shares of a ball's radius; more points than so many are thinned.
+# Radii of the fit regions, as shares of the ball's radius; largest number of points for a fit.
 _REGIONS = np.linspace(0.125, 1.0, 8)
 _MOST_POINTS = 10_000
 
@@ -52,11 +52,12 @@ _FITS = (
 
 
 def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
-    """Return the sphere fits in mm; None where no ball could be fitted.
+    """Return the table of sphere fits, mm; None if no ball could be fitted.
 
     Parameters
     ----------
-    decoders : those of photometric stereo that the experiment does not name, too
+    decoders : True: include fits by the other decoders of photometric stereo, which the experiment
+        does not select
     """
     fits = [row for ball in measured.score.spheres for row in _fits(measured, ball, decoders)]
     if not fits:
@@ -83,7 +84,7 @@ def fit_table(measured: Measurement, decoders: bool = True) -> Table | None:
 
 
 def fit_tables(measured: Measurement) -> list[Table]:
-    """Return the table of the sphere fits, if there is one."""
+    """Return the table of sphere fits in a list, which is empty if no ball could be fitted."""
     table = fit_table(measured)
     return [table] if table else []
 
@@ -91,7 +92,7 @@ def fit_tables(measured: Measurement) -> list[Table]:
 def _fits(
     measured: Measurement, ball: SphereScore, decoders: bool
 ) -> Iterator[tuple[dict[str, Cell], str]]:
-    """Yield rows with their style: the measured and the true fit of a ball."""
+    """Yield table rows with their style: fits of a ball to the measured and the true surface."""
     coat = "true coat" if measured.experiment.method.presses else "true surface"
     images, nominal_mm = measured.images, ball.nominal.radius_mm
     label = _measured_label(measured) if decoders else _surface_label(measured)
@@ -132,10 +133,12 @@ class BallView:
 
     Attributes
     ----------
+    ball : sphere fits of the ball
     measured_mm, true_mm : (n, xyz) float, world
-        Points of the fit region, and the true face at the same pixels.
+        Measured points of the fit region, and the true face at the same pixels.
     trace : line of the sections
-    limit_um : end of the symmetric residual scale
+    pixel_mm : size of a camera pixel on the coat
+    limit_um : limit of the residual scale, which is symmetric about 0
     """
 
     ball: SphereScore
@@ -147,7 +150,7 @@ class BallView:
 
 
 def ball_views(scored: Measurement) -> list[BallView]:
-    """Return one view per ball, all on one residual scale so that they compare."""
+    """Return the figure data of every ball, with a common residual scale."""
     balls, points = scored.score.spheres, scored.points.world_mm
     limits = [symmetric_limit(1e3 * ball.measured.residuals_mm, 99.5) for ball in balls]
     return [
@@ -164,7 +167,7 @@ def ball_views(scored: Measurement) -> list[BallView]:
 
 
 def ball_sections(measured: Measurement) -> list[Section]:
-    """Return the figures of the balls, in a section of their own; no section without balls."""
+    """Return the section with the figures of the balls, in a list; empty without balls."""
     figures = [_ball_figure(measured, view) for view in ball_views(measured)]
     if not figures:
         return []
@@ -187,7 +190,7 @@ def _ball_figure(measured: Measurement, view: BallView) -> Figure:
 
 
 def draw_ball(path: Path, view: BallView) -> None:
-    """Draw residual map and histogram, section and departure from the fit, as PNG."""
+    """Draw residual map, histogram, section, and height above the fitted sphere, as PNG."""
     with drawing(path, 10.0, 6.8) as figure:
         _residual_map(axes_at(figure, 0.65, 0.35, 3.6, 2.7), view)
         _residual_histogram(axes_at(figure, 5.75, 0.35, 4.1, 2.7), view)
@@ -196,7 +199,7 @@ def draw_ball(path: Path, view: BallView) -> None:
 
 
 def fitted_height(fit: SphereFit, xy_mm: NDArray[Any]) -> FloatArray:
-    """World z of a fitted sphere's upper side at points (n, 2)."""
+    """Return world z (mm) of the upper side of a fitted sphere at points (n, xy), mm."""
     across2 = np.sum((xy_mm - fit.centre_mm[:2]) ** 2, axis=1)
     return np.asarray(fit.centre_mm[2] + np.sqrt(np.maximum(fit.radius_mm**2 - across2, 0.0)))
 
@@ -235,7 +238,7 @@ def _residual_histogram(axes: Axes, view: BallView) -> None:
 
 
 def _strip(points: NDArray[Any], view: BallView) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Positions s and points within one pixel of the section, in the order of s."""
+    """Return positions s and points within one pixel of the section, sorted by s."""
     near = points[np.abs(view.trace.offset(points[:, 0], points[:, 1])) <= view.pixel_mm]
     s_mm = np.asarray(view.trace.position(near[:, 0], near[:, 1]))
     order = np.argsort(s_mm, kind="stable")
@@ -289,7 +292,7 @@ def _above_fit_um(view: BallView, points: NDArray[Any]) -> FloatArray:
 
 
 def _nominal_cap(view: BallView, s_mm: NDArray[Any], peak_mm: float) -> FloatArray:
-    """World z of the ball itself with its apex raised to the peak of the coated face."""
+    """Return world z (mm) of the nominal ball, shifted so that its apex is at `peak_mm`."""
     nominal = view.ball.nominal
     across2 = np.sum((view.trace.points(s_mm) - [nominal.x_mm, nominal.y_mm]) ** 2, axis=1)
     fall = nominal.radius_mm - np.sqrt(np.maximum(nominal.radius_mm**2 - across2, 0.0))
@@ -301,12 +304,13 @@ def _nominal_cap(view: BallView, s_mm: NDArray[Any], peak_mm: float) -> FloatArr
 
 @dataclass(frozen=True, eq=False)
 class RegionCurve:
-    """Fits of one ball over growing regions.
+    """Sphere fits of one ball over several regions around the apex.
 
     Attributes
     ----------
-    label : ball and surface
-    region_mm, radius_mm, rmse_um : (n,) of those regions that could be fitted
+    label : number of the ball, and fitted surface
+    region_mm, radius_mm, rmse_um : (n,); radius of the region, fitted radius and RMSE; regions that
+        could not be fitted are omitted
     """
 
     label: str
@@ -316,7 +320,10 @@ class RegionCurve:
 
 
 def region_curves(measured: Measurement) -> list[RegionCurve]:
-    """Fit every ball, measured and true, over regions up to its own radius: its footprint."""
+    """Return the sphere fits of every ball to the measured and to the true surface, by fit region.
+
+    The largest region has the radius of the ball.
+    """
     points = measured.points
     usable = points.valid & wanted_pixels(measured.experiment, measured.truth)
     surfaces = (
@@ -364,7 +371,7 @@ def _regions_figure(measured: Measurement) -> Figure:
 
 
 def draw_regions(path: Path, measured: Measurement) -> None:
-    """Draw RMSE and radius of the sphere fits against the region of the fit, as PNG."""
+    """Draw RMSE and radius of the sphere fits over the radius of the fit region, as PNG."""
     curves, balls = region_curves(measured), len(measured.score.spheres)
     with drawing(path, 10.0, 3.6) as figure:
         rmse, radius = axes_at(figure, 0.65, 0.5, 4.1, 2.5), axes_at(figure, 5.75, 0.5, 4.1, 2.5)

@@ -1,7 +1,7 @@
-"""The report of a study as one HTML page: effects, front, best designs, and every case.
+"""Report of a study as one HTML page: effects, Pareto front, best designs, and all cases.
 
-It draws the data in the store of the study; `twin.study.pictures.picture_best` measures the best
-designs again for their pictures.
+The report draws the data in the store of the study. `twin.study.pictures.picture_best` measures the
+best designs again to make their pictures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -68,7 +68,18 @@ _SENSITIVITY_WORDS = {
 
 @dataclass(frozen=True)
 class Shown:
-    """Data of a study for its page."""
+    """Data of a study for its page.
+
+    Attributes
+    ----------
+    table : all cases with their values
+    rows : finished cases that have all values `metrics`
+    metrics : names of the measured values that are plotted
+    best : best feasible cases, or cases on the Pareto front
+    effects : sensitivities of a measured value to the axes of the study, by name of the value
+    pictures : pictures of the best designs, by the case's digest
+    failed : reasons why designs have no picture, by the case's digest
+    """
 
     table: StudyTable
     rows: list[Row]
@@ -87,14 +98,14 @@ def write_study(
     into: Path | None = None,
     failed: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write `report.html` and `figures/*.png` into the store of a sweep.
+    """Write `report.html` and `figures/*.png` into the store of a sweep; return the page's path.
 
     Parameters
     ----------
     folder : the -o DIR of `twin sweep`; no other file is read
-    objectives : figures to optimise; by default those of the study, or the error
-    into : existing folder to write page and figures into instead
-    failed : reason why a design has no picture, by digest
+    objectives : values to optimise; by default the objectives of the study, or the error
+    into : existing folder for the page and its figures; None: `folder`
+    failed : reason why a design has no picture, by the case's digest
 
     Raises
     ------
@@ -157,7 +168,7 @@ def _page(shown: Shown) -> Page:
 
 
 def remark_lines(table: StudyTable) -> list[str]:
-    """Return the warnings of the finished cases, each kind once with its number of cases."""
+    """Return one line for each kind of warning of the finished cases, with the number of cases."""
     done = len({row["case"] for row in table.done()})
     return [remark.in_words(done) for remark in table.remarks]
 
@@ -204,7 +215,7 @@ def _nearest(shown: Shown) -> list[Block]:
 
 
 def _designs(shown: Shown) -> list[Block]:
-    """Return the best designs with their pictures, and why others have none."""
+    """Return sections on the best designs with pictures, and notes why pictures are missing."""
     sections, reasons = list[Block](), dict[str, None]()
     scales = Scales.of(shown.pictures.values()) if shown.pictures else None
     for place, row in enumerate(designs_of(shown.best, shown.table.axes), start=1):
@@ -283,7 +294,7 @@ def _interactions(rows: list[Row], several: list[tuple[str, str]], metric: str) 
 
 
 def _left_out(shown: Shown) -> str:
-    """Return in words how many cases were left out of the effects of each figure."""
+    """Return a sentence with the number of cases omitted from the sensitivities of each value."""
     counts = {name: without(shown.table, name) for name in shown.effects}
     parts = ", ".join(f"{count} without {name}" for name, count in counts.items() if count)
     return f" Cases left out: {parts}." if parts else ""
@@ -335,7 +346,7 @@ def _link(digest: str, file: str, text: str) -> str:
 
 
 def _is_number(rows: Sequence[Row], name: str) -> bool:
-    """Return True if a figure is a number in more than 50 % of the cases (some have no ball)."""
+    """Return True if a value is a number in more than 50 % of the cases."""
     return sum(is_number(row.get(name)) for row in rows) > len(rows) / 2
 
 

@@ -1,7 +1,7 @@
-"""Figures of a study: effects, interactions, parallel lines, Pareto front, sensitivities, designs.
+"""Draw main effects, interactions, parallel coordinates, Pareto front, sensitivities and designs.
 
-One figure has one scale per quantity, from 0 or the round ends of all cases, whichever plot it is
-in: plots side by side compare.
+An axis of a study is a setting that varies from case to case. A value is a result of each case. It
+has the same scale in all plots of a picture, so that the plots can be compared.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -41,12 +41,15 @@ _BINS = 6
 
 
 def numbers(rows: Sequence[Row], name: str) -> FloatArray:
-    """Return one figure of all rows."""
+    """Return the value `name` of every row, (row,)."""
     return np.array([float(row[name]) for row in rows])
 
 
 def groups_of(rows: Sequence[Row], axis: str) -> tuple[list[str], list[list[Row]]]:
-    """Group rows by an axis' levels, or by sixths of its range where it has too many."""
+    """Group rows by the levels of an axis; return the labels and the rows of the groups.
+
+    An axis with more than nine levels is divided into six equal parts of its range.
+    """
     levels = list(dict.fromkeys(row[axis] for row in rows))
     if all(isinstance(level, (int, float)) for level in levels):
         levels.sort()
@@ -66,7 +69,7 @@ def groups_of(rows: Sequence[Row], axis: str) -> tuple[list[str], list[list[Row]
 def draw_main_effects(
     path: Path, rows: Sequence[Row], axes: Sequence[str], metrics: Sequence[str]
 ) -> None:
-    """Draw each figure over each axis: mean over everything else, and the range of all cases."""
+    """Draw each value over each axis as PNG: mean over all other axes, and range of all cases."""
     width, height = 2.2, 1.5
     size = 0.9 + len(axes) * (width + 0.3), 0.4 + len(metrics) * (height + 0.65)
     with drawing(path, *size) as figure:
@@ -106,7 +109,7 @@ def _limits(values: FloatArray) -> tuple[float, float]:
 def draw_interactions(
     path: Path, rows: Sequence[Row], pairs: Sequence[tuple[str, str]], metric: str
 ) -> None:
-    """Draw a figure's mean over each pair of axes as a map; one colour scale for all."""
+    """Draw maps of the mean of a value over each pair of axes, on one colour scale, as PNG."""
     low, high = numbers(rows, metric).min(), numbers(rows, metric).max()
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
@@ -143,7 +146,10 @@ def _draw_pair(
 def draw_parallel(
     path: Path, rows: Sequence[Row], axes: Sequence[str], metrics: Sequence[str]
 ) -> None:
-    """Draw every case as a line over axes and figures, coloured by the first figure."""
+    """Draw every case as a line over axes and values (parallel coordinates), as PNG.
+
+    The colour of a line is the first value in `metrics`.
+    """
     names = [*axes, *metrics]
     places = np.stack([_places(rows, name) for name in names], axis=1)
     colour = numbers(rows, metrics[0])
@@ -166,7 +172,10 @@ def draw_parallel(
 
 
 def _places(rows: Sequence[Row], name: str) -> FloatArray:
-    """Return heights 0 to 1 of a column: numbers between their ends, texts evenly spread."""
+    """Return the positions (0 to 1) of all rows on the vertical line of a column, (row,).
+
+    Numbers are scaled between their smallest and largest value; texts are equally spaced.
+    """
     column = [row[name] for row in rows]
     if not all(isinstance(value, (int, float)) for value in column):
         order = {value: i for i, value in enumerate(dict.fromkeys(map(str, column)))}
@@ -186,7 +195,7 @@ def _ends(rows: Sequence[Row], name: str) -> tuple[str, str]:
 def draw_front(
     path: Path, rows: Sequence[Row], front: Sequence[Row], objectives: Sequence[Objective]
 ) -> None:
-    """Draw two objectives of all cases, and the front of those that no other beats."""
+    """Draw two objectives of all cases as points, and the cases on the Pareto front, as PNG."""
     x, y = objectives[0].metric, objectives[1].metric
     with drawing(path, 5.4, 3.9) as figure:
         place = axes_at(figure, 0.8, 0.3, 4.3, 2.9)
@@ -205,7 +214,10 @@ def draw_front(
 
 
 def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: str) -> None:
-    """Draw sensitivities: one group of bars per figure, intervals where there are any."""
+    """Draw the sensitivities as PNG, with one group of bars per value.
+
+    Intervals are drawn unless `method` is "grid".
+    """
     with drawing(path, 7.2, 0.4 + sum(0.75 + 0.28 * len(e) for e in effects.values())) as figure:
         top = 0.3
         for metric, ranking in effects.items():
@@ -218,7 +230,10 @@ def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: st
 
 
 def draw_effect_bars(place: Axes, effects: Sequence[Effect], intervals: bool = True) -> None:
-    """Draw one bar per axis, the first on top; with intervals, and totals as diamonds."""
+    """Draw the effect of each axis as a bar, the first effect on top.
+
+    If `intervals` is True, also draw confidence intervals, and total effects as diamonds.
+    """
     at = np.arange(len(effects))[::-1]
     value = np.array([e.value for e in effects])
     place.barh(at, value, 0.6, color=MEASURED)
@@ -234,12 +249,12 @@ def draw_effect_bars(place: Axes, effects: Sequence[Effect], intervals: bool = T
 
 @dataclass(frozen=True)
 class Scales:
-    """Common scales of all designs of a page.
+    """Scales that the pictures of all designs on a page have in common.
 
     Attributes
     ----------
-    z : scale of the true heights of all
-    error_um : round limit that 99 % of all errors stay below
+    z : scale of the true heights of all designs
+    error_um : limit of the error scale, see `symmetric_limit`
     """
 
     z: ZScale
@@ -247,7 +262,7 @@ class Scales:
 
     @classmethod
     def of(cls, pictures: Iterable[CasePicture]) -> "Scales":
-        """Return scales that hold for all pictures, of which there is at least one."""
+        """Return the common scales of at least one picture."""
         shown = list(pictures)
         z_mm = np.concatenate([picture.true_z_mm for picture in shown])
         errors_um = np.concatenate([picture.error_um[picture.scored] for picture in shown])
@@ -258,7 +273,13 @@ class Scales:
 def design_figures(
     number: int, settings: str, picture: CasePicture, scales: Scales
 ) -> list[Figure]:
-    """Return the three pictures of one design; `settings` is its label."""
+    """Return the three pictures of one design: camera image, measured heights and z error.
+
+    Parameters
+    ----------
+    number : place of the design in the ranking
+    settings : label of the design
+    """
     colours, shape = picture.seen.ndim == 3, picture.measured.shape
     image_caption = "camera image" if colours else "fringe image: black is 0, white is saturation"
     z_mm = np.ma.masked_array(picture.z_mm.astype(np.float64), ~picture.measured)

@@ -1,6 +1,6 @@
-"""Measured surfaces in millimetres: 3-D view, height map and error, on a regular world grid.
+"""Figures of measured surfaces on a regular world grid: 3-D view, height map and z error.
 
-Camera pixels are averaged on a grid, so that maps are in mm for every camera pose.
+Camera pixels are averaged on the grid, so that maps are in mm for every camera pose.
 """
 
 from dataclasses import replace
@@ -51,7 +51,7 @@ _VIEW = SceneView.around((0.0, 0.0, 0.0), 1.0, *np.deg2rad((28.0, 32.0)))
 
 
 def z_enlargement(points: SurfacePoints) -> float:
-    """Return the factor on z in the 3-D view: a round number, at least 1."""
+    """Return the factor by which the 3-D view enlarges z: a round number, at least 1."""
     box_mm = at_pixels(points.world_mm, points.valid)
     if not len(box_mm):
         return 1.0
@@ -59,7 +59,7 @@ def z_enlargement(points: SurfacePoints) -> float:
 
 
 def relief_figure(measured: Measurement) -> Figure:
-    """Return the 3-D view of the measured surface."""
+    """Return the figure with the 3-D view of the measured surface."""
     points = measured.points
     return Figure(
         "relief",
@@ -72,7 +72,7 @@ def relief_figure(measured: Measurement) -> Figure:
 
 
 def height_map_figure(measured: Measurement) -> Figure:
-    """Return the measured heights in top view."""
+    """Return the figure with the measured heights in top view."""
     points = measured.points
     return Figure(
         "height_map",
@@ -85,7 +85,7 @@ def height_map_figure(measured: Measurement) -> Figure:
 
 
 def error_figure(measured: Measurement) -> Figure:
-    """Return the error of z against the truth."""
+    """Return the figure with maps of z error and predicted sigma, and the error histogram."""
     return Figure(
         "truth_error",
         "Error of z",
@@ -226,9 +226,14 @@ def _histogram(axes: Axes, error_um: NDArray[Any], sigma_um: NDArray[Any], limit
 
 
 def predicted_density(error_um: NDArray[Any], sigma_um: NDArray[Any]) -> FloatArray:
-    """Return the density of zero-mean normal errors with a different sigma in each pixel.
+    """Return the density (1/um) of zero-mean normal errors with a different sigma in each pixel.
 
-    The mixture is evaluated at quantiles of sigma, which represent all pixels.
+    The density is the mean over 200 quantiles of sigma, which represent all pixels.
+
+    Parameters
+    ----------
+    error_um : (n,); errors at which the density is evaluated
+    sigma_um : standard deviation of every pixel
     """
     levels = np.quantile(sigma_um, (np.arange(_SIGMAS) + 0.5) / _SIGMAS)
     levels = np.maximum(levels, 1e-9)

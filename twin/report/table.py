@@ -1,4 +1,4 @@
-"""Tables as data: columns with units and digits, rows of cells; as HTML, Markdown, text, JSON."""
+"""Tables as data (columns with units and digits, rows of cells), for HTML, Markdown, text, JSON."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -8,7 +8,7 @@ from typing import Any
 from twin.report.words import shown
 
 PAPER, TWIN = "paper", "twin"
-"""Values of a column `source`: who measured the row."""
+"""Values of a column `source`: a row has values from the paper, or values of the twin."""
 
 Cell = str | int | float | None
 Row = Mapping[str, Cell]
@@ -16,14 +16,15 @@ Row = Mapping[str, Cell]
 
 @dataclass(frozen=True)
 class Column:
-    """One column.
+    """One column of a table.
 
     Attributes
     ----------
-    key : of the cells
-    heading : text; `unit` is appended in brackets
-    digits : decimals of its floats
-    kind : class of its cells in the page; "number" (right-aligned) where any of them is one
+    key : key of the column's cells in each row
+    heading : text above the column; `unit` is appended in brackets
+    digits : number of decimals of floats
+    kind : CSS class of the cells in the page; empty: "number" (right-aligned) if any cell is a
+        number
     """
 
     key: str
@@ -34,13 +35,20 @@ class Column:
 
     @property
     def title(self) -> str:
-        """Heading with unit."""
+        """Heading, with the unit in brackets if there is one."""
         return f"{self.heading} ({self.unit})" if self.unit else self.heading
 
 
 @dataclass(frozen=True)
 class TableText:
-    """One cell as a page shows it; `span`: rows that it covers, 0 if a cell above covers it."""
+    """One table cell as a page shows it.
+
+    Attributes
+    ----------
+    kind : CSS class
+    span : number of rows that the cell covers; 0 if a cell above covers it
+    heads_row : True if the cell names its row
+    """
 
     text: str
     kind: str = ""
@@ -50,7 +58,7 @@ class TableText:
 
 @dataclass(frozen=True)
 class TableLine:
-    """One row as a page shows it."""
+    """One table row as a page shows it; `kind` is its CSS class."""
 
     cells: list[TableText]
     kind: str
@@ -58,19 +66,20 @@ class TableLine:
 
 @dataclass(frozen=True)
 class Table:
-    """One table.
+    """One table of a report.
 
     Attributes
     ----------
-    name : key in tables.json, and its place in a page
-    title : noun phrase
+    name : key in tables.json, and identifier in a page
+    title : heading of the table, a noun phrase
     paper_item : corresponding table or figure of the paper; empty if there is none
-    columns : in order
-    rows : cells by column key; None where there is no number
+    columns : columns in their order
+    rows : cells of each row by the column's key; None if there is no value
     notes : definitions and remarks below the table
-    kinds : how each row is shown: "measured" (bold), "reference" (faint), "assumed" (shaded), ""
-    group : column in which equal neighbouring cells are merged
-    look : class of the table in the page's style sheet
+    kinds : style of each row: "measured" (bold), "reference" (faint), "assumed" (shaded), "";
+        empty tuple: rows with the source "paper" are "reference"
+    group : key of the column in which equal neighbouring cells are merged; empty: none
+    look : CSS class of the table
     """
 
     name: str
@@ -92,7 +101,7 @@ class Table:
         }
 
     def as_markdown(self) -> str:
-        """Return heading, table and notes."""
+        """Return heading, table and notes as Markdown."""
         lines = [f"### {self.title}", ""]
         if self.paper_item:
             lines += [f"Corresponds to {self.paper_item} of the paper.", ""]
@@ -101,7 +110,7 @@ class Table:
         return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), ""])
 
     def as_text(self) -> str:
-        """Return headings and rows for a terminal, columns aligned."""
+        """Return headings and rows as text for a terminal, with aligned columns."""
         lines = [[c.title for c in self.columns], *self._texts()]
         widths = [max(len(line[k]) for line in lines) for k in range(len(self.columns))]
         right = [self.kind_of(column) == "number" for column in self.columns]
@@ -118,7 +127,7 @@ class Table:
 
         Raises
         ------
-        KeyError : there is none
+        KeyError : the table has no such row
         """
         for row in self.rows:
             if all(row.get(key) == value for key, value in cells.items()):
@@ -126,19 +135,19 @@ class Table:
         raise KeyError(f"{self.name}: no row with {cells}")
 
     def kind_of(self, column: Column) -> str:
-        """Return the class of a column's cells."""
+        """Return the CSS class of a column's cells: `column.kind`, "number" or empty."""
         cells = (row.get(column.key) for row in self.rows)
         number = any(isinstance(cell, (int, float)) for cell in cells)
         return column.kind or ("number" if number else "")
 
     def heads(self) -> list[TableText]:
-        """Return the headings as a page shows them; none where no column has one."""
+        """Return the headings as a page shows them; an empty list if no column has a heading."""
         if not any(column.title for column in self.columns):
             return []
         return [TableText(column.title, self.kind_of(column)) for column in self.columns]
 
     def bodies(self) -> Iterator[list[TableLine]]:
-        """Return the rows as a page shows them, those of one group together."""
+        """Yield the rows as a page shows them, one list per group of equal cells in `group`."""
         kinds = [self.kind_of(column) for column in self.columns]
         labels = kinds.index("number") if "number" in kinds else 1  # columns that name the row
         for _, numbered in groupby(enumerate(self.rows), lambda at: at[1].get(self.group)):

@@ -1,4 +1,4 @@
-"""The report of an uncertainty: distributions with their intervals, convergence, ranked budgets."""
+"""Report of uncertainty: distributions over the trials, intervals, convergence, ranked budgets."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -57,17 +57,18 @@ def write_uncertainty_page(
     into: Path | None = None,
     measurands: Sequence[str] = (),
 ) -> Path:
-    """Write `report.html` and `figures/*.png` into the store of trials.
+    """Write `report.html` and `figures/*.png` into the store of trials; return the page's path.
 
     Parameters
     ----------
     folder : the -o DIR of `twin uncertainty`, or of a sweep of trials; no other file is read
-    into : existing folder to write into instead
-    measurands : names; by default those of the study, or the main ones
+    into : existing folder for the page and its figures; None: `folder`
+    measurands : names of the measured values on the page; empty: those of the study, or the main
+        ones
 
     Raises
     ------
-    InputError : the folder holds no trials, too few are finished, or the page cannot be written
+    InputError : the folder contains no trials, too few are finished, or the page cannot be written
     """
     watch(STAGE, 0.0)
     page = _page(read_uncertainty(folder, measurands))
@@ -189,7 +190,7 @@ def _inputs(uncertainty: Uncertainty) -> Section:
 
 
 def _remarks(measurand: Measurand) -> list[str]:
-    """Return notes on the convergence and completeness of the trials."""
+    """Return notes on convergence and completeness of the trials, and on missing contributions."""
     distribution, remarks = measurand.distribution, []
     stability = distribution.stability
     if stability is None:
@@ -282,7 +283,10 @@ def _sobol_words(measurand: Measurand) -> str:
 
 
 def draw_distribution(path: Path, measurand: Measurand) -> None:
-    """Draw the histogram with the coverage intervals, and the convergence of mean and spread."""
+    """Draw the histogram of the trials with coverage intervals, and the convergence, as PNG.
+
+    Convergence is the mean and the standard uncertainty over the number of trials.
+    """
     with drawing(path, 8.6, 3.1) as figure:
         _draw_histogram(axes_at(figure, 0.6, 0.35, 3.6, 2.2), measurand)
         _draw_convergence(axes_at(figure, 5.0, 0.35, 3.4, 2.2), measurand)
@@ -315,7 +319,7 @@ def _draw_convergence(axes: Axes, measurand: Measurand) -> None:
     values = measurand.distribution.values
     count = np.arange(2, values.size + 1)
     mean = np.cumsum(values)[1:] / count
-    # About the first value: the sum of squares loses its digits where the mean is large.
+    # Relative to the first value, because the sum of squares loses digits if the mean is large.
     offset = values - values[0]
     variance = (np.cumsum(offset**2)[1:] - count * (mean - values[0]) ** 2) / (count - 1)
     spread = np.sqrt(np.maximum(variance, 0.0))
@@ -326,7 +330,10 @@ def _draw_convergence(axes: Axes, measurand: Measurand) -> None:
 
 
 def draw_budget(path: Path, measurand: Measurand) -> None:
-    """Draw the contribution of each source, the largest first, and Sobol' indices if available."""
+    """Draw the contributions of all sources as PNG, the largest first, and any Sobol' indices.
+
+    A contribution is a standard uncertainty.
+    """
     parts = measurand.parts[:_MOST_BARS]
     height = 0.26 * len(parts)
     with drawing(path, 8.6, height + 1.1) as figure:
@@ -356,7 +363,7 @@ def _axis_label(name: str) -> str:
 
 
 def result_lines(uncertainty: Uncertainty) -> list[Mapping[str, str]]:
-    """Return mean, standard uncertainty, interval and main source of every measurand, as text."""
+    """Return mean, standard uncertainty, intervals and main source of every measurand, as text."""
     rows: list[Mapping[str, str]] = []
     for measurand in uncertainty.measurands.values():
         first = measurand.parts[0].name.replace("_", " ") if measurand.parts else NONE

@@ -1,7 +1,7 @@
-"""A scene as a view in a report that the reader turns by dragging.
+"""Three-dimensional view of a scene in a report, which can be turned by dragging.
 
-The page carries the data (surfaces over grids, lines) and a short script that draws them with the
-browser's own WebGL; no further file is loaded.
+The page contains the data (surfaces over grids, lines) and a short script that draws them with the
+WebGL of the browser. No further file is loaded.
 """
 
 import base64
@@ -18,7 +18,7 @@ from twin.results.record import Measurement
 
 
 def view_section(measured: Measurement) -> list[Section]:
-    """Return the section with the view; empty if no pixel has a point."""
+    """Return the section with the 3-D view, in a list; empty if no pixel has a point."""
     if not measured.points.valid.any():
         return []
     scene = measured_scene(measured)
@@ -38,7 +38,7 @@ def view_section(measured: Measurement) -> list[Section]:
 
 
 def view_data(scene: SceneDescription) -> dict[str, Any]:
-    """Return the input of the script: surfaces, lines, and the first position of each view."""
+    """Return the input of the script: surfaces, lines, and direction and size of each view."""
     lines = [
         {"name": line.name, "rgb": line.rgb, "points": _as_text(line.ends_mm)}
         for line in scene.lines
@@ -48,7 +48,7 @@ def view_data(scene: SceneDescription) -> dict[str, Any]:
 
 
 def _grid(surface: SceneSurface) -> dict[str, Any]:
-    """Return a surface over a regular grid: first x and y, their steps, z and colours."""
+    """Return a surface over a regular grid: first x and y with their steps (mm), z and colours."""
     points_mm = surface.grid_mm
     rows, cols = points_mm.shape[:2]
     first, last = points_mm[0, 0, :2], points_mm[-1, -1, :2]

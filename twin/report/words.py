@@ -1,4 +1,4 @@
-"""How reports write numbers, shares, names and units; units are suffixes of the names."""
+"""Format numbers, shares, names and units for reports; units are suffixes of the names."""
 
 import re
 from collections.abc import Mapping
@@ -29,8 +29,8 @@ _UNITS = {
 }
 _POWERS = {"": "", "2": "²", "3": "³"}
 _ONE = f"(?:{'|'.join(_UNITS)})[23]?"
-# A unit at the end of a name: `mm`, `mm2`, `per_mm`, `mm2_per_n`; `kg_m3` and `j_m2` as data sheets
-# write them. A metre by itself is no unit of ours: `m` only below a mass or an energy.
+# A unit at the end of a name: `mm`, `mm2`, `per_mm`, `mm2_per_n`; `kg_m3` and `j_m2` as in data
+# sheets. The metre is a unit only in the denominator below a mass or an energy.
 _SUFFIX = re.compile(
     rf"_(?:(?P<over>{_ONE})_per_(?P<under>{_ONE})|per_(?P<inverse>{_ONE})"
     rf"|(?P<amount>kg|j)_(?P<size>m[23])|(?P<one>(?!m[23]?$){_ONE}))$"
@@ -38,7 +38,7 @@ _SUFFIX = re.compile(
 _DERIVATIVE = re.compile(r"(?P<of>[a-z0-9_]+)_by_(?P<field>[a-z0-9_.]+\.[a-z0-9_]+)")
 
 NONE = "–"
-"""Written for a missing value: a figure without points, a row without such a cell."""
+"""Text for a missing value."""
 
 _NAMES = {
     "shore_a": "Shore A",
@@ -52,10 +52,11 @@ _NAMES = {
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Split `standoff_mm` into ("standoff", "mm"); dimensionless names keep an empty unit.
+    """Split a name into stem and unit: `standoff_mm` into ("standoff", "mm").
 
-    Ratios and powers are written as such: `rim_compliance_mm2_per_n` has mm²/N, `gain_dn_per_e`
-    DN/e⁻. A derivative, `crb_radius_um_by_projector.pose.polar_deg`, has the ratio of both units.
+    The unit is empty if the name has no suffix with a unit. `rim_compliance_mm2_per_n` has the unit
+    mm²/N, `gain_dn_per_e` the unit DN/e⁻. A derivative, for example
+    `crb_radius_um_by_projector.pose.polar_deg`, has the ratio of both units.
     """
     derivative = _DERIVATIVE.fullmatch(name)
     if derivative:
@@ -72,7 +73,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def _written(token: str) -> str:
-    """Write one unit of a name, with its power: `mm2` as mm²."""
+    """Return the text for one unit in a name, with its power: mm² for `mm2`."""
     stem = token.rstrip("23")
     return _UNITS[stem] + _POWERS[token[len(stem) :]]
 
@@ -84,12 +85,12 @@ def label_of(name: str) -> tuple[str, str]:
 
 
 def number(value: float | None, form: str, none: str = NONE) -> str:
-    """Write a figure in a format; a dash where it does not exist."""
+    """Return a number in the format `form`, or `none` (by default a dash) if it does not exist."""
     return none if value is None else f"{value:{form}}"
 
 
 def shown(value: str | float | None, digits: int) -> str:
-    """Write a cell of a table; a dash where there is no number."""
+    """Return the text of a table cell; floats have `digits` decimals, None is a dash."""
     if isinstance(value, str):
         return value  # which may be markup
     if isinstance(value, float):
@@ -98,19 +99,25 @@ def shown(value: str | float | None, digits: int) -> str:
 
 
 def signed(value: float, digits: int = 3) -> str:
-    """Write a number with its sign and a typographic minus; a rounded 0 has no minus."""
+    """Return a number with its sign and a typographic minus; a number rounded to 0 has a plus."""
     return f"{value:+z.{digits}f}".replace("-", "−")
 
 
 def printed_sentence(text: str) -> str:
-    """Write a sentence of the terminal, in ASCII, as a page prints it: capital, µm and ± signs."""
+    """Return a sentence for the terminal (ASCII) as text for a page.
+
+    The text starts with a capital letter and has the signs µm and ± instead of um and +-.
+    """
     for plain, sign in (("um", "µm"), ("+-", "±")):
         text = re.sub(rf"(?<= ){re.escape(plain)}(?= |$|[.,;:)])", sign, text)
     return text[:1].upper() + text[1:]
 
 
 def percent(share: float | None) -> str:
-    """Write a share; next to none and next to all are not rounded away."""
+    """Return a share (0 to 1) in percent; a dash for None.
+
+    Shares near 0 and 1 have more digits, so that they are not rounded to 0 % or 100 %.
+    """
     if share is None:
         return NONE
     if 0 < share < 1e-4:
@@ -122,7 +129,7 @@ def percent(share: float | None) -> str:
 
 
 def in_words(value: Any) -> str:
-    """Write a value as people read it: short numbers, lists without brackets."""
+    """Return a value as text: numbers with up to six digits, lists without brackets, yes or no."""
     if value is None:
         return NONE
     if isinstance(value, bool):
@@ -135,11 +142,11 @@ def in_words(value: Any) -> str:
 
 
 def phrase(values: Mapping[str, Any], model: type[BaseModel] | None = None) -> str:
-    """Write a flat table as one phrase: `thickness 2 mm, Shore A 10`.
+    """Return the values of a flat table as one phrase: `thickness 2 mm, Shore A 10`.
 
     Parameters
     ----------
-    model : of the table; a field's title is written in the place of its name
+    model : model of the table; its field titles replace the names; None: names are used
     """
     titles = {} if model is None else {n: field.title for n, field in model.model_fields.items()}
     parts = []
@@ -152,7 +159,7 @@ def phrase(values: Mapping[str, Any], model: type[BaseModel] | None = None) -> s
 
 
 def coating_phrase(coating: Coating) -> str:
-    """Write a coating as one phrase, its texture, if it has one, last."""
+    """Return kind, values and texture (if any) of a coating as one phrase."""
     numbers = coating.model_dump()
     kind = f"{numbers.pop('kind')}: " if "kind" in numbers else ""
     written = kind + phrase(numbers, type(coating))

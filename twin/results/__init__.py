@@ -1,1 +1,1 @@
-"""One record of a measurement by any method: its types, its scores, and its folder."""
+"""Results of a measurement by any method: its record, its scores, and its folder of files."""

@@ -1,10 +1,10 @@
 """Score balls: spheres fitted to the measured points of each ball's region, mm.
 
-Sphere metrics follow the paper: least-squares sphere over the points of each ball's region, then
-RMSE, MAE and 95th percentile of the absolute radial residuals. "Least squares" is read both ways:
-of radial distances (geometric) and of squared distances (algebraic), over every requested
-region. The same fit over the true coated face at the same pixels separates the elastomer's error
-from that of the measurement.
+Sphere metrics follow the paper: a least-squares sphere is fitted to the points of each ball's
+region. RMSE, MAE and 95th percentile are those of the absolute radial residuals. Two fits are made
+over every requested region: the sum of squared residuals is that of radial distances (geometric)
+or of squared distances (algebraic). The same fits to the true coated face at the same pixels
+separate the error of the elastomer from that of the measurement.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from twin.optics.stack import Truth
 from twin.shape import Sphere
 from twin.specimens import shape_of
 
-# Four points fix a sphere exactly: its residuals are 0 for any error.
+# Four points determine a sphere exactly, so that the residuals would be 0 for any error.
 _LEAST_SPHERE_POINTS = 5
 _FIT_FIGURES = ("radius_mm", "rmse_mm", "mae_mm", "p95_mm")
 _KINDS = ("", "true_face_", "algebraic_", "true_face_algebraic_")
@@ -35,7 +35,10 @@ _SPHERE_FIGURES = (
 
 @dataclass(frozen=True, eq=False)
 class SphereScore:
-    """One ball over one region: the fits to the measured points and to the true face's there."""
+    """Sphere fits of one ball over one region, to the measured points and to the true face.
+
+    `roi` is the mask (row, col) of the region.
+    """
 
     number: int
     nominal: Sphere
@@ -49,7 +52,7 @@ class SphereScore:
 def region_of(
     ball: Sphere, points_mm: NDArray[np.floating], usable: BoolImage, roi_radius_mm: float
 ) -> NDArray[np.bool_]:
-    """Return the usable pixels within `roi_radius_mm` (lateral) of a ball's apex, (row, col)."""
+    """Return a mask (row, col) of usable pixels within a lateral distance of a ball's apex."""
     x_mm, y_mm = points_mm[..., 0] - ball.x_mm, points_mm[..., 1] - ball.y_mm
     inside: BoolImage = (np.abs(x_mm) <= roi_radius_mm) & (np.abs(y_mm) <= roi_radius_mm) & usable
     inside[inside] = np.hypot(x_mm[inside], y_mm[inside]) <= roi_radius_mm
@@ -59,11 +62,11 @@ def region_of(
 def score_balls(
     experiment: Experiment, measured_mm: NDArray[np.floating], truth: Truth, usable: BoolImage
 ) -> tuple[tuple[SphereScore, ...], tuple[str, ...], dict[str, Any]]:
-    """Return the balls that could be fitted, why the others could not, and further regions."""
+    """Return sphere fits, reasons for balls without a fit, and figures of further regions."""
     if not shape_of(experiment.specimen).spheres():
         return (), (), {}
     further: dict[str, Any] = {}
-    # x and y each in one piece of memory: every ball and region looks through all of them.
+    # x and y are made contiguous in memory, because each ball and region reads all of them.
     planes = np.ascontiguousarray(np.moveaxis(measured_mm[..., :2], -1, 0))
     pixels = usable, np.moveaxis(planes, 0, -1)
     for radius_mm in experiment.score.regions_mm:
@@ -74,7 +77,7 @@ def score_balls(
 
 
 def region_name(radius_mm: float) -> str:
-    """Return how figures of a further region are named: within_1p2_ for 1.2 mm."""
+    """Return the part of a figure's name that states a region: within_1p2_ for 1.2 mm."""
     return f"within_{radius_mm:g}_".replace(".", "p")
 
 
@@ -85,11 +88,11 @@ def _spheres(
     pixels: tuple[BoolImage, NDArray[np.floating]],
     roi_radius_mm: float,
 ) -> tuple[tuple[SphereScore, ...], tuple[str, ...]]:
-    """Return the balls that could be fitted over a region, and why the others could not.
+    """Return sphere fits of the balls over a region, and reasons for balls without a fit.
 
     Parameters
     ----------
-    pixels : usable pixels, and x and y of all (row, col, xy)
+    pixels : mask of usable pixels (row, col), and x and y, mm, of all pixels (row, col, xy)
     """
     (usable, lateral_mm), fitted, unfitted = pixels, [], []
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
@@ -112,7 +115,7 @@ def score_sphere(
 
     Raises
     ------
-    FitError : the region holds too few valid points to fix a sphere and leave a residual
+    FitError : the region has fewer than 5 points, too few for a sphere with residuals
     """
     count = int(roi.sum())
     if count < _LEAST_SPHERE_POINTS:
@@ -133,7 +136,7 @@ def score_sphere(
 def sphere_metrics(
     fitted: Sequence[SphereScore], unfitted: Sequence[str], region: str = ""
 ) -> dict[str, Any]:
-    """Return all balls' figures by name; those of a ball without a fit are None."""
+    """Return the figures of all balls by name; None for a ball without a fit."""
     figures: dict[str, Any] = dict.fromkeys(sphere_names(len(fitted) + len(unfitted), region))
     for ball in fitted:
         ours = _ball_figures(ball).items()
@@ -152,7 +155,7 @@ def sphere_names(balls: int, region: str = "") -> list[str]:
 
 
 def _ball_figures(sphere: SphereScore) -> dict[str, float | int]:
-    """One ball's figures under the names of the paper's table."""
+    """Return the figures of one ball, with the names of the paper's table."""
     measured = sphere.measured
     fits = (measured, sphere.true_face, sphere.measured_algebraic, sphere.true_face_algebraic)
     values = [figure for fit in fits for figure in _fit_figures(fit)]

@@ -1,6 +1,6 @@
-"""How well a measurement can know a dimension, before it is made: bounds and spreads by noise.
+"""Predicted uncertainty of dimensions by noise, before a measurement is made: bounds and spreads.
 
-Two numbers for each measurand that is a fitted length, in um:
+The main figures are a bound and a spread, in um, for each measurand that is a fitted length:
 
 | figure | meaning |
 |---|---|
@@ -9,9 +9,9 @@ Two numbers for each measurand that is a fitted length, in um:
 | sphere_N_radius_crb_um, sphere_N_radius_spread_um | of the radius on the coat over the scored region |
 | crb_radius_um, crb_width_um, crb_step_um, crb_depth_um | bound of the first measurand of that kind (`MeasurandKind.bound_name`) |
 | compensated_NUMBER_crb_um, _deg | bound of a number of the object under a thick slab, through optics and mechanics (`twin.pipeline.bound`) |
-| predicted_sigma_z_um | median of the standard deviation of z by noise, filtered |
+| predicted_sigma_z_um | median over the pixels of the standard deviation of z by noise, after the filter |
 | predicted_share | share of the lit pixels that will have a point |
-| object_NAME_bound_why, sphere_N_radius_bound_why | text: why the two above are absent |
+| object_NAME_bound_why, sphere_N_radius_bound_why | text: reason why bound and spread of that length have no value |
 
 The shape is fitted to the expected points, without noise, by the code of the measurement itself.
 Systematic errors (filter bias, calibration, the elastomer's effect) are not included.
@@ -45,11 +45,12 @@ _LEAST_SPHERE_POINTS = 5
 
 
 def has_bound(experiment: Experiment) -> bool:
-    """Return True if the trace is sufficient to predict a measurement's uncertainty.
+    """Return True if bounds can be computed from the ray trace of the experiment.
 
-    Fringes on a pressed coat, by direct light: light reflected between surfaces, or through
-    clear bodies, is not in the trace. Single images of micro phase shifting know more of some
-    places than of others, and have no closed form. Both axes, white and black are shown.
+    This requires fringes on a pressed coat and only direct light: the trace does not contain light
+    that is reflected between surfaces or passes through clear bodies. White, black and the fringes
+    of both axes must be projected, with a code that has a closed form of the noise. Micro phase
+    shifting has none, because the information of its images depends on the position in the fringe.
     """
     method = experiment.method
     direct = experiment.bounces == 0 and experiment.render.engine == "one_trace"
@@ -60,7 +61,7 @@ def has_bound(experiment: Experiment) -> bool:
 
 
 def is_bound_name(name: str) -> bool:
-    """Return True if a figure is one of `bound_figures` of any experiment."""
+    """Return True if `bound_figures` gives a figure of this name for some experiment."""
     return name.endswith(("_crb_um", "_crb_deg", "_spread_um", "_bound_why")) or name in {
         *_ALWAYS,
         *filter(None, (kind.bound_name for kind in MEASURANDS)),
@@ -68,7 +69,7 @@ def is_bound_name(name: str) -> bool:
 
 
 def bound_names(experiment: Experiment) -> set[str]:
-    """Return the names of all figures of `bound_figures`; none without a bound."""
+    """Return the names of all figures of `bound_figures`; empty if there are no bounds."""
     if not has_bound(experiment):
         return set()
     names = set(_ALWAYS)
@@ -100,7 +101,7 @@ def _sphere_names(number: int) -> tuple[str, str]:
 def bound_figures(
     experiment: Experiment, prediction: PredictedMaps, truth: Truth, pressed: PressedElastomer
 ) -> dict[str, Metric]:
-    """Return the figures; None where the expected points do not fix a shape."""
+    """Return bounds and spreads by name; None if the expected points do not fix the shape."""
     lit = int(truth.lit.sum())
     sigma_um = 1e3 * prediction.filtered_mm[prediction.valid]
     figures: dict[str, Metric] = {
@@ -126,10 +127,11 @@ class _ExpectedFit:
 
     Attributes
     ----------
-    estimate : None where it is absent; `why` gives the reason
-    pixels : (n,) index of each point's pixel
+    estimate : the fit; None if there is no fit, `why` gives the reason
+    pixels : (n,) flat index of the camera pixel of each point
     each : number of pixels that each point represents
-    points_mm : (n, xyz) world, those that took part
+    points_mm : (n, xyz) fitted points, world frame
+    why : reason why there is no fit; else empty
     """
 
     estimate: FittedDimension | None = None
@@ -142,7 +144,7 @@ class _ExpectedFit:
 def _figures_of(
     quantity: str, expected: _ExpectedFit, prediction: PredictedMaps
 ) -> tuple[_Values, str]:
-    """Return bound and spread in um, and why there is none of them."""
+    """Return bound and spread, um, and the reason why both are None; the reason is else empty."""
     if expected.estimate is None:
         return (None, None), expected.why
     values = _bound_and_spread_um(expected.estimate, expected.pixels, prediction, expected.each)
@@ -156,7 +158,7 @@ def _figures_of(
 def _expected_fits(
     experiment: Experiment, prediction: PredictedMaps, truth: Truth, pressed: PressedElastomer
 ) -> Iterator[tuple[ObjectMeasurand, _ExpectedFit]]:
-    """Yield each measurand with its fit to the expected points."""
+    """Yield each measurand that has a bound with its fit to the expected points."""
     points = prediction.points.points_world_mm, prediction.valid, prediction.filtered_mm
     observed = seen_object(experiment, points, truth, pressed)
     features = features_of(experiment.specimen)
@@ -180,7 +182,10 @@ def _expected_fit(
 
 
 def _of_spheres(experiment: Experiment, prediction: PredictedMaps) -> Iterator[tuple[str, Metric]]:
-    """Yield bound and spread of the radii over the scored regions, fitted as by `score_sphere`."""
+    """Yield bound and spread, um, of each ball's radius over the scored region, with names.
+
+    The spheres are fitted as by `score_sphere`.
+    """
     world_mm = prediction.points.points_world_mm
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):
         roi = region_of(ball, world_mm, prediction.valid, experiment.score.roi_radius_mm)
@@ -204,11 +209,11 @@ def _expected_sphere(prediction: PredictedMaps, roi: BoolImage) -> _ExpectedFit:
 def _bound_and_spread_um(
     estimate: FittedDimension, pixels: IntArray, prediction: PredictedMaps, each: float
 ) -> _Values:
-    """Return bound and spread of one fit.
+    """Return bound and spread, um, of one fit; the bound may be None.
 
     Parameters
     ----------
-    pixels : (n,) index of each point's pixel
+    pixels : (n,) flat index of the camera pixel of each point
     each : number of pixels that each point represents
     """
     slope = np.zeros(prediction.reason.shape)
@@ -221,9 +226,10 @@ def _bound_and_spread_um(
 def information_shares(
     experiment: Experiment, prediction: PredictedMaps, truth: Truth, pressed: PressedElastomer
 ) -> dict[str, FloatArray]:
-    """Return each pixel's share of the information about a bound: (row, col), summing to 1.
+    """Return, by name of each bound, the share (row, col) of each pixel in the information.
 
-    That is the derivative of the bound's logarithm by that of each pixel's sigma.
+    The shares of a bound sum to 1. The share of a pixel is d ln bound / d ln sigma, with sigma the
+    standard deviation of the pixel's height.
     """
     images: dict[str, FloatArray] = {}
     single_mm = prediction.single_mm.ravel()

@@ -1,4 +1,4 @@
-"""Figures, points and arrays of the object that was found behind a coat."""
+"""Figures, points and arrays of the object that was reconstructed behind a coat."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,12 +36,13 @@ def object_figures(
     bars: Sequence[BarPlace] = (),
     parts: Sequence[ObjectPart] | None = None,
 ) -> dict[str, Any]:
-    """Return the figures of the object and its contact; units in the names.
+    """Return the figures of the reconstructed object and its contact; names end with the unit.
 
     Parameters
     ----------
-    balls, bars : where they are nominally, so that figures can be named after them
-    parts : of the contact, where they are known; None: they are fitted
+    compensated : the reconstructed object
+    balls, bars : nominal balls and bars of the specimen; figures are named after their numbers
+    parts : fitted parts of the contact if they are known; None: they are fitted here
     """
     if parts is None:
         parts = [] if isinstance(compensated, CompensatedSlab) else parts_of(compensated)
@@ -68,7 +69,7 @@ def object_figures(
 
 
 def _slab_figures(fitted: FittedSlab, balls: Sequence[Sphere]) -> dict[str, Any]:
-    """Return the numbers of an object under a slab, each with its uncertainty."""
+    """Return the fitted dimensions of an object under a slab, with standard uncertainties."""
     figures: dict[str, Any] = {"misfit_um": _UM * fitted.misfit_mm, "chi_square": fitted.chi_square}
     for unknown in fitted.unknowns:
         table, _, path = unknown.name.partition(".")
@@ -93,7 +94,7 @@ def _number_figures(name: str, path: str, fitted: FittedSlab, unknown: str) -> d
 
 
 def slab_bound_name(path: str) -> str:
-    """Return how the bound of a number under a slab is called.
+    """Return the name of the figure with the bound of a fitted dimension under a slab.
 
     >>> slab_bound_name("diameter_mm")
     'compensated_diameter_crb_um'
@@ -102,7 +103,7 @@ def slab_bound_name(path: str) -> str:
 
 
 def slab_name(path: str) -> str:
-    """Return a number's name without its unit: `diameter` of `diameter_mm`.
+    """Return the name of a fitted dimension without its unit: `diameter` for `diameter_mm`.
 
     >>> slab_name("widths_mm.0")
     'widths_0'
@@ -112,7 +113,7 @@ def slab_name(path: str) -> str:
 
 
 def load_figures(compensated: Compensated, layer: SensorLayer) -> dict[str, Any]:
-    """Return the sheet's modulus from a gauge's force; empty without a gauge."""
+    """Return figures of the sheet's modulus, kPa, from a gauge's force; empty without a gauge."""
     force_n, sigma_n = layer.press.force_n, layer.sigma.force_n
     if force_n is None or not isinstance(compensated, CompensatedSheet):
         return {}
@@ -173,7 +174,7 @@ def _bar_figures(name: str, compensated: CompensatedSheet, bar: BarPlace) -> dic
 def _under(
     parts: Sequence[ObjectPart], ball: Sphere, compensated: Compensated
 ) -> ObjectPart | None:
-    """Return the part that covers a ball's nominal centre."""
+    """Return the part of the contact that covers the nominal centre of a ball, or None."""
     col = int(np.argmin(np.abs(compensated.relief.x_mm - ball.x_mm)))
     row = int(np.argmin(np.abs(compensated.relief.y_mm - ball.y_mm)))
     return next((part for part in parts if part.cells[row, col]), None)
@@ -182,15 +183,18 @@ def _under(
 def object_points(
     coat: PointMap, compensated: Compensated, texture_mm: float | None = None
 ) -> PointMap:
-    """Return the object's surface pixel by pixel: where there is contact, and no point elsewhere.
+    """Return the points of the object's surface at the pixels in contact; other pixels have none.
 
-    Each measured point moves down its normal by the local thickness, if there is a sheet; its sigma
-    is that of the coat and, along the normal, the coat's texture, which the object does not have,
-    the layer's uncertain parameters and nearby edges.
+    Each measured point is moved inwards along its normal by the local thickness of the layer. Its
+    sigma combines that of the coat's point with three contributions along the normal: the texture
+    of the coat, which the object does not have, the uncertain parameters of the layer, and nearby
+    edges.
 
     Parameters
     ----------
-    texture_mm : RMS of the coat's texture; None: unknown, the scatter of the points is used
+    coat : measured points of the coat
+    compensated : the reconstructed object
+    texture_mm : RMS of the coat's texture, mm; None: unknown, the scatter of the points is used
     """
     relief = compensated.relief
     world = coat.points_world_mm.astype(np.float64)
@@ -224,14 +228,14 @@ def object_points(
 
 
 def _scatter_mm(coat: PointMap, relief: Relief, touching: BoolArray, at: list[FloatArray]) -> float:
-    """Return by how much the coat's points are rougher than their noise, where they touch.
+    """Return the RMS roughness, mm, of the coat's points in contact in excess of their noise.
 
-    Against the coat smoothed over 0.2 mm: longer texture is not seen, and detail of the object that
-    is finer counts as texture, too. The points do not show which of them it is.
+    The reference is the coat smoothed over 0.2 mm. Texture of a longer wavelength is not included.
+    Finer detail of the object counts as texture, because the points do not distinguish both.
     """
     if not touching.any():
         return 0.0
-    # Between cells the smooth coat is curved.
+    # Cubic interpolation, because the smooth coat is curved between cells.
     smooth = ndimage.map_coordinates(
         relief.smoothed(_TEXTURE_SIGMA_MM), at, order=3, mode="nearest"
     )

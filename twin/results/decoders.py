@@ -1,12 +1,15 @@
-"""One image by every decoder: the paper's look-up table or the polynomial, three integrations.
+"""One photometric image decoded by every colour map and every integration, with scores.
 
-The decoders share image, reference presses and truth, so that only the decoding differs.
+A decoder is a colour map (the paper's look-up table, or the polynomial) with one of three
+integrations of slopes. The decoders share image, reference presses and truth, so that only the
+decoding differs.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from reconstruction.arrays import Levels
+from reconstruction.colour_maps import COLOUR_MAPS, maps_in_order
 from reconstruction.integration_schemes import SCHEMES, schemes_in_order
 from reconstruction.photometric import (
     HeightMap,
@@ -14,32 +17,31 @@ from reconstruction.photometric import (
     PhotometricOptions,
     SensorCalibration,
 )
-from reconstruction.photometric.sensor import MapKind
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
 from twin.results.score import HeightScore, Scores, score_heights
 
-MAP_ORDER: tuple[MapKind, ...] = ("polynomial", "table")
-MAP_NAMES = {"polynomial": "polynomial", "table": "look-up table"}
-
 
 @dataclass(frozen=True, eq=False)
 class DecodedImage:
-    """Points and score from one image by one decoder."""
+    """Heights and score of one image, decoded by one colour map and one integration."""
 
-    colour_map: MapKind
+    colour_map: str
     integration: str
     heights: HeightMap
     score: Scores[HeightScore]
 
     @property
     def errors(self) -> HeightScore:
-        """Its figures against the truth."""
+        """Errors of the heights against the true surface."""
         return self.score.against_truth
 
     @property
     def sphere_rmse_mm(self) -> float | None:
-        """Mean RMSE of the sphere fits, as the paper compares it; None without a fit."""
+        """Mean over the balls of the RMSE of the sphere fit, mm; None without a fit.
+
+        The paper compares decoders by this figure.
+        """
         errors_mm = [ball.measured.stats.rmse_mm for ball in self.score.spheres]
         return sum(errors_mm) / len(errors_mm) if errors_mm else None
 
@@ -47,24 +49,24 @@ class DecodedImage:
 def decode_all(
     experiment: Experiment,
     image: Levels,
-    calibrations: Mapping[MapKind, SensorCalibration],
+    calibrations: Mapping[str, SensorCalibration],
     truth: Truth,
 ) -> list[DecodedImage]:
-    """Decode and score an image by every colour map given and every integration.
+    """Decode and score an image by every given colour map and every integration.
 
     Returns
     -------
     list of DecodedImage
-        By map, then by integration, each in the order of its kind.
+        One result per decoder, sorted by colour map, then by integration.
 
     Raises
     ------
-    FitError : no pixel of the field carries a height
+    FitError : no pixel within `photometric.field` has a height
     """
     return [
-        decode_one(experiment, image, calibrations[kind], (kind, scheme.name), truth)
-        for kind in MAP_ORDER
-        if kind in calibrations
+        decode_one(experiment, image, calibrations[kind.name], (kind.name, scheme.name), truth)
+        for kind in maps_in_order()
+        if kind.name in calibrations
         for scheme in schemes_in_order()
     ]
 
@@ -73,10 +75,15 @@ def decode_one(
     experiment: Experiment,
     image: Levels,
     calibration: SensorCalibration,
-    decoder: tuple[MapKind, str],
+    decoder: tuple[str, str],
     truth: Truth,
 ) -> DecodedImage:
-    """Decode and score an image by one decoder; errors as `decode_all`."""
+    """Decode and score an image by one decoder: a colour map and the name of an integration.
+
+    Raises
+    ------
+    FitError : no pixel within `photometric.field` has a height
+    """
     kind, integration = decoder
     options = PhotometricOptions(integration=integration)
     heights = PhotometricDecoder(calibration, options).decode(image)
@@ -84,11 +91,11 @@ def decode_one(
 
 
 def chosen(experiment: Experiment, decoded: list[DecodedImage]) -> DecodedImage:
-    """Return the result of the experiment's own decoder."""
+    """Return the image as decoded by the decoder that the experiment selects."""
     scheme = experiment.photometric.colour_map, experiment.photometric.integration
     return next(image for image in decoded if (image.colour_map, image.integration) == scheme)
 
 
 def decoder_name(image: DecodedImage) -> str:
-    """Name a decoder as figures and tables do."""
-    return f"{MAP_NAMES[image.colour_map]}, {SCHEMES[image.integration].title}"
+    """Return the name of a decoder for plots and tables."""
+    return f"{COLOUR_MAPS[image.colour_map].title}, {SCHEMES[image.integration].title}"

@@ -1,10 +1,11 @@
-"""Derivatives of a bound by design fields, from the tangents of the trace on.
+"""Derivatives of a bound with respect to design fields, given the derivatives of the ray trace.
 
-The steps after the trace have closed forms: levels, contrast and sigma (`prediction`) are
-differentiated by a complex step, exact to the last digit; the triangulation's slope likewise, for a
-camera that stays; the white frame's automatic exposure by the pixels at its percentile; the bound
-by the share of its information that each pixel gives, d ln bound = sum shares d ln sigma. The
-pixels that a fit rests on stay, and so does the surface.
+The steps after the trace have closed forms. Levels, contrast and sigma (`prediction`) are
+differentiated by a complex step, which is exact to the last digit. The slope of the triangulation
+is differentiated likewise, for a fixed camera. The derivative of an automatic exposure follows from
+the pixels at the percentile of the white frame. The derivative of the bound follows from the share
+of each pixel in the information: d ln bound = sum shares d ln sigma. The set of fitted pixels and
+the surface are taken as constant.
 """
 
 from collections.abc import Callable
@@ -44,9 +45,9 @@ OF_THE_NUMBERS = (
 
 
 def differentiated(experiment: Experiment) -> tuple[str, ...]:
-    """Return the fields that change neither the press nor the view of any camera pixel.
+    """Return the paths of the fields that change neither the press nor the view of a camera pixel.
 
-    Those of the coat are the fields that its kind declares differentiable.
+    Fields of the coat are included if the kind of coat declares them differentiable.
     """
     of_the_coat = (f"coating.{name}" for name in experiment.coating.differentiable)
     return (*of_the_coat, *OF_THE_PROJECTOR, *OF_THE_NUMBERS)
@@ -54,13 +55,13 @@ def differentiated(experiment: Experiment) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """One field: its effect on the description and on the trace.
+    """One varied field: its effect on the experiment and on the ray trace.
 
     Attributes
     ----------
-    vary : the experiment with the field moved by so much
-    step : by which it is moved for numbers of the description
-    maps : derivatives of the trace; None where it does not move
+    vary : function that returns the experiment with the field changed by a given amount
+    step : change of the field for central differences of numbers of the experiment, in its unit
+    maps : derivatives of the trace with respect to the field; None if the trace does not change
     """
 
     vary: Vary
@@ -71,7 +72,10 @@ class Moved:
 def log_sigma_tangent(
     experiment: Experiment, maps: TraceMaps, truth: Truth, prediction: PredictedMaps, moved: Moved
 ) -> FloatArray:
-    """Return d ln sigma / d field of every single pixel's height, (row, col); 0 without a point."""
+    """Return d ln sigma / d field of each pixel's height before the filter, (row, col).
+
+    It is 0 for pixels without a point.
+    """
     white = white_radiance(maps, experiment)
     used: tuple[Axis, ...] = AXES if experiment.decode.use == "both" else (experiment.decode.use,)
     stepped = _stepped(maps, moved.maps)
@@ -90,7 +94,7 @@ def log_sigma_tangent(
 
 
 def _log(value: Any) -> FloatArray:
-    """Return the derivative of the logarithm of the value of a complex step."""
+    """Return the derivative of the logarithm of a value that was computed with a complex step."""
     return np.asarray(np.imag(value) / np.real(value) / abs(_STEP), np.float64)
 
 
@@ -105,7 +109,7 @@ def _stepped(maps: TraceMaps, tangent: TraceMaps | None) -> TraceMaps:
 def _numbers(
     experiment: Experiment, white: FloatImage, stepped: TraceMaps, moved: Moved
 ) -> tuple[FringeNumbers, FringeNumbers]:
-    """Return the numbers between irradiance and sigma, and their derivatives."""
+    """Return the numbers that link irradiance to sigma, and their derivatives by the field."""
 
     def at(step: float) -> FringeNumbers:
         varied = moved.vary(step) if step else experiment
@@ -124,7 +128,7 @@ def _numbers(
 def _percentile_tangent(
     experiment: Experiment, numbers: FringeNumbers, stepped: TraceMaps
 ) -> float:
-    """Return d ln of the white frame's percentile, on which the exposure is chosen."""
+    """Return d ln p / d field, with p the percentile of the white frame that sets the exposure."""
     white = (stepped.weight * outlines(stepped, numbers, experiment)).ravel()
     place = EXPOSURE_PERCENTILE / 100.0 * (white.size - 1)
     order = np.argsort(np.real(white), kind="stable")
@@ -136,7 +140,10 @@ def _percentile_tangent(
 def _log_slope_tangent(
     experiment: Experiment, truth: Truth, axis: Axis, moved: Moved
 ) -> FloatArray:
-    """Return d ln |du / dd|: of the coordinate by the depth along each camera ray, (row, col)."""
+    """Return the derivative of ln |du / dd| with respect to the field, (row, col).
+
+    u is the projector coordinate and d the depth along the camera ray of each pixel.
+    """
 
     def numbers(varied: Experiment) -> FloatArray:
         calibration = true_calibration(varied)

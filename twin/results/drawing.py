@@ -1,4 +1,4 @@
-"""A measurement in pictures and as a labelled data set: measured and true heights."""
+"""Plots of measured and true heights of a measurement, and its maps as a labelled data set."""
 
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def measurement_drawing(measured: "Measurement") -> Drawing:
-    """Return the measured heights, their deviation from the true surface, and a section.
+    """Draw the measured heights, their deviation from the true surface, and a section of both.
 
     Raises
     ------
@@ -45,10 +45,10 @@ def measurement_drawing(measured: "Measurement") -> Drawing:
 
 
 def measurement_arrays(measured: "Measurement") -> LabelledArrays:
-    """Return the maps of a measurement over camera row and column.
+    """Return the maps (row, col) of a measurement: measured z, true z, deviation and sigma.
 
-    World x and y of each pixel's point are coordinates. Where there is no point, the maps are NaN
-    and `mask_reason` gives the reason; files that `twin` writes hold 0 there.
+    World x and y of the point of each pixel are coordinates. At pixels without a point the maps
+    are NaN and `mask_reason` gives the reason. In files that `twin` writes, these pixels are 0.
     """
     points, truth = measured.points, measured.truth
     valid = points.valid

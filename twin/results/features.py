@@ -1,6 +1,6 @@
-"""Places of a specimen's features: balls, bars, gratings, and the parts of a group.
+"""Positions of a specimen's features: balls, bars, gratings, and the parts of a group.
 
-A feature's own frame: x across it, y along it, as its specimen's.
+In the own frame of a feature, x is across the feature and y along it, as in its specimen's frame.
 """
 
 from dataclasses import dataclass
@@ -20,13 +20,14 @@ from twin.specimens.catalogue import pose_of
 
 @dataclass(frozen=True, eq=False)
 class Feature:
-    """One specimen, single or part of a group.
+    """One specimen in its pose: a single specimen, or a part of a group.
 
     Attributes
     ----------
-    name : of the part; empty for a specimen that is no group
-    world_from_own : its pose
-    shape : in the world's x and y
+    name : name of the part; empty if the specimen is not a group
+    specimen : description of the specimen or part
+    world_from_own : pose, which maps the feature's own frame to the world frame
+    shape : geometry with x and y in the world frame
     """
 
     name: str
@@ -35,18 +36,18 @@ class Feature:
     shape: Shape
 
     def own(self, points_mm: FloatArray) -> FloatArray:
-        """Return world points (n, xyz) in the feature's own frame: heights are across it."""
+        """Return points (n, xyz), mm, in the feature's own frame, given in the world frame."""
         own: FloatArray = (points_mm - self.world_from_own.shift_mm) @ self.world_from_own.rotation
         return own
 
     @property
     def balls(self) -> tuple[Sphere, ...]:
-        """Balls in world x and y, along the specimen's x axis."""
+        """Balls, with x and y in the world frame, sorted along the specimen's x axis."""
         return self.shape.spheres()
 
 
 def features_of(specimen: Specimen) -> list[Feature]:
-    """Return the parts of a specimen in the file's order; itself where it is no group."""
+    """Return the parts of a specimen in the order of its file, or the specimen if no group."""
     if not specimen.components:
         return [Feature("", specimen, pose_of(specimen), shape_of(specimen))]
     whole = pose_of(specimen)
@@ -57,12 +58,12 @@ def features_of(specimen: Specimen) -> list[Feature]:
 
 
 def bars_of(specimen: Specimen) -> list[BarPlace]:
-    """Return the places of bars on the stage, in the file's order, their edges taken as exact."""
+    """Return the nominal positions of all bars of a specimen, in the order of its file."""
     return [place for feature in features_of(specimen) for place in bar_places(feature)]
 
 
 def bar_places(feature: Feature) -> list[BarPlace]:
-    """Return where the bars of a feature are on the stage; none where it has no bars."""
+    """Return the nominal positions of the bars of a feature; empty if it has no bars."""
     pose = feature.world_from_own
     return [_bar_place(bar, pose) for bar in feature.specimen.nominal(NominalBar)]
 
@@ -80,14 +81,14 @@ def _bar_place(bar: NominalBar, pose: Placement) -> BarPlace:
 
 
 def gratings_of(specimen: Specimen) -> tuple[Feature, ...]:
-    """Return the parts of a specimen that are gratings."""
+    """Return the parts of a specimen that have a grating."""
     return tuple(
         feature for feature in features_of(specimen) if feature.specimen.nominal(NominalGrating)
     )
 
 
 def feature_of(features: list[Feature], request: ObjectMeasurand) -> Feature:
-    """Return the part that a measurand means.
+    """Return the part that a measurand names; the first part if the measurand names none.
 
     Raises
     ------

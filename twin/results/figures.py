@@ -1,8 +1,8 @@
-"""Figures of a measurement by name, with units in their names: a number, or that there is none.
+"""Figures of a measurement by name; the name of a figure with a unit ends with the unit.
 
-`Metrics` is the content of result.json: numbers, and texts in addition (warnings, the press model,
-why a rod has no crest). `Figures` are its numbers. A figure that does not exist is None by type, so
-that no score can use it as 0: a caller that needs the number calls `known`.
+`Metrics` is the content of `result.json`: numbers, and texts such as warnings, the press model, or
+the reason why a rod has no crest. `Figures` contains only the numbers. A figure without a value is
+None, so that no score can use it as 0. A caller that needs the number calls `known`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,17 +15,17 @@ Metric = float | str | Sequence[str] | None
 Metrics = Mapping[str, Metric]
 Default = TypeVar("Default")
 COMPENSATED = "compensated_"
-"""Prefix of the object's figures that are computed from the coat."""
+"""Prefix of the figures of the object behind the coat, which are computed from the coat."""
 
 
 class FigureError(InputError, KeyError):
-    """A name that no figure of a measurement has; the message lists those that there are."""
+    """Error: a measurement has no figure of a given name; the message lists the existing names."""
 
     __str__ = Exception.__str__  # KeyError would quote the message
 
 
 class Figures(Mapping[str, float | None]):
-    """The numbers of `metrics`; None where a measurement has the figure but no value of it."""
+    """The numbers among `metrics`, by name; None for a figure that has no value."""
 
     def __init__(self, metrics: Metrics) -> None:
         self._values = {
@@ -35,11 +35,11 @@ class Figures(Mapping[str, float | None]):
         }
 
     def __getitem__(self, name: str) -> float | None:
-        """Return a figure by its name.
+        """Return the value of a figure, which may be None.
 
         Raises
         ------
-        FigureError : a KeyError; the measurement has no figure of this name
+        FigureError : the measurement has no figure of this name; it is also a KeyError
         """
         try:
             return self._values[name]
@@ -54,7 +54,7 @@ class Figures(Mapping[str, float | None]):
     @overload
     def get(self, name: str, /, default: Default) -> float | Default | None: ...
     def get(self, name: str, /, default: Any = None) -> Any:
-        """Return a figure by its name, or the default: no search for a similar name."""
+        """Return the value of a figure; `default` if there is no figure of this name."""
         return self._values.get(name, default)
 
     def __iter__(self) -> Iterator[str]:
@@ -85,11 +85,11 @@ class Figures(Mapping[str, float | None]):
         return any(name.startswith(COMPENSATED) for name in self._values)
 
     def known(self, name: str) -> float:
-        """Return a figure that must exist.
+        """Return the value of a figure, which must not be None.
 
         Raises
         ------
-        InputError : it does not, and why
+        InputError : the figure has no value; the message gives the reason
         """
         value = self._values.get(name)
         if value is None:
@@ -102,13 +102,13 @@ def _short(value: float | None) -> str:
 
 
 def warnings_of(metrics: Metrics) -> tuple[str, ...]:
-    """Return the warnings of press and measurement."""
+    """Return the warnings of press and measurement; empty if there are none."""
     warnings = metrics.get("warnings")
     return tuple(warnings) if isinstance(warnings, (list, tuple)) else ()
 
 
 def why_absent(figures: Mapping[str, Any]) -> str:
-    """Return why a measurement has no error figures; empty if it has target pixels and points."""
+    """Return why a measurement has no error figures; empty if it has points to be compared."""
     if 0 in (figures.get("lit_pixels"), figures.get("wanted_pixels")):
         return "no pixel that ought to give a point"
     return "no valid point" if figures.get("points") == 0 else ""

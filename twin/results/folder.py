@@ -1,4 +1,4 @@
-"""A measurement as a folder: written, read back; the names are the contract of `twin ... -o DIR`.
+"""Folder of a measurement: write and read its files. Users may rely on the names of the files.
 
 | file | content |
 |---|---|
@@ -23,11 +23,13 @@ By photometric stereo:
 |---|---|
 | image.png, background.png | images as the sensor's driver delivers them, 8-bit RGB |
 | sensor_calibration.npz | the sensor's colour map (see `read_sensor_calibration`) |
-| other_calibration.npz | the other kind of colour map, on the same reference images |
+| other_calibration.npz | another colour map, on the same reference images |
+| other_calibration_2.npz, ... | further colour maps, with plug-ins |
 | height.nc | height, slopes and reason codes |
 | decoders.csv | figures of this image by every colour map and every integration |
 
-A measurement that is read is scored again from the stored maps; a stored image is decoded again.
+When a measurement is read, it is scored again from the stored maps; a photometric image is decoded
+again.
 """
 
 from collections.abc import Sequence
@@ -43,14 +45,11 @@ from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.machine import run_side_by_side
 from reconstruction.photometric import (
-    SensorCalibration,
     read_sensor_calibration,
     write_height_map,
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.photometric.colour_maps import ColourTable
-from reconstruction.photometric.sensor import MapKind
 from reconstruction.pipeline import read_reconstruction, write_reconstruction
 from reconstruction.reading import is_regular, read_json, read_pixels
 from reconstruction.writing import write_png
@@ -78,6 +77,7 @@ from twin.results.under_sheet import SheetCompensation, sheet_compensation
 
 IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
 CALIBRATION_FILE, OTHER_CALIBRATION_FILE = "sensor_calibration.npz", "other_calibration.npz"
+_FURTHER_FILES = "other_calibration_{}.npz"
 TRUTH_FILE, MAPS_FILE, HEIGHTS_FILE = "truth.nc", "reconstruction.nc", "height.nc"
 
 _MEASURING_COMMANDS = ("measure", "demo")
@@ -102,19 +102,22 @@ _NEEDED_OF_A_PRESS = (
 
 
 def write_measurement(folder: Path, command: str, done: Measurement) -> None:
-    """Write one measurement into an empty folder; `command` is the calling command."""
+    """Write all files of a measurement into an empty folder; `command` is the calling command."""
     write_told(folder, command, done)
     write_maps(folder, done)
 
 
 def write_told(folder: Path, command: str, done: Measurement) -> None:
-    """Write the small files: texts and figures; `command` is the calling command."""
+    """Write the small files of a measurement: figures, experiment, run times.
+
+    `command` is the name of the calling command.
+    """
     write_result(folder, command, done.experiment, done.metrics)
     write_timings(folder, done.seconds)
 
 
 def write_maps(folder: Path, done: Measurement) -> None:
-    """Write the arrays of one measurement: all but `write_told`."""
+    """Write the arrays of a measurement: all files that `write_told` does not write."""
     run_side_by_side(
         [
             lambda: write_kept(folder, done, ("points",)),
@@ -129,7 +132,7 @@ def write_maps(folder: Path, done: Measurement) -> None:
 
 
 def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
-    """Write some arrays of a measurement: "press", "capture" (images), "points" (and maps)."""
+    """Write the arrays that `keep` names: "press", "capture" (images), "points" (and maps)."""
     if "press" in keep and done.pressed is not None:
         write_pressed(folder, done.pressed)
     images = done.images
@@ -155,18 +158,18 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
 
 
 def deviation_of(done: Measurement) -> Deviation:
-    """Return measured less true z, um, at the measured pixels."""
+    """Return measured minus true world z, um, (row, col), and a mask of the compared pixels."""
     points, true = done.points, done.truth
     error_um = 1e3 * (points.world_mm[..., 2] - true.points_world_mm[..., 2])
     return Deviation(error_um, points.valid & true.measured)
 
 
 def read_measurement(folder: Path) -> Measurement:
-    """Read a whole result folder.
+    """Read all files of a finished measurement.
 
     Raises
     ------
-    InputError : the folder is no finished measurement, or a file is missing or damaged
+    InputError : the folder is not a finished measurement, or a file is missing or damaged
     """
     result = _read_result(folder)
     experiment = _read_experiment(folder / EXPERIMENT_FILE)
@@ -197,9 +200,9 @@ def _compensation_of(experiment: Experiment, images: Fringes | Colours) -> Sheet
 
 
 def as_stored(folder: Path, done: Measurement) -> Measurement:
-    """Return a measurement as `read_measurement` does, once `write_told` has written it.
+    """Return a measurement as `read_measurement` would return it, after `write_told`.
 
-    Only the small files are read; the arrays are at hand.
+    Only the small files are read; the arrays are those of `done`.
     """
     result = _read_result(folder)
     return replace(
@@ -219,15 +222,16 @@ def _write_white(path: Path, images: Fringes) -> None:
 
 
 def _write_decoding(folder: Path, images: Colours) -> None:
+    others = [kind for kind in images.calibrations if kind != images.own.colour_map]
+    numbered = [_FURTHER_FILES.format(number) for number in range(2, len(others) + 1)]
+    files = dict(zip(others, [OTHER_CALIBRATION_FILE, *numbered], strict=False))
     for kind, calibration in images.calibrations.items():
-        own = kind == images.own.colour_map
-        file = CALIBRATION_FILE if own else OTHER_CALIBRATION_FILE
-        write_sensor_calibration(folder / file, calibration)
+        write_sensor_calibration(folder / files.get(kind, CALIBRATION_FILE), calibration)
     write_decoders(folder / DECODERS_FILE, images.decoded)
 
 
 def write_decoders(path: Path, decoded: Sequence[DecodedImage]) -> None:
-    """Write the figures of every decoder as CSV, one line each; empty where there is none."""
+    """Write the figures of every decoder as CSV, one line each; missing values are empty."""
     write_rows(path, [_decoder_row(image) for image in decoded], 6)
 
 
@@ -254,12 +258,11 @@ def _read_fringes(
 def _read_colours(
     folder: Path, experiment: Experiment, truth: Truth
 ) -> tuple[Colours, Scores[TruthScore]]:
-    image, files = _read_image(folder / IMAGE_FILE), (CALIBRATION_FILE, OTHER_CALIBRATION_FILE)
-    calibrations: dict[MapKind, SensorCalibration] = {}
-    for calibration in (read_sensor_calibration(folder / file) for file in files):
-        calibrations[
-            "table" if isinstance(calibration.colour_map, ColourTable) else "polynomial"
-        ] = calibration
+    image = _read_image(folder / IMAGE_FILE)
+    further = sorted(folder.glob(_FURTHER_FILES.format("*")))
+    files = [folder / CALIBRATION_FILE, folder / OTHER_CALIBRATION_FILE, *further]
+    read = [read_sensor_calibration(file) for file in files]
+    calibrations = {calibration.colour_map.name: calibration for calibration in read}
     decoded = decode_all(experiment, image, calibrations, truth)
     own = chosen(experiment, decoded)
     return Colours(image, calibrations, decoded, own), own.score
@@ -273,7 +276,7 @@ def _read_image(path: Path) -> Levels:
 
 
 def _read_result(folder: Path) -> dict[str, Any]:
-    """Read result.json of a measurement."""
+    """Read `result.json` of a measurement; raise InputError for another kind of result."""
     if not is_regular(folder / RESULT_FILE):
         raise InputError(f"{folder}: no finished result (no {RESULT_FILE}); run twin measure first")
     result = read_json(folder / RESULT_FILE)
@@ -287,20 +290,21 @@ def _read_result(folder: Path) -> dict[str, Any]:
 
 
 def _require(folder: Path, figures: Metrics, names: tuple[str, ...]) -> None:
-    """Raise InputError if a result lacks figures, or has texts in their place."""
+    """Raise InputError if a result lacks one of the named figures, or has a text in its place."""
     missing = sorted(set(names) - set(Figures(figures)) - ({"warnings"} & set(figures)))
     if missing:
         raise InputError(f"{folder / RESULT_FILE}: no {', '.join(missing)}; measure again")
 
 
 def _read_experiment(path: Path) -> Experiment:
-    # load_experiment would take the missing file for the name of a shipped experiment.
+    # If the file is missing, load_experiment would take its path for the name of a shipped
+    # experiment.
     if not is_regular(path):
         raise InputError(f"{path}: no such file; measure again")
     return load_experiment(path)
 
 
 def _read_seconds(folder: Path) -> dict[str, float]:
-    """Read stage times; a result may have lost them without losing anything measured."""
+    """Read the run time, s, of each stage; empty if the file is missing."""
     path = folder / TIMINGS_FILE
     return read_json(path) if is_regular(path) else {}

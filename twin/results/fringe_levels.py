@@ -1,4 +1,4 @@
-"""Level, contrast and sigma of the fringes at every pixel, in closed form, and frames that clip.
+"""Level, contrast and sigma of the fringes at every pixel in closed form; clipped frames.
 
 The formulas are in the table of `twin.results.prediction`.
 """
@@ -21,13 +21,21 @@ from twin.optics.stack import TraceMaps
 
 @dataclass(frozen=True)
 class FringeNumbers:
-    """The numbers between irradiance and sigma; complex where a derivative is requested.
+    """Numbers that link the irradiance of a pixel to the sigma of its decoded coordinate.
+
+    They are complex if a derivative is computed by a complex step.
 
     Attributes
     ----------
-    electrons_per_radiance : e- per mW / (mm^2 sr), at the exposure
-    mean, amplitude : of fringes, shares of white
-    growth_px_mm, focus_mm : of the blur with the distance, see `Defocus`; 0 and 1 without
+    electrons_per_radiance : e- per mW / (mm^2 sr), during the exposure
+    dark_e : dark current during the exposure, e-
+    gain_dn_per_e : gain of the camera, DN / e-
+    read_noise_e : standard deviation of the read noise, e-
+    mean, amplitude : mean and amplitude of the fringes, as shares of white
+    blur_px : standard deviation of the projector's blur in focus, projector px
+    growth_px_mm, focus_mm : growth of the blur with the distance, and distance of the focus, see
+        `Defocus`; 0 and 1 without defocus
+    period_px : finest period of the fringes, projector px
     """
 
     electrons_per_radiance: Any
@@ -43,7 +51,7 @@ class FringeNumbers:
 
     @classmethod
     def of(cls, experiment: Experiment, exposure_ms: float) -> "FringeNumbers":
-        """Return the numbers of an experiment at an exposure."""
+        """Return the numbers of an experiment at an exposure time."""
         camera, projector = experiment.camera, experiment.projector
         sensor, light = noise_model(camera), FringeLight.of(projector, experiment.patterns)
         blur = Defocus.of(projector) or Defocus(projector.blur_px, 0.0, 1.0)
@@ -61,31 +69,34 @@ class FringeNumbers:
         )
 
     def moved(self, along: "FringeNumbers", step: complex) -> "FringeNumbers":
-        """Return the numbers a step further along their derivatives."""
+        """Return the numbers plus `step` times their derivatives `along`."""
         names = [field.name for field in fields(self)]
         return FringeNumbers(**{n: getattr(self, n) + step * getattr(along, n) for n in names})
 
     def blur_px2(self, axial_mm: Any) -> Any:
-        """Variance of the blur at axial distances."""
+        """Return the variance of the blur, px^2, at axial distances from the projector, mm."""
         return Defocus(self.blur_px, self.growth_px_mm, self.focus_mm).variance_px2(axial_mm)
 
 
 @dataclass(frozen=True)
 class Steps:
-    """How one axis is shifted: all periods as shares of the finest, and the number of steps."""
+    """Phase shifting along one axis: all periods over the finest one, and number of steps."""
 
     ratios: tuple[float, ...]
     count: int
 
 
 def white_radiance(maps: TraceMaps, experiment: Experiment) -> FloatImage:
-    """Return the white frame, (row, col) float32 mW / (mm^2 sr), on which an exposure is chosen."""
+    """Return the radiance of the white frame, (row, col) float32, mW / (mm^2 sr)."""
     numbers = FringeNumbers.of(experiment, 1.0)
     return np.asarray(maps.weight * outlines(maps, numbers, experiment), np.float32)
 
 
 def outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) -> Any:
-    """Return the share of white that remains after blurring the image's outline, (row, col)."""
+    """Return the relative light of a white image with blurred edges at each pixel, (row, col).
+
+    It is 1 far inside the projected image and 0 far outside.
+    """
     projector, sigma = experiment.projector, np.sqrt(numbers.blur_px2(maps.axial_mm))
     along = outline(maps.column_px, projector.width_px, sigma)
     return along * outline(maps.row_px, projector.height_px, sigma)
@@ -93,14 +104,15 @@ def outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) ->
 
 @dataclass(frozen=True, eq=False)
 class AxisLevels:
-    """Levels of the fringes along one axis at each pixel, (row, col).
+    """Levels and sigma of the fringes along one axis at each pixel, (row, col).
 
     Attributes
     ----------
-    light_dn : mean above the black level
-    modulation_dn : of the finest period
-    sigma_px : of the single pixel's coordinate; all frames good
-    phase_sigma_rad : of the worst period
+    light_dn : mean of the fringes above the black level, DN
+    modulation_dn : amplitude of the fringes of the finest period, DN
+    sigma_px : standard deviation of the coordinate of a single pixel before the filter, projector
+        px; no frame is clipped
+    phase_sigma_rad : largest standard deviation of the phase among the periods, rad
     """
 
     light_dn: Any
@@ -112,11 +124,13 @@ class AxisLevels:
 def axis_levels(
     maps: TraceMaps, numbers: FringeNumbers, steps: Steps, axis: Axis, white: Any
 ) -> AxisLevels:
-    """Return level, contrast and sigma in closed form; analytic in maps and numbers.
+    """Return levels and sigma of the fringes along one axis in closed form.
+
+    The formulas are analytic in maps and numbers, so that complex steps give derivatives.
 
     Parameters
     ----------
-    white : (row, col) radiance of the white frame
+    white : (row, col) radiance of the white frame, mW / (mm^2 sr)
     """
     electrons = white * numbers.electrons_per_radiance
     light_dn = numbers.gain_dn_per_e * (electrons * numbers.mean + numbers.dark_e)
@@ -141,7 +155,7 @@ def _not_zero(values: Any) -> Any:
 
 
 def steps_of(experiment: Experiment, axis: Axis) -> Steps:
-    """Return how an experiment's fringes along one axis are shifted."""
+    """Return periods and number of phase steps of an experiment's fringes along one axis."""
     patterns = pattern_set(experiment.projector, experiment.patterns)
     finest_px = experiment.patterns.period_px
     ratios = tuple(period / finest_px for period in patterns.fused_periods(axis))
@@ -152,9 +166,10 @@ def clipping(
     experiment: Experiment, levels: AxisLevels, place_px: FloatArray, axis: Axis,
     reason: ReasonImage,
 ) -> FloatArray:  # fmt: skip
-    """Return the factor on sigma by clipped frames; mark pixels with too few unclipped frames.
+    """Return the factor (row, col) by which clipped frames increase sigma.
 
-    As the decoder does: least squares over the frames below the limit, see `_phase.refit_row`.
+    The decoder fits the phase by least squares to the frames below the limit, see
+    `_phase.refit_row`. Pixels with too few such frames are marked in `reason` as saturated.
     """
     sensor, growth = noise_model(experiment.camera), np.ones(reason.shape)
     limit = sensor.clipped_from_dn - sensor.black_level_dn
@@ -169,7 +184,7 @@ def clipping(
     root = np.sqrt(2.0)
     basis = np.stack([np.ones_like(shift), root * np.cos(shift), -root * np.sin(shift)], axis=1)
     matrix = np.einsum("pn,na,nb->pab", good.astype(np.float64), basis, basis)
-    matrix += 1e-9 * np.eye(3)  # of a pixel without a good frame
+    matrix += 1e-9 * np.eye(3)  # for a pixel without a good frame
     inverse = np.linalg.inv(matrix)
     size = np.linalg.norm(matrix, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2)) / 3.0
     lost = (good.sum(axis=1) < 3) | (size > DecodeOptions.max_condition)

@@ -1,7 +1,7 @@
-"""Names of all figures that a measurement may have, known before it is made.
+"""Names of all figures that a measurement may have, known before the measurement is made.
 
-A study that ranks by a figure which no case will have must fail before its first case. A test
-measures by every method and finds no figure that is not named here.
+They are needed to stop a study before its first case if it names a figure that no case will have.
+A test measures by every method and checks that every figure is named here.
 """
 
 from collections.abc import Iterable, Iterator
@@ -46,9 +46,11 @@ _OF_A_BAR = ("width_mm", "width_sigma_um", "turn_deg", "sheet_on_edge", "width_w
 
 
 def may_compensate(experiment: Experiment) -> bool:
-    """Return True if the object behind a measured coat is computed: under a sheet, or on a window.
+    """Return True if the object behind the measured coat can be reconstructed.
 
-    Or under a slab, if the form has fitted dimensions.
+    This requires a press measured with fringes, and one of three layers: a sheet that may wrap the
+    object, a coat on the contact face, or a slab over a specimen with dimensions that can be
+    fitted.
     """
     elastomer, method = experiment.elastomer, experiment.method
     free_form = elastomer.layout == "contact_face" or may_wrap(elastomer)
@@ -57,17 +59,20 @@ def may_compensate(experiment: Experiment) -> bool:
 
 
 def compensates_at_once(experiment: Experiment) -> bool:
-    """Return True if compensating takes about 1 s: a fit under a slab takes 5 s."""
+    """Return True if the object behind the coat is reconstructed in about 1 s (slab: 5 s)."""
     return may_compensate(experiment) and not is_slab(experiment.elastomer)
 
 
 def of_the_object(names: Iterable[str]) -> bool:
-    """Return True if a figure of the object behind the coat is among the names."""
+    """Return True if one of the names is that of a figure of the object behind the coat."""
     return any(name.startswith(COMPENSATED) for name in names)
 
 
 def compensated_names(experiment: Experiment) -> set[str]:
-    """Return the names of figures of the object behind the coat; none where it is not found."""
+    """Return the names of the figures of the object behind the coat.
+
+    The set is empty if the object is not reconstructed.
+    """
     if not may_compensate(experiment):
         return set()
     names, bounds = [*_OF_A_CONTACT, "thickness_mm"], set[str]()
@@ -92,7 +97,7 @@ def _of_a_slab(fitted_paths: tuple[str, ...]) -> Iterator[str]:
 
 
 def figure_names(experiment: Experiment) -> set[str]:
-    """Return the names of all figures that the experiment's result may have."""
+    """Return the names of all figures that the result of the experiment may have."""
     method = experiment.method
     score = FringeScore if method.fringes else HeightScore
     names = {field.name for field in fields(score)} | set(_ALWAYS)

@@ -1,9 +1,11 @@
-"""Figures of a hex nut in a relief: depth of its hole, and the hexagon of its outline.
+"""Figures of a hex nut in a relief: depth of its hole, and how hexagonal its outline is.
 
-The outline is the relief's contour as far below the ring as the chamfer descends at the corners:
-there the nut itself is a whole hexagon. A free span of the sheet is round. The contour's sixth
-harmonic in phase with the nut's is its share of a hexagon: 0 for a circle, 1 for a hexagon, 0.87
-for the bare nut (heights are averaged over 0.1 mm across its walls). Noise does not move its mean.
+The outline is a contour of the relief below the ring, the flat face of the nut round its hole. It
+is as far below as the chamfer descends at the corners, because there the nut itself is a whole
+hexagon. A free span of the sheet has a round contour. The hexagon share is the sixth harmonic of
+the contour, in phase with the nut, over that of a hexagon. It is 0 for a circle, 1 for a hexagon,
+and 0.87 for the bare nut, because heights are averaged over 0.1 mm across its walls. Noise does
+not change its mean.
 """
 
 from math import pi, radians, sqrt
@@ -19,21 +21,22 @@ from twin.config.nominal import NominalHexNut
 _DIRECTIONS = 72
 _RADIAL_MM = 0.1
 _RING_MM, _CENTRE_MM = 0.2, 0.4
-# Beyond so many corner radii a contour is no longer the nut's.
+# A contour farther out than this multiple of the corner radius is not that of the nut.
 _FARTHEST = 1.8
 _LEAST_SEEN = 0.9
-# A nut without a chamfer is a hexagon at its face; the contour must be below the ring's own noise.
+# Least depth of the contour below the ring, needed for a nut without a chamfer: the contour must
+# be below the noise of the ring.
 _LEAST_DOWN_MM = 0.2
 
 
 def nut_figures(
     experiment: Experiment, points_mm: NDArray[np.floating[Any]], prefix: str = ""
 ) -> dict[str, float]:
-    """Return a nut's figures from points (n, xyz), world frame, mm; empty for other specimens.
+    """Return the figures of a nut from points (n, xyz), world frame, mm; empty without a nut.
 
-    `nut_hole_depth_mm` is the depth of the middle below the ring, `nut_hexagon_share` the share
-    of the hexagon's sixth harmonic; 0 where the relief is too flat for the contour. Each is absent
-    where its points are.
+    `nut_hole_depth_mm` is the depth of the middle below the ring. `nut_hexagon_share` is the
+    hexagon share of the contour; it is 0 if the relief is too flat to have the contour. A figure
+    is missing if there are no points to compute it. `prefix` is put before each name.
     """
     pose, nuts = experiment.specimen, experiment.specimen.nominal(NominalHexNut)
     if not nuts:
@@ -62,9 +65,10 @@ def contour_radii_mm(
     level_mm: float,
     between_mm: tuple[float, float],
 ) -> FloatArray:
-    """Return the (direction,) radii at which a relief first drops below a level, or NaN.
+    """Return the radii (direction,), mm, at which a relief first drops below a level, or NaN.
 
-    Points, (n,) each, are averaged in sectors by steps of radius; a step without points is passed.
+    The points, given as three (n,) arrays, are averaged in sectors of azimuth and steps of radius.
+    Steps without points are skipped.
     """
     from_mm, to_mm = between_mm
     sector = np.floor((azimuth_rad % (2 * pi)) / (2 * pi) * _DIRECTIONS).astype(int) % _DIRECTIONS
@@ -91,9 +95,9 @@ def _falls_below(r_mm: FloatArray, z_mm: FloatArray, level_mm: float) -> float:
 
 
 def hexagon_share(contour_mm: FloatArray, across_flats_mm: float) -> float:
-    """Return the share of a hexagon in a contour, (direction,) radii, mm; corners at 0.
+    """Return the hexagon share of a contour, given by its radii (direction,), mm.
 
-    0 where more than 10 % of the contour is missing.
+    The nut has a corner at azimuth 0. The share is 0 if more than 10 % of the contour is missing.
     """
     azimuth = (np.arange(contour_mm.size) + 0.5) / contour_mm.size * 2 * pi
     known = np.isfinite(contour_mm)

@@ -1,6 +1,6 @@
-"""Fit measurands to the points of an object; the fits themselves are in `twin.results.measurands`.
+"""Fit a measurand to points of an object, and check that the points determine its value.
 
-Each takes points in the world and returns a value with its slope by each point's height, in mm.
+The fits of the kinds of measurands are in `twin.results.measurands`.
 """
 
 import numpy as np
@@ -16,11 +16,11 @@ from twin.results.object_points import ObjectPoints, ObjectView
 def fit(
     request: ObjectMeasurand, feature: Feature, observed: ObjectView, points: ObjectPoints
 ) -> FittedValue:
-    """Fit one quantity to measured points, or to the true face's.
+    """Fit one measurand to the measured points, or to points of the true face.
 
     Raises
     ------
-    FitError : the points do not determine it
+    FitError : the points do not determine the value
     """
     fitted = measurand_of(request).fit(request, feature, observed, in_ranges(request, points))
     require_determined(request.quantity, fitted.noise_mm, fitted.points_mm)
@@ -30,16 +30,18 @@ def fit(
 def require_determined(quantity: str, noise_mm: float, points_mm: FloatArray) -> None:
     """Raise FitError if a fit's noise is larger than the extent of its points.
 
-    A groove that the coat does not show has any width, a flat face any radius.
+    Such a value is not determined: a groove that the coat does not show has any width, and a flat
+    face has any radius.
 
     Parameters
     ----------
-    noise_mm : standard deviation of the fitted value by noise
-    points_mm : (n, xyz) float, mm; world
+    quantity : name of the quantity, for the message
+    noise_mm : standard deviation of the fitted value by noise, mm
+    points_mm : (n, xyz) float, mm; points of the fit in the world frame
 
     Raises
     ------
-    FitError : names both lengths
+    FitError : the noise is larger than the extent; the message states both
     """
     extent_mm = float(np.ptp(points_mm[:, :2], axis=0).max()) if len(points_mm) else 0.0
     if noise_mm > extent_mm:

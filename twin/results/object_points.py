@@ -1,11 +1,11 @@
-"""Measured points of the object: points on it, points in contact, and their noise.
+"""Measured points of the object: masks of points over it and in contact, and the points' noise.
 
-Under a thin sheet they are the cells of the compensated coat: its local thickness is taken off, and
-where the object touches is found from the coat. Under a slab no such thickness is known.
+Under a thin sheet, the points are the cells of the compensated coat: the local thickness is
+subtracted, and the contact is determined from the coat. Under a slab no local thickness is known.
 
-Scored are every n-th row and column of the image, at most 40,000 points; distances to the object
-are taken at 2,500 of them. More would not improve a best fit: neighbouring points share their
-errors.
+Every n-th row and column of the image is evaluated, at most 40,000 points; distances to the object
+are computed for 2,500 of them. More points would not improve a fit, because neighbouring points
+share their errors.
 """
 
 from dataclasses import dataclass, replace
@@ -34,13 +34,13 @@ _LEAST_RASTER_MM = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """True heights of a specimen over part of the world.
+    """True heights of the upper side of a specimen on a regular grid of world x and y.
 
     Attributes
     ----------
-    x_mm, y_mm : (col,), (row,) cell centres, ascending
-    z_mm : (row, col) world z of the upper side, -inf where there is no specimen
-    pitch_mm : of the cells
+    x_mm, y_mm : (col,), (row,) positions of the cell centres, ascending
+    z_mm : (row, col) world z of the upper side; -inf where there is no specimen
+    pitch_mm : distance of neighbouring cells, mm
     """
 
     x_mm: FloatArray
@@ -50,7 +50,7 @@ class Heights:
 
     @classmethod
     def over(cls, surface: TrueSurface, xy_mm: FloatArray) -> "Heights":
-        """Sample a surface over the outline of points (n, xy)."""
+        """Return the heights of a surface over the bounding rectangle of points (n, xy), mm."""
         low, high = box_of(xy_mm)
         pitch = max(float((high - low).max()) / _RASTER_CELLS, _LEAST_RASTER_MM)
         x, y = (np.arange(a, b + pitch, pitch) for a, b in zip(low, high, strict=True))
@@ -58,18 +58,18 @@ class Heights:
 
     @property
     def ends_mm(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest (xy) of the cells' outlines."""
+        """Lower and upper corner (xy) of the rectangle that the cells cover, mm."""
         half = self.pitch_mm / 2
         low = np.array([self.x_mm[0], self.y_mm[0]]) - half
         return low, np.array([self.x_mm[-1], self.y_mm[-1]]) + half
 
     def across(self, upright: FloatArray) -> "Heights":
-        """Return the heights along a unit vector (xyz) in the place of z: a tilted one's own."""
+        """Return the heights along a unit vector (xyz) instead of z, for a tilted specimen."""
         aside = upright[0] * self.x_mm + upright[1] * self.y_mm[:, None]
         return replace(self, z_mm=aside + upright[2] * self.z_mm)
 
     def cells_of(self, xy_mm: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return row and column of the cells that contain points (n, xy)."""
+        """Return rows (n,) and columns (n,) of the cells that contain points (n, xy), mm."""
         places = [
             np.clip(np.rint((xy_mm[:, axis] - of[0]) / self.pitch_mm), 0, len(of) - 1)
             for axis, of in ((1, self.y_mm), (0, self.x_mm))
@@ -79,19 +79,18 @@ class Heights:
 
 @dataclass(frozen=True, eq=False)
 class ObjectPoints:
-    """Points of one method, or of the true face at the same pixels.
+    """Measured points with their masks, or the points of the true face at the same pixels.
 
     Attributes
     ----------
-    points_mm : (n, xyz) world
-    sigma_mm : (n,) standard uncertainty along z; None where the method predicts none
+    points_mm : (n, xyz) points in the world frame, mm
+    sigma_mm : (n,) standard uncertainty along z, mm; None if the method predicts none
     touching : (n,) bool: the elastomer touches the specimen there, or the bare specimen is visible
-    over : (n,) bool: above the specimen, touching or not
-    together : how many of them share one error
-    pixels : (n,) index of the camera pixel, under a sheet of the cell, row after row; None where
-        it is not known
+    over : (n,) bool: the point is above the specimen, touching or not
+    together : number of points that share one error
+    pixels : (n,) flat index of the camera pixel, or of the cell under a sheet; None if not known
     points_each : number of measured points that each point represents
-    under : the sheet with the subtracted local thickness; None: no subtraction
+    under : the object under a sheet, if its local thickness is subtracted; else None
     """
 
     points_mm: FloatArray
@@ -104,8 +103,8 @@ class ObjectPoints:
     under: ObjectUnderSheet | None = None
 
     def part(self, selected: BoolImage) -> "ObjectPoints":
-        """Return some of the points."""
-        # Faster than an index of bools.
+        """Return the points that a mask (n,) selects."""
+        # Integer indices are faster than an index with a mask.
         which, sigma, pixels = np.flatnonzero(selected), self.sigma_mm, self.pixels
         return replace(
             self,
@@ -117,17 +116,18 @@ class ObjectPoints:
         )
 
     def thinned(self) -> "ObjectPoints":
-        """Return every n-th point, so many as distances to a mesh take a second for."""
+        """Return every n-th point, at most 2,500: distances of these to a mesh take about 1 s."""
         nth = max(1, -(-len(self.points_mm) // _MOST_ALIGNED))
         selected = np.zeros(len(self.points_mm), bool)
         selected[::nth] = True
         return replace(self.part(selected), together=max(1.0, self.together / nth))
 
     def noise_mm(self, estimate: FittedDimension) -> float:
-        """Return the standard uncertainty of a fitted value from that of the points.
+        """Return the standard uncertainty, mm, of a fitted value, from the noise of the points.
 
-        Without sigma the scatter is used, as one error common to all: a method that integrates
-        slopes has errors as wide as the field.
+        If the points have no sigma, the standard deviation of the residuals is used as one error
+        common to all points. The reason: the errors of a method that integrates slopes extend over
+        the whole field.
         """
         if self.under is not None and self.pixels is not None:
             return self.under.noise_mm(estimate, self.pixels)
@@ -140,20 +140,21 @@ class ObjectPoints:
 
 @dataclass(frozen=True, eq=False)
 class ObjectView:
-    """An object as it was measured.
+    """Measured points of an object, together with its true surface.
 
     Attributes
     ----------
-    surface : its true position; under an elastomer of unknown local thickness grown by the
-        nominal one
-    measured : the points found of it
-    coat, true_face : the surface that was seen, coat or specimen: its points, and the truth at the
-        same pixels
-    coverage : share of the specimen's pixels that have a point where it touches; None: not visible
-    heights : of the specimen over the points
-    pixel_mm : distance of neighbouring points
-    gratings : parts with grooves of a known pitch
-    covered : the elastomer is between object and coat
+    shape : geometry of the specimen
+    surface : true surface in its true position. Under an elastomer of unknown local thickness, the
+        surface is offset outwards by the nominal thickness
+    measured : measured points of the object
+    coat, true_face : measured points of the visible surface (coat or specimen), and its true
+        points at the same pixels
+    coverage : share of the specimen's pixels that have a point in contact; None: not visible
+    heights : true heights of the specimen over the points
+    pixel_mm : distance of neighbouring points, mm
+    gratings : parts of the specimen with a grating
+    covered : True if the elastomer is between object and coat
     """
 
     shape: Shape
@@ -169,18 +170,19 @@ class ObjectView:
 
 
 def is_covered(experiment: Experiment) -> bool:
-    """Return True if the elastomer is between the object and the surface that is seen."""
+    """Return True if the elastomer is between the object and the visible coat."""
     return experiment.method.presses and experiment.elastomer.layout == "opposite_face"
 
 
 def surface_of(
     experiment: Experiment, pressed: PressedElastomer | None, grown: bool = True
 ) -> TrueSurface:
-    """Return the specimen where the press left it, or on its stage.
+    """Return the true surface of the specimen after the press, or on its stage without a press.
 
     Parameters
     ----------
-    grown : by the nominal thickness of the layer between it and the visible surface
+    grown : True: offset the surface outwards by the nominal thickness of the layer between object
+        and visible surface
     """
     shape = shape_of(experiment.specimen)
     if pressed is None:
@@ -197,12 +199,12 @@ def seen_object(
     pressed: PressedElastomer | None,
     under: ObjectUnderSheet | None = None,
 ) -> ObjectView | None:
-    """Pick the points of the object; None without points on it.
+    """Select the measured points of the object; None if there are fewer than two.
 
     Parameters
     ----------
     points : world_mm (row, col, xyz), valid (row, col), sigma_z_mm (row, col) or None
-    under : the object under a thin sheet, found from these points
+    under : the object under a thin sheet, reconstructed from these points; None without a sheet
     """
     world_mm, valid, sigma_mm = points
     visible = truth.lit if experiment.method.fringes and pressed is not None else truth.measured
@@ -245,7 +247,7 @@ def seen_object(
 
 
 def _cells_of(under: ObjectUnderSheet, heights: Heights) -> ObjectPoints:
-    """Return the face that touches under a sheet, cell by cell of its measured relief."""
+    """Return the object's points under a sheet, one per cell of the measured relief."""
     measured = under.sheet.relief.measured
     points = under.sheet.object_mm[measured]
     xy, (low, high) = points[:, :2], heights.ends_mm
@@ -269,7 +271,7 @@ def _nth(count: int) -> int:
 def _places(
     true_mm: FloatArray, target: BoolImage, heights: Heights, pressed: PressedElastomer | None
 ) -> tuple[BoolImage, BoolImage]:
-    """Return masks (row, col) of the pixels in contact with the specimen, and of those above it."""
+    """Return masks (row, col) of the pixels in contact with the specimen, and of those over it."""
     touching, over = np.zeros(target.shape, bool), np.zeros(target.shape, bool)
     if pressed is None:
         return target, target
@@ -281,7 +283,7 @@ def _places(
 
 
 def _nearest(places: FloatArray, target: FloatArray) -> NDArray[np.intp]:
-    """Return the index of the nearest of evenly spaced places."""
+    """Return the index (n,) of the evenly spaced position nearest to each target (n,)."""
     step = (places[-1] - places[0]) / max(len(places) - 1, 1)
     nearest = np.clip(np.rint((target - places[0]) / step), 0, len(places) - 1)
     return np.asarray(nearest, np.intp)

@@ -1,10 +1,10 @@
-"""Score the object itself: its deviation from the truth, and its measurands with their verdicts.
+"""Score the object itself: deviation of its points from the truth, and its measurands.
 
-A contact sensor measures the coat; the object is the required result. Under a thin sheet the
-object's points are those of `twin.results.under_sheet`: the local thickness is taken off, and no
-nominal one. Under a slab no thickness makes an object of the coat: its lengths are not measured
-then, and deviations are those from the specimen grown by the nominal thickness. The coat
-itself has separate figures, without subtraction.
+A contact sensor measures the coat, but the object is the required result. Under a thin sheet, the
+object's points are those of `twin.results.under_sheet`, from which the local thickness is
+subtracted, not the nominal one. Under a slab, subtracting a thickness does not give the object.
+Lengths of the object are then not measured, and deviations are those from the specimen offset
+outwards by the nominal thickness. The coat has separate figures, without subtraction.
 """
 
 from collections.abc import Iterator
@@ -42,17 +42,23 @@ _ALIGNED_NAMES = {"none": "", "offset": "offset_", "offset_tilt": "offset_tilt_"
 
 @dataclass(frozen=True, eq=False)
 class MeasuredQuantity:
-    """One measurand: value, uncertainty, and whether it is within tolerance.
+    """Result of one measurand: value, uncertainty, and whether it is within tolerance.
 
     Attributes
     ----------
-    value : of the object, in the measurand's unit; None if absent, `why` gives the reason
-    coat : the same of the measured surface, coat or specimen, without subtraction
-    true_face : that of the true surface: the result of a perfect measurement
-    uncertainty : of the value, in um (of a share: as the share)
-    covered : the elastomer is between object and coat: `coat` is an apparent figure
-    tolerance : on the value's deviation, in um (of a share: on the share); None: none is given
-    points_mm : (n, xyz) the fitted points; None without a value
+    measurand : the request of the quantity
+    nominal : nominal length, mm; None if not known
+    value : value of the object, in the measurand's unit; None if there is none, `why` gives the
+        reason
+    coat : value fitted to the coat without subtraction of a thickness, if the object is covered
+    true_face : value fitted to the true visible surface: the result of a perfect measurement
+    uncertainty : uncertainty of the value, um (for a share, as a share)
+    covered : True if the elastomer is between object and coat, so that `coat` is not a value of
+        the object
+    tolerance : limits on the deviation of the value, um (for a share, on the share); None if not
+        stated
+    points_mm : (n, xyz) the fitted points, world frame; None without a value
+    why : reason why there is no value; else empty
     """
 
     measurand: ObjectMeasurand
@@ -68,17 +74,20 @@ class MeasuredQuantity:
 
     @property
     def error(self) -> float | None:
-        """Value less nominal, um; of form and deviation the value, of coverage the share."""
+        """Value minus nominal length, um; for quantities without a nominal length, the value.
+
+        None if the value or the nominal length is missing.
+        """
         return self._deviation_of(self.value)
 
     @property
     def true_face_error(self) -> float | None:
-        """The same of the true coat: the elastomer's effect."""
+        """Deviation of `true_face`, as `error` of `value`: the effect of the elastomer."""
         return self._deviation_of(self.true_face)
 
     @property
     def decision(self) -> Decision | None:
-        """Within tolerance or not, by ISO 14253-1; None without a tolerance."""
+        """Verdict of ISO 14253-1 on the tolerance; None without a tolerance."""
         if self.tolerance is None:
             return None
         if self.error is None:
@@ -87,7 +96,10 @@ class MeasuredQuantity:
 
     @property
     def margin(self) -> float | None:
-        """By how much it is within tolerance beyond U; None without a tolerance or a value."""
+        """Distance of the error from the nearest limit, minus U; None without tolerance or value.
+
+        It is negative if the tolerance is not met with the expanded uncertainty U.
+        """
         if self.tolerance is None or self.error is None:
             return None
         return self.tolerance.margin(self.error, self.uncertainty.expanded)
@@ -101,13 +113,14 @@ class MeasuredQuantity:
 
 @dataclass(frozen=True, eq=False)
 class ObjectScore:
-    """Measured values of the object.
+    """Measured values of the object and their figures.
 
     Attributes
     ----------
-    observed : None without points of the object
-    quantities : its measurands
-    aligned : deviations of the measured points that touch, by alignment
+    observed : measured points of the object; None if there are none
+    quantities : results of the measurands
+    aligned : deviations of the touching measured points from the true object, by alignment
+    figures : figures by name, as in `result.json`
     """
 
     observed: ObjectView | None
@@ -117,15 +130,15 @@ class ObjectScore:
 
     @property
     def under_sheet(self) -> bool:
-        """Whether the points are those found under a thin sheet, its local thickness taken off."""
+        """Whether the points are those under a thin sheet, with the local thickness subtracted."""
         return self.observed is not None and self.observed.measured.under is not None
 
     def quantity(self, name: str) -> MeasuredQuantity:
-        """Return a measurand by its name, such as radius_1.
+        """Return the result of a measurand by its name, such as radius_1.
 
         Raises
         ------
-        InputError : there is none of that name
+        InputError : there is no measurand of this name
         """
         for measured in self.quantities:
             if measured.measurand.name == name:
@@ -141,12 +154,13 @@ def score_object(
     pressed: PressedElastomer | None,
     compensation: SheetCompensation | None = None,
 ) -> ObjectScore:
-    """Compare measured points with the specimen itself.
+    """Compare measured points with the specimen and fit its measurands.
 
     Parameters
     ----------
     points : world_mm (row, col, xyz), valid (row, col), sigma_z_mm (row, col) or None
-    compensation : input of the compensation of the object under a thin sheet
+    pressed : the pressed elastomer; None for a bare specimen
+    compensation : reconstruction of the object under a thin sheet; None without a sheet
 
     Raises
     ------
@@ -169,7 +183,7 @@ def score_object(
 
 
 def _aligned(observed: ObjectView, points: ObjectPoints) -> dict[Alignment, Deviations]:
-    """Return the deviations of the touching points by alignment; none where there are too few."""
+    """Return the deviations of the touching points by alignment; empty if too few points."""
     points_used = points.part(points.touching).thinned().points_mm
     distance = observed.surface.distance_mm
     if not len(points_used):
@@ -186,7 +200,7 @@ def deviation_figures(
     measured: dict[Alignment, Deviations],
     true_face: dict[Alignment, Deviations],
 ) -> Iterator[tuple[str, Metric]]:
-    """Yield the figures of the deviation from the true object."""
+    """Yield name and value of the figures of the points' deviation from the true object."""
     yield "object_points", 0 if observed is None else int(observed.measured.touching.sum())
     yield "object_coverage_share", None if observed is None else observed.coverage
     for name, of in (("object_", measured), ("true_face_object_", true_face)):
@@ -211,7 +225,7 @@ def _form(left: Deviations) -> float:
 def why_not_compensated(
     experiment: Experiment, compensation: SheetCompensation | None = None
 ) -> str:
-    """Return the reason why the coat shows no lengths of the object; empty where it does."""
+    """Return why lengths of the object cannot be measured through its coat; empty if they can."""
     elastomer = experiment.elastomer
     if not is_covered(experiment) or (
         compensation is not None and compensation.compensated is not None
@@ -230,7 +244,10 @@ def why_not_compensated(
 def _quantity(
     request: ObjectMeasurand, feature: Feature, observed: ObjectView | None, without: str
 ) -> MeasuredQuantity:
-    """Measure one quantity; `without`: why a covered object has no lengths, empty if it has."""
+    """Return the result of one measurand.
+
+    `without` is the reason why a covered object has no lengths; empty if it has lengths.
+    """
     value, coat, true_value, why = None, None, None, NOTHING_FOUND
     covered = observed is not None and observed.covered
     if observed is not None:
@@ -266,9 +283,9 @@ def _quantity(
 
 
 def _whole(request: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
-    """Return the points of a coat that its own figure rests on: those in contact, or all of them.
+    """Return the points of a coat for a fit to the coat: points in contact only, or all of them.
 
-    Which of both is a property of the quantity, see `MeasurandKind.coat_in_contact`.
+    This is a property of the quantity, see `MeasurandKind.coat_in_contact`.
     """
     if measurand_of(request).coat_in_contact:
         return points
@@ -278,10 +295,11 @@ def _whole(request: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
 def _elastomer_mm(
     request: ObjectMeasurand, feature: Feature, observed: ObjectView | None, value: FittedValue
 ) -> float:
-    """Return a value's standard uncertainty by the uncertain parameters of the subtracted sheet.
+    """Return the standard uncertainty, mm, of a value by uncertain parameters of the sheet.
 
-    All points move together by each uncertainty of the layer; of a radius the theory of thin sheets
-    neglects a little more. A width by the free spans has that within its own uncertainty.
+    The value is fitted again with all points moved by each standard uncertainty of the layer. For
+    a radius, the error of the theory of thin sheets is added. For a width determined from free
+    spans, 0 is returned: its own uncertainty includes that of the sheet.
     """
     points = None if observed is None else observed.measured
     if observed is None or points is None or points.under is None or value.estimate is None:
@@ -316,7 +334,7 @@ def _in_unit(request: ObjectMeasurand, value: float) -> float:
 
 
 def tolerance_of(request: ObjectMeasurand) -> Tolerance | None:
-    """Return the tolerance of a measurand's deviation; None if not stated."""
+    """Return the tolerance on a measurand's deviation, um, or on a share; None if not stated."""
     if request.plus_minus_um is not None:
         return Tolerance(-request.plus_minus_um, request.plus_minus_um)
     if request.at_least is not None:
@@ -332,7 +350,7 @@ def tolerance_of(request: ObjectMeasurand) -> Tolerance | None:
 
 
 def quantity_figures(measured: MeasuredQuantity) -> Iterator[tuple[str, Metric]]:
-    """Yield the figures of one measurand."""
+    """Yield name and value of the figures of one measurand."""
     name, unit = f"object_{measured.measurand.name}", measured.measurand.unit
     yield f"{name}_{unit}", measured.value
     if measured.covered:
@@ -353,7 +371,10 @@ def quantity_figures(measured: MeasuredQuantity) -> Iterator[tuple[str, Metric]]
 
 
 def summary_of(quantities: tuple[MeasuredQuantity, ...]) -> dict[str, Metric]:
-    """Count the verdicts; designs are ranked by the least margin in um."""
+    """Return the numbers of measurands with a tolerance and within it, and the least margin, um.
+
+    Empty if no measurand has a tolerance. Designs are ranked by the least margin.
+    """
     judged = [measured for measured in quantities if measured.tolerance is not None]
     if not judged:
         return {}

@@ -1,8 +1,8 @@
-"""Files of single stages in a folder, written and read, and the figures of press and recording.
+"""Files of single stages of a measurement, and the figures of press and recording.
 
-`face_figures` are those of the coated face itself, without light, noise or calibration: a
-press of a slab takes 0.1 s, a measurement seconds, and sensitivities and explanations
-need hundreds of them.
+`face_figures` evaluates the coated face itself, without light, noise or calibration. Sensitivities
+and explanations need hundreds of evaluations: a press of a slab takes 0.1 s, a measurement takes
+seconds.
 """
 
 import csv
@@ -66,24 +66,26 @@ _TRUTH = {
 
 
 def write_result(folder: Path, command: str, experiment: Experiment, figures: Metrics) -> None:
-    """Write result.json and the resolved experiment.
+    """Write `result.json` and the resolved experiment, `experiment.toml`.
 
-    The same experiment gives the same bytes: wall-clock times are kept out (see `write_timings`).
+    Equal experiments give equal bytes. Therefore wall-clock times are not included (see
+    `write_timings`).
     """
     write_text(folder / EXPERIMENT_FILE, to_toml(experiment))
     write_outcome(folder, command, figures, name=experiment.name, digest=digest(experiment))
 
 
 def write_rows(path: Path, rows: Sequence[Metrics], digits: int) -> None:
-    """Write rows as CSV, numbers with so many significant digits; empty where there is none."""
+    """Write rows as CSV with `digits` significant digits; a missing value is an empty cell."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     write_text(path, csv_text(names, rows, digits))
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Metrics], digits: int | None = None) -> str:
-    """Return rows as CSV (RFC 4180); numbers with all their digits by default.
+    """Return rows as CSV text (RFC 4180) with the columns `names`.
 
-    A text that a spreadsheet would run as a formula gets an apostrophe in front.
+    `digits` is the number of significant digits; None: all. An apostrophe is put before a text
+    that a spreadsheet would run as a formula.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -105,30 +107,30 @@ _FORMULA = ("=", "+", "-", "@", "\t")
 
 
 def _as_text(text: str) -> str:
-    text = text.replace("\r", " ")  # which the writer would leave unquoted
+    text = text.replace("\r", " ")  # the CSV writer would not quote it
     return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:
-    """Write wall-clock seconds per stage; the only file that differs between equal runs."""
+    """Write the wall-clock time, s, of each stage; only this file differs between equal runs."""
     write_json(folder / TIMINGS_FILE, {name: round(s, 3) for name, s in seconds.items()})
 
 
 def write_pressed(folder: Path, pressed: PressedElastomer) -> None:
-    """Write the pressed elastomer and its coated face."""
+    """Write the pressed elastomer (`press.nc`) and its coated face (`coated_face.ply`)."""
     write_press(folder / "press.nc", pressed)
     write_mesh(folder / "coated_face.ply", face_mesh(pressed))
 
 
 def write_solid(folder: Path, experiment: Experiment, pressed: PressedElastomer) -> None:
-    """Write the pressed slab as one watertight body, for CAD and for printing."""
+    """Write the pressed slab as a watertight mesh, `slab.stl` and `slab.ply`."""
     body = slab_mesh(pressed, experiment.elastomer)
     write_mesh(folder / "slab.stl", body)
     write_mesh(folder / "slab.ply", body)
 
 
 def write_recording(folder: Path, recording: Recording) -> None:
-    """Write the capture as a rig would deliver it, and separately the truth of the twin."""
+    """Write the capture as a rig would deliver it, and the truth and white frame of the twin."""
     write_captured(folder, recording.capture)
     write_truth(folder / "truth.nc", recording.truth)
     patterns = recording.capture.patterns
@@ -138,12 +140,12 @@ def write_recording(folder: Path, recording: Recording) -> None:
 
 
 def write_truth(path: Path, truth: Truth) -> None:
-    """Write the geometry behind every camera pixel as netCDF-4."""
+    """Write the true geometry at every camera pixel as netCDF-4."""
     write_arrays(path, truth_arrays(truth))
 
 
 def truth_arrays(truth: Truth) -> LabelledArrays:
-    """Return the truth as labelled maps over camera row and column, with units."""
+    """Return the true geometry as labelled maps (row, col) over camera pixels, with units."""
     maps = (
         *np.moveaxis(truth.points_world_mm, -1, 0),
         *np.moveaxis(truth.normals_world, -1, 0),
@@ -161,11 +163,11 @@ def truth_arrays(truth: Truth) -> LabelledArrays:
 
 
 def read_truth(path: Path) -> Truth:
-    """Read the files of `write_truth`.
+    """Read the file that `write_truth` writes.
 
     Raises
     ------
-    InputError : the file is missing, damaged or something else
+    InputError : the file is missing, damaged or not a truth file
     """
     try:
         arrays = read_arrays(path)
@@ -186,7 +188,7 @@ def write_exr(path: Path, image: FloatImage) -> None:
 
 
 def write_captured(folder: Path, capture: Capture) -> None:
-    """Write the capture as a rig would deliver it."""
+    """Write the capture as a rig would deliver it, into the subfolder `capture`."""
     (folder / CAPTURE_FOLDER).mkdir()
     write_capture(folder / CAPTURE_FOLDER, capture)
 
@@ -194,10 +196,10 @@ def write_captured(folder: Path, capture: Capture) -> None:
 def write_frames(
     folder: Path, recording: Recording, kind: Literal["exr", "png"], progress: Progress
 ) -> None:
-    """Write every frame as an image of its own, for other decoders.
+    """Write every frame as a separate image file, for other decoders.
 
-    `exr`: linear radiance in mW / (mm^2 sr), float32. `png`: the camera's digital numbers,
-    unscaled, in 16 bits.
+    Kind `exr` contains the linear radiance, mW / (mm^2 sr), as float32. Kind `png` contains the
+    digital numbers of the camera, unscaled, in 16 bits.
     """
     frames = recording.capture.patterns.frames
     (folder / f"frames_{kind}").mkdir()
@@ -211,7 +213,7 @@ def write_frames(
 
 
 def taken_figures(pressed: PressedElastomer | None, recording: Recording) -> dict[str, Metric]:
-    """Return the figures of press and recording."""
+    """Return the figures of press (None: no press) and recording by name."""
     figures: dict[str, Metric] = {"warnings": []} if pressed is None else press_metrics(pressed)
     return figures | recording_metrics(recording)
 
@@ -219,7 +221,7 @@ def taken_figures(pressed: PressedElastomer | None, recording: Recording) -> dic
 def write_taken(
     folder: Path, pressed: PressedElastomer | None, recording: Recording
 ) -> dict[str, Metric]:
-    """Write press and recording; returns the figures of both."""
+    """Write press and recording into a folder; return the figures of both."""
     if pressed is not None:
         write_pressed(folder, pressed)
     write_recording(folder, recording)
@@ -227,7 +229,7 @@ def write_taken(
 
 
 def press_metrics(pressed: PressedElastomer) -> dict[str, Metric]:
-    """Return the press's figures by name, for example `force_n`, and its warnings."""
+    """Return the figures of a press by name, for example `force_n`, and its warnings."""
     return {
         "mechanics_model": pressed.model,
         "force_n": pressed.force_n,
@@ -243,7 +245,7 @@ def press_metrics(pressed: PressedElastomer) -> dict[str, Metric]:
 
 
 def sheet_figures(pressed: PressedElastomer) -> dict[str, float]:
-    """Return the figures of a thin sheet by name; {} if the elastomer is no thin sheet."""
+    """Return the figures of a thin sheet by name; empty if the elastomer is not a thin sheet."""
     if pressed.sheet is None:
         return {}
     return {
@@ -254,13 +256,16 @@ def sheet_figures(pressed: PressedElastomer) -> dict[str, float]:
 
 
 def write_transfer(path: Path, transfer: ContactTransfer) -> None:
-    """Write the contact transfer function as CSV: pitch, closed form, computed."""
+    """Write the contact transfer as CSV: pitch, mm, transfer in closed form, computed transfer."""
     names = ("pitch_mm", "closed_form", "computed")
     write_rows(path, [dict(zip(names, row, strict=True)) for row in transfer.rows()], 6)
 
 
 def transfer_metrics(transfer: ContactTransfer) -> Metrics:
-    """Figures of the contact transfer function; a pitch of 0: every pitch is kept so far."""
+    """Return the figures of the contact transfer by name.
+
+    A pitch of 0 mm means that the coat shows every computed pitch with at least this contrast.
+    """
     pitches = {
         "half_contrast_pitch_mm": transfer.half_pitch_mm,
         "tenth_contrast_pitch_mm": transfer.tenth_pitch_mm,
@@ -273,9 +278,9 @@ def transfer_metrics(transfer: ContactTransfer) -> Metrics:
 
 
 def recording_metrics(recording: Recording) -> dict[str, float]:
-    """Figures of the recording."""
+    """Return exposure time, number of frames and share of clipped values of a recording."""
     stack, clipped_from_dn = recording.capture.stack, recording.capture.sensor.clipped_from_dn
-    # Only where the largest value is clipped are there any to count: most frames have none.
+    # Values are counted only in frames with a clipped largest value; most frames have none.
     bright = (frame for frame in stack if frame.max() >= clipped_from_dn)
     clipped = sum(int(np.count_nonzero(frame >= clipped_from_dn)) for frame in bright)
     return {
@@ -286,14 +291,14 @@ def recording_metrics(recording: Recording) -> dict[str, float]:
 
 
 def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str, Metric]:
-    """Return the figures of a press, and of its face under the names of a measurement.
+    """Return the figures of a press, and those of its coated face with the names of a measurement.
 
-    Radius and RMSE of the balls over the region that is scored, width and height of a single rod,
-    hole and hexagon of a nut are those of the face itself.
+    The figures of the face are radius and RMSE of each ball over the scored region, width and
+    height of a single rod, and hole depth and hexagon share of a nut.
 
     Raises
     ------
-    FitError : a ball's region holds too few nodes
+    FitError : the region of a ball contains too few nodes of the face
     """
     points = face_points_mm(pressed)
     figures = press_metrics(pressed) | rod_figures(experiment, points)
@@ -306,17 +311,19 @@ def face_figures(experiment: Experiment, pressed: PressedElastomer) -> dict[str,
 
 
 def face_points_mm(pressed: PressedElastomer) -> FloatArray:
-    """Return the nodes of the coated face, (n, 3) float, world mm."""
+    """Return the nodes of the coated face, (n, xyz) float, world frame, mm."""
     x, y = np.meshgrid(pressed.face_x_mm, pressed.face_y_mm)
     return np.column_stack([x.ravel(), y.ravel(), pressed.face_z_mm.ravel()])
 
 
 def cap_fit(points_mm: FloatArray, ball: Sphere, roi_radius_mm: float) -> SphereFit:
-    """Fit the face over one ball's region, as the score does over camera pixels.
+    """Fit a sphere to the points (n, xyz) of the coated face in the region of one ball.
+
+    The region contains the points at a lateral distance of at most `roi_radius_mm` from the centre.
 
     Raises
     ------
-    FitError : too few points
+    FitError : the region contains too few points
     """
     lateral = np.hypot(points_mm[:, 0] - ball.x_mm, points_mm[:, 1] - ball.y_mm)
     return fit_sphere(points_mm[lateral <= roi_radius_mm])

@@ -1,7 +1,7 @@
-"""Predicted levels, contrast and sigma of every pixel of a measurement, from the trace only.
+"""Predicted levels, contrast and sigma of every pixel of a measurement, from a ray trace only.
 
-No frame is rendered or decoded, no noise drawn. Of each pixel the trace gives the irradiance
-E of a white field and the projector coordinate; then
+No frame is rendered or decoded, and no noise is drawn. The trace gives the irradiance E of a white
+field and the projector coordinate of each pixel. From these follow:
 
 | step | formula |
 |---|---|
@@ -11,15 +11,17 @@ E of a white field and the projector coordinate; then
 | coordinate | sigma_x = period sigma_phi / 2 pi; of several periods 1 / sqrt(sum 1 / sigma^2) |
 | height | sigma_x |dz/dx|, of the triangulation, at the surface's own slope |
 
-The filter's effect on it: `reconstruction.decoding.filter_noise`.
+The effect of the filter on the noise is computed by `reconstruction.decoding.filter_noise`.
 
-The estimate of N >= 4 steps takes all frames to have the noise of their mean. It is not the last
-word of the frames: with fringes of full contrast shot noise is small in the dark frames, and a fit
-that knew it would find phases up to sqrt(2) better. No decoder in use does so, this one neither, so
-bounds here are on decoded coordinates.
+The phase estimate from N >= 4 steps assumes that all frames have the noise of their mean. This is
+not the best possible estimate. With fringes of full contrast, the shot noise of dark frames is
+small, and a fit with the noise of each frame would determine phases up to sqrt(2) better. No common
+decoder does so, and neither does the decoder here. The bounds here are therefore for decoded
+coordinates.
 
-Left out: fixed pattern noise (it scales level and contrast alike), light between surfaces, wrong
-fringe orders, and that clipping of a frame near the limit is a matter of chance.
+Four effects are neglected: fixed pattern noise, which scales level and contrast alike; light
+between surfaces; wrong fringe orders; and that noise decides whether a frame near the limit is
+clipped.
 """
 
 from collections.abc import Callable
@@ -49,19 +51,22 @@ from twin.results.fringe_levels import (
     white_radiance,
 )
 
-# Rows of a band that fits into the processor's cache with its intermediate arrays.
+# Pixels of a band of rows that, with its intermediate arrays, fits into the cache of the
+# processor.
 _BAND_PIXELS = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
 class AxisPrediction:
-    """One projector axis that the depth is taken from.
+    """Predicted noise along one projector axis (columns or rows) that is used for the depth.
 
     Attributes
     ----------
-    sigma_px : (row, col) of the single pixel's coordinate
-    height_by_px : (row, col) mm by which the surface's height errs per px of the coordinate
-    filtered : effect of the filter on the noise
+    sigma_px : (row, col) standard deviation of the coordinate of single pixels before the filter,
+        projector px
+    height_by_px : (row, col) error of the surface's height per error of the coordinate, mm / px;
+        if both axes are used, weighted by the share of this axis
+    filtered : noise of the coordinate after the filter
     """
 
     sigma_px: FloatArray
@@ -71,14 +76,14 @@ class AxisPrediction:
 
 @dataclass(frozen=True, eq=False)
 class PredictedMaps:
-    """Expected coordinates and sigmas of a measurement.
+    """Expected points of a measurement with their predicted standard deviations by noise.
 
     Attributes
     ----------
-    points : without noise and filter, with the sigma of single pixels
-    reason : (row, col) as the decoder is expected to mask
-    axes : those that the depth is taken from
-    exposure_ms : as set, or as the automatic exposure finds it
+    points : points without noise and filter, with the sigma of single pixels
+    reason : (row, col) reason codes that the decoder is expected to give
+    axes : predicted noise for each projector axis that is used for the depth
+    exposure_ms : exposure time, as set or as chosen by the automatic exposure, ms
     """
 
     points: PointMap
@@ -88,25 +93,28 @@ class PredictedMaps:
 
     @property
     def valid(self) -> BoolImage:
-        """Pixels with a point, (row, col)."""
+        """Mask (row, col) of the pixels that have a point."""
         return np.asarray(self.reason == Reason.VALID)
 
     @property
     def single_mm(self) -> FloatArray:
-        """Standard deviation of each height before the filter, (row, col) mm; 0 without one."""
+        """Standard deviation of each height by noise before the filter, (row, col), mm."""
         parts = [(axis.height_by_px * axis.sigma_px) ** 2 for axis in self.axes]
         return np.asarray(np.sqrt(sum(parts)))
 
     @property
     def filtered_mm(self) -> FloatArray:
-        """Standard deviation of each height by noise, as measured, (row, col) mm."""
+        """Standard deviation of each height by noise after the filter, (row, col), mm."""
         shares = [axis.height_by_px**2 * axis.filtered.variance_px2 for axis in self.axes]
         return np.asarray(np.sqrt(sum(shares)))
 
     def noise_mm(self, slope: FloatArray) -> float:
-        """Return the standard deviation of sum(slope * height), slope (row, col).
+        """Return the standard deviation, by noise, of sum(slope * height) over the pixels.
 
-        Neighbours share their errors through the filter; both axes' noises are independent.
+        `slope` is (row, col); the result has its unit times mm.
+
+        The filter correlates the errors of neighbouring pixels. The noises of the two projector
+        axes are independent.
         """
         return float(
             np.sqrt(sum(axis.filtered.noise(slope * axis.height_by_px) ** 2 for axis in self.axes))
@@ -114,15 +122,16 @@ class PredictedMaps:
 
 
 def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> PredictedMaps:
-    """Return the predicted coordinates and sigmas of every pixel.
+    """Return the expected points and predicted sigmas of every pixel.
 
     Parameters
     ----------
-    truth : of the same view; its normals convert a depth into a height
+    maps : ray trace of the camera view
+    truth : true geometry of the same view; its normals convert a depth into a height
 
     Raises
     ------
-    InputError : automatic exposure without any light
+    InputError : the exposure is automatic, and no pixel receives light
     """
     shape = maps.weight.shape
     (white,) = _by_bands(shape, lambda band: (white_radiance(rows_of(maps, band), experiment),))
@@ -142,10 +151,11 @@ def predict(experiment: Experiment, maps: TraceMaps, truth: Truth) -> PredictedM
 def _by_bands(
     shape: tuple[int, ...], results_of: Callable[[slice], tuple[NDArray[Any], ...]]
 ) -> tuple[NDArray[Any], ...]:
-    """Join the results of consecutive bands of rows.
+    """Compute results for consecutive bands of rows, and join them.
 
-    Arrays of a whole image leave the cache between two operations, and each new one is memory that
-    the system must clear first: a third of the speed.
+    Arrays of a whole image do not fit into the cache of the processor, and the operating system
+    must clear the memory of each new array. Without bands, the computation takes three times as
+    long.
     """
     rows = max(1, _BAND_PIXELS // shape[1])
     parts = [results_of(slice(first, first + rows)) for first in range(0, shape[0], rows)]
@@ -155,7 +165,7 @@ def _by_bands(
 def _single_pixels(
     experiment: Experiment, maps: TraceMaps, white: FloatImage, numbers: FringeNumbers
 ) -> tuple[FloatArray, FloatArray, ReasonImage]:
-    """Return sigma of single pixels' coordinates along columns and rows, px, and the mask."""
+    """Return sigma of single pixels' column and row coordinates, px, and the reason codes."""
     places: dict[Axis, FloatArray] = {"column": maps.column_px, "row": maps.row_px}
     light, reason, sigma = white.astype(np.float64), _dark(experiment, white, numbers), []
     for axis in AXES:
@@ -169,14 +179,17 @@ def _single_pixels(
 
 @dataclass(frozen=True, eq=False)
 class _Single:
-    """Coordinates as pixels decode by themselves, (row, col) px by axis, and the mask."""
+    """Coordinates of single pixels before the filter, and their sigma, by projector axis.
+
+    Coordinates and sigma are (row, col), projector px. `reason` has the reason codes (row, col).
+    """
 
     places: dict[Axis, FloatArray]
     sigma: dict[Axis, FloatArray]
     reason: ReasonImage
 
     def as_decoded(self) -> Decoded:
-        """Return the output of a decoder without noise and filter."""
+        """Return the result that a decoder would give without noise and filter."""
         zeros = np.zeros(self.reason.shape, np.float32)
 
         def axis(name: Axis) -> AxisDecode:
@@ -196,7 +209,7 @@ class _Single:
 
 
 def _dark(experiment: Experiment, white: FloatImage, numbers: FringeNumbers) -> ReasonImage:
-    """Mark pixels on which white and black frame will not differ."""
+    """Return reason codes that mark pixels where white and black frame will not differ."""
     sensor = noise_model(experiment.camera)
     gain, black_dn = numbers.gain_dn_per_e, sensor.black_level_dn
     light = FringeLight.of(experiment.projector, experiment.patterns)
@@ -211,7 +224,7 @@ def _dark(experiment: Experiment, white: FloatImage, numbers: FringeNumbers) -> 
 def _placed(
     experiment: Experiment, single: _Single, truth: Truth, exposure_ms: float
 ) -> PredictedMaps:
-    """Triangulate the expected coordinates, and compute the filter's effect on the noise."""
+    """Triangulate the expected coordinates, and compute their noise after the filter."""
     places, sigma, reason = single.places, single.sigma, single.reason
     decode = experiment.decode
     used: tuple[Axis, ...] = AXES if decode.use == "both" else (decode.use,)
@@ -249,17 +262,20 @@ def _placed(
 def coordinate_slope(
     pose: Any, focal_px: tuple[Any, Any], rig: Calibration, truth: Truth, axis: Axis
 ) -> Any:
-    """Return the change of the projector coordinate along each camera ray, (row, col) px.
+    """Return the derivative of the projector coordinate along each camera ray, (row, col), px.
 
-    Per length of the ray from the camera to the surface, in air; analytic in the first two.
+    The derivative is per length of the ray from camera to surface, in air. It is analytic in
+    `pose` and `focal_px`, so that complex steps give its derivatives.
 
     Parameters
     ----------
-    pose : (3, 4) of T_proj_from_world
-    focal_px : of the projector, along columns and rows
+    pose : (3, 4) upper rows of T_proj_from_world
+    focal_px : focal lengths of the projector along columns and rows, px
+    rig : calibration with the pose of the camera and the distortion of the projector
     """
     shape = truth.lit.shape
-    # Axis by axis: a product with a matrix of three columns takes several times as long.
+    # One array per coordinate: a product with an array of three columns takes several times as
+    # long.
     point = np.moveaxis(truth.points_world_mm, -1, 0).reshape(3, -1).astype(np.float64)
     turned = (pose[:, :3] @ point).reshape(3, *shape)
     x, y, z = turned + pose[:, 3, None, None]
@@ -274,7 +290,7 @@ def coordinate_slope(
 
 
 def _height_by_px(rig: Calibration, truth: Truth, axis: Axis, usable: BoolImage) -> FloatArray:
-    """Return by how much the surface's height errs per px of the coordinate, in air; mm."""
+    """Return the error of the surface's height per error of the coordinate, in air, mm / px."""
     lens = rig.projector
     pose = np.linalg.inv(rig.T_world_from_proj)[:3]
 
@@ -293,10 +309,10 @@ def _height_by_px(rig: Calibration, truth: Truth, axis: Axis, usable: BoolImage)
 
 
 def _height_mm(points: PointMap, truth: Truth, usable: BoolImage) -> FloatArray:
-    """Return the sigma of the surface's height, (row, col) mm; 1 where there is no point.
+    """Return the standard deviation of the surface's height, (row, col), mm; 1 without a point.
 
-    A point that errs along its ray by e on a surface with the normal n looks like a height that
-    errs by e . n / n_z.
+    If a point has the error e (vector) along its ray, on a surface with the unit normal n, the
+    height has the error e . n / n_z.
     """
     along = points.points_world_mm - points.T_world_from_cam[:3, 3].astype(np.float32)
     error = np.copysign(points.sigma_xyz_mm, along).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Derivatives of a press by numbers of the experiment: as data, as a file, as figures."""
+"""Derivatives of a press with respect to fields of the experiment: maps, files and figures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +13,14 @@ from twin.mechanics import PressedElastomer
 
 @dataclass(frozen=True, eq=False)
 class PressDerivative:
-    """Derivatives by one number, per unit of it.
+    """Derivatives of a press with respect to one field, per unit of the field.
 
     Attributes
     ----------
-    path : of the number, dotted
-    face_z : (row, col) of the smooth coated face's height, mm, at fixed world x and y
-    figures : of those figures of the press that are numbers
+    path : dotted path of the field
+    face_z : (row, col) derivative of the height of the smooth coated face, mm, at fixed world x
+        and y
+    figures : derivatives of the numerical figures of the press, by name
     """
 
     path: str
@@ -28,7 +29,7 @@ class PressDerivative:
 
 
 def derivative_metrics(derivatives: Sequence[PressDerivative]) -> dict[str, float]:
-    """Return the derivatives of a press's figures as NAME_by_PATH, per unit of each number."""
+    """Return the derivatives of a press's figures, named NAME_by_PATH, per unit of the field."""
     return {
         f"{name}_by_{derivative.path}": value
         for derivative in derivatives
@@ -39,7 +40,7 @@ def derivative_metrics(derivatives: Sequence[PressDerivative]) -> dict[str, floa
 def write_derivatives(
     path: Path, pressed: PressedElastomer, derivatives: Sequence[PressDerivative]
 ) -> None:
-    """Write how the smooth coated face moves with each number, over its nodes, as netCDF-4."""
+    """Write the derivatives of the smooth coated face's height at its nodes as netCDF-4."""
     maps: dict[str, Labelled] = {
         f"face_z_by_{derivative.path}": (
             ("face_y", "face_x"),

@@ -12,7 +12,7 @@ from twin.results.measurands import MeasurandKind, measurand_of
 def measurands_of(experiment: Experiment) -> list[ObjectMeasurand]:
     """Return the measurands of an experiment: first the specimen's defaults, then its tables.
 
-    A table with the name of a default, or with its quantity, part and number, takes its place.
+    A table replaces a default that has the same name, or the same quantity, part and number.
     """
     tables = {table.name: table for table in experiment.measurand}
     same = {(table.quantity, table.part, table.number) for table in experiment.measurand}
@@ -26,11 +26,11 @@ def measurands_of(experiment: Experiment) -> list[ObjectMeasurand]:
 
 
 def check_measurands(experiment: Experiment) -> None:
-    """Check that the specimen has all measurands, before anything is measured.
+    """Check, before anything is measured, that the specimen has the features of all measurands.
 
     Raises
     ------
-    InputError : a part, a ball, a rod, a bar or a grating that is not there
+    InputError : the specimen lacks a part, ball, rod, bar or grating that a measurand names
     """
     features = features_of(experiment.specimen)
     for table in experiment.measurand:
@@ -39,12 +39,12 @@ def check_measurands(experiment: Experiment) -> None:
 
 
 def nominal_mm(feature: Feature, request: ObjectMeasurand) -> float | None:
-    """Return a length as the specimen's description has it; None where it does not."""
+    """Return the nominal length, mm, of a measurand, from its table or the specimen, or None."""
     return measurand_of(request).requested_mm(request, feature)
 
 
 def _defaults(feature: Feature) -> Iterator[ObjectMeasurand]:
-    """Yield the measurands of a part that need no table."""
+    """Yield the default measurands of a part, which need no `[[measurand]]` table."""
     before, count = _prefix(feature.name), Counter[str]()
     for nominal in feature.specimen.nominal_features():
         for quantity in nominal.lengths_mm:
@@ -62,7 +62,7 @@ def _defaults(feature: Feature) -> Iterator[ObjectMeasurand]:
 
 
 def _prefix(part: str) -> str:
-    """Return a part's name as the beginning of a measurand's."""
+    """Return the prefix of the names of a part's measurands, made from the name of the part."""
     if not part:
         return ""
     plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in part.lower())

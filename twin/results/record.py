@@ -1,4 +1,4 @@
-"""The record of a measurement by any method: points, truth, score, images, figures."""
+"""Record of a measurement by any method: points, truth, score, images, figures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from reconstruction.arrays import BoolImage, FloatImage, Levels, Reason
 from reconstruction.capture.folder import Capture, read_capture
 from reconstruction.photometric import HeightMap, SensorCalibration
-from reconstruction.photometric.sensor import MapKind
 from reconstruction.pipeline import Reconstruction
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
@@ -32,13 +31,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """Where a method found the surface.
+    """Measured points of the surface, one per camera pixel.
 
     Attributes
     ----------
-    world_mm : (row, col, xyz) float
+    world_mm : (row, col, xyz) float, position in the world frame, mm
     reason : (row, col) uint8, codes of `reconstruction.arrays.Reason`
-    sigma_z_mm : (row, col) float32 of world z; None where the method predicts no uncertainty
+    sigma_z_mm : (row, col) float32, standard deviation of world z, mm; None if the method predicts
+        none
     """
 
     world_mm: NDArray[np.floating[Any]]
@@ -47,13 +47,16 @@ class SurfacePoints:
 
     @property
     def valid(self) -> BoolImage:
-        """Pixels with a point, (row, col)."""
+        """Mask (row, col) of the pixels that have a point."""
         return np.asarray(self.reason == Reason.VALID)
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Data that the virtual rig delivers, and the truth that a real rig does not have."""
+    """Images that the virtual rig delivers, and the truth, which a real rig does not have.
+
+    `radiance` has the radiance of every frame with the truth; `capture` has the recorded images.
+    """
 
     radiance: RadianceStack
     capture: Capture
@@ -61,18 +64,19 @@ class Recording:
 
     @property
     def truth(self) -> Truth:
-        """Geometry behind every camera pixel."""
+        """True geometry at every camera pixel."""
         return self.radiance.truth
 
 
 @dataclass(frozen=True, eq=False)
 class Fringes:
-    """Capture of fringe projection, and the decoder's result.
+    """Images of fringe projection, and the points reconstructed from them.
 
     Attributes
     ----------
-    stored : the capture, or its folder: 600 MB at full size, read at first use
-    frames : linear radiance of every frame; None where the measurement was read from files
+    stored : the capture, or its folder, which is read at first use (600 MB at full size)
+    reconstruction : decoded coordinates and points
+    frames : linear radiance of every frame; None if the measurement was read from files
     """
 
     stored: Capture | Path
@@ -81,7 +85,7 @@ class Fringes:
 
     @cached_property
     def capture(self) -> Capture:
-        """Images that the camera recorded.
+        """Images that the camera recorded, with rig and patterns; read at first use.
 
         Raises
         ------
@@ -91,7 +95,7 @@ class Fringes:
 
     @cached_property
     def points(self) -> SurfacePoints:
-        """The point map."""
+        """Reconstructed points of the surface."""
         points = self.reconstruction.point_map
         return SurfacePoints(
             points.points_world_mm, np.asarray(points.mask_reason, np.uint8), points.sigma_z_mm
@@ -99,41 +103,41 @@ class Fringes:
 
     @property
     def picture(self) -> Levels:
-        """First frame, mostly of vertical fringes, 255 at saturation, (row, col)."""
+        """First frame of the capture, (row, col) uint8, scaled so that 255 is saturation."""
         share = self.capture.stack[0] / np.float32(self.capture.sensor.saturation_dn)
         return np.asarray(np.rint(255 * np.clip(share, 0.0, 1.0)), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
 class Colours:
-    """Images of a photometric sensor, and the result of every decoder.
+    """Image of a photometric sensor, and the heights by every decoder.
 
     Attributes
     ----------
-    picture : (row, col, 3) uint8, red first
-    calibrations : one per colour map, on the same reference images
-    decoded : the image by every decoder
-    own : that of the experiment's own decoder
+    picture : (row, col, rgb) uint8 image
+    calibrations : by kind of colour map, the sensor's calibration from the same reference images
+    decoded : the image as decoded by every decoder
+    own : the image as decoded by the decoder that the experiment selects
     """
 
     picture: Levels
-    calibrations: Mapping[MapKind, SensorCalibration]
+    calibrations: Mapping[str, SensorCalibration]
     decoded: list[DecodedImage]
     own: DecodedImage
 
     @property
     def calibration(self) -> SensorCalibration:
-        """Calibration of the experiment's own colour map."""
+        """Calibration with the colour map that the experiment selects."""
         return self.calibrations[self.own.colour_map]
 
     @property
     def heights(self) -> HeightMap:
-        """Heights by the experiment's own decoder."""
+        """Heights by the decoder that the experiment selects."""
         return self.own.heights
 
     @property
     def points(self) -> SurfacePoints:
-        """The heights in the world."""
+        """Points of the surface from these heights, in the world frame."""
         reason = np.where(self.heights.valid, Reason.VALID, Reason.LOW_MODULATION)
         return SurfacePoints(in_world(self.heights), reason.astype(np.uint8))
 
@@ -145,16 +149,19 @@ def _length(measured: MeasuredQuantity) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """One measurement, whole.
+    """One measurement with all its results.
 
     Attributes
     ----------
-    images : Fringes or Colours, by method
-    metrics : as in result.json; `figures` are its numbers, `warnings` its warnings
-    pressed : None where the bare specimen is seen
-    digest, versions : identify its experiment and software
-    seconds : wall clock by stage
-    compensation : input of the compensation under a thin sheet; None if no sheet was pressed
+    experiment : the measured experiment
+    images : `Fringes` or `Colours`, depending on the method
+    truth : true geometry at every camera pixel
+    score : errors against the truth
+    metrics : content of `result.json`; `figures` are its numbers, `warnings` its warnings
+    pressed : the pressed elastomer; None if the bare specimen is measured
+    digest, versions : digest of the experiment, and versions of the software by package
+    seconds : wall-clock time by stage, s
+    compensation : reconstruction of the object under a thin sheet; None if no sheet was pressed
     """
 
     experiment: Experiment
@@ -182,7 +189,7 @@ class Measurement:
         )
 
     def _in_short(self) -> dict[str, str]:
-        """Return the main figures as texts."""
+        """Return the main figures as texts by name."""
         score = self.score.against_truth
         shown = {
             measured.measurand.name.replace("_", " "): _length(measured)
@@ -197,7 +204,7 @@ class Measurement:
         return shown | {"warnings": str(len(self.warnings))}
 
     def plot(self) -> "Drawing":
-        """Draw relief, deviation from the true surface, and a section: a Matplotlib figure.
+        """Draw relief, deviation from the true surface, and a section into a Matplotlib figure.
 
         Raises
         ------
@@ -208,9 +215,9 @@ class Measurement:
         return measurement_drawing(self)
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return heights, truth, deviation and sigma over camera pixels, with units.
+        """Return measured z, true z, deviation and sigma over camera pixels, with units.
 
-        World x and y are coordinates; pixels without a point are NaN, and `mask_reason` gives the
+        World x and y are coordinates. Pixels without a point are NaN, and `mask_reason` gives the
         reason.
         """
         from twin.results.drawing import measurement_arrays
@@ -219,22 +226,22 @@ class Measurement:
 
     @cached_property
     def figures(self) -> Figures:
-        """Numbers by name, units in the names; None where there is none."""
+        """Numerical results by name, which ends with the unit; None if a figure has no value."""
         return Figures(self.metrics)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Why the press may be wrong."""
+        """Warnings of press and measurement, such as limits of the model of the press."""
         return warnings_of(self.metrics)
 
     @property
     def points(self) -> SurfacePoints:
-        """Where the surface was found."""
+        """Measured points of the surface."""
         return self.images.points
 
     @cached_property
     def object(self) -> ObjectScore:
-        """The object itself: its deviation from the truth, and its measurands.
+        """Score of the object itself: deviation from the truth, and measurands.
 
         Raises
         ------
@@ -245,24 +252,27 @@ class Measurement:
         return score_object(self.experiment, points, self.truth, self.pressed, known)
 
     def with_object(self) -> "Measurement":
-        """Return the measurement with the figures of the object among its metrics."""
+        """Return the measurement with the figures of the object added to its metrics."""
         return replace(self, metrics={**self.metrics, **self.object.figures})
 
     @property
     def picture(self) -> Levels:
-        """The camera's view: one fringe image, or the colours."""
+        """Camera image: first fringe frame (row, col), or colour image (row, col, rgb)."""
         return self.images.picture
 
     @property
     def press(self) -> PressedElastomer:
-        """The pressed elastomer; TypeError without a press."""
+        """The pressed elastomer; TypeError if the method has no press."""
         if self.pressed is None:
             raise TypeError(f"{self.experiment.modality} presses nothing")
         return self.pressed
 
     @property
     def pixel_mm(self) -> float:
-        """Width of a pixel on the flat coated face, or at the bare specimen's highest point."""
+        """Width of a camera pixel on the measured surface, mm.
+
+        It is taken on the flat coated face, or at the highest point of a bare specimen.
+        """
         if isinstance(self.images, Colours):
             return self.images.heights.pitch_mm
         camera = self.experiment.camera
@@ -270,14 +280,14 @@ class Measurement:
 
     @property
     def fringes(self) -> Fringes:
-        """Images and maps of fringe projection; TypeError for another method."""
+        """Images and points of fringe projection; TypeError for another method."""
         if not isinstance(self.images, Fringes):
             raise TypeError(f"{self.experiment.modality} takes no fringes")
         return self.images
 
     @property
     def colours(self) -> Colours:
-        """Images and heights of photometric stereo; TypeError for another method."""
+        """Image and heights of photometric stereo; TypeError for another method."""
         if not isinstance(self.images, Colours):
             raise TypeError(f"{self.experiment.modality} takes no colours")
         return self.images

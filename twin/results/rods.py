@@ -1,9 +1,9 @@
-"""Width and height of a rod's cross-section, measured in a relief as with a caliper.
+"""Width and height of a rod's cross-section in a measured relief, as with a caliper.
 
-A sheet draped over a rod on a plate rises from two valleys to a crest. The profile runs from valley
-to valley. Its width is taken where it crosses half of the height of the crest over their level, and
-between the breaks of its slope, where a sheet separates from the rod: where it bends most, or where
-its slope changes fastest.
+A sheet draped over a rod on a plate rises from two valleys to a crest. The profile extends from
+valley to valley. One width is taken where the profile crosses 50 % of the height of the crest above
+the valleys. Two further widths are taken between the breaks of the slope on both sides, where the
+sheet separates from the rod: at the largest curvature, and at the fastest change of the slope.
 """
 
 from dataclasses import dataclass
@@ -21,24 +21,27 @@ from twin.config.specimen_base import Specimen
 from twin.shape import Shape
 from twin.specimens import shape_of
 
-# The cross-section is the mean over this length of the rod, in its middle.
+# The cross-section is the mean over this length of the rod, at the middle of the rod.
 SECTION_LENGTH_MM = 2.0
 STEP_MM = 0.05
 FRACTION = 0.5
-# Above the camera's pixels and the grain of the coat, below the radius of a wrapped edge.
+# Larger than camera pixels and the grain of the coat, smaller than the radius of a wrapped edge.
 BREAK_SIGMA_MM = 0.15
 _LEAST_IN_BIN = 3
 
 
 @dataclass(frozen=True, eq=False)
 class RodSection:
-    """Mean profile across a rod: (n,) position along world x and height, mm; gaps left out."""
+    """Mean profile across a rod: positions s along world x (n,), mm, and heights z (n,), mm.
+
+    Positions without enough points are left out.
+    """
 
     s_mm: FloatArray
     z_mm: FloatArray
 
     def width(self) -> BarWidth:
-        """Return the width of the crest between its valleys.
+        """Return the width of the crest at 50 % of its height above the valleys.
 
         Raises
         ------
@@ -49,19 +52,25 @@ class RodSection:
         return bar_width(self.s_mm[inside], self.z_mm[inside], FRACTION)
 
     def break_width(self) -> BarWidth:
-        """Return the width between the breaks of the slope; errors as `width`."""
+        """Return the width between the points of largest curvature.
+
+        FitError as for `width`.
+        """
         low, high = self.valleys()
         inside = slice(low, high + 1)
         return break_width(self.s_mm[inside], self.z_mm[inside], BREAK_SIGMA_MM)
 
     def slope_change_width(self) -> BarWidth:
-        """Return the width between the fastest changes of the slope; errors as `width`."""
+        """Return the width between the points where the slope changes fastest.
+
+        FitError as for `width`.
+        """
         low, high = self.valleys()
         inside = slice(low, high + 1)
         return slope_change_width(self.s_mm[inside], self.z_mm[inside], BREAK_SIGMA_MM)
 
     def valleys(self) -> tuple[int, int]:
-        """Return the indices of the lowest points on both sides of the crest."""
+        """Return the indices of the lowest positions on both sides of the crest."""
         if self.z_mm.size < 20:
             raise FitError(f"rod section: {self.z_mm.size} positions with points, 20 needed")
         middle = np.abs(self.s_mm) < np.ptp(self.s_mm) / 4
@@ -72,20 +81,23 @@ class RodSection:
 def section_of(
     points_mm: FloatArray, along_mm: float, centre_mm: tuple[float, float]
 ) -> RodSection:
-    """Average points, (n, 3) mm, over the middle of a rod along world y.
+    """Return the mean profile across a rod, from points over the middle of the rod.
+
+    The rod is along world y.
 
     Parameters
     ----------
-    points_mm : (n, xyz) float, world frame
-    along_mm : length of rod that is averaged
-    centre_mm : x and y of the rod's middle; positions count from it
+    points_mm : (n, xyz) float, world frame, mm
+    along_mm : length of the rod over which points are averaged, mm
+    centre_mm : world x and y of the middle of the rod, mm, from which positions are measured
     """
     x, y, z = (points_mm - (*centre_mm, 0.0)).T
     inside = np.abs(y) <= along_mm / 2
     bins = np.round(x[inside] / STEP_MM).astype(int)
     where = np.unique(bins, return_inverse=True)[1]
     counts = np.bincount(where)
-    # A bin of a pixel's width contains columns on only one side of its middle.
+    # The mean x of the points is used: in a bin as narrow as a pixel, all points may be on one
+    # side of the bin's middle.
     across, means = (np.bincount(where, coordinate[inside]) / counts for coordinate in (x, z))
     full = counts >= _LEAST_IN_BIN
     return RodSection(across[full], means[full])
@@ -98,7 +110,10 @@ def middle_of(shape: Shape) -> tuple[float, float]:
 
 
 def single_section(specimen: Specimen) -> NominalRod | NominalBar | None:
-    """Return the rod or bar if it is the only one: sections of several run into each other."""
+    """Return the rod along y or the bar of a specimen if there is exactly one, else None.
+
+    The sections of several rods or bars would overlap.
+    """
     across = [
         feature
         for feature in specimen.nominal_features()
@@ -111,11 +126,12 @@ def single_section(specimen: Specimen) -> NominalRod | NominalBar | None:
 def rod_figures(
     experiment: Experiment, points_mm: NDArray[np.floating[Any]], prefix: str = ""
 ) -> dict[str, float | str | None]:
-    """Return widths and height of the coat over a rod, from its points (n, xyz).
+    """Return widths and height of the coat over a rod, mm, from its points (n, xyz), mm.
 
-    They are apparent figures of the coat, as measured with a caliper. A width that its section does
-    not have is None, and `rod_failure` gives the reason; without a crest that is all. Empty where
-    the specimen is not a single rod.
+    They are figures of the coat, not of the rod, as measured with a caliper. A width that the
+    section does not have is None, and `rod_failure` gives the reason. If the section has no crest,
+    only `rod_failure` is returned. Empty if the specimen is not a single rod or bar. `prefix` is
+    put before each name.
     """
     if single_section(experiment.specimen) is None:
         return {}

@@ -1,4 +1,4 @@
-"""Rows of settings and figures, one per case: as labelled arrays, and drawn for a notebook."""
+"""Tables with one row of settings and figures per case: as labelled arrays, and as plots."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeGuard
@@ -17,16 +17,16 @@ _MOST_PANELS = 3
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a cell is a figure: neither text nor yes or no nor empty."""
+    """Return True if the value of a cell is a number: not a text, not a bool, not None."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def rows_as_arrays(rows: Sequence[Row], names: Sequence[str]) -> LabelledArrays:
-    """Return the columns of a table over its rows, each along the dimension `case`.
+    """Return the named columns of a table as arrays along the dimension `case`.
 
-    Columns of figures are float with NaN where a row has none; columns of text have "" there; a
-    column with neither is left out. The column `case` labels the rows, or else their numbers do.
-    Units are in the names.
+    A column with numbers is float, with NaN for a missing number. A column of text has "" for a
+    missing text. A column with neither is left out. The rows are labelled by the column `case` if
+    there is one, else by their numbers. Units are in the names.
     """
     variables: dict[str, Labelled] = {}
     for name in names:
@@ -42,13 +42,13 @@ def rows_as_arrays(rows: Sequence[Row], names: Sequence[str]) -> LabelledArrays:
 
 
 def draw_rows(rows: Sequence[Row], x: str, names: Sequence[str], by: str = "") -> "Drawing":
-    """Draw the first columns of figures over a setting: a Matplotlib figure, one panel each.
+    """Draw up to three columns of figures over a setting into a Matplotlib figure, a panel each.
 
     Parameters
     ----------
-    x : column of numbers or of texts
-    names : columns to choose from; those without a figure are left out
-    by : column with the values that are distinguished by colour
+    x : name of the column on the horizontal axis, with numbers or texts
+    names : names of columns; the first three of those with numbers are drawn
+    by : name of the column that is shown by colour; empty: one colour
     """
     from reconstruction.drawing import Drawing
 

@@ -1,6 +1,7 @@
-"""Score points of any method, mm, against the truth; figures of balls are those of `balls`.
+"""Score the points of any method against the truth; figures of balls are those of `balls`.
 
-Points are not registered before comparing: their position is part of the method's error.
+Points are not registered to the truth before the comparison: an error of their position is part of
+the error of the method.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,7 +13,13 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, at_pixels
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import mean, median, p95_of_size, rms, spread
+from reconstruction.evaluate.fit import (
+    mean,
+    median,
+    p95_of_size,
+    rms,
+    spread,
+)
 from reconstruction.photometric import HeightMap
 from reconstruction.pipeline import Reconstruction, filter_bias
 from twin.config.models import Experiment
@@ -26,12 +33,14 @@ from twin.results.rods import rod_figures, single_section
 
 @dataclass(frozen=True)
 class TruthScore:
-    """Errors of world z against the true surface at the pixel centres, valid target pixels only.
+    """Errors of world z against the true surface at the pixel centres.
 
-    `completeness` is the share of the target pixels with a point, `good_share` that of those whose
-    point is also right within `score.good_within_um`. A figure that does not exist (the error of no
-    point, the share of no pixel) is None: 0 would beat every measurement. `why_absent` gives the
-    reason.
+    Errors are taken at target pixels with a valid point; see `wanted_pixels`.
+
+    `completeness` is the share of the target pixels that have a point. `good_share` is the share
+    of the target pixels with an error of at most `score.good_within_um`. A figure is None if there
+    is no point for an error or no pixel for a share. It is not 0, because 0 would be the best
+    possible error. `why_absent` gives the reason.
     """
 
     points: int
@@ -44,11 +53,12 @@ class TruthScore:
 
 @dataclass(frozen=True)
 class FringeScore(TruthScore):
-    """Further figures of fringe projection.
+    """Errors of world z against the truth, with further figures of fringe projection.
 
-    `filter_bias_um` and `filter_bias_share` need no truth, see `filter_bias`. `error_over_sigma` is
-    the robust spread of error / predicted sigma: 1 when the predicted sigma is the actual one, more
-    when systematic errors exceed the noise. One point has no spread.
+    `filter_bias_um` and `filter_bias_share` are computed without the truth, see `filter_bias`.
+    `error_over_sigma` is a robust standard deviation of error / predicted sigma. It is 1 if the
+    predicted sigma is right, and larger if systematic errors exceed the noise. It is None for
+    fewer than two points.
     """
 
     lit_pixels: int
@@ -61,10 +71,12 @@ class FringeScore(TruthScore):
 
 @dataclass(frozen=True)
 class HeightScore(TruthScore):
-    """Further figures of heights from slopes; only pixels within the stated field count.
+    """Errors of world z against the truth, with further figures of photometric stereo.
 
-    `height_scale` is the slope of measured over true z, by least squares with a free zero; 1 where
-    heights are neither flattened nor stretched, and None on a flat truth, which has no scale.
+    Only pixels within the field of the sensor are target pixels.
+
+    `height_scale` is the slope of the least-squares line of measured over true z. It is 1 if
+    heights are neither flattened nor stretched. It is None if the true surface is flat.
     """
 
     wanted_pixels: int
@@ -76,16 +88,17 @@ Against = TypeVar("Against", bound=TruthScore, covariant=True)
 
 @dataclass(frozen=True, eq=False)
 class Scores(Generic[Against]):
-    """Everything that is scored on one measurement.
+    """All scores of one measurement.
 
     Attributes
     ----------
-    against_truth : FringeScore or HeightScore, by method
-    spheres : the balls that could be fitted
-    unfitted : why the others could not: a ball without valid points must not sink the measurement
-    regions : the same figures of the balls over the further regions of `score.regions_mm`, by name
-    shown : width and height of a single rod, hole and hexagon of a nut, measured and of the true
-        face; empty for all else
+    against_truth : `FringeScore` or `HeightScore`, depending on the method
+    spheres : sphere fits of the balls that could be fitted
+    unfitted : for each ball that could not be fitted, a text with the reason; the measurement is
+        still valid
+    regions : figures of the balls over the further regions of `score.regions_mm`, by name
+    shown : figures, by name, of a single rod (width, height) or a nut (hole depth, hexagon share),
+        measured and of the true face; empty for other specimens
     """
 
     against_truth: Against
@@ -98,7 +111,7 @@ class Scores(Generic[Against]):
 def score(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> Scores[FringeScore]:
-    """Score a reconstruction against the truth of the same camera pixels."""
+    """Score a reconstruction by fringes against the truth at the same camera pixels."""
     points = reconstruction.point_map
     usable = points.valid & truth.lit
     spheres = score_balls(experiment, points.points_world_mm, truth, usable)
@@ -107,11 +120,11 @@ def score(
 
 
 def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> Scores[HeightScore]:
-    """Score heights of photometric stereo against the truth of the same pixels.
+    """Score heights by photometric stereo against the truth at the same pixels.
 
     Raises
     ------
-    FitError : no pixel of the field carries a height
+    FitError : no pixel within `photometric.field` has a height
     """
     measured_mm, target = in_world(heights), wanted_pixels(experiment, truth)
     both = target & heights.valid
@@ -133,12 +146,12 @@ def score_heights(experiment: Experiment, heights: HeightMap, truth: Truth) -> S
 def score_truth(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> FringeScore:
-    """Compare world z, pixel by pixel, with the truth at the pixel centre."""
+    """Compare the measured world z of each pixel with the true z at the pixel centre."""
     target = wanted_pixels(experiment, truth)
     both = reconstruction.point_map.valid & target
     measured_mm = at_pixels(reconstruction.point_map.points_world_mm, both)[:, 2]
     true_mm = at_pixels(truth.points_world_mm, both)[:, 2]
-    # As precise as the points themselves: medians of twice the bytes take half as long again.
+    # float32, as the points: with float64, medians would take 1.5 x the time.
     error_um = np.float32(1e3) * (measured_mm - true_mm)
     sigma_mm = at_pixels(reconstruction.point_map.sigma_z_mm, both)
     sigma_um = np.float32(1e3) * sigma_mm
@@ -159,7 +172,10 @@ def score_truth(
 
 
 def _errors(experiment: Experiment, error_um: NDArray[np.floating], target: int) -> dict[str, Any]:
-    """Figures of `TruthScore` from the errors (n,) of the target pixels that have a point."""
+    """Return the figures of `TruthScore`, from errors (n,), um, of the target pixels with a point.
+
+    `target` is the number of target pixels.
+    """
     good = np.abs(error_um) <= experiment.score.good_within_um
     return {
         "points": len(error_um),
@@ -181,16 +197,17 @@ def figure_of(
     figure: Callable[[NDArray[np.floating]], float],
     least: int = 1,
 ) -> float | None:
-    """Return a figure of values (n,); None where fewer than `least` leave it without a meaning."""
+    """Return the function `figure` of values (n,); None if there are fewer than `least` values."""
     return float(figure(values)) if len(values) >= least else None
 
 
 def wanted_pixels(experiment: Experiment, truth: Truth) -> NDArray[np.bool_]:
-    """Pixels that ought to give a point, (row, col).
+    """Return the mask (row, col) of the target pixels: those that should have a point.
 
-    On a coat under fringes those that both devices see. On a bare specimen every pixel that shows
-    it: the method's blind flanks and shadows there are part of its result. In the light
-    of lamps the coat within the stated field.
+    With fringes on a coat, target pixels are those that show a point visible for camera and
+    projector. On a bare specimen, all pixels that show it are target pixels, because shadows and
+    invisible flanks are part of the result. With photometric stereo, target pixels show the coat
+    within the field of the sensor.
     """
     if experiment.method.fringes:
         return truth.lit if experiment.method.presses else truth.measured
@@ -201,7 +218,10 @@ def wanted_pixels(experiment: Experiment, truth: Truth) -> NDArray[np.bool_]:
 
 
 def in_world(heights: HeightMap) -> FloatArray:
-    """Place a height map in the world, (row, col, xyz): the image's middle looks at the origin."""
+    """Return the points (row, col, xyz), mm, of a height map in the world frame.
+
+    The middle of the image is at world x = y = 0.
+    """
     rows, cols = heights.height_mm.shape
     col, row = np.meshgrid(np.arange(cols), np.arange(rows))
     x_mm = (col - 0.5 * (cols - 1)) * heights.pitch_mm
@@ -212,9 +232,11 @@ def in_world(heights: HeightMap) -> FloatArray:
 def wrong_orders(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> int | None:
-    """Count decoded lit pixels with a projector column or row off by half a period or more.
+    """Return the number of decoded target pixels with a wrong fringe order.
 
-    None where no pixel was decoded: a count of 0 would be misleading.
+    Their projector column or row has an error of at least half a period.
+
+    None if no pixel was decoded, because a count of 0 would be misleading.
     """
     both = reconstruction.decoded.valid & wanted_pixels(experiment, truth)
     wrong = _of_another_period(experiment, reconstruction, truth)
@@ -224,13 +246,16 @@ def wrong_orders(
 def _of_another_period(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> BoolImage:
-    """Mark pixels with a projector column or row off by half a period or more."""
+    """Return a mask (row, col) of pixels with a wrong fringe order.
+
+    Their projector column or row has an error of at least half a period.
+    """
     patterns = pattern_set(experiment.projector, experiment.patterns)
     wrong: BoolImage = np.zeros(truth.column_px.shape, np.bool_)
     for axis in reconstruction.decoded.axes:
         decoded = getattr(reconstruction.decoded, axis).coordinate_px
         true_px = truth.row_px if axis == "row" else truth.column_px
-        # A code of words has no phase: at a border either word is right, the step is a whole word.
+        # A code without phase steps has errors of one whole period at the borders of code words.
         limit_px = patterns.period_along(axis) / (2 if patterns.steps else 1)
         wrong |= np.abs(decoded - true_px) >= limit_px
     return wrong
@@ -241,8 +266,8 @@ def order_warnings(
 ) -> list[str]:
     """Return a one-line warning if points of a wrong fringe order cause most of the z error.
 
-    A few such points pass the decoder's checks, because their column and row are consistent by
-    chance; their z errors are centimetres.
+    The list is empty otherwise. A few such points pass the checks of the decoder, because column
+    and row are consistent by chance. The errors of their z are some centimetres.
     """
     points = reconstruction.point_map
     both = points.valid & wanted_pixels(experiment, truth)
@@ -264,7 +289,8 @@ def order_warnings(
     ]
 
 
-# Of the RMS error without wrong fringe orders: beyond this share they dominate it.
+# Wrong fringe orders dominate if the RMS error is larger than this multiple of the RMS error
+# without them.
 _DOMINATED = 2.0
 _BY_ANOTHER_SURFACE = (
     "; there the light that stage and specimen throw on each other is stronger than the "
@@ -293,7 +319,7 @@ def _scale(measured_mm: FloatArray, true_mm: FloatImage) -> float | None:
 
 
 def metrics(scored: Scores[TruthScore]) -> dict[str, Any]:
-    """Flatten a score to names with units, for result.json."""
+    """Return all scores by name for `result.json`; names end with the unit."""
     figures = asdict(scored.against_truth) | {"unfitted_balls": list(scored.unfitted)}
     spheres = sphere_metrics(scored.spheres, scored.unfitted)
     return figures | spheres | dict(scored.regions) | dict(scored.shown)

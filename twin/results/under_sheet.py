@@ -1,8 +1,9 @@
-"""The object under the thin sheet of a measurement, cell by cell, and how well it is known.
+"""The object under a thin sheet, reconstructed from a measured coat, and its uncertainty.
 
-Only the measured coat and the layer (`SensorLayer`) are used, no truth: contact, local thickness
-and object are those of `reconstruction.compensation.compensate_sheet`. Fits of the object take the
-cores of the contact's parts, without the edge that the filter of the curvature blurs.
+Only the measured coat and the assumed layer (`SensorLayer`) are used, not the truth. Contact,
+local thickness and object are computed by `reconstruction.compensation.compensate_sheet`. Fits of
+the object use only the cores of the parts of the contact, without the edges, which the filter of
+the curvature blurs.
 """
 
 from collections.abc import Iterator
@@ -29,19 +30,21 @@ from twin.config.sensor_layer import SensorLayer, sensor_layer_of
 from twin.mechanics.choice import may_wrap
 from twin.mechanics.hardness import young_modulus
 
-# Air over modulus and thickness that wraps a sheet round objects of a few mm, at half of the limit
-# beyond which a wrapped sheet thins without bound: docs/sheet.md.
+# Air pressure / (modulus x thickness) that wraps a sheet round objects of a few mm. It is 50 % of
+# the limit beyond which a wrapped sheet thins without bound, see docs/sheet.md.
 _WRAPPING_STRAIN_PER_MM = 0.03
 _MUCH_LESS = 0.7
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectUnderSheet:
-    """A compensated coat with the parts of its contact; cells are numbered row after row.
+    """The reconstructed object under a sheet, with the parts of its contact.
+
+    Cells of the relief are numbered row by row.
 
     Attributes
     ----------
-    sheet : coat, local thickness, contact and object on the relief's cells
+    sheet : coat, local thickness, contact and object, on the cells of the relief
     parts : connected parts of the contact that are wide enough to be fitted
     """
 
@@ -50,17 +53,17 @@ class ObjectUnderSheet:
 
     @property
     def core(self) -> BoolArray:
-        """Cells (row, col) of the object that fits may use."""
+        """Mask (row, col) of the cells that fits of the object may use."""
         cores = [part.core for part in self.parts]
         return np.logical_or.reduce(cores) if cores else np.zeros(self.sheet.contact.shape, bool)
 
     @property
     def blur_mm(self) -> float:
-        """How far the contact's edge is blurred."""
+        """Width over which the edge of the contact is blurred, mm."""
         return self.sheet.blur_mm
 
     def touches(self, xy_mm: FloatArray) -> BoolArray:
-        """Return whether the object carries the sheet at places (n, xy): in the nearest cell."""
+        """Return a mask (n,): True if the nearest cell of a point (n, xy), mm, is in contact."""
         relief, contact = self.sheet.relief, self.sheet.contact
         col, row = (
             np.rint((xy_mm[:, axis] - cells[0]) / (cells[1] - cells[0])).astype(np.intp)
@@ -72,13 +75,13 @@ class ObjectUnderSheet:
         return touching
 
     def noise_mm(self, estimate: FittedDimension, cells: IntArray) -> float:
-        """Return the standard uncertainty of a fit by noise and texture of the coat, mm.
+        """Return the standard uncertainty, mm, of a fit by noise and texture of the coat.
 
-        The residuals' own variance and correlation area are used for those of the points.
+        Variance and correlation area of the points are estimated from the residuals of the fit.
 
         Parameters
         ----------
-        cells : (n,) number of each fitted point's cell
+        cells : (n,) number of the cell of each fitted point
         """
         relief, shape = self.sheet.relief, self.sheet.contact.shape
         rest, used = np.zeros(shape), np.zeros(shape, bool)
@@ -88,9 +91,9 @@ class ObjectUnderSheet:
         return estimate.noise_mm(spread_mm, area_mm2 / relief.cell_area_mm2)
 
     def moved(self, points_mm: FloatArray, cells: IntArray) -> Iterator[FloatArray]:
-        """Yield the points (n, xyz) moved by each standard uncertainty of the layer that is not 0.
+        """Yield the points (n, xyz), mm, moved by each non-zero standard uncertainty of the layer.
 
-        All points of a part move together, each along its normal.
+        All points move together, each along its normal.
         """
         normal = self.sheet.normal.reshape(-1, 3)[cells]
         for move in self.sheet.layer_moves_mm:
@@ -101,10 +104,12 @@ class ObjectUnderSheet:
 
 @dataclass(frozen=True, eq=False)
 class SheetCompensation:
-    """Input of the compensation of a measured coat; the object is computed once, at first use.
+    """Reconstruction of the object under the sheet of a measured coat, computed at first use.
 
     Attributes
     ----------
+    experiment : the measured experiment
+    points : measured points of the coat
     layer : assumed elastomer and load; None: those of the experiment
     """
 
@@ -114,12 +119,12 @@ class SheetCompensation:
 
     @property
     def compensated(self) -> ObjectUnderSheet | None:
-        """The object; None if absent, `why` gives the reason."""
+        """The reconstructed object; None if there is none, `why` gives the reason."""
         return None if isinstance(self._outcome, str) else self._outcome
 
     @property
     def why(self) -> str:
-        """Why no object was found; empty where one was."""
+        """Reason why the object could not be reconstructed; empty if it was."""
         return self._outcome if isinstance(self._outcome, str) else ""
 
     @cached_property
@@ -134,9 +139,9 @@ class SheetCompensation:
 def sheet_compensation(
     experiment: Experiment, points: PointMap, layer: SensorLayer | None = None
 ) -> SheetCompensation | None:
-    """Return the input of the compensation for a thin sheet that was measured by fringes.
+    """Return the reconstruction, not yet computed, of the object under a thin sheet.
 
-    None if the method has no press or no fringes, or if the elastomer is no thin sheet.
+    None if the method has no press or no fringes, or if the elastomer is not a thin sheet.
     """
     method = experiment.method
     if not (method.fringes and method.presses and may_wrap(experiment.elastomer)):
@@ -145,7 +150,7 @@ def sheet_compensation(
 
 
 def more_contact(under: ObjectUnderSheet | None) -> str:
-    """Return advice on how a thin sheet touches more of an object."""
+    """Return advice as text: how to make a thin sheet touch more of an object."""
     if under is None:
         return "press deeper"
     layer = under.sheet.layer
@@ -158,11 +163,11 @@ def more_contact(under: ObjectUnderSheet | None) -> str:
 
 
 def compensated_sheet(points: PointMap, layer: SensorLayer) -> CompensatedSheet:
-    """Return the object under a thin sheet from the measured points of its coat.
+    """Reconstruct the object under a thin sheet from the measured points of the coat.
 
     Raises
     ------
-    InputError : no valid point, or points that show no object
+    InputError : there is no valid point, or the points show no object
     """
     valid = points.valid
     if not valid.any():
@@ -173,7 +178,7 @@ def compensated_sheet(points: PointMap, layer: SensorLayer) -> CompensatedSheet:
 
 
 def sheet_layer(layer: SensorLayer) -> SheetLayer:
-    """Return the layer as the thin sheet's equations take it."""
+    """Return the parameters of a layer in the form that the equations of a thin sheet need."""
     elastomer, sigma = layer.elastomer, layer.sigma
     modulus = young_modulus(elastomer)
     return SheetLayer(
@@ -195,7 +200,10 @@ def sheet_layer(layer: SensorLayer) -> SheetLayer:
 
 
 def sigma_of_modulus(layer: SensorLayer) -> float:
-    """Return the modulus' standard uncertainty: given, or that of all its range as likely."""
+    """Return the standard uncertainty, kPa, of Young's modulus.
+
+    It is the given one, or else that of a uniform distribution over the range of the modulus.
+    """
     if layer.sigma.young_modulus_kpa is not None:
         return layer.sigma.young_modulus_kpa
     modulus = young_modulus(layer.elastomer)

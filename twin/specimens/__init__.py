@@ -1,4 +1,4 @@
-"""Rigid specimens: triangle mesh and the height field that faces the elastomer."""
+"""Rigid specimens: triangle meshes, and heights of the side that faces the elastomer."""
 
 from twin.specimens.catalogue import Body, bodies, height_above_lowest, shape_of
 

@@ -1,9 +1,10 @@
-"""Shapes and bodies of configured specimens in their pose, of any registered kind.
+"""Shapes and closed bodies of configured specimens of any kind, in their pose.
 
-A specimen defines its shape in its own frame; this module applies its pose (a rigid motion, world =
-rotation @ body + shift, mm) and the height of its foremost point. z is measured upwards from the
-touched plane: the specimen presses from below, so that its foremost point is its highest.
-Groups are several specimens on one stage; any specimen is one closed body per part.
+A specimen defines its shape in its own frame. This module applies its pose (a rigid motion, world =
+rotation @ body + shift, mm) and shifts it along z to first touch: its foremost point is at z = 0. z
+is measured upwards from the touched plane. The specimen presses from below, so that its foremost
+point is its highest. A group consists of several specimens on one stage and has one closed body per
+part; any other specimen is one closed body.
 """
 
 from dataclasses import dataclass
@@ -25,12 +26,12 @@ AnySpecimen = TypeVar("AnySpecimen", bound=Specimen)
 
 
 def unposed(specimen: AnySpecimen) -> AnySpecimen:
-    """Return a specimen without pose and material: the key of its shape in the cache."""
+    """Return a copy of a specimen without pose and material: the cache key of its shape."""
     return type(specimen)(**specimen.model_dump(exclude=set(Specimen.model_fields) - {"kind"}))
 
 
 def raised(height_mm: float) -> Placement:
-    """Return a shift along z."""
+    """Return the placement that shifts a shape by `height_mm` along z."""
     return Placement(np.eye(3), np.array([0.0, 0.0, height_mm]))
 
 
@@ -45,7 +46,7 @@ def pose_of(specimen: Specimen) -> Placement:
 
 
 def shape_of(specimen: Specimen) -> Shape:
-    """Build the shape of a configured specimen, in its pose, at first touch.
+    """Return the shape of a specimen in its pose at first touch: the foremost point is at z = 0.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def shape_of(specimen: Specimen) -> Shape:
 
 
 def height_above_lowest(specimen: Specimen, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-    """Sample the specimen's side that faces the elastomer.
+    """Return the heights, on a grid, of the specimen's side that faces the elastomer.
 
     Parameters
     ----------
@@ -66,20 +67,20 @@ def height_above_lowest(specimen: Specimen, x_mm: FloatArray, y_mm: FloatArray) 
     Returns
     -------
     (row, col) float, mm; distance from the plane of first touch, away from the elastomer: 0 at
-        the foremost point, inf outside the specimen. Exact, not a paraboloid.
+        the foremost point, inf outside the specimen. A ball is exact, not a paraboloid.
     """
     return np.maximum(shape_of(specimen).height_above_lowest(x_mm, y_mm), 0.0)
 
 
 @dataclass(frozen=True)
 class Assembly:
-    """Rigid shapes that move together."""
+    """Several rigid shapes that move together: a group, or a specimen that consists of parts."""
 
     parts: tuple[Shape, ...]
 
     @property
     def top_mm(self) -> float:
-        """Height of the foremost part."""
+        """Height of the foremost point of all parts."""
         return max(part.top_mm for part in self.parts)
 
     @property
@@ -88,7 +89,7 @@ class Assembly:
         return min(part.bottom_mm for part in self.parts)
 
     def placed(self, pose: Placement) -> "Assembly":
-        """Return all parts moved."""
+        """Return the assembly moved by a rigid motion."""
         return Assembly(tuple(part.placed(pose) for part in self.parts))
 
     def spheres(self) -> tuple[Sphere, ...]:
@@ -100,13 +101,16 @@ class Assembly:
         return tuple(body for part in self.parts for body in part.distances())
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
-        """Return the outline in world xy: (x low, x high, y low, y high)."""
+        """Return the bounds in world xy, mm: (x low, x high, y low, y high)."""
         outlines = np.array([part.bounds_mm() for part in self.parts])
         low, high = outlines.min(axis=0), outlines.max(axis=0)
         return float(low[0]), float(high[1]), float(low[2]), float(high[3])
 
     def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (row, col) float, mm: the foremost part at each point."""
+        """Return the distance (row, col), mm, of the foremost part behind the touched plane.
+
+        It is inf where there is no part.
+        """
         heights = (part.height_above_lowest(x_mm, y_mm) for part in self.parts)
         return reduce(np.minimum, heights)
 
@@ -117,17 +121,17 @@ class Assembly:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One closed surface of one material, world frame, mm."""
+    """One closed body of one optical material, world frame, mm."""
 
-    #: the part's name in a group, else the specimen's kind
+    #: name of the part in a group; otherwise the kind of the specimen
     name: str
     mesh: "trimesh.Trimesh"
-    #: None if the experiment names none
+    #: None if the experiment states no material
     material: Material | None
 
 
 def bodies(specimen: Specimen, touched_z_mm: float = 0.0) -> tuple[Body, ...]:
-    """Return the parts of a specimen at first touch, world frame, mm.
+    """Return the closed bodies of a specimen at first touch, world frame, mm.
 
     Parameters
     ----------
@@ -135,8 +139,8 @@ def bodies(specimen: Specimen, touched_z_mm: float = 0.0) -> tuple[Body, ...]:
 
     Returns
     -------
-    One per part of a group, in the file's order; a part without a material has the group's.
-    Overlapping parts remain separate here. Every other kind is one body, named by its kind
+    For a group one body per part, in the order of the file; a part without a material has the
+    material of the group, and overlapping parts remain separate. Any other specimen is one body
     """
     shape, parts = shape_of(specimen), specimen.components
     if not parts or not isinstance(shape, Assembly):

@@ -1,6 +1,6 @@
 """Shapes in closed form: joined balls, and a cylinder with rounded edges.
 
-mm. The specimen presses from below, so that its foremost point is its highest.
+Lengths in mm. The specimen presses from below, so that its foremost point is its highest.
 """
 
 from dataclasses import dataclass, replace
@@ -16,14 +16,14 @@ from twin.specimens.solids import united
 if TYPE_CHECKING:
     import trimesh
 
-# Level 6 has 82 k facets; the error of its chords is at most 0.3 um for a 4 mm ball.
+# Subdivisions of an icosahedron: 6 give 82 k facets, with chord errors up to 0.3 um on a 4 mm ball.
 _SUBDIVISIONS = 6
 _NECK_OVER_RADIUS = 0.1
 
 
 @dataclass(frozen=True)
 class SphereCluster:
-    """Rigid balls; at first touch the highest apex is at z = 0."""
+    """One or more balls that move together; at first touch the highest apex is at z = 0."""
 
     balls: tuple[Sphere, ...]
 
@@ -38,7 +38,7 @@ class SphereCluster:
         return min(ball.z_mm - ball.radius_mm for ball in self.balls)
 
     def placed(self, pose: Placement) -> "SphereCluster":
-        """Return the balls moved."""
+        """Return the balls moved by a rigid motion."""
         moved = [pose.apply(_centre(ball)) for ball in self.balls]
         return SphereCluster(
             tuple(
@@ -48,7 +48,10 @@ class SphereCluster:
         )
 
     def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (row, col) float, mm: upper hemispheres only, inf outside their outlines."""
+        """Return the distance (row, col), mm, of the upper hemispheres behind the touched plane.
+
+        It is inf outside the outlines of the balls.
+        """
         height = np.full((y_mm.size, x_mm.size), np.inf)
         for ball in self.balls:
             r2 = (x_mm - ball.x_mm) ** 2 + (y_mm[:, None] - ball.y_mm) ** 2
@@ -62,13 +65,13 @@ class SphereCluster:
         return self.balls
 
     def distances(self) -> tuple[SignedDistance, ...]:
-        """Return the distance to each ball; the neck between them is omitted."""
+        """Return the signed distance to each ball; the neck between balls is omitted."""
         from twin.specimens.distance import BallDistance
 
         return tuple(BallDistance((b.x_mm, b.y_mm, b.z_mm), b.radius_mm) for b in self.balls)
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
-        """Return the outline in world xy: (x low, x high, y low, y high)."""
+        """Return the bounds in world xy, mm: (x low, x high, y low, y high)."""
         return (
             min(b.x_mm - b.radius_mm for b in self.balls),
             max(b.x_mm + b.radius_mm for b in self.balls),
@@ -81,10 +84,10 @@ class SphereCluster:
 
         Notes
         -----
-        Balls that touch in a point only (separation = diameter) or not at all are joined by a
-        thin cylinder between their centres with 0.1 x their radius: bodies that touch in one point
-        are not watertight. The neck is 0.9 radii below the apexes, where no admissible press
-        reaches it; `height_above_lowest` therefore omits it.
+        Balls that touch in one point only (separation = diameter) or not at all are joined by a
+        neck, because bodies that touch in one point are not watertight. The neck is a cylinder
+        between their centres with 0.1 x their radius. It is 0.9 radii below the apexes, where no
+        admissible press reaches it; `height_above_lowest` therefore omits it.
         """
         body = united([_tessellate(ball) for ball in self.balls] + _necks(self.balls))
         body.apply_translation((0.0, 0.0, touched_z_mm))
@@ -128,8 +131,8 @@ _SECTIONS, _EDGE_STEPS = 256, 16
 class Cylinder(Shape):
     """A cylinder with rounded edges.
 
-    Its surface is the zero set of the distance function. That function is convex, so that Newton's
-    steps along a vertical ray from above approach the surface from outside and never cross it.
+    Its surface is the zero set of its distance function, which is convex. Newton's steps along a
+    vertical ray from above therefore approach the surface from outside and never cross it.
     """
 
     #: (xyz) middle
@@ -151,23 +154,26 @@ class Cylinder(Shape):
         return float(self.middle_mm[2] - self._reach(2))
 
     def placed(self, pose: Placement) -> "Cylinder":
-        """Return the cylinder moved."""
+        """Return the cylinder moved by a rigid motion."""
         return replace(self, middle_mm=pose.apply(self.middle_mm), axis=pose.rotation @ self.axis)
 
     def distances(self) -> tuple[SignedDistance, ...]:
-        """Return the distance to the cylinder."""
+        """Return the signed distance to the cylinder, the only body of this shape."""
         from twin.specimens.distance import CylinderDistance
 
         sizes = self.radius_mm, self.half_length_mm, self.edge_radius_mm
         return (CylinderDistance(self.middle_mm, self.axis, *sizes),)
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
-        """Return the outline in world xy: (x low, x high, y low, y high)."""
+        """Return the bounds in world xy, mm: (x low, x high, y low, y high)."""
         (x, y, _), (over_x, over_y) = self.middle_mm, (self._reach(0), self._reach(1))
         return float(x - over_x), float(x + over_x), float(y - over_y), float(y + over_y)
 
     def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (row, col) float, mm, inf outside the outline."""
+        """Return the distance (row, col), mm, of the upper side behind the touched plane.
+
+        It is inf outside the outline of the cylinder.
+        """
         x, y = np.meshgrid(x_mm - self.middle_mm[0], y_mm - self.middle_mm[1])
         height = np.full(x.shape, np.inf)
         near = (np.abs(x) <= self._reach(0)) & (np.abs(y) <= self._reach(1))
@@ -178,7 +184,7 @@ class Cylinder(Shape):
         return height
 
     def mesh(self, touched_z_mm: float) -> "trimesh.Trimesh":
-        """Return the closed surface, edges rounded."""
+        """Return the closed surface with rounded edges, shifted by `touched_z_mm` along z."""
         import trimesh
 
         turn = np.linspace(0, np.pi / 2, _EDGE_STEPS)
@@ -194,7 +200,7 @@ class Cylinder(Shape):
         return body
 
     def _reach(self, direction: int) -> float:
-        """Return the extent of the body from its middle along a world axis."""
+        """Return the extent of the body from its middle along a world axis (0 to 2: x to z), mm."""
         along = abs(float(self.axis[direction]))
         across = np.sqrt(max(0.0, 1 - along**2))
         core = self.half_length_mm - self.edge_radius_mm
@@ -211,7 +217,7 @@ class Cylinder(Shape):
             moving = (distance > _EXACT_MM) & ~missed
             if not moving.any():
                 break
-            # A ray that grazes the body exits at once: any large z is correct.
+            # A ray that grazes the body makes a large step down and is counted as a miss.
             z = np.where(moving, z - distance / np.maximum(rise, _GRAZING), z)
             missed |= z < -start_mm
         return np.where(missed, np.nan, z)
@@ -219,7 +225,7 @@ class Cylinder(Shape):
     def _distance(
         self, x: FloatArray, y: FloatArray, z: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the signed distance to the surface and its derivative along z."""
+        """Return the signed distance (n,), mm, to the surface and its derivative by z (n,)."""
         along = x * self.axis[0] + y * self.axis[1] + z * self.axis[2]
         across = np.sqrt(np.maximum(x**2 + y**2 + z**2 - along**2, 1e-30))
         over_end = np.abs(along) - (self.half_length_mm - self.edge_radius_mm)

@@ -1,8 +1,9 @@
 """Signed distances to rigid bodies with gradient and Hessian, for the contact of a sheet.
 
-Frame of the shape: z = 0 is the plane of first touch, the body is below; mm. Negative inside.
-This module has bodies with a closed form; meshes are in `sampled_distance`. All are exact outside.
-Inside they are smooth up to a depth of the edge radius, at which the nearest face changes.
+Frame of the shape, mm: z = 0 is the plane of first touch, and the body is below. Distances are
+negative inside. This module has the bodies with a closed form; `sampled_distance` has meshes. The
+closed forms are exact outside a body. Inside, they are smooth up to a depth of the edge radius, at
+which the nearest face changes.
 """
 
 from collections.abc import Callable
@@ -20,8 +21,8 @@ from reconstruction.machine import threads
 from twin.shape import Distances, Shape, SignedDistance
 
 _BAND = 8192
-# The curvature of a sharper edge is too large for Newton steps. With this radius the edge is 4 um
-# lower; all other parts of the surface are unchanged.
+# Least radius of edges, mm: the curvature of a sharper edge is too large for Newton steps. With
+# this radius an edge is 4 um lower; all other parts of the surface are unchanged.
 SHARPEST_MM = 0.01
 _TINY_MM = 1e-9
 
@@ -32,23 +33,29 @@ _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, _SOURCES)
 
 
 def compiled(function: Function) -> Function:
-    """Compile on first call and cache on disk; the caller allocates all arrays."""
+    """Return a kernel that is compiled at its first call and cached on disk.
+
+    Callers of the kernel allocate all its arrays.
+    """
     return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
 
 
 def nested(function: Function) -> Function:
-    """Compile for calls from other kernels only, not from Python."""
+    """Return a compiled function that other kernels can call, but not Python."""
     return compile_and_keep(function, _OPTIONS | NESTED, _SOURCE_DIGEST)
 
 
 def distances_of(shape: Shape) -> tuple[SignedDistance, ...]:
-    """Return the distances to the bodies of a shape in its pose; their contact potentials add."""
+    """Return the signed distances to the bodies of a shape in its pose.
+
+    The contact potentials of the bodies are summed.
+    """
     return shape.distances()
 
 
 @dataclass(frozen=True)
 class BallDistance:
-    """Distance to a ball."""
+    """Signed distance to a ball."""
 
     centre_mm: tuple[float, float, float]
     radius_mm: float
@@ -60,7 +67,7 @@ class BallDistance:
 
 @dataclass(frozen=True, eq=False)
 class CylinderDistance:
-    """Distance to a cylinder with rounded edges; the least edge radius is `SHARPEST_MM`."""
+    """Signed distance to a cylinder with rounded edges; their least radius is `SHARPEST_MM`."""
 
     #: (xyz) middle
     middle_mm: FloatArray
@@ -79,7 +86,7 @@ class CylinderDistance:
 
 @dataclass(frozen=True, eq=False)
 class BoxDistance:
-    """Distance to a block with rounded edges; the least edge radius is `SHARPEST_MM`."""
+    """Signed distance to a block with rounded edges; their least radius is `SHARPEST_MM`."""
 
     #: (xyz) middle
     middle_mm: FloatArray
@@ -98,7 +105,7 @@ class BoxDistance:
 
 @dataclass(frozen=True)
 class HalfSpace:
-    """Distance to the half-space behind a plane: normal . point - offset."""
+    """Signed distance to the half-space behind a plane: normal . point - offset."""
 
     #: (xyz) unit vector that points out of the material
     normal: tuple[float, float, float]
@@ -111,7 +118,7 @@ class HalfSpace:
 
 @dataclass(frozen=True)
 class RoundWall:
-    """Distance to the space outside a cylinder about the z axis."""
+    """Signed distance to a body that fills the space outside a cylinder about the z axis."""
 
     radius_mm: float
 
@@ -122,7 +129,7 @@ class RoundWall:
 
 @dataclass(frozen=True)
 class RectangularInside:
-    """Opening of a rectangular frame, centred."""
+    """Opening of a rectangular frame, centred on the z axis."""
 
     half_x_mm: float
     half_y_mm: float
@@ -130,18 +137,18 @@ class RectangularInside:
 
 @dataclass(frozen=True)
 class RoundInside:
-    """Opening of a round frame, centred."""
+    """Opening of a round frame, centred on the z axis."""
 
     radius_mm: float
 
 
 def plate(z_mm: float) -> SignedDistance:
-    """Return the half-space below a height."""
+    """Return the signed distance to the half-space below z = `z_mm`."""
     return HalfSpace((0.0, 0.0, 1.0), z_mm)
 
 
 def frame_wall(outline: RectangularInside | RoundInside) -> tuple[SignedDistance, ...]:
-    """Return the walls round the opening of a frame, vertical and unbounded."""
+    """Return the signed distances to the walls of a frame's opening, vertical and unbounded."""
     if isinstance(outline, RoundInside):
         return (RoundWall(outline.radius_mm),)
     x, y = -outline.half_x_mm, -outline.half_y_mm
@@ -156,9 +163,10 @@ def frame_wall(outline: RectangularInside | RoundInside) -> tuple[SignedDistance
 def is_clear_of(
     body: SignedDistance, low_mm: FloatArray, high_mm: FloatArray, reach_mm: float
 ) -> bool:
-    """Return True if a plane or a wall is out of reach of a whole box, given by two corners (xyz).
+    """Return True if a plane or a round wall is farther than `reach_mm` from a whole box.
 
-    False for all other bodies, which must be evaluated point by point.
+    The box is given by its corners of least and largest coordinates (xyz). The result is False for
+    all other bodies: their distance must be evaluated point by point.
     """
     if isinstance(body, HalfSpace):
         normal = np.array(body.normal)
@@ -174,9 +182,11 @@ def is_clear_of(
 def over_points(
     kernel: Callable[..., None], points_mm: FloatArray, reach_mm: float, *body: Any
 ) -> Distances:
-    """Call `kernel(points, reach, (distance, gradient, hessian), body)` over bands of points.
+    """Return distance, gradient and Hessian at points (n, xyz), computed by a kernel.
 
-    The results start as zeros. Points are independent, so that results do not depend on the bands.
+    `kernel(points, reach, (distance, gradient, hessian), body)` is called for bands of points, in
+    threads, and fills the results, which start as zeros. Points are independent of each other, so
+    that the results do not depend on the bands.
     """
     points = np.ascontiguousarray(points_mm, dtype=np.float64)
     count = len(points)
@@ -230,7 +240,10 @@ def _cylinder(
     out: Distances,
     body: tuple[FloatArray, FloatArray, float, float, float],
 ) -> None:
-    """In the plane through the axis: distance to a rectangle, offset by the edge's radius."""
+    """Fill the distance to a cylinder with its derivatives.
+
+    In the plane through point and axis it is the distance to a rectangle, less the edge's radius.
+    """
     distance, gradient, hessian = out
     middle, axis, core_radius, core_length, edge = body
     ax, ay, az = axis[0], axis[1], axis[2]
@@ -268,7 +281,10 @@ def _cylinder(
 def _beyond_core(
     at: FloatArray, rotation: FloatArray, core: FloatArray, over: FloatArray, sign: FloatArray
 ) -> tuple[float, int]:
-    """Set the distance of a point beyond each face; return its distance and the nearest face."""
+    """Return the distance of a point to the core of a block, and the axis of the nearest face.
+
+    Sets `over`, the distance beyond the nearer face of each axis, and `sign`, the side of the face.
+    """
     squared, foremost = 0.0, 0
     for k in range(3):
         along = rotation[0, k] * at[0] + rotation[1, k] * at[1] + rotation[2, k] * at[2]
@@ -277,7 +293,7 @@ def _beyond_core(
         squared += max(over[k], 0.0) ** 2
         if over[k] > over[foremost]:
             foremost = k
-    # Over a single face, a root would have a rounding error in the last digit.
+    # If the point is beyond a single face, a square root would add a rounding error.
     single_face = squared <= max(over[foremost], 0.0) ** 2
     return over[foremost] if single_face else np.sqrt(squared), foremost
 
@@ -286,7 +302,10 @@ def _beyond_core(
 def _bend(
     n: FloatArray, rotation: FloatArray, over: FloatArray, far: float, hessian: FloatArray
 ) -> None:
-    """Set (I - n n) / far in the axes along which the point is beyond the core."""
+    """Set the Hessian (I - n n) / far, restricted to axes along which the point is beyond the core.
+
+    `n` is the gradient and `far` the distance to the core.
+    """
     for p in range(3):
         for q in range(p, 3):
             bend = -n[p] * n[q]
@@ -305,7 +324,10 @@ def _boxed(points: FloatArray, reach: float, out: Distances, body: Box) -> None:
 
 @compiled
 def _box(points: FloatArray, reach: float, out: Distances, body: Box, lines: FloatArray) -> None:
-    """Distance to the core, offset by the edge's radius; nearest face inside the core."""
+    """Fill the distance to a block with its derivatives: that to its core, less the edge's radius.
+
+    Inside the core it is the distance to the nearest face.
+    """
     distance, gradient, hessian = out
     middle, rotation, core, edge = body
     at, over, n = lines[0], lines[1], lines[2]

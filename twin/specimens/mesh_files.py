@@ -1,4 +1,4 @@
-"""Closed surfaces from mesh files: STL, PLY and OBJ."""
+"""Read closed surfaces from mesh files: STL, PLY and OBJ."""
 
 import codecs
 import io
@@ -17,27 +17,30 @@ if TYPE_CHECKING:
 
 _FILE_TYPES = (".stl", ".ply", ".obj")
 _MOST_BYTES = 2**30
-# trimesh would read it as the last vertex, which gives a closed body of wrong shape.
+# Matches a face of an OBJ file that refers to vertex 0. trimesh would read this index as the last
+# vertex, which gives a closed body of wrong shape.
 _NUMBERED_FROM_0 = re.compile(rb"^[ \t]*+f[ \t]++(?:\S++[ \t]++)*?0(?:/|\s|$)", re.MULTILINE)
-# In the file's units, possibly metres. Beyond these limits rounding dominates distances.
+# Allowed size in the file's units, possibly metres. Beyond it rounding dominates distances.
 _EXTENT = 1e-6, 1e6
-# Bodies that a sensor can press or image; smaller sizes result from files in metres.
+# Allowed size of bodies that a sensor can press or image; a file in metres gives smaller sizes.
 _SIZE_MM = 0.1, 1000.0
-# Volume relative to a cube of the same size, far below a needle's: less has no interior.
+# Least volume over that of a cube of the same size, far below that of a needle: a surface with less
+# volume has no interior.
 _LEAST_FILL = 1e-8
 
 
 def read_closed_mesh(key: str, name: str) -> "trimesh.Trimesh":
-    """Read a closed surface.
+    """Read a closed surface, in the file's units.
 
     Parameters
     ----------
-    key : key of the experiment file that names it, for messages
+    key : key of the experiment that states the file, for messages
     name : path of an STL, PLY or OBJ file; `scenes/...` for shipped files
 
     Raises
     ------
-    InputError : the file is missing, no mesh, empty, not watertight or without volume
+    InputError : the file is missing or no mesh, or the mesh is empty, not watertight or without
+        volume
     """
     import trimesh
 
@@ -70,11 +73,12 @@ def read_body_mm(key: str, name: str, scale_key: str, mm_per_unit: float) -> "tr
     Parameters
     ----------
     key, name : as for `read_closed_mesh`
-    scale_key, mm_per_unit : key that scales it, for messages; mm, length of one unit of the file
+    scale_key : key of the scale, for messages
+    mm_per_unit : length of one unit of the file, mm
 
     Raises
     ------
-    InputError : as `read_closed_mesh`, or the body is implausibly small or large
+    InputError : as `read_closed_mesh`, or the longest side is not within 0.1 to 1000 mm
     """
     surface = read_closed_mesh(key, name)
     size_mm, (least, most) = float(surface.extents.max()) * mm_per_unit, _SIZE_MM
@@ -90,13 +94,16 @@ def read_body_mm(key: str, name: str, scale_key: str, mm_per_unit: float) -> "tr
 
 
 def _welded(surface: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """Merge vertices at the same position; files split them by normal, texture and material."""
+    """Return the surface with vertices at the same position merged.
+
+    Files store a vertex several times if its triangles differ in normal, texture or material.
+    """
     import trimesh
 
     joined = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     joined.merge_vertices()
     a, b, c = joined.faces.T
-    joined.update_faces((a != b) & (b != c) & (c != a))  # triangles that merging made lines
+    joined.update_faces((a != b) & (b != c) & (c != a))  # removes triangles that became lines
     return joined
 
 

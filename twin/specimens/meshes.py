@@ -1,6 +1,6 @@
 """Specimens as triangle meshes.
 
-The upper side of a mesh as a height map is computed with vertical rays, exact at every cell.
+The upper side of a mesh as a height map is computed with vertical rays, exactly at each grid point.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class MeshShape(Shape):
-    """A closed surface of triangles."""
+    """Shape of a specimen that is a closed surface of triangles."""
 
     #: the surface in its original frame
     body: "trimesh.Trimesh"
-    #: motion from the original frame
+    #: rigid motion from the original frame
     pose: Placement = UNMOVED
-    #: function that returns its closed-form distance in a pose, if there is one
+    #: function that returns the closed-form distance of the body in a pose; None: sampled distance
     exact: Callable[[Placement], SignedDistance] | None = None
 
     @cached_property
@@ -47,26 +47,29 @@ class MeshShape(Shape):
         return float(self.surface.bounds[0, 2])
 
     def placed(self, pose: Placement) -> "MeshShape":
-        """Return the surface moved."""
+        """Return the shape moved by a rigid motion."""
         return replace(self, pose=self.pose.then(pose))
 
     def distances(self) -> tuple[SignedDistance, ...]:
-        """Return the distance to the surface."""
+        """Return the signed distance to the surface, the only body of this shape."""
         from twin.specimens.sampled_distance import MeshDistance
 
         return (self.exact(self.pose) if self.exact else MeshDistance(self.body, self.pose),)
 
     def bounds_mm(self) -> tuple[float, float, float, float]:
-        """Return the outline in world xy: (x low, x high, y low, y high)."""
+        """Return the bounds in world xy, mm: (x low, x high, y low, y high)."""
         (x_low, y_low, _), (x_high, y_high, _) = self.surface.bounds
         return float(x_low), float(x_high), float(y_low), float(y_high)
 
     def height_above_lowest(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (row, col) float, mm, inf outside the outline."""
+        """Return the distance (row, col), mm, of the upper side behind the touched plane.
+
+        It is inf outside the outline of the surface.
+        """
         return -upper_side(np.asarray(self.surface.triangles), x_mm, y_mm)
 
     def mesh(self, touched_z_mm: float) -> "trimesh.Trimesh":
-        """Return the surface itself."""
+        """Return the surface in its pose, shifted by `touched_z_mm` along z."""
         raised = self.surface.copy()
         raised.apply_translation((0.0, 0.0, touched_z_mm))
         return raised
@@ -75,7 +78,7 @@ class MeshShape(Shape):
 def block(
     low_mm: tuple[float, float, float], high_mm: tuple[float, float, float], edge_radius_mm: float
 ) -> MeshShape:
-    """Return a block between two opposite corners, its edges rounded."""
+    """Return a block with rounded edges between two opposite corners (xyz)."""
     low, high = np.array(low_mm), np.array(high_mm)
 
     def exact(pose: Placement) -> SignedDistance:
@@ -88,17 +91,21 @@ def block(
 
 
 def uniform_along_y(outline_xz_mm: Sequence[tuple[float, float]], length_y_mm: float) -> MeshShape:
-    """Extrude an outline in xz, counter-clockwise with z up, along y."""
+    """Return the body with a constant outline along y, centred on y = 0.
+
+    The outline is a list of points (x, z), counter-clockwise with x to the right and z up.
+    """
     x, y, z = np.eye(3)
     upright = prism(np.array(outline_xz_mm), -length_y_mm / 2, length_y_mm / 2)
     return MeshShape(along_axis(upright, x, z, -y))
 
 
-# Rays per batch: bounds the memory of a mesh with few large triangles.
+# Number of rays per batch, which limits the memory for a mesh with few large triangles.
 _BATCH = 2_000_000
 # A ray through an edge belongs to both triangles, so that no gap opens between them.
 _ON_EDGE_MM = 1e-9
-# Triangles with a smaller projected area are vertical: their neighbours define the outline.
+# Triangles with a smaller area in plan are vertical and are left out: their neighbours define the
+# outline.
 _EDGE_ON_MM2 = 1e-14
 
 
@@ -133,7 +140,7 @@ def upper_side(triangles_mm: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> 
 
 
 def _doubled_area(triangles: FloatArray) -> FloatArray:
-    """Return twice the signed area of the projection on the xy plane."""
+    """Return twice the signed area (n,), mm^2, of triangles projected on the xy plane."""
     ab, ac = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
 
@@ -145,21 +152,24 @@ def _limits(values_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _covered(
     lines_mm: FloatArray, low_mm: FloatArray, high_mm: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return the first grid line within each interval, and the number of grid lines."""
+    """Return the number of the first grid line in each interval, and how many lines are in it."""
     first = np.searchsorted(lines_mm, low_mm - _ON_EDGE_MM, side="left")
     after = np.searchsorted(lines_mm, high_mm + _ON_EDGE_MM, side="right")
     return first, np.maximum(after - first, 0)
 
 
 def _expanded(first: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
-    """Return owner and grid line of every member of intervals first..first + count - 1."""
+    """Return the numbers of interval and grid line for all grid lines of all intervals.
+
+    Interval n contains the grid lines from first[n] to first[n] + count[n] - 1.
+    """
     owner = np.repeat(np.arange(first.size), count)
     within = np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count)
     return owner, first[owner] + within
 
 
 def _crossing(triangles: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return x at which the line y = const enters and exits each triangle."""
+    """Return the least and the largest x (n,), mm, of each triangle on its line y = `y_mm`."""
     begin, end = triangles[..., :2], np.roll(triangles, -1, axis=1)[..., :2]
     rise = end[..., 1] - begin[..., 1]
     level = np.abs(rise) <= _ON_EDGE_MM
@@ -174,7 +184,7 @@ def _crossing(triangles: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _height(triangles: FloatArray, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-    """Return z of each triangle's plane, within the triangle's own z."""
+    """Return z (n,), mm, of each triangle's plane at a point, limited to the triangle's own z."""
     a = triangles[:, 0]
     ab, ac = triangles[:, 1] - a, triangles[:, 2] - a
     dx, dy = x_mm - a[:, 0], y_mm - a[:, 1]

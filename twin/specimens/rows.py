@@ -1,4 +1,4 @@
-"""Rows of parts side by side along x, on a plate."""
+"""Rows of parts next to each other along x, on a plate; lengths in mm."""
 
 from itertools import pairwise
 
@@ -12,7 +12,7 @@ def row_width_mm(widths_mm: tuple[float, ...], gap_mm: float) -> float:
 
 
 def middles_mm(widths_mm: tuple[float, ...], gap_mm: float) -> tuple[float, ...]:
-    """Return the x positions of the parts of a centred row."""
+    """Return the x positions of the middles of the parts of a centred row."""
     places = [widths_mm[0] / 2]
     for left, right in pairwise(widths_mm):
         places.append(places[-1] + left / 2 + gap_mm + right / 2)
@@ -23,14 +23,16 @@ def middles_mm(widths_mm: tuple[float, ...], gap_mm: float) -> tuple[float, ...]
 def plate_under(
     outline_mm: tuple[float, float], thickness_mm: float, margin_mm: float, edge_radius_mm: float
 ) -> MeshShape:
-    """Return the plate under a row, its upper face z = 0, its edges rounded as those of the row.
+    """Return the plate under a row; its upper face is z = 0.
 
-    No cut edge is perfectly sharp; on a sharp edge the contact of a thin sheet would be pointwise.
+    Its edges are rounded, because no cut edge is perfectly sharp, and a thin sheet would touch a
+    sharp edge only at points.
 
     Parameters
     ----------
     outline_mm : width (x) and length (y) of the row
-    margin_mm : plate beyond the row
+    margin_mm : width of the plate beyond the row on each side
+    edge_radius_mm : radius of the row's edges; the plate's radius is at most thickness / 4
     """
     x, y = (side / 2 + margin_mm for side in outline_mm)
     return block((-x, -y, -thickness_mm), (x, y, 0.0), min(edge_radius_mm, thickness_mm / 4))

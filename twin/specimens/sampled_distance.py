@@ -1,10 +1,11 @@
 """Signed distance to a closed mesh: sampled on a lattice, interpolated by cubic B-splines.
 
-The interpolant is C2 and smooths the facets of a round surface. Its coefficients depend on
-neighbouring nodes only, c = (-f[-1] + 8 f[0] - f[1]) / 6 along each axis: exact for cubics, hence
-of fourth order, without the long range of the interpolating spline's prefilter. Bricks of the
-lattice are therefore computed when a point is first inside them; their bytes do not depend on the
-order.
+The interpolant is C2 and smooths the facets of a round surface. Its coefficients are
+c = (-f[-1] + 8 f[0] - f[1]) / 6 along each axis, with the samples f. They are exact for cubic
+functions, so that the error is of fourth order. They depend on neighbouring nodes only, unlike
+those of an interpolating spline, which depend on all samples. Bricks (cubes of the lattice) can
+therefore be computed when a point is inside them for the first time; their bytes do not depend on
+the order in which they are computed.
 """
 
 from dataclasses import dataclass
@@ -26,11 +27,11 @@ from twin.specimens.triangles import (
     unsigned_samples,
 )
 
-#: Distance between nodes, and approximate rounding of edges and creases.
+#: Distance between nodes; edges and creases are rounded with approximately this radius.
 PITCH_MM = 0.05
-# Cells of the lattice along a brick (of coefficients), and along a block (of samples).
+# Lattice cells along a brick, which stores coefficients, and along a block, which stores samples.
 _BRICK, _BLOCK = 8, 4
-# A brick's coefficients depend on 4 blocks of nodes per axis, from the block before it on.
+# The coefficients of a brick depend on 4 blocks per axis, starting with the block before it.
 _BLOCKS = np.stack(np.meshgrid(*3 * (np.arange(-1, 3),), indexing="ij"), axis=-1)
 _MARGIN_MM = 1.0
 _UNMADE = -1
@@ -40,9 +41,9 @@ _GATHERED = 256
 
 @dataclass(frozen=True, eq=False)
 class MeshDistance:
-    """Distance to a closed mesh in a pose."""
+    """Signed distance to a closed mesh in a pose, interpolated."""
 
-    #: in its original frame: all poses share its samples
+    #: the mesh in its original frame; all poses share the same samples
     body: trimesh.Trimesh
     pose: Placement
     pitch_mm: float = PITCH_MM
@@ -65,19 +66,19 @@ def _field(vertices: bytes, faces: bytes, pitch_mm: float) -> "SampledField":
 
 
 class _Store:
-    """A sparse table of cubes."""
+    """Sparse storage of an array (x, y, z) for each cube of a lattice."""
 
     def __init__(self, low: IntArray, count: IntArray, side: int) -> None:
         #: (xyz) index of the first cube
         self.low = low
-        #: (x, y, z) index into the contents
+        #: (x, y, z) slot of each cube in `contents`, or _UNMADE
         self.slot = np.full(count, _UNMADE, np.int32)
-        #: (slot, x, y, z), with unused slots at the end
+        #: (slot, x, y, z) arrays of the stored cubes, with unused slots at the end
         self.contents = np.zeros((64, side, side, side))
         self._used = 0
 
     def add(self, cubes: IntArray, contents: FloatArray) -> None:
-        """Store the contents of cubes (n, xyz)."""
+        """Store the arrays `contents` (n, x, y, z) of the cubes with indices `cubes` (n, xyz)."""
         first, end = self._used, self._used + len(contents)
         if end > len(self.contents):
             room = np.zeros((2 * end, *self.contents.shape[1:]))
@@ -88,12 +89,12 @@ class _Store:
         self._used = end
 
     def slots(self, cubes: IntArray) -> npt.NDArray[np.int32]:
-        """Return the indices of the contents of cubes (..., xyz)."""
+        """Return the slots (...) of the cubes with indices `cubes` (..., xyz)."""
         return np.asarray(self.slot[tuple(np.moveaxis(cubes - self.low, -1, 0))])
 
 
 class SampledField:
-    """The signed distance to one mesh, computed on demand within a margin round it."""
+    """Signed distance to one mesh; samples within a margin round it are computed on demand."""
 
     def __init__(self, tree: TriangleTree, pitch_mm: float) -> None:
         self._tree, self._pitch_mm, self._lock = tree, pitch_mm, Lock()
@@ -112,7 +113,7 @@ class SampledField:
             return over_points(_interpolated, points, reach_mm, table, made.contents)
 
     def _begin(self, margin_mm: float) -> None:
-        """Delete all bricks, and allocate the tables for a margin."""
+        """Delete all bricks, and allocate the tables for a margin of `margin_mm` round the mesh."""
         self._margin_mm, brick_mm = margin_mm, _BRICK * self._pitch_mm
         corners = self._tree.corners_mm.reshape(-1, 3)
         low = np.floor((corners.min(axis=0) - margin_mm) / brick_mm).astype(np.int64)
@@ -129,14 +130,14 @@ class SampledField:
     def _touched(
         self, points: FloatArray, reach_mm: float, frame: tuple[FloatArray, FloatArray, float]
     ) -> IntArray:
-        """Return the bricks (n, xyz) that these points need and that are not computed."""
+        """Return the indices (n, xyz) of bricks that the points need and that are not computed."""
         needed = np.zeros(self._bricks.slot.shape, np.bool_)
         table = (*frame, self._bricks.low, self._least_mm, self._bricks.slot)
         _mark_needed(points, float(reach_mm), table, needed)
         return np.argwhere(needed) + self._bricks.low
 
     def _make(self, bricks: IntArray, reach_mm: float) -> None:
-        """Bound the distances of bricks, and compute the bricks within reach."""
+        """Store a lower bound of the distance in each brick; compute the bricks within reach."""
         if len(bricks) == 0:
             return
         least = self._least_of(bricks)
@@ -147,14 +148,17 @@ class SampledField:
             self._bricks.add(part, _coefficients(self._nodes_of(part)))
 
     def _least_of(self, bricks: IntArray) -> FloatArray:
-        """Return the lower bound of each brick's distances, -inf if a point may be inside."""
+        """Return a lower bound (n,), mm, of the distance in each brick.
+
+        It is -inf if the brick's middle is inside the mesh.
+        """
         middles, radius = middles_mm(bricks, _BRICK, self._pitch_mm)
         beyond_nodes = np.sqrt(3) * self._pitch_mm
         least = distances_mm(self._tree, middles) - (radius + beyond_nodes)
         return np.where(self._columns.inside(middles), -np.inf, least)
 
     def _sample(self, bricks: IntArray) -> None:
-        """Compute the missing blocks round bricks."""
+        """Compute the samples of all blocks that these bricks need and that are missing."""
         round_them = (bricks[:, None] * (_BRICK // _BLOCK) + _BLOCKS.reshape(-1, 3)).reshape(-1, 3)
         blocks = np.unique(round_them[self._blocks.slots(round_them) == _UNMADE], axis=0)
         if len(blocks) == 0:
@@ -164,7 +168,7 @@ class SampledField:
         self._blocks.add(blocks, samples)
 
     def _nodes_of(self, bricks: IntArray) -> FloatArray:
-        """Return the samples (n, x, y, z) of bricks, from 2 nodes before to 2 beyond."""
+        """Return the samples (n, x, y, z) of bricks, mm, with 2 further nodes on every side."""
         blocks = bricks[:, None, None, None] * (_BRICK // _BLOCK) + _BLOCKS
         samples = self._blocks.contents[self._blocks.slots(blocks)]
         side = 4 * _BLOCK
@@ -173,7 +177,7 @@ class SampledField:
 
 
 def _coefficients(samples: FloatArray) -> FloatArray:
-    """Return the quasi-interpolant's coefficients (n, x, y, z), one node fewer on every side."""
+    """Return the spline coefficients (n, x, y, z) of samples, one node fewer on every side."""
     for axis in (1, 2, 3):
         f = np.moveaxis(samples, axis, 0)
         samples = np.moveaxis((8 * f[1:-1] - f[:-2] - f[2:]) / 6, 0, axis)
@@ -189,7 +193,7 @@ Scratch = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]
 def _in_body(
     point: FloatArray, rotation: FloatArray, shift: FloatArray, pitch: float
 ) -> tuple[float, float, float]:
-    """Return (xyz) of a point in the body's frame, in pitches."""
+    """Return the coordinates (x, y, z) of a point in the body's frame, divided by the pitch."""
     x, y, z = point[0] - shift[0], point[1] - shift[1], point[2] - shift[2]
     return (
         (x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]) / pitch,
@@ -200,7 +204,7 @@ def _in_body(
 
 @compiled
 def _mark_needed(points: FloatArray, reach: float, table: Table, needed: BoolImage) -> None:
-    """Mark the bricks that have no bound, or are within reach and not sampled."""
+    """Mark in `needed` the bricks of all points that are not computed and may be within reach."""
     rotation, shift, pitch, low, least, slot = table
     for n in range(len(points)):
         x, y, z = _in_body(points[n], rotation, shift, pitch)
@@ -217,7 +221,10 @@ def _mark_needed(points: FloatArray, reach: float, table: Table, needed: BoolIma
 
 @nested
 def _weigh(t: float, weight: FloatArray) -> None:
-    """Set the cubic B-splines of a cell and their first and second derivatives (3, 4)."""
+    """Set `weight` (3, 4) to the four cubic B-splines of a cell at t and to their derivatives.
+
+    t is the position in the cell, 0 to 1; the first index is the order of the derivative.
+    """
     u = 1 - t
     weight[0, 0], weight[0, 3] = u * u * u / 6, t * t * t / 6
     weight[0, 1] = (4 - 6 * t * t + 3 * t * t * t) / 6
@@ -265,7 +272,10 @@ def _interpolate(
 def _contract(
     own: FloatArray, cell: IntArray, weight: FloatArray, scratch: FloatArray, f: FloatArray
 ) -> None:
-    """Set f[i, j, k], the derivatives d^(i + j + k) / dx^i dy^j dz^k up to the second."""
+    """Set f[i, j, k] to the derivatives d^(i + j + k) / dx^i dy^j dz^k, for i + j + k <= 2.
+
+    `own` are the coefficients of the brick, `weight` the splines of the three axes.
+    """
     f[:] = 0.0
     for a in range(4):
         scratch[:] = 0.0
@@ -287,7 +297,10 @@ def _contract(
 def _turn_back(
     f: FloatArray, rotation: FloatArray, pitch: float, gradient: FloatArray, hessian: FloatArray
 ) -> None:
-    """Rotate gradient and Hessian from the body's frame, in pitches, to that of the shape."""
+    """Set gradient and Hessian (1/mm) in the frame of the shape.
+
+    `f` are the derivatives in the frame of the body, in units of the pitch.
+    """
     slope = (f[1, 0, 0] / pitch, f[0, 1, 0] / pitch, f[0, 0, 1] / pitch)
     bend = (
         (f[2, 0, 0] / pitch**2, f[1, 1, 0] / pitch**2, f[1, 0, 1] / pitch**2),

@@ -1,7 +1,7 @@
-"""Closed bodies for specimens: prisms, turned parts, and their booleans. All in mm.
+"""Closed bodies for specimens: prisms, bodies of revolution, and boolean operations.
 
-trimesh and manifold3d are imported in functions: reading an experiment imports this module, and
-their import would take longer than the rest of reading.
+All lengths are in mm. trimesh and manifold3d are imported in functions: reading an experiment
+imports this module, and their import would take longer than all other steps of reading.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     import manifold3d
     import trimesh
 
-#: Facets per turn, 2 degrees each: the error of a chord is at most 0.6 um at a radius of 4 mm.
+#: Number of facets per turn, 2 degrees each: chord errors are at most 0.6 um at a radius of 4 mm.
 SECTIONS = 180
-# Shorter edges are removed after a boolean; 0.1 x the elastomer's finest relief pitch.
+# Shorter edges are removed after a boolean operation; 0.1 x the elastomer's finest relief pitch.
 _TOLERANCE_MM = 1e-4
 
 
 def box(
     low_mm: tuple[float, float, float], high_mm: tuple[float, float, float]
 ) -> "trimesh.Trimesh":
-    """Return the block between two opposite corners."""
+    """Return the block between two opposite corners (xyz)."""
     import trimesh
 
     return trimesh.creation.box(bounds=np.array([low_mm, high_mm]))
@@ -35,7 +35,7 @@ def box(
 def rounded_box(
     low_mm: tuple[float, float, float], high_mm: tuple[float, float, float], edge_radius_mm: float
 ) -> "trimesh.Trimesh":
-    """Return the block between two opposite corners, its edges rounded with facets of 6 degrees."""
+    """Return the block between two opposite corners (xyz), edges rounded with facets of 6 deg."""
     if edge_radius_mm == 0:
         return box(low_mm, high_mm)
     import manifold3d
@@ -53,7 +53,7 @@ def rounded_box(
 
 
 def prism(outline_mm: FloatArray, low_mm: float, high_mm: float) -> "trimesh.Trimesh":
-    """Extrude an outline (n, xy), counter-clockwise, along z."""
+    """Return a counter-clockwise outline (n, xy) extruded along z from `low_mm` to `high_mm`."""
     import manifold3d
 
     section = manifold3d.CrossSection([np.ascontiguousarray(outline_mm)])
@@ -61,7 +61,10 @@ def prism(outline_mm: FloatArray, low_mm: float, high_mm: float) -> "trimesh.Tri
 
 
 def turned(profile_mm: Sequence[tuple[float, float]]) -> "trimesh.Trimesh":
-    """Turn a profile (radius, z), from its lower end on the axis to its upper, about z."""
+    """Return the body of revolution about z of a profile of points (radius, z).
+
+    The profile starts at its lower end and stops at its upper end, both on the axis.
+    """
     import trimesh
 
     return trimesh.creation.revolve(np.array(profile_mm), sections=SECTIONS)
@@ -70,7 +73,7 @@ def turned(profile_mm: Sequence[tuple[float, float]]) -> "trimesh.Trimesh":
 def along_axis(
     body: "trimesh.Trimesh", x: FloatArray, y: FloatArray, z: FloatArray
 ) -> "trimesh.Trimesh":
-    """Return the body with its x, y and z axes laid along three unit vectors, right-handed."""
+    """Return the body rotated: its x, y and z axes become three unit vectors (right-handed)."""
     turned_body = body.copy()
     matrix = np.eye(4)
     matrix[:3, :3] = np.stack((x, y, z), axis=-1)
@@ -81,26 +84,26 @@ def along_axis(
 def moved(
     body: "trimesh.Trimesh", x_mm: float, y_mm: float, z_mm: float = 0.0
 ) -> "trimesh.Trimesh":
-    """Return the body shifted."""
+    """Return the body shifted along x, y and z."""
     shifted = body.copy()
     shifted.apply_translation((x_mm, y_mm, z_mm))
     return shifted
 
 
 def united(bodies: Sequence["trimesh.Trimesh"]) -> "trimesh.Trimesh":
-    """Unite bodies; unlike `union` without removing short edges."""
+    """Return the union of bodies; unlike `union` it does not remove short edges."""
     import trimesh
 
     return bodies[0] if len(bodies) == 1 else trimesh.boolean.union(bodies, engine="manifold")
 
 
 def union(bodies: Sequence["trimesh.Trimesh"]) -> "trimesh.Trimesh":
-    """Join bodies."""
+    """Return the union of bodies, without edges shorter than 0.1 um."""
     return _combined(bodies, "Add")
 
 
 def without(body: "trimesh.Trimesh", *holes: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """Cut holes out of a body."""
+    """Return a body from which the bodies `holes` are subtracted."""
     return _combined((body, *holes), "Subtract")
 
 
@@ -112,7 +115,10 @@ def common(bodies: Sequence["trimesh.Trimesh"]) -> "trimesh.Trimesh":
 def _combined(
     bodies: Sequence["trimesh.Trimesh"], operation: Literal["Add", "Subtract", "Intersect"]
 ) -> "trimesh.Trimesh":
-    """Combine in double precision: single precision creates needles at nearly coincident facets."""
+    """Return a boolean operation on bodies, in double precision.
+
+    In single precision, nearly coincident facets result in needle-like triangles.
+    """
     import manifold3d
 
     manifolds = [
@@ -133,14 +139,14 @@ def level_set(
     edge_mm: float,
     refined: int,
 ) -> "trimesh.Trimesh":
-    """Mesh the zero set of a function of (x, y, z), negative inside, and split each edge.
+    """Return a mesh of the zero set of a function of (x, y, z), with each edge split.
 
     Parameters
     ----------
-    level_mm : signed level
-    box_mm : (x, y, z low, x, y, z high) float, mm; box that contains the body
-    edge_mm : edge of the facets before they are split
-    refined : pieces of each edge; the new vertices are on the flat facets
+    level_mm : function of x, y, z, mm; negative inside the body
+    box_mm : (x, y, z of the low corner, then of the high corner), mm; box that contains the body
+    edge_mm : length of the edges before they are split
+    refined : number of pieces of each edge; the new vertices are on the flat facets
     """
     import manifold3d
 
@@ -149,13 +155,16 @@ def level_set(
 
 
 def _from_manifold(body: "manifold3d.Manifold") -> "trimesh.Trimesh":
-    """Return the triangles of a manifold, vertices in double precision."""
+    """Return a manifold as a triangle mesh, with vertices in double precision."""
     mesh = body.to_mesh64()
     return closed_mesh(np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64))
 
 
 def closed_mesh(vertices_mm: FloatArray, facets: IntArray) -> "trimesh.Trimesh":
-    """Return a body from vertices (n, xyz) and facets (m, 3), counter-clockwise from outside."""
+    """Return a body from vertices (n, xyz) and facets (m, 3), counter-clockwise seen from outside.
+
+    Vertices are neither merged nor removed.
+    """
     import trimesh
 
     return trimesh.Trimesh(vertices_mm, facets, process=False)
@@ -164,7 +173,7 @@ def closed_mesh(vertices_mm: FloatArray, facets: IntArray) -> "trimesh.Trimesh":
 def height_grid_body(
     x_mm: FloatArray, y_mm: FloatArray, z_mm: FloatArray, base_z_mm: float
 ) -> "trimesh.Trimesh":
-    """Close a height map by upright walls and a flat base.
+    """Return the body of a height map, closed by vertical walls and a flat base.
 
     Parameters
     ----------
@@ -185,14 +194,20 @@ def height_grid_body(
 
 
 def _wall(rim: IntArray, below: IntArray) -> IntArray:
-    """Return the facets between the rim, counter-clockwise in a view from above, and the base."""
+    """Return the facets (n, 3) of the wall between the vertices of the rim and those of the base.
+
+    `rim` is counter-clockwise seen from above.
+    """
     after, below_after = np.roll(rim, -1), np.roll(below, -1)
     return np.stack((rim, below, below_after, rim, below_after, after), axis=-1).reshape(-1, 3)
 
 
 @lru_cache(maxsize=1)  # consecutive calls have the same grid
 def grid_facets(rows: int, cols: int) -> IntArray:
-    """Return (2 (rows-1) (cols-1), 3) vertex indices, counter-clockwise from +z; read-only."""
+    """Return the triangles of a grid of vertices: (2 (rows-1) (cols-1), 3) vertex numbers.
+
+    They are counter-clockwise seen from +z. The array is read-only.
+    """
     corner = np.arange(rows * cols).reshape(rows, cols)[:-1, :-1, None]
     two_triangles = np.array([0, 1, cols + 1, 0, cols + 1, cols])
     facets = np.asarray((corner + two_triangles).reshape(-1, 3))
@@ -207,7 +222,10 @@ def arc(
     last_deg: float,
     step_deg: float = 360 / SECTIONS,
 ) -> list[tuple[float, float]]:
-    """Return points on an arc in steps of at most `step_deg`; the centre for radius 0."""
+    """Return points (x, y) on an arc in steps of at most `step_deg`; for radius 0 the centre.
+
+    Angles are measured from the x axis towards the y axis.
+    """
     if radius_mm == 0:
         return [centre_mm]
     steps = int(np.ceil(abs(last_deg - first_deg) / step_deg - 1e-9)) + 1

@@ -20,33 +20,33 @@ if TYPE_CHECKING:
 Thread = Annotated[float, Field(ge=1, le=30)]
 Pitch = Annotated[float, Field(ge=0.2, le=4)]
 MOST_TURNS = 60
-"""Limit of threads: more turns have only facets below the resolution of any camera."""
+"""Largest number of turns: the facets of more turns are smaller than any camera resolves."""
 
-# Axial positions of the profile's kinks within one pitch, from the root's flat on.
+# Axial positions of the profile's four corners over the pitch, starting with the root's flat.
 _KINKS = np.array([0.0, 4.0, 9.0, 11.0]) / 16
 
 
 def minor_diameter_mm(major_mm: float, pitch_mm: float) -> float:
-    """Return D1 = D - (5/4) H, ISO 68-1."""
+    """Return the minor diameter of a thread, D - (5/4) H (ISO 68-1), mm."""
     return major_mm - 1.25 * sqrt(3) / 2 * pitch_mm
 
 
 def screw(
     major_mm: float, pitch_mm: float, low_mm: float, high_mm: float, sections: int = SECTIONS
 ) -> "trimesh.Trimesh":
-    """Return a right-handed threaded rod about z, longer than z = low to high at both ends.
+    """Return a right-handed threaded rod about z that extends beyond `low_mm` and `high_mm`.
 
     Parameters
     ----------
-    low_mm, high_mm : heights between which the thread is complete; the ends beyond them are
-        incomplete and to be cut off
-    sections : facets round one turn
+    low_mm, high_mm : z between which the thread is complete; the caller cuts off the ends beyond
+    sections : number of facets round one turn
 
     Notes
     -----
-    The surface is a grid over angle and kink of the profile, sheared so that its lines follow the
-    helix; one turn further is the same line one pitch higher. Both ends are closed by fans to a
-    point of the axis, which cannot intersect the flanks: the ends are on the root.
+    The surface is a grid over the angle and the corners of the profile. The grid is sheared, so
+    that its lines follow the helix: after one turn a line is one pitch higher. Both ends are closed
+    by triangles to a point on the axis. They cannot intersect the flanks, because the grid ends on
+    the root.
     """
     turns = int(np.ceil((high_mm - low_mm) / pitch_mm)) + 3
     start = low_mm - 1.5 * pitch_mm
@@ -63,9 +63,9 @@ def screw(
 
 
 def _sides(rows: int, sections: int) -> IntArray:
-    """Return the facets between the lines of the helix."""
+    """Return the facets (n, 3) between neighbouring lines of the helix."""
     index = np.arange(rows * sections).reshape(rows, sections)
-    # The last column is followed by the first, one pitch (four kinks) higher.
+    # The last column is followed by the first, one pitch (four corners of the profile) higher.
     beyond = np.concatenate((index[4:, 0], np.full(4, -1)))
     index = np.concatenate((index, beyond[:, None]), axis=1)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
@@ -75,7 +75,7 @@ def _sides(rows: int, sections: int) -> IntArray:
 
 
 def _ends(rows: int, sections: int) -> IntArray:
-    """Return the fans that close the lower and the upper end."""
+    """Return the facets (n, 3) that close the lower and the upper end."""
     index = np.arange(rows * sections).reshape(rows, sections)
     lower = np.concatenate((index[0], index[4:0:-1, 0]))
     upper = np.concatenate((index[-1], index[-2:-5:-1, -1], index[-5:-4, -1]))

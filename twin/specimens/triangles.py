@@ -1,12 +1,13 @@
-"""Exact distance of lattice nodes to a triangle mesh, and which nodes are inside.
+"""Exact distance of lattice nodes to a triangle mesh, and whether each node is inside the mesh.
 
 Node (i, j, k) of a lattice is at (i, j, k) times the pitch in the body's frame. A cell is a cube
 of n^3 nodes: cell (a, b, c) starts with node (n a, n b, n c). Results of a cell do not depend on
 which cells are computed together.
 
-A node is inside a closed mesh if the winding number of the surface round it is not zero: above an
-outside node, as many facets face up as down. Unlike a sign from normals, this is robust against
-needles and shared edges. Overlapping bodies within one mesh are united.
+A node is inside a closed mesh if the winding number of the surface round the node is not zero. On
+the vertical line above a node outside, as many facets face up as down. This criterion is robust
+against needle-like triangles and shared edges, unlike the sign of a normal. Overlapping bodies
+within one mesh are treated as their union.
 """
 
 from collections.abc import Callable
@@ -27,23 +28,24 @@ _DEEPEST = 64
 
 @dataclass(frozen=True, eq=False)
 class TriangleTree:
-    """The triangles of a closed mesh, and a binary tree of boxes round groups of them.
+    """The triangles of a closed mesh, and a binary tree of boxes round groups of triangles.
 
     Triangles are sorted along a Z-order curve (Morton 1966) and grouped in pairs. Box 1 contains
-    all, box n contains boxes 2 n and 2 n + 1; the second half of the boxes contains the pairs.
+    all triangles, box n contains boxes 2 n and 2 n + 1. The second half of the boxes contains one
+    pair each.
     """
 
-    #: (n, corner, xyz) mm, all of them
+    #: (n, corner, xyz) mm, all triangles
     corners_mm: FloatArray
-    #: (n, corner, xyz) mm, sorted; without those of zero area, which are on their
-    #: neighbours' edges
+    #: (n, corner, xyz) mm, sorted triangles without those of zero area, which are on edges of
+    #: their neighbours
     sorted_mm: FloatArray
     #: (box, low or high, xyz) mm; an empty box is infinitely far
     boxes_mm: FloatArray
 
     @classmethod
     def of(cls, corners_mm: FloatArray) -> "TriangleTree":
-        """Build the tree."""
+        """Return the tree of triangles (n, corner, xyz)."""
         corners = np.ascontiguousarray(corners_mm, dtype=np.float64)
         sides = corners[:, 1:] - corners[:, :1]
         longest = np.linalg.norm(sides, axis=-1).max(axis=-1)
@@ -54,7 +56,7 @@ class TriangleTree:
 
 
 def _keys(points_mm: FloatArray) -> IntArray:
-    """Return the positions of points along a Z-order curve."""
+    """Return the position (n,) of each point (n, xyz) along a Z-order curve."""
     low = points_mm.min(axis=0)
     step = max(float((points_mm.max(axis=0) - low).max()), 1e-9) / (2**_KEY_BITS - 1)
     steps = ((points_mm - low) / step).astype(np.int64)
@@ -66,7 +68,7 @@ def _keys(points_mm: FloatArray) -> IntArray:
 
 
 def _boxes(triangles_mm: FloatArray) -> FloatArray:
-    """Return the boxes (box, low or high, xyz) round triangles, their pairs, pairs of pairs ..."""
+    """Return the boxes (box, low or high, xyz), mm, of a `TriangleTree` of sorted triangles."""
     first = np.arange(0, len(triangles_mm), _LEAF)
     pairs = 2 ** int(np.ceil(np.log2(max(len(first), 1))))
     boxes = np.full((2 * pairs, 2, 3), np.inf)
@@ -82,13 +84,13 @@ def _boxes(triangles_mm: FloatArray) -> FloatArray:
 
 
 def middles_mm(cells: IntArray, nodes: int, pitch_mm: float) -> tuple[FloatArray, float]:
-    """Return the middles (n, xyz) of the cells' nodes, and the largest distance of a node."""
+    """Return the middles (n, xyz) of cells, mm, and their distance to the cell's farthest nodes."""
     middles = (cells.astype(np.float64) * nodes + (nodes - 1) / 2) * pitch_mm
     return middles, float(np.sqrt(3) / 2 * (nodes - 1) * pitch_mm)
 
 
 def distances_mm(tree: TriangleTree, points_mm: FloatArray) -> FloatArray:
-    """Return the distance (n,) of points (n, xyz) to the nearest triangle."""
+    """Return the unsigned distance (n,), mm, of points (n, xyz) to the nearest triangle."""
     samples = np.zeros((len(points_mm), 1, 1, 1))
     _sample_all(tree, points_mm, 0.0, samples)
     return samples.ravel()
@@ -97,7 +99,7 @@ def distances_mm(tree: TriangleTree, points_mm: FloatArray) -> FloatArray:
 def unsigned_samples(
     tree: TriangleTree, cells: IntArray, nodes: int, pitch_mm: float
 ) -> FloatArray:
-    """Return the distance (n, x, y, z) of the nodes of cells (n, xyz), mm."""
+    """Return the unsigned distances (n, x, y, z), mm, of the nodes of cells (n, xyz)."""
     samples = np.zeros((len(cells), nodes, nodes, nodes))
     _sample_all(tree, middles_mm(cells, nodes, pitch_mm)[0], pitch_mm, samples)
     return samples
@@ -115,7 +117,7 @@ def _sample_all(
 
 
 def over_bands(call: Callable[[slice], None], count: int) -> None:
-    """Call a function with bands of cells, on all cores."""
+    """Call a function with each of the slices that divide `count` cells, on all cores."""
     bands = [slice(first, min(first + _CHUNK, count)) for first in range(0, count, _CHUNK)]
     with ThreadPoolExecutor(threads()) as pool:
         list(pool.map(call, bands))
@@ -141,7 +143,10 @@ def _squared(corners: FloatArray, x: float, y: float, z: float) -> float:
 
 @nested
 def _nearest_shares(uu: float, uv: float, vv: float, up: float, vp: float) -> tuple[float, float]:
-    """Return the coordinates along the sides u and v of a triangle's point nearest to p."""
+    """Return s and t of the point s u + t v of a triangle that is nearest to a point p.
+
+    u and v are two sides from one corner, p is relative to it. Arguments are dot products.
+    """
     up_b, vp_b, up_c, vp_c = up - uu, vp - uv, up - uv, vp - vv
     a, b, c = up_b * vp_c - up_c * vp_b, up_c * vp - up * vp_c, up * vp_b - up_b * vp
     toward_c, toward_b = vp_b - up_b, up_c - vp_c
@@ -179,7 +184,7 @@ def _nearest(
     guess: int,
     waiting: tuple[IntArray, FloatArray],
 ) -> tuple[float, int]:
-    """Return the squared distance to the nearest triangle, and its index."""
+    """Return the squared distance to the nearest triangle, and its index; tests `guess` first."""
     triangles, boxes = tree
     stack, least = waiting
     x, y, z = at
@@ -218,11 +223,11 @@ def _sample(
     waiting: tuple[IntArray, FloatArray],
     samples: FloatArray,
 ) -> None:
-    """Set the distances of cells' nodes; the first guess is the previous node's triangle."""
+    """Set the distances of cells' nodes; each search starts with the previous node's triangle."""
     count = samples.shape[1]
     half = (count - 1) / 2
     for n in range(len(middles)):
-        # New for each cell: rounding must not depend on the cells before it.
+        # The same guess for the first node of every cell: rounding must not depend on other cells.
         guess = 0
         for i in range(count):
             for j in range(count):
@@ -233,23 +238,24 @@ def _sample(
                     samples[n, i, j, k] = np.sqrt(squared)
 
 
-# Offset of a node's column from the lattice, in pitches, so that it crosses no edge: no ratio of
-# usual dimensions.
+# Offset in x and y of the vertical line through a node, in pitches, so that the line crosses no
+# edge: the numbers are no ratios of usual dimensions.
 _ASIDE = (0.6180339e-6, 0.4142135e-6)
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The triangles above or below each cell of a rectangle of cells."""
+    """Lists of the triangles above or below each cell of a rectangle of cells in x and y."""
 
     #: (n, corner, xyz) mm
     corners_mm: FloatArray
+    #: number of nodes along a cell
     nodes: int
     pitch_mm: float
     #: (xy) index of the first cell, and (xy) number of cells
     low: IntArray
     count: IntArray
-    #: (cell + 1) start of the list of each cell, and all members
+    #: (cell + 1,) start of the list of each cell in `member`, and triangle numbers of all lists
     start: IntArray
     member: IntArray
 
@@ -257,7 +263,7 @@ class Columns:
     def of(
         cls, corners_mm: FloatArray, nodes: int, pitch_mm: float, low: IntArray, count: IntArray
     ) -> "Columns":
-        """Sort the triangles by the cells that their projection along z may overlap."""
+        """Return the lists of triangles that may overlap each cell in their projection along z."""
         cell_mm = nodes * pitch_mm
         begin, end = corners_mm.min(axis=1)[:, :2], corners_mm.max(axis=1)[:, :2]
         # One pitch of margin on both sides, because a column is offset from its node.
@@ -267,7 +273,7 @@ class Columns:
         return cls(corners_mm, nodes, pitch_mm, low, count, *lists)
 
     def negate_inside(self, cells: IntArray, samples: FloatArray) -> None:
-        """Negate the samples (n, x, y, z) of the cells' nodes that are inside."""
+        """Negate the samples (n, x, y, z) of those nodes of the cells that are inside the mesh."""
 
         def negate(band: slice) -> None:
             place, count = (cells[band], self.pitch_mm), self.nodes
@@ -277,7 +283,7 @@ class Columns:
         over_bands(negate, len(cells))
 
     def inside(self, points_mm: FloatArray) -> BoolImage:
-        """Return which points (n, xyz) are inside."""
+        """Return whether each point (n, xyz), mm, is inside the mesh."""
         cells = np.floor(points_mm / (self.nodes * self.pitch_mm)).astype(np.int64)
         inside = np.zeros(len(points_mm), np.bool_)
         points = points_mm + np.array([*_ASIDE, 0.0]) * self.pitch_mm
@@ -285,7 +291,7 @@ class Columns:
         return inside
 
     def _over(self, cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Return start and end of each cell's list, and all members."""
+        """Return start and end (n,) of the lists of cells (n, xyz) in `member`, and `member`."""
         x, y = (cells[:, :2] - self.low).T
         place = x * self.count[1] + y
         return self.start[place], self.start[place + 1], self.member
@@ -293,7 +299,10 @@ class Columns:
 
 @nested
 def _left_of(a: FloatArray, b: FloatArray, x: float, y: float) -> bool:
-    """Return True if a point is left of the line from a to b: right of the line from b to a."""
+    """Return True if a point is left of the line from a to b, in plan.
+
+    For the line from b to a the result is always the opposite, also with rounding.
+    """
     if a[0] < b[0] or (a[0] == b[0] and a[1] < b[1]):
         return bool((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) > 0)
     return not (a[0] - b[0]) * (y - b[1]) - (a[1] - b[1]) * (x - b[0]) > 0
@@ -301,7 +310,10 @@ def _left_of(a: FloatArray, b: FloatArray, x: float, y: float) -> bool:
 
 @nested
 def _crossing(corners: FloatArray, x: float, y: float) -> tuple[int, float]:
-    """Return the sign of the facet's normal along z (0: no crossing), and z of the crossing."""
+    """Return the sign of a facet's normal along z, and z of the vertical line's crossing.
+
+    The line is at (x, y); the sign is 0 if the line does not cross the facet.
+    """
     a, b, c = corners[0], corners[1], corners[2]
     left = _left_of(a, b, x, y)
     if left != _left_of(b, c, x, y) or left != _left_of(c, a, x, y):
@@ -317,7 +329,7 @@ def _crossing(corners: FloatArray, x: float, y: float) -> tuple[int, float]:
 def _covered(
     corners: FloatArray, axis: int, pitch: float, first: int, count: int
 ) -> tuple[int, int]:
-    """Return start and end of the cell's nodes, along x or y, that a facet may cover."""
+    """Return start and end of the nodes of a cell, along x or y, that a facet may cover in plan."""
     a, b, c = corners[0, axis], corners[1, axis], corners[2, axis]
     begin = np.ceil(min(a, b, c) / pitch - 1e-3) - first
     end = np.floor(max(a, b, c) / pitch + 1e-3) - first + 1
@@ -332,9 +344,9 @@ def _negate(
     below: IntArray,
     samples: FloatArray,
 ) -> None:
-    """Negate the samples of inside nodes.
+    """Negate the samples (n, x, y, z) of nodes inside the mesh.
 
-    below[i, j, k] receives the winding of the facets with k nodes of column i, j below them.
+    below[i, j, k] is set to the winding of the facets above k nodes of a cell's column (i, j).
     """
     begin, end, member = lists
     cells, pitch = place
@@ -380,7 +392,11 @@ def _inside(
 
 
 def _sorted_in(first: IntArray, last: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
-    """Return lists of the boxes first..last that contain each cell of a grid, row by row."""
+    """Return the list of boxes that contain each cell of a grid of `count` (xy) cells.
+
+    Box n contains the cells from first[n] to last[n] (xy). Returns start (cell + 1,) of each list
+    and the members of all lists, in row order of the cells.
+    """
     sides = np.maximum(last - first + 1, 0)
     places = sides[:, 0] * sides[:, 1]
     member = np.repeat(np.arange(len(first)), places)

@@ -1,7 +1,7 @@
-"""The true surface of a specimen in its final position: reference of a measured object.
+"""True surface of a specimen in its final position: the reference for a measured surface.
 
-World frame, mm. Closed forms if there are any, otherwise the exact distance to the triangles: the
-sampled distance of the contact of a sheet rounds edges by its lattice.
+World frame, mm. A distance is in closed form if the shape has one, otherwise the exact distance to
+its triangles. The interpolated distance of `sampled_distance` is not used: it rounds edges.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from twin.specimens.catalogue import Assembly
 from twin.specimens.meshes import MeshShape
 from twin.specimens.triangles import Columns, TriangleTree, distances_mm
 
-# A few facets per cell: each point over a cell is tested against all of them.
+# Mean number of facets over a cell of the grid in plan; a point is tested against all of them.
 _FACETS_PER_CELL = 8
 _REACH_MM = 1e6
 
@@ -26,10 +26,10 @@ class TrueSurface:
 
     Attributes
     ----------
-    shape : at first touch: its foremost point is z = 0
-    raised_mm : world z of that point
-    skin_mm : thickness of the layer between specimen and measured face: points at this distance
-        from the specimen, along its normal, have distance 0
+    shape : shape at first touch, with its foremost point at z = 0
+    raised_mm : final world z of the foremost point
+    skin_mm : thickness of the layer between the specimen and the measured face; points at this
+        distance from the specimen have distance 0
     """
 
     shape: Shape
@@ -37,7 +37,7 @@ class TrueSurface:
     skin_mm: float = 0.0
 
     def distance_mm(self, points_mm: FloatArray) -> FloatArray:
-        """Return the signed distance (n,) of points (n, xyz), positive outside."""
+        """Return the signed distance (n,), mm, of points (n, xyz), mm, positive outside."""
         local = points_mm - np.array([0.0, 0.0, self.raised_mm])
         distances = [part.distance_mm(local) for part in self._parts]
         return np.asarray(np.min(distances, axis=0) - self.skin_mm)
@@ -59,7 +59,7 @@ def _leaves(shape: Shape) -> list[Shape]:
 
 @dataclass(frozen=True, eq=False)
 class _Closed:
-    """A body with a closed form."""
+    """A shape that has a closed form of its distance."""
 
     shape: Shape
 
@@ -70,7 +70,7 @@ class _Closed:
 
 @dataclass(frozen=True, eq=False)
 class _Facets:
-    """A closed mesh."""
+    """A closed mesh, with the search structures for its exact distance."""
 
     tree: TriangleTree
     columns: Columns
@@ -92,7 +92,7 @@ class _Facets:
         return distances
 
     def _over(self, points_mm: FloatArray) -> BoolImage:
-        """Return which points are within the outline, in which there are lists of facets."""
+        """Return whether each point (n,) is, in plan, within the rectangle of `columns`."""
         cells = np.floor(points_mm[:, :2] / self.columns.pitch_mm) - self.columns.low
         return np.asarray(np.all((cells >= 0) & (cells < self.columns.count), axis=1))
 

@@ -1,1 +1,1 @@
-"""Design-space sweeps: many virtual measurements that reuse each other's stage results."""
+"""Design-space studies: many virtual measurements that reuse results of stages they share."""

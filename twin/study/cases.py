@@ -1,6 +1,7 @@
 """Cases of a study: validated experiments at the points of the design space.
 
-A point has one level of every axis. The name of a case is a digest of its content.
+A point of the design space has one level (a value, or a set of changed fields) of every axis. The
+name of a case is a digest of its experiment and conditions.
 """
 
 import hashlib
@@ -31,11 +32,11 @@ MORRIS_LEVELS = 4
 
 
 def points_of(study: Study) -> list[Point]:
-    """Return the points of a study, one level per axis each.
+    """Return the points of a study; each point is a tuple with one level per axis.
 
     Raises
     ------
-    InputError : more cases than a study may have, or a study that chooses its points while it runs
+    InputError : the study has more cases than allowed, or it chooses its points while it runs
     """
     method = study.sampling.method
     if method in ("optimise", "gradient", "trials"):
@@ -52,7 +53,7 @@ def points_of(study: Study) -> list[Point]:
 
 
 def point_count(study: Study) -> int:
-    """Return the number of points of a study, without building them."""
+    """Return the number of points of a study without making the points."""
     count, axes = study.sampling.count or 0, len(study.axis)
     match study.sampling.method:
         case "grid":
@@ -69,18 +70,18 @@ def point_count(study: Study) -> int:
 
 
 def cases_per_point(study: Study) -> int:
-    """Return the number of cases at each point of a study, before constraints."""
+    """Return the number of cases (repeats x methods) at each point, before constraints."""
     return study.repeats * max(1, len(study.modalities))
 
 
 def point_at(axes: tuple[Axis, ...], shares: FloatArray) -> Point:
-    """Return the point at the coordinates (axis,) of the unit cube."""
+    """Return the point at the coordinates `shares` (axis,), 0 to 1, of the unit cube."""
     return tuple(axis.level_at(float(u)) for axis, u in zip(axes, shares, strict=True))
 
 
 def shares_of(study: Study) -> FloatArray:
-    """Return coordinates (point, axis) in the unit cube for a study that samples."""
-    from scipy.stats import qmc  # takes half a second to load, and a grid needs none
+    """Return the points of a study that samples its axes, as coordinates (point, axis), 0 to 1."""
+    from scipy.stats import qmc  # takes 0.5 s to import, and a grid does not need it
 
     count, axes = study.sampling.count or 1, len(study.axis)
     rng = np.random.default_rng(study.sampling.seed)
@@ -97,7 +98,7 @@ def shares_of(study: Study) -> FloatArray:
 
 
 def _sobol(axes: int, count: int, rng: np.random.Generator) -> FloatArray:
-    """Draw scrambled Sobol' points: the first `count` of a set of 2^k points."""
+    """Return scrambled Sobol' points (count, axes): the first `count` of a set of 2^k points."""
     from scipy.stats import qmc
 
     exponent = int(np.ceil(np.log2(max(count, 1))))
@@ -105,10 +106,11 @@ def _sobol(axes: int, count: int, rng: np.random.Generator) -> FloatArray:
 
 
 def saltelli_shares(axes: int, count: int, rng: np.random.Generator) -> FloatArray:
-    """Return the rows of A, of B, and of A with column i from B, for Saltelli et al. (2010).
+    """Return the points of a Saltelli design as coordinates (count x (axes + 2), axes), 0 to 1.
 
-    Saltelli, A. et al.: Variance based sensitivity analysis of model output. Computer Physics
-    Communications 181, 259-270 (2010), table 2.
+    First come the rows of the matrix A, then those of B, then for each i the rows of A with column
+    i from B. Saltelli, A. et al.: Variance based sensitivity analysis of model output. Computer
+    Physics Communications 181, 259-270 (2010), table 2.
     """
     pairs = _sobol(2 * axes, count, rng)
     a, b = pairs[:, :axes], pairs[:, axes:]
@@ -117,7 +119,7 @@ def saltelli_shares(axes: int, count: int, rng: np.random.Generator) -> FloatArr
 
 
 def _walks(axes: int, count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
-    """Yield walks (axes + 1, axes) in which every axis takes one step, in random order.
+    """Yield trajectories (axes + 1, axes) in which each axis changes once, in random order.
 
     Morris, M. D.: Factorial sampling plans for preliminary computational experiments.
     Technometrics 33, 161-174 (1991): p = 4 levels, step p / (2 (p - 1)) = 2/3.
@@ -140,13 +142,14 @@ _MOST_PROBLEMS = 5
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One measurement of a study.
+    """One measurement of a study: an experiment, its conditions, and the name in the store.
 
     Attributes
     ----------
-    settings : value of every axis by its title, with `modality` and `seed` where they are varied
+    settings : value of every axis by the axis' title, and `modality` and `seed` if they are varied
+    experiment : the experiment of the measurement
     digest : name of the case in the store
-    conditions : of the measurement, in addition to its experiment
+    conditions : conditions of the measurement that are not part of its experiment
     """
 
     settings: Mapping[str, Any]
@@ -158,11 +161,14 @@ class Case:
 def case_of(
     settings: Mapping[str, Any], experiment: Experiment, conditions: Conditions = NOMINAL_CONDITIONS
 ) -> Case:
-    """Return a case with its digest: of the experiment, and of conditions that are not nominal."""
+    """Return a case with its digest.
+
+    The digest is computed from the experiment, and from the conditions if they are not nominal.
+    """
     name = digest(experiment)
     if conditions != NOMINAL_CONDITIONS:
         described = asdict(conditions)
-        if conditions.bound == NOMINAL_CONDITIONS.bound:  # so that older stores keep their names
+        if conditions.bound == NOMINAL_CONDITIONS.bound:  # keeps names in older stores
             del described["bound"]
         if not conditions.derivatives:
             del described["derivatives"]
@@ -177,11 +183,13 @@ def case_of(
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """Cases of a study in its own order, and the number that its constraints exclude.
+    """Cases of a study in the order of the study, and the number of cases that constraints exclude.
 
     Attributes
     ----------
-    step : 1 for all cases; n for the cases of every n-th point, for a preview
+    run : the cases to be measured
+    excluded : number of cases that constraints exclude
+    step : 1 if `run` has all cases; n if it has the cases of every n-th point, for a preview
     """
 
     run: tuple[Case, ...]
@@ -189,21 +197,23 @@ class Cases:
     step: int = 1
 
     def unique(self) -> list[Case]:
-        """Return the cases without duplicates of the same content."""
+        """Return the cases; of several cases with equal content only one."""
         return list({case.digest: case for case in self.run}.values())
 
 
 def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = None) -> Cases:
-    """Make and validate the cases of a study.
+    """Return the cases of a study at its points, with validated experiments.
 
     Parameters
     ----------
-    points : default: those of the study's sampling
+    study : the study
+    base : the experiment that is varied
+    points : points of the design space; default: those of the study's sampling
 
     Raises
     ------
-    ConfigError : some cases are no valid experiment, or constraints exclude all cases; the message
-        lists each problem once, with one of its cases
+    ConfigError : some cases are not valid experiments, or constraints exclude all cases; the
+        message lists each problem once, with one case that has the problem
     InputError : too many points
     """
     cases, excluded = [], 0
@@ -254,7 +264,7 @@ def _settings(study: Study, point: Point) -> dict[str, Any]:
 
 
 def field_of(experiment: Experiment, path: str) -> Any:
-    """Return the value at a dotted path; None if the path is no field, as the name of a metric."""
+    """Return the value at a dotted path of an experiment; None if there is no such field."""
     node: Any = experiment
     for name in path.split("."):
         node = node.get(name) if isinstance(node, dict) else getattr(node, name, None)
@@ -262,7 +272,10 @@ def field_of(experiment: Experiment, path: str) -> Any:
 
 
 def quantity(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint) -> float | None:
-    """Return the value that a constraint bounds; None if a metric is missing, and for x / 0."""
+    """Return the number that a constraint limits: a field, a figure, or the ratio of two.
+
+    None if a field or figure is missing, or if the denominator is 0.
+    """
     parts = _parts(experiment, figures, bound)
     if parts is None or 0.0 in parts[1:]:
         return None
@@ -270,7 +283,7 @@ def quantity(experiment: Experiment, figures: Mapping[str, Any], bound: Constrai
 
 
 def meets(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint) -> bool:
-    """Return True if a case satisfies a bound; False if its quantity does not exist."""
+    """Return True if a case satisfies a constraint; False if the limited number does not exist."""
     number = quantity(experiment, figures, bound)
     return number is not None and bound.holds_for(number)
 
@@ -278,7 +291,7 @@ def meets(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint)
 def _parts(
     experiment: Experiment, figures: Mapping[str, Any], bound: Constraint
 ) -> list[float] | None:
-    """Return the bounded number, or numerator and denominator; None if any is missing."""
+    """Return the limited number, or numerator and denominator; None if one of them is missing."""
     names = [bound.value] if bound.per is None else [bound.value, bound.per]
     values = [figures.get(name, field_of(experiment, name)) for name in names]
     if not all(isinstance(value, (int, float)) for value in values):
@@ -287,7 +300,10 @@ def _parts(
 
 
 def _admits(constraints: tuple[Constraint, ...], experiment: Experiment) -> bool:
-    """Return True if all bounds on fields only hold; bounds on figures are checked afterwards."""
+    """Return True if all constraints on fields are satisfied.
+
+    Constraints on figures are checked after the measurement.
+    """
     return all(
         _parts(experiment, {}, bound) is None or meets(experiment, {}, bound)
         for bound in constraints

@@ -1,4 +1,4 @@
-"""Checks of a study before its first case runs: its cases must have the figures it names."""
+"""Checks of a study before its first case runs: the figures that the study names must exist."""
 
 import difflib
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ def check_figures(record: StudyRecord, cases: Iterable[Case]) -> None:
 
     Raises
     ------
-    InputError : a figure that no case can have, with the nearest names
+    InputError : no case can have a named figure; the message contains the most similar names
     """
     study = record.study
     requested = [("metrics", name) for name in study.metrics]
@@ -41,7 +41,10 @@ def check_figures(record: StudyRecord, cases: Iterable[Case]) -> None:
 
 
 def _known(base: Experiment, cases: Iterable[Case]) -> set[str]:
-    """Return the figures of all cases; cases that differ only in numbers are evaluated once."""
+    """Return the names of the figures of all cases, and of derived figures.
+
+    Of the cases with equal method, specimen, measurands and score only one is evaluated.
+    """
     names, kinds = set(DERIVED), set[str]()
     for experiment in (base, *(case.experiment for case in cases)):
         kind = _kind_of(experiment)

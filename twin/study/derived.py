@@ -1,4 +1,4 @@
-"""Figures for the design of a sensor, computed from a case's experiment and result.
+"""Derived figures for the design of a sensor, computed from experiment and result of a case.
 
 | name | meaning |
 |---|---|
@@ -12,7 +12,8 @@ under the back pressure |
 | depth_over_thickness | travel of the press over the slab's thickness |
 | force_per_depth_n_per_mm | force over travel |
 
-They are not in result.json; tables, constraints and objectives accept them like its metrics.
+Derived figures are not stored in `result.json`. Tables, constraints and objectives accept them
+like the stored figures.
 """
 
 import math
@@ -59,7 +60,7 @@ def _ridges(experiment: Experiment) -> Ridges:
 
 
 def _grating(experiment: Experiment) -> NominalGrating:
-    """Return the specimen's grating; KeyError if it has none."""
+    """Return the nominal grating of the specimen; raise KeyError if it has no grating."""
     for grating in experiment.specimen.nominal(NominalGrating):
         return grating
     raise KeyError("pitch_mm")
@@ -68,7 +69,7 @@ def _grating(experiment: Experiment) -> NominalGrating:
 def _groove_contrast(experiment: Experiment, metrics: Metrics) -> float:
     pitch_mm = _grating(experiment).pitch_mm
     if experiment.elastomer.layout == "contact_face":
-        return 1.0  # as long as the grooves are filled
+        return 1.0  # if the elastomer fills the grooves
     if _is_sheet(metrics):
         return _ridges(experiment).shown(pitch_mm)
     waves = 2 * np.pi * experiment.elastomer.thickness_mm / pitch_mm
@@ -98,13 +99,13 @@ DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
 }
 
 OF_A_MEASUREMENT = ("groove_over_error", "radius_bias_mm")
-"""Derived figures that need a measurement in addition to the press."""
+"""Names of the derived figures that need a measurement in addition to the press."""
 
 
 def with_derived(
     experiment: Experiment, metrics: Metrics, wanted: Iterable[str] = tuple(DERIVED)
 ) -> dict[str, Metric]:
-    """Return a case's figures and those derived figures of `wanted` that can be computed.
+    """Return the figures of a case together with the derived figures named in `wanted`.
 
     A derived figure is left out if any figure that it needs is missing or None.
     """

@@ -1,12 +1,12 @@
 """Compute the cases of a study that its store lacks, on any `concurrent.futures.Executor`.
 
-One case per worker is computed first and reports which fields its stages read; the other cases
-follow in batches that share stages. When a worker dies, its batch is queued again; the case that it
-was computing runs in isolation: no other case runs at the same time. A case is recorded as failed
-when its worker died three times during an isolated run.
+First one case per worker is computed, which reports the fields that its stages read. The other
+cases follow in batches that share stages. If a worker dies, its batch is queued again. The case
+that it was computing is repeated in isolation: no other case runs at the same time. If its worker
+dies three times in isolation, the case is recorded as failed.
 
-Several studies can run together (`run_together`): while a study has no batch to submit, because its
-first or last cases are being computed, batches of the next study are submitted.
+Several studies can run together (`run_together`). While the first or last cases of a study are
+computed, the study may have no batch to submit; then batches of the next study are submitted.
 """
 
 import time
@@ -27,21 +27,27 @@ from twin.study.worker import DIED, Batch, BatchReport, MakeMeasurer, Report, co
 from twin.study.workers import Workers
 
 _MOST_DEATHS_EACH = 3
-_ROUNDS_AHEAD = 4  # if the first cases fail, or another run computes them
-_MOST_DEATHS = 10  # in a row, with no case finished between them
+_ROUNDS_AHEAD = 4  # rounds of first cases: these may fail, or another run may compute them
+_MOST_DEATHS = 10  # consecutive deaths of workers without a finished case between them
 _FIRST_REASONS = 3
-_AHEAD = 2  # batches per worker that wait in the executor
+_AHEAD = 2  # batches per worker that are submitted to the executor at the same time
 _WAIT_FOR_OTHERS_S = 0.2
 
 
 @dataclass
 class Run:
-    """Computes a study's cases into a store; the first case reports the fields that stages read.
+    """Computation of the cases of one study into its store.
 
     Attributes
     ----------
+    store : store of the study
+    workers : processes that compute the cases
+    keep : names of the arrays to write for each case
+    make_measurer : makes the measurer of a worker process
+    watch : called with the share of all cases that have ended
     done : called with the reports of every batch, for example to enter them into an index
-    tell : called with a message for each of the first reasons of failure, while cases still run
+    tell : called with a message for each of the first three reasons of failure, while cases still
+        run
     """
 
     store: Store
@@ -63,7 +69,7 @@ class Run:
     _reported: set[str] = field(default_factory=set)
 
     def __call__(self, cases: Iterable[Case]) -> SweepOutcome:
-        """Compute the cases that the store lacks.
+        """Compute the cases that the store lacks, and return the outcome of the run.
 
         Raises
         ------
@@ -72,7 +78,7 @@ class Run:
         return run_together([(self, cases)], self.workers, self.watch)[0]
 
     def begin(self, cases: Iterable[Case]) -> None:
-        """Determine the cases that are not in the store."""
+        """Start a run: determine the cases that are not in the store."""
         self._reports = {}
         self.store.abandoned()
         known = self.store.finished()
@@ -81,16 +87,16 @@ class Run:
 
     @property
     def total(self) -> int:
-        """Number of cases that were not in the store."""
+        """Number of cases that were not in the store when the run began."""
         return len(self._missing)
 
     @property
     def ended(self) -> int:
-        """Number of these cases that have ended."""
+        """Number of cases of this run that have ended: computed, failed or not saved."""
         return sum(report.state != "elsewhere" for report in self._reports.values())
 
     def outcome(self, seconds: float) -> SweepOutcome:
-        """Return the result of a run of this duration."""
+        """Return the outcome of the run, which took `seconds` of wall-clock time."""
         reports = self._reports.values()
         return SweepOutcome(
             states=Counter(report.state for report in reports),
@@ -100,13 +106,19 @@ class Run:
         )
 
     def next_batch(self) -> list[Case] | None:
-        """Take the next batch; None: there is none, or the rest depends on running batches."""
+        """Take the next batch from the queue and return it.
+
+        None if there is no batch, or if the further cases depend on batches that are still running.
+        """
         if not (self._queue or self._isolated or self._running):
             self._refill()
         return self._taken(self._queue)
 
     def next_isolated(self) -> list[Case] | None:
-        """Take a case during which a worker died: no other case may run at the same time."""
+        """Take a batch with one case during which a worker died; None if there is none.
+
+        No other case may run at the same time.
+        """
         return self._taken(self._isolated)
 
     def _taken(self, queue: deque[list[Case]]) -> list[Case] | None:
@@ -116,15 +128,15 @@ class Run:
         return queue.popleft()
 
     def put_back(self, batch: list[Case], *, isolated: bool) -> None:
-        """Return a batch to its queue: the executor did not accept it."""
+        """Put a batch back at the front of its queue, as the executor did not accept it."""
         self._running -= 1
         (self._isolated if isolated else self._queue).appendleft(batch)
 
     def _refill(self) -> None:
-        """Queue the first cases; then all others; then those that another run was computing."""
+        """Queue the first cases, then all others, then those that another run was computing."""
         left = [case for case in self._missing if case.digest not in self._reports]
         if left and not self._reads and self._rounds_left:
-            # One per worker, evenly spaced.
+            # One case per worker, evenly spaced over the remaining cases.
             self._rounds_left -= 1
             step = max(1, len(left) // self.workers.count)
             self._queue.extend([case] for case in left[::step][: self.workers.count])
@@ -135,7 +147,7 @@ class Run:
             self._queue_elsewhere()
 
     def _queue_elsewhere(self) -> None:
-        """Queue the cases again that another run was computing."""
+        """Queue again the cases that another run was computing."""
         states = {digest: report.state for digest, report in self._reports.items()}
         left = [case for case in self._missing if states.get(case.digest) == "elsewhere"]
         if left:
@@ -143,19 +155,21 @@ class Run:
             self._queue.append(left)
 
     def enter(self, report: BatchReport) -> None:
-        """Record the report of a batch."""
+        """Record the reports of the cases of a batch."""
         self._running -= 1
-        # A case that failed has not been through all stages.
+        # A failed case has not run all stages.
         if not self._reads and report.cases[-1].state in ("done", "unsaved"):
             self._reads = report.reads if any(report.reads) else ()
         self._enter(report.cases)
 
     def lost(self, batches: list[list[Case]], *, isolated: bool) -> None:
-        """Queue the batches of a dead worker again; cases that it was computing run in isolation.
+        """Queue the batches of a dead worker again; its current case is repeated in isolation.
 
         Parameters
         ----------
-        isolated : the batch was a case in isolation, which is charged with the death
+        batches : the batches that were submitted to the executor when the worker died
+        isolated : True if the batch was a case in isolation; the death is then counted for this
+            case
         """
         suspects, known = set(self.store.abandoned()), self.store.finished()
         for batch in batches:
@@ -202,7 +216,7 @@ class Run:
                 self.tell(f"a case failed: {reason}")
 
     def batch(self, cases: list[Case]) -> Batch:
-        """Return the cases with all that a worker needs to compute them."""
+        """Return a batch: the cases and the options that a worker needs to compute them."""
         return Batch(
             store=self.store.folder,
             cases=tuple((case.digest, case.experiment, case.conditions) for case in cases),
@@ -220,7 +234,9 @@ def run_together(
 
     Parameters
     ----------
-    parts : in order of priority: batches of a later run are submitted while earlier runs have none
+    parts : runs with their cases, in order of priority: batches of a later run are submitted while
+        the earlier runs have none
+    workers : processes that compute the cases of all runs
     watch : called with the share of all cases that have ended
 
     Raises
@@ -243,8 +259,12 @@ class _Together:
 
     Attributes
     ----------
-    _pending : batches that the executor has, and their runs, by their futures
-    _isolated : the only pending batch is a case during which a worker died before
+    runs : the runs in order of priority
+    workers : processes that compute the cases of all runs
+    watch : called with the share of all cases that have ended
+    _pending : run and cases of each batch that was submitted to the executor, by its future
+    _isolated : True if the only pending batch is a case during which a worker died before
+    _deaths : number of consecutive deaths of workers without a finished case between them
     """
 
     runs: list[Run]
@@ -267,7 +287,10 @@ class _Together:
             (self.workers.release or self.workers.close)(executor)
 
     def _submit(self, executor: Executor) -> bool:
-        """Submit some batches per worker; False: the executor is broken and has no batch."""
+        """Submit batches until there are two per worker; return False if that is impossible.
+
+        False means that the executor is broken and has no pending batch.
+        """
         while len(self._pending) < (1 if self._isolated else _AHEAD * self.workers.count):
             assigned = self._next()
             if assigned is None:
@@ -281,7 +304,7 @@ class _Together:
         return True
 
     def _next(self) -> tuple[Run, list[Case]] | None:
-        """Take the next batch of any run; if no run has one, a case that needs isolation."""
+        """Take the next batch of any run; if no run has a batch, a case to be run in isolation."""
         self._isolated = False
         for run in self.runs:
             if (batch := run.next_batch()) is not None:
@@ -293,7 +316,7 @@ class _Together:
         return None
 
     def _collect(self) -> bool:
-        """Wait for reports; True if a worker died."""
+        """Wait for the next reports and record them; return True if a worker died."""
         died = False
         for future in wait(self._pending, return_when=FIRST_COMPLETED).done:
             try:
@@ -309,7 +332,7 @@ class _Together:
         return died
 
     def _report_progress(self) -> None:
-        """Report the share of all cases that have ended, and count deaths from 0 again."""
+        """Report the share of all cases that have ended, and reset the count of deaths to 0."""
         self._deaths = 0
         total = sum(run.total for run in self.runs)
         self.watch("cases", self._ended() / max(total, 1))
@@ -318,7 +341,7 @@ class _Together:
         return sum(run.ended for run in self.runs)
 
     def _after_death(self, executor: Executor) -> Executor:
-        """Queue the lost batches again, and start new workers."""
+        """Queue the lost batches again, start new workers and return their executor."""
         self.workers.close(executor)
         self._deaths += 1
         if self._deaths > _MOST_DEATHS:
@@ -334,5 +357,5 @@ class _Together:
 
 
 def is_death(error: Exception) -> bool:
-    """Whether an executor's error means that a worker died."""
+    """Return True if an error of an executor means that a worker died."""
     return isinstance(error, BrokenProcessPool) or type(error).__name__ == "KilledWorker"

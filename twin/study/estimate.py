@@ -1,4 +1,4 @@
-"""Run time and disk space of a study before it runs."""
+"""Estimate of run time and disk space of a study before it runs."""
 
 import math
 import shutil
@@ -17,7 +17,8 @@ from twin.study.record import StudyRecord
 from twin.study.store import Store
 from twin.study.trials import drawn_board
 
-# Measured on two cores of 2.5 GHz: camera noise dominates, then loading a pressed face.
+# Measured on two cores of 2.5 GHz. Most of the time is needed for the camera noise, then for
+# loading a pressed face.
 _SECONDS_PER_FRAME_PIXEL = 9e-8
 _SECONDS_PER_CASE = 0.3
 _SECONDS_PER_PRESS, _SECONDS_PER_SHEET = 3.0, 20.0
@@ -29,11 +30,20 @@ _PRESS_BYTES = 80_000_000
 
 @dataclass(frozen=True)
 class Estimate:
-    """Run time and disk space of a run, to a factor of two for slabs and sheets, worse for solids.
+    """Estimated run time and disk space of a run.
+
+    They are right within a factor of two for slabs and sheets, and worse for solids.
 
     Attributes
     ----------
-    step : 1 if all cases were examined; n if every n-th was examined, and the sums were scaled
+    cases : number of different cases of the study
+    known : number of cases that are already in the store
+    excluded : number of cases that constraints exclude
+    seconds : run time, s
+    disk_bytes : disk space of the new cases, bytes
+    free_bytes : free space on the disk of the store, bytes
+    step : 1 if all cases were examined; n if those of every n-th point were, and the sums were
+        scaled
     """
 
     cases: int
@@ -46,7 +56,7 @@ class Estimate:
 
 
 def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> Estimate:
-    """Estimate run time and disk space of the cases that are not in the store."""
+    """Estimate run time and disk space of the cases that are not yet in the store."""
     known = store.finished() if store.exists() else set()
     unique = cases.unique()
     missing = [case for case in unique if case.digest not in known]
@@ -65,7 +75,10 @@ def estimate(record: StudyRecord, cases: Cases, store: Store, workers: int) -> E
 
 
 def _calibration_seconds(record: StudyRecord, store: Store) -> float:
-    """Return the time (s, one process) of the calibration for drawn rigs; 0 if it is cached."""
+    """Return the time, s, in which one process calibrates the rig for trials.
+
+    It is 0 if trials do not draw rigs, or if the calibration is in the store.
+    """
     board = drawn_board(record.study, record.base)
     if not board or (store.folder / CALIBRATION_FILE).is_file():
         return 0.0
@@ -78,7 +91,7 @@ def _pressing(experiment: Experiment) -> str:
 
 
 def press_seconds(experiment: Experiment) -> float:
-    """Return the approximate time of a press, s."""
+    """Return the approximate run time of one press of the experiment, s."""
     scene = experiment
     case = PressInput(scene.mechanics, scene.specimen, scene.elastomer, scene.press)
     wraps = any(model.wraps for model in possible_models(case))
@@ -109,7 +122,7 @@ def _case_bytes(study: Study, experiment: Experiment) -> float:
 
 
 def estimate_line(estimated: Estimate) -> str:
-    """Return an estimate in one line."""
+    """Return an estimate as one line of text."""
     preview = f"about {counted(estimated.cases, 'case')}, from one point in {estimated.step}"
     parts = [counted(estimated.cases, "case") if estimated.step == 1 else preview]
     if estimated.excluded:
@@ -122,7 +135,7 @@ def estimate_line(estimated: Estimate) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write a time in seconds, minutes or hours."""
+    """Return a time as text with the unit s, min or h."""
     if seconds < 90:
         return f"{math.ceil(seconds)} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,9 +1,9 @@
-"""Feasibility of finished designs: all constraints hold, and all tolerances are met.
+"""Feasibility of measured designs: all constraints are satisfied, and all tolerances are met.
 
-A constraint limits a field or a measured figure. A tolerance of a `[[measurand]]` limits
-the measured value with its expanded uncertainty U (ISO 14253-1): every verdict except "within"
-counts as not met. Of repeats, which differ by their seed only, each must be feasible: else the best
-design would be selected by its noise.
+A constraint limits a field or a measured figure. A tolerance of a `[[measurand]]` limits the
+measured value with its expanded uncertainty U (ISO 14253-1). Every verdict except "within" counts
+as not met. A design with repeats, which differ only in their seed, is feasible only if each repeat
+is feasible. Otherwise the best design would be selected by its noise.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,20 +20,20 @@ from twin.study.cases import Case, quantity
 Row = Mapping[str, Any]
 
 UNMET = "unmet"
-"""Key of a row: the conditions that it does not meet, with its values."""
+"""Key of a table row under which the conditions that the case does not meet are stored."""
 TOLERANCES = "all tolerances of [[measurand]] are met, with U"
 _PERCENT = 100.0
 
 
 def has_tolerances(experiment: Experiment) -> bool:
-    """Whether a measurand of the experiment states a tolerance."""
+    """Return True if a measurand of the experiment has a tolerance."""
     return any(tolerance_of(measurand) is not None for measurand in measurands_of(experiment))
 
 
 def unmet_conditions(
     case: Case, figures: Mapping[str, Any], bounds: Iterable[Constraint]
 ) -> dict[str, str]:
-    """Return the conditions that a finished case does not meet, each with its value."""
+    """Return the conditions that a measured case does not meet, each with the value as text."""
     unmet: dict[str, str] = {}
     for bound in bounds:
         number = quantity(case.experiment, figures, bound)
@@ -51,7 +51,7 @@ def _beyond_tolerance(figures: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
 
 
 def _judged(figures: Mapping[str, Any]) -> list[str]:
-    """Return the prefixes (object_NAME) of the figures of measurands with a tolerance."""
+    """Return the names (object_NAME) of the figures of measurands that have a tolerance."""
     ends = "_verdict"
     return [name.removesuffix(ends) for name in figures if name.endswith(ends)]
 
@@ -64,9 +64,10 @@ def _margin(figures: Mapping[str, Any], name: str) -> tuple[float, str] | None:
 
 
 def beyond_tolerances(figures: Mapping[str, Any]) -> float:
-    """Return the sum of all excesses over tolerances, in um (of a coverage: in percent).
+    """Return the sum of all excesses over tolerances, in um (for a coverage: in percent).
 
-    0: all are met, or none is judged; infinite: a judged measurand has no value.
+    It is 0 if all tolerances are met or if there are none. It is infinite if a measurand with a
+    tolerance has no value.
     """
     total = 0.0
     for name in _judged(figures):
@@ -76,7 +77,10 @@ def beyond_tolerances(figures: Mapping[str, Any]) -> float:
 
 
 def spread_over_repeats(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> None:
-    """Mark a design as infeasible if any repeat is infeasible or failed; changes the rows."""
+    """Mark all repeats of a design as infeasible if one repeat is infeasible or failed.
+
+    `rows`, in the order of `cases`, are changed in place.
+    """
     designs: dict[str, list[dict[str, Any]]] = {}
     for row, case in zip(rows, cases, strict=True):
         settings = {name: value for name, value in case.settings.items() if name != "seed"}
@@ -90,7 +94,7 @@ def spread_over_repeats(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -
 
 
 def unmet_counts(rows: Iterable[Row]) -> dict[str, int]:
-    """Return how many finished cases miss each condition, the most missed first."""
+    """Return the number of measured cases that miss each condition, the most missed first."""
     counts: dict[str, int] = {}
     for row in rows:
         for condition in row.get(UNMET) or ():
@@ -99,7 +103,7 @@ def unmet_counts(rows: Iterable[Row]) -> dict[str, int]:
 
 
 def feasibility_in_words(rows: Sequence[Row]) -> str:
-    """Return a text: the number of feasible finished cases, and the conditions that were missed."""
+    """Return a text with the number of feasible measured cases and the missed conditions."""
     done = [row for row in rows if row.get("feasible") is not None]
     feasible = sum(bool(row["feasible"]) for row in done)
     missed = "; ".join(f"{count} miss: {name}" for name, count in unmet_counts(done).items())

@@ -1,9 +1,12 @@
-"""Gradient search for the least bound: each point is a case with the derivatives in its result.
+"""Gradient search for the design with the smallest bound on an uncertainty.
 
-Derivatives by fields that move neither press nor camera are computed by automatic differentiation
-(`twin.pipeline.gradients`); by all other fields, from the difference to a second case nearby. The
-state of the search is not stored: a second run requests the same points, reads their results from
-the store and continues.
+A bound is the lower bound on the uncertainty of a dimension. Each point of the search is a case
+with the derivatives of the bound in its result. Derivatives with respect to fields that change
+neither press nor camera are computed by automatic differentiation (`twin.pipeline.gradients`).
+Those with respect to all other fields are computed from the difference to a second case nearby.
+
+The state of the search is not stored: a second run requests the same points, reads their results
+from the store and continues.
 """
 
 from collections.abc import Callable
@@ -24,25 +27,25 @@ from twin.study.record import StudyRecord, unbounded
 from twin.study.store import Store
 
 RunCases = Callable[[StudyRecord, Cases], SweepOutcome]
-_DIFFERENCE = 1e-3  # of an axis
-_TOLERANCE = 1e-5  # of the logarithm of the objective, and of a bound's excess by its limit
+_DIFFERENCE = 1e-3  # step of a difference, in shares of an axis
+_TOLERANCE = 1e-5  # of the logarithm of the objective, and of the relative excess over a limit
 _INSIDE = 2.0 * _TOLERANCE
-"""Margin to a bound, relative to its limit: an accepted point is then within the bound."""
+"""Relative margin to the limit of a constraint, so that accepted points satisfy the limit."""
 
 
 def descend(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutcome]:
-    """Search until the bound decreases no more, or the allowed number of cases is measured.
+    """Search until the objective improves no more, or the allowed number of cases is measured.
 
     Parameters
     ----------
-    record : with sampling.method = "gradient"
+    record : study with sampling.method = "gradient"
     folder : the store
-    run : computes a batch
+    run : function that computes a batch of cases into the store
 
     Raises
     ------
-    InputError : the objective has no derivatives, a constraint is on a figure, or no first point is
-        a valid experiment
+    InputError : the objective has no derivatives, a constraint limits a figure, or no start point
+        is a valid experiment
     """
     plan = record.study.gradient
     if plan is None:
@@ -64,12 +67,12 @@ def _starts(count: int, axes: int, seed: int) -> FloatArray:
 
 
 class _SpentError(Exception):
-    """The allowed number of cases is measured."""
+    """Exception that ends the search, as the allowed number of cases is measured."""
 
 
 @dataclass
 class _BoundDescent:
-    """Values and gradients of the logarithm of the objective over the unit cube of the axes."""
+    """Logarithm of the objective and its gradient as functions of the axes' shares, 0 to 1."""
 
     record: StudyRecord
     plan: GradientSearch
@@ -80,7 +83,7 @@ class _BoundDescent:
     _places: list[FloatArray] = field(default_factory=list)
 
     def from_place(self, start: FloatArray) -> None:
-        """Search from a point of the unit cube."""
+        """Search from a start point (axis,), given in shares of the axes."""
         minimize(
             lambda place: self.at(place)[0],
             start,
@@ -92,7 +95,11 @@ class _BoundDescent:
         )
 
     def at(self, place: FloatArray) -> tuple[float, FloatArray]:
-        """Return the logarithm of the objective, and its derivative by each axis' share."""
+        """Return the value to minimise and its gradient (axis,) at a point in shares of the axes.
+
+        The value is the logarithm of the objective, with reversed sign for an objective to
+        maximise.
+        """
         place = np.clip(place, 0.0, 1.0)
         key = place.tobytes()
         if key not in self._cached:
@@ -121,7 +128,7 @@ class _BoundDescent:
         return sign * float(np.log(value)), sign * slope
 
     def _stretch(self, axis: int, share: float) -> float:
-        """Return the derivative of an axis' value by its share."""
+        """Return the derivative of the value on an axis with respect to the share of the axis."""
         span = self.record.study.axis[axis]
         assert span.low is not None  # the validator's
         assert span.high is not None
@@ -131,7 +138,7 @@ class _BoundDescent:
         return float(span.high - span.low)
 
     def _figures_of(self, places: list[FloatArray]) -> list[dict[str, object]]:
-        """Measure the points and return their figures."""
+        """Measure the points, in shares of the axes, and return their figures."""
         if len(self._places) + len(places) > self.plan.evaluations:
             raise _SpentError
         self._places += places

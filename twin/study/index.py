@@ -1,10 +1,10 @@
 """Index of a store in SQLite: state and figures of every case, for quick reading.
 
-The case folders are authoritative. The index is updated from them whenever it is opened to read: a
-row has a digest of its content and of the size and time of its source files; if the digest differs,
-the files are read again. A missing or damaged index is built again; if it cannot be written, cases
-are read from their folders. No write-ahead log: it needs shared memory, and several hosts may share
-a store.
+The folders of the cases are authoritative. The index is updated from them whenever it is opened to
+be read. Each row has a digest of its content and of size and time of its source files. If the
+digest differs, the files are read again. A missing or damaged index is built again. If it cannot be
+written, cases are read from their folders. SQLite's write-ahead log is not used, because it needs
+shared memory, and several hosts may share a store.
 """
 
 import hashlib
@@ -36,7 +36,18 @@ _TABLE = (
 
 @dataclass(frozen=True)
 class Entry:
-    """A case in the index; a damaged case is never entered, and is read each time."""
+    """State and figures of one case in the index.
+
+    A damaged case is never entered; its folder is read each time.
+
+    Attributes
+    ----------
+    digest : name of the case
+    state : "done", "failed", "unsaved" or `DAMAGED`
+    reason : reason of a failure; empty if the case is done
+    seconds : run time of the case, s
+    figures : figures of the result by name; empty without a result
+    """
 
     digest: str
     state: str
@@ -46,15 +57,16 @@ class Entry:
 
 
 class Index:
-    """The index of one store; several processes may enter cases at once."""
+    """The index of one store; several processes may enter cases at the same time."""
 
     def __init__(self, store: Store) -> None:
         self._store, self._path = store, store.folder / INDEX_FILE
 
     def enter(self, reports: Sequence[Report]) -> None:
-        """Enter the results of a batch of cases.
+        """Enter the results of a batch of cases into the index.
 
-        Results that cannot be entered (full disk, damaged index) are entered at the next reading.
+        Results that cannot be entered now (full disk, damaged index) are entered when the index is
+        read next.
         """
         entries = [
             Entry(r.digest, r.state, r.reason, r.seconds, {})
@@ -66,7 +78,7 @@ class Index:
         self._try_to_write([entry for entry in entries if entry is not None])
 
     def entries(self) -> dict[str, Entry]:
-        """Return all cases by digest, in agreement with the folders."""
+        """Return the entries of all cases by digest, after an update from the folders."""
         known = self._known()
         there = self._store.finished()
         stale = {d for d, e in known.items() if d not in there and e.state != "unsaved"}
@@ -85,7 +97,7 @@ class Index:
     def _known(self) -> dict[str, Entry]:
         try:
             return self._read()
-        except sqlite3.OperationalError:  # in use, or on a disk that is full or read only
+        except sqlite3.OperationalError:  # index in use, or disk full or read-only
             return {}
         except (sqlite3.DatabaseError, ValueError):
             with suppress(OSError):
@@ -121,7 +133,7 @@ class Index:
 
 
 def _mark(store: Store, row: Sequence[Any]) -> str:
-    """Return a digest of a row and of the size and time of its source files."""
+    """Return a digest of a row of the index and of size and time of the row's source files."""
     folder, parts = store.path_of(str(row[0])), list[Any](row)
     for name in (RESULT_FILE, FAILURE_FILE, TIMINGS_FILE, MANIFEST_FILE):
         with suppress(OSError, ValueError):
@@ -131,10 +143,9 @@ def _mark(store: Store, row: Sequence[Any]) -> str:
 
 
 def entry_of(store: Store, digest: str) -> Entry | None:
-    """Read a case from its folder; None if there is no folder.
+    """Read the entry of a case from its folder; return None if there is no folder.
 
-    A case with unreadable files is `DAMAGED`, with the file as its reason; other cases are
-    unaffected.
+    If a file is unreadable, the state of the case is `DAMAGED`, and the reason names the file.
     """
     folder = store.path_of(digest)
     if not os.path.lexists(folder):
@@ -161,7 +172,7 @@ def _whole(folder: Path, digest: str) -> Entry:
 
 
 def _part(path: Path, key: str, kind: type, absent: dict[str, Any] | None = None) -> Any:
-    """Return a value of a JSON file; `absent` is the default content of a missing file."""
+    """Return the value at `key` of a JSON file; `absent` is the content if there is no file."""
     content = read_json(path) if absent is None or is_regular(path) else absent
     if not isinstance(content.get(key), kind):
         raise InputError(f"{path}: has no '{key}'")

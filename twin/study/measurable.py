@@ -1,4 +1,4 @@
-"""Cases of a study that no run can measure, and the cases along the axes of a search."""
+"""Find the cases of a study that cannot be measured; for a search, check cases along its axes."""
 
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -13,10 +13,10 @@ from twin.study.record import StudyRecord
 
 
 def unmeasurable(cases: Sequence[Case]) -> dict[str, list[Case]]:
-    """Return the cases that cannot be measured, by reason.
+    """Return lists of the cases that cannot be measured, by the text of the reason.
 
-    The fields that the checks read are recorded, so that cases with the same values of these fields
-    are checked once: cases that differ in seed, code or exposure only need no further check.
+    The fields that the checks read are recorded. Cases with the same values of these fields are
+    checked only once, for example cases that differ only in seed, code or exposure.
     """
     known: dict[tuple[FieldPath, ...], dict[tuple[bytes, ...], str]] = {}
     cases_by_reason: dict[str, list[Case]] = {}
@@ -45,11 +45,13 @@ def _problem(case: Case, reads: Reads) -> str:
 
 
 def probes_of(record: StudyRecord) -> list[Case]:
-    """Return cases along each axis of a search: ends and middle, all other axes at their middle.
+    """Return cases along each axis of a search, with all other axes at their middle.
+
+    A continuous axis has cases at both ends and in the middle, another axis at each level.
 
     Raises
     ------
-    ConfigError : none of them is a valid experiment that the constraints admit
+    ConfigError : no such case is a valid experiment that satisfies the constraints
     """
     cases, reason = list[Case](), ""
     for point in dict(_along_axes(record)).values():

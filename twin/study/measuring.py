@@ -1,8 +1,8 @@
-"""Measurement of one case by a worker, with the stage results of earlier cases.
+"""Measurement of one case by a worker, which reuses the stage results of earlier cases.
 
-Trials measure with a calibrated rig in place of the true rig. The calibration of a rig on rendered
-board poses gives a covariance, from which these rigs are drawn: their deviation from the true rig
-is the error of a calibration, not an assumed number.
+Trials measure with a calibrated rig in place of the true rig. The calibration of the rig on
+rendered board poses gives a covariance, from which the calibrated rigs are drawn. Their deviation
+from the true rig is therefore the error of a simulated calibration, not an assumed number.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,23 +45,23 @@ CALIBRATION_FILE = "calibration.json"
 
 @dataclass(frozen=True)
 class RigCovariance:
-    """Covariance of the parameters of a calibrated rig; compared and hashed by content.
+    """Covariance of the parameters of a calibrated rig, compared and hashed by content.
 
     Attributes
     ----------
-    rows : (24, 24), camera, projector and the pose of the projector relative to the camera, in the
-        order and units of `reconstruction.calibration.parameters`
+    rows : (24, 24) covariance of the parameters of camera, projector and the pose of the projector
+        relative to the camera, in order and units of `reconstruction.calibration.parameters`
     """
 
     rows: tuple[tuple[float, ...], ...]
 
     @classmethod
     def of(cls, rows: Sequence[Sequence[float]] | FloatArray) -> "RigCovariance":
-        """Return a covariance from its rows, (24, 24)."""
+        """Make an instance from the rows of a covariance, (24, 24)."""
         return cls(tuple(tuple(map(float, row)) for row in rows))
 
     def draw(self, true: Calibration, seed: int, trial: int) -> Calibration:
-        """Return the true rig plus a random calibration error of this covariance.
+        """Return the true rig plus a random calibration error, drawn from this covariance.
 
         Trial 0 has no error. Equal seed and trial give equal errors.
         """
@@ -84,8 +84,9 @@ class RigCovariance:
 
 
 def _correlated(covariance: FloatArray, normal: FloatArray) -> FloatArray:
-    """Turn independent standard normal numbers into a draw from a covariance, (n,) float."""
-    # Through the correlation: radians and pixels differ by nine orders of magnitude in variance.
+    """Return a draw (n,) from a covariance (n, n), given n independent standard normal numbers."""
+    # The correlation matrix is decomposed: the variances of radians and pixels differ by a factor
+    # of 1e9.
     sigma = np.sqrt(np.diag(covariance))
     free = sigma > 0
     correlation = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
@@ -98,14 +99,14 @@ def _correlated(covariance: FloatArray, normal: FloatArray) -> FloatArray:
 def calibrated(
     folder: Path, experiment: Experiment, board: str, watch: ProgressCallback = no_progress
 ) -> RigCovariance:
-    """Return the covariance of the experiment's rig, calibrated on rendered board poses.
+    """Calibrate the rig of an experiment on rendered board poses; return the rig's covariance.
 
-    The covariance and the figures are stored in the folder, and read from there if rig, board and
-    versions are the same.
+    The covariance and the figures of the calibration are stored in the folder. If rig, board and
+    versions are unchanged, the stored covariance is returned.
 
     Raises
     ------
-    InputError, MissingBackend : as `calibrate_rendered`
+    InputError, MissingBackend : for the reasons of `calibrate_rendered`
     """
     shown, path = load_board(board), folder / CALIBRATION_FILE
     mark: dict[str, Any] = {
@@ -122,7 +123,7 @@ def calibrated(
 
 
 def retriangulated(done: Measurement, rig: Calibration) -> Measurement:
-    """Return a measurement with fringes after triangulation of its images with another rig."""
+    """Return a measurement after triangulation of its decoded images with another rig."""
     images, options = done.fringes, options_of(done.experiment.decode)
     decoded = images.reconstruction.decoded
     maps = Reconstruction(decoded, triangulate(decoded, rig, options.use, options.tolerance))
@@ -146,24 +147,27 @@ MoreFigures = Callable[[Measurement], Metrics]
 FurtherFiles = Callable[[Measurement], Callable[[Path], None]]
 
 TRUE_RIG = "true_rig_"
-"""Prefix of figures that were measured on the same images with the true rig."""
+"""Prefix of the figures that are evaluated from the same images with the true rig."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of a measurement in addition to its experiment.
+    """Conditions of a measurement that are not part of its experiment.
 
     Attributes
     ----------
-    trial : number of the repetition: seeds the noise of the camera and the draw of a rig
+    trial : number of the repetition; it seeds the noise of the camera and the draw of a rig
     board : calibration target of the calibration from which the rig is drawn; empty: the true rig
-    seed : of the drawn rigs
-    face_only : press, and evaluate the coated face itself: no light, noise or calibration
-    bound : "beside": measure, and compute the bound on the uncertainty of each dimension; "alone":
-        press, trace and compute the bounds only, without frames, noise and decoding
-    derivatives : fields by which the bounds are differentiated; figures BOUND_by_FIELD
-    layer : assumed elastomer and load, to reconstruct the object behind the coat; figures
-        compensated_NAME; None: no reconstruction
+    seed : seed of the drawn rigs
+    face_only : True: press, and evaluate the coated face itself, without light, noise or
+        calibration
+    bound : whether the lower bounds on the uncertainties of dimensions are computed. "no": only
+        measure; "beside": measure and compute the bounds; "alone": press, trace rays and compute
+        the bounds, without frames, noise and decoding
+    derivatives : fields with respect to which the bounds are differentiated; the figures are named
+        BOUND_by_FIELD
+    layer : assumed elastomer and load for the reconstruction of the object behind the coat, with
+        figures named compensated_NAME; None: the object is not reconstructed
     """
 
     trial: int = 0
@@ -184,8 +188,8 @@ class CaseResult:
 
     Attributes
     ----------
-    figures : as in result.json of `twin measure`
-    write : writes the requested arrays into the case's folder
+    figures : figures by name, as in `result.json` of `twin measure`
+    write : function that writes the requested arrays into the folder of the case
     """
 
     figures: Metrics
@@ -194,16 +198,17 @@ class CaseResult:
 
 @dataclass
 class CaseMeasurer:
-    """Measures case after case; one instance per process, as it caches the stages' latest results.
+    """Measurer of cases; one instance per process, as it caches the latest result of each stage.
 
     Attributes
     ----------
-    keep : arrays to write per case: "press", "capture", "points"
-    rigs : from which drawn rigs are drawn
-    more : further figures of a measurement
-    further : prepares additional files of a nominal measurement (trial 0); returns a function that
-        writes them
+    keep : names of the arrays to write per case: "press", "capture", "points"
+    rigs : covariance from which calibrated rigs are drawn; None: the true rig is used
+    more : function that returns further figures of a measurement
+    further : function that prepares additional files of a nominal measurement (trial 0) and
+        returns a function that writes them
     calibrations : folder that caches the calibrations of photometric sensors; None: no cache
+    memory : latest result of each stage
     """
 
     keep: tuple[str, ...] = ()
@@ -217,11 +222,11 @@ class CaseMeasurer:
     def __call__(
         self, experiment: Experiment, conditions: Conditions = NOMINAL_CONDITIONS
     ) -> CaseResult:
-        """Measure one case.
+        """Measure one case and return its figures.
 
         Raises
         ------
-        InputError, MissingBackend : as `twin.pipeline.measure`
+        InputError, MissingBackend : for the reasons of `twin.pipeline.measure`
         """
         self._computed_before = self.memory.requests()
         self.memory.calibrations = self.calibrations
@@ -258,7 +263,7 @@ class CaseMeasurer:
         return CaseResult(figures, self._writer(done, conditions))
 
     def _writer(self, done: Measurement, conditions: Conditions) -> Callable[[Path], None]:
-        # Computed now, as it may fail: `write` then only accesses the disk.
+        # The content is computed here, where it may fail; `write` then only accesses the disk.
         further = self.further if conditions.trial == 0 else None
         write_further = None if further is None else further(done)
 
@@ -277,7 +282,7 @@ class CaseMeasurer:
         return {} if self.more is None else self.more(done)
 
     def reads(self) -> StageReads:
-        """Return the fields that each stage read for the latest case, first stage first."""
+        """Return the field paths that each stage read for the latest case, first stage first."""
         before = self._computed_before
         return tuple(
             paths if computed + recalled > before.get(name, 0) else ()
@@ -301,7 +306,10 @@ def _with_derivatives(
 
 @dataclass(frozen=True)
 class Measuring:
-    """Factory of a worker's measurer; equal factories share a measurer."""
+    """Factory of the measurer of a worker; equal factories share one measurer.
+
+    The attributes are those of `CaseMeasurer`.
+    """
 
     rigs: RigCovariance | None = None
     more: MoreFigures | None = None
@@ -309,7 +317,7 @@ class Measuring:
     calibrations: Path | None = None
 
     def __call__(self, keep: tuple[str, ...]) -> CaseMeasurer:
-        """Return a measurer with an empty memory."""
+        """Return a measurer that writes the arrays named in `keep`, with an empty cache."""
         return CaseMeasurer(keep, self.rigs, self.more, self.further, self.calibrations)
 
 

@@ -1,7 +1,7 @@
-"""Stages that a study needs, by the figures in its metrics, goals and constraints.
+"""Stages that a study needs, depending on the figures that the study names.
 
-A study that names only bounds (and figures of the press) runs the press and the ray tracing,
-without frames, noise and decoding.
+Figures are named in metrics, goals and constraints. A study that names only bounds and figures of
+the press runs the press and the ray tracing, without frames, noise and decoding.
 """
 
 from typing import Literal
@@ -19,9 +19,10 @@ _WITHOUT_FRAMES = {*OF_A_PRESS, "exposure_ms", "warnings"}
 
 
 def bound_needed(study: Study) -> Bound:
-    """Return whether bounds are needed, and whether a measurement is needed in addition.
+    """Return whether the bounds on uncertainties are needed, and whether also a measurement is.
 
-    Without `metrics` a search needs its objectives and constraints, any other study all figures.
+    "no": only the measurement; "alone": only the bounds; "beside": both. A study without `metrics`
+    needs all figures, but a search needs only its objectives and constraints.
     """
     names = named_figures(study)
     if not any(is_bound_name(name) for name in names):
@@ -32,19 +33,25 @@ def bound_needed(study: Study) -> Bound:
 
 
 def compensation_needed(study: Study) -> bool:
-    """Return True if figures of the object behind the coat are named."""
+    """Return True if the study names a figure of the object behind the coat."""
     return of_the_object(named_figures(study))
 
 
 def layer_for(experiment: Experiment) -> SensorLayer | None:
-    """Return elastomer, load and form of an experiment; None if the object is not reconstructed."""
+    """Return elastomer, load and specimen as assumed for the reconstruction behind the coat.
+
+    None if the object behind the coat is not reconstructed.
+    """
     if not may_compensate(experiment):
         return None
     return sensor_layer_of(experiment).model_copy(update={"specimen": experiment.specimen})
 
 
 def derivatives_needed(study: Study, experiment: Experiment) -> tuple[str, ...]:
-    """Return the fields by which the bounds are differentiated in a gradient search."""
+    """Return the fields with respect to which a gradient search differentiates the bounds.
+
+    They are the fields of the axes that automatic differentiation supports; none without a search.
+    """
     if study.gradient is None:
         return ()
     known = differentiated(experiment)
@@ -56,7 +63,7 @@ def _known_without(name: str) -> bool:
 
 
 def named_figures(study: Study) -> list[str]:
-    """Return the figures that a study names in metrics, goals and constraints."""
+    """Return the names of the figures in metrics, goals and constraints of a study."""
     bounds = [name for limit in study.constraint for name in (limit.value, limit.per) if name]
     goals = [goal.metric for goal in study.goals]
     return [*study.metrics, *goals, *(name for name in bounds if "." not in name)]

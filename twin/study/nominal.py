@@ -1,6 +1,7 @@
-"""The nominal measurement of a study of trials: it runs first, and stops the study if it fails.
+"""Nominal measurement of a study of trials: it runs first, and its failure stops the study.
 
-Trials are variations of it: if it cannot be measured, most trials fail for the same reason.
+Trials are variations of the nominal measurement. If that fails, most trials would fail for the
+same reason.
 """
 
 import difflib
@@ -18,7 +19,7 @@ from twin.study.trials import PART, TRIAL, TRIALS
 
 
 def nominal_case(cases: Cases) -> Case:
-    """Return the case of the nominal measurement, which is trial 0 of the trials."""
+    """Return the case of the nominal measurement, which is trial 0."""
     return next(
         case for case in cases.run if case.settings[PART] == TRIALS and not case.settings[TRIAL]
     )
@@ -29,12 +30,13 @@ def check_nominal(record: StudyRecord, case: Case, store: Store) -> None:
 
     Parameters
     ----------
-    case : the nominal case; no check if it is not in the store, because another run computes it or
-        it could not be saved
+    case : the nominal case. If it is not in the store, the check is omitted: another run
+        computes the case, or it could not be saved
 
     Raises
     ------
-    InputError : the reason, and the file that describes it
+    InputError : the nominal measurement failed, or lacks a measurand; the message states the
+        reason
     """
     content = store.read(case.digest)
     if content is None:
@@ -51,7 +53,10 @@ def check_nominal(record: StudyRecord, case: Case, store: Store) -> None:
 
 
 def _lacking(study: Study, figures: dict[str, Any]) -> list[str]:
-    """Return messages on missing measurands of the nominal measurement, or missing points."""
+    """Return a message for each measurand without a value in the nominal measurement.
+
+    If the study names no measurand, the measurement lacks a value if no point is valid.
+    """
     absent = why_absent(figures)
     if not study.metrics:
         return [f"the nominal measurement has {absent}"] if absent else []
@@ -59,7 +64,7 @@ def _lacking(study: Study, figures: dict[str, Any]) -> list[str]:
 
 
 def _has_none(name: str, figures: dict[str, Any]) -> bool:
-    """Return True if a figure has neither a number nor a text."""
+    """Return True if a figure is missing or None."""
     return figures.get(name.removeprefix(TRUE_RIG)) is None
 
 

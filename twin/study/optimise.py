@@ -1,8 +1,8 @@
-"""Search the design space with Optuna: repeatedly sample a batch, measure it, return the results.
+"""Search of the design space with Optuna: propose a batch of points, measure it, return results.
 
-The state of the search is not stored. Sampler and seed are fixed, and the sampler receives results
-in the order of its proposals, so a study always has the same points. A second run reads the
-measured points from the store and continues, on any number of workers.
+The state of the search is not stored. Sampler and seed are fixed, and the sampler receives the
+results in the order of its proposals. Therefore a study always has the same points, with any
+number of workers. A second run reads the measured points from the store and continues.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,25 +29,25 @@ from twin.study.table import cost_of
 if TYPE_CHECKING:
     import optuna
 
-_MOST_PROPOSALS = 200  # for one point
+_MOST_PROPOSALS = 200  # proposals until one point is valid
 
 RunCases = Callable[[StudyRecord, Cases], SweepOutcome]
-"""Computes the cases that the store lacks, and keeps the record."""
+"""Function that writes the record into the store and computes the cases that the store lacks."""
 
 
 def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutcome]:
-    """Search until the number of measured points is the number of trials.
+    """Search until the planned number of points is measured; return the outcome of each batch.
 
     Parameters
     ----------
-    record : with sampling.method = "optimise"
+    record : study with sampling.method = "optimise"
     folder : the store
-    run : computes a batch
+    run : function that computes a batch of cases into the store
 
     Raises
     ------
-    InputError : optuna is not installed, an objective is no figure of the cases, or no point is a
-        valid experiment that the constraints admit
+    InputError : Optuna is not installed, an objective is not a figure of the cases, or no point is
+        a valid experiment that satisfies the constraints
     """
     plan = record.study.optimise
     if plan is None:
@@ -70,7 +70,7 @@ def optimise(record: StudyRecord, folder: Path, run: RunCases) -> list[SweepOutc
 
 @dataclass(frozen=True)
 class _Proposal:
-    """A proposed point and its cases, one per repeat."""
+    """A point that the sampler proposed, with its cases, one per repeat."""
 
     trial: "optuna.Trial"
     point: Point
@@ -78,7 +78,7 @@ class _Proposal:
 
 
 def _propose(search: "optuna.Study", record: StudyRecord) -> _Proposal:
-    """Sample points until one is a valid experiment that the constraints on its fields admit."""
+    """Sample points until one is a valid experiment that satisfies constraints on fields."""
     distributions = {axis.title: _distribution(axis) for axis in record.study.axis}
     for _ in range(_MOST_PROPOSALS):
         trial = search.ask(fixed_distributions=distributions)
@@ -92,7 +92,10 @@ def _propose(search: "optuna.Study", record: StudyRecord) -> _Proposal:
 
 
 def point_of(study: Study, params: dict[str, Any]) -> Point:
-    """Return the point of a trial's parameters."""
+    """Return the point of the design space for the parameters of an Optuna trial.
+
+    `params` has a value for each title of an axis: a number, or the index of a level.
+    """
     return tuple(
         axis.level_of(params[axis.title])
         if axis.is_continuous
@@ -102,7 +105,7 @@ def point_of(study: Study, params: dict[str, Any]) -> Point:
 
 
 def _check_objectives(plan: Optimise, proposals: Sequence[_Proposal], store: Store) -> None:
-    """Raise InputError if no measured case of a batch has an objective as a figure."""
+    """Raise InputError if an objective is no figure of the measured cases of a batch."""
     measured = [_figures_of(case, store) for proposal in proposals for case in proposal.cases]
     known = {
         name: value
@@ -120,7 +123,7 @@ def _check_objectives(plan: Optimise, proposals: Sequence[_Proposal], store: Sto
 
 
 def _figures_of(case: Case, store: Store) -> dict[str, Any] | None:
-    """Return the figures and derived figures of a case; None if it failed."""
+    """Return the figures and derived figures of a case; None if the case failed."""
     figures = (store.read(case.digest) or {}).get("metrics")
     return None if figures is None else with_derived(case.experiment, figures)
 
@@ -128,10 +131,10 @@ def _figures_of(case: Case, store: Store) -> dict[str, Any] | None:
 def _search_values(
     study: Study, plan: Optimise, cases: Sequence[Case], store: Store
 ) -> tuple[list[float], list[float]] | None:
-    """Return the mean objectives over repeats, and the largest excesses over limits.
+    """Return the objectives of a point, mean over repeats, and its excesses over limits.
 
-    None if a case failed or lacks an objective (no point was measured). The limits are those of
-    constraints and tolerances. Objectives to maximise are counted negative.
+    The limits are those of constraints and tolerances; each excess is the largest over the repeats.
+    The sign of an objective to maximise is reversed. None if a case failed or lacks an objective.
     """
     values, excesses = [], []
     for case in cases:
@@ -142,7 +145,7 @@ def _search_values(
         excesses.append([_excess(case, figures, bound) for bound in study.constraint])
         if has_tolerances(case.experiment):
             excesses[-1].append(beyond_tolerances(figures))
-    # A design is feasible when each of its repeats is.
+    # A design is feasible if each of its repeats is feasible.
     return np.mean(values, axis=0).tolist(), np.max(excesses, axis=0).tolist()
 
 
@@ -173,7 +176,8 @@ def _search(study: Study, plan: Optimise) -> "optuna.Study":
     except ModuleNotFoundError:
         raise missing("sampling.method = 'optimise'", "Optuna", "sweep") from None
     seed = study.sampling.seed
-    # constant_liar is marked experimental; without it a batch has the same point many times.
+    # constant_liar is marked experimental; without this option a batch has the same point many
+    # times.
     with warnings_ignored(optuna.exceptions.ExperimentalWarning):
         samplers: dict[str, Callable[[], optuna.samplers.BaseSampler]] = {
             "tpe": lambda: optuna.samplers.TPESampler(

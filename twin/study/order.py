@@ -1,4 +1,4 @@
-"""The order in which cases of a study are computed, so that neighbours share their stages.
+"""Order in which the cases of a study are computed, so that consecutive cases share stages.
 
 The cases that are computed first report which fields each stage reads. All further cases are sorted
 by the values of these fields, first stage first. The order changes the run time, but no result.
@@ -17,9 +17,11 @@ BATCHES_PER_WORKER, LEAST_BATCHES_PER_WORKER = 6, 3
 
 
 def in_sharing_order(cases: Sequence[Case], reads: StageReads) -> list[tuple[Key, Case]]:
-    """Sort cases by the values that each stage reads, in the order of their first occurrence.
+    """Sort cases so that consecutive cases share stages; return them with their sort keys.
 
-    Methods have stages of the same name, but share few results: cases are sorted by method first.
+    Cases are sorted by method, because methods share few results. Then they are sorted by the
+    values of the fields that each stage reads, first stage first. Equal values have the rank of
+    their first occurrence.
     """
     reads = ((("modality",),), *reads)
     ranks: list[dict[Hashable, int]] = [{} for _ in reads]
@@ -34,12 +36,12 @@ def in_sharing_order(cases: Sequence[Case], reads: StageReads) -> list[tuple[Key
 
 
 def batches_of(keyed: Sequence[tuple[Key, Case]], workers: int) -> list[list[Case]]:
-    """Cut sorted cases into several batches per worker, preferably where stages differ.
+    """Split sorted cases into several batches per worker, preferably between different stages.
 
-    The last batches have half the size, so that workers end at about the same time. Cases that
-    share the first stage in which any cases differ are in one batch if there are enough such
-    groups: the next free worker may not have that stage's result, for example the sensor's
-    calibration.
+    The last batches have half the size, so that the workers end at about the same time. Take the
+    first stage in which any cases differ. Cases that share this stage are put into one batch if
+    there are enough such groups, because another worker would have to compute the stage again. An
+    example is the calibration of a sensor.
     """
     if not keyed:
         return []
@@ -54,7 +56,7 @@ def batches_of(keyed: Sequence[tuple[Key, Case]], workers: int) -> list[list[Cas
 
 
 def _largest_group(keyed: Sequence[tuple[Key, Case]]) -> int:
-    """Return the largest number of cases that share the first stage in which any cases differ."""
+    """Return the size of the largest group of cases that share the first differing stage."""
     for level in range(len(keyed[0][0])):
         sizes = Counter(key[level] for key, _ in keyed)
         if len(sizes) > 1:
@@ -63,7 +65,10 @@ def _largest_group(keyed: Sequence[tuple[Key, Case]]) -> int:
 
 
 def _cut(keyed: list[tuple[Key, Case]], level: int, most: int) -> list[list[tuple[Key, Case]]]:
-    """Split by the stages from `level` on; join small neighbouring parts of a stage."""
+    """Split sorted cases into parts of at most `most` cases, preferably between different stages.
+
+    Stages before number `level` are equal for all cases. Small neighbouring parts are joined.
+    """
     if len(keyed) <= most:
         return [keyed]
     if level == len(keyed[0][0]):

@@ -1,4 +1,4 @@
-"""The outcome of a sweep: numbers of cases by state, failures, and the table in its store."""
+"""Outcome of a run of a study: numbers of cases by state, failures, and the table of its store."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SweepOutcome:
-    """Result of a run.
+    """Outcome of a run of a study.
 
     Attributes
     ----------
-    states : number of cases of each state
-    unsaved : reason of every case that could not be written, by digest
-    seconds : wall clock of the run
-    busy_seconds : spent on cases, summed over all workers
+    states : number of cases of this run by state
+    unsaved : by digest of each case that could not be written, the reason
+    seconds : wall-clock time of the run, s
+    busy_seconds : time in which cases were computed, s, summed over all workers
     finished : number of cases of the study that have a result, of this run or of an earlier one
     failures : digests of the failed cases, of this run or of an earlier one, by reason
-    damaged : reason of every case that ran again because its files could not be read, by digest
+    damaged : by digest of each case that ran again because its files could not be read, the reason
     remarks : warnings of the cases that have a result, the most frequent first
-    folder : store of the study, from which settings and figures are read; None: of no store
+    folder : store of the study, from which settings and figures are read; None if not known
     """
 
     states: Mapping[State, int]
@@ -55,7 +55,7 @@ class SweepOutcome:
         return as_html("sweep", self._in_short(), self.plot())
 
     def _in_short(self) -> dict[str, str]:
-        """Return numbers of cases and the run time as texts, by name."""
+        """Return the numbers of cases and the run time as texts by name."""
         ended = {state: str(count) for state, count in sorted(self.states.items())}
         failed = {"cases that failed": str(sum(map(len, self.failures.values())))}
         more = failed if self.failures else {}
@@ -63,9 +63,9 @@ class SweepOutcome:
         return {"cases with a result": str(self.finished)} | more | ended | seconds
 
     def plot(self) -> "Drawing":
-        """Draw figures of the finished cases over the first axis: a Matplotlib figure.
+        """Draw figures of the finished cases over the first axis into a Matplotlib figure.
 
-        Up to three figures: the objectives of the study first.
+        Up to three figures are drawn, first the objectives of the study.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class SweepOutcome:
         return draw_rows(table.done(), (*table.axes, "case")[0], [*names])
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return settings, state and figures of all cases of the study, along `case`.
+        """Return settings, state and figures of all cases of the study; dimension `case`.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class SweepOutcome:
 
     @property
     def table(self) -> "StudyTable":
-        """Settings and figures of all cases of the study.
+        """Table of settings and figures of all cases of the study.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class SweepOutcome:
 
     @classmethod
     def together(cls, parts: Sequence["SweepOutcome"]) -> "SweepOutcome":
-        """Return the result of several successive runs as one."""
+        """Return the outcome of several successive runs as one: sums of counts and of times."""
         states: Counter[State] = Counter()
         for part in parts:
             states.update(part.states)

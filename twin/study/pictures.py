@@ -1,8 +1,8 @@
-"""Pictures of cases at reduced size: the camera's image, measured heights and their error.
+"""Pictures of cases at reduced size: camera image, measured heights and error of the heights.
 
-A store has the figures of a case, not its arrays. The few designs that a report shows are measured
-again by the same pipeline, thus with the same bytes, and stored as DIR/pictures/DIGEST.npz. A
-report reads these files and measures no case.
+A store has the figures of a case, but not its arrays. The few designs that a report shows are
+measured again by the same pipeline, which gives the same bytes. Their pictures are stored as
+DIR/pictures/DIGEST.npz, which reports read.
 """
 
 from collections.abc import Iterable, Sequence
@@ -33,20 +33,20 @@ _MOST_PX = 360
 
 @dataclass(frozen=True, eq=False)
 class CasePicture:
-    """Reduced maps of a case in camera pixels, without NaN; row 0 is the top.
+    """Maps of a case on a reduced grid of camera pixels, without NaN; row 0 is the top.
 
     Attributes
     ----------
     seen : (row, col) or (row, col, rgb) uint8
-        First phase frame, 255 at saturation, or the colour image of photometric stereo.
+        First phase-shift frame, or the colour image of photometric stereo; 255 is saturation.
     z_mm, measured : (row, col) float32 and bool
-        Measured world z, and mask of the pixels with a measurement.
+        Measured world z, mm, and mask of the pixels with a measurement.
     error_um, scored : (row, col) float32 and bool
-        Measured minus true z, and mask of the pixels with both.
+        Measured minus true z, um, and mask of the pixels that have both.
     true_z_mm : (2,) float64
-        Lowest and highest true z in the image.
+        Lowest and highest true world z in the image, mm.
     width_mm : () float64
-        Width of the image on the flat coated face.
+        Width of the image on the flat coated face, mm.
     """
 
     seen: Levels
@@ -61,16 +61,16 @@ class CasePicture:
 def picture_best(
     folder: Path, objectives: Sequence[Objective] = (), watch: ProgressCallback = no_progress
 ) -> dict[str, str]:
-    """Make the pictures of the best designs of a study that the store does not contain.
+    """Make and store the missing pictures of the best designs of a study.
 
     Returns
     -------
     dict
-        Reasons why designs have no picture, by digest.
+        By digest of each design without a picture, the reason.
 
     Raises
     ------
-    InputError : the folder is no store, or it cannot be written
+    InputError : the folder is not a store, or it cannot be written
     """
     table = read_table(folder)
     goals = goals_of(table, objectives)
@@ -84,7 +84,7 @@ def picture_best(
 def pictures_of(
     store: Store, cases: Iterable[Case], watch: ProgressCallback = no_progress
 ) -> tuple[dict[str, CasePicture], dict[str, str]]:
-    """Return the pictures of cases by digest, and the reasons for missing pictures.
+    """Return the pictures of cases, and the reasons for missing pictures, both by digest.
 
     Pictures in the store are read; other cases are measured in the given order, and stored.
 
@@ -109,7 +109,7 @@ def pictures_of(
 
 
 def stored_picture(folder: Path, digest: str) -> CasePicture | None:
-    """Return the stored picture of a case; None if there is none."""
+    """Return the stored picture of a case; None if it is missing or damaged."""
     return read_picture(_file(folder, digest))
 
 
@@ -129,7 +129,7 @@ def _picture(store: Store, case: Case, memory: Memory) -> CasePicture:
 
 
 def take_picture(experiment: Experiment, memory: Memory) -> CasePicture:
-    """Measure a case as its study did, and return its reduced maps.
+    """Measure an experiment and return its reduced maps.
 
     Raises
     ------
@@ -139,7 +139,11 @@ def take_picture(experiment: Experiment, memory: Memory) -> CasePicture:
 
 
 def picture_of(done: Measurement) -> CasePicture:
-    """Average the image; take every n-th height, as an average over an edge is no height."""
+    """Return the reduced maps of a measurement.
+
+    The camera image is averaged. Of the heights every n-th is taken, as an average over an edge is
+    not a height of the object.
+    """
     points, truth = done.points, done.truth
     z_mm, true_z_mm = points.world_mm[..., 2], truth.points_world_mm[..., 2]
     scored = points.valid & wanted_pixels(done.experiment, truth)
@@ -160,11 +164,11 @@ def picture_of(done: Measurement) -> CasePicture:
 
 
 def write_picture(path: Path, picture: CasePicture) -> None:
-    """Write a picture, whole or not at all.
+    """Write a picture as an NPZ file in one atomic step.
 
     Raises
     ------
-    InputError : it cannot be written
+    InputError : the file cannot be written
     """
     with naming_unwritable(path):
         path.parent.mkdir(exist_ok=True)
@@ -172,7 +176,7 @@ def write_picture(path: Path, picture: CasePicture) -> None:
 
 
 def read_picture(path: Path) -> CasePicture | None:
-    """Read a picture; None when it is missing or damaged."""
+    """Read a picture from an NPZ file; return None if the file is missing or damaged."""
     try:
         arrays = read_arrays(path)
         return CasePicture(**{name: arrays[name] for name in CasePicture.__annotations__})

@@ -1,4 +1,4 @@
-"""The study of the latest run on a store, written into its folder."""
+"""Record of a study (study, base experiment, points) in its store, as of the latest run."""
 
 import math
 from collections.abc import Sequence
@@ -17,20 +17,30 @@ from twin.study.cases import Cases, Point, cases_of, cases_per_point, points_of
 from twin.study.trials import trial_cases
 
 STUDY_FILE = "study.json"
-# A second of validation and checks.
+# Number of cases that are validated and checked in about 1 s.
 _MOST_LOOKED_AT = 500
 
 
 @dataclass(frozen=True, eq=False)
 class StudyRecord:
-    """A study, its base experiment and, for a search, the points so far."""
+    """A study, the experiment that it varies and, for a search, the points proposed so far.
+
+    Attributes
+    ----------
+    study : the study
+    base : experiment that the study varies
+    points : points of a search in the order of the proposals; None: the points of the sampling
+    """
 
     study: Study
     base: Experiment
     points: tuple[Point, ...] | None = None
 
     def cases(self) -> Cases:
-        """Return the study's cases so far; of a gradient search also those out of bounds."""
+        """Return the cases of the study; for a search, the cases at the points so far.
+
+        Those of a gradient search include cases that violate the constraints.
+        """
         if self.study.sampling.method == "trials":
             return trial_cases(self.study, self.base)
         if self.study.gradient is not None:
@@ -38,20 +48,24 @@ class StudyRecord:
         return cases_of(self.study, self.base, self.points)
 
     def first_look(self) -> Cases:
-        """Return all cases of a small study; of a large study the cases of every n-th point."""
+        """Return all cases of a small study; for a large study, the cases of every n-th point.
+
+        At most about 500 cases are returned.
+        """
         if self.study.sampling.method == "trials" or self.points is not None:
             return self.cases()
         points = points_of(self.study)
         step = -(-len(points) * cases_per_point(self.study) // _MOST_LOOKED_AT)
-        while math.gcd(step, len(points)) > 1:  # or only some levels of an axis would be included
+        while math.gcd(step, len(points)) > 1:  # else some levels of an axis are never included
             step += 1
         return replace(cases_of(self.study, self.base, points[::step]), step=step)
 
 
 def unbounded(study: Study) -> Study:
-    """Return a study without constraints, for a gradient search, which applies them itself.
+    """Return a study without its constraints, which a gradient search applies itself.
 
-    The search may measure points out of bounds; such a case is in the table, and not feasible.
+    The search may measure points that violate a constraint. Such a case is in the table as not
+    feasible.
     """
     return study.model_copy(update={"constraint": ()})
 
@@ -61,7 +75,7 @@ def write_record(folder: Path, record: StudyRecord) -> None:
 
     Raises
     ------
-    InputError : the store cannot be written, or holds another study.json
+    InputError : the store cannot be written, or contains a study.json that `twin` did not write
     """
     labels = None
     if record.points is not None:
@@ -81,7 +95,7 @@ def read_record(folder: Path) -> StudyRecord:
 
     Raises
     ------
-    InputError : it is missing or damaged
+    InputError : the record is missing or damaged
     """
     content = read_json(folder / STUDY_FILE)
     try:

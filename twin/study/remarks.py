@@ -1,6 +1,7 @@
-"""Warnings in the results of a study: each kind once, with its cases and a remedy.
+"""Warnings in the results of a study: each kind is listed once, with its cases and a remedy.
 
-Warnings that differ in numbers only are of one kind; its remark shows the text of the first case.
+Warnings that differ only in numbers are of one kind. The remark on a kind has the text of its
+first case.
 """
 
 import re
@@ -21,7 +22,8 @@ _NO_POINT = (
 _NOTHING_TO_SCORE = (
     "no pixel that ought to give a point: move specimen or camera until the specimen is in view"
 )
-# Fields that increase the contact area, by whether the press model wraps the object.
+# Remedies that increase the contact area; the key is True for press models in which a sheet wraps
+# the object.
 _TOUCHES = {
     True: "raise press.back_pressure_kpa, or the travel, press.depth_mm",
     False: "raise press.force_n or press.depth_mm",
@@ -30,19 +32,19 @@ _TOUCHES = {
 
 @dataclass(frozen=True)
 class Remark:
-    """One kind of warning.
+    """One kind of warning and the cases that have it.
 
     Attributes
     ----------
-    text : the warning of its first case, with a remedy
-    digests : the cases that have it
+    text : the warning as in the first case, with a remedy
+    digests : digests of the cases that have the warning
     """
 
     text: str
     digests: tuple[str, ...]
 
     def in_words(self, of: int) -> str:
-        """Return the warning with its number of cases among `of` cases."""
+        """Return a text: number of cases with the warning, out of `of` cases, and the warning."""
         return f"{len(self.digests)} of {counted(of, 'case')}: {self.text}"
 
 
@@ -51,7 +53,7 @@ def remarks_of(figures: Mapping[str, Mapping[str, Any]]) -> tuple[Remark, ...]:
 
     Parameters
     ----------
-    figures : of result.json, by the digest of the case
+    figures : by digest of the case, the figures of its `result.json`
     """
     texts: dict[str, str] = {}
     cases: dict[str, list[str]] = {}

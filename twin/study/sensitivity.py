@@ -1,13 +1,14 @@
 """Effect of each axis on a figure: shares of variance, or elementary effects.
 
-The method depends on the sampling of the points. Values are means over repeats.
+The method depends on the sampling of the points. The values of the figure are means over repeats.
 
-- grid: share of the variance of the figure over all cases that each axis explains by itself
-  (correlation ratio); exact for the grid, no interval. The remainder to 1 is due to interactions.
+- grid: correlation ratio, the share of the figure's variance over all cases that one axis explains.
+  It is exact for the grid and has no interval. Interactions explain the remainder to 1.
 - saltelli: first-order and total Sobol' indices with 95 % bootstrap intervals, by
   `scipy.stats.sobol_indices` (Saltelli et al., Computer Physics Communications 181, 259-270, 2010).
-- morris: mean absolute elementary effect over the whole axis, mu*, and its spread sigma.
-  Morris, M. D., Technometrics 33, 161-174 (1991); Campolongo et al. (2007) for mu*.
+- morris: mean mu* of the absolute elementary effects over the whole axis, and their standard
+  deviation sigma. Morris, M. D., Technometrics 33, 161-174 (1991); Campolongo et al. (2007) for
+  mu*.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,9 +32,10 @@ class Effect:
 
     Attributes
     ----------
-    value, low, high : first-order share, or mu* in the figure's unit; 95 % interval where there is
-        one, else equal to the value
-    total : total share with interactions, or sigma; None for grids
+    axis : title of the axis
+    value : first-order share of the variance, 0 to 1, or mu* in the figure's unit
+    low, high : ends of the 95 % interval of `value`; equal to `value` for grids
+    total : total share of the variance including interactions, or sigma; None for grids
     """
 
     axis: str
@@ -46,8 +48,9 @@ class Effect:
 def effects_of(table: StudyTable, metric: str) -> list[Effect]:
     """Return the effect of every axis on a figure; empty if the points do not determine it.
 
-    Points without the figure (failed, missing, or no measured point: see `without`) are left out of
-    grids; from the other designs their whole walk or row is left out.
+    Points may lack the figure because the case failed, is missing, or has no measured point (see
+    `without`). Grids leave out these points; the other designs leave out their whole trajectory or
+    row.
     """
     study = table.record.study
     axes = [axis.title for axis in study.axis]
@@ -65,12 +68,15 @@ def effects_of(table: StudyTable, metric: str) -> list[Effect]:
 
 
 def without(table: StudyTable, metric: str) -> int:
-    """Count the cases that lack a figure and are left out of its effects."""
+    """Return the number of cases that lack a figure and are left out of its effects."""
     return sum(not is_number(row.get(metric)) for row in table.rows)
 
 
 def _by_point(table: StudyTable, study: Study, metric: str) -> FloatArray | None:
-    """Return the figure of every point in order, or NaN; None if points were excluded."""
+    """Return the figure (point,), mean over repeats; None if constraints exclude points.
+
+    A point without the figure has NaN.
+    """
     repeats = study.repeats * max(1, len(study.modalities))
     cells = (row.get(metric) for row in table.rows)
     values = np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
@@ -93,7 +99,7 @@ def _grid_effects(table: StudyTable, axes: Sequence[str], metric: str) -> list[E
 
 
 def correlation_ratio(values: FloatArray, labels: Sequence[str]) -> float:
-    """Return the share of variance between the groups of a label, 0 to 1."""
+    """Return the share, 0 to 1, of the variance of values (n,) that their labels (n,) explain."""
     names = np.asarray(labels)
     between = sum(
         (names == name).sum() * (values[names == name].mean() - values.mean()) ** 2
@@ -103,9 +109,10 @@ def correlation_ratio(values: FloatArray, labels: Sequence[str]) -> float:
 
 
 def saltelli_effects(blocks: FloatArray, axes: Sequence[str]) -> list[Effect]:
-    """Return Sobol' indices from values (block, row) of the blocks A, B, A with B's column i.
+    """Return the Sobol' indices of each axis from the values (block, row) of a Saltelli design.
 
-    Rows without a value are left out, and further rows until their number is a power of two, as
+    The blocks are A, B and, for each axis i, A with column i from B. Rows without a value are left
+    out. Further rows are left out until the number of rows is a power of two, as
     `scipy.stats.sobol_indices` requires.
     """
     blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
@@ -128,7 +135,11 @@ def saltelli_effects(blocks: FloatArray, axes: Sequence[str]) -> list[Effect]:
 
 
 def morris_effects(values: FloatArray, walks: FloatArray, axes: Sequence[str]) -> list[Effect]:
-    """Return mu* and sigma from values (walk, place) at places (walk, place, axis)."""
+    """Return mu* and sigma of each axis from the values at the points of Morris trajectories.
+
+    `values` is (trajectory, point); `walks` is (trajectory, point, axis), the coordinates of the
+    points in the unit cube.
+    """
     whole = np.isfinite(values).all(axis=1)
     values, walks = values[whole], walks[whole]
     if len(values) < 2:
@@ -154,7 +165,7 @@ def morris_effects(values: FloatArray, walks: FloatArray, axes: Sequence[str]) -
 def _interval(
     estimate: Callable[[IntArray], FloatArray], count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the 95 % bootstrap interval over rows, percentiles."""
+    """Return the 95 % bootstrap interval of an estimate over `count` rows, by percentiles."""
     rng = np.random.default_rng(0)
     drawn = np.array([estimate(rng.integers(0, count, count)) for _ in range(_DRAWS)])
     low, high = np.percentile(drawn, [2.5, 97.5], axis=0)

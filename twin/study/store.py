@@ -1,4 +1,4 @@
-"""The store of a study: one folder per finished case, whole or not there.
+"""Store of a study: one folder per finished case, which is complete or does not exist.
 
     DIR/study.json, store.json     the study that was run last; versions
     DIR/cases/DIGEST/              result.json, experiment.toml, timings.json, requested arrays;
@@ -8,12 +8,12 @@
     DIR/.parts/DIGEST.PID/         cases that are being written; never read
     DIR/.locks                     one byte range per case, locked by the process that computes it
 
-A case is written under `.parts`, synchronised to the disk and renamed, so a case folder of a killed
-run is never incomplete.
+A case is written under `.parts`, synchronised to the disk and then renamed. The case folders of a
+killed run are therefore complete.
 
-Locks are the system's record locks, each on one byte of the file `.locks` (`twin.locks`). The
-system releases them when their process ends for any reason; they work across the hosts of a shared
-file system that has record locks (NFS 4, Lustre, local).
+Each lock is a record lock of the operating system on one byte of the file `.locks` (`twin.locks`).
+The system releases the lock when its process ends, for any reason. The locks also work between
+several hosts if their shared file system has record locks (NFS 4, Lustre).
 """
 
 import itertools
@@ -43,7 +43,7 @@ from twin.output import (
     write_json,
 )
 
-# Opened once per process: closing any handle of a file would release all locks on it.
+# A file is opened only once per process: closing any of its handles would release all locks on it.
 _open_files: dict[Path, int] = {}
 # Record locks exclude other processes, but not other threads of the same process.
 _held: set[tuple[Path, str]] = set()
@@ -80,7 +80,7 @@ def _opened(file: Path) -> int:
 
 STORE_FILE, FAILURE_FILE, TIMINGS_FILE = "store.json", "failure.json", "timings.json"
 COMMAND = "sweep"
-# Used in place of a digest, for the lock of a run as a whole.
+# Used in place of a digest for the lock of a run on the whole store.
 _RUN = "f" * 16
 _CASES, _PARTS, _LOCKS, _ASIDE = "cases", ".parts", ".locks", "aside"
 _NAMES = ("study.json",)
@@ -88,19 +88,19 @@ _PART = re.compile(r"[0-9a-f]+\.[0-9]+(\.old)?")
 
 
 class Store:
-    """A folder of cases; quick to construct, safe to use from many processes at the same time."""
+    """Store of the cases of a study; several processes may use one store at the same time."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.absolute()
         self.cases = self.folder / _CASES
 
     def open(self, inputs: Iterable[Path] = ()) -> None:
-        """Create the folder if needed, and check that it is a store of these versions.
+        """Create the store if needed, and check that its cases are of the installed versions.
 
         Raises
         ------
-        InputError : the folder is something else, cannot be written, or was made by other versions;
-            or it contains an input, see `claim`
+        InputError : the folder is not a store, cannot be written, or was made by other versions;
+            or it contains an input, see `twin.output.claim`
         """
         claim(self.folder, COMMAND, _NAMES, inputs)
         try:
@@ -114,12 +114,12 @@ class Store:
         return is_regular(self.folder / STORE_FILE)
 
     def path_of(self, digest: str) -> Path:
-        """Return the folder of a finished or failed case."""
+        """Return the path of the folder of a case, finished or failed."""
         return self.cases / digest
 
     def finished(self) -> set[str]:
         """Return the digests of all cases in the store, including failed cases."""
-        if not self.cases.is_dir():  # killed before there was one
+        if not self.cases.is_dir():  # the first run was killed before the folder was made
             return set()
         return {entry.name for entry in os.scandir(self.cases)}
 
@@ -132,7 +132,7 @@ class Store:
         return None
 
     def forget(self, digest: str) -> None:
-        """Remove a case, damaged or not, in one atomic step, so that it is computed again.
+        """Remove a case, damaged or not, in one atomic step, so that it will be computed again.
 
         A case folder with files that `twin` did not write is moved to `aside/`.
         """
@@ -157,7 +157,7 @@ class Store:
 
     @contextmanager
     def writing(self, digest: str) -> Iterator[Path]:
-        """Yield a folder that becomes the case's folder if the block ends without an exception."""
+        """Yield a folder that becomes the folder of the case if the block raises no exception."""
         part = self.folder / _PARTS / f"{digest}.{os.getpid()}"
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir()
@@ -171,7 +171,7 @@ class Store:
 
     @contextmanager
     def claimed(self, digest: str) -> Iterator[bool]:
-        """Lock a case; yield False if another process or thread has locked it.
+        """Lock a case during the block; yield False if another process or thread has locked it.
 
         Raises
         ------
@@ -186,11 +186,11 @@ class Store:
                 _release(file, digest)
 
     def exclusive(self) -> AbstractContextManager[bool]:
-        """Lock the store for a run; yield False if another run has locked it."""
+        """Lock the store during the block; yield False if another run has locked it."""
         return self.claimed(_RUN)
 
     def abandoned(self) -> list[str]:
-        """Remove incomplete cases of dead processes; return their digests."""
+        """Remove the incomplete cases of ended processes; return the digests of these cases."""
         left = []
         for part in sorted((self.folder / _PARTS).iterdir()):
             if not _PART.fullmatch(part.name):
@@ -206,7 +206,7 @@ class Store:
         try:
             part.rename(self.path_of(digest))
         except OSError:
-            if not self.path_of(digest).is_dir():  # a process without locks was first: same content
+            if not self.path_of(digest).is_dir():  # another process was first: same content
                 raise
         make_names_durable(self.cases)
 
@@ -217,7 +217,7 @@ class Store:
                 write_json(made / STORE_FILE, content)
         for folder in (self.cases, self.folder / _PARTS):
             folder.mkdir(exist_ok=True)
-        if not (self.folder / _LOCKS).exists():  # closing it again would release all its locks
+        if not (self.folder / _LOCKS).exists():  # closing it releases all its locks
             (self.folder / _LOCKS).touch()
 
     def check_versions(self) -> None:
@@ -225,7 +225,7 @@ class Store:
 
         Raises
         ------
-        InputError : they were computed with other versions
+        InputError : the cases were computed with other versions
         """
         stored, now = read_json(self.folder / STORE_FILE).get("versions", {}), versions()
         changed = [name for name in now if name != "python" and stored.get(name) != now[name]]
@@ -238,7 +238,7 @@ class Store:
 
 
 def _is_own(case: Path) -> bool:
-    """Return True if all files of a case's folder were written by `twin`, even if changed since."""
+    """Return True if `twin` wrote all files of a case folder, even if they were changed later."""
     try:
         return case.is_dir() and foreign(case, read_manifest(case), changed=False) is None
     except (InputError, OSError):  # the manifest is invalid, or cannot be read
@@ -248,7 +248,7 @@ def _is_own(case: Path) -> bool:
 def write_failure(
     folder: Path, experiment: Experiment, kind: str, reason: str, trace: str = ""
 ) -> None:
-    """Write the reason of a case's failure, and its experiment."""
+    """Write the reason of the failure of a case, and the experiment, into a folder."""
     write_text(folder / EXPERIMENT_FILE, to_toml(experiment))
     content = {"schema_version": 1, "kind": kind, "failure": reason, "trace": trace}
     write_json(folder / FAILURE_FILE, content)

@@ -1,4 +1,4 @@
-"""Run a study into its store."""
+"""Run a study: compute the cases that its store lacks."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -27,10 +27,10 @@ from twin.study.workers import Workers, lasting
 
 
 def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) -> int:
-    """Remove failures from a store so that they run again; returns their number.
+    """Remove failed cases from a store so that they run again; return their number.
 
-    A failure that is due to the experiment itself would occur again, so by default only crashes and
-    unexpected errors are removed.
+    A failure that is due to the experiment would occur again. So only crashes and unexpected
+    errors are removed, unless `every` is True.
     """
     forgotten = 0
     for case in cases:
@@ -42,7 +42,7 @@ def forget_failures(store: Store, cases: Sequence[Case], every: bool = False) ->
 
 
 def forget_damaged(store: Store, cases: Sequence[Case]) -> dict[str, str]:
-    """Remove cases with unreadable files, so that they run again; returns reasons by digest."""
+    """Remove cases with unreadable files so that they run again; return reasons by digest."""
     forgotten = {}
     for case in cases:
         entry = entry_of(store, case.digest)
@@ -64,7 +64,16 @@ def _kind_of(failure: Path) -> str:
 
 @dataclass(frozen=True)
 class _Session:
-    """A store during a run, with the digests of the requested cases."""
+    """A store during a run, with the cases that were requested.
+
+    Attributes
+    ----------
+    store : the store
+    compute : computes cases into the store
+    retry : True: also run cases again that failed because of their experiment
+    requested : digests of the requested cases
+    damaged : reasons, by digest, why damaged cases run again
+    """
 
     store: Store
     compute: Run
@@ -76,7 +85,7 @@ class _Session:
         return self.compute(self.wanted(cases))
 
     def wanted(self, cases: Cases) -> list[Case]:
-        """Return the cases without duplicates; failures that are to run again are removed."""
+        """Return the cases without duplicates; remove from the store those that must run again."""
         wanted = cases.unique()
         self.requested.extend(case.digest for case in wanted)
         self.damaged.update(forget_damaged(self.store, wanted))
@@ -84,7 +93,7 @@ class _Session:
         return wanted
 
     def whole(self, outcome: SweepOutcome) -> SweepOutcome:
-        """Return the outcome with the states of all requested cases."""
+        """Return an outcome, completed by results, warnings and failures of all requested cases."""
         standing = _standing(Index(self.store), self.requested)
         return replace(outcome, damaged=self.damaged, folder=self.store.folder, **standing)
 
@@ -101,22 +110,22 @@ def sweep(
     inputs: Sequence[Path] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> SweepOutcome:
-    """Compute all cases of a study that are not in its store.
+    """Compute all cases of a study that are not yet in its store; return the outcome.
 
     Parameters
     ----------
-    folder : the store; made when it is not there
-    cases : the record's, where they are made already
+    record : the study with its base experiment
+    folder : the store; it is created if it does not exist
+    workers : processes that compute the cases
+    cases : cases of the record, if they were made before; default: they are made
     retry : also run cases again that failed because of their experiment
-    make_measurer : factory of the measurer of a case; importable by the workers. Default:
-        `Measuring`, after a calibration of the rig where trials draw theirs
-    inputs : files that the folder must not hold
-    tell : is called with a sentence if another run uses the store, and with the reasons of the
-        first failures
+    make_measurer : importable factory of the measurer of cases; default: `Measuring`
+    inputs : files that must not be in the folder
+    tell : called with a sentence if another run uses the store, and on the first failures
 
     Raises
     ------
-    InputError : the folder cannot be used; or the nominal measurement of trials cannot be made
+    InputError : the folder cannot be used, or the nominal measurement of trials fails
     MissingBackend : no usable Dr.Jit backend
     """
 
@@ -165,7 +174,7 @@ def _measure_nominal(
 
     Raises
     ------
-    InputError : it fails, or lacks a measurand
+    InputError : the nominal measurement fails, or lacks a measurand
     """
     write_record(store.folder, record)
 
@@ -181,11 +190,13 @@ def _measure_nominal(
 
 @dataclass(frozen=True, eq=False)
 class CaseGroup:
-    """Cases of one store, and the factory of their measurer.
+    """Cases that are computed into one store, and the factory of their measurer.
 
     Attributes
     ----------
-    record : study of the cases, which is written into the store; None: the cases are no study
+    folder : the store
+    record : study of the cases, which is written into the store; None: the cases do not belong to
+        a study
     """
 
     folder: Path
@@ -197,11 +208,11 @@ class CaseGroup:
 def run_groups(
     groups: Sequence[CaseGroup], workers: Workers, watch: ProgressCallback = no_progress
 ) -> list[SweepOutcome]:
-    """Compute the missing cases of several stores on the same workers: `run_together`.
+    """Compute the missing cases of several stores on the same workers; return the outcomes.
 
     Parameters
     ----------
-    groups : each with its own folder; in order of priority
+    groups : cases, each group with its own folder, in order of priority (see `run_together`)
 
     Raises
     ------
@@ -247,14 +258,14 @@ def _session(
             run = Run(store, lasting_workers, keep, make, watch, Index(store).enter, tell)
             yield _Session(store, run, retry)
     finally:
-        store.abandoned()  # incomplete cases of terminated workers
+        store.abandoned()  # removes incomplete cases of terminated workers
 
 
 def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Measuring:
-    """Return the measurer factory of a study; calibrates the rig if its trials draw rigs.
+    """Return the measurer factory of a study; calibrate the rig if the trials draw rigs.
 
-    The rig is calibrated in this process: its last digits depend on the number of threads of the
-    linear algebra, which must not depend on the workers.
+    The rig is calibrated in this process. The last digits of a calibration depend on the number of
+    threads of the linear algebra, and the result must not depend on the number of workers.
     """
     board = drawn_board(record.study, record.base)
     if not board:
@@ -263,7 +274,7 @@ def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Me
 
 
 def _standing(index: Index, requested: Sequence[str]) -> dict[str, Any]:
-    """Return the number of finished requested cases, their warnings, and reasons of failure."""
+    """Return number of results, warnings and reasons of failure of the requested cases."""
     entries = index.entries()
     stored = [entries[digest] for digest in dict.fromkeys(requested) if digest in entries]
     failures: dict[str, list[str]] = {}

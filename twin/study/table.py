@@ -1,6 +1,6 @@
-"""The table of a study, one row per case in the study's own order, and its best designs.
+"""Table of a study, with one row per case in the order of the study, and its best designs.
 
-The best designs are the Pareto front of the objectives.
+The best designs are the Pareto front of the objectives: designs that no other design dominates.
 """
 
 import io
@@ -40,15 +40,16 @@ _HEAD = ("case", "state", "reason", "feasible")
 
 @dataclass(frozen=True, eq=False)
 class StudyTable:
-    """Settings and figures of all cases of a study.
+    """Table of settings and figures of all cases of a study.
 
     Attributes
     ----------
+    record : the study and its base experiment
     axes : headings of the varied fields
     metrics : headings of the figures
-    rows : one mapping by heading per case; a missing figure is None; `reason` has the reason, or
-        the conditions that an infeasible case does not meet
-    cases : in the order of the rows
+    rows : one mapping by heading per case. A missing figure is None or absent. `reason` is the
+        reason of a failure, or the conditions that an infeasible case does not meet
+    cases : the cases in the order of the rows
     remarks : warnings of the cases, the most frequent first
     """
 
@@ -61,31 +62,32 @@ class StudyTable:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Conditions of feasibility: the constraints, and tolerances if any is stated."""
+        """Titles of the conditions of feasibility: the constraints, and the tolerances if any."""
         judged = any(has_tolerances(case.experiment) for case in self.cases)
         bounds = tuple(bound.title for bound in self.record.study.constraint)
         return (*bounds, *((TOLERANCES,) if judged else ()))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """All headings in their order."""
+        """All headings of the table, in the order of the columns."""
         return (*self.axes, *_HEAD, *self.metrics)
 
     def done(self) -> list[Mapping[str, Any]]:
-        """Return the rows of the cases with figures."""
+        """Return the rows of the cases that were measured."""
         return [row for row in self.rows if row["state"] == "done"]
 
 
 def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTable:
-    """Read the table of a store's latest study.
+    """Read the table of the study that was run last into a store.
 
     Parameters
     ----------
-    derived : the derived figures to add; pitches of a sheet take 0.1 s per case
+    folder : the store
+    derived : names of derived figures to be added; pitches of a sheet take 0.1 s per case
 
     Raises
     ------
-    InputError : the folder is no store, or a metric that the study names is in no case
+    InputError : the folder is not a store, or no case has a metric that the study names
     """
     store = Store(folder)
     if not store.exists():
@@ -138,13 +140,13 @@ def _row(
 
 
 def _explained(row: dict[str, Any]) -> dict[str, Any]:
-    """Set an empty reason to the conditions that a case does not meet."""
+    """Return the row; if its reason is empty, the reason lists the conditions that are not met."""
     missed = "; ".join(f"{name}: {value}" for name, value in row[UNMET].items())
     return row if row["reason"] or not missed else row | {"reason": f"not feasible: {missed}"}
 
 
 def _reason(entry: Entry) -> str:
-    """Return the reason why figures of a case are missing."""
+    """Return the reason why figures of a case are missing; empty if none is known."""
     unfitted = entry.figures.get("unfitted_balls")
     reason = entry.reason or why_absent(entry.figures)
     return reason or (_cell(unfitted) if unfitted else "")
@@ -155,12 +157,12 @@ def _cell(value: Any) -> Any:
 
 
 def csv_text(table: StudyTable) -> str:
-    """Return the table as CSV."""
+    """Return the table as CSV text with a line of headings."""
     return parts.csv_text(table.columns, table.rows)
 
 
 def write_csv(table: StudyTable, path: Path) -> None:
-    """Write the table as CSV in UTF-8.
+    """Write the table as a new CSV file in UTF-8.
 
     Raises
     ------
@@ -171,7 +173,7 @@ def write_csv(table: StudyTable, path: Path) -> None:
 
 
 def write_parquet(table: StudyTable, path: Path) -> None:
-    """Write the table as Parquet.
+    """Write the table as a new Parquet file.
 
     Raises
     ------
@@ -190,7 +192,7 @@ def write_parquet(table: StudyTable, path: Path) -> None:
 
 
 def _column(values: list[Any]) -> list[Any]:
-    """Return values of one type: integers and floats become floats, other mixtures text."""
+    """Return values of one type, or None: mixed integers and floats become floats, others text."""
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) <= 1:
         return values
@@ -204,7 +206,7 @@ Row = Mapping[str, Any]
 
 
 def objective_of(text: str) -> Objective:
-    """Read "METRIC" (to minimise) or "+METRIC" (to maximise), as on a command line."""
+    """Return the objective given by "METRIC" (minimise) or "+METRIC" (maximise)."""
     goal: Any = "maximise" if text.startswith("+") else "minimise"
     return Objective(metric=text.removeprefix("+"), goal=goal)
 
@@ -226,7 +228,7 @@ def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]
 
 
 def _why_none(rows: Sequence[Row], names: Sequence[str]) -> str:
-    """Return the reason why no row is the best: no objectives, or no feasible row with them."""
+    """Return why no row is the best: no feasible case, or no case with the objectives."""
     if any(all(is_number(row.get(name)) for name in names) for row in rows):
         return f"no feasible case has {', '.join(names)}: {feasibility_in_words(rows)}"
     known = sorted({n for row in rows for n, v in row.items() if isinstance(v, float)})
@@ -237,7 +239,8 @@ def _why_none(rows: Sequence[Row], names: Sequence[str]) -> str:
 def nearest_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
     """Return the finished rows that have all objectives, the fewest missed conditions first.
 
-    For a study without a feasible case. Rows with equal counts are sorted by the first objective.
+    Use this for a study without a feasible case. Rows with equal counts are sorted by the first
+    objective.
     """
     some = [
         row for row in rows if all(is_number(row.get(objective.metric)) for objective in objectives)
@@ -246,7 +249,7 @@ def nearest_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[R
 
 
 def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
-    """Return the Pareto front; for a single objective all feasible rows, best first.
+    """Return the rows of the Pareto front; for a single objective all feasible rows, best first.
 
     Raises
     ------
@@ -259,14 +262,18 @@ def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Ro
 
 
 def goals_of(table: StudyTable, requested: Sequence[Objective] = ()) -> list[Objective]:
-    """Return the objectives: the given ones, those of the study, or the first error figure."""
+    """Return the requested objectives; if there are none, those of the study, or a default.
+
+    The default is to minimise the first figure with "rmse" or "error" in its name. If there is
+    none, the first figure is minimised.
+    """
     named = [name for name in table.metrics if "rmse" in name or "error" in name]
     first = (*named, *table.metrics)[0]
     return list(requested or table.record.study.goals) or [Objective(metric=first)]
 
 
 def designs_of(rows: Sequence[Row], axes: Sequence[str]) -> list[Row]:
-    """Return the first row of each design, up to the number of pictures in a report."""
+    """Return the first row of each design, at most as many as a report has pictures."""
     designs: dict[str, Row] = {}
     for row in rows:
         designs.setdefault(repr([row[axis] for axis in axes if axis != "seed"]), row)
@@ -274,7 +281,7 @@ def designs_of(rows: Sequence[Row], axes: Sequence[str]) -> list[Row]:
 
 
 def usable_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
-    """Return the feasible rows that have all objectives."""
+    """Return the rows of feasible cases that have a value of every objective."""
     names = [objective.metric for objective in objectives]
     return [
         row for row in rows if row.get("feasible") and all(is_number(row.get(n)) for n in names)
@@ -282,7 +289,7 @@ def usable_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Ro
 
 
 def on_front(costs: FloatArray) -> BoolImage:
-    """Return the rows (case,) of costs (case, objective) that no other row dominates."""
+    """Return a mask (case,) of the rows of costs (case, objective) that no other row dominates."""
     on_front_mask = np.ones(len(costs), bool)
     for i, cost in enumerate(costs):
         better = np.all(costs <= cost, axis=1) & np.any(costs < cost, axis=1)
@@ -291,6 +298,6 @@ def on_front(costs: FloatArray) -> BoolImage:
 
 
 def cost_of(row: Row, objective: Objective) -> float:
-    """Return the value to minimise: an objective to maximise counts negative."""
+    """Return the objective of a row as a value to minimise: negative if it is maximised."""
     value = float(row[objective.metric])
     return value if objective.goal == "minimise" else -value

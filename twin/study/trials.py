@@ -5,9 +5,10 @@ camera has a new noise, and the rig is drawn from the covariance of a calibratio
 each input is set to one standard uncertainty below and above its nominal value, without noise. In
 addition, the nominal measurement is repeated with new noise only.
 
-A draw depends only on the root seed, the input's name and the trial: the order of inputs, other
-inputs and the instrument do not change it. Inputs that are drawn together share a name, and so use
-the same index into their lists: a sample of a joint distribution.
+A draw depends only on the root seed, the name of the input and the number of the trial. The order
+of the inputs, other inputs and the instrument do not change the draw. Inputs with the same key
+`together` use the same index into their lists of values, which gives a sample of a joint
+distribution.
 """
 
 from collections.abc import Iterator, Mapping
@@ -30,12 +31,12 @@ from twin.study.needed import layer_for
 
 PART, TRIAL, INPUT, STEP = "part", "trial", "input", "step"
 TRIALS, NOISE, CALIBRATION, ALONE = "trial", "noise", "calibration", "alone"
-"""Parts of a study of trials."""
+"""Kinds of cases of a study of trials, as the setting `part` states them."""
 
 NOISE_REPEATS = 20
-"""Relative standard uncertainty of their standard deviation: 16 %."""
+"""Repeats with new noise only: their standard deviation has a standard uncertainty of 16 %."""
 CALIBRATIONS = 5
-"""Of a photometric sensor: each needs about 50 reference presses; trial i uses i mod 5."""
+"""Calibrations of a photometric sensor, each by about 50 presses; trial i uses number i mod 5."""
 MIDDLE, LOW, HIGH = "nominal", "low", "high"
 
 
@@ -44,7 +45,8 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
 
     Raises
     ------
-    ConfigError : a key is no number, or a drawn value is not allowed: the first of each
+    ConfigError : the key of an input is not a number of the experiment, or a drawn value is not
+        allowed; the first problem is reported
     """
     experiment = nominal(study, base)
     count = study.sampling.count or 0
@@ -62,7 +64,7 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
 
 
 def nominal(study: Study, base: Experiment) -> Experiment:
-    """Return the experiment that a study of trials repeats: its base with the study's method."""
+    """Return the experiment that a study of trials repeats: the base with the study's method."""
     return vary(base, by_method(study.modalities[0])) if study.modalities else base
 
 
@@ -84,7 +86,7 @@ def _trials(study: Study, experiment: Experiment, layer: SensorLayer | None) -> 
 def _measured(
     study: Study, drawn: Experiment, conditions: Conditions
 ) -> tuple[Experiment, Conditions]:
-    """Return experiment and conditions of a trial, with its calibration."""
+    """Return experiment and conditions of a trial, changed to the trial's own calibration."""
     plan, number = study.sampling, conditions.trial
     if plan.calibration == "true" or not number:
         return drawn, conditions
@@ -101,15 +103,16 @@ def alone_cases(
     face_only: bool = False,
     layer: SensorLayer | None = None,
 ) -> list[Case]:
-    """Return each input's cases below and above its nominal value, and the nominal one.
+    """Return the cases of the budget: the nominal case, and cases with one varied input.
 
-    A choice among values is set to each of them. No noise, true rig. With `face_only` only the face
-    is evaluated, which does not depend on the optics; with a `layer` also the object behind the
-    coat.
+    Each input is set to one standard uncertainty below and above its nominal value. An input that
+    is a choice is set to each of its values. The cases have no noise and the true rig. With
+    `face_only` only the coated face is evaluated, which does not depend on the optics. With a
+    `layer` also the object behind the coat is reconstructed.
 
     Raises
     ------
-    ConfigError : a key is no number, or such a value is not allowed
+    ConfigError : the key of an input is not a number of the experiment, or a value is not allowed
     """
     silent = vary(experiment, {"camera.noise": False})
     conditions = Conditions(face_only=face_only, layer=layer)
@@ -144,13 +147,13 @@ def _recalibrated(experiment: Experiment) -> Iterator[Case]:
 
 
 class InputDistribution(Protocol):
-    """A distribution as `scipy.stats` has them, frozen."""
+    """Interface of a probability distribution, as of a frozen distribution of `scipy.stats`."""
 
     def rvs(self, *, random_state: np.random.Generator) -> Any:
-        """Draw once."""
+        """Return one random value."""
 
     def ppf(self, q: ArrayLike, /) -> Any:
-        """Return quantiles."""
+        """Return the quantiles at the probabilities `q`, in the shape of `q`."""
 
     def std(self) -> Any:
         """Return the standard deviation."""
@@ -158,17 +161,17 @@ class InputDistribution(Protocol):
 
 @dataclass(frozen=True)
 class Choice:
-    """A discrete distribution over given values."""
+    """Discrete distribution: `values` with the probabilities `shares`, which have the sum 1."""
 
     values: tuple[float, ...]
     shares: tuple[float, ...]
 
     def rvs(self, *, random_state: np.random.Generator) -> float:
-        """Draw once."""
+        """Return one random value."""
         return float(random_state.choice(self.values, p=self.shares))
 
     def ppf(self, q: ArrayLike, /) -> FloatArray:
-        """Return the value at a cumulative share, (...) float."""
+        """Return the quantiles (...) float at the probabilities `q` (...)."""
         ends = np.cumsum(self.shares)
         at = np.searchsorted(ends, np.asarray(q), side="left")
         return np.asarray(self.values, np.float64)[np.minimum(at, len(self.values) - 1)]
@@ -180,12 +183,13 @@ class Choice:
 
 
 def deviation_of(variable: Input, nominal: float) -> InputDistribution:
-    """Return the distribution of an input's deviation from its nominal value.
+    """Return the distribution of the deviation of an input from its nominal value, in its unit.
 
-    Uniform, triangular and arcsine are symmetric with the half width `spread` (JCGM 101, 6.4.2,
-    6.4.5, 6.4.6); a normal may be cut off; student_t is scaled and shifted (6.4.9).
+    Uniform, triangular and arcsine distributions are symmetric with the half width `spread` (JCGM
+    101, 6.4.2, 6.4.5, 6.4.6). A normal distribution has the standard deviation `spread` and may be
+    cut off. A student_t distribution has the scale `spread` (6.4.9).
     """
-    from scipy import stats  # takes half a second to load, and only trials need it
+    from scipy import stats  # takes 0.5 s to import, and only trials need it
 
     if variable.distribution == "choice":
         weights = np.array(variable.weights or [1.0] * len(variable.values))
@@ -223,21 +227,21 @@ def _normal(variable: Input, nominal: float, sigma: float) -> InputDistribution:
 
 
 def standard_uncertainty(variable: Input, nominal: float) -> float:
-    """Return the standard deviation of an input (JCGM 100, 4.3.7)."""
+    """Return the standard uncertainty of an input in its unit (JCGM 100, 4.3.7)."""
     return float(deviation_of(variable, nominal).std())
 
 
 def counting_for(experiment: Experiment, inputs: Mapping[str, Input]) -> dict[str, Input]:
-    """Return the inputs that can change an experiment's result."""
+    """Return the inputs, by name, that can change the result of an experiment."""
     return {name: variable for name, variable in inputs.items() if variable.counts_for(experiment)}
 
 
 def draw(experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: int) -> Experiment:
-    """Return the experiment of a trial; trial 0 is the nominal experiment.
+    """Return the experiment of a trial, with drawn inputs; trial 0 is the nominal experiment.
 
     Raises
     ------
-    ConfigError : an input's key is not in the experiment, or a drawn value is not allowed
+    ConfigError : the key of an input is not in the experiment, or a drawn value is not allowed
     """
     return vary(experiment, drawn_values(experiment, inputs, seed, trial)) if trial else experiment
 
@@ -245,7 +249,7 @@ def draw(experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: 
 def drawn_values(
     experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: int
 ) -> dict[str, float]:
-    """Return the values of a trial by dotted path; of trial 0 the nominal values."""
+    """Return the values of the inputs in a trial by dotted path; in trial 0 the nominal ones."""
     values = {}
     for name, variable in counting_for(experiment, inputs).items():
         values[variable.key] = nominal = variable.nominal_in(experiment)
@@ -258,9 +262,9 @@ def drawn_values(
 
 
 def drawn_board(study: Study, base: Experiment) -> str:
-    """Return the board of the simulated calibrations from which the trials draw their rigs.
+    """Return the name of the board on which the rig is calibrated, for trials that draw rigs.
 
-    Empty if all trials use the true rig.
+    The name is empty if all trials use the true rig.
     """
     plan = study.sampling
     if plan.method != "trials" or plan.calibration == "true":

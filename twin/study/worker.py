@@ -1,4 +1,4 @@
-"""A worker's side of a sweep: compute a batch of cases, each into its folder of the store."""
+"""Worker process of a study: compute a batch of cases, each into its folder of the store."""
 
 import os
 import threading
@@ -32,35 +32,37 @@ State = Literal["done", "failed", "elsewhere", "known", "unsaved"]
 UNEXPECTED, DIED = "unexpected", "died"
 _WATCH_EVERY_S = 0.5
 
-# Renderer and caches of a process can be used by one case at a time; executors may have threads.
+# Only one case at a time can use renderer and caches of a process, but an executor may have
+# several threads.
 _one_at_a_time = threading.Lock()
 
 
 class Measurer(Protocol):
-    """Interface of a measurer of cases."""
+    """Interface of an object that measures the cases of a study in a worker process."""
 
     def __call__(
         self, experiment: Experiment, conditions: Conditions = NOMINAL_CONDITIONS, /
     ) -> CaseResult:
-        """Measure one case."""
+        """Measure one case and return its figures."""
 
     def reads(self) -> StageReads:
-        """Return the fields that each stage read for the latest case, first stage first."""
+        """Return the field paths that each stage read for the latest case, first stage first."""
 
 
 MakeMeasurer = Callable[[tuple[str, ...]], Measurer]
-"""Called once per process, with the names of the arrays to write."""
+"""Factory of a measurer, called once per process with the names of the arrays to write."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Cases for one worker, in the order in which they share most stages.
+    """Cases for one worker, ordered so that consecutive cases share as many stages as possible.
 
     Attributes
     ----------
-    cases : digest, experiment and conditions of each
-    keep : arrays to write per case
-    make_measurer : called once per process with `keep`
+    store : folder of the store
+    cases : digest, experiment and conditions of each case
+    keep : names of the arrays to write per case
+    make_measurer : factory of the measurer, called once per process with `keep`
     """
 
     store: Path
@@ -71,14 +73,15 @@ class Batch:
 
 @dataclass(frozen=True)
 class Report:
-    """Outcome of a case.
+    """Outcome of one case of a batch.
 
     Attributes
     ----------
-    state : done or failed (and in the store), known (was in the store already), elsewhere (another
-        run computes it), unsaved (could not be written)
-    seconds : run time, 0 unless computed now
-    reason : of a failure, or why the case could not be saved
+    digest : name of the case
+    state : "done" or "failed": the case was computed and is in the store; "known": it was in the
+        store already; "elsewhere": another run computes it; "unsaved": it could not be written
+    seconds : run time, s; 0 if the case was not computed now
+    reason : reason of a failure, or why the case could not be saved; else empty
     """
 
     digest: str
@@ -89,14 +92,17 @@ class Report:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """Outcome of a batch; `reads` of its last measured case, to sort the remaining cases."""
+    """Outcome of a batch: a report per case, and the fields that the stages of the last case read.
+
+    The fields are used to sort the remaining cases.
+    """
 
     cases: tuple[Report, ...]
     reads: StageReads = ()
 
 
 def compute(batch: Batch) -> BatchReport:
-    """Compute the cases of a batch that are not in the store yet.
+    """Compute the cases of a batch that are not yet in the store; return their reports.
 
     Raises
     ------
@@ -111,9 +117,10 @@ def compute(batch: Batch) -> BatchReport:
 
 
 def die_with(parent: int) -> None:
-    """Start a worker: load its parent's plug-ins, and end the process when the parent has ended.
+    """Start a worker: load the parent's plug-ins, and end the process after the parent has ended.
 
-    The parent's process id is an argument, as the parent may end before this process could read it.
+    The process id of the parent is an argument, as the parent may end before this process reads the
+    id.
     """
 
     def watch() -> None:
@@ -122,21 +129,22 @@ def die_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    # Before the first batch arrives: experiments are unpickled by the modules of their kinds.
+    # Loaded before the first batch arrives, because unpickling an experiment needs the plug-ins'
+    # modules.
     load_inherited_plugins()
 
 
 @lru_cache(maxsize=1)
 def _memory() -> Memory:
-    """Return the cache of this process' latest stages, shared by all measurers.
+    """Return the cache of the latest stage results of this process, which all measurers share.
 
-    One cache, as it contains stacks of frames.
+    There is only one cache, because it contains stacks of frames, which need much memory.
     """
     return Memory()
 
 
 def forget_stages() -> None:
-    """Clear the cached stages, so that the next case is computed as by a new worker."""
+    """Clear the cached stage results, so that the next case is computed as by a new worker."""
     _measurer.cache_clear()
     _memory.cache_clear()
 
@@ -150,7 +158,7 @@ def _measurer(make: MakeMeasurer, keep: tuple[str, ...]) -> Measurer:
 
 
 def _limited_threads(measurer: Measurer) -> AbstractContextManager[None]:
-    """Limit the renderer to this process' number of threads, if a measurer uses it."""
+    """Limit the renderer to the number of threads of this process, if the measurer renders."""
     if not isinstance(measurer, CaseMeasurer):
         return nullcontext()
     from twin.optics.session import renderer_threads
@@ -201,7 +209,10 @@ class _Failure:
 def _measured(
     measurer: Measurer, experiment: Experiment, conditions: Conditions
 ) -> CaseResult | _Failure:
-    """Measure a case; an error of the case must not end the batch."""
+    """Measure a case; return its failure instead of raising, so that the batch continues.
+
+    Only a missing backend and a full disk are raised.
+    """
     try:
         result = measurer(experiment, conditions)
         wrong = [n for n, v in result.figures.items() if isinstance(v, float) and not isfinite(v)]

@@ -1,7 +1,7 @@
-"""Executors that compute cases: this process, processes of this machine, or a Dask cluster.
+"""Workers that compute cases: this process, processes of this machine, or a Dask cluster.
 
-All are a `concurrent.futures.Executor`, and any other one can be used (`of_executor`): batches and
-their reports are plain data, and results are written to the store by the workers.
+All are used through a `concurrent.futures.Executor`, and any other executor can be used
+(`of_executor`). Batches and their reports can be pickled; the workers write results to the store.
 """
 
 import multiprocessing
@@ -28,7 +28,8 @@ _THREAD_VARIABLES = (
 
 _CONNECT_WITHIN = "20s"
 _WAITS_FOR_EVER = sys.version_info < (3, 11, 5)
-# The thread that writes tasks to the workers ends within milliseconds unless its pipe is full.
+# Time limit for the thread that writes tasks to the workers: the thread ends within milliseconds
+# unless its pipe is full.
 _WRITER_ENDS_S = 1.0
 
 
@@ -38,14 +39,14 @@ def _end(executor: Executor) -> None:
 
 @dataclass(frozen=True)
 class Workers:
-    """Processes that compute cases.
+    """Description of the processes that compute cases, and how they are started and ended.
 
     Attributes
     ----------
     count : number of cases computed at the same time
-    open : starts them, and starts them again after one of them died
-    close : ends them; batches that wait are not started
-    release : called at the end of a run, by default to end them
+    open : function that starts the processes, also again after one of them died
+    close : function that ends the processes; waiting batches are not started
+    release : function called at the end of a run; None: `close` is called
     """
 
     count: int
@@ -55,7 +56,7 @@ class Workers:
 
 
 class _Here(Executor):
-    """Executor that computes in this process, within `submit`."""
+    """Executor that computes each task in this process, within the call of `submit`."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
         future: Future[Any] = Future()
@@ -67,15 +68,17 @@ class _Here(Executor):
 
 
 def local_workers(count: int, cores: int | None = None) -> Workers:
-    """Return `count` processes that share the machine; 1 is this process itself.
+    """Return workers on this machine: `count` processes; for 1, this process itself.
 
     Parameters
     ----------
-    cores : number of cores that they share; 1 worker is then a separate process. Default: all
+    count : number of processes, which share the cores
+    cores : number of cores that the processes share; if it is given, 1 worker is a separate
+        process. Default: all usable cores
 
     Raises
     ------
-    InputError : fewer than one
+    InputError : `count` is less than 1
     """
     available = cores or usable_cores()
     if count < 1:
@@ -88,7 +91,7 @@ def local_workers(count: int, cores: int | None = None) -> Workers:
 
 @contextmanager
 def lasting(workers: Workers) -> Iterator[Workers]:
-    """Keep the workers and their cached stages for all runs within the block."""
+    """Keep the worker processes and their cached stage results for all runs in the block."""
     held: list[Executor] = []
     try:
         yield replace(
@@ -103,7 +106,7 @@ def lasting(workers: Workers) -> Iterator[Workers]:
 
 @contextmanager
 def opened(workers: Workers) -> Iterator[Executor]:
-    """Use the workers for other tasks; they are released at the end."""
+    """Yield an executor of the workers for other tasks; release the workers at the end."""
     executor = workers.open()
     try:
         yield executor
@@ -112,17 +115,19 @@ def opened(workers: Workers) -> Iterator[Executor]:
 
 
 def default_count() -> int:
-    """Return one worker per two cores, but two workers for two or three cores."""
+    """Return the default number of workers: one per two cores, but two for two or three cores."""
     cores = usable_cores()
     return max(min(cores, 2), cores // 2)
 
 
 def dask_workers(address: str) -> Workers:
-    """Return the workers of a running Dask cluster; the store must have the same path there.
+    """Return the workers of a running Dask cluster.
+
+    The store must have the same path on all hosts of the cluster.
 
     Raises
     ------
-    InputError : dask is not installed, or no scheduler answers
+    InputError : Dask is not installed, no scheduler answers, or it has no workers
     """
     client = _client(address)
     workers = client.scheduler_info(n_workers=-1)["workers"]
@@ -133,11 +138,12 @@ def dask_workers(address: str) -> Workers:
 
 
 class _Cluster(Executor):
-    """A Dask cluster through a connection of its own."""
+    """Executor on a Dask cluster, with its own connection to the scheduler."""
 
     def __init__(self, address: str) -> None:
         self._client = _client(address)
-        # Never pure: Dask would merge two batches of the same content.
+        # `pure=False`, because Dask would otherwise compute two batches of equal content only
+        # once.
         self._executor = self._client.get_executor(pure=False)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
@@ -164,9 +170,9 @@ def _client(address: str) -> Any:
 
 
 def of_executor(executor: Executor, count: int) -> Workers:
-    """Use any executor with `count` workers; the caller ends it.
+    """Return workers that use a given executor with `count` workers; the caller ends the executor.
 
-    When one of its workers dies the run stops: the executor cannot be started again here.
+    If one of its workers dies, the run stops, because the executor cannot be started again here.
     """
     unused = [executor]
 
@@ -179,7 +185,7 @@ def of_executor(executor: Executor, count: int) -> Workers:
 
 
 def _pool(count: int, threads: int) -> Executor:
-    # Not fork: Dr.Jit and numba hold threads that a forked child would lack.
+    # Not "fork": a forked child would lack the threads that Dr.Jit and Numba have started.
     return _LimitedPool(
         count,
         threads,
@@ -190,14 +196,14 @@ def _pool(count: int, threads: int) -> Executor:
 
 
 class _LimitedPool(ProcessPoolExecutor):
-    """Processes that start with a limited number of threads each."""
+    """Pool of processes, each of which starts with a limited number of threads."""
 
     def __init__(self, count: int, threads: int, **options: Any) -> None:
         super().__init__(count, **options)
         self._threads_each = threads
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
-        with _environment(self._threads_each):  # all processes start with the first task
+        with _environment(self._threads_each):  # all processes start at the first `submit`
             return super().submit(fn, *args, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -211,10 +217,11 @@ class _LimitedPool(ProcessPoolExecutor):
 
 
 def _fail_blocked_writer(queue: Any) -> None:
-    """Let a thread that writes to ended workers fail instead of waiting for a reader.
+    """Let the thread that writes to ended workers fail instead of waiting forever.
 
-    CPython's issue 94777; its later versions do this themselves. The thread closes the reader when
-    it ends. Only a blocked one does not: two threads must not close the same descriptor.
+    This avoids issue 94777 of CPython; its later versions do this themselves. A thread that ends
+    closes the reader itself, and two threads must not close the same descriptor. So the reader is
+    closed here only if the thread is blocked.
     """
     writer = queue._thread
     if writer is None:

@@ -1,1 +1,1 @@
-"""See a sensor live: move its parts in a browser, and the camera's image follows."""
+"""Live view of a sensor in a browser: sliders move its parts, and its image is recomputed."""

@@ -1,7 +1,7 @@
-"""The view in the browser: rig, coat, specimen, the camera's image, and sliders.
+"""Live view in a browser: rig, coat, specimen, camera image and sliders.
 
-Viser (the extra `view`) displays it. Its threads only store the latest slider values; the main
-thread computes, so that a signal ends it like any command.
+The package viser (extra `view`) displays the view. Its threads only store the latest slider values.
+The main thread computes the images, so that a signal ends the command.
 """
 
 import gc
@@ -36,11 +36,11 @@ _MOST_VERTICES = 200_000
 
 
 def viser_module() -> Any:
-    """Return viser.
+    """Return the module of the package viser.
 
     Raises
     ------
-    InputError : it is not installed
+    InputError : viser is not installed
     """
     try:
         return import_module("viser")
@@ -49,7 +49,7 @@ def viser_module() -> Any:
 
 
 class LiveView:
-    """The scene in the browser, and the slider changes that are not yet computed."""
+    """Live view of an experiment: the scene in the browser and the latest slider values."""
 
     def __init__(
         self, experiment: Experiment, measured: Measurement | None, host: str, port: int
@@ -78,11 +78,11 @@ class LiveView:
 
     @property
     def address(self) -> str:
-        """URL of the view."""
+        """URL at which a browser shows the view."""
         return f"http://{self._server.get_host()}:{self._server.get_port()}"
 
     def serve(self) -> None:
-        """Compute the latest slider values repeatedly, until a signal ends the process."""
+        """Recompute the view for new slider values, until a signal ends the process."""
         while True:
             # With a time limit: on some systems a wait without one does not handle signals.
             if self._moved.wait(0.2):
@@ -95,7 +95,7 @@ class LiveView:
                     gc.freeze()
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop the server of the view."""
         self._server.stop()
 
     def _add_slider(self, control: SliderRange) -> None:
@@ -130,7 +130,7 @@ class LiveView:
         self._draw_rig(shown)
 
     def _draw_surface(self, surface: SceneSurface) -> Any:
-        """Show a surface; returns the handle that hides it."""
+        """Add a surface to the scene, and return its handle, with which it can be hidden."""
         rgb, name = np.rint(255 * surface.rgb).astype(np.uint8), f"/{surface.name}"
         if rgb.ndim == 1:
             mesh = surface.vertices_mm, surface.triangles
@@ -158,7 +158,8 @@ class LiveView:
     ) -> None:
         half = 0.5 * device.height_px / device.fy_px
         aspect = device.width_px / device.height_px
-        # Viser scales a frustum by its volume: this makes it an eighth of the way to the origin.
+        # Viser scales a frustum by its volume: with this scale its length is 1/8 of the distance
+        # from the device to the origin.
         depth_mm = float(np.linalg.norm(pose[:3, 3])) / 8.0
         self._server.scene.add_camera_frustum(
             name,
@@ -173,7 +174,7 @@ class LiveView:
         )
 
     def _add_measured(self, measured: Measurement) -> None:
-        """Show a finished measurement's surface, coloured by its deviation from the truth."""
+        """Add the measured surface, coloured by its deviation from the true surface."""
         measured_surface = measured.fringes.reconstruction.point_map
         mesh, deviation = surface_mesh(measured_surface), deviation_of(measured)
         if len(mesh.vertices_mm) > _MOST_VERTICES:
@@ -203,7 +204,7 @@ def _rgb(levels: Levels) -> Levels:
 
 
 def _quaternion(rotation: FloatArray) -> tuple[float, float, float, float]:
-    """Return a rotation as (w, x, y, z)."""
+    """Return a rotation matrix (3, 3) as unit quaternion (w, x, y, z)."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()

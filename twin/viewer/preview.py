@@ -1,7 +1,7 @@
-"""Preview of an experiment when one value changes: a press and one trace at reduced size.
+"""Preview of an experiment with changed values: a press and its camera images at reduced size.
 
-The picture is computed by the same press, trace and camera as a measurement, with 1/16 of the
-pixels of a full image and a coarser coat; no frame is decoded.
+The images are computed by the same press, ray tracing and camera as in a measurement. They have
+1/16 of the pixels of a full image and a coarser coat. No frame is decoded.
 """
 
 from collections.abc import Mapping
@@ -29,18 +29,18 @@ _COARSE_SOLVER_MM = 0.16
 _COARSE_RELIEF_MM = 0.05
 _COARSE_CELL_MM = 0.3
 _MOST_NODES = 240
-"""Nodes of the coat along a side: a spacing of 0.1 mm on the paper's sheet."""
+"""Approximate number of nodes of the coat along a side: every 0.1 mm on the paper's sheet."""
 
 
 @dataclass(frozen=True)
 class SliderRange:
-    """One number of the experiment that can be moved.
+    """A slider of the live view: one number of the experiment with its range.
 
     Attributes
     ----------
-    key : by dotted path, as `twin keys` lists it
-    label : name with its unit
-    low, high, value : ends of the slider and current value
+    key : dotted path of the number, as `twin keys` lists it
+    label : name with unit
+    low, high, value : ends of the slider, and current value
     """
 
     key: str
@@ -52,13 +52,13 @@ class SliderRange:
 
 @dataclass(frozen=True, eq=False)
 class PreviewPicture:
-    """Simulated images and press that a preview shows.
+    """Simulated camera images and press of a preview.
 
     Attributes
     ----------
     experiment : the experiment at full image size, with the values that the user changed
     fringes, white : images with fringes and with white light, (row, col) uint8, 255 at saturation
-    pressed : the press that was rendered in both images
+    pressed : the press that both images show
     """
 
     experiment: Experiment
@@ -68,7 +68,7 @@ class PreviewPicture:
 
     @property
     def surfaces(self) -> tuple[SceneSurface, ...]:
-        """Coat and specimen at the end of the press."""
+        """Surfaces of coat and specimen at the end of the press, with colours, world frame."""
         coat = face_mesh(self.pressed)
         z_mm = np.asarray(coat.vertices)[:, 2]
         share = (z_mm - z_mm.min()) / max(float(np.ptp(z_mm)), 1e-9)
@@ -102,7 +102,11 @@ _NOT_NEGATIVE = ("polar_deg",)
 
 
 def slider_ranges(experiment: Experiment) -> list[SliderRange]:
-    """Return the values with a slider, in the range that the source states or near the value."""
+    """Return the sliders of an experiment.
+
+    The range of a slider is that of the value's stated source; without one it is an interval round
+    the current value.
+    """
     tree = experiment.model_dump()
     sliders = [_control(experiment, tree, *entry) for entry in _MOVED]
     return [slider for slider in sliders if slider is not None]
@@ -128,7 +132,7 @@ def _control(
 
 
 class Preview:
-    """Pictures of one experiment with changed values; reuse the press if only the rig moves."""
+    """Previews of one experiment with changed values; a press is reused if only the rig moves."""
 
     def __init__(self, experiment: Experiment) -> None:
         if not (experiment.method.presses and experiment.method.fringes):
@@ -141,11 +145,11 @@ class Preview:
         self._small = vary(experiment, _preview_size(experiment))
 
     def show(self, changes: Mapping[str, Any]) -> PreviewPicture:
-        """Press and trace with some values changed.
+        """Return the preview of the experiment with some values changed.
 
         Parameters
         ----------
-        changes : value by dotted key
+        changes : new value by dotted key
 
         Raises
         ------
@@ -165,14 +169,14 @@ class Preview:
 
 
 def thinned(pressed: PressedElastomer) -> PressedElastomer:
-    """Return a press with at most `_MOST_NODES` nodes along a side of its coat."""
+    """Return a press with every n-th node of its coat: about `_MOST_NODES` along a side."""
     step = max(1, max(pressed.face_z_mm.shape) // _MOST_NODES)
     rows, cols = (np.arange(0, size, step) for size in pressed.face_z_mm.shape)
     return on_nodes(replace(pressed, sheet=None), rows, cols)
 
 
 def _preview_size(experiment: Experiment) -> dict[str, Any]:
-    """Return the changes for a picture about 250 pixels wide and a short pattern."""
+    """Return new values by key for images about 250 pixels wide and a short pattern sequence."""
     camera, projector, coarse = experiment.camera, experiment.projector, {}
     binning = next((b for b in _BINNINGS if camera.width_px // b >= _ACROSS_PX), 1)
     fewer = max(1, round(camera.width_px / binning / _ACROSS_PX))
@@ -190,7 +194,7 @@ def _preview_size(experiment: Experiment) -> dict[str, Any]:
         "camera.width_px": camera.width_px // fewer,
         "camera.height_px": camera.height_px // fewer,
         "camera.pixel_pitch_um": pitch_um | {"range": [0.0, pitch_um["value"]]},
-        # Few frames: none is decoded.
+        # Few frames, because none is decoded.
         "patterns": {
             "period_px": max(experiment.patterns.period_px, PERIOD_RANGE_PX[0]),
             "steps": 3,

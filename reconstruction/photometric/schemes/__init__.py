@@ -1,1 +1,1 @@
-"""The built-in integration schemes, see `reconstruction.integration_schemes`."""
+"""Built-in schemes that integrate slopes to heights, see `reconstruction.integration_schemes`."""

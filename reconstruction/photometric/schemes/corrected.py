@@ -1,4 +1,4 @@
-"""The exact Poisson solver, or weighted least squares."""
+"""Integration scheme with the exact Poisson solver, or with weighted least squares."""
 
 from reconstruction.arrays import FloatArray
 from reconstruction.integration_schemes import SCHEMES, Boundary, IntegrationScheme
@@ -6,7 +6,7 @@ from reconstruction.photometric.integrate import corrected
 
 
 class CorrectedIntegration(IntegrationScheme):
-    """Heights whose steps fit the slopes best."""
+    """Integration scheme of least squares: heights with the steps nearest to the slopes."""
 
     name = "corrected"
     title = "corrected"
@@ -17,7 +17,7 @@ class CorrectedIntegration(IntegrationScheme):
     def heights_mm(
         self, slopes: FloatArray, pitch_mm: float, boundary: Boundary, weights: FloatArray | None
     ) -> FloatArray:
-        """Return least-squares heights."""
+        """Return the heights (row, col), mm, of `corrected` for slopes (2, row, col), mm/mm."""
         return corrected(slopes, pitch_mm, boundary, weights)
 
 

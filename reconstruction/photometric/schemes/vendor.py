@@ -1,4 +1,4 @@
-"""The vendor's Poisson step of 2024 and of 2025, with its wrong height scale."""
+"""Integration schemes of the vendor's programs of 2024 and 2025, with their wrong height scale."""
 
 from reconstruction.arrays import FloatArray
 from reconstruction.integration_schemes import SCHEMES, Boundary, IntegrationScheme
@@ -6,7 +6,10 @@ from reconstruction.photometric.integrate import Form, sdk_faithful
 
 
 class VendorIntegration(IntegrationScheme):
-    """The behaviour of one year's programs; boundary and weights have no effect."""
+    """Integration scheme of the vendor's programs of one year.
+
+    It ignores the boundary condition and the weights.
+    """
 
     finds_small_markers = False
     corrects_light = False
@@ -20,10 +23,10 @@ class VendorIntegration(IntegrationScheme):
     def heights_mm(
         self, slopes: FloatArray, pitch_mm: float, boundary: Boundary, weights: FloatArray | None
     ) -> FloatArray:
-        """Return heights in the vendor's scale."""
+        """Return the heights (row, col), nominally mm, with the vendor's wrong scale."""
         return sdk_faithful(slopes, pitch_mm, self.form)
 
 
-# The form of 2025 does not enlarge dots: their dark rims pass for slopes, as in its programs.
+# The programs of 2025 do not enlarge dots, so that the dark rims of dots are decoded as slopes.
 SCHEMES.register(VendorIntegration("2025", 1, 0))
 SCHEMES.register(VendorIntegration("2024", 2, 2))

@@ -1,8 +1,9 @@
-"""Formats of calibrations that other programs write. One kind per module, in `IMPORTERS`.
+"""Importers, which read calibration files of other programs. Each module registers one importer.
 
-A kind is one file of this package, of an installed package (entry points of the group
-`fringe_twin.importers`) or of the user (`--plugin`). It returns numbers and matrices by the names
-that they have in the file; `reconstruction.rig.importing` makes a rig of them. Minimal example:
+An importer is one module of this package, of an installed package (entry points of the group
+`fringe_twin.importers`) or of the user (`--plugin`). It returns all numbers and matrices of a file
+by the names that they have in the file. `reconstruction.rig.importing` makes a calibration of them.
+Minimal example:
 
     class Plain(Importer):
         name, summary = "plain", "text: a name and its numbers in each line (.cal)"
@@ -26,23 +27,23 @@ from reconstruction.registry import Registry
 
 
 class Importer:
-    """A format of calibration files.
+    """Base class of the importers. An importer reads calibration files of one format.
 
     Attributes
     ----------
-    name : of the format
-    summary : one line of documentation, as errors list it
+    name : name of the format
+    summary : one line of documentation, which also appears in error messages
     """
 
     name: str
     summary: str
 
     def recognises(self, path: Path) -> bool:
-        """Whether a file, which exists, has this format: by its name or its first bytes."""
+        """Return True if an existing file has this format, judged by its name or first bytes."""
         raise NotImplementedError(f"importer {self.name!r} has no function recognises")
 
     def read(self, path: Path) -> dict[str, FloatArray]:
-        """Return every number and matrix of a file by its path inside, `camera/matrix`.
+        """Return every number and matrix of a file by its path in the file, e.g. `camera/matrix`.
 
         Raises
         ------
@@ -54,15 +55,15 @@ class Importer:
 IMPORTERS: Registry[Importer] = Registry(
     "importers", "reconstruction.rig.importers", lambda importer: importer.name
 )
-"""The formats of foreign calibrations."""
+"""All importers by the name of their format."""
 
 
 def importer_of(path: Path) -> Importer:
-    """Return the format of a file.
+    """Return the importer that recognises a calibration file.
 
     Raises
     ------
-    CaptureError : the file cannot be read, or has none of the formats
+    CaptureError : the file cannot be read, or no importer recognises it
     """
     try:
         file = regular_file(path)

@@ -1,4 +1,4 @@
-"""MATLAB's files: the Camera Calibration Toolbox and the stereo calibrator."""
+"""Importer of MATLAB files: Camera Calibration Toolbox and stereo calibrator."""
 
 import io
 from pathlib import Path
@@ -13,17 +13,17 @@ from reconstruction.rig.importers import IMPORTERS, Importer
 
 
 class Matlab(Importer):
-    """MAT files, read in a process of its own: SciPy's reader crashes on some damaged files."""
+    """Importer of MAT files, read by a child process: SciPy crashes on some damaged files."""
 
     name = "matlab"
     summary = "MATLAB (.mat)"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the file's name ends with .mat."""
+        """Return True if the file name ends with .mat."""
         return path.suffix.lower() == ".mat"
 
     def read(self, path: Path) -> dict[str, FloatArray]:
-        """Return numbers and matrices, those of structures by `structure/name`."""
+        """Return the numbers and matrices by name, those in a structure as `structure/name`."""
         try:
             content = read_in_child("MATLAB", regular_file(path))
         except InputError as error:

@@ -1,4 +1,4 @@
-"""Files of `cv2.FileStorage`: OpenCV's samples, scan3d-capture and many other programs."""
+"""Importer of files of `cv2.FileStorage`, which OpenCV's samples and scan3d-capture write."""
 
 from pathlib import Path
 
@@ -8,18 +8,18 @@ from reconstruction.rig.storage import XML, YAML, numbers_in
 
 
 class OpenCV(Importer):
-    """YAML and XML, recognised by their first bytes."""
+    """Importer of the YAML and XML files of OpenCV, which it recognises by their first bytes."""
 
     name = "opencv"
     summary = f"OpenCV's FileStorage (the first line begins with {YAML} or {XML})"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the first line is that of such a file."""
+        """Return True if the file begins with the first bytes of a YAML or XML file."""
         with path.open("rb") as file:
             return file.read(len(YAML)).startswith((YAML.encode(), XML.encode()))
 
     def read(self, path: Path) -> dict[str, FloatArray]:
-        """Return numbers and matrices, those of maps by `map/name`."""
+        """Return the numbers and matrices by name, those in a map as `map/name`."""
         return numbers_in(path)
 
 

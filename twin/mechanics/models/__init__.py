@@ -1,4 +1,4 @@
-"""Elastomer models, one file each: from specimen, elastomer and load to the pressed elastomer.
+"""Elastomer models, one file each. A model computes a press from specimen, elastomer and load.
 
     class Winkler(ElastomerModel):
         name = "winkler"
@@ -9,8 +9,8 @@
 
     WINKLER = MODELS.register(Winkler())
 
-World frame, mm: see `twin.mechanics.press`. A module of this package loads its solver when it
-presses, not when it is imported.
+World frame, mm: see `twin.mechanics.press`. A module of this package imports its solver at the
+first press, not when the module is imported.
 """
 
 from collections.abc import Callable
@@ -28,12 +28,12 @@ from twin.shape import Shape
 from twin.specimens import shape_of
 
 Progress = Callable[[float], None]
-"""Is called with the finished share of a press, 0 to 1."""
+"""Function that a model calls with the finished fraction of a press, 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class PressInput:
-    """The data of one press."""
+    """Input of an elastomer model: settings, specimen, elastomer and load of one press."""
 
     mechanics: Mechanics
     specimen: Specimen
@@ -47,7 +47,7 @@ class PressInput:
 
     @property
     def reaches_thickness(self) -> bool:
-        """Whether the travel is set, and is the elastomer's thickness or more."""
+        """Whether the load states a travel that is the elastomer's thickness or more."""
         depth_mm = self.load.depth_mm
         return depth_mm is not None and depth_mm >= self.elastomer.thickness_mm
 
@@ -57,7 +57,7 @@ class PressInput:
 
         Raises
         ------
-        PressError : the linear slab cannot make this press
+        PressError : the linear slab model cannot compute this press
         SolverError : the solution did not converge
         """
         if isinstance(self._linear, PressError):
@@ -74,18 +74,18 @@ class PressInput:
 
     @property
     def stretches(self) -> bool:
-        """Whether the free coated face rises so far that the elastomer stretches as it bends.
+        """Whether a free coated face deflects so far that bending also stretches the elastomer.
 
         Raises
         ------
-        PressError : as `linear`, from which it is computed
+        PressError : as `linear`; its deflection is compared with the limit
         """
         bent = self.linear.validity.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT
         return bent and self.elastomer.layout == "opposite_face"
 
 
 class SettledPress(Protocol):
-    """An equilibrium of specimen and elastomer, kept to differentiate it by the input fields."""
+    """Equilibrium of a press with its derivatives: it also gives presses with similar input."""
 
     def result(self) -> PressedElastomer:
         """Return the pressed elastomer at this equilibrium."""
@@ -95,50 +95,53 @@ class SettledPress(Protocol):
 
 
 class ElastomerModel(elastomer_models.ModelFields):
-    """Interface of an elastomer model; a model overrides `press`, and the rest if it differs."""
+    """Interface of an elastomer model: a model overrides `press`, and other members as needed."""
 
     refuses_sheet_keys: ClassVar[bool] = True
     """Whether tack, friction, pre-stretch, a round frame or a soft rim are errors."""
 
     wraps: ClassVar[bool] = False
-    """Whether the coat is a thin sheet that wraps the object and determines its shape."""
+    """Whether the elastomer is modelled as a thin sheet that wraps round the object."""
 
     is_linear_slab: ClassVar[bool] = False
-    """Whether it is the exact linear slab: the modulus only scales pressure and force of a press to
-    a depth, and the coat's displacement in its plane follows from the pressure."""
+    """Whether the model is the exact linear slab. Then the modulus only scales pressure and force
+    of a press to a depth, and the coat's displacement in its plane follows from the pressure."""
 
     leaves_out: ClassVar[str] = "large strain"
-    """Cause of `Validity.height_error_mm`, for reports."""
+    """Effect that the model neglects, which causes `Validity.height_error_mm`; for reports."""
 
     def applies(self, case: PressInput) -> bool:
-        """Whether `auto` may select the model; does not solve."""
+        """Whether `auto` may select the model for this input, without solving it."""
         return True
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
-        """Return the expected error of the coated face's heights; None: outside the tested range.
+        """Return the expected error of the coated face's heights, mm.
 
-        `auto` selects the model with the least error. `case.linear` is the linear solution, for
-        estimates that need it: it is solved once for all models.
+        `auto` selects the model with the least error. The result is None outside the model's tested
+        range. An estimate may use `case.linear`, the linear solution, which is solved once for all
+        models.
 
         Raises
         ------
-        PressError : the model cannot press this
+        PressError : the model cannot compute this press
         """
         return None
 
     def check(self, case: PressInput) -> None:
-        """Raise an error if the model cannot press this, before any work.
+        """Raise an error if the model cannot compute this press, without solving it.
 
         Raises
         ------
-        PressError : key, value and remedy
+        PressError : the message states key, value and remedy
         """
         if self.refuses_sheet_keys:
             refuse_sheet_keys(case.elastomer, self.name)
         check_load(case.shape, case.elastomer, case.load)
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
-        """Return both faces, pressure and force; `check` has passed.
+        """Return both faces, pressure and force of the press; the caller calls `check` before.
+
+        `progress` is called with the finished fraction by models with load steps.
 
         Raises
         ------
@@ -148,11 +151,11 @@ class ElastomerModel(elastomer_models.ModelFields):
         raise NotImplementedError(f"{type(self).__name__}.press")
 
     def settle(self, case: PressInput, progress: Progress | None = None) -> SettledPress:
-        """Press, and return the equilibrium for derivatives.
+        """Press, and return the equilibrium with its derivatives.
 
         Raises
         ------
-        PressError : the model has no derivatives, or as `press`
+        PressError : the model has no derivatives, or an error of `press`
         SolverError : as `press`
         """
         low, high = SHEET_THICKNESS_MM
@@ -168,12 +171,15 @@ MODELS = cast("Registry[ElastomerModel]", elastomer_models.MODELS)
 
 
 def model_of(pressed: str) -> ElastomerModel:
-    """Return the model of a result, by its name; a plain one if it is not installed."""
+    """Return the model with the name that a result states.
+
+    If that model is not installed, the result is an `ElastomerModel` with the default members.
+    """
     return MODELS[pressed] if pressed in MODELS else ElastomerModel()
 
 
 def sheet_keys(elastomer: Elastomer) -> list[str]:
-    """Return the keys of an elastomer that only a thin sheet models, where they have an effect."""
+    """Return the keys of an elastomer that have an effect and that only a thin sheet models."""
     given = {
         "outline": elastomer.outline != "rectangular",
         "pre_stretch": elastomer.pre_stretch != 1,
@@ -185,11 +191,11 @@ def sheet_keys(elastomer: Elastomer) -> list[str]:
 
 
 def refuse_sheet_keys(elastomer: Elastomer, model: str) -> None:
-    """Raise an error for a key that only a thin sheet models.
+    """Raise an error if an elastomer has a key of `sheet_keys`.
 
     Raises
     ------
-    PressError : names the first such key
+    PressError : the message names the first of these keys
     """
     keys = sheet_keys(elastomer)
     if keys:

@@ -1,6 +1,6 @@
-"""The `fem` model: tetrahedra, for other supports and pads from CAD.
+"""The `fem` model: tetrahedra, for slabs on other supports and for pads from CAD.
 
-See `twin.mechanics.reference`; scikit-fem and the mesher are loaded at the first check or press.
+See `twin.mechanics.reference`. scikit-fem and the mesher are imported at the first check or press.
 """
 
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class FemModel(ElastomerModel):
-    """Linear tetrahedra; the slab on any support, or a pad of any shape."""
+    """Linear elastic tetrahedra: a slab on any support, or a pad of any shape."""
 
     name = "fem"
     summary = (
@@ -24,7 +24,7 @@ class FemModel(ElastomerModel):
         "run)"
     )
     takes = ("support", "pad")
-    refuses_sheet_keys = False  # a pad from CAD is not the elastomer that they describe
+    refuses_sheet_keys = False  # the keys of a sheet do not describe a pad from CAD
 
     def check(self, case: PressInput) -> None:
         """Raise an error for a film, an unsuitable support, or a pad that cannot be read."""
@@ -34,7 +34,7 @@ class FemModel(ElastomerModel):
         _pad(case.mechanics, case.elastomer)
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
-        """Return the pressed elastomer from finite elements of a slab or pad."""
+        """Return the pressed elastomer, computed by finite elements of a slab or pad."""
         from twin.mechanics.reference.fem import press_fem
 
         return press_fem(
@@ -53,7 +53,7 @@ def _pad(mechanics: Mechanics, elastomer: Elastomer) -> "Pad | None":
 
 
 def read_pad(source: PadFile, elastomer: Elastomer) -> "Pad":
-    """Read a pad from CAD, put it in place and name its faces.
+    """Read a pad from CAD, move it into the world frame and select its faces.
 
     Raises
     ------

@@ -13,29 +13,36 @@ from twin.mechanics.validity import SHEET_LIMIT, sheet_estimate_mm
 
 
 class NeoHookeanModel(ElastomerModel):
-    """Neo-Hookean bricks, without film, back pressure and weight."""
+    """Neo-Hookean brick elements, without film, back pressure and weight."""
 
     name = "neo_hookean"
     summary = "solid elements at large strain, for thick slabs and deep presses"
     is_automatic = True
 
     def applies(self, case: PressInput) -> bool:
-        """Whether bricks can press a free slab, from the linear slab's press as a first guess."""
+        """Whether the input is a free slab that bricks can press.
+
+        The travel is below the thickness, because the linear slab's press is the first guess.
+        """
         elastomer, load = case.elastomer, case.load
         loaded = load.back_pressure_kpa or load.gravity_deg is not None or elastomer.film
         plain = not (loaded or case.reaches_thickness or sheet_keys(elastomer))
         return plain and elastomer.layout == "opposite_face"
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
-        """Return the error of a sheet at its limit, beyond which bricks are more accurate.
+        """Return the height error of a thin sheet at its limit of bending, mm.
 
-        None: the elastomer does not stretch, and bricks are the coarser model.
+        Beyond this limit bricks are selected, because they are more accurate. The result is None if
+        the elastomer does not stretch: then the linear slab is more accurate than bricks.
         """
         limit_mm = sheet_estimate_mm(case.elastomer.thickness_mm, SHEET_LIMIT)
         return limit_mm if case.stretches else None
 
     def check(self, case: PressInput) -> None:
-        """Raise an error for film, back pressure or weight, or an impossible slab; any travel."""
+        """Raise an error for film, back pressure, weight or an impossible press.
+
+        The travel may exceed the thickness of a free slab.
+        """
         from twin.mechanics.reference.neo_hookean import check_neo_hookean
 
         refuse_sheet_keys(case.elastomer, self.name)

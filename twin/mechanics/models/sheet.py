@@ -1,4 +1,4 @@
-"""The `sheet` model: a thin sheet that wraps the specimen, see `twin.mechanics.sheet`."""
+"""The `sheet` model: a thin sheet that wraps round the specimen, see `twin.mechanics.sheet`."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,7 +35,10 @@ class SheetModel(ElastomerModel):
         return is_thin_sheet(case.elastomer)
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
-        """Return the effect of shear; None: the elastomer bends, and does not wrap."""
+        """Return the expected height error, mm, that results from neglecting shear.
+
+        The result is None if the elastomer bends without stretching, as a slab does.
+        """
         try:
             wraps = case.stretches
         except PressError:
@@ -51,16 +54,19 @@ class SheetModel(ElastomerModel):
         check_sheet(case.shape, case.elastomer, case.load, case.mechanics)
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
-        """Return the sheet in equilibrium; starts from a cached one of the same case."""
+        """Return the sheet in equilibrium.
+
+        The cached load path of an earlier press that differs only in its loads is reused.
+        """
         return _settled(case, progress).result()
 
     def settle(self, case: PressInput, progress: Progress | None = None) -> "SettledWithTangent":
-        """Press, and return the sheet with its tangent."""
+        """Press, and return the sheet with its tangent, by which `nearby` computes changes."""
         return SettledWithTangent(_settled(case, progress))
 
 
 def is_thin_sheet(elastomer: Elastomer) -> bool:
-    """Whether a thin sheet describes an elastomer."""
+    """Whether an elastomer is a thin sheet: opposite-face layout, no film, 0.05 to 1 mm thick."""
     low, high = SHEET_THICKNESS_MM
     thin = low <= elastomer.thickness_mm <= high
     return thin and elastomer.layout == "opposite_face" and elastomer.film is None
@@ -68,7 +74,7 @@ def is_thin_sheet(elastomer: Elastomer) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class SettledWithTangent:
-    """A sheet in equilibrium; its tangent is factorised when the first neighbour is pressed."""
+    """A sheet in equilibrium; its tangent is factorised at the first call of `nearby`."""
 
     sheet: "SettledSheet"
 
@@ -81,8 +87,8 @@ class SettledWithTangent:
 
         Raises
         ------
-        PressError : the sheet sticks, or the change needs another sheet or grid
-        SolverError : the equilibrium is close to another one
+        PressError : the sheet sticks to the specimen, or the change needs another sheet or grid
+        SolverError : the tangent is not positive definite, because other equilibria are close
         """
         return self._neighbourhood.press(case.mechanics, case.specimen, case.elastomer, case.load)
 

@@ -5,7 +5,7 @@ from twin.mechanics.press import PressedElastomer
 
 
 class SpectralModel(ElastomerModel):
-    """A linear, frictionless slab on a simply supported rim, or bonded to a window."""
+    """A linear slab, frictionless, on a simply supported rim or bonded to a window."""
 
     name = "spectral"
     summary = "exact linear slab, while deflections are small"
@@ -13,11 +13,14 @@ class SpectralModel(ElastomerModel):
     is_linear_slab = True
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
-        """Return the effect of large strain; None: stretching, which it neglects, matters."""
+        """Return the expected height error, mm, that results from neglecting large strain.
+
+        The result is None if the elastomer stretches as it bends, which the model neglects too.
+        """
         return None if case.stretches else case.linear.validity.height_error_mm
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:
-        """Return the linear press, that of the estimate if there was one."""
+        """Return the linear press; one that the error estimate has computed is reused."""
         return case.linear
 
 

@@ -1,1 +1,4 @@
-"""Solid elements, the reference for the spectral press: large strain, and pads of any shape."""
+"""Finite-element models of the press: for large strain and for pads of any shape.
+
+They are also the reference with which the spectral press is compared.
+"""

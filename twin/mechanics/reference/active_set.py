@@ -1,10 +1,11 @@
-"""Frictionless contact at scattered points with a body that is solved for one load at a time.
+"""Frictionless contact at scattered points of an elastic body, for the `fem` model.
 
-A primal-dual active set (Hintermueller, M., Ito, K., Kunisch, K. (2002): The primal-dual active
-set strategy as a semismooth Newton method. SIAM J. Optim. 13, 865-888), independent of the
-spectral solver's conjugate gradients. Find forces q >= 0 and gaps g >= 0 with q g = 0, where
-g = A q + S - d. On the active set the equations are solved by conjugate gradients, preconditioned
-by the half-space's compliance between the points.
+The method is a primal-dual active set (Hintermueller, M., Ito, K., Kunisch, K. (2002): The
+primal-dual active set strategy as a semismooth Newton method. SIAM J. Optim. 13, 865-888). It is
+independent of the spectral model's contact solver. Find forces q >= 0 and gaps g >= 0 with q g = 0,
+where g = A q + S - d: A is the compliance of the body, S the gap at first touch and d the depth.
+On the active set the equations are solved by conjugate gradients, preconditioned by the compliance
+of a half-space between the points. A is not assembled: each product with A is one linear solution.
 """
 
 from collections.abc import Callable
@@ -21,21 +22,23 @@ Deflect = Callable[[FloatArray], FloatArray]
 
 _MAX_PASSES = 40
 _MAX_ITERATIONS = 200
-# Residual gap over the depth: while the contact set still moves, and at the end.
+# Largest residual gap over the depth: while the contact set changes, and at the end.
 _ROUGH, _FINE = 1e-3, 1e-6
 # (1 - nu^2) / pi at nu = 0.5
 _HALF_SPACE = 0.75 / np.pi
 _FIRST_POINTS = 12
-# Passes without slack; then the force over the largest, and the gap over the depth, to neglect.
+# Number of passes without slack. After them, neglect violations of this share of the largest force
+# and of the depth.
 _PATIENCE, _SLACK = 12, 1e-4
 
 
 @dataclass(frozen=True)
 class PointContact:
-    """A solved contact."""
+    """Solution of a contact at scattered points."""
 
     #: (point,) force over Young's modulus, mm^2
     force: FloatArray
+    #: travel of the specimen after first touch
     depth_mm: float
     #: number of loads for which the body was solved
     loads: int
@@ -43,15 +46,16 @@ class PointContact:
 
 @dataclass(frozen=True)
 class ContactPoints:
-    """Points where contact is possible."""
+    """Points of a face at which contact with the specimen is possible."""
 
-    #: (point, node) sparse: deflections of the face's nodes to those of the points
+    #: (point, node) sparse matrix: interpolates the deflections of nodes at the points
     trace: sparse.csr_array
-    #: (node, xyz) of which only those in `trace` matter
+    #: (node, xyz) positions of all nodes of the body
     nodes_mm: FloatArray
-    #: (point,) compliance of the foundation under a force over modulus, mm per mm^2
+    #: (point,) compliance of the foundation between face and specimen: mm per force over modulus
+    #: (mm^2)
     yielding: FloatArray
-    #: (point,) gap at first touch, inf where there is never contact
+    #: (point,) gap between face and specimen at first touch, inf outside the specimen
     gap_mm: FloatArray
 
 
@@ -62,20 +66,22 @@ def press_points(
     depth_mm: float | None = None,
     force_over_modulus_mm2: float | None = None,
 ) -> PointContact:
-    """Press to a depth, or with a force (give one of the two).
+    """Return the contact for a given depth or a given force (set one of the two).
 
     Parameters
     ----------
-    deflect : forces over modulus (point,) to deflections along the press (point,), mm; symmetric
+    deflect : linear, symmetric map from forces over modulus (point,), mm^2, to deflections along
+        the press (point,), mm
 
     Raises
     ------
-    PressError : no point touches
+    PressError : no point touches the specimen
     SolverError : the contact set did not converge
     """
     known = np.isfinite(points.gap_mm)
     gap = np.where(known, points.gap_mm, 0.0)
-    # A ball touches where its gap is below about half the depth; a force starts with a few points.
+    # First guess of the contact set: a ball touches where its gap is below about half the depth.
+    # Under a given force the set starts with a few points.
     foremost = float(np.sort(gap[known])[:_FIRST_POINTS][-1])
     active = known & (gap <= max(0.5 * (depth_mm or 0.0), foremost))
     force = closing = lifting = np.zeros_like(gap)
@@ -111,7 +117,7 @@ def press_points(
 
 
 class _ActiveSolve:
-    """Forces on a given contact set."""
+    """Linear solver for the forces on a given contact set."""
 
     def __init__(
         self, deflect: Deflect, points: ContactPoints, active: BoolArray, tolerance: float
@@ -126,13 +132,16 @@ class _ActiveSolve:
         np.fill_diagonal(distance, nearest / 4)
         dense = trace[:, nodes].toarray()
         guess = dense @ (_HALF_SPACE / distance) @ dense.T + np.diag(points.yielding[active])
-        # The body as a whole yields as well: one load determines by how much.
+        # The body also deflects as a whole; the solution for one uniform load gives this part.
         even = np.full(guess.shape[0], 1 / guess.shape[0])
         whole = float(even @ (self._deflected(even) - guess @ even))
         self.factor = cho_factor(guess + max(whole, 0.0), lower=True)
 
     def forces(self, aim: FloatArray, start: FloatArray) -> FloatArray:
-        """Return forces on the set that deflect its points by `aim` (point,), mm."""
+        """Return forces over modulus (point,), mm^2, that deflect the set's points by `aim`, mm.
+
+        Forces outside the set are 0. `start` (point,) is the first guess.
+        """
         force = start[self.active]
         residual = aim[self.active] - self._deflected(force)
         goal = self.tolerance * float(np.abs(aim[self.active]).max())

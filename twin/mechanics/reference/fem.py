@@ -1,8 +1,9 @@
 """The `fem` model: a specimen pressed into a slab or a pad of any shape, by finite elements.
 
-Linear, frictionless, contact along the press (+z) on the undeformed face, as in the spectral
-slab. Unknowns of the contact are the forces at integration points; a stiff foundation between face
-and specimen keeps them from over-constraining the quadratic facets.
+The model is linear and frictionless, as the spectral slab is. Contact acts along the press (+z) on
+the undeformed face. Unknowns of the contact are the forces at the integration points of the touched
+face. A stiff foundation between face and specimen prevents these forces from over-constraining the
+quadratic facets.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from twin.mechanics.reference.tetrahedra import Tetrahedra
 from twin.shape import Shape
 from twin.specimens import shape_of
 
-# Foundation stiffness times element size over Young's modulus: it yields by some 0.5 um.
+# Foundation stiffness times element size over Young's modulus: it deforms by some 0.5 um.
 _FOUNDATION = 200.0
 _SAMPLES_PER_FACET = 24
 _FLAT_MM = 1e-9
@@ -34,26 +35,27 @@ _TYPICAL_RADIUS_MM = 4.0
 
 @dataclass(frozen=True)
 class Face:
-    """One face of a solved pad, seen in plan; a graph over x and y."""
+    """Touched or coated face of a solved pad as z over x and y."""
 
     facets: Facets
+    #: (node, xyz) positions of all nodes of the pad before the press, and their displacements
     nodes_mm: FloatArray
     moved_mm: FloatArray
 
     def undeformed_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return z of the undeformed face at points (...)."""
+        """Return z of the undeformed face at points (...), mm."""
         z = self.nodes_mm[self.facets.nodes, 2]
         if np.ptp(z) < _FLAT_MM:
             return np.full(np.shape(x_mm), float(z.mean()))
         return _within(self._rest, x_mm, y_mm)
 
     def deflection_mm(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return the displacement along z at points (...), continuously differentiable."""
+        """Return the displacement along z at points (...), mm, continuously differentiable."""
         return _within(self._raised, x_mm, y_mm)
 
     @cached_property
     def _rest(self) -> CloughTocher2DInterpolator:
-        # Vertices only: midpoints of the straight edges are below a curved face.
+        # Only vertices: the midpoints of straight edges are not on a curved face.
         return _surface(self.nodes_mm, self.nodes_mm[:, 2], np.unique(self.facets.nodes[:, :3]))
 
     @cached_property
@@ -63,7 +65,7 @@ class Face:
 
 @dataclass(frozen=True)
 class PadPress:
-    """A solved press, at unit Young's modulus; lengths in mm, world frame."""
+    """A solved press of a pad; forces are divided by Young's modulus; mm, world frame."""
 
     mesh: Tetrahedra
     touched: Face
@@ -72,11 +74,12 @@ class PadPress:
     pressure_over_modulus: FloatArray
     force_over_modulus_mm2: float
     depth_mm: float
+    #: number of loads for which the body was solved
     iterations: int
 
     @property
     def contact(self) -> BoolArray:
-        """(point,) where the face touches."""
+        """(point,) whether each integration point of the touched face touches the specimen."""
         return np.asarray(self.pressure_over_modulus > 0)
 
 
@@ -89,19 +92,19 @@ def press_pad(
     force_over_modulus_mm2: float | None = None,
     preload: Preload | None = None,
 ) -> PadPress:
-    """Press a specimen from below into a pad.
+    """Press a specimen from below into a meshed pad.
 
     Parameters
     ----------
     shape : the specimen in its pose
-    depth_mm, force_over_modulus_mm2 : travel after first touch, or force over Young's modulus: give
+    depth_mm, force_over_modulus_mm2 : travel after first touch, or force over Young's modulus: set
         one of the two
     preload : uniform pressures over modulus on both faces, along +z; the depth counts from the
         plane of first touch of the unloaded pad
 
     Raises
     ------
-    PressError : a selector chooses no facet, or the specimen misses the pad
+    PressError : a selector of the pad selects no facet, or the specimen is outside the pad
     SolverError : the contact did not converge
     """
     body = ElasticBody(mesh, pad.poisson_ratio, pad.holds)
@@ -135,27 +138,30 @@ def _preloaded(body: ElasticBody, touched: Facets, coated: Facets, preload: Prel
 def _deflect(
     body: ElasticBody, facets: Facets, yielding: FloatArray, force: FloatArray
 ) -> FloatArray:
-    """Return the deflection of a face and its foundation under forces at integration points."""
+    """Return the deflection (point,), mm, of a face with its foundation.
+
+    `force` is the force over modulus at the integration points, (point,), mm^2, along +z.
+    """
     moved = body.solve(_thrust(body, facets, force))
     return np.asarray(facets.trace @ moved[:, 2] + yielding * force)
 
 
 def _thrust(body: ElasticBody, facets: Facets, force: FloatArray) -> FloatArray:
-    """Return nodal forces (node, xyz) of forces along +z at the integration points."""
+    """Return the nodal forces (node, xyz) that are equivalent to forces (point,) along +z."""
     nodal = np.zeros_like(body.nodes_mm)
     nodal[:, 2] = facets.trace.T @ force
     return nodal
 
 
 def _gap(shape: Shape, face: Face) -> FloatArray:
-    """Return the integration points' gaps at first touch, inf outside the specimen."""
+    """Return the gap (point,), mm, at first touch: face to specimen, inf outside the specimen."""
     x, y = face.facets.points_mm[:, :2].T
     reach = 2 * np.abs(face.nodes_mm[:, :2]).max(axis=0)
     field = sample(shape, *reach)
     gap = field.value(x, y) + face.undeformed_mm(x, y)
     if not np.isfinite(gap).any():
         raise PressError("specimen: outside the pad's touched face; move it")
-    # First touch is between the points: sample the facets near it densely.
+    # First touch may be between the integration points: sample the nearest facets densely.
     per_facet = gap.reshape(face.facets.nodes.shape[0], -1).min(axis=1)
     near = face.facets.nodes[np.argsort(per_facet)[:40], :3]
     i, j = np.indices((_SAMPLES_PER_FACET + 1,) * 2) / _SAMPLES_PER_FACET
@@ -172,7 +178,10 @@ def _surface(
 
 
 def _within(surface: CloughTocher2DInterpolator, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-    """Evaluate within the surface's outline in plan; points on the rim are moved slightly in."""
+    """Return z (...), mm, of an interpolated surface; points outside its bounds are moved inside.
+
+    Points on the rim are moved by 1e-7 of the extent, because rounding may place them outside.
+    """
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
     inside = [
         np.clip(at, a + 1e-7 * (b - a), b - 1e-7 * (b - a))
@@ -196,21 +205,23 @@ def press_fem(
 
     Parameters
     ----------
-    elastomer : slab; with a `pad` only its modulus, layout and outline (for the grids) matter
+    elastomer : slab; with a `pad` only its modulus, layout and outline (for the grids) are used
     load : depth or force, preloads and pitches, as for the spectral press
-    support : {"simple", "clamped", "ledge", "bonded", "window"}; support of the slab; by default a
-        simple rim (opposite face) or the window behind a finite pad with free sides (contact face)
-    ledge_mm : width of the frame on which a slab on a `ledge` rests, beyond its free span
+    support : {"simple", "clamped", "ledge", "bonded", "window"}; support of the slab, see
+        `slab_pad`; None: "simple" in the opposite-face, "bonded" in the contact-face layout
+    ledge_mm : width, beyond the free span, of the frame that supports a slab on a "ledge"
     pad : a body of another shape in place of the slab
     count : approximate number of tetrahedra
 
     Returns
     -------
-    As from the spectral press; the relief grid is clipped to the pad's outline in plan
+    Fields as from `twin.mechanics.press.press`; beyond the bounds of the pad in plan, z is that at
+    these bounds
 
     Raises
     ------
-    PressError : the specimen is outside the pad, a film, or an unsuitable support for the layout
+    PressError : the specimen is outside the pad, the elastomer has a film, or the support does not
+        fit the layout
     SolverError : meshing failed, or the contact did not converge
     """
     check_fem(elastomer, support)
@@ -228,11 +239,11 @@ def press_fem(
 
 
 def check_fem(elastomer: Elastomer, support: SlabSupport | None) -> None:
-    """Raise an error for a film or an unsuitable support.
+    """Raise an error if the elastomer has a film or the support does not fit the layout.
 
     Raises
     ------
-    PressError : a film, or a support that does not fit the layout
+    PressError : the message states the key and the allowed values
     """
     if elastomer.film is not None:
         raise PressError("elastomer.film: mechanics.model = 'fem' has no film; remove one of them")
@@ -250,7 +261,7 @@ def _support(elastomer: Elastomer, support: SlabSupport | None) -> SlabSupport:
 
 
 def _depth_guess(shape: Shape, elastomer: Elastomer, force_over_modulus_mm2: float) -> float:
-    """Return about how far a force presses a ball in (Hertz); it only sizes the mesh."""
+    """Return the approximate depth, mm, of a ball under a force (Hertz); only the mesh uses it."""
     radius = min((ball.radius_mm for ball in shape.spheres()), default=_TYPICAL_RADIUS_MM)
     hertz = float(np.cbrt((0.75 * 0.75 * force_over_modulus_mm2) ** 2 / radius))
     return min(hertz, 0.5 * elastomer.thickness_mm)

@@ -1,18 +1,18 @@
-"""Rubber in mixed form: neo-Hookean and small-strain material, residual and tangent of a body.
+"""Nearly incompressible rubber in mixed form: materials, residual and tangent of a body.
 
-At unit Young's modulus: residuals are forces and volumes. Unknowns: displacements node by node,
-then pressures, for any elements. Symbols: F deformation gradient, J = det F, mu shear modulus,
-K bulk modulus, p pressure-like unknown (the hydrostatic part; tension is positive), P first
-Piola-Kirchhoff stress, cof = J F^-T = dJ/dF.
+All stresses are divided by Young's modulus; residuals are forces and volumes. Unknowns are the
+displacements in order of the nodes, then the pressures. Symbols: F deformation gradient,
+J = det F, mu shear modulus, K bulk modulus, p hydrostatic stress (an unknown; tension is positive),
+P first Piola-Kirchhoff stress, cof = J F^-T = dJ/dF.
 
     neo-Hookean: P = mu J^(-2/3) (F - tr(F^T F) / 3 F^-T) + p cof,   J - 1 - p / K = 0
     linear:      P = 2 mu dev eps + p I,                             tr eps - p / K = 0
 
-The mixed form has no locking as nu -> 0.5. Arrays are (..., 3, 3).
+The mixed form has no locking as nu -> 0.5. Tensors are arrays (..., 3, 3).
 
-The tangent is assembled by batched products. As a form of scikit-fem, which is evaluated for each
-pair of an element's 81 displacements, it takes 55 times as long (200 bricks, one core: 21 s against
-0.39 s).
+The tangent is assembled by batched matrix products. A form of scikit-fem, which is evaluated for
+each pair of an element's 81 displacements, would take 55 times as long (200 bricks, one core: 21 s
+instead of 0.39 s).
 """
 
 from collections.abc import Callable
@@ -29,15 +29,15 @@ from twin.mechanics.reference.grid import ElementGrid
 
 @dataclass(frozen=True)
 class Response:
-    """Response of a material point, at unit Young's modulus."""
+    """Stress and volume residual of material points, over Young's modulus, with derivatives."""
 
     #: (..., 3, 3) first Piola-Kirchhoff stress
     stress: FloatArray
-    #: (..., 3, 3, 3, 3) its derivative by F at constant p
+    #: (..., 3, 3, 3, 3) derivative of the stress by F at constant p
     tangent: FloatArray
-    #: (...) the volume equation's residual
+    #: (...) residual of the volume equation
     volume: FloatArray
-    #: (..., 3, 3) its derivative by F, and the stress's derivative by p
+    #: (..., 3, 3) derivative of the volume residual by F; equal to that of the stress by p
     coupling: FloatArray
 
 
@@ -53,7 +53,7 @@ Material = Callable[[FloatArray, FloatArray, Moduli], Response]
 
 
 def moduli(poisson_ratio: float) -> Moduli:
-    """Return shear and bulk modulus over Young's modulus, 0 < nu < 0.5."""
+    """Return shear and bulk modulus over Young's modulus, for 0 < Poisson's ratio < 0.5."""
     return Moduli(1 / (2 * (1 + poisson_ratio)), 1 / (3 * (1 - 2 * poisson_ratio)))
 
 
@@ -64,7 +64,7 @@ def neo_hookean(gradient: FloatArray, pressure: FloatArray, material: Moduli) ->
     ----------
     gradient : (..., 3, 3) float; deformation gradient F with det F > 0
     pressure : (...) float; p over Young's modulus
-    material : over Young's modulus
+    material : shear and bulk modulus over Young's modulus
     """
     J = np.linalg.det(gradient)
     inverse = np.swapaxes(np.linalg.inv(gradient), -1, -2)
@@ -82,7 +82,7 @@ def neo_hookean(gradient: FloatArray, pressure: FloatArray, material: Moduli) ->
 
 
 def linear(gradient: FloatArray, pressure: FloatArray, material: Moduli) -> Response:
-    """Return the response at small strain; arguments as for `neo_hookean`."""
+    """Return the response of a linear elastic rubber; arguments as for `neo_hookean`."""
     identity = np.eye(3)
     raised = gradient - identity
     strain = (raised + np.swapaxes(raised, -1, -2)) / 2
@@ -102,7 +102,7 @@ def linear(gradient: FloatArray, pressure: FloatArray, material: Moduli) -> Resp
 def _neo_hookean_tangent(
     F: FloatArray, inverse: FloatArray, shear: FloatArray, squares: FloatArray, pJ: FloatArray
 ) -> FloatArray:
-    """Return dP/dF; `inverse` is F^-T."""
+    """Return dP/dF (..., 3, 3, 3, 3) of the neo-Hookean material; `inverse` is F^-T."""
     mixed = np.einsum("...ij,...kl->...ijkl", F, inverse)
     mixed = mixed + np.einsum("...ij,...kl->...ijkl", inverse, F)
     square = np.einsum("...ij,...kl->...ijkl", inverse, inverse)
@@ -119,7 +119,7 @@ def _neo_hookean_tangent(
 
 @dataclass(frozen=True)
 class MixedBody:
-    """A grid filled with a material."""
+    """A body of one material on a grid of elements."""
 
     grid: ElementGrid
     material: Material
@@ -136,15 +136,15 @@ class MixedBody:
         return self.displacements + int(self.grid.element_corners.max()) + 1
 
     def displacement_mm(self, state: FloatArray) -> FloatArray:
-        """Return the (node, axis) displacements of a state vector."""
+        """Return the displacements (node, axis), mm, that the state vector (unknown,) contains."""
         return state[: self.displacements].reshape(-1, self.grid.axes)
 
     def is_admissible(self, state: FloatArray) -> bool:
-        """Return True if no integration point is turned inside out."""
+        """Return True if det F > 0 at every integration point: no element is inverted."""
         return bool((np.linalg.det(self._deformation(state)) > 0).all())
 
     def assemble(self, state: FloatArray) -> tuple[FloatArray, sparse.csc_array]:
-        """Return the residual (unknown,) and the tangent (unknown, unknown)."""
+        """Return the residual (unknown,) and the tangent (unknown, unknown) at a state."""
         grid, weights = self.grid, self.grid.weights
         pressure = state[self._pressure_unknowns] @ grid.corner_shapes.T
         response = self.material(self._deformation(state), pressure, self.moduli)
@@ -161,7 +161,7 @@ class MixedBody:
         return residual, sparse.csc_array((blocks.ravel(), (rows, columns)), shape=shape)
 
     def _deformation(self, state: FloatArray) -> FloatArray:
-        """Return F (element, point, 3, 3)."""
+        """Return the deformation gradient F (element, point, 3, 3)."""
         grid = self.grid
         local = state[self._displacement_unknowns]
         moved = np.matmul(grid.gradient, local[:, None, :, None])[..., 0]
@@ -171,7 +171,10 @@ class MixedBody:
         return deformation
 
     def _blocks(self, tangent: FloatArray, coupling: FloatArray) -> FloatArray:
-        """Return the element matrices (element, n, n) with displacement and pressure blocks."""
+        """Return the element matrices (element, n, n): displacement unknowns first, then pressure.
+
+        `tangent` and `coupling` are those of `Response`, times the integration weights.
+        """
         grid = self.grid
         operator, shapes = grid.gradient, grid.corner_shapes
         elements, points, rows, width = operator.shape
@@ -202,20 +205,23 @@ class MixedBody:
 
     @cached_property
     def _pattern(self) -> tuple[IntArray, IntArray]:
-        """Return row and column of every entry of the element matrices."""
+        """Row and column in the tangent of every entry of the element matrices, both flattened."""
         unknowns = self._element_unknowns
         width = unknowns.shape[1]
         return np.repeat(unknowns, width, axis=1).ravel(), np.tile(unknowns, width).ravel()
 
 
 def symmetric_lu(matrix: sparse.csc_array) -> SuperLU:
-    """Factorise with a symmetric ordering and without pivoting, several times faster in space."""
+    """Return an LU factorisation with a symmetric ordering and without pivoting.
+
+    For meshes in three dimensions it is several times faster than with column ordering.
+    """
     options = {"SymmetricMode": True}
     return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 def _contract(operator: FloatArray, stress: FloatArray) -> FloatArray:
-    """Return int B^T stress per element."""
+    """Return the integral of B^T stress per element (element, unknown); B is `operator`."""
     elements, points, rows, width = operator.shape
     flat = operator.reshape(elements, points * rows, width)
     return np.asarray(np.matmul(stress.reshape(elements, 1, points * rows), flat)[:, 0])

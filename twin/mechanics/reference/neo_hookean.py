@@ -1,14 +1,14 @@
-"""The `neo_hookean` model: large deflection and strain in space, for sheets and deep presses.
+"""The `neo_hookean` model: solid elements with large deflection and strain, for deep presses.
 
-Neo-Hookean Q2/Q1 bricks on a grid that is fine where the linear press makes contact; 1/2 or
-1/4 of it if specimen and slab are symmetric. A sheet that deflects by about its thickness
-stretches as it bends, which a linear slab neglects. World frame, mm; the grid's own z counts
-from the touched face.
+The elements are neo-Hookean Q2/Q1 bricks on a grid that is fine where the linear press has contact.
+If specimen and slab are symmetric, 1/2 or 1/4 of the slab is solved. An elastomer that deflects by
+about its thickness stretches as it bends, which a linear slab neglects. World frame, mm; in the
+grid's own frame z counts from the touched face.
 
-Contact with the rigid height field is frictionless, z along the press; the specimen's surface is
-z = d - S(x, y). Augmented Lagrangian penalty on the overlap d - S - z at integration points in the
-current configuration. Its gradient g = (S_x, S_y, 1) is the surface's normal over its component
-along the press.
+Contact with the rigid height field is frictionless, z is along the press, and the specimen's
+surface is z = d - S(x, y) with the depth d. An augmented Lagrangian with a penalty acts on the
+overlap d - S - z at the integration points in the current configuration. The negative gradient of
+the overlap, g = (S_x, S_y, 1), is the surface's normal divided by its component along the press.
 """
 
 from dataclasses import dataclass, replace
@@ -52,17 +52,17 @@ _FORCE_TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class HeightContact:
-    """A rigid specimen against the touched face."""
+    """Contact of a rigid specimen with the touched face, by an augmented Lagrangian."""
 
     surface: Surface
-    #: (node, xyz) undeformed
+    #: (node, xyz) undeformed positions
     nodes_mm: FloatArray
     field: HeightField
     #: pressure over modulus per mm of overlap
     penalty: float
-    #: contact along the press on the undeformed face, as in the linear slab
+    #: True: contact acts along the press on the undeformed face, as in the linear slab
     linear: bool
-    #: (point,) carried pressure
+    #: (point,) Lagrange multiplier: pressure over modulus at an overlap of 0
     carried: FloatArray
 
     def evaluate(self, moved_mm: FloatArray, depth_mm: float, active: BoolArray | None) -> Pushed:
@@ -72,7 +72,7 @@ class HeightContact:
         ----------
         moved_mm : (node, xyz) displacement
         depth_mm : travel of the specimen after first touch
-        active : (point,) points in contact; None: those that carry pressure
+        active : (point,) whether a point is in contact; None: if its pressure is positive
         """
         at = self.surface.trace @ (self.nodes_mm + moved_mm)
         x, y = (self.surface.trace @ self.nodes_mm if self.linear else at)[:, :2].T
@@ -92,15 +92,15 @@ class HeightContact:
         )
 
     def settle(self, moved_mm: FloatArray, depth_mm: float) -> "HeightContact":
-        """Return the contact itself: it has no friction, and any specimen may touch with holes."""
+        """Return this contact unchanged: it has no friction, and no contact set is rejected."""
         return self
 
     def carry(self, pressure: FloatArray) -> "HeightContact":
-        """Return the contact with a new carried pressure."""
+        """Return the contact with the Lagrange multiplier `pressure` (point,)."""
         return replace(self, carried=pressure)
 
     def _shape(self, x_mm: FloatArray, y_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return normals (point, xyz) along the gradient and curvatures (point, 2, 2)."""
+        """Return g (point, xyz), see the module, and the second derivatives of S (point, 2, 2)."""
         normal = np.zeros((x_mm.size, 3))
         normal[:, 2] = 1.0
         if self.linear:
@@ -111,15 +111,15 @@ class HeightContact:
 
 @dataclass(frozen=True)
 class Bricks:
-    """Numbers of elements and load steps in space."""
+    """Numbers of elements and load steps."""
 
     #: elements along each half of x and y
     half: int = 10
-    #: elements through the thickness; None: two for a sheet up to four for a thick slab
+    #: elements through the thickness; None: one per mm, but at least 2 and at most 4
     through: int | None = None
     #: elements along the half width of a contact
     contact: float = 3.0
-    #: load steps to the depth of the linear slab, more if that is over a thickness
+    #: load steps to the depth of the linear slab; more steps if that depth exceeds the thickness
     steps: int = 6
 
 
@@ -136,10 +136,10 @@ def press_neo_hookean(
     Parameters
     ----------
     elastomer : flat slab on a simply supported rim, or a pad with free sides bonded to a window
-    load : depth or force, and pitches. A free slab may travel farther than it is thick.
+    load : depth or force, and pitches. The depth may exceed the thickness of a free slab.
     bricks : numbers of elements; None: the defaults of `Bricks`
-    linear : small strain and contact on the undeformed face by the same elements: the difference
-        from the spectral press is then the elements' error
+    linear : True: small strain, and contact on the undeformed face, with the same elements. The
+        difference from the spectral press is then the error of the elements.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def press_neo_hookean(
 
     Raises
     ------
-    PressError : for the reasons of `press`; for a film or a preload, which this model lacks
+    PressError : an error of `press`, or the input has a film or a preload, which this model lacks
     SolverError : no equilibrium was reached
     """
     fineness, shape = bricks or Bricks(), shape_of(specimen)
@@ -184,11 +184,11 @@ def _untouched(body: MixedBody, field: HeightField, element_mm: float, linear: b
 
 
 def check_neo_hookean(elastomer: Elastomer, load: Press) -> None:
-    """Raise an error for a film or a preload.
+    """Raise an error if the input has a film or a preload (back pressure or weight).
 
     Raises
     ------
-    PressError : a film or a preload
+    PressError : the message states the keys to remove
     """
     modulus_kpa = young_modulus(elastomer).best_kpa
     if elastomer.film is not None or preload_of(elastomer, load, modulus_kpa):
@@ -210,7 +210,11 @@ def _load_steps(
 def _to_force(
     problem: Problem, start: Equilibrium, guess: PressedElastomer, steps: int, copies: float
 ) -> Equilibrium:
-    """Press until the force is reached, then solve between the last two steps."""
+    """Return the equilibrium at which the contact force is that of `guess`.
+
+    The depth increases in equal steps until the force is reached; then the depth is determined
+    between the last two steps. The solved part of a symmetric body is 1 / `copies` of the whole.
+    """
     aim = guess.force_n / (guess.young_modulus_kpa * 1e-3) / copies
     below, step = start, guess.depth_mm / steps
     above = press_to(problem, below, below.depth_mm + step)
@@ -234,7 +238,7 @@ def _to_force(
 def _grid(
     guess: PressedElastomer, elastomer: Elastomer, field: HeightField, fineness: Bricks
 ) -> tuple[ElementGrid, float]:
-    """Return the grid and the size of an element in the contact."""
+    """Return the grid of bricks, and the size of its smallest elements along x and y, mm."""
     edges, sizes = [], []
     for axis, (at, length) in enumerate(
         ((guess.x_mm, elastomer.length_x_mm), (guess.y_mm, elastomer.length_y_mm))
@@ -254,7 +258,12 @@ def _grid(
 def _edges(
     touched: FloatArray, ends: tuple[float, float], size_mm: float, count: int
 ) -> FloatArray:
-    """Return count + 1 edges, at a distance of `size_mm` at the contacts and wider elsewhere."""
+    """Return count + 1 edges between `ends`, mm, at intervals of `size_mm` or wider.
+
+    Intervals are `size_mm` in contacts and increase with the distance from the contacts.
+
+    `touched` are positions (n,) of cells in contact.
+    """
     fine = np.linspace(*ends, 4001)
     distance = np.abs(fine[:, None] - touched).min(axis=1)
     # The contact of a stiffening sheet is wider than that of the linear slab.
@@ -270,7 +279,7 @@ def _edges(
 
 
 def _is_symmetric(field: HeightField, axis: int) -> bool:
-    """Return True if the specimen is symmetric about x = 0 (axis 0) or y = 0."""
+    """Return True if the specimen is symmetric about x = 0 (axis 0) or y = 0 (axis 1)."""
     height = np.where(np.isfinite(field.height_mm), field.height_mm, 1e3)
     at, flip = ((field.x_mm, np.s_[:, ::-1]), (field.y_mm, np.s_[::-1]))[axis]
     centred = abs(at[0] + at[-1]) < _SYMMETRY_MM
@@ -278,7 +287,7 @@ def _is_symmetric(field: HeightField, axis: int) -> bool:
 
 
 def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
-    """Return the unknowns that are free of support and symmetry."""
+    """Return the numbers (n,) of the unknowns that neither support nor symmetry sets to zero."""
     nodes = body.grid.nodes_mm
     held = np.zeros(nodes.shape, dtype=bool)
     near = 1e-9 * elastomer.thickness_mm
@@ -287,7 +296,7 @@ def _free(body: MixedBody, elastomer: Elastomer) -> IntArray:
             held[np.abs(nodes[:, axis]) < near, axis] = True
         rim = np.abs(np.abs(nodes[:, axis]) - length / 2) < near
         if elastomer.layout == "opposite_face":
-            # As the spectral slab: only the displacement normal to the rim's side is free.
+            # As in the spectral slab, only the displacement normal to a side of the rim is free.
             held[rim, 1 - axis] = True
             held[rim, 2] = True
     if elastomer.layout == "contact_face":
@@ -326,7 +335,7 @@ def _scattered(
 
 
 def _mirrored(points: FloatArray, grid: ElementGrid) -> FloatArray:
-    """Complete points (n, [x, y, ...]) by their images in the planes of symmetry."""
+    """Return points (n, [x, y, ...]) and their mirror images in the planes of symmetry."""
     for axis in (0, 1):
         if grid.edges_mm[axis][0] == 0:
             image = points.copy()
@@ -336,7 +345,10 @@ def _mirrored(points: FloatArray, grid: ElementGrid) -> FloatArray:
 
 
 def _surface(points: FloatArray) -> FaceHeight:
-    """Return z over x and y, continuously differentiable; outside the outline that nearest."""
+    """Return a function of x and y that interpolates z of points (n, [x, y, z]), mm.
+
+    It is continuously differentiable; outside the points' outline it returns the nearest z.
+    """
     # Nodes on a plane of symmetry are in the list twice.
     _, once = np.unique(np.round(points[:, :2], 9), axis=0, return_index=True)
     at, z = points[once, :2], points[once, 2]

@@ -1,8 +1,9 @@
-"""Load steps of a press: the action of contact on a body, and Newton's method for equilibrium.
+"""Load steps of a press: action of the contact on a body, and Newton's method for equilibrium.
 
-Newton's method with contact runs inside an augmented Lagrangian loop. Large steps
-converge, but into spurious pockets without contact near the axis (18 to 60 um at
-R 4, d 1). So a Newton step never moves a node by more than an element, and load steps are short.
+Newton's method with contact is the inner iteration of an augmented Lagrangian. With large steps it
+converges to wrong solutions that have pockets without contact near the axis (18 to 60 um deep for a
+ball of 4 mm radius at a depth of 1 mm). Load steps are therefore short, and the displacement of a
+node in a Newton step is limited.
 """
 
 from dataclasses import dataclass, replace
@@ -26,16 +27,16 @@ class Pushed:
 
     #: (displacement unknown,) force on the body
     force: FloatArray
-    #: (displacement unknown, displacement unknown) its negative derivative
+    #: (displacement unknown, displacement unknown) negative derivative of the force
     stiffness: sparse.csr_array
     #: (point,) pressure per undeformed area
     pressure: FloatArray
-    #: force along the press, the last axis
+    #: sum of the forces along the press, the last axis
     along: float
 
     @property
     def active(self) -> BoolArray:
-        """(point,) where there is contact."""
+        """(point,) whether each point is in contact."""
         return np.asarray(self.pressure > 0)
 
 
@@ -45,15 +46,15 @@ def push(
     stiffness: FloatArray,
     pressure: FloatArray,
 ) -> Pushed:
-    """Gather the action of the points of a surface.
+    """Return the action of the contact on the nodes, from its action at the surface's points.
 
     Parameters
     ----------
     surface : points on the touched face
-    traction : (point, axis) float; per undeformed area
+    traction : (point, axis) float; force over modulus per undeformed area
     stiffness : (point, axis, axis) float; negative derivative of the traction by the point's
         position, per mm
-    pressure : (point,) float; normal stress per undeformed area
+    pressure : (point,) float; normal part of the traction, over modulus
     """
     weight, wide = surface.weight_mm2, surface.vector_trace
     points = np.arange(weight.size + 1)
@@ -67,11 +68,11 @@ def push(
 
 
 class MovingContact(Protocol):
-    """A rigid object that is driven into the body."""
+    """Interface of the contact with a rigid object that is pressed into the body."""
 
     @property
     def carried(self) -> FloatArray:
-        """(point,) carried pressure."""
+        """(point,) Lagrange multiplier: pressure over modulus at an overlap of 0."""
         ...
 
     def evaluate(self, moved_mm: FloatArray, depth_mm: float, active: BoolArray | None) -> Pushed:
@@ -81,7 +82,7 @@ class MovingContact(Protocol):
         ----------
         moved_mm : displacement unknowns of the body
         depth_mm : travel of the object
-        active : (point,) points in contact; None: those that carry pressure
+        active : (point,) whether a point is in contact; None: if its pressure is positive
         """
         ...
 
@@ -90,26 +91,27 @@ class MovingContact(Protocol):
 
         Raises
         ------
-        StepFailedError : a converged contact cannot be the true one
+        StepFailedError : the solution converged, but its contact is rejected as wrong
         """
         ...
 
     def carry(self, pressure: FloatArray) -> "MovingContact":
-        """Return the contact with a new carried pressure."""
+        """Return the contact with the Lagrange multiplier `pressure` (point,)."""
         ...
 
 
 @dataclass(frozen=True)
 class NewtonOptions:
-    """Parameters of the solution."""
+    """Parameters of Newton's method and of the load steps."""
 
     #: largest displacement of a node in a Newton step, mm
     largest_move_mm: float
-    #: largest free residual over the contact force
+    #: largest residual of a free unknown over the contact force
     tolerance: float = 1e-7
     max_iterations: int = 40
-    #: number of iterations after which the contact set is frozen if it alternates
+    #: number of iterations after which the contact set is kept constant
     patience: int = 12
+    #: number of updates of the Lagrange multiplier that are each followed by a further solution
     augmentations: int = 2
     #: number of times that a failed load step is halved
     halvings: int = 5
@@ -117,10 +119,10 @@ class NewtonOptions:
 
 @dataclass(frozen=True)
 class Problem:
-    """A body with its supports."""
+    """A body with its supports and the parameters of its solution."""
 
     body: MixedBody
-    #: (n,) unknowns that are not held
+    #: (n,) numbers of the unknowns that no support sets to zero
     free: IntArray
     options: NewtonOptions
 
@@ -129,25 +131,29 @@ class Problem:
 class Equilibrium:
     """A body in equilibrium with the object at one depth."""
 
+    #: (unknown,) displacements, mm, and pressures over modulus
     state: FloatArray
     contact: MovingContact
     depth_mm: float
     pushed: Pushed
     iterations: int
-    #: change of the state per mm of the last load step, for the first guess of the next
+    #: change of the state per mm of depth in the last load step, for the first guess of the next
+    #: step; None before the first step
     rate: FloatArray | None = None
 
 
 class StepFailedError(Exception):
-    """A load step failed; a shorter one may succeed."""
+    """Error for a load step without solution; a shorter step may have one."""
 
 
 def press_to(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibrium:
-    """Move the object to a depth in one load step, or in several if that fails.
+    """Return the equilibrium at a depth, in one load step from `start` or in several.
+
+    A load step that fails is halved.
 
     Raises
     ------
-    SolverError : the shortest step failed
+    SolverError : the shortest allowed step failed
     """
     at, step = start, depth_mm - start.depth_mm
     shortest = step / 2**problem.options.halvings
@@ -178,7 +184,11 @@ def _step(problem: Problem, start: Equilibrium, depth_mm: float) -> Equilibrium:
 
 
 def _predicted(problem: Problem, start: Equilibrium, depth_mm: float) -> FloatArray:
-    """Return the last step's motion continued: a sheet moves as a whole under a small contact."""
+    """Return the first guess of the state at a depth: the last step's motion is continued.
+
+    A free sheet moves as a whole under a small contact. The start itself is returned before the
+    first step, or if the continued motion inverts an element.
+    """
     if start.rate is None:
         return start.state
     ahead = start.state + start.rate * (depth_mm - start.depth_mm)
@@ -186,7 +196,7 @@ def _predicted(problem: Problem, start: Equilibrium, depth_mm: float) -> FloatAr
 
 
 def _solve(problem: Problem, start: Equilibrium) -> Equilibrium:
-    """Find the equilibrium at the depth and carried pressure of `start`."""
+    """Return the equilibrium at the depth and with the Lagrange multiplier of `start`."""
     options, frozen, at = problem.options, None, start
     for iteration in range(options.max_iterations):
         residual, tangent, pushed = _residual(problem.body, at, frozen)
@@ -214,7 +224,7 @@ def _residual(
 
 
 def _move(problem: Problem, tangent: sparse.csc_array, residual: FloatArray) -> FloatArray:
-    """Return a Newton step, shortened to the largest move."""
+    """Return a Newton step (unknown,), shortened to the largest allowed displacement."""
     move, free = np.zeros_like(residual), problem.free
     try:
         move[free] = -_solve_linear(sparse.csc_array(tangent[free][:, free]), residual[free])
@@ -225,9 +235,9 @@ def _move(problem: Problem, tangent: sparse.csc_array, residual: FloatArray) -> 
 
 
 def _solve_linear(matrix: sparse.csc_array, right: FloatArray) -> FloatArray:
-    """Solve with a symmetric ordering, and check the solution."""
+    """Return the solution of `matrix` x = `right`, with a check of its residual."""
     solution: FloatArray = symmetric_lu(matrix).solve(right)
     if np.abs(matrix @ solution - right).max() > _LINEAR_RESIDUAL * np.abs(right).max():
-        # Without pivoting an indefinite tangent can lose its digits.
+        # Without pivoting the solution with an indefinite tangent can be inaccurate.
         solution = splu(matrix).solve(right)
     return solution

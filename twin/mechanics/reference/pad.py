@@ -1,8 +1,8 @@
-"""An elastic pad of any shape: its surface, its supports, its faces and its tetrahedra.
+"""An elastic pad of any shape: surface, supports, faces and tetrahedra.
 
-World frame, mm: the specimen is below and presses along +z. Selectors choose facets by the
-facets' centres and outward normals.
-For one press the tetrahedra are small under the specimen and at the coat above it.
+World frame, mm: the specimen is below the pad and presses along +z. A selector is a function that
+selects facets of the surface by their centres and outward normals. For each press the pad is meshed
+with tetrahedra that are small at the contact and at the coat above it.
 """
 
 from collections.abc import Callable
@@ -26,14 +26,14 @@ from twin.mechanics.reference.tetrahedra import (
 from twin.shape import Shape
 from twin.specimens.meshes import upper_side
 
-#: centres (facet, xyz) mm and outward unit normals (facet, xyz) to a choice (facet,)
+#: from centres (facet, xyz), mm, and outward unit normals (facet, xyz): whether to select (facet,)
 Selector = Callable[[FloatArray, FloatArray], BoolArray]
 SlabSupport = Literal["simple", "clamped", "ledge", "bonded", "window"]
 
 _ON_PLANE_MM = 1e-6
 # Number of steps from the middle to the rim in the test whether a face covers a rectangle.
 _COVER_STEPS = 100
-# Directions in which the sides across x and across y are held.
+# Directions in which the sides normal to x, and those normal to y, have no displacement.
 _RIM: dict[SlabSupport, tuple[str, str]] = {
     "simple": ("yz", "xz"),
     "clamped": ("xyz", "xyz"),
@@ -41,7 +41,7 @@ _RIM: dict[SlabSupport, tuple[str, str]] = {
     "bonded": ("", ""),
     "window": ("x", "y"),
 }
-# 19 k unknowns, a dozen seconds and 0.6 GiB.
+# This number gives 19 k unknowns, a run time of a dozen seconds and 0.6 GiB.
 DEFAULT_COUNT = 4000
 _SPACING_MM = 0.25
 # A ball touches where it would penetrate the undeformed face by about half the depth.
@@ -53,34 +53,35 @@ _COARSEST_OVER_THICKNESS, _COARSEST_MM = 1.5, 3.0
 
 @dataclass(frozen=True)
 class Hold:
-    """Facets with zero displacement in some directions."""
+    """Support of a pad: selected facets have zero displacement in some directions."""
 
     where: Selector
-    #: of "xyz"
+    #: directions without displacement: letters of "xyz"
     directions: str = "xyz"
 
 
 @dataclass(frozen=True)
 class Pad:
-    """An elastic body; lengths in mm, world frame."""
+    """An elastic body with its supports and faces; lengths in mm, world frame."""
 
-    #: closed surface; internal surfaces are kept as mesh faces
+    #: closed surface; surfaces inside the body become faces of the tetrahedra
     body: trimesh.Trimesh
     poisson_ratio: float
     holds: tuple[Hold, ...]
+    #: selectors of the face that the specimen touches and of the coated face
     touched: Selector
     coated: Selector
 
 
 def facing(direction: tuple[float, float, float], within_deg: float = 60.0) -> Selector:
-    """Choose facets with a normal less than `within_deg` away from `direction`."""
+    """Return a selector of facets with a normal less than `within_deg` from `direction`."""
     axis = np.asarray(direction) / np.linalg.norm(direction)
     least = np.cos(np.deg2rad(within_deg))
     return lambda centres, normals: np.asarray(normals @ axis > least)
 
 
 def on_plane(axis: Literal["x", "y", "z"], value_mm: float) -> Selector:
-    """Choose facets on a plane across a coordinate axis."""
+    """Return a selector of facets on the plane `axis` = `value_mm`."""
     column = "xyz".index(axis)
     return lambda centres, normals: np.asarray(
         (np.abs(centres[:, column] - value_mm) < _ON_PLANE_MM)
@@ -89,12 +90,12 @@ def on_plane(axis: Literal["x", "y", "z"], value_mm: float) -> Selector:
 
 
 def both(first: Selector, second: Selector) -> Selector:
-    """Choose the facets that both selectors choose."""
+    """Return a selector of the facets that both given selectors select."""
     return lambda centres, normals: first(centres, normals) & second(centres, normals)
 
 
 def outside_of(length_x_mm: float, length_y_mm: float) -> Selector:
-    """Choose facets beyond a centred rectangle in plan."""
+    """Return a selector of facets with a centre outside a centred rectangle in plan."""
     return lambda centres, normals: np.asarray(
         (np.abs(centres[:, 0]) > length_x_mm / 2) | (np.abs(centres[:, 1]) > length_y_mm / 2)
     )
@@ -105,7 +106,8 @@ def check_cover(body: trimesh.Trimesh, coated: Selector, elastomer: Elastomer) -
 
     Raises
     ------
-    PressError : names the rectangle and the largest one of the same shape that is covered
+    PressError : the message states the rectangle, and the largest covered rectangle with the same
+        ratio of sides
     """
     chosen = coated(body.triangles_center, body.face_normals)
     if not chosen.any():
@@ -136,22 +138,23 @@ def slab_pad(
     support: SlabSupport,
     ledge_mm: float = 0.0,
 ) -> Pad:
-    """Describe a rectangular slab; the coated face is z = 0.
+    """Return a rectangular slab as a pad; its coated face is z = 0.
 
     Parameters
     ----------
     span_mm : (float, float), mm; free lengths along x and y
     poisson_ratio : 0 < nu < 0.5
-    support : {"simple", "clamped", "ledge", "bonded", "window"}; touched at z = -thickness: rim
-        without deflection, tangential displacement along it and normal stress (as the spectral
-        slab); rim held; a frame of the coated face beyond the free span held, as by a window's
-        edge. Touched at z = 0 and held at z = thickness: sides free; sides on rollers (as one
-        period of the spectral layer).
-    ledge_mm : width of that frame on each side
+    support : "simple", "clamped" and "ledge" are for a specimen that touches z = -thickness.
+        "simple": the rim has no deflection and no displacement along itself (as the spectral slab);
+        "clamped": the rim has no displacement; "ledge": a frame of the coated face beyond the free
+        span has no displacement. "bonded" and "window" are for a specimen that touches z = 0, with
+        the face z = thickness fixed. "bonded": the sides are free; "window": the sides have no
+        displacement normal to them (as one period of the spectral layer).
+    ledge_mm : width of the frame of a ledge on each side
 
     Raises
     ------
-    PressError : a ledge without width
+    PressError : the support is a ledge with a width of 0
     """
     if support == "ledge" and ledge_mm <= 0:
         raise PressError(f"pad: a window ledge needs a width, found {ledge_mm:g} mm")
@@ -167,7 +170,7 @@ def slab_pad(
         holds += (Hold(on_plane("z", thickness_mm)),)
     if support == "ledge":
         holds = (Hold(both(coated, outside_of(*span_mm))),)
-        # The free span as a body of its own within: its edge is then a line of the mesh.
+        # A second box of the free span inside the body: its edge is then a line of the mesh.
         body = trimesh.util.concatenate([body, _box(*span_mm, thickness_mm, raised=False)])
     return Pad(body, poisson_ratio, holds, touched, coated)
 
@@ -186,7 +189,9 @@ def mesh_pad(
     count: int = DEFAULT_COUNT,
     timeout_s: float = 60.0,
 ) -> Tetrahedra:
-    """Fill a pad with about `count` tetrahedra for a press of about `depth_mm`.
+    """Return about `count` tetrahedra that fill a pad, for a press of about `depth_mm`.
+
+    They are smallest where the specimen will probably touch.
 
     Raises
     ------
@@ -214,7 +219,10 @@ def mesh_pad(
 
 
 def _spread(body: trimesh.Trimesh, where: Selector) -> FloatArray:
-    """Return points (n, xyz) distributed over the chosen facets."""
+    """Return points (n, xyz), mm, on the selected facets, at distances of up to 0.25 mm.
+
+    If no facet is selected, the points are on the whole surface.
+    """
     chosen = where(body.triangles_center, body.face_normals)
     if not chosen.any():
         chosen = np.ones(len(body.faces), dtype=bool)
@@ -225,7 +233,7 @@ def _spread(body: trimesh.Trimesh, where: Selector) -> FloatArray:
 
 
 def _zone(shape: Shape, touched: FloatArray, depth_mm: float) -> FloatArray:
-    """Return the points of the touched face that the specimen will probably touch."""
+    """Return the points (n, xyz) of the touched face that the specimen will probably touch."""
     low, high = touched.min(axis=0), touched.max(axis=0)
     reach = 2 * np.maximum(np.abs(low), np.abs(high))
     gap = touched[:, 2] + sample(shape, *reach[:2]).value(touched[:, 0], touched[:, 1])
@@ -235,7 +243,7 @@ def _zone(shape: Shape, touched: FloatArray, depth_mm: float) -> FloatArray:
 
 
 def _near_in_plan(points: FloatArray, zone: FloatArray) -> FloatArray:
-    """Return which points are within 1.5 times the zone's radius of its middle."""
+    """Return whether each point (n,) is, in plan, within 1.5 radii of the zone from its middle."""
     middle = zone[:, :2].mean(axis=0)
     reach = 1.5 * np.linalg.norm(zone[:, :2] - middle, axis=1).max(initial=_SPACING_MM)
     return np.asarray(np.linalg.norm(points[:, :2] - middle, axis=1) <= reach)

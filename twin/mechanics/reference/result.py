@@ -1,8 +1,8 @@
-"""A specimen's heights at scattered points, and a reference's result on the grids of a press.
+"""Heights of a specimen at any point, and results of finite elements on the grids of a press.
 
-Specimens have heights on grids only; finite elements need them at any point, with slopes and
-curvatures: sampled once, then bicubic. Scattered results are interpolated on the grids of
-`PressedElastomer`.
+A specimen returns its heights on grids only, but finite elements need heights, slopes and
+curvatures at any point. Heights are therefore sampled once and interpolated by bicubic splines.
+Results at scattered points are interpolated on the grids of `PressedElastomer`.
 """
 
 from collections.abc import Callable
@@ -21,11 +21,12 @@ from twin.mechanics.press import PressedElastomer
 from twin.mechanics.validity import Validity, contact_validity
 from twin.shape import Shape
 
-# Share of loaded points round a cell above which it touches: of a curved specimen some points of a
-# facet are free.
+# A cell touches if this share of the integration points round it is loaded: under a curved specimen
+# some points of a facet in contact are not loaded.
 _TOUCHING = 0.3
 
-# Height error over depth of the default bricks (spectral press at small strain, halved elements).
+# Height error over depth of the default bricks, from comparisons with the spectral press at small
+# strain and with elements of half the size.
 _ELEMENT_ERROR = 5e-3
 
 FaceHeight = Callable[[FloatArray, FloatArray], FloatArray]
@@ -33,29 +34,31 @@ FaceHeight = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Scattered:
-    """A press solved by a reference model, at scattered points; mm, world frame."""
+    """Result of a press by finite elements, at scattered points; mm, world frame."""
 
-    #: world z of each face at points (...) of x and y
+    #: functions of x and y (...), mm, that return world z of each face (...), mm
     touched: FaceHeight
     coated: FaceHeight
-    #: (point, [x, y]), force over modulus and area in plan at the touched face's points
+    #: integration points of the touched face: (point, [x, y]) positions, (point,) force over
+    #: modulus, mm^2, and (point,) area in plan
     at_mm: FloatArray
     force: FloatArray
     plan_mm2: FloatArray
-    #: the points are in order of their facets
+    #: the points are sorted by facet
     points_per_facet: int
     depth_mm: float
     iterations: int
-    #: solved at large strain, which a linear slab neglects
+    #: True if solved at large strain, which a linear slab neglects
     large_strain: bool = False
 
 
 def on_grids(
     solved: Scattered, shape: Shape, elastomer: Elastomer, load: Press, modulus_kpa: float
 ) -> PressedElastomer:
-    """Sample a reference's press on the solver's cells and the relief's nodes.
+    """Return the result of finite elements on the solver's cells and the relief's nodes.
 
-    Pressure is averaged over the cells' neighbourhood and scaled so that its sum is the force.
+    The pressure on a cell is interpolated between the means of facets. It is scaled so that its sum
+    over the cells is the force.
 
     Raises
     ------
@@ -90,11 +93,11 @@ def on_grids(
 
 
 def check_depth(depth_mm: float, elastomer: Elastomer) -> None:
-    """Raise an error if a force needs a depth of the slab's thickness or more.
+    """Raise an error if the depth that was solved is the slab's thickness or more.
 
     Raises
     ------
-    PressError : the depth is too large
+    PressError : the message states depth and thickness
     """
     if depth_mm >= elastomer.thickness_mm:
         raise PressError(
@@ -114,15 +117,15 @@ def _validity(
     judged = judge(solved.depth_mm, peak_mm)
     if not solved.large_strain:
         return judged
-    # Depth and deflection need no warning here: only those of a press without them remain.
+    # At large strain, depth and deflection need no warning: only the other warnings remain.
     remaining = judge(0.0, 0.0).warnings
     error_mm = _ELEMENT_ERROR * solved.depth_mm
     return replace(judged, height_error_mm=error_mm, warnings=remaining)
 
 
 def _pressure(solved: Scattered, x: FloatArray, y: FloatArray, cell_mm2: float) -> FloatArray:
-    """Return pressure over modulus (row, col), 0 where the faces do not touch."""
-    # Pressures of single points ripple: take whole facets.
+    """Return pressure over modulus (row, col), 0 on cells that do not touch the specimen."""
+    # The pressure oscillates between the points of a facet: means over facets are used.
     at, force, area = (
         data.reshape(-1, solved.points_per_facet, *data.shape[1:])
         for data in (solved.at_mm, solved.force, solved.plan_mm2)
@@ -142,31 +145,32 @@ def _pressure(solved: Scattered, x: FloatArray, y: FloatArray, cell_mm2: float) 
 
 _LARGEST_GRID = 800
 _FINEST_PITCH_MM = 0.02
-# Outside the specimen the surface is continued by this number of cells, beyond the spline's reach.
+# Number of cells by which the grid extends beyond the specimen, more than a spline's support.
 _REACH_CELLS = 2
 
 
 @dataclass(frozen=True)
 class HeightField:
-    """Height behind the foremost point, sampled on a grid."""
+    """Height of a specimen behind its foremost point, sampled on a grid."""
 
+    #: (col,) and (row,) positions of the samples
     x_mm: FloatArray
     y_mm: FloatArray
-    #: (row, col) mm, inf where absent
+    #: (row, col) mm, inf outside the specimen
     height_mm: FloatArray
 
     def value(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return the height at points (n,), inf outside the specimen."""
+        """Return the height at points (n,), mm; inf outside the specimen."""
         height = np.asarray(self._spline.ev(y_mm, x_mm), dtype=np.float64)
         return np.where(self._is_present(x_mm, y_mm), height, np.inf)
 
     def slope(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (n, [x, y]) first derivatives; continued smoothly outside the specimen."""
+        """Return the first derivatives of the height (n, [x, y]), smooth also outside it."""
         along = [self._spline.ev(y_mm, x_mm, dx=dy, dy=dx) for dx, dy in ((1, 0), (0, 1))]
         return np.stack(along, axis=-1)
 
     def curvature(self, x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
-        """Return (n, [x, y], [x, y]) second derivatives."""
+        """Return the second derivatives of the height (n, [x, y], [x, y]), 1/mm."""
         xx, xy, yy = (
             self._spline.ev(y_mm, x_mm, dx=dy, dy=dx) for dx, dy in ((2, 0), (1, 1), (0, 2))
         )
@@ -191,7 +195,7 @@ class HeightField:
 
 
 def sample(shape: Shape, length_x_mm: float, length_y_mm: float) -> HeightField:
-    """Sample a specimen over a centred rectangle, with at most 800 cells per axis.
+    """Sample the heights of a specimen within a centred rectangle, at most some 800 per axis.
 
     Raises
     ------
@@ -207,7 +211,7 @@ def sample(shape: Shape, length_x_mm: float, length_y_mm: float) -> HeightField:
 
 
 def _axis(low: float, high: float) -> FloatArray:
-    """Return sample positions from a little below `low` to a little above `high`."""
+    """Return sample positions (n,), mm, from 2 cells below `low` to 2 cells above `high`."""
     if high <= low:
         return np.zeros(0)
     pitch = max((high - low) / _LARGEST_GRID, _FINEST_PITCH_MM)

@@ -1,8 +1,8 @@
 """Linear elasticity on tetrahedra: P2 displacement and P1 pressure (Taylor-Hood), no locking.
 
-At unit Young's modulus: [[A, B^T], [B, -M / K]] with A = int 2 mu (eps:eps - div div / 3),
-B = int q div u, M = int q q. The matrix is factorised once; each load then takes one
-substitution. Nodes are the vertices followed by the edges' midpoints.
+The matrix is [[A, B^T], [B, -M / K]] with A = int 2 mu (eps:eps - div div / 3), B = int q div u,
+M = int q q, shear modulus mu and bulk modulus K, all over Young's modulus. It is factorised once;
+each load then takes one substitution. Nodes are the vertices, followed by the edges' midpoints.
 """
 
 from dataclasses import dataclass
@@ -26,16 +26,16 @@ _FACET_ORDER = 4
 
 @dataclass(frozen=True)
 class Facets:
-    """A part of the surface with integration points; (facet, ...) and (point, ...) arrays."""
+    """Selected facets of a body's surface, with their integration points."""
 
-    #: (facet, 6) nodes: three vertices, then the edges' midpoints
+    #: (facet, 6) node numbers: three vertices, then the edges' midpoints
     nodes: IntArray
-    #: (point, xyz) mm
+    #: (point, xyz) integration points, sorted by facet, mm
     points_mm: FloatArray
     #: (point,) area and area in plan, mm^2
     weight_mm2: FloatArray
     plan_mm2: FloatArray
-    #: (point, node) sparse: nodal values to values at the points
+    #: (point, node) sparse matrix: interpolates nodal values at the points
     trace: sparse.csr_array
 
     @property
@@ -47,7 +47,7 @@ class Facets:
 
 @dataclass(frozen=True)
 class ElasticBody:
-    """A held body of tetrahedra."""
+    """A linear elastic body of tetrahedra with its supports."""
 
     mesh: Tetrahedra
     poisson_ratio: float
@@ -55,16 +55,16 @@ class ElasticBody:
 
     @cached_property
     def nodes_mm(self) -> FloatArray:
-        """(node, xyz) vertices and midpoints."""
+        """(node, xyz) positions of vertices and midpoints of edges."""
         vertices, edges = self._mesh.p.T, self._mesh.edges
         return np.concatenate((vertices, vertices[edges].mean(axis=0)))
 
     def facets(self, where: Selector) -> Facets:
-        """Return the chosen part of the surface.
+        """Return the facets of the surface that a selector selects.
 
         Raises
         ------
-        PressError : the selector chooses no facet
+        PressError : the selector selects no facet
         """
         chosen = self._chosen(where)
         if not chosen.size:
@@ -76,7 +76,7 @@ class ElasticBody:
             points_mm=np.asarray(face.global_coordinates()).reshape(3, -1).T,
             weight_mm2=face.dx.ravel(),
             plan_mm2=(face.dx * np.abs(face.normals[2])).ravel(),
-            # Unknowns of the scalar element are numbered as the nodes are.
+            # The unknowns of the scalar element have the numbers of the nodes.
             trace=trace_of(face, face.element_dofs.T, self.nodes_mm.shape[0]),
         )
 
@@ -88,7 +88,10 @@ class ElasticBody:
         return np.asarray(solution[self._unknowns])
 
     def residual(self, moved_mm: FloatArray, pressure: FloatArray) -> FloatArray:
-        """Return the nodal forces (node, xyz) over E of a displacement and vertex pressures."""
+        """Return the nodal forces over E (node, xyz) of displacements and vertex pressures.
+
+        `moved_mm` is (node, xyz), `pressure` (vertex,) over E.
+        """
         state = np.zeros(self._size)
         state[self._unknowns] = moved_mm
         state[self._size - pressure.size :] = pressure
@@ -150,21 +153,22 @@ class ElasticBody:
     @cached_property
     def _factor(self) -> Any:
         matrix = sparse.csc_array(self._matrix[self._free][:, self._free])
-        # Quasi-definite: any symmetric ordering is stable; three times less fill than COLAMD.
+        # The matrix is quasi-definite, so that any symmetric ordering is stable. This one has 1/3
+        # of the fill of COLAMD.
         return symmetric_lu(matrix)
 
     @cached_property
     def _surface(self) -> Any:
-        """The surface, with one point at each facet's centre."""
+        """Facet basis of the whole surface, with one integration point at each facet's centre."""
         return skfem.FacetBasis(self._mesh, skfem.ElementTetP1(), intorder=1)
 
     def _chosen(self, where: Selector) -> IntArray:
-        """Return the numbers of the surface's facets that a selector chooses."""
+        """Return the numbers (n,) of the surface's facets that a selector selects."""
         centres = np.asarray(self._surface.global_coordinates())[..., 0].T
         normals = np.asarray(self._surface.normals)[..., 0].T
         return np.asarray(self._surface.find[where(centres, normals)])
 
     def _nodes_on(self, facets: IntArray) -> IntArray:
-        """Return vertices and midpoints (facet, 6)."""
+        """Return the node numbers of facets (facet, 6): vertices, then the edges' midpoints."""
         midpoints = self._mesh.f2e[:, facets] + self._mesh.p.shape[1]
         return np.concatenate((self._mesh.facets[:, facets], midpoints)).T.astype(np.int64)

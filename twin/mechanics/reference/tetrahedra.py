@@ -1,8 +1,9 @@
-"""Graded tetrahedra of a closed surface, by pytetwild in a child process.
+"""Fill a closed surface with tetrahedra of graded sizes, by pytetwild in a child process.
 
-pytetwild can crash (always at epsilon 1e-2) or run for minutes (1e-5): it has its own process, a
-time limit and an epsilon in between. Its surface deviates by about epsilon, so vertices near planar
-faces are moved back on them. Its meshes differ from run to run, even with one thread.
+pytetwild can crash (always at epsilon 1e-2) or run for minutes (1e-5). It therefore has its own
+process, a time limit and an epsilon between these. The surface of its mesh deviates by about
+epsilon, so that vertices near planar faces are moved back on these faces. Its meshes differ from
+run to run, even with one thread.
 """
 
 import itertools
@@ -22,11 +23,11 @@ from scipy.spatial import cKDTree
 from reconstruction.arrays import FloatArray, IntArray
 from twin.mechanics.errors import PressError, SolverError
 
-#: points (n, 3) mm to target edge lengths (n,) mm
+#: function from points (n, xyz), mm, to target edge lengths (n,), mm
 Sizing = Callable[[FloatArray], FloatArray]
 
 _CHILD = Path(__file__).with_name("tetwild_child.py")
-# Least share of the whole surface of a planar face that is kept exactly plane.
+# A planar face is kept exactly plane if it has at least this share of the whole surface.
 _PLANE_SHARE = 0.02
 _BACKGROUND_CELLS = 24
 _POOREST_QUALITY = 1e-3
@@ -50,7 +51,7 @@ class Tetrahedra:
 
     @property
     def qualities(self) -> FloatArray:
-        """(cell,) volume over that of a regular tetrahedron of the same rms edge, 0 to 1."""
+        """(cell,) volume over that of a regular tetrahedron with the same RMS edge, 0 to 1."""
         corner = self.points_mm[self.cells]
         pairs = np.array(list(itertools.combinations(range(4), 2)))
         squares = np.sum((corner[:, pairs[:, 0]] - corner[:, pairs[:, 1]]) ** 2, axis=-1)
@@ -64,10 +65,10 @@ def tetrahedralize(
 
     Parameters
     ----------
-    body : surface, mm; internal surfaces are kept as mesh faces
-    sizing : target edge length per point
+    body : surface, mm; surfaces inside the body become faces of the tetrahedra
+    sizing : function that returns the target edge length at points
     epsilon : largest deviation of the surface, over the diagonal of the bounding box
-    timeout_s : the child is killed after this time
+    timeout_s : the child process is killed after this time
 
     Raises
     ------
@@ -92,7 +93,10 @@ def tetrahedralize(
 
 
 def graded_towards(zone_mm: FloatArray, fine_mm: float, coarse_mm: float) -> Sizing:
-    """Return edge lengths that increase from `fine_mm` at points (n, 3) to `coarse_mm`."""
+    """Return a sizing: edges of `fine_mm` at the points `zone_mm` (n, xyz), longer elsewhere.
+
+    The target length increases with the distance from these points, up to `coarse_mm`.
+    """
     tree = cKDTree(zone_mm)
 
     def sizing(points_mm: FloatArray) -> FloatArray:
@@ -132,7 +136,10 @@ def _run_child(command: list[str], timeout_s: float, folder: str) -> None:
 
 
 def _background(body: trimesh.Trimesh, sizing: Sizing) -> dict[str, Any]:
-    """Return a box of tetrahedra round the body with the target size at its points."""
+    """Return a box of tetrahedra round the body with target edge lengths at its points.
+
+    Keys: `background_points` (n, xyz), `background_cells` (m, 4) and `size` (n,), mm.
+    """
     low, high = body.bounds
     margin = 0.05 * (high - low).max()
     step = (high - low).max() / _BACKGROUND_CELLS
@@ -160,7 +167,7 @@ def _background(body: trimesh.Trimesh, sizing: Sizing) -> dict[str, Any]:
 
 
 def _snap(points: FloatArray, body: trimesh.Trimesh, reach_mm: float) -> FloatArray:
-    """Move vertices within reach of the body's large planar faces back on them."""
+    """Move vertices within `reach_mm` of a large planar face of the body onto that face."""
     moved = points.copy()
     for faces, area in zip(body.facets, body.facets_area, strict=True):
         if area < _PLANE_SHARE * body.area:
@@ -175,7 +182,7 @@ def _snap(points: FloatArray, body: trimesh.Trimesh, reach_mm: float) -> FloatAr
 
 
 def _collapse(points: FloatArray, cells: IntArray, reach_mm: float) -> tuple[FloatArray, IntArray]:
-    """Join vertices that snapping moved to the same point; drop the cells flattened by that."""
+    """Join vertices that `_snap` moved to the same point, and remove the cells that collapse."""
     tree = cKDTree(points)
     first = np.arange(len(points))
     pairs = tree.query_pairs(reach_mm, output_type="ndarray")

@@ -1,6 +1,7 @@
-"""Runs pytetwild in a process of its own, for `tetrahedra`, because it may crash the process.
+"""Program that runs pytetwild for `tetrahedra` in its own process, which pytetwild may crash.
 
-Arguments: an input and an output path (npz). Imports no module of the twin, so that it starts fast.
+Its arguments are an input and an output path (npz). It imports no module of the twin, so that it
+starts fast.
 """
 
 import importlib.util
@@ -11,7 +12,7 @@ import numpy as np
 
 
 def main(source: str, target: str) -> None:
-    """Read the surface and its sizing field, write points and tetrahedra."""
+    """Mesh the surface in the file `source`, and write points and tetrahedra to `target`."""
     if importlib.util.find_spec("pyvista") is None:
         # pytetwild registers an accessor with PyVista on import, which is not needed here.
         sys.modules["pyvista"] = types.ModuleType("pyvista")

@@ -3,18 +3,20 @@
 Fraction `1 - flake_fraction` of the surface is ink, the rest a rough conductor (GGX). The ink is a
 diffuse pigment, bare or under a clear binder with a rough Fresnel interface. Light is reflected
 repeatedly between pigment and binder interface (J. L. Saunderson, J. Opt. Soc. Am. 32, 727 (1942)),
-so that a binder darkens the pigment. The blend is convex and each lobe reflects at most all light:
-it conserves energy by construction.
+so that a binder darkens the pigment. The blend is convex and no lobe reflects more than the
+incident light, so that the model conserves energy.
 
-Left out: flakes below the binder's interface (they are bare), and repeated scattering at one rough
-interface (this light is lost, as in all single-scattering microfacet models). Loss of a white
-pigment under a binder of index 1.5 and roughness 0.02, 0.1, 0.2, 0.3: 3, 9, 20, 31 % at normal
-view, 2, 12, 24, 36 % at 80 deg and up to 11, 13, 25, 40 % at 89 deg.
+Flakes below the binder's interface are not modelled: all flakes are bare. Repeated scattering at
+one rough interface is not modelled either: this light is lost, as in all single-scattering
+microfacet models. The lost light of a white pigment under a binder of index 1.5 depends on the
+roughness: for 0.02, 0.1, 0.2, 0.3 it is 3, 9, 20, 31 % at normal view, 2, 12, 24, 36 % at 80 deg
+and up to 11, 13, 25, 40 % at 89 deg.
 
-An object behind a thin ink adds to its reflectance. The ink reflects the share R of incident light
-and transmits T. An object in contact reflects the share r of the transmitted light, repeatedly
-between the two (Kubelka and Munk 1931, a layer on a ground; G. Kortuem, Reflectance Spectroscopy,
-Springer 1969): R_contact = R + T^2 r / (1 - R r).
+An object behind a thin ink increases the reflectance of the ink. The ink reflects the share R of
+incident light and transmits the share T. An object in contact reflects the share r of the
+transmitted light. Light is reflected repeatedly between ink and object, so that
+R_contact = R + T^2 r / (1 - R r) (Kubelka and Munk 1931, a layer on a ground; G. Kortuem,
+Reflectance Spectroscopy, Springer 1969).
 """
 
 from collections.abc import Mapping
@@ -33,8 +35,9 @@ from twin.optics.bsdfs import level, microfacets
 class Flakes(Coating):
     """Gray ink with aluminium flakes: a blend of a diffuse and a rough conducting reflector.
 
-    The ink is pigment in a clear binder. With `binder_ior` above 1 the binder's outer interface
-    reflects by Fresnel, on both sides; at 1 there is no optical interface: a matte ink.
+    The ink is pigment in a clear binder. If `binder_ior` is above 1, the binder's outer interface
+    has a Fresnel reflection on both sides. If it is 1, there is no optical interface and the ink is
+    matte.
     """
 
     # Not written to files: it is the default kind.
@@ -87,11 +90,11 @@ class Flakes(Coating):
         return self
 
     def bsdf(self) -> dict[str, Any]:
-        """Return the blend of ink and flakes."""
+        """Return the BSDF, a blend of ink and flakes, as a dictionary for `mi.load_dict`."""
         return self.bsdf_with_ink(level(self.base_albedo))
 
     def bsdf_with_ink(self, albedo: dict[str, Any]) -> dict[str, Any]:
-        """Return the blend with a texture for the pigment's albedo."""
+        """Return the BSDF as `bsdf`, but with the texture `albedo` as the pigment's albedo."""
         return {
             "type": "blendbsdf",
             "weight": self.flake_fraction,
@@ -117,7 +120,12 @@ class Flakes(Coating):
         )
 
     def albedo_over(self, reflectance: float) -> float | None:
-        """Return the reflectance of the ink over an object; None: the ink is opaque."""
+        """Return the albedo of the ink with an object behind it; None if the ink is opaque.
+
+        Parameters
+        ----------
+        reflectance : normal reflectance of the object; 0: no object touches the ink
+        """
         if not self.transmittance:
             return None
         ink = self.base_albedo
@@ -126,11 +134,11 @@ class Flakes(Coating):
     def in_medium(self, ior: float) -> Self:
         """Return the coat with indices relative to `ior`, the refractive index around the coat.
 
-        A matte ink (`binder_ior` of 1) has no binder interface, so that `ior` does not limit it.
+        A matte ink (`binder_ior` of 1) has no binder interface and is valid for any `ior`.
 
         Raises
         ------
-        InputError : the binder's index is below the layer's
+        InputError : `binder_ior` is above 1 and below `ior`
         """
         if 1.0 < self.binder_ior < ior:
             raise InputError(
@@ -146,5 +154,5 @@ class Flakes(Coating):
 
     @property
     def is_matte(self) -> bool:
-        """Whether there are neither flakes nor a binder interface."""
+        """Whether the coat is an ideal diffuse reflector: no flakes and no binder interface."""
         return self.flake_fraction == 0.0 and self.binder_ior == 1.0

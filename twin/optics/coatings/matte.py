@@ -11,7 +11,7 @@ from twin.optics.bsdfs import level
 
 @COATINGS.register
 class Matte(Coating):
-    """Matte ink: equal radiance in all directions."""
+    """Matte ink that reflects equal radiance in all directions."""
 
     kind: Literal["matte"] = "matte"
     base_albedo: Annotated[float, Field(gt=0, lt=1)] = Field(
@@ -25,10 +25,10 @@ class Matte(Coating):
     }
 
     def bsdf(self) -> dict[str, Any]:
-        """Return Lambert's reflector."""
+        """Return the BSDF of an ideal diffuse reflector, a dictionary for `mi.load_dict`."""
         return {"type": "diffuse", "reflectance": level(self.base_albedo)}
 
     @property
     def is_matte(self) -> bool:
-        """Always."""
+        """Always True: the coat is an ideal diffuse reflector."""
         return True

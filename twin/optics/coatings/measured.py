@@ -1,8 +1,9 @@
 """Measured reflectance: a table of the RGL material database, at one wavelength.
 
 Files and their parameters are those of J. Dupuy and W. Jakob, ACM Trans. Graph. 37, 274 (2018).
-Mitsuba's own `measured` needs a spectral variant, and the twin is monochromatic: its table is read
-here at the projector's wavelength; `reflectance_table` evaluates and draws directions by it.
+Mitsuba's own `measured` needs a spectral variant, but the twin uses a monochromatic variant. This
+module therefore interpolates the table to one wavelength, normally that of the projector.
+`reflectance_table` evaluates the table and draws directions by it.
 """
 
 import struct
@@ -35,11 +36,11 @@ class Measured(Coating):
     )
 
     def bsdf(self) -> dict[str, Any]:
-        """Return the table's BSDF.
+        """Return the BSDF of the table, a dictionary for `mi.load_dict`.
 
         Raises
         ------
-        InputError : there is no such table, or it does not include the wavelength
+        InputError : the file is missing or is no spectral table, or the wavelength is outside it
         """
         import mitsuba as mi
 
@@ -51,7 +52,7 @@ class Measured(Coating):
         return {"type": _PLUGIN, **parts}
 
     def in_medium(self, ior: float) -> Self:
-        """Raise InputError: the reflectance in a layer does not follow from that in air.
+        """Raise InputError, because the table is valid in air and not in a layer.
 
         Raises
         ------
@@ -64,13 +65,13 @@ class Measured(Coating):
 
     @property
     def export_gap(self) -> str:
-        """Stock Mitsuba takes its `measured` in spectral variants only."""
+        """Reason why the coat cannot be exported: `measured` needs a spectral variant."""
         return "coating.kind = 'measured' needs a spectral variant of stock Mitsuba"
 
 
 @cache
 def _enter_plugin(variant: str) -> None:
-    """Register the BSDF with Mitsuba's current variant, once."""
+    """Register the BSDF of tables with the current Mitsuba variant, once for each variant."""
     dr: Any = import_module("drjit")
     mi: Any = import_module("mitsuba")
     from twin.optics.reflectance_table import ReflectanceTable
@@ -112,11 +113,15 @@ def _enter_plugin(variant: str) -> None:
 
 @lru_cache(maxsize=2)
 def _fields(file: str, stamp: str) -> dict[str, Any]:
-    """Return the arrays of a table by name; `stamp` changes with the file, for the cache.
+    """Return the arrays of a table file by the name of their field.
+
+    Parameters
+    ----------
+    stamp : time of the file's last change, so that a changed file is not taken from the cache
 
     Raises
     ------
-    InputError : the file is no such table
+    InputError : the file is no table with spectra
     """
     try:
         fields = dict(_arrays(read_bytes(file)))
@@ -133,7 +138,10 @@ def _fields(file: str, stamp: str) -> dict[str, Any]:
 
 
 def _arrays(content: bytes) -> Iterator[tuple[str, Any]]:
-    """Yield name and array of each field; the header has names, types, offsets and shapes."""
+    """Yield the name and the array of each uint8 or float32 field in a table file's content.
+
+    The header of the file contains the names, types, offsets and shapes of all fields.
+    """
     if not content.startswith(b"tensor_file\0"):
         raise ValueError("no tensor file")
     (count,) = struct.unpack_from("<I", content, 14)
@@ -150,11 +158,11 @@ def _arrays(content: bytes) -> Iterator[tuple[str, Any]]:
 
 
 def _at_wavelength(fields: dict[str, Any], wavelength_nm: float) -> Any:
-    """Return the spectra interpolated to a wavelength, (phi, theta, row, col).
+    """Return the table's spectra at one wavelength, linearly interpolated, (phi, theta, row, col).
 
     Raises
     ------
-    InputError : the table has no such wavelength
+    InputError : the wavelength is outside the range of the table
     """
     known = fields["wavelengths"]
     if not known[0] <= wavelength_nm <= known[-1]:

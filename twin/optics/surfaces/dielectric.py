@@ -11,7 +11,7 @@ from twin.optics.bsdfs import fresnel_at_normal, microfacets
 
 @MATERIALS.register
 class Dielectric(OpticalMaterial):
-    """A clear body: refracts, reflects by Fresnel, absorbs by Beer-Lambert.
+    """A clear body, which refracts and reflects (Fresnel) and absorbs light (Beer-Lambert).
 
     Light through the middle of a ball may have an error of 20 to 25 % (docs/specimens.md).
     """
@@ -26,21 +26,21 @@ class Dielectric(OpticalMaterial):
     )
 
     def bsdf(self) -> dict[str, Any]:
-        """Return the interface between the body and air."""
+        """Return the BSDF of the interface to air, a dictionary for `mi.load_dict`."""
         return microfacets("dielectric", self.roughness, int_ior=self.ior, ext_ior=1.0)
 
     @property
     def is_sharp(self) -> bool:
-        """Always: it refracts."""
+        """Always True: a clear body refracts light into sharp directions."""
         return True
 
     @property
     def bulk_absorption_per_mm(self) -> float:
-        """As stated."""
+        """Napierian absorption coefficient of the bulk, 1/mm."""
         return self.absorption_per_mm
 
     @property
     def normal_reflectance(self) -> float:
-        """Reflectance of both faces, without absorption."""
+        """Reflectance of a plate in air at normal incidence: both faces, without absorption."""
         once = fresnel_at_normal(self.ior)
         return 2.0 * once / (1.0 + once)

@@ -14,10 +14,10 @@ class Diffuse(OpticalMaterial):
     albedo: Albedo
 
     def bsdf(self) -> dict[str, Any]:
-        """Return Lambert's reflector."""
+        """Return the BSDF of an ideal diffuse reflector, a dictionary for `mi.load_dict`."""
         return {"type": "diffuse", "reflectance": level(self.albedo)}
 
     @property
     def normal_reflectance(self) -> float:
-        """The albedo."""
+        """Reflectance in air, which equals the albedo."""
         return self.albedo

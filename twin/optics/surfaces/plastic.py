@@ -18,11 +18,11 @@ class Plastic(OpticalMaterial):
     roughness: Annotated[float, Field(ge=0.02, le=1)] = Field(description="GGX alpha")
 
     def bsdf(self) -> dict[str, Any]:
-        """Return a diffuse pigment under GGX microfacets."""
+        """Return the BSDF of a diffuse pigment under a GGX surface, for `mi.load_dict`."""
         index, pigment = {"int_ior": self.ior, "ext_ior": 1.0}, level(self.albedo)
         return microfacets("plastic", self.roughness, **index, diffuse_reflectance=pigment)
 
     @property
     def normal_reflectance(self) -> float:
-        """The pigment's albedo."""
+        """Reflectance in air at normal incidence, approximated by the albedo of the pigment."""
         return self.albedo

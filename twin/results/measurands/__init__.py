@@ -1,8 +1,8 @@
-"""Measurands: the quantities that a measurement determines of the object. One kind per module.
+"""Measurands: quantities of the object that a measurement determines, one kind per module.
 
-A kind is one file of this package, of an installed package (entry points of the group
-`fringe_twin.measurands`) or of the user (`--plugin`). Its figures, its uncertainty, its verdict and
-its row on the page follow from the result of `fit`. Minimal example:
+A kind is defined in one file of this package, of an installed package (entry points of the group
+`fringe_twin.measurands`) or of the user (`--plugin`). The figures of a measurand, its uncertainty,
+verdict and row on the report page follow from the result of `fit`. Minimal example:
 
     class Sagitta(MeasurandKind):
         name, unit = "sagitta", "mm"
@@ -13,9 +13,10 @@ its row on the page follow from the result of `fit`. Minimal example:
 
     MEASURANDS.register(Sagitta())
 
-Only points where the object is touched (or seen) take part in a fit: where an elastomer spans
-freely its surface is not the object's. Where fits differ from a caliper, docs/evaluation.md says
-so. Frame: world, mm; a feature's own frame by `Feature.own`.
+Only points where the elastomer touches the object, or where the bare object is visible, take part
+in a fit. Where the elastomer spans freely, its surface is not that of the object.
+docs/evaluation.md states where fits differ from a caliper. Points are in the world frame, mm;
+`Feature.own` transforms them to the own frame of a feature.
 """
 
 from collections.abc import Iterator
@@ -50,26 +51,28 @@ __all__ = [
 ]
 
 LEAST_IN_PART = 3
-"""Points that each part of a groove or of a wave needs."""
+"""Least number of points in each part of a groove or of a wave."""
 
 SIGMAS_ABOVE_NOISE = 3.0
-"""A height below so many standard deviations of the noise is not measured."""
+"""A height of fewer standard deviations of the noise is taken as not measured."""
 
-# Cells of a sheet's contact that a fit needs, as `reconstruction.compensation.parts_of`.
+# Least number of cells of a sheet's contact for a fit, as in
+# `reconstruction.compensation.parts_of`.
 _LEAST_CELLS = 30
 
 
 @dataclass(frozen=True, eq=False)
 class FittedValue:
-    """A fitted value, and the points that it rests on.
+    """A fitted value of a measurand, and the points from which it was fitted.
 
     Attributes
     ----------
-    value : in mm; of a share the share
-    noise_mm : standard uncertainty from the points
+    value : fitted value, mm; for a share, the share 0 to 1
+    noise_mm : standard uncertainty of the value by the noise of the points, mm
     points_mm : (n, xyz) the points that took part
-    estimate : how the value follows from the heights of `of`; None where that is no fit
-    of : the points that were fitted
+    estimate : fit of the value with its derivatives by the heights of `of`; None if the value is
+        not fitted to points
+    of : all points that were given to the fit; None if the value is not fitted to points
     """
 
     value: float
@@ -83,31 +86,32 @@ class SectionLine(Protocol):
     """A straight line in the world's xy plane, along which a section is drawn; s, x, y in mm."""
 
     def points(self, s_mm: FloatArray, /) -> FloatArray:
-        """Return world xy (n, 2) of positions (n,)."""
+        """Return world x and y (n, 2), mm, at positions s (n,), mm, along the line."""
         ...
 
     def position(self, x_mm: FloatArray, y_mm: FloatArray, /) -> FloatArray:
-        """Return the positions s of the feet of world points."""
+        """Return the positions s, mm, along the line of the perpendicular feet of world points."""
         ...
 
     def offset(self, x_mm: FloatArray, y_mm: FloatArray, /) -> FloatArray:
-        """Return the signed distances of world points from the line."""
+        """Return the signed perpendicular distances, mm, of world points from the line."""
         ...
 
 
 Curve = tuple[FloatArray, FloatArray]
-"""Positions s along a section and heights z of the world, (n,) mm."""
+"""Positions s along a section and heights z in the world frame, each (n,), mm."""
 
 
 class MeasurandKind(QuantityKind):
-    """A quantity that is fitted to points of the object.
+    """Kind of a measurand: a quantity that is fitted to points of the object.
 
-    A kind states the attributes of `QuantityKind`, and the differences to its defaults.
+    A subclass sets the attributes of `QuantityKind`, implements `fit`, and overrides those other
+    methods that have no suitable default.
 
     Attributes
     ----------
     coat_in_contact : True: a fit to the coat uses only points in contact; False: all points
-    nominal_is_limit : `nominal_mm` is the largest allowed value
+    nominal_is_limit : True: the nominal value is the largest allowed value
     """
 
     coat_in_contact: bool = False
@@ -120,13 +124,15 @@ class MeasurandKind(QuantityKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Fit the quantity to points, of the object, of the coat, or of the true face.
+        """Fit the quantity to given points: of the object, of the coat, or of the true face.
 
         Parameters
         ----------
-        request : the `[[measurand]]` table
+        request : the `[[measurand]]` table that requests the quantity
         feature : the part of the specimen, with its pose and its nominal features
-        points : those between x_mm and y_mm of the request; use `points.touching` or `points.over`
+        observed : the measured object with its true surface
+        points : points within the ranges x_mm and y_mm of the request; select with
+            `points.touching` or `points.over`
 
         Raises
         ------
@@ -135,27 +141,27 @@ class MeasurandKind(QuantityKind):
         raise NotImplementedError(f"measurand {self.name!r} has no function fit")
 
     def nominal_mm(self, nominal: NominalFeature) -> float | None:
-        """Return the length, mm, that a nominal feature states; None if it states none."""
+        """Return this quantity of a nominal feature, mm; None if the feature does not have it."""
         return nominal.lengths_mm.get(self.name)
 
     def requested_mm(self, request: ObjectMeasurand, feature: Feature) -> float | None:
-        """Return the nominal length, mm, of a table, or else of the specimen; None without both."""
+        """Return the nominal length, mm: the table's, else the specimen's; None if neither."""
         if request.nominal_mm is not None:
             return request.nominal_mm
         known = self.known_mm(feature)
         return known[request.number - 1] if request.number <= len(known) else None
 
     def known_mm(self, feature: Feature) -> list[float]:
-        """Return the nominal lengths of a part, counted along x."""
+        """Return the nominal values of this quantity, mm, of all features of a part, along x."""
         lengths = [self.nominal_mm(nominal) for nominal in feature.specimen.nominal_features()]
         return [length for length in lengths if length is not None]
 
     def count(self, feature: Feature) -> int | None:
-        """Return how many such features a part has; None if the number is not limited."""
+        """Return the number of features of a part that have this quantity; None if not limited."""
         return None
 
     def check(self, request: ObjectMeasurand, specimen: Specimen, feature: Feature) -> None:
-        """Check a table before anything is measured.
+        """Check a `[[measurand]]` table before anything is measured.
 
         Raises
         ------
@@ -169,21 +175,21 @@ class MeasurandKind(QuantityKind):
             )
 
     def defaults(self, feature: Feature) -> Iterator[ObjectMeasurand]:
-        """Yield the measurands that a part has without a `[[measurand]]` table.
+        """Yield the measurands that a part has by default, without a `[[measurand]]` table.
 
-        The nominal lengths of the part are added by the caller.
+        The caller adds those of the nominal lengths of the part.
         """
         yield from ()
 
     def theory_mm(self, value_mm: float, sheet: CompensatedSheet) -> tuple[float, ...]:
-        """Return standard uncertainties, mm, that the model of the sheet causes; () if none.
+        """Return standard uncertainties of a value, mm, from the model of the sheet; () if none.
 
-        Those that the sheet's properties cause are added by the caller.
+        The caller adds those from the uncertain properties of the sheet.
         """
         return ()
 
     def curves(self, points_mm: FloatArray, line: SectionLine, observed: ObjectView) -> list[Curve]:
-        """Return the fitted shape along a section, to be drawn; [] where none is.
+        """Return curves of the fitted shape along a section for a plot; empty if there are none.
 
         Parameters
         ----------
@@ -193,7 +199,7 @@ class MeasurandKind(QuantityKind):
 
 
 def measurand_of(request: ObjectMeasurand) -> MeasurandKind:
-    """Return the kind of a table.
+    """Return the kind of measurand that a table requests.
 
     Raises
     ------
@@ -206,17 +212,17 @@ def measurand_of(request: ObjectMeasurand) -> MeasurandKind:
 
 
 def fitted(points: ObjectPoints, estimate: FittedDimension) -> FittedValue:
-    """Return a fit to points with its noise."""
+    """Return a fit to points as a `FittedValue` with its noise."""
     used = points.points_mm[estimate.used]
     return FittedValue(estimate.value, points.noise_mm(estimate), used, estimate, points)
 
 
 def enough(points: ObjectPoints, of: str) -> ObjectPoints:
-    """Return points under a sheet if they are enough for a fit; those of other methods always.
+    """Return the points; raise FitError if they are under a sheet and too few for a fit.
 
     Raises
     ------
-    FitError : fewer than 30 cells
+    FitError : the points are under a sheet, and are fewer than 30 cells
     """
     cells = len(points.points_mm)
     if points.under is not None and cells < _LEAST_CELLS:
@@ -225,7 +231,7 @@ def enough(points: ObjectPoints, of: str) -> ObjectPoints:
 
 
 def in_ranges(request: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
-    """Return the points between `x_mm` and `y_mm` of a table."""
+    """Return the points within the ranges `x_mm` and `y_mm` of a table."""
     inside = np.ones(len(points.points_mm), bool)
     for axis, bounds in enumerate((request.x_mm, request.y_mm)):
         if bounds is not None:
@@ -236,6 +242,9 @@ def in_ranges(request: ObjectMeasurand, points: ObjectPoints) -> ObjectPoints:
 
 
 def inside(feature: Feature, points: ObjectPoints, x_mm: float, y_mm: float) -> BoolImage:
-    """Return which points (n,) are within a length and a width about a feature's middle."""
+    """Return a mask (n,) of the points in a rectangle x_mm x y_mm about a feature's middle.
+
+    The sides of the rectangle are along the axes of the feature's own frame.
+    """
     own = np.abs(feature.own(points.points_mm))
     return np.asarray((own[:, 0] <= x_mm / 2) & (own[:, 1] <= y_mm / 2))

@@ -1,4 +1,4 @@
-"""Share of the specimen that has a point where it is touched."""
+"""Coverage: share of the specimen's pixels that have a point where the specimen is touched."""
 
 from reconstruction.errors import FitError
 from twin.config.measurands import ObjectMeasurand
@@ -8,7 +8,7 @@ from twin.results.object_points import ObjectPoints, ObjectView
 
 
 class Coverage(MeasurandKind):
-    """The share of the specimen that is measured."""
+    """Measurand: the share, 0 to 1, of the specimen's pixels with a point in contact."""
 
     name = "coverage"
     summary = "share of the specimen with a point where it is touched"
@@ -21,7 +21,7 @@ class Coverage(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Return the share of the whole specimen."""
+        """Return the coverage of the whole specimen."""
         if observed.coverage is None:
             raise FitError("coverage: no pixel of the camera shows the specimen")
         return FittedValue(observed.coverage, 0.0, points.points_mm[points.touching])

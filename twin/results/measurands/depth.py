@@ -1,4 +1,4 @@
-"""Depth of a V groove, of the waves of a grating, or else of a step."""
+"""Depth of a V groove, of the waves of a grating, or of a step if there is neither."""
 
 import numpy as np
 
@@ -20,12 +20,13 @@ from twin.results.measurands.step_height import step_of
 from twin.results.object_points import ObjectPoints, ObjectView
 
 _PARTS_OF_WAVE = 8
-# Grooves narrower than this part of the contact's blur look touched where the sheet spans them.
+# Where the sheet spans a groove freely, the groove seems to be touched if its pitch is less than
+# this multiple of the blur of the contact's edge.
 _LEAST_PITCH_OVER_BLUR = 6.0
 
 
 class Depth(MeasurandKind):
-    """The depth of a groove or a grating."""
+    """Measurand: the depth of a groove or of a grating, mm."""
 
     name = "depth"
     summary = "of a groove, of the waves of a grating"
@@ -39,7 +40,7 @@ class Depth(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Fit the wave, the groove or the step that the specimen has."""
+        """Fit a wave, a groove or a step, whichever the specimen has, to the touching points."""
         points = points.part(points.touching)
         for grating in feature.specimen.nominal(NominalGrating):
             return _wave(grating, feature, points)
@@ -57,7 +58,7 @@ def _wave(grating: NominalGrating, feature: Feature, points: ObjectPoints) -> Fi
 
 
 def _check_wave(pitch_mm: float, s_mm: FloatArray, points: ObjectPoints) -> None:
-    """Raise FitError if crests or roots are not touched, or if the contact is not resolved."""
+    """Raise FitError if parts of the wave are not touched, or if the contact is not resolved."""
     if points.under is not None and pitch_mm < _LEAST_PITCH_OVER_BLUR * points.under.blur_mm:
         least_mm = _LEAST_PITCH_OVER_BLUR * points.under.blur_mm
         raise FitError(
@@ -76,11 +77,11 @@ def _check_wave(pitch_mm: float, s_mm: FloatArray, points: ObjectPoints) -> None
 def groove_of(
     nominal: NominalGroove, feature: Feature, points: ObjectPoints
 ) -> tuple[ObjectPoints, GrooveFit]:
-    """Fit a V groove; return the points within an opening on both sides of it, and the fit.
+    """Fit a V groove; return the points in and next to the groove, and the fit.
 
     Raises
     ------
-    FitError : its face and both flanks are not all touched
+    FitError : the face on both sides of the groove and both flanks are not all touched
     """
     near, place = _over_groove(nominal, feature, points.part(points.touching))
     groove = v_groove(place[:, 0], place[:, 2], nominal.depth_mm, nominal.opening_mm)
@@ -94,7 +95,7 @@ def groove_of(
 def _over_groove(
     groove: NominalGroove, feature: Feature, points: ObjectPoints
 ) -> tuple[ObjectPoints, FloatArray]:
-    """Return the points within an opening on both sides of a groove, and their own places."""
+    """Return the points over a groove and one opening to both sides, also in its own frame."""
     wide = min(groove.length_x_mm, 3 * groove.opening_mm)
     near = points.part(inside(feature, points, wide, 0.9 * groove.length_y_mm))
     return near, feature.own(near.points_mm)

@@ -1,4 +1,4 @@
-"""Deviation of the points from the true object: their RMS after an alignment."""
+"""RMS of the deviations of the points from the true object after an alignment."""
 
 from reconstruction.arrays import Alignment, FloatArray
 from reconstruction.errors import FitError
@@ -10,7 +10,7 @@ from twin.results.object_points import ObjectPoints, ObjectView
 
 
 class RmsDeviation(MeasurandKind):
-    """The RMS of the distances from the true object."""
+    """Measurand: the RMS, um, of the distances of the points from the true object."""
 
     name = "deviation"
     summary = "RMS after `alignment`"
@@ -23,7 +23,7 @@ class RmsDeviation(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Return the RMS along the normal of the object's surface."""
+        """Return the RMS of the deviations along the normals of the object's surface."""
         used, aligned, upward = aligned_points(request, observed, points, request.alignment)
         return fitted(used, aligned.rms(upward))
 
@@ -31,11 +31,11 @@ class RmsDeviation(MeasurandKind):
 def aligned_points(
     request: ObjectMeasurand, observed: ObjectView, points: ObjectPoints, alignment: Alignment
 ) -> tuple[ObjectPoints, Deviations, FloatArray]:
-    """Return points of the object, their deviations, and z of the surface's unit normals (n,).
+    """Return points of the object, their aligned deviations, and z (n,) of the unit normals.
 
     Raises
     ------
-    FitError : there is no point
+    FitError : there is no point on the object in the ranges of the request
     """
     used = points.part(points.touching if request.over == "contact" else points.over).thinned()
     if not len(used.points_mm):

@@ -1,4 +1,4 @@
-"""Form deviation: band of 95 % of the distances from the true object after a rigid alignment."""
+"""Form deviation: width of the band with 95 % of the deviations after a rigid alignment."""
 
 from twin.config.measurands import ObjectMeasurand
 from twin.results.features import Feature
@@ -8,7 +8,7 @@ from twin.results.object_points import ObjectPoints, ObjectView
 
 
 class Form(MeasurandKind):
-    """The width of the band that contains 95 % of the deviations."""
+    """Measurand: the width, um, of the band that contains 95 % of the deviations."""
 
     name = "form"
     summary = "band of 95 % of the deviations after a rigid alignment"
@@ -21,7 +21,7 @@ class Form(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Return the band along the normal of the object's surface."""
+        """Return the width of the band along the normals of the object's surface."""
         used, aligned, upward = aligned_points(request, observed, points, "rigid")
         return fitted(used, aligned.form(upward))
 

@@ -1,4 +1,4 @@
-"""Radius of a ball or of a rod, fitted where it is touched."""
+"""Radius of a ball or of a rod, fitted to the points in contact."""
 
 import numpy as np
 
@@ -21,12 +21,13 @@ from twin.results.measurands import (
 )
 from twin.results.object_points import ObjectPoints, ObjectView
 
-# Of a rod's or ball's radius: beyond it a wall is too steep to be seen from above.
+# Share of the radius of a ball or rod within which points are fitted: farther from the apex the
+# wall is too steep to be visible from above.
 _CAP_SHARE = 0.9
 
 
 class Radius(MeasurandKind):
-    """The radius of a ball or rod."""
+    """Measurand: the radius of a ball or of a rod, mm."""
 
     name = "radius"
     summary = "of a ball or rod"
@@ -41,7 +42,7 @@ class Radius(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Fit a ball, or a cylinder along the rod."""
+        """Fit a sphere, or a cylinder along the axis of the rod, to the points in contact."""
         if feature.balls:
             cap = _cap_of_ball(request, feature, points)
             return fitted(cap, ball_radius(cap.points_mm)[0])
@@ -49,15 +50,15 @@ class Radius(MeasurandKind):
         return fitted(cap, cylinder_radius(cap.points_mm, axis)[0])
 
     def count(self, feature: Feature) -> int:
-        """Return the number of balls and rods."""
+        """Return the number of balls and rods of a part."""
         return max(len(self.known_mm(feature)), len(feature.balls))
 
     def theory_mm(self, value_mm: float, sheet: CompensatedSheet) -> tuple[float, ...]:
-        """Return the error of a radius by the theory of thin sheets."""
+        """Return the standard uncertainty of a radius, mm, from the theory of thin sheets."""
         return (sheet.theory_mm(value_mm),)
 
     def curves(self, points_mm: FloatArray, line: SectionLine, observed: ObjectView) -> list[Curve]:
-        """Return the arc of a ball."""
+        """Return the arc of the fitted ball along the section; empty without a ball."""
         return _arc(points_mm, line) if observed.shape.spheres() else []
 
 
@@ -76,7 +77,7 @@ def _cap_of_ball(request: ObjectMeasurand, feature: Feature, points: ObjectPoint
 def _top_of_rod(
     request: ObjectMeasurand, feature: Feature, points: ObjectPoints
 ) -> tuple[ObjectPoints, FloatArray]:
-    """Return the points on a rod's upper side away from its ends, and its axis (xyz)."""
+    """Return the touching points on a rod's top, away from its ends, and its axis (xyz)."""
     rods, own = feature.specimen.nominal(NominalRod), feature.own(points.points_mm)
     if request.number > len(rods):
         raise FitError(f"radius {request.number}: the specimen has no such ball or rod")

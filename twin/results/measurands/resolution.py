@@ -1,4 +1,4 @@
-"""Lateral resolution: the finest pitch of gratings that is measured with half its depth."""
+"""Lateral resolution: the finest pitch of gratings that is measured with 50 % of its depth."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,12 +21,11 @@ from twin.results.measurands.depth import Depth
 from twin.results.object_points import ObjectPoints, ObjectView
 
 KEPT_SHARE = 0.5
-"""Of a grating's depth that must be left for it to be resolved: ISO 25178-600's lateral period
-limit."""
+"""Share of its depth with which a grating is resolved (lateral period limit, ISO 25178-600)."""
 
 
 class GratingResolution(MeasurandKind):
-    """The finest resolved pitch."""
+    """Measurand: the finest resolved pitch of the specimen's gratings, mm."""
 
     name = "resolution"
     summary = "finest pitch of the gratings that keeps half its depth"
@@ -39,9 +38,13 @@ class GratingResolution(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Find the finest pitch that, with all coarser ones, keeps half its depth above noise."""
+        """Return the finest pitch of which, as of all coarser ones, 50 % of the depth is measured.
+
+        The measured depth must also be at least three standard deviations of its noise.
+        """
         finest = None
-        # Parts that a gel or sheet does not touch are not resolved: the coat's own relief counts.
+        # The relief of the coat itself is used, because a grating that gel or sheet does not touch
+        # must count as not resolved.
         shown = points if points.under is None else in_ranges(request, observed.coat)
         points = replace(shown, touching=np.ones(len(shown.points_mm), bool))
         gratings = [(part.specimen.nominal(NominalGrating)[0], part) for part in observed.gratings]
@@ -56,7 +59,12 @@ class GratingResolution(MeasurandKind):
         return finest
 
     def check(self, request: ObjectMeasurand, specimen: Specimen, feature: Feature) -> None:
-        """Check that there are gratings."""
+        """Check that the specimen has a grating.
+
+        Raises
+        ------
+        InputError : the specimen has no grating
+        """
         if not gratings_of(specimen):
             raise InputError(
                 f"measurand {request.name}: resolution is that of gratings, found "
@@ -64,7 +72,7 @@ class GratingResolution(MeasurandKind):
             )
 
     def defaults(self, feature: Feature) -> Iterator[ObjectMeasurand]:
-        """Yield the resolution, by the same name for all gratings of a group: they share it."""
+        """Yield one resolution with the same name for every grating: a group has only one."""
         if feature.specimen.nominal(NominalGrating):
             yield ObjectMeasurand(name=self.name, quantity=self.name)
 

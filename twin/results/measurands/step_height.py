@@ -20,12 +20,12 @@ from twin.results.measurands import (
 )
 from twin.results.object_points import Heights, ObjectPoints, ObjectView
 
-# Of a step: levels are known to so much of it.
+# Cells within this share of the step height from a level belong to the level.
 _LEVEL_SHARE = 0.1
 
 
 class IsoStepHeight(MeasurandKind):
-    """The height of a step."""
+    """Measurand: the height of a step, mm."""
 
     name = "step_height"
     summary = "between the highest and the lowest level (ISO 5436-1 A1)"
@@ -39,12 +39,12 @@ class IsoStepHeight(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Fit two parallel planes to the levels without their edges, see `levels`."""
+        """Fit two parallel planes to the two levels without their edges, see `levels`."""
         step_mm = self.requested_mm(request, feature)
         return step_of(points.part(points.touching), feature, observed, step_mm)
 
     def curves(self, points_mm: FloatArray, line: SectionLine, observed: ObjectView) -> list[Curve]:
-        """Return both levels."""
+        """Return the lines of both levels along the section."""
         place, z = line.position(points_mm[:, 0], points_mm[:, 1]), points_mm[:, 2]
         middle = (float(z.min()) + float(z.max())) / 2
         upper = z > middle
@@ -60,12 +60,12 @@ def step_of(
 ) -> FittedValue:
     """Fit two parallel planes to the upper and the lower level of a step.
 
-    Points near the levels' edges are left out, as in ISO 5436-1 type A1. Heights are measured
-    along the specimen's own z axis, also if the specimen is tilted.
+    Points near the edges of the levels are left out, as in ISO 5436-1 type A1. Heights are
+    measured along the specimen's own z axis, also if the specimen is tilted.
 
     Parameters
     ----------
-    step_mm : nominal step height; None: the difference between the highest and the lowest cell
+    step_mm : nominal step height, mm; None: the difference between the highest and the lowest cell
 
     Raises
     ------
@@ -81,21 +81,24 @@ def step_of(
 
 
 def levels(heights: Heights, step_mm: float | None = None) -> tuple[BoolImage, BoolImage]:
-    """Return the cells (row, col) of the upper and of the lower level without their edges.
+    """Return masks (row, col) of the upper and of the lower level of a step without their edges.
 
-    The upper level is within 0.1 x the step below the highest cell, the lower level
-    as near to a step below. W is twice the farthest that a cell of the upper level is
-    from its edge, the width of a ridge. Kept are the upper level's cells W / 3 or more from the
-    edge, and the lower level's ones up to W from the upper level and W / 3 from all else; where the
-    lower level is narrower than W, a third of its own width.
+    The upper level has the cells at most 0.1 x the step below the highest cell. The lower level has
+    the cells within 0.1 x the step of the height one step below the highest cell. W, the width of a
+    ridge, is twice the largest distance of a cell of the upper level from the level's edge.
+
+    Of the upper level, the cells at least W / 3 from its edge are kept. Of the lower level, the
+    cells are kept that are W / 3 to W from the upper level and at least W / 3 from the lower
+    level's own edge. If the lower level is narrower than W, W / 3 is replaced by 1/3 of its own
+    width.
 
     Parameters
     ----------
-    step_mm : None: from the highest to the lowest cell
+    step_mm : step height, mm; None: the difference between the highest and the lowest cell
 
     Raises
     ------
-    FitError : no step, or no cell is left
+    FitError : there is no step, or the specimen is not in the given ranges
     """
     z, known = heights.z_mm, np.isfinite(heights.z_mm)
     if not known.any():

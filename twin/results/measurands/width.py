@@ -1,4 +1,4 @@
-"""Width of a bar at half height, or of a V groove at its face."""
+"""Width of a bar at 50 % of its height, or of a V groove at the face that it is cut into."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ _LEAST_IN_BIN = 3
 
 
 class SectionWidth(MeasurandKind):
-    """The width of a bar or a groove."""
+    """Measurand: the width of a bar or of a groove, mm."""
 
     name = "width"
     summary = "of a bar, a groove"
@@ -40,7 +40,7 @@ class SectionWidth(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Width at half height of a section across; of a V groove its opening, by the flanks."""
+        """Return the width of a bar's section at 50 % of its height, or a V groove's opening."""
         for nominal in feature.specimen.nominal(NominalGroove):
             near, groove = groove_of(nominal, feature, points)
             return fitted(near, groove.width)
@@ -56,14 +56,17 @@ class SectionWidth(MeasurandKind):
         return _section_width(points.part(band), place[band], observed.pixel_mm)
 
     def count(self, feature: Feature) -> int | None:
-        """Return the number of bars and grooves; None where the specimen has no nominal width."""
+        """Return the number of bars and grooves; None if the specimen has no nominal width."""
         return len(self.known_mm(feature)) or None
 
 
 def _width_under_sheet(
     request: ObjectMeasurand, feature: Feature, points: ObjectPoints, under: ObjectUnderSheet
 ) -> FittedValue:
-    """Return the width between the walls of a bar, which no sheet touches: by its free spans."""
+    """Return the width between the walls of a bar, determined from the sheet's free spans.
+
+    A sheet does not touch the walls of a bar.
+    """
     places = bar_places(feature)
     if request.number > len(places):
         raise FitError(
@@ -76,7 +79,10 @@ def _width_under_sheet(
 
 
 def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> FittedValue:
-    """Return the width of a section, from the points' places (n, xyz) in the feature's frame."""
+    """Return the width of a section at 50 % of its height.
+
+    `place` (n, xyz), mm, are the points in the own frame of the feature.
+    """
     pitch = 1.5 * pixel_mm
     numbers, where = np.unique(np.round(place[:, 0] / pitch).astype(int), return_inverse=True)
     counts = np.bincount(where)
@@ -99,7 +105,8 @@ def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> 
     for edge in (bar.left_mm, bar.right_mm):
         at = int(np.argmin(np.abs(s - edge)))
         sigma = _mean_sigma(points, where == np.flatnonzero(full)[at])
-        # The height's error, and the position within its cell where the profile crosses.
+        # Errors of the height, and of the position within the cell where the profile crosses the
+        # level.
         noise += (sigma / max(abs(float(slope[at])), 1e-9)) ** 2 + pitch**2 / 12
     edges = _between_edges(bar, place[:, 0], (s, z, counts[full].astype(np.float64)))
     return FittedValue(bar.width_mm, float(np.sqrt(noise)), points.points_mm, edges, points)
@@ -108,15 +115,16 @@ def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> 
 def _between_edges(
     bar: BarWidth, place_mm: FloatArray, profile: tuple[FloatArray, FloatArray, FloatArray]
 ) -> FittedDimension:
-    """Return how a width at half height follows from the heights of a section's points.
+    """Return the width at 50 % of the height with its derivatives by the points' heights.
 
-    The width errs by the heights of the four cells between which the profile crosses. For the
-    bound the model is a shape with two independently shifting flanks and a free level.
+    The error of the width follows from the heights of the four cells between which the profile
+    crosses 50 % of its height. For the bound, the model is a profile with two flanks that shift
+    independently and a free level.
 
     Parameters
     ----------
-    place_mm : (n,) across
-    profile : cells' place, height and number of points
+    place_mm : (n,) positions of the points across the bar, mm
+    profile : position, mm, height, mm, and number of points of each cell
     """
     s, z, counts = profile
     cell = np.abs(place_mm[:, None] - s).argmin(axis=1)
@@ -138,7 +146,7 @@ def _between_edges(
 
 
 def _mean_sigma(points: ObjectPoints, members: BoolImage) -> float:
-    """Return the standard uncertainty of the mean height of some points."""
+    """Return the standard uncertainty, mm, of the mean height of selected points."""
     if points.sigma_mm is None:
         return float(np.std(points.points_mm[members, 2]))
     sigma = points.sigma_mm[members]

@@ -1,1 +1,1 @@
-"""The built-in kinds of specimens, one file each: data model, shape and nominal features."""
+"""Built-in kinds of specimens, one file each: configuration, shape and nominal features."""

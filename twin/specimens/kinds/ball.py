@@ -1,4 +1,4 @@
-"""One ball."""
+"""Specimen kind `ball`: one ball."""
 
 from typing import ClassVar, Literal
 
@@ -11,7 +11,7 @@ from twin.specimens.closed_form import SphereCluster
 
 @SPECIMENS.register
 class Ball(Specimen):
-    """One ball."""
+    """A specimen that is one ball."""
 
     kind: Literal["ball"] = "ball"
     diameter_mm: Length = 8.0
@@ -19,9 +19,9 @@ class Ball(Specimen):
     slab_fit_paths: ClassVar[tuple[str, ...]] = ("diameter_mm", "x_mm", "y_mm")
 
     def shape(self) -> SphereCluster:
-        """Centre the ball."""
+        """Return the ball, centred on the origin."""
         return SphereCluster((Sphere(0.0, 0.0, 0.0, self.diameter_mm / 2),))
 
     def nominal_features(self) -> tuple[NominalBall, ...]:
-        """Return the ball."""
+        """Return the nominal ball, the only feature of known size."""
         return (NominalBall(self.diameter_mm / 2),)

@@ -1,4 +1,4 @@
-"""One bar of known width."""
+"""Specimen kind `bar`: one bar of known width."""
 
 from typing import ClassVar, Literal
 
@@ -29,10 +29,10 @@ class Bar(Specimen):
         return self
 
     def shape(self) -> MeshShape:
-        """Lay the bar along y, its upper face z = 0."""
+        """Return the bar along y, with its upper face at z = 0."""
         x, y, z = self.width_mm / 2, self.length_mm / 2, self.height_mm
         return block((-x, -y, -z), (x, y, 0.0), self.edge_radius_mm)
 
     def nominal_features(self) -> tuple[NominalBar, ...]:
-        """Return the bar."""
+        """Return the nominal bar, the only feature of known size."""
         return (NominalBar(self.width_mm, self.length_mm, self.edge_radius_mm),)

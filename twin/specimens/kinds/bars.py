@@ -1,4 +1,4 @@
-"""Bars of known widths on a plate."""
+"""Specimen kind `bars`: bars of known widths on a plate."""
 
 from math import inf
 from typing import Annotated, Literal
@@ -38,11 +38,14 @@ class Bars(Specimen):
 
     @property
     def middles_mm(self) -> tuple[float, ...]:
-        """Position of each bar's middle along x; the row is centred."""
+        """Position of each bar's middle along x, from -x to +x; the row is centred."""
         return middles_mm(self.widths_mm, self.gap_mm)
 
     def shape(self) -> Assembly:
-        """Lay the bars along y on the plate's upper face, z = 0, sunk to half its thickness."""
+        """Return the bars along y on a plate; its upper face is z = 0.
+
+        The bars extend into the plate by half its thickness.
+        """
         low, high, y = -self.plate_mm / 2, self.height_mm, self.length_mm / 2
         bars = [
             block((x - w / 2, -y, low), (x + w / 2, y, high), self.edge_radius_mm)
@@ -53,7 +56,7 @@ class Bars(Specimen):
         return Assembly((*bars, plate))
 
     def nominal_features(self) -> tuple[NominalBar | NominalStep, ...]:
-        """Return the bars from -x to +x, and their height above the plate."""
+        """Return the nominal bars from -x to +x, and a step with their height above the plate."""
         gap_mm = self.gap_mm if len(self.widths_mm) > 1 else inf
         sizes = self.length_mm, self.edge_radius_mm
         row = zip(self.middles_mm, self.widths_mm, strict=True)

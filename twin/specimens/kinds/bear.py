@@ -1,8 +1,10 @@
-"""A bear ornament: the smooth union of ellipsoids, meshed on its level set.
+"""Specimen kind `bear`: an ornament that is a smooth union of ellipsoids.
 
-Each ellipsoid has the signed distance estimate d = (|p / r| - 1) min(r), negative inside; their
-smooth union with blending b is  -b log sum exp(-d / b). A coarse level-set mesh gives the topology;
-its refined vertices are then moved onto the surface by Newton's steps along the gradient.
+For a point p relative to the middle of an ellipsoid with half axes r, d = (|p / r| - 1) min(r)
+estimates the signed distance, negative inside. The level of the smooth union with the blending b is
+-b log sum exp(-d / b); its zero set is the surface. A coarse mesh of the zero set gives the
+topology. The vertices of the refined mesh are then moved onto the surface by Newton's steps along
+the gradient.
 """
 
 from functools import lru_cache
@@ -19,8 +21,8 @@ from twin.specimens.solids import level_set
 if TYPE_CHECKING:
     import trimesh
 
-# The drawing, 16 mm long, on its back, face up, ears towards +y: middle and half axes of the
-# parts, mm. Pairs are mirrored in x.
+# The bear before scaling ("the drawing"), 16 mm long, on its back, face up, ears towards +y:
+# middle and half axes of the parts, mm. Parts of pairs are mirrored in x.
 _MIDDLE = [
     ((0.0, -2.1, 0.0), (3.5, 4.1, 2.7)),  # trunk
     ((0.0, -2.3, 1.5), (2.5, 2.9, 2.0)),  # belly
@@ -58,7 +60,7 @@ class Bear(Specimen):
     )
 
     def shape(self) -> MeshShape:
-        """Scale the drawing to the bear's length, the middle of its bounding box in the origin."""
+        """Return the bear with its length along y, its bounding box centred on the origin."""
         body = drawn_bear(self.blend_mm).copy()
         body.apply_translation(-body.bounds.mean(axis=0))
         body.apply_scale(self.length_mm / body.extents[1])
@@ -67,7 +69,7 @@ class Bear(Specimen):
 
 @lru_cache(maxsize=4)
 def drawn_bear(blend_mm: float) -> "trimesh.Trimesh":
-    """Mesh the drawing itself, in its own frame and size."""
+    """Return the mesh of the bear before scaling (16 mm long), in the frame of its parts."""
     body = level_set(
         lambda x, y, z: float(bear_level_mm(np.array((x, y, z)), blend_mm)),
         _BOX_MM,
@@ -79,9 +81,9 @@ def drawn_bear(blend_mm: float) -> "trimesh.Trimesh":
 
 
 def bear_level_mm(points_mm: FloatArray, blend_mm: float) -> FloatArray:
-    """Return the smooth union's level (...) at points (..., xyz) of the drawing.
+    """Return the level (...), mm, of the smooth union at points (..., xyz), before scaling.
 
-    0 on the surface, negative inside.
+    The level is 0 on the surface and negative inside.
     """
     scaled = (points_mm[..., None, :] - _CENTRES_MM) / _HALF_AXES_MM
     distance = (np.sqrt((scaled**2).sum(axis=-1)) - 1) * _LEAST_MM
@@ -91,7 +93,7 @@ def bear_level_mm(points_mm: FloatArray, blend_mm: float) -> FloatArray:
 
 
 def bear_gradient(points_mm: FloatArray, blend_mm: float) -> FloatArray:
-    """Return the level's gradient (n, xyz) at points (n, xyz)."""
+    """Return the gradient (n, xyz) of `bear_level_mm` at points (n, xyz)."""
     scaled = (points_mm[:, None] - _CENTRES_MM) / _HALF_AXES_MM
     reach = np.maximum(np.sqrt((scaled**2).sum(axis=-1)), 1e-9)
     distance = (reach - 1) * _LEAST_MM
@@ -101,7 +103,10 @@ def bear_gradient(points_mm: FloatArray, blend_mm: float) -> FloatArray:
 
 
 def _on_surface(points_mm: FloatArray, blend_mm: float) -> FloatArray:
-    """Move points along the gradient until the level is zero; most points need two steps."""
+    """Return points (n, xyz) moved along the gradient until the level is zero.
+
+    Most points need two steps.
+    """
     moved_mm, off = points_mm.copy(), np.arange(len(points_mm))
     for _ in range(_NEWTON_STEPS):
         level = bear_level_mm(moved_mm[off], blend_mm)

@@ -1,4 +1,4 @@
-"""A toy brick: hollow below, with tubes between its walls and rounded studs on top."""
+"""Specimen kind `brick`: a hollow toy brick with tubes inside and rounded studs on top."""
 
 from functools import lru_cache
 from itertools import product
@@ -17,9 +17,9 @@ from twin.specimens.solids import arc, box, moved, turned, union, without
 if TYPE_CHECKING:
     import trimesh
 
-# Overlap of the parts: faces that only touch do not unite.
+# Overlap of the parts, because a union does not join faces that only touch.
 _INTO_MM = 0.2
-# Facets of the studs' rounding; the error of a chord is at most 0.2 um at a radius of 0.1 mm.
+# Angle of a facet of the studs' rounding; chord errors are at most 0.2 um at a radius of 0.1 mm.
 _EDGE_STEP_DEG = 6.0
 
 
@@ -54,11 +54,11 @@ class Brick(Specimen):
 
     @property
     def tube_diameter_mm(self) -> float:
-        """Outer diameter of the tubes: each touches the four studs round it."""
+        """Outer diameter of the tubes, with which each touches the four studs round it."""
         return sqrt(2) * self.pitch_mm - self.stud_diameter_mm
 
     def shape(self) -> MeshShape:
-        """Place the brick on its walls, its middle in the origin."""
+        """Return the brick with its studs up and its middle at the origin."""
         body = _brick(unposed(self))
         middle_mm = (self.height_mm + self.stud_height_mm) / 2
         return MeshShape(body).placed(raised(-middle_mm))
@@ -66,7 +66,7 @@ class Brick(Specimen):
 
 @lru_cache(maxsize=8)
 def _brick(brick: Brick) -> "trimesh.Trimesh":
-    """Join the shell (base at z = 0), its studs and its tubes."""
+    """Return the union of shell (base at z = 0), studs and tubes."""
     studs = [moved(_stud(brick), x, y) for x, y in _places(brick, brick.studs_x, brick.studs_y)]
     tubes = [
         moved(_tube(brick), x, y) for x, y in _places(brick, brick.studs_x - 1, brick.studs_y - 1)
@@ -75,7 +75,7 @@ def _brick(brick: Brick) -> "trimesh.Trimesh":
 
 
 def _places(brick: Brick, count_x: int, count_y: int) -> list[tuple[float, float]]:
-    """Return the middles of a centred grid of studs or tubes."""
+    """Return the middles (x, y), mm, of a centred grid of studs or tubes."""
     x = (np.arange(count_x) - (count_x - 1) / 2) * brick.pitch_mm
     y = (np.arange(count_y) - (count_y - 1) / 2) * brick.pitch_mm
     return [(float(a), float(b)) for a, b in product(x, y)]

@@ -1,10 +1,12 @@
-"""A fingertip: a plate with ridges that follow a loop or a whorl, with endings and forks.
+"""Specimen kind `fingerprint`: a plate with the ridges of a fingertip, with endings and forks.
 
-Its height is depth / 2 times the real part of exp(2 pi i s / pitch) times one vortex
-(u +- i v) / sqrt(u^2 + v^2 + r^2) per minutia, (u, v) the position relative to it: one side of a
-minutia has one ridge more (Larkin and Fletcher 2007, fingerprints as holograms). s is the distance
-to the core, a line that ends in the middle of the print (loop) or a short line (whorl), smoothed
-over 0.25 pitches. The spacing of ridges is therefore one pitch, except near minutiae.
+The ridges follow a loop or a whorl. Their height is depth / 2 times the real part of
+exp(2 pi i s / pitch) times one vortex (u +- i v) / sqrt(u^2 + v^2 + r^2) per minutia (ending or
+fork). (u, v) is the position relative to the minutia and r the radius of the minutia's core; one
+side of a minutia has one ridge more (Larkin and Fletcher 2007, fingerprints as holograms). s is the
+distance to the core of the print, smoothed over 0.25 pitches: a line that ends in the middle of the
+print (loop), or a short line (whorl). The spacing of ridges is therefore one pitch, except near
+minutiae.
 """
 
 from functools import lru_cache
@@ -24,7 +26,7 @@ from twin.specimens.solids import height_grid_body
 if TYPE_CHECKING:
     import trimesh
 
-# The error of chords is at most depth pi^2 / 4 / 12^2: 1.2 um at 0.07 mm.
+# With 12 steps the error of chords is at most depth pi^2 / 4 / 12^2: 1.2 um for a depth of 0.07 mm.
 _STEPS_PER_PITCH = 12
 # Radius of a minutia's core and least distance of two minutiae, in pitches.
 _VORTEX, _SPACING = 0.5, 2.5
@@ -72,7 +74,7 @@ class Fingerprint(Specimen):
         return self
 
     def shape(self) -> MeshShape:
-        """Lay the plate with its ridges up."""
+        """Return the plate with its ridges up; their mean height at x = y = 0 is z = 0."""
         return MeshShape(_plate(unposed(self)))
 
     @property
@@ -110,7 +112,10 @@ def ridges_mm(print_: Fingerprint, x_mm: FloatArray, y_mm: FloatArray) -> FloatA
 def _minutiae(
     print_: Fingerprint, half_mm: FloatArray, rng: np.random.Generator
 ) -> list[tuple[FloatArray, int]]:
-    """Draw positions and senses, at most as many as fit; senses alternate."""
+    """Return random positions (xy), mm, and alternating senses (+1, -1) of the minutiae.
+
+    There are fewer than configured if no more fit at the least spacing.
+    """
     places: list[FloatArray] = []
     for _ in range(_TRIES * print_.minutiae):
         place = rng.uniform(-half_mm, half_mm)
@@ -124,7 +129,7 @@ def _minutiae(
 
 @lru_cache(maxsize=4)
 def _plate(print_: Fingerprint) -> "trimesh.Trimesh":
-    """Close the ridged surface by walls and a flat base."""
+    """Return the ridged surface as a body, closed by walls and a flat base."""
     x, y = (_lines(length, print_.pitch_mm) for length in (print_.length_x_mm, print_.length_y_mm))
     grid_x, grid_y = np.meshgrid(x, y)
     z = ridges_mm(print_, grid_x, grid_y)

@@ -1,4 +1,4 @@
-"""A flat round punch."""
+"""Specimen kind `flat`: a flat round punch."""
 
 from typing import ClassVar, Literal
 
@@ -27,6 +27,6 @@ class Flat(Specimen):
         return self
 
     def shape(self) -> Cylinder:
-        """Place a cylinder along z."""
+        """Return the punch as a cylinder along z, centred on the origin."""
         sizes = self.diameter_mm / 2, self.height_mm / 2, self.edge_radius_mm
         return Cylinder(np.zeros(3), np.array([0.0, 0.0, 1.0]), *sizes)

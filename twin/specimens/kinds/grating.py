@@ -1,4 +1,4 @@
-"""A plate with sinusoidal grooves."""
+"""Specimen kind `grating`: a plate with sinusoidal grooves."""
 
 from typing import ClassVar, Literal
 
@@ -29,9 +29,9 @@ class Grating(Specimen):
     slab_fit_paths: ClassVar[tuple[str, ...]] = ("groove_mm", "x_mm")
 
     def shape(self) -> MeshShape:
-        """Make a plate with grooves along y; their crests are at whole pitches from the middle.
+        """Return a plate with grooves along y.
 
-        Crests are at z = `groove_mm` / 2.
+        The crests between grooves are at whole pitches from x = 0 and at z = `groove_mm` / 2.
         """
         steps = max(2, round(self.length_x_mm / self.pitch_mm * _STEPS_PER_PITCH))
         x = np.linspace(-self.length_x_mm / 2, self.length_x_mm / 2, steps + 1)
@@ -44,7 +44,7 @@ class Grating(Specimen):
         return MeshShape(closed_mesh(np.concatenate(vertices), _prism_facets(x.size)))
 
     def nominal_features(self) -> tuple[NominalGrating, ...]:
-        """Return the grooves."""
+        """Return the nominal grating, the only feature of known size."""
         sides = self.length_x_mm, self.length_y_mm
         return (NominalGrating(self.pitch_mm, self.groove_mm, *sides),)
 
@@ -55,12 +55,12 @@ class Grating(Specimen):
 
     @property
     def ridge_height_mm(self) -> float:
-        """Depth of the grooves."""
+        """Depth of the grooves, crest to root."""
         return self.groove_mm
 
 
 def _prism_facets(count: int) -> IntArray:
-    """Return the facets of four lines of vertices joined to a closed bar."""
+    """Return the facets (n, 3) of a bar with four long edges of `count` vertices each."""
     step = np.arange(count - 1)
     sides = []
     for line in range(4):

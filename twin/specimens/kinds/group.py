@@ -1,4 +1,4 @@
-"""Several specimens on one stage."""
+"""Specimen kind `group`: several specimens on one stage."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal
@@ -28,17 +28,17 @@ class Group(Specimen):
 
     @property
     def components(self) -> Mapping[str, Specimen]:
-        """The parts."""
+        """Specimens of the group by name."""
         return self.parts
 
     def shape(self) -> Assembly:
-        """Place the parts, each with its foremost point at its own height."""
+        """Return the shapes of all parts, each with its foremost point at its `z_mm`."""
         return Assembly(
             tuple(shape_of(part).placed(raised(part.z_mm)) for part in self.parts.values())
         )
 
     @property
     def finest_pitch_mm(self) -> float | None:
-        """Finest pitch of the parts' ridges."""
+        """Finest pitch of the ridges of all parts; None without ridges."""
         pitches = [part.finest_pitch_mm for part in self.parts.values()]
         return min((pitch for pitch in pitches if pitch is not None), default=None)

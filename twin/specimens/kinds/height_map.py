@@ -1,4 +1,4 @@
-"""A measured or computed relief: a height map from an image or a netCDF file."""
+"""Specimen kind `height_map`: a relief with heights from an image, NPY or netCDF file."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +18,7 @@ from twin.specimens.solids import height_grid_body
 
 _KEY = "specimen.file"
 _TYPES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".exr", ".npy", ".nc")
-# Two facets per pixel: a mesh of more takes gigabytes in a press and in the renderer.
+# A pixel has two facets; with more pixels a press and the renderer would take gigabytes of memory.
 _MOST_PIXELS = 4_000_000
 _SIZE_MM = 0.1, 1000.0
 _MOST_RELIEF_MM = 100.0
@@ -43,11 +43,11 @@ class HeightMapFile(Specimen):
     base_mm: Size = Field(default=2.0, description="thickness below the lowest height")
 
     def shape(self) -> MeshShape:
-        """Close the relief by upright sides and a flat base; its middle is in x = y = 0.
+        """Return the relief as a body with vertical sides and a flat base, centred on x = y = 0.
 
         Raises
         ------
-        InputError : no such file, no map of finite heights, or one of implausible size
+        InputError : the file is missing or no map of finite heights, or its size is implausible
         """
         values, unit = self._read()
         z = values.astype(np.float64)[::-1] * self._scale_mm(values, unit)
@@ -56,7 +56,7 @@ class HeightMapFile(Specimen):
         return MeshShape(height_grid_body(x, y, z, float(z.min()) - self.base_mm))
 
     def _read(self) -> tuple[NDArray[Any], str]:
-        """Return the file's values (row, col) and their unit, empty if it states none."""
+        """Return the file's values (row, col) and their unit, empty if the file states none."""
         path = mesh_path(self.file)
         suffix = path.suffix.lower()
         if not is_regular(path):
@@ -74,7 +74,7 @@ class HeightMapFile(Specimen):
         return content
 
     def _scale_mm(self, values: NDArray[Any], unit: str) -> float:
-        """Return mm per unit of the file."""
+        """Return the height of one unit of the file, mm."""
         if self.unit_mm is not None:
             return self.unit_mm
         if values.dtype.kind != "f" or unit not in ("", "mm"):

@@ -1,4 +1,4 @@
-"""A triangle mesh from a file."""
+"""Specimen kind `mesh`: a triangle mesh from a file."""
 
 from typing import Literal
 
@@ -10,7 +10,7 @@ from twin.config.specimen_base import SPECIMENS, Specimen
 from twin.specimens.mesh_files import read_body_mm
 from twin.specimens.meshes import MeshShape
 
-# Below this size a body may have a file in metres or inches.
+# The file of a body below this size may be in metres or inches.
 _DOUBTFUL_MM = 1.0
 # Rows: the file's axes that become x, y and z, for each allowed value of `up`.
 _UP = {
@@ -37,11 +37,12 @@ class MeshFile(Specimen):
     )
 
     def shape(self) -> MeshShape:
-        """Read the file, turn its `up` axis upwards and centre its bounding box.
+        """Return the mesh of the file with its `up` axis along +z and its bounding box centred.
 
         Raises
         ------
-        InputError : the file is missing, no mesh, empty, not watertight or of implausible size
+        InputError : the file is missing or no mesh, or the mesh is empty, not watertight or of
+            implausible size
         """
         surface = read_body_mm("specimen.file", self.file, "specimen.scale", self.scale)
         turn = np.eye(4)

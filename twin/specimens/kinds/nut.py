@@ -1,4 +1,4 @@
-"""A hex nut with a real thread."""
+"""Specimen kind `nut`: a hex nut with a helical thread."""
 
 from functools import lru_cache
 from math import radians, sqrt, tan
@@ -25,7 +25,7 @@ _X, _Y, _Z = np.eye(3)
 
 @SPECIMENS.register
 class Nut(Specimen):
-    """A hex nut on its face, with a real helical thread (ISO 68-1 basic profile); default M6."""
+    """A hex nut on its face, with a helical thread (ISO 68-1 basic profile); default M6."""
 
     kind: Literal["nut"] = "nut"
     thread_mm: Thread = Field(default=6.0, description="major diameter of the thread")
@@ -57,15 +57,15 @@ class Nut(Specimen):
 
     @property
     def face_radius_mm(self) -> float:
-        """Radius of the circle at which the chamfer starts."""
+        """Radius of the circle on the face at which the chamfer starts."""
         return self.across_flats_mm / sqrt(3) - self.chamfer_mm
 
     def shape(self) -> MeshShape:
-        """Lay the nut flat, its axis along z, two of its flats across y."""
+        """Return the nut with its axis along z and two of its flats normal to y, centred."""
         return MeshShape(_nut(unposed(self)))
 
     def nominal_features(self) -> tuple[NominalHexNut, ...]:
-        """Return the hexagon and the flat ring between countersink and chamfer."""
+        """Return the nominal nut: hexagon, and the flat ring between countersink and chamfer."""
         hole_mm = max(self.countersink_mm, self.thread_mm) / 2
         fall_mm = self.chamfer_mm * tan(radians(30))
         return (NominalHexNut(self.across_flats_mm, (hole_mm + self.face_radius_mm) / 2, fall_mm),)
@@ -73,7 +73,7 @@ class Nut(Specimen):
 
 @lru_cache(maxsize=8)
 def _nut(nut: Nut) -> "trimesh.Trimesh":
-    """Chamfer a hexagon, then cut the thread and both countersinks."""
+    """Return a chamfered hexagon with the thread and both countersinks cut out."""
     half, corner_mm = nut.height_mm / 2, nut.across_flats_mm / np.sqrt(3)
     turn = np.arange(6) * np.pi / 3
     hexagon = corner_mm * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
@@ -87,7 +87,10 @@ def _nut(nut: Nut) -> "trimesh.Trimesh":
 
 
 def _chamfered(face_radius_mm: float, corner_mm: float, half_mm: float) -> "trimesh.Trimesh":
-    """Return a disc with 30 degree chamfers that start at the face radius."""
+    """Return a disc with chamfers of 30 degrees on both faces, from `face_radius_mm` outwards.
+
+    `corner_mm` is the radius of the hexagon's corners, `half_mm` half the height of the nut.
+    """
     import trimesh
 
     rim = corner_mm * 1.1
@@ -101,7 +104,10 @@ def _chamfered(face_radius_mm: float, corner_mm: float, half_mm: float) -> "trim
 
 
 def _countersink(radius_mm: float, half_mm: float, side: int) -> "trimesh.Trimesh":
-    """Return a cone for the upper (+1) or lower (-1) face, which extends beyond it."""
+    """Return the cone to cut from the upper (+1) or lower (-1) face; it extends beyond the face.
+
+    `radius_mm` is its radius at the face, `half_mm` half the height of the nut.
+    """
     depth_mm = radius_mm * _COUNTERSINK_SLOPE
     rim = (2 * radius_mm, half_mm + depth_mm)
     cone = turned([(0.0, half_mm - depth_mm), rim, (0.0, half_mm + 2 * depth_mm)])

@@ -1,4 +1,4 @@
-"""A horizontal cylinder."""
+"""Specimen kind `rod`: a horizontal cylinder."""
 
 from typing import ClassVar, Literal
 
@@ -28,10 +28,10 @@ class Rod(Specimen):
         return self
 
     def shape(self) -> Cylinder:
-        """Lay a cylinder along x."""
+        """Return the rod as a cylinder along x, centred on the origin."""
         sizes = self.diameter_mm / 2, self.length_mm / 2, self.edge_radius_mm
         return Cylinder(np.zeros(3), np.array([1.0, 0.0, 0.0]), *sizes)
 
     def nominal_features(self) -> tuple[NominalRod, ...]:
-        """Return the only nominal feature, the cylinder of the rod."""
+        """Return the nominal rod, the only feature of known size."""
         return (NominalRod(self.diameter_mm / 2, self.length_mm, self.edge_radius_mm, along="x"),)

@@ -1,4 +1,4 @@
-"""Rods on a plate (the paper's acrylic rods)."""
+"""Specimen kind `rods`: rods on a plate (the paper's acrylic rods)."""
 
 from typing import Annotated, Literal
 
@@ -43,18 +43,18 @@ class Rods(Specimen):
 
     @property
     def middles_mm(self) -> tuple[float, ...]:
-        """Position of each rod's axis along x; the row is centred.
+        """Position of each rod's axis along x, from -x to +x; the row is centred.
 
-        All rods are on one plate; the clearance of neighbours with unequal diameters is that of
-        their outlines in top view.
+        All rods are on one plate. The clearance between neighbours is measured between their
+        outlines in plan, also if their diameters are unequal.
         """
         return middles_mm(self.diameters_mm, self.gap_mm)
 
     def shape(self) -> Assembly:
-        """Lay the rods along y on the plate's upper face, z = 0, each in a bead of cement.
+        """Return the rods along y on a plate; its upper face is z = 0.
 
-        The rods touch the plate along a line; a bead of cement unites rod and plate to one body. It
-        is below the rods, out of reach of elastomer and light from above.
+        A rod touches the plate along a line. A bead of cement under each rod joins rod and plate to
+        one body; neither the elastomer nor light from above reaches the bead.
         """
         rods = list(zip(self.middles_mm, self.diameters_mm, strict=True))
         cylinders = [self._lying(x, diameter) for x, diameter in rods]
@@ -64,7 +64,7 @@ class Rods(Specimen):
         return Assembly((*cylinders, *beads, plate))
 
     def nominal_features(self) -> tuple[NominalRod, ...]:
-        """Return the rods from -x to +x."""
+        """Return the nominal rods from -x to +x."""
         sizes = self.length_mm, self.edge_radius_mm
         row = zip(self.middles_mm, self.diameters_mm, strict=True)
         return tuple(NominalRod(diameter / 2, *sizes, middle) for middle, diameter in row)

@@ -1,4 +1,4 @@
-"""Two levels."""
+"""Specimen kind `step`: two flat levels."""
 
 from typing import ClassVar, Literal
 
@@ -33,7 +33,7 @@ class Step(Specimen):
         return self
 
     def shape(self) -> MeshShape:
-        """Raise the level at +x; the lower level is z = 0, the riser is in x = 0."""
+        """Return the body: the lower level is z = 0, and the step up towards +x is at x = 0."""
         x, height, edge = self.length_x_mm / 2, self.height_mm, self.edge_radius_mm
         # Counter-clockwise: the arc runs from the upper level down.
         rounding = arc((edge, height - edge), edge, 90, 180)
@@ -42,5 +42,5 @@ class Step(Specimen):
         return uniform_along_y(outline, self.length_y_mm)
 
     def nominal_features(self) -> tuple[NominalStep, ...]:
-        """Return the step."""
+        """Return the nominal step, the only feature of known size."""
         return (NominalStep(self.height_mm),)

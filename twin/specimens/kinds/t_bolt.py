@@ -1,4 +1,4 @@
-"""A hammer-head bolt for T slots."""
+"""Specimen kind `t_bolt`: a hammer-head bolt for T slots."""
 
 from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
@@ -57,7 +57,7 @@ class TBolt(Specimen):
         return self
 
     def shape(self) -> MeshShape:
-        """Orient the bolt, the middle of its length in the origin."""
+        """Return the bolt with its part `facing` up and the middle of its length at the origin."""
         bolt = _bolt(unposed(self.model_copy(update={"facing": "side"})))
         length_below = self.shank_mm + self.neck_mm
         centred = moved(bolt, 0.0, 0.0, (length_below - self.head_height_mm) / 2)
@@ -66,10 +66,10 @@ class TBolt(Specimen):
 
 @lru_cache(maxsize=8)
 def _bolt(bolt: TBolt) -> "trimesh.Trimesh":
-    """Join head (above z = 0), neck and shank (below it)."""
+    """Return the union of head (above z = 0), neck and shank (below z = 0)."""
     half, inside_mm = bolt.head_width_mm / 2, bolt.head_height_mm / 2
     head = prism(_hammer(bolt.head_length_mm / 2, half), 0.0, bolt.head_height_mm)
-    # Each part overlaps the part above it: faces that only touch do not unite.
+    # Each part overlaps the part above it, because a union does not join faces that only touch.
     neck = box((-half, -half, -bolt.neck_mm), (half, half, inside_mm))
     tip_mm = -bolt.neck_mm - bolt.shank_mm
     thread = screw(bolt.thread_mm, bolt.pitch_mm, tip_mm, inside_mm)
@@ -78,7 +78,10 @@ def _bolt(bolt: TBolt) -> "trimesh.Trimesh":
 
 
 def _hammer(half_length_mm: float, half_width_mm: float) -> FloatArray:
-    """Return the head's outline: two opposite corners are round, so that it turns in the slot."""
+    """Return the outline (n, xy), mm, of the head.
+
+    Two opposite corners are round, so that the head can turn in the slot.
+    """
     radius = min(half_width_mm, half_length_mm)
     x, y = half_width_mm, half_length_mm
     first = arc((x - radius, y - radius), radius, 0, 90)

@@ -1,4 +1,4 @@
-"""Two joined balls (the paper's artefact)."""
+"""Specimen kind `two_balls`: two joined balls (the paper's artefact)."""
 
 from typing import ClassVar, Literal
 
@@ -13,7 +13,7 @@ from twin.specimens.closed_form import SphereCluster
 
 @SPECIMENS.register
 class TwoBalls(Specimen):
-    """Two joined balls in a row along the specimen's x axis (the paper's artefact)."""
+    """Two joined balls along the specimen's x axis (the paper's artefact)."""
 
     kind: Literal["two_balls"] = "two_balls"
     diameter_mm: Length = 8.0
@@ -24,12 +24,12 @@ class TwoBalls(Specimen):
     )  # fmt: skip
 
     def shape(self) -> SphereCluster:
-        """Lay two balls along the specimen's x axis, round their midpoint."""
+        """Return two balls along x; the midpoint of their centres is the origin."""
         half = self.separation_mm / 2
         return SphereCluster(
             tuple(Sphere(side * half, 0.0, 0.0, self.diameter_mm / 2) for side in (-1, 1))
         )
 
     def nominal_features(self) -> tuple[NominalBall, ...]:
-        """Return both balls."""
+        """Return the nominal balls from -x to +x."""
         return 2 * (NominalBall(self.diameter_mm / 2),)

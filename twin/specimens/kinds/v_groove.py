@@ -1,4 +1,4 @@
-"""A plate with a V groove."""
+"""Specimen kind `v_groove`: a plate with a V groove."""
 
 from math import radians, tan
 from typing import Annotated, ClassVar, Literal
@@ -40,13 +40,13 @@ class VGroove(Specimen):
         return 2 * self.depth_mm * tan(radians(self.angle_deg / 2))
 
     def shape(self) -> MeshShape:
-        """Cut the groove into the face z = 0, its root in x = 0."""
+        """Return the plate with its face at z = 0 and the root of the groove at x = 0."""
         x, half, root = self.length_x_mm / 2, self.opening_mm / 2, -self.depth_mm
         base = root - _BASE_MM
         face = [(x, base), (x, 0.0), (half, 0.0), (0.0, root), (-half, 0.0), (-x, 0.0), (-x, base)]
         return uniform_along_y(face, self.length_y_mm)
 
     def nominal_features(self) -> tuple[NominalGroove, ...]:
-        """Return the groove."""
+        """Return the nominal groove, the only feature of known size."""
         sides = self.length_x_mm, self.length_y_mm
         return (NominalGroove(self.depth_mm, self.opening_mm, *sides),)
