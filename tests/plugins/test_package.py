@@ -34,6 +34,8 @@ winkler = winkler:WINKLER
 row_noise = row_noise:RowNoise
 [fringe_twin.codes]
 residue = residue_code:RESIDUE
+[fringe_twin.words]
+scattered = scattered_word:SCATTERED
 [fringe_twin.measurands]
 sagitta = sagitta:SAGITTA
 [fringe_twin.importers]

@@ -20,8 +20,8 @@ from reconstruction.patterns import (
     STEPS_RANGE,
     Axis,
     PatternSet,
-    WordName,
 )
+from reconstruction.words import WORDS
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import (
     EXPOSURE_PERCENTILE,
@@ -258,7 +258,9 @@ class Patterns(Model):
         "row_periods_px", "all periods along rows; empty: those along columns"
     )
     axes: tuple[Axis, ...] = _of_set("axes", "axes along which patterns are shown")
-    word: WordName = _of_set("word", "how words are shown as bits; code 'gray'")
+    word: Annotated[str, NameOf(WORDS)] = _of_set(
+        "word", "how words are shown as bits; code 'gray'"
+    )
     inverse: bool = _of_set("inverse", "show the inverse of every Gray frame")
     uniform: bool = _of_set("uniform", "show a white and a black frame")
     first_shifts_deg: tuple[Shift, ...] = _of_set(
