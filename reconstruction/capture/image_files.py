@@ -188,9 +188,10 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
 
 
 def check_exposures(sets: Sequence[Stack], recorded: RecordedFrames) -> None:
-    """Raise CaptureError unless white minus black increases as the exposure time.
+    """Raise CaptureError unless white minus black is roughly proportional to the exposure time.
 
-    Ratios may differ by the factor EXPOSURE_FACTOR. A set without white and black is not checked.
+    The ratio of two sets may differ from that of their exposure times by up to the factor
+    EXPOSURE_FACTOR. Sets without white and black frames are not checked.
     """
     times_ms, patterns, sensor = recorded.exposures_ms, recorded.patterns, recorded.sensor
     if not patterns.uniform:
