@@ -170,7 +170,8 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     """Return the frames minus the dark frame plus the black level, (frame, row, col) float32.
 
     Clipped pixels and lost pixels (0) keep their values, by which `decode` detects them. A pixel
-    with a low dark value may increase to `clipped_from_dn` or more; it then counts as clipped.
+    with a low dark value may increase to `clipped_from_dn` or more; `decode` then treats it as
+    clipped.
 
     Parameters
     ----------

@@ -150,7 +150,7 @@ def take(
 
     Parameters
     ----------
-    clock : run times of the stages; None: they are not used
+    clock : stopwatch that records the run times of the stages; None: they are not recorded
     trial : number of the repetition, which selects the temporal noise
 
     Returns
@@ -177,7 +177,7 @@ def record(
 
     Parameters
     ----------
-    clock : run times of the stages; None: they are not used
+    clock : stopwatch that records the run times of the stages; None: they are not recorded
     trial : number of the repetition, which selects the temporal noise
     memory : cache of earlier recordings' stages, such as the loaded face; the result has the same
         bytes without a cache
@@ -207,7 +207,8 @@ def render(
     Raises
     ------
     MissingBackend : there is no usable Dr.Jit backend
-    InputError : the stock engine cannot represent the experiment
+    InputError : the experiment has `render.engine` "stock" (unmodified Mitsuba), which cannot
+        represent some of its properties
     """
     require_experiment(experiment)
     require_instance("face", face, Trimesh, "give a mesh: twin.mechanics.face_mesh(pressed)")

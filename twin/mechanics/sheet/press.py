@@ -332,7 +332,7 @@ def _to_force(
     Raises
     ------
     PressError
-        The force is not reached, or the air pressure alone causes more at first touch.
+        The force is not reached, or the air pressure causes a larger force already at first touch.
     """
     step = TRAVEL_STEP_MM
     before = state
