@@ -189,10 +189,11 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
 
 
 def check_exposures(sets: Sequence[Stack], recorded: RecordedFrames) -> None:
-    """Raise CaptureError unless white minus black is roughly proportional to the exposure time.
+    """Raise CaptureError unless white minus black is about proportional to the exposure time.
 
-    The ratio of two sets may differ from that of their exposure times by up to the factor
-    EXPOSURE_FACTOR. Sets without white and black frames are not checked.
+    Each set is compared with the first set. The ratio of white minus black (median over the lit,
+    unclipped pixels) must agree with the ratio of exposure times within the factor
+    EXPOSURE_FACTOR. Nothing is checked if the patterns have no white and black frames.
     """
     times_ms, patterns, sensor = recorded.exposures_ms, recorded.patterns, recorded.sensor
     if not patterns.uniform:

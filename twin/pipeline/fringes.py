@@ -150,7 +150,7 @@ def take(
 
     Parameters
     ----------
-    clock : stopwatch that records the run times of the stages; None: they are not recorded
+    clock : stopwatch that records the run time of each stage; None: run times are not recorded
     trial : number of the repetition, which selects the temporal noise
 
     Returns
@@ -177,7 +177,7 @@ def record(
 
     Parameters
     ----------
-    clock : stopwatch that records the run times of the stages; None: they are not recorded
+    clock : stopwatch that records the run time of each stage; None: run times are not recorded
     trial : number of the repetition, which selects the temporal noise
     memory : cache of earlier recordings' stages, such as the loaded face; the result has the same
         bytes without a cache
