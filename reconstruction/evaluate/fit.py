@@ -140,9 +140,9 @@ def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
 
     This fit is linear, and therefore common in short programs; but noise biases it towards smaller
     spheres (Kasa, IEEE Transactions on Instrumentation and Measurement 25, 8-14, 1976). On a
-    spherical cap the radius decreases from R to R / (1 + 12 sigma^2 / S^2), with the noise sigma of
-    the points and the height S of the cap. This formula is for points distributed evenly over the
-    cap's projection, and for sigma and S much less than R.
+    spherical cap the radius decreases from R to R / (1 + 12 sigma^2 / S^2). Here sigma is the noise
+    of the points and S the height of the cap, both much less than R. The formula is for points
+    distributed evenly over the cap's projection.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Compute equilibria of a sheet for small changes of the input, to first order, from one press.
 
-In equilibrium the forces g on the free control points c are zero, and remain zero if the data p of
+In equilibrium the forces g on the free control points c are zero. They remain zero if the data p of
 elastomer, press or specimen change (implicit function theorem):
 
     K dc/dp = -dg/dp,    K: the tangent in equilibrium, exact

@@ -1,9 +1,10 @@
 """Compiled potentials of the thin sheet at one Gauss point, and their first derivatives.
 
-The sheet is described by v = (r, r_1, r_2, r_11, r_22, r_12), the surface midway between its
-deformed faces and its derivatives along the undeformed sheet, and by the two fundamental forms
-a = (a11, a22, a12), a_ij = r_i . r_j, and b, b_ij = n . r_ij. All potentials are functions
-of r, a and b; their derivatives by v follow from
+The sheet is described by v = (r, r_1, r_2, r_11, r_22, r_12). r is the position of the surface
+midway between its deformed faces; the other elements are derivatives of r along the undeformed
+sheet. The two fundamental forms are a = (a11, a22, a12) with a_ij = r_i . r_j, and b = (b11, b22,
+b12) with b_ij = n . r_ij and the unit normal n. All potentials are functions of r, a and b. Their
+derivatives by v follow from
 
     da11 = 2 r_1 . dr_1 (a22, a12 likewise),   db_m = n . dr_m - Gamma_m^e n . dr_e,
 

@@ -1,8 +1,8 @@
 """Press a specimen into a thin sheet: the `sheet` model, from the experiment's data to its result.
 
-World frame, mm: the coated face of the mounted sheet is z = 0, the sheet spans its frame's opening
-and the specimen, on its plate, is pressed from below and touches the lower face at travel 0. In the
-solver's own frame z = 0 is the undeformed surface midway between the faces.
+World frame, mm: the coated face of the mounted sheet is z = 0, and the sheet spans the opening of
+its frame. The specimen, on its plate, is pressed from below; at travel 0 it touches the lower face.
+In the solver's own frame z = 0 is the undeformed surface midway between the faces.
 
 The model has Kirchhoff-Love kinematics with an incompressible neo-Hookean solid, including the
 change of thickness. Elements are quadratic B-splines with 2 x 2 Gauss points. For the contact's
