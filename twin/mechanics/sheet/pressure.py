@@ -1,7 +1,7 @@
 """Compute the pressure of specimen and plate on a sheet in equilibrium, on a grid of cells in plan.
 
 The forces on the sheet act at its Gauss points. Each force is distributed over the quarter of a
-spline cell that belongs to the Gauss point. The cells in plan below this quarter share the force.
+spline cell that belongs to the Gauss point, and from there to the cells in plan that it covers.
 No force is lost, even on an edge narrower than a cell: the sum over the cells is the contact force.
 """
 
