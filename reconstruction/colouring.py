@@ -19,7 +19,8 @@ class Deviation:
     ----------
     um : (row, col) float32, deviation in um; 0 where it is unknown
     known : (row, col) bool, whether the deviation of the pixel is known
-    limit_um : magnitude from which on the colour is full: the 99th percentile of |deviation|
+    limit_um : smallest |deviation| with the full colour: the 99th percentile of |deviation|, or 1
+        if all known deviations are 0
     """
 
     def __init__(self, um: NDArray[Any], known: BoolImage) -> None:

@@ -129,10 +129,11 @@ class Orders:
 
 @dataclass(frozen=True, eq=False)
 class RaySpread:
-    """Standard deviations of points X that scatter along their camera rays, from that of the depth.
+    """Standard deviations of points along the world axes, from the standard deviation of the depth.
 
-    Each component of sigma is that of |X - C| times sigma_d / d. C is the camera centre, d the
-    depth of the point along the optical axis and sigma_d the standard deviation of d.
+    The error of a point X is along its camera ray. The standard deviation along world axis i is
+    therefore |X_i - C_i| sigma_d / d. C is the camera centre, d the depth of X along the optical
+    axis and sigma_d the standard deviation of d.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ class PatternSet:
 
     @property
     def exposure_frame(self) -> int:
-        """Stack index of the frame that sets the exposure: white, or 0 without a white frame."""
+        """Stack index of the frame for the automatic exposure: the white one, or 0 without one."""
         return self.index("white").start if self.uniform else 0
 
     @property

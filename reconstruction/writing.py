@@ -140,7 +140,7 @@ def write_npz(path: Path | str, arrays: Mapping[str, "NDArray[Any]"]) -> None:
     Raises
     ------
     OSError : as `write_bytes`
-    ValueError : an array holds Python objects
+    ValueError : an array contains Python objects
     """
     import numpy as np
 

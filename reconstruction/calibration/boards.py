@@ -23,7 +23,7 @@ MARKER_TEXELS = 60
 
 @dataclass(frozen=True)
 class DotBoard:
-    """Board with dark dots on white in a square grid, three of which are larger.
+    """Board with a square grid of dark dots on white; three of the dots are larger.
 
     The larger dots are a dot near the middle, the dot two columns to its right and the dot one row
     above it. They identify the visible part of the board and its rotation. A mirrored image of the

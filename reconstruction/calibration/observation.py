@@ -202,13 +202,15 @@ def brightness(decoded: Decoded, sensor: SensorNoise) -> FloatImage:
 def relative_brightness(image_dn: FloatImage) -> FloatImage:
     """Return the brightness (row, col) divided by that of white print nearby; white is about 1.
 
+    The divisor is at least 5 % of the largest brightness in the image.
+
     Parameters
     ----------
-    image_dn : (row, col) brightness above black
+    image_dn : (row, col) brightness above the black level, DN
 
     Raises
     ------
-    InputError : the image is black
+    InputError : no pixel is brighter than the black level
     """
     rows, cols = image_dn.shape
     if not image_dn.max() > 0.0:

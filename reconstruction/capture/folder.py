@@ -269,7 +269,7 @@ def read_frames(
 
 
 def described(folder: Path) -> Path | None:
-    """Return `folder` or its subfolder `capture/`, whichever has a capture.toml; None: neither."""
+    """Return `folder` if it has a capture.toml, else its subfolder `capture/`; None: neither."""
     for candidate in (folder, folder / SUBFOLDER):
         if is_regular(candidate / DESCRIPTION_FILE):
             return candidate
@@ -277,7 +277,7 @@ def described(folder: Path) -> Path | None:
 
 
 def find_capture(folder: Path | str) -> Path:
-    """Return `folder` or its subfolder `capture/`, whichever has a capture.toml.
+    """Return `folder` if it has a capture.toml, else its subfolder `capture/` if that has one.
 
     Raises
     ------

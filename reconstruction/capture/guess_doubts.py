@@ -32,7 +32,7 @@ def scattered_doubts(features: Sequence[ImageFeatures], phases: Sequence[FrameGr
 def anchor_doubts(
     groups: Sequence[FrameGroup], axis: Axis, bits: ArrangedBits, plain: UniformImages
 ) -> list[str]:
-    """Return a doubt about the shifts of the fringes along an axis if its bits are uncertain."""
+    """Return one doubt if the fringes' shifts along an axis follow from uncertain bits, else []."""
     phases = [group for group in groups if group.kind == "phase" and group.axis == axis]
     if not phases or not bits.groups or (bits.is_confirmed and plain.is_certain):
         return []

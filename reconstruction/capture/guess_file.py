@@ -24,7 +24,7 @@ def written(guess: Guess, size: tuple[int, int], *, is_known: bool = True) -> st
     Parameters
     ----------
     size : image size of the projector (width, height), px, that was used for the guess
-    is_known : whether the user stated this size
+    is_known : whether the user stated this size; False: it is marked as uncertain
     """
     width_px, height_px = size
     lines = [

@@ -170,7 +170,8 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
     """Return the frames minus the dark frame plus the black level, (frame, row, col) float32.
 
     Clipped pixels and lost pixels (0) keep their values, by which `decode` detects them. A pixel
-    with a low dark value may increase to `clipped_from_dn` or more; it then counts as clipped.
+    with a low dark value may increase to `clipped_from_dn` or more; `decode` then treats it as
+    clipped.
 
     Parameters
     ----------
@@ -188,9 +189,11 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
 
 
 def check_exposures(sets: Sequence[Stack], recorded: RecordedFrames) -> None:
-    """Raise CaptureError unless white minus black increases as the exposure time.
+    """Raise CaptureError unless white minus black is about proportional to the exposure time.
 
-    Ratios may differ by the factor EXPOSURE_FACTOR. A set without white and black is not checked.
+    Each set is compared with the first set. The ratio of white minus black (median over the lit,
+    unclipped pixels) must agree with the ratio of exposure times within the factor
+    EXPOSURE_FACTOR. Nothing is checked if the patterns have no white and black frames.
     """
     times_ms, patterns, sensor = recorded.exposures_ms, recorded.patterns, recorded.sensor
     if not patterns.uniform:

@@ -56,7 +56,10 @@ ACROSS = 2.0
 
 
 class Phasor(NamedTuple):
-    """Mean and complex modulation of a phase set at the samples of some lines, (line, sample)."""
+    """Mean and complex modulation of a phase set at each sample of some lines.
+
+    All fields are (line, sample). `is_lit` is True for samples with enough light.
+    """
 
     mean: FloatArray  # of u - 1/2
     z: FloatArray  # complex: its magnitude is the modulation, its argument the phase

@@ -317,6 +317,8 @@ def _check_axis_borders(corners_dn: FloatImage, patterns: PatternSet, axis: Axis
 def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None:
     """Raise CaptureError if the Gray words of neighbouring pixels show that frames are exchanged.
 
+    Only code words with the encoding "reflected" or "binary" are checked.
+
     Parameters
     ----------
     stack : (frame, row, col), DN

@@ -49,7 +49,8 @@ def choose_plain(
     ----------
     features : all images, in the order of their names
     striped_bits : axis of each image that is a bit with stripes, by index of the image
-    cost : function that returns the sum of contradictions between bits from their axes by index
+    cost : function that takes the axis of each bit, by index of its image, and returns the sum of
+        the contradictions between these bits
     needs_uniform : whether white and black are needed as threshold of the bits
     """
     plain = [k for k, image in enumerate(features) if image.kind in ("white", "black")]

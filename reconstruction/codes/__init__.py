@@ -31,7 +31,10 @@ from reconstruction.several_periods import Chain
 
 
 class Rule(Enum):
-    """Rules that decode the fringe order; all but OWN are compiled. Phases are in [0, 2 pi)."""
+    """Rules by which the fringe order is decoded from phases in [0, 2 pi) and code words.
+
+    All rules except OWN are compiled functions of the decoder. OWN is a method in numpy.
+    """
 
     WORD_PER_PERIOD = auto()
     """One code word, which changes where the phase is -2 pi `displacement`, modulo 2 pi."""

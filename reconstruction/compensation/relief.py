@@ -168,14 +168,14 @@ def relief_on_frame(
     Parameters
     ----------
     points_mm : (n, xyz) world
-    sigma_z_mm : (n,) standard uncertainty of z; the errors count as independent between points
-        (`Relief.noise_area_mm2` estimates their correlation)
+    sigma_z_mm : (n,) standard uncertainty of z. For `Relief.sigma_mm` the errors of the points are
+        assumed independent; see `Relief.noise_area_mm2` for their actual correlation
     cells : numbers of columns and rows over the frame
     least_share : smallest admissible share of the cells in the frame that contain measured points
 
     Raises
     ------
-    FitError : less than `least_share` of the frame was measured
+    FitError : the share of the cells in the frame with measured points is below `least_share`
     """
     cols, rows = cells
     pitch = frame.length_x_mm / cols, frame.length_y_mm / rows

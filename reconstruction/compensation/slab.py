@@ -213,7 +213,7 @@ class CompensatedSlab(PresentedObject):
 
     @property
     def force_n(self) -> float:
-        """Force of the object on the slab along z, N."""
+        """Force of the object on the slab along z, N; positive when it presses."""
         return self.fitted.coat.force_n
 
     @property
@@ -297,7 +297,8 @@ def bound_under_slab(
 
     Parameters
     ----------
-    relief : gives the cells and their sigmas, which count as independent; its heights are not used
+    relief : gives the cells and their sigmas; its heights are not used. The errors of different
+        cells are assumed independent
     force : known force of the object; None: unknown
 
     Raises

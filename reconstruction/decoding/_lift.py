@@ -24,9 +24,9 @@ ZERO, ONE, TWO, TINY = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.flo
 class Smoothing(NamedTuple):
     """Kernel of G along one direction, and quantities that depend on the kernel, see `_filter`.
 
-    noise are the products of each two of the kernels that give G x, c and f, summed over the plane.
-    Its element (0, 0) is the variance after G of white noise of variance 1. centre are the middle
-    weights of the three kernels. limit_px is half a period.
+    Three kernels give G x, c and f from x. noise (3, 3) is the sum over the plane of the product of
+    each two kernels. Its element (0, 0) is the variance, after G, of white noise of variance 1.
+    centre (3,) has the middle weight of each kernel. limit_px is half a period.
     """
 
     weights: FloatImage
@@ -56,10 +56,10 @@ class Planes(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Columns of the planes that are filtered.
+    """Range of columns of the planes that is filtered, and size of the kernel.
 
-    gap is the number of columns before them, width their number, half the taps on either side of
-    the kernel's centre.
+    gap is the number of columns before the range, width the number of columns in it. half is the
+    number of taps on each side of the kernel's centre.
     """
 
     gap: int

@@ -286,8 +286,9 @@ def weigh_near_bits(
 ) -> None:
     """Add to `error` the probability that a misread bit has changed the order, for one row.
 
-    Only bits within `read.margin` of their threshold can be misread. A bit counts if the order
-    depends on it. If such a bit is within `gray_sigmas` of its threshold, `error` becomes 1.
+    Only bits within `read.margin` of their threshold can be misread. Only bits on which the order
+    depends are included. If such a bit is closer to its threshold than `gray_sigmas` standard
+    deviations, `error` becomes 1.
     """
     word, nearest, mean, margin = read
     # At the border of two words either word is wrong by half a word only, which sigma includes.

@@ -140,9 +140,9 @@ def fit_sphere_algebraic(points_mm: ArrayLike) -> SphereFit:
 
     This fit is linear, and therefore common in short programs; but noise biases it towards smaller
     spheres (Kasa, IEEE Transactions on Instrumentation and Measurement 25, 8-14, 1976). On a
-    spherical cap the radius decreases from R to R / (1 + 12 sigma^2 / S^2). This holds for points
-    distributed evenly over the cap's projection, with their noise sigma and the cap's height S,
-    both much less than R.
+    spherical cap the radius decreases from R to R / (1 + 12 sigma^2 / S^2). Here sigma is the noise
+    of the points and S the height of the cap, both much less than R. The formula is for points
+    distributed evenly over the cap's projection.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class BallFit:
     centre_mm : (xyz) float
     radius_mm : float
     radius_sigma_mm : float
-        Standard uncertainty of the radius from the scatter of the residuals, which count as
+        Standard uncertainty of the radius from the scatter of the residuals, which are assumed
         independent. Points of filtered maps have correlated residuals and a larger uncertainty.
     residuals_mm : (inlier,) float
         Radial distances of the inliers from the sphere, positive outside.

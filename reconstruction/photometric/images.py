@@ -111,8 +111,10 @@ def fill_nearest(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
 def fill_smooth(slopes: FloatArray, hidden: BoolImage) -> FloatArray:
     """Return slopes (2, row, col) in which hidden pixels are interpolated smoothly.
 
-    The interpolation is that of a membrane between the visible pixels. It is exact where slopes are
-    linear functions of the position, as on a paraboloid. `fill_nearest` makes slopes constant.
+    The result approximates that of Laplace's equation between the visible pixels, by repeated
+    averaging over 3 x 3 pixels. Slopes that are linear functions of the position, as on a
+    paraboloid, are continued linearly, whereas `fill_nearest` copies a near value. If all pixels or
+    no pixel is hidden, `slopes` is returned unchanged.
     """
     if not hidden.any() or hidden.all():
         return slopes

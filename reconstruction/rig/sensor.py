@@ -78,7 +78,7 @@ class SensorNoise:
 
     @property
     def clipped_from_dn(self) -> float:
-        """Least value, DN, that a saturated pixel can have; from it on pixels count as clipped.
+        """Least value, DN, that a saturated pixel can have; pixels of at least this are clipped.
 
         A pixel saturates before it is read. Therefore read noise and dark offset, `CLIP_SIGMAS`
         standard deviations of both together, and rounding by 0.5 DN may reduce its value below

@@ -41,12 +41,12 @@ def read_storage(path: Path | str, heads: tuple[str, ...] = (YAML,)) -> dict[str
 
     Parameters
     ----------
-    heads : allowed first characters of the file
+    heads : the file must start with one of these texts
 
     Raises
     ------
     CaptureError : the file is missing, is not of OpenCV, is damaged, or is longer or more deeply
-        nested than any calibration; for a fault in YAML the message has the line number
+        nested than allowed; for a fault in YAML the message has the line number
     """
     try:
         text = read_text(path)
@@ -63,7 +63,7 @@ def parse_storage(text: str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]
 
     Raises
     ------
-    InputError : as the CaptureError of `read_storage`
+    InputError : for the reasons of the CaptureError of `read_storage`, except a missing file
     """
     if not text.startswith(heads):
         raise InputError(

@@ -26,7 +26,8 @@ Group = Literal["placement", "press", "elastomer", "optics"]
 class Input(Model):
     """One quantity that differs from trial to trial, with its distribution.
 
-    A choice draws from given values. Every other distribution is about the nominal value.
+    The distribution "choice" draws from given values. All other distributions are centred on the
+    nominal value, that of the experiment.
     """
 
     group: Group = Field(

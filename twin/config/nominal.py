@@ -23,7 +23,7 @@ class NominalFeature:
 
 @dataclass(frozen=True)
 class NominalBall(NominalFeature):
-    """Ball; its position is that of the sphere with the same number in the shape."""
+    """Ball of known radius; the n-th element of `Shape.spheres` is the n-th ball's position."""
 
     is_counted: ClassVar[bool] = True
     radius_mm: float

@@ -108,7 +108,7 @@ class Free(Model):
 
 
 class SensorChoice(Model):
-    """One choice of an alternative: fields that it sets, and figures of the rows under it."""
+    """One choice of an alternative: the fields that it sets, and metrics that it replaces."""
 
     set: dict[str, Any] = Field(
         default={}, description="tables that override those of the experiments"

@@ -118,7 +118,7 @@ class Identified:
         return {n: interval_of(v) for n, v in zip(self.problem.free, self.values.T, strict=True)}
 
     def ridges(self) -> list[Ridge]:
-        """Return the combinations of fields that the rows cannot separate (best model)."""
+        """Return the combinations of fields that the rows cannot separate, in the best model."""
         return ridges(self.best.posterior)
 
     def undetermined(self) -> list[str]:

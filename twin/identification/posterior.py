@@ -48,7 +48,7 @@ class Likelihood:
 
     Attributes
     ----------
-    free : the free fields by name, in the order of the columns of places
+    free : the free fields by name, in the order of the columns of the result of `places`
     rows, limits : rows and limits by name; limits contribute to the likelihood but are not
         predicted
     emulators : emulator of the figure, by name of the row or limit

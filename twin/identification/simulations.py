@@ -211,9 +211,10 @@ class Simulated:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedFigure:
-    """Values of one figure in all simulations of a variant: the arguments of `fit_emulator`.
+    """Values of one result ("figure") in all simulations of a variant: input of `fit_emulator`.
 
-    `where` names experiment and figure in error messages.
+    `where` is the text that names experiment and figure in error messages. The other fields are the
+    arguments of `fit_emulator`.
     """
 
     where: str

@@ -49,7 +49,7 @@ def press_arrays(pressed: "PressedElastomer") -> LabelledArrays:
     """Return all fields of a press as labelled arrays.
 
     Coordinates are x and y (centres of the solver's cells) and face_x and face_y (nodes of the
-    coated face), mm. The figures of `Validity` are stored as attributes.
+    coated face), mm. The numbers of `Validity` are stored as attributes.
     """
     variables = {
         name: labelled(np.asarray(getattr(pressed, name)), *figures)

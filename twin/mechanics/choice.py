@@ -57,7 +57,7 @@ def press_with(
 def settled_with(case: PressInput, progress: Progress | None = None) -> SettledPress:
     """Press with the model that `select_model` returns, and return the equilibrium.
 
-    The equilibrium computes presses with slightly changed input by its derivatives.
+    By its derivatives, the equilibrium also gives presses with slightly changed input.
 
     Parameters
     ----------
@@ -125,12 +125,12 @@ def select_model(case: PressInput) -> ElastomerModel:
 
 
 def may_wrap(elastomer: Elastomer) -> bool:
-    """Whether an elastomer is a thin sheet, which wraps round the object."""
+    """Whether an elastomer is a thin sheet, which may wrap round the object."""
     return is_thin_sheet(elastomer)
 
 
 def is_slab(elastomer: Elastomer) -> bool:
-    """Whether an elastomer is a slab, thicker than a thin sheet, on a rectangular rim."""
+    """Whether an elastomer is a slab on a rectangular rim, thicker than any thin sheet (1 mm)."""
     thick = elastomer.thickness_mm > SHEET_THICKNESS_MM[1]
     return thick and elastomer.layout == "opposite_face" and elastomer.outline != "round"
 
@@ -139,8 +139,8 @@ def modulus_only_scales(case: PressInput) -> bool:
     """Whether Young's modulus only scales the pressure and force of a press, not its shape.
 
     The result is False if the force is prescribed. It is False with a film, weight or back
-    pressure, because their stiffness or pressure does not scale with the modulus. It is also False
-    if a model is possible that wraps, or if none is the linear slab.
+    pressure, because their stiffness or pressure does not scale with the modulus. Of the models in
+    `possible_models`, one must be the linear slab and none may be a sheet that wraps.
     """
     if (
         case.load.control != "depth"

@@ -51,7 +51,7 @@ _ADVICE = "use a thicker slab, a shorter span or a coarser press.solver_pitch_mm
 
 @dataclass(frozen=True)
 class Unscaled:
-    """Scaling by 1: conjugate gradients without a preconditioner."""
+    """Preconditioner that changes nothing: plain conjugate gradients."""
 
     cell: float = 1.0
 

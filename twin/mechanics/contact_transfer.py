@@ -42,7 +42,7 @@ _STIFF = 1e4
 
 @dataclass(frozen=True)
 class ContactTransfer:
-    """Share of the height of a sinusoidal relief that the coated face reproduces, per pitch."""
+    """Height of a sinusoidal relief on the coated face over that on the specimen, by pitch."""
 
     #: (n,) mm
     pitch_mm: FloatArray
@@ -66,7 +66,7 @@ class ContactTransfer:
 
 
 def contact_transfer(elastomer: Elastomer, pitches_mm: FloatArray | None = None) -> ContactTransfer:
-    """Return the share of a groove's depth that the coated face reproduces, per pitch.
+    """Return the share of a groove's depth that the coated face reproduces, for each pitch.
 
     Parameters
     ----------

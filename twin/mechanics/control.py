@@ -20,7 +20,10 @@ class Scaling(Protocol):
         ...
 
     def apply(self, gap: FloatArray) -> FloatArray:
-        """Return the approximate pressure over modulus (row, col) that closes `gap`, mm."""
+        """Return the pressure over modulus (row, col) that deflects the face by about `gap`, mm.
+
+        The result approximates A^-1 `gap`.
+        """
         ...
 
 
@@ -39,9 +42,9 @@ class Control(Protocol):
         ...
 
     def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
-        """Return the energy, mm, that the contact minimises.
+        """Return the energy, mm, that the contact minimises: see the overrides for the formulas.
 
-        Its derivatives by the pressures of the cells are the gap plus a constant.
+        Its derivative by the pressure of a cell is the gap there plus a constant.
         """
         ...
 
@@ -50,11 +53,11 @@ class Control(Protocol):
         return raised - self.depth_mm(raised, touching)
 
     def balanced(self, direction: FloatArray, touching: BoolArray, scaling: Scaling) -> FloatArray:
-        """Return a search direction that keeps a prescribed force; here `direction` unchanged."""
+        """Return a search direction that keeps a prescribed force; default: `direction` itself."""
         return direction
 
     def scale(self, pressure: FloatArray) -> float:
-        """Return the factor that scales the pressure to a prescribed force; here 1."""
+        """Return the factor that scales the pressure to a prescribed force; by default 1."""
         return 1.0
 
     def coarsened(self, factor: int) -> Self:
@@ -73,7 +76,7 @@ class DepthControl(Control):
         return np.where(present & (height < self.depth), 1e-6, 0.0)
 
     def depth_mm(self, raised: FloatArray, touching: BoolArray) -> float:
-        """Return the given depth, mm."""
+        """Return the prescribed travel after first touch, mm; the arguments have no effect."""
         return self.depth
 
     def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
@@ -89,7 +92,7 @@ class ForceControl(Control):
     cell_area_mm2: float
 
     def start(self, height: FloatArray, present: BoolArray) -> FloatArray:
-        """Return a uniform pressure with the given force on the foremost 5 % of the cells."""
+        """Return a uniform pressure on the foremost 5 % of the cells, with the given force."""
         foremost = present & (height <= np.quantile(height[present], 0.05))
         uniform = foremost.astype(np.float64)
         return uniform * self.scale(uniform)
@@ -101,14 +104,14 @@ class ForceControl(Control):
     def energy(self, pressure: FloatArray, raised: FloatArray, height: FloatArray) -> float:
         """Return the sum of p (A p / 2 + S) over the cells, mm.
 
-        The term of the depth is a constant, because the force is given.
+        The term with the depth d is left out: it is constant, because the force is given.
         """
         return inner(pressure, (raised + height) / 2)
 
     def balanced(self, direction: FloatArray, touching: BoolArray, scaling: Scaling) -> FloatArray:
         """Return the search direction with a sum of 0, so that the force does not change.
 
-        A multiple of the pressure that displaces the contact uniformly is subtracted.
+        For this, a multiple of the pressure is subtracted that displaces the contact uniformly.
         """
         uniform = np.where(touching, scaling.apply(touching.astype(np.float64)), 0.0)
         return np.asarray(direction - uniform * float(direction.sum() / uniform.sum()))

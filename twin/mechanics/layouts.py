@@ -112,7 +112,7 @@ def layer_on(
 
 
 def cell_centres(length_mm: float, load: Press) -> FloatArray:
-    """Return cell centres (n,), mm, along one axis, at intervals of the solver's pitch or less."""
+    """Return the solver's cell centres (n,), mm, along one axis, a pitch or less apart."""
     count = int(np.ceil(length_mm / load.solver_pitch_mm - 1e-9))
     half = length_mm / 2
     return np.linspace(-half, half, 2 * count + 1)[1::2]

@@ -35,7 +35,7 @@ class Span:
     def around(cls, cells: npt.NDArray[np.intp], count: int) -> "Span":
         """Return the range that contains the indices `cells`, with a margin of 2 cells.
 
-        It is limited to an axis of `count` cells.
+        The range is cut off at the ends of an axis of `count` cells.
         """
         first = max(int(cells.min()) - _MARGIN, 0)
         return cls(first, min(int(cells.max()) + _MARGIN + 1, count) - first)
@@ -47,7 +47,7 @@ class Span:
 
     @property
     def cells(self) -> slice:
-        """The range as a slice."""
+        """The range as a slice of the axis."""
         return slice(self.first, self.first + self.count)
 
     def offsets(self) -> IntArray:
@@ -91,7 +91,10 @@ class Patch:
         return self._back(image)
 
     def apply(self, gap: FloatArray) -> FloatArray:
-        """Return the approximate pressure over modulus that closes `gap`, mm: a preconditioner."""
+        """Return the pressure over modulus (row, col) that deflects the face by about `gap`, mm.
+
+        It is the preconditioner of the contact solver, an approximate inverse of `deflect`.
+        """
         return self._back(self._forward(gap) * self.stiffness)
 
     @cached_property

@@ -150,8 +150,9 @@ def press(
 
     Raises
     ------
-    PressError : the specimen extends beyond the slab or touches no solver cell, the depth reaches
-        the slab's thickness or a ball's widest outline, or the force is below that of the air
+    PressError : the specimen extends beyond the slab or touches no solver cell; the depth reaches
+        the slab's thickness or a ball's widest outline; or the force is below that with which back
+        pressure or weight presses the slab on the specimen
     SolverError : the contact did not converge
     """
     shape = shape_of(specimen)

@@ -263,7 +263,8 @@ def texture_figures(pressed: PressedElastomer) -> dict[str, float]:
 
     Returns
     -------
-    Figures by name; empty for a smooth coat. The lag is the mean of the lags along x and y, in plan
+    Both values by name, `texture_rms_um` and `texture_correlation_mm`; empty for a smooth coat. The
+    lag is measured in plan; it is the mean of the lags along x and along y.
     """
     if pressed.texture_mm is None:
         return {}

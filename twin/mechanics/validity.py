@@ -1,4 +1,4 @@
-"""Figures that describe how accurately the linear slab or the thin sheet models a press.
+"""Numbers that describe how accurately the linear slab or the thin sheet models a press.
 
 Limits and error scale are from comparisons with an axisymmetric neo-Hookean slab (shared notes,
 mechanics.md, sections 1 and 6). With depth d, ball radius R and thickness h: heights of a bonded
@@ -36,7 +36,7 @@ _SHEET_ERROR = 0.072
 
 @dataclass(frozen=True)
 class Validity:
-    """Figures that describe the accuracy of a press, and a warning for each exceeded limit."""
+    """Numbers that describe the accuracy of a press, and a warning for each exceeded limit."""
 
     depth_over_thickness: float
     #: depth over the smallest ball's radius, 0 for specimens without balls
@@ -44,11 +44,12 @@ class Validity:
     #: largest deflection of the coated face over thickness; above about 0.4 bending also stretches
     #: the elastomer
     deflection_over_thickness: float
-    #: steepest slope of the specimen within the contact
+    #: slab: steepest slope of the specimen within the contact; sheet: that of the deformed sheet
     max_slope_deg: float
     #: distance from the contact to the nearest rim
     margin_mm: float
-    #: diameter, in solver cells, of a circle with the area of the contact; mean over the balls
+    #: diameter, in cells, of a circle with the area of the contact; slab: with 1 / n of this area
+    #: for a specimen of n balls
     cells_across: float
     #: expected largest height error of the coated face, because the model neglects large strain
     #: (slab) or shear through the thickness (sheet)
@@ -95,14 +96,14 @@ def assess(
     margin_to_rim_mm: float,
     cells_across: float,
 ) -> Validity:
-    """Return the figures of a linear slab, with its error estimate and warnings.
+    """Return the accuracy of a linear slab's press: ratios, height error estimate and warnings.
 
     Notes
     -----
-    The error is 2 % of the depth (free slab) or 1.2 % (bonded layer) up to d/R = 0.25, and above in
-    proportion to d/R. A free slab has a further error from the stretching of thin sheets: its peak
-    deflection w times (w/h)^2 / 10. This is an own estimate after von Karman's plate with a rim
-    that may move inwards.
+    The estimated error is 2 % of the depth (free slab) or 1.2 % (bonded layer) up to d/R = 0.25. It
+    increases in proportion to d/R above 0.25. For a free slab w (w/h)^2 / 10 is added, with the
+    peak deflection w of the coated face: the slab stretches as it bends. This term is the project's
+    own estimate, after von Karman's plate with a rim that may move inwards.
     """
     free = layout == "opposite_face"
     over_radius = depth_mm / radius_mm if radius_mm else 0.0
@@ -170,11 +171,11 @@ def contact_validity(
     depth_mm: float,
     deflection_mm: float,
 ) -> Validity:
-    """Return the figures of a linear slab from its contact on cells, see `assess`.
+    """Return the accuracy of a linear slab's press from its contact on cells, see `assess`.
 
     Parameters
     ----------
-    cells : (col,) x and (row,) y of the cells' centres, mm, and (row, col) whether they touch
+    cells : (col,) x and (row,) y of the cells' centres, mm, and (row, col) bool: cells in contact
     depth_mm, deflection_mm : travel, and largest deflection of the coated face
     """
     x_mm, y_mm, contact = cells
@@ -203,15 +204,15 @@ def bend_over_ball(thickness_mm: float, shape: Shape) -> float:
 
 
 def sheet_estimate_mm(thickness_mm: float, ratio: float) -> float:
-    """Return the expected height error of a sheet, mm, before it is pressed.
+    """Return the expected height error of a sheet, mm, without a solution of its press.
 
-    `ratio` is the thickness of the sheet over its radius of bending.
+    `ratio` is the thickness of the sheet over its radius of bending, see `bend_over_ball`.
     """
     return _SHEET_ERROR * thickness_mm * ratio
 
 
 def sheet_height_error_mm(thickness_mm: float, bend_1_mm: float) -> float:
-    """Return the expected largest height error, mm, of a sheet with a curvature `bend_1_mm`."""
+    """Return the expected largest height error, mm, of a sheet with the curvature `bend_1_mm`."""
     return _SHEET_ERROR * thickness_mm**2 * bend_1_mm
 
 
@@ -227,7 +228,7 @@ def assess_sheet(
     cells_across: float,
     ridge_pitch_mm: float | None,
 ) -> Validity:
-    """Return the figures of a thin sheet, with its error estimate and warnings.
+    """Return the accuracy of a thin sheet's press: ratios, height error estimate and warnings.
 
     `bend_1_mm` is the root mean square curvature of the sheet in the contact, 1/mm; on a ball it is
     1 / R. `ridge_pitch_mm` is the pitch of the specimen's finest grooves, None without grooves.

@@ -100,7 +100,7 @@ class ColourScene:
         return trace_channels(self._scene, rig, self._samples)
 
     def truth(self, pinhole: Pinhole, T_world_from_cam: FloatArray) -> Truth:
-        """Return the true surface at the pixel centres; every visible point counts as lit."""
+        """Return the true surface at the pixel centres; `lit` is True for every visible point."""
         return trace_face(self._scene, self._rig(pinhole, T_world_from_cam))
 
     def _rig(
@@ -252,7 +252,7 @@ def _dots(markers: Markers, point_mm: Any) -> Any:
 def trace_face(scene: Any, rig: LampRig) -> Truth:
     """Trace one ray through every pixel centre and return the true surface at its hit.
 
-    There is no projector: projector coordinates are 0, and every visible point counts as lit.
+    There is no projector: projector coordinates are 0, and `lit` is True for every visible point.
     """
     width, height = rig.camera.pinhole.width_px, rig.camera.pinhole.height_px
     centres = SubPixels.of_image(width, height, 1)

@@ -156,9 +156,10 @@ def _by_decoder(decoded: DecodedImage) -> dict[str, Any]:
 
 
 def trials_among(cases: Sequence[Case], by_digest: Mapping[str, Figures]) -> list[Trial]:
-    """Return the trials among `cases`, in the order of their number.
+    """Return the trials among `cases`, in the order of their trial number.
 
-    Trial 0 also has the radii of the balls from every calibration.
+    Trial 0 also has the ball radii that were measured in its press with each calibration of the
+    GelSight-like sensor. Their names start with `calibration_N_`, N being the calibration's number.
 
     Parameters
     ----------

@@ -377,7 +377,11 @@ def _rms(values: Sequence[float]) -> float:
 
 
 def write_board_calibration(folder: Path, done: BoardCalibration) -> dict[str, Any]:
-    """Write calibration.yaml, the tables and result.json of a calibration; return the figures."""
+    """Write the files of a calibration to a folder; return the numbers in result.json by name.
+
+    The files are calibration.yaml, result.json, and tables of parameters, poses, features and
+    plausibility checks. Images of skipped poses, and the experiment if there is one, are added.
+    """
     figures = calibration_metrics(done)
     write_calibration(folder / CALIBRATION_FILE, done.result.calibration)
     write_rows(folder / PARAMETERS_FILE, list(parameter_rows(done)), 10)

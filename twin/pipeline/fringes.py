@@ -152,7 +152,7 @@ def take(
 
     Parameters
     ----------
-    clock : run times of the stages; None: they are not used
+    clock : stopwatch that records the run time of each stage; None: run times are not recorded
     trial : number of the repetition, which selects the temporal noise
 
     Returns
@@ -179,7 +179,7 @@ def record(
 
     Parameters
     ----------
-    clock : run times of the stages; None: they are not used
+    clock : stopwatch that records the run time of each stage; None: run times are not recorded
     trial : number of the repetition, which selects the temporal noise
     memory : cache of earlier recordings' stages, such as the loaded face; the result has the same
         bytes without a cache
@@ -209,7 +209,8 @@ def render(
     Raises
     ------
     MissingBackend : there is no usable Dr.Jit backend
-    InputError : the stock engine cannot represent the experiment
+    InputError : the experiment has `render.engine` "stock" (unmodified Mitsuba), which cannot
+        represent some of its properties
     """
     require_experiment(experiment)
     require_instance("face", face, Trimesh, "give a mesh: twin.mechanics.face_mesh(pressed)")

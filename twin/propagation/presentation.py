@@ -39,7 +39,10 @@ def trial_arrays(result: "Uncertainty", absent: float = np.nan) -> LabelledArray
 
 
 def measurand_in_short(measurand: "Measurand") -> str:
-    """Return a text with mean, standard uncertainty and coverage interval of a measurand."""
+    """Return a text with the mean and standard uncertainty of a measurand.
+
+    The probabilistically symmetric coverage interval is added if it exists.
+    """
     result = measurand.distribution
     text = f"{result.mean:.6g}, u {result.standard_uncertainty:.2g}"
     if result.symmetric is None:

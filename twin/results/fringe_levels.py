@@ -111,7 +111,7 @@ class AxisLevels:
     light_dn : mean of the fringes above the black level, DN
     modulation_dn : amplitude of the fringes of the finest period, DN
     sigma_px : standard deviation of the coordinate of a single pixel before the filter, projector
-        px; no frame is clipped
+        px; computed as if no frame were clipped, see `clipping`
     phase_sigma_rad : largest standard deviation of the phase among the periods, rad
     """
 

@@ -69,7 +69,7 @@ class Heights:
         return replace(self, z_mm=aside + upright[2] * self.z_mm)
 
     def cells_of(self, xy_mm: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return rows (n,) and columns (n,) of the cells that contain points (n, xy), mm."""
+        """Return rows (n,) and columns (n,) of the cells nearest to points (n, xy), mm."""
         places = [
             np.clip(np.rint((xy_mm[:, axis] - of[0]) / self.pitch_mm), 0, len(of) - 1)
             for axis, of in ((1, self.y_mm), (0, self.x_mm))

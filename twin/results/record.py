@@ -137,7 +137,7 @@ class Colours:
 
     @property
     def points(self) -> SurfacePoints:
-        """Points of the surface from these heights, in the world frame."""
+        """Points of the surface in the world frame, from `heights`."""
         reason = np.where(self.heights.valid, Reason.VALID, Reason.LOW_MODULATION)
         return SurfacePoints(in_world(self.heights), reason.astype(np.uint8))
 

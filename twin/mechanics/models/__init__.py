@@ -90,14 +90,14 @@ class PressInput:
 
         Raises
         ------
-        PressError : as `linear`; its deflection is compared with the limit
+        PressError : as `linear`, whose deflection is compared with the limit
         """
         bent = self.linear.validity.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT
         return bent and self.elastomer.layout == "opposite_face"
 
 
 class SettledPress(Protocol):
-    """Equilibrium of a press with its derivatives: it also gives presses with similar input."""
+    """Equilibrium of a press with its derivatives, which give presses with similar input."""
 
     def result(self) -> PressedElastomer:
         """Return the pressed elastomer at this equilibrium."""

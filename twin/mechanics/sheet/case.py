@@ -1,8 +1,9 @@
-"""The data of a thin-sheet press in the solver's terms: frame, laws, bodies and cells.
+"""Convert the experiment's data of a thin-sheet press to the solver's: frame, laws, bodies, cells.
 
-World frame, mm, as in `press`; in the solver's own frame z = 0 is the undeformed surface midway
-between the faces. Penalty of contact: the compliance of half a thickness, E* / (h / 4), which fits
-solid elements best (shared notes on the sheet).
+The world frame is that of `press`, in mm. In the solver's own frame z = 0 is the undeformed surface
+midway between the faces. The contact's penalty stiffness is E* / (h / 4): pressure per penetration,
+with E* = E / (1 - nu^2) and the thickness h. With this value the results are nearest to those of
+solid elements (shared notes on the sheet).
 """
 
 from dataclasses import dataclass
@@ -38,7 +39,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The cells of a sheet's grid."""
+    """Widths of the cells of a sheet's grid: in the contact, at the rim, and between them."""
 
     pitch_mm: float
     rim_mm: float
@@ -50,7 +51,7 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class SheetCase:
-    """The data of one press in the solver's terms."""
+    """Data of one press, converted by `sheet_case` from the experiment to the solver's form."""
 
     frame: Frame
     laws: Laws
@@ -67,7 +68,7 @@ class SheetCase:
     ridge_pitch_mm: float | None
 
     def sheet(self, cells: Cells) -> Sheet:
-        """Return the sheet on cells."""
+        """Return the sheet on a grid with the given widths of cells."""
         # With a cohesive range below half a cell the sheet would jump from point to point.
         laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * cells.pitch_mm))
         grid = sheet_grid(self.frame, *self.lines(cells))
@@ -75,11 +76,11 @@ class SheetCase:
 
     @property
     def touched_z_mm(self) -> float:
-        """The mounted sheet's lower face, in the solver's frame."""
+        """Height z of the mounted sheet's lower face in the solver's frame, mm."""
         return -self.laws.thickness_mm / self.frame.pre_stretch**2 / 2
 
     def lines(self, cells: Cells) -> tuple[SplineLine, SplineLine]:
-        """Return the lines of cells along x and y."""
+        """Return the spline lines along x and y, whose cells have the given widths."""
         x_span, y_span = span_mm(self.frame)
         stretch = self.frame.pre_stretch
         west, east, south, north = (end / stretch for end in cells.box_mm)
@@ -94,12 +95,12 @@ class SheetCase:
 def sheet_case(
     specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mechanics
 ) -> SheetCase:
-    """Translate the experiment's data.
+    """Return the data of a press in the solver's form.
 
     Raises
     ------
     PressError
-        A thin sheet does not describe the press.
+        The sheet model cannot compute this press, see `check_sheet`.
     """
     shape = shape_of(specimen)
     check_sheet(shape, elastomer, load, mechanics)
@@ -126,13 +127,14 @@ def sheet_case(
 
 
 def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mechanics) -> None:
-    """Raise an error if a thin sheet does not describe the press, before it is solved.
+    """Raise an error if the sheet model cannot compute this press, without solving it.
 
     Raises
     ------
     PressError
-        Thickness, layout, film, support or weight do not fit, or the specimen reaches over the
-        frame.
+        The model does not allow the thickness, layout, film, support or compliant rim, or the
+        weight has no density. The specimen extends beyond the frame's opening, or the grid of the
+        coated face takes too much memory. Or the force or the tack would tear any such sheet.
     """
     low, high = SHEET_THICKNESS_MM
     if not low <= elastomer.thickness_mm <= high:
@@ -168,9 +170,11 @@ def check_sheet(shape: Shape, elastomer: Elastomer, load: Press, mechanics: Mech
 def _check_force(elastomer: Elastomer, load: Press) -> None:
     """Raise an error if a force would tear any sheet of these properties.
 
-    The rim and the air carry it. Per undeformed length of rim a neo-Hookean sheet pulls with less
-    than mu h lambda. Along a rigid rim it keeps its pre-stretch, so that it thins to 1 / (lambda
-    pre_stretch); at a compliant rim to lambda**-0.5 or less, as a strip with free sides does.
+    Rim and air pressure together balance the force. Stretched by lambda across the rim, a
+    neo-Hookean sheet pulls with less than mu h lambda per undeformed length of rim. At a rigid rim
+    it keeps its pre-stretch along the rim, so that its thickness decreases to the fraction
+    1 / (lambda pre_stretch). At a compliant rim the fraction is lambda**-0.5 or less, as for a
+    strip with free sides.
     """
     if load.force_n is None:
         return
@@ -190,8 +194,8 @@ def _check_force(elastomer: Elastomer, load: Press) -> None:
 def _check_tack(elastomer: Elastomer) -> None:
     """Raise an error for a tack that spreads the sheet over the specimen without bound.
 
-    At an area stretch a the adhesion releases W per area and stretching takes mu h (1 - a^-3): if W
-    exceeds mu h the sheet spreads until it tears. kPa mm = J/m^2.
+    If the area stretch a increases, adhesion releases the energy W per added area, and stretching
+    takes mu h (1 - a^-3). If W exceeds mu h, the sheet spreads until it tears. kPa mm = J/m^2.
     """
     most_j_m2 = young_modulus(elastomer).best_kpa / 3 * elastomer.thickness_mm
     if elastomer.tack_j_m2 > most_j_m2:
@@ -203,7 +207,10 @@ def _check_tack(elastomer: Elastomer) -> None:
 
 
 def finest_cell_mm(elastomer: Elastomer, load: Press) -> float:
-    """Return the width of the finest cells: as specified, or as the thickness needs."""
+    """Return the width of the finest cells, mm: `load.cell_mm`, or by default from the thickness.
+
+    The default is 0.75 x the thickness, limited to 0.075 to 0.15 mm.
+    """
     if load.cell_mm is not None:
         return load.cell_mm
     return float(np.clip(0.75 * elastomer.thickness_mm, 0.075, 0.15))
@@ -224,7 +231,7 @@ def _laws(elastomer: Elastomer, load: Press) -> Laws:
 
 
 def _plate(shape: Shape) -> tuple[SignedDistance, ...]:
-    """Return the plate under the specimen."""
+    """Return the signed distance to the plate under the specimen, as the only element."""
     return (plate(shape.bottom_mm),)
 
 

@@ -1,8 +1,8 @@
-"""The cells of a press: where they are fine, how fine, and where wider cells are sufficient.
+"""Choose the widths of the cells of a press: fine in the contact, wider where that is sufficient.
 
-Cells are fine in a box round the contact. Along a line without bending, for example along the edge
-of a bar, they are wider there too: a quadratic spline is accurate if the surface turns little per
-cell.
+Cells are fine in a box round the contact. Within this box they are wider along a direction in which
+the sheet does not bend, for example along the edge of a bar. A quadratic spline is accurate if the
+direction of the surface changes little over each cell.
 """
 
 import numpy as np
@@ -30,12 +30,12 @@ _STRAIGHT = 1e-9
 
 
 def coarse_cells(case: SheetCase) -> Cells:
-    """Return the cells of the first load steps.
+    """Return the widths of the cells for the load steps: about `COARSE_CELL_MM`.
 
     Raises
     ------
     PressError
-        The sheet is so large that each step of the load would take minutes.
+        The sheet is so large that each load step would take minutes.
     """
     cells = Cells(COARSE_CELL_MM, COARSE_CELL_MM, case.shape.bounds_mm())
     count = _count(case, cells)
@@ -56,19 +56,28 @@ def _count(case: SheetCase, cells: Cells) -> int:
 
 
 def cells_between(case: SheetCase, coarse: Sheet, state: SheetState) -> Cells:
-    """Return cells between the coarse ones and the finest, for a state of the coarse sheet."""
+    """Return cells of intermediate width: the geometric mean of the coarse and the finest width.
+
+    `state` is that of the coarse sheet; it gives the contact and the bending.
+    """
     box = _contact_box(case, coarse, state)
     pitch_mm = float(np.sqrt(_affordable_mm(case, box) * COARSE_CELL_MM))
     return Cells(pitch_mm, _RIM * pitch_mm, box, _allowed(coarse, state, box, pitch_mm))
 
 
 def finest_cells(case: SheetCase, coarser: Sheet, state: SheetState, pitch_mm: float) -> Cells:
-    """Return cells of a pitch, or wider ones if the rim round the box adds too many.
+    """Return cells of width `pitch_mm`, or wider ones if the sheet would have too many in total.
+
+    Cells are not widened if the experiment specifies press.cell_mm.
+
+    Parameters
+    ----------
+    coarser, state : a sheet on wider cells and its state, which give the contact and the bending
 
     Raises
     ------
     PressError
-        The cells of press.cell_mm take too much memory.
+        Cells of the specified press.cell_mm take too much memory.
     """
     box = _contact_box(case, coarser, state)
     allowed = _allowed(coarser, state, box, pitch_mm)
@@ -86,12 +95,15 @@ def finest_cells(case: SheetCase, coarser: Sheet, state: SheetState, pitch_mm: f
 
 
 def finest_pitch_mm(case: SheetCase, coarse: Sheet, state: SheetState) -> float:
-    """Return the width of the finest cells that a press can afford."""
+    """Return the width, mm, of the finest cells in the contact of a coarse sheet.
+
+    It is `case.cell_mm`, or a larger width if the contact would have too many of those cells.
+    """
     return _affordable_mm(case, _contact_box(case, coarse, state))
 
 
 def _affordable_mm(case: SheetCase, box: Box) -> float:
-    """Return the width of the finest cells: wider than the thickness needs for large contacts."""
+    """Return the width of the finest cells, mm, as `finest_pitch_mm`, for the contact's box."""
     if case.is_cell_specified:
         return case.cell_mm
     west, east, south, north = box
@@ -99,7 +111,10 @@ def _affordable_mm(case: SheetCase, box: Box) -> float:
 
 
 def _contact_box(case: SheetCase, sheet: Sheet, state: SheetState) -> Box:
-    """Return the box of the mounted sheet that touches the specimen, with a margin."""
+    """Return the box of the mounted sheet, world, mm, that contains the contact and a margin.
+
+    Without contact it is the specimen's bounding box.
+    """
     surface = sheet.surface(state.control_mm)
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
     gap = sheet.gap_mm(surface, touch)[: case.parts].min(axis=0)
@@ -127,9 +142,9 @@ def _allowed(
 ) -> tuple[Widths, Widths] | None:
     """Return the largest widths of cells along x and y, from the bending of a coarser sheet.
 
-    Also from the curvature of its gap to the bodies, which includes ridges finer than the coarser
-    cells. None for a sheet that sticks or is tacky, because the front of its contact moves from
-    point to point, and under the lightest touch.
+    The curvature of the coarser sheet's gap to the bodies is used, too, because it includes ridges
+    finer than the coarser cells. None for a sheet that sticks or has tack, because the edge of its
+    contact moves from point to point. None also for a sheet that hardly bends.
     """
     if sheet.sticks or sheet.laws.tack > 0:
         return None
@@ -150,13 +165,16 @@ def _allowed(
 
 
 def _samples(line: SplineLine, low_mm: float, high_mm: float, pitch_mm: float) -> FloatArray:
-    """Return points on a part of a line, at distances of a pitch or less."""
+    """Return at least 4 points between `low_mm` and `high_mm` on a line, at most a pitch apart."""
     low, high = max(low_mm, line.edges[0]), min(high_mm, line.edges[-1])
     return np.linspace(low, high, max(4, int(np.ceil((high - low) / pitch_mm)) + 1))
 
 
 def _sampled(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return (row, col, 3 + bodies): position of the surface, and gaps limited to the reach."""
+    """Return position and gaps of the sheet at points along it, (row, col, 3 + bodies), mm.
+
+    The gap to each body is limited smoothly to `Sheet.reach_mm`.
+    """
     surface = np.stack(sheet.grid.evaluate(state.control_mm, x, y), axis=-2)[:, :, None]
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
     gaps = np.moveaxis(sheet.gap_mm(surface, touch)[..., 0], 0, -1)
@@ -165,7 +183,7 @@ def _sampled(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> F
 
 
 def _bends(sampled: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the largest second derivatives along x and y at the points but the ends, 1/mm."""
+    """Return the largest second derivative along x at each inner x, and that along y, 1/mm."""
     along_x = np.abs(np.diff(sampled, 2, axis=1)).max(axis=(0, 2)) / (x[1] - x[0]) ** 2
     along_y = np.abs(np.diff(sampled, 2, axis=0)).max(axis=(1, 2)) / (y[1] - y[0]) ** 2
     return along_x, along_y

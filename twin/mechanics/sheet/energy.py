@@ -1,6 +1,7 @@
-"""The sheet on one grid with its bodies: its energy, forces and tangent at any position.
+"""Compute energy, forces and tangent of a sheet on one grid with its bodies, at any position.
 
-One energy with its exact tangent, or optionally with a convexified tangent.
+Forces are the gradient of the energy by the control points. The tangent is the exact second
+derivative of the energy; on request, terms that can make it indefinite are left out ("convex").
 """
 
 from collections.abc import Callable, Sequence
@@ -41,7 +42,7 @@ class Bodies:
 
 @dataclass(frozen=True, eq=False)
 class SheetState:
-    """A sheet in equilibrium, or during the iteration."""
+    """Control points, anchors and loads of a sheet in equilibrium, or during the iteration."""
 
     control_mm: FloatArray
     grip: Grip
@@ -52,7 +53,10 @@ class SheetState:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The energy at one position; the sheet stores its forces and tangent until the next."""
+    """Energy of a sheet, uJ, and its Gauss points, for one position of the control points.
+
+    The sheet itself stores the forces and the tangent of its latest evaluation only.
+    """
 
     energy: float
     control_mm: FloatArray
@@ -68,14 +72,14 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The linear system of a grid: its pattern, and the symbolic factorisation of that."""
+    """Linear system of a grid: sparsity pattern, and the solver with its factorisation."""
 
     stencil: Stencil
     solver: LinearSolver
 
     @classmethod
     def of(cls, free: BoolArray) -> "System":
-        """Return the system of a grid with free control points (row, col, xyz)."""
+        """Return the system of a grid; `free` (row + 2, col + 2, xyz) marks what may move."""
         pattern = stencil(free)
         return cls(pattern, linear_solver(pattern.start, pattern.columns))
 
@@ -116,7 +120,10 @@ class Sheet:
         self.area_mm2 = control_areas(self.grid)
 
     def _system_of_window(self) -> System:
-        """Return the system of an earlier window of the same form; its factors are overwritten."""
+        """Return the system of a window; windows of equal size and free components share one.
+
+        A factorisation for this window overwrites that of an earlier one.
+        """
         form = (self.grid.free.shape, self.grid.free.tobytes())
         if form not in self._systems:
             self._systems[form] = System.of(self.grid.free)
@@ -127,7 +134,15 @@ class Sheet:
     def evaluate(
         self, control_mm: FloatArray, state: SheetState, *, tangent: bool, convex: bool = False
     ) -> Evaluation:
-        """Evaluate the energy and forces of `control_mm` under the state's loads."""
+        """Evaluate the energy of control points under the loads of a state; store the forces.
+
+        Parameters
+        ----------
+        control_mm : (row + 2, col + 2, xyz)
+        state : travel, pressure and anchors; its own control points are not used
+        tangent : True: compute and store the tangent as well
+        convex : True: leave out the terms of the tangent that can make it indefinite
+        """
         surface = self.surface(control_mm)
         touch = self._near(surface[..., 0, :], state.travel_mm)
         laws = self.laws._replace(pressure_kpa=state.pressure_kpa)
@@ -157,7 +172,10 @@ class Sheet:
         return self.latest
 
     def surface(self, control_mm: FloatArray) -> FloatArray:
-        """Return (row, col, 4, 3, xyz): position and derivatives at the Gauss points."""
+        """Return position and first derivatives at the Gauss points, (row, col, 4, 3, xyz).
+
+        Index 0 of the fourth axis is the position, mm; 1 and 2 are the derivatives along the sheet.
+        """
         rows, cols = self.grid.y.cells, self.grid.x.cells
         out = np.zeros((rows, cols, 4, 3, 3))
         for parity in (0, 1):
@@ -172,20 +190,21 @@ class Sheet:
 
     @property
     def reach_mm(self) -> float:
-        """Distance of the middle surface from a body beyond which the body has no effect.
+        """Distance, mm, of the middle surface from a body beyond which the body has no effect.
 
-        Half a thickness, 1.5 times that where the sheet is compressed, and the tack's range.
+        It is 0.75 x the undeformed thickness plus the range of the tack. The factor is 0.5 x 1.5,
+        because the sheet may be up to 1.5 times as thick where it is compressed.
         """
         return 0.75 * self.laws.thickness_mm + self.laws.tack_range_mm
 
     def touch(self, place_mm: FloatArray, travel_mm: float) -> Touch:
-        """Return the moving bodies' distances at the sheet's Gauss points (row, col, 4, xyz)."""
+        """Return the moving bodies' distances at positions `place_mm` (row, col, 4, xyz)."""
         points = self._lowered(place_mm, travel_mm)
         distances = [body.evaluate(points, self.reach_mm) for body in self.bodies.moving]
         return _stacked(distances, place_mm.shape[:3])
 
     def _near(self, place_mm: FloatArray, travel_mm: float) -> Touch:
-        """Return the distances to the bodies and walls within reach of any point of the sheet."""
+        """Return the distances to those bodies and walls that are within reach of some point."""
         distances = []
         sides = (
             (self.bodies.moving, self._lowered(place_mm, travel_mm)),
@@ -199,7 +218,7 @@ class Sheet:
         return _stacked(within_reach, place_mm.shape[:3])
 
     def _lowered(self, place_mm: FloatArray, travel_mm: float) -> FloatArray:
-        """Return points (n, xyz) in the frame of the specimen."""
+        """Return points in the specimen's frame, (n, xyz), from the solver's frame (..., xyz)."""
         lift = np.array([0.0, 0.0, self.touched_z_mm + travel_mm])
         lowered: FloatArray = place_mm.reshape(-1, 3) - lift
         return lowered
@@ -214,18 +233,24 @@ class Sheet:
             list(self.pool.map(lambda band: run(*band), bands))
 
     def forces(self) -> FloatArray:
-        """Return (unknown,) gradient of the last evaluation's energy."""
+        """Return the gradient (unknown,), mN, of the energy at the latest evaluation."""
         free: FloatArray = self._forces[self.grid.free]
         return free
 
     def residuals_kpa(self) -> FloatArray:
-        """Return (row, col) largest component of each control point's force over its area."""
+        """Return the largest component of each control point's force over its area, kPa.
+
+        The shape is (row + 2, col + 2). Only free components are included.
+        """
         free = np.abs(self._forces * self.grid.free).max(axis=2)
         share: FloatArray = free / self.area_mm2
         return share
 
     def factorise(self, viscosity: float) -> bool:
-        """Factorise the last tangent plus a viscosity, kPa/mm; return True if it is definite."""
+        """Factorise the latest tangent plus a viscosity; return True if positive definite.
+
+        The viscosity, kPa/mm, times each control point's area is added to the diagonal.
+        """
         values = self._tangent.reshape(-1)[self.system.stencil.taken]
         if viscosity:
             weights = np.repeat(self.area_mm2[..., None], 3, axis=2)[self.grid.free]
@@ -233,27 +258,38 @@ class Sheet:
         return self.system.solver.factorise(values)
 
     def newton_step_mm(self) -> FloatArray:
-        """Return the Newton step, (row, col, xyz), from the latest forces and factorisation."""
+        """Return the Newton step, (row + 2, col + 2, xyz), from latest forces and factorisation."""
         return self.answer_mm(self.forces())
 
     def answer_mm(self, forces: FloatArray) -> FloatArray:
-        """Return the step, (row, col, xyz), for forces (unknown,) by the latest factorisation."""
+        """Return minus the solution for forces (unknown,) by the latest factorisation, mm.
+
+        The shape is (row + 2, col + 2, xyz), with 0 for components that are not free.
+        """
         step = np.zeros(self._forces.shape)
         step[self.grid.free] = -self.system.solver.solve(forces)
         return step
 
     def reactions(self) -> FloatArray:
-        """Return (n,) forces of the rim on the sheet along z, mN, at the last evaluation."""
+        """Return the forces (n,) of the rim on the sheet along z, mN, at the latest evaluation."""
         held: FloatArray = self._forces[~self.grid.free[..., 2], 2]
         return held
 
     def gap_mm(self, surface: FloatArray, touch: Touch) -> FloatArray:
-        """Return (body, row, col, 4) distance of the lower face from each body."""
+        """Return the distance of the lower face from each body, (body, row, col, 4), mm.
+
+        It is the distance of the middle surface minus half the local thickness.
+
+        Parameters
+        ----------
+        surface : (row, col, 4, 3, xyz), as `Sheet.surface` returns it
+        touch : distances of the bodies at these points
+        """
         gap: FloatArray = touch.distance_mm - self.laws.thickness_mm / 2 * thinning_of(surface)
         return gap
 
     def curvature_squared(self, control_mm: FloatArray) -> FloatArray:
-        """Return (row, col, 4) mean of the two squared principal curvatures, 1/mm^2."""
+        """Return the mean of the two squared principal curvatures, (row, col, 4), 1/mm^2."""
         # All functions of a fine grid at once are half a gibibyte.
         bands = (slice(a, a + _BAND_ROWS) for a in range(0, self.grid.y.cells, _BAND_ROWS))
         return np.concatenate([self._curvature_squared(control_mm, band) for band in bands])
@@ -276,7 +312,10 @@ class Sheet:
         return square
 
     def regripped(self, state: SheetState) -> SheetState:
-        """Anchor points that touch and free points that have left: neither raises the energy."""
+        """Return the state with updated anchors; the update does not increase the energy.
+
+        Points that touch a body without an anchor get one; points that have left lose theirs.
+        """
         surface = self.surface(state.control_mm)
         touch = self.touch(surface[..., 0, :], state.travel_mm)
         gap = self.gap_mm(surface, touch)
@@ -297,14 +336,14 @@ class Sheet:
         return replace(state, grip=grip)
 
     def window(self, rows: slice, cols: slice) -> "Sheet":
-        """Return some of its cells as a sheet of their own, held along its whole outline."""
+        """Return the sheet of some of the cells, with the control points of its outline fixed."""
         grid = self.grid.window(rows, cols)
         z_mm, cell_mm = self.touched_z_mm, self.cell_mm
         return Sheet(grid, self.laws, self.bodies, z_mm, cell_mm=cell_mm, whole=self)
 
 
 def _stacked(distances: list[Distances], shape: tuple[int, ...]) -> Touch:
-    """Return bodies' distances, gradients and Hessians at (row, col, 4) points."""
+    """Return the results for each body, at n points, as arrays (body, *shape, ...)."""
     count = len(distances)
     return Touch(
         np.array([part[0] for part in distances]).reshape(count, *shape),

@@ -1,7 +1,7 @@
-"""Equilibrium of the sheet at one travel: Newton's method on its energy.
+"""Equilibrium of the sheet at given travel and pressure: Newton's method on its energy.
 
-Where the exact tangent is not positive definite, viscosity is added or a convexified tangent
-replaces it for some steps; a line search on the energy and a limit on the turn of a normal per step
+If the exact tangent is not positive definite, viscosity is added, or a convex tangent replaces it
+for some steps. A line search on the energy, and a limit on the rotation of normals per step,
 prevent cells from flipping.
 """
 
@@ -44,7 +44,7 @@ _NEARLY_WHOLE = 0.9
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Tolerances of an equilibrium."""
+    """Tolerances of an equilibrium: largest Newton step, mm, residual, kPa, and number of steps."""
 
     step_mm: float = 2e-4
     residual_kpa: float = 0.02
@@ -58,17 +58,20 @@ class Accuracy:
 def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
     """Return the equilibrium that is reached from `state` by a descent in energy.
 
+    If `accuracy.strict` is False, the state after the last step is returned without equilibrium.
+
     Raises
     ------
     SolverError
-        No equilibrium within the steps allowed.
+        The sheet thins to a film, no direction lowers its energy, or, if `accuracy.strict` is True,
+        there is no equilibrium within `accuracy.most_steps` steps.
     """
     return _settled(_Descent(sheet, state, accuracy, spots=_slips(sheet, state)))
 
 
 @dataclass(frozen=True)
 class _Damping:
-    """Damping that makes a tangent definite: viscosity, and a convex tangent for some steps."""
+    """Damping that makes a tangent positive definite: viscosity, kPa/mm, and convex tangents."""
 
     viscosity: float = 0.0
     #: number of further steps with a convex tangent
@@ -82,11 +85,14 @@ class _Damping:
         return self.convex_steps > 0
 
     def times(self, factor: float) -> "_Damping":
-        """Return the damping with more viscosity."""
+        """Return the damping with the viscosity multiplied by `factor`."""
         return replace(self, viscosity=factor * self.viscosity)
 
     def convexified(self) -> "_Damping":
-        """Return convex damping, for twice as many steps as after the last indefinite tangent."""
+        """Return the damping with a convex tangent for twice as many steps as the last time.
+
+        The number of steps is at least 1 and at most `_MOST_CONVEX_STEPS`.
+        """
         steps = min(max(2 * self.last_convex_steps, 1), _MOST_CONVEX_STEPS)
         return replace(self, convex_steps=steps, last_convex_steps=steps)
 
@@ -122,22 +128,25 @@ class _Descent:
 
     @property
     def residual_kpa(self) -> float:
-        """The largest force over its control point's area."""
+        """Largest component of a control point's force over its area, kPa."""
         return float(self.sheet.residuals_kpa().max())
 
     def move(self, control_mm: FloatArray) -> None:
-        """Move to control points, and evaluate their forces and tangent."""
+        """Set the control points, and evaluate energy, forces and tangent there."""
         self.control_mm = control_mm
         self.now = self.sheet.evaluate(
             control_mm, self.state, tangent=True, convex=self.damping.convex
         )
 
     def hands_over(self, share: float) -> bool:
-        """Return True if spots are solved after a share of the step, and need the next tangent."""
+        """Return True if spots are solved after a step that was shortened to the fraction `share`.
+
+        The tangent after such a step is not needed, because the spots change the control points.
+        """
         return self.spots and (self.damping.viscosity > 0 or share < 1)
 
     def descend(self) -> None:
-        """Take one step."""
+        """Take one Newton step, shortened by the line search; store step, share and gain."""
         gradient = self.sheet.forces()
         if not self.serves:
             self.damping = _definite(self, self.damping)
@@ -155,13 +164,13 @@ class _Descent:
         self.step_mm, self.viscosity = step, self.damping.viscosity
 
     def anchor(self) -> None:
-        """Anchor points that touch and free points that have left."""
+        """Update the anchors, see `Sheet.regripped`; evaluate again if an anchor was changed."""
         held, self.state = self.state.grip.held, self.sheet.regripped(self.here)
         if (self.state.grip.held != held).any():
             self.move(self.control_mm)
 
     def damp(self) -> None:
-        """Choose the damping of the next step, and whether it uses the last factors."""
+        """Set the damping of the next step, and whether that step uses the last factorisation."""
         self.serves = (
             not self.serves
             and self.viscosity == 0
@@ -173,11 +182,12 @@ class _Descent:
 
 
 def _settled(descent: _Descent) -> SheetState:
-    """Return the equilibrium at the end of a descent.
+    """Return the result of a descent, as `settle`.
 
     Raises
     ------
     SolverError
+        For the reasons of `settle`.
     """
     sheet, accuracy = descent.sheet, descent.accuracy
     for count in range(accuracy.most_steps):
@@ -203,7 +213,7 @@ def _settled(descent: _Descent) -> SheetState:
 
 
 def _is_near(descent: _Descent) -> bool:
-    """Return True if a whole step was so short that anchors can be updated."""
+    """Return True if the last step was not shortened and is below `accuracy.anchors_from_mm`."""
     longest_mm = float(np.abs(descent.step_mm).max())
     return descent.share == 1.0 and longest_mm < descent.accuracy.anchors_from_mm
 
@@ -227,10 +237,11 @@ def _end(descent: _Descent) -> SheetState | None:
 
 
 def _rest_mm(descent: _Descent, made_mm: FloatArray) -> FloatArray | None:
-    """Return the remaining step after a step made, None if either is still long.
+    """Return the next Newton step, which completes the equilibrium; None if it is still too long.
 
-    Computed with the last factors, so that no factorisation only confirms an equilibrium. If they
-    include viscosity the remaining step is too short, and the step made counts as well.
+    It is computed with the last factorisation, so that no factorisation only confirms an
+    equilibrium. With viscosity this step is too short; the step made before, `made_mm`, must then
+    be short as well.
     """
     if descent.residual_kpa >= descent.accuracy.residual_kpa:
         return None
@@ -244,16 +255,20 @@ def _rest_mm(descent: _Descent, made_mm: FloatArray) -> FloatArray | None:
 
 
 def _slips(sheet: Sheet, state: SheetState) -> bool:
-    """Return True if the sheet slips on its bodies under pressure: no dependence on the path.
+    """Return True for a sheet under pressure without anchors and tack.
 
-    The equilibrium of an anchored or tacky sheet depends on its path, from which large steps would
-    deviate; a sheet without pressure may be slack, with many equilibria close together.
+    Its equilibrium does not depend on the load path. With anchors or tack it does, and large steps
+    would deviate from the path. A sheet without pressure may be slack, with many equilibria close
+    together.
     """
     return not sheet.sticks and not sheet.laws.tack and state.pressure_kpa > 0
 
 
 def _definite(descent: _Descent, damping: _Damping) -> _Damping:
-    """Factorise the tangent, or if it is not definite a convex one; return the damping."""
+    """Factorise the exact tangent or, if it is not positive definite, a convex one.
+
+    Return the damping that was used.
+    """
     slips = _slips(descent.sheet, descent.state)
     if not damping.convex:
         viscosity = _exact(descent.sheet, damping, once=slips)
@@ -270,10 +285,11 @@ def _definite(descent: _Descent, damping: _Damping) -> _Damping:
 
 
 def _exact(sheet: Sheet, damping: _Damping, *, once: bool) -> float | None:
-    """Factorise the exact tangent; return its viscosity, None if it needs too much.
+    """Factorise the exact tangent plus a viscosity; return the viscosity, None without success.
 
-    For a sheet that slips and after an indefinite tangent it is tried `once`: the viscosity that
-    the worst point of such a sheet may need would slow the whole sheet.
+    The viscosity is increased up to `_CONVEX_FROM`. Only one value is tried if `once` is True, or
+    if an earlier tangent was indefinite: the viscosity that the worst point of such a sheet needs
+    would slow the whole sheet.
     """
     viscosity = max(damping.viscosity, _GROWTH) if damping.last_convex_steps else damping.viscosity
     if once or damping.last_convex_steps:
@@ -288,10 +304,14 @@ def _exact(sheet: Sheet, damping: _Damping, *, once: bool) -> float | None:
 
 
 def _adapted(viscosity: float, share: float, gain: float) -> float:
-    """Return the next viscosity, from a step's share and its gain over the predicted gain.
+    """Return the viscosity of the next step, as in the method of Levenberg and Marquardt.
 
-    As Levenberg and Marquardt: less after a step that was as good as its model, more after a cut or
-    a poor step.
+    It decreases after a step as good as predicted. It increases after a shortened or a poor step.
+
+    Parameters
+    ----------
+    share : fraction of the last step that was made
+    gain : decrease of the energy in that step over the predicted decrease
     """
     if share < 1:
         return max(viscosity, _LEAST_VISCOSITY / 2) * min(_GROWTH, 2 / max(share, 1 / _GROWTH))
@@ -305,7 +325,10 @@ def _adapted(viscosity: float, share: float, gain: float) -> float:
 
 
 def _searched(descent: _Descent, step: FloatArray, slope: float) -> tuple[float, Evaluation]:
-    """Return the share of the step that lowers the energy enough, and its evaluation."""
+    """Return the factor by which the step is multiplied, and the evaluation after that step.
+
+    With this factor the energy decreases sufficiently; 0 if no factor is found.
+    """
     sheet, now = descent.sheet, descent.now
     if -slope <= _ROUNDING * abs(now.energy):
         return _by_forces(descent, step)
@@ -323,23 +346,23 @@ def _searched(descent: _Descent, step: FloatArray, slope: float) -> tuple[float,
 
 
 def _at(descent: _Descent, control_mm: FloatArray, share: float) -> Evaluation:
-    """Evaluate a share of the step; its tangent too, unless spots need a new one."""
+    """Evaluate control points after a share of the step, with the tangent unless spots follow."""
     tangent, convex = not descent.hands_over(share), descent.damping.convex
     return descent.sheet.evaluate(control_mm, descent.state, tangent=tangent, convex=convex)
 
 
 def _held(descent: _Descent, place: Evaluation, share: float) -> Evaluation:
-    """Store the forces and tangent of one of its positions in the sheet, if they are needed."""
+    """Return the evaluation `place`, repeated if the sheet does not have its forces and tangent."""
     if descent.sheet.latest is place and (place.tangent or descent.hands_over(share)):
         return place
     return _at(descent, place.control_mm, share)
 
 
 def _by_forces(descent: _Descent, step: FloatArray) -> tuple[float, Evaluation]:
-    """Return 1, 0.5 or 0.25 of a short step, the first with a smaller residual force.
+    """Return the first of the factors 1, 0.5 and 0.25 of a short step that reduces the residual.
 
-    Energies differ by less than their rounding here, and a point at the edge of the contact may
-    make whole steps alternate for ever.
+    If none does, it is 0.25. Energies cannot be compared, because they differ by less than rounding
+    errors. Without this test a point at the contact's edge may make steps alternate for ever.
     """
     before_kpa, share = descent.residual_kpa, 1.0
     while True:
@@ -353,9 +376,10 @@ def _by_forces(descent: _Descent, step: FloatArray) -> tuple[float, Evaluation]:
 def _extended(
     descent: _Descent, step: FloatArray, new: Evaluation, *, share: float, slope: float
 ) -> tuple[float, Evaluation]:
-    """Return the share of the step, doubled while the energy decreases as steeply as at its start.
+    """Return the factor of the step and its evaluation, after doubling the factor where useful.
 
-    This is so if viscosity, not the sheet's stiffness, has made the step short.
+    It is doubled while the energy decreases about as steeply as at the start of the step. Then not
+    the sheet's stiffness but the viscosity has made the step short.
     """
     now, best, largest_mm = descent.now, new, float(np.abs(step).max())
     while (
@@ -377,14 +401,14 @@ def _lowers(now: Evaluation, new: Evaluation, slope: float) -> bool:
 
 
 def _turn(before: Evaluation, after: Evaluation) -> float:
-    """Return the least cosine between the normals of two surfaces."""
+    """Return the least cosine of the angle between the normals of two evaluations at a point."""
     # Component by component: over short rows Numpy takes ten times as long.
     along = zip(np.moveaxis(before.normal, -1, 0), np.moveaxis(after.normal, -1, 0), strict=True)
     return float(sum(first * second for first, second in along).min())
 
 
 def _check_film(surface: FloatArray, state: SheetState) -> None:
-    """Raise an error if a sheet flows away: there is no equilibrium after so thin a film."""
+    """Raise SolverError if the sheet is thinner than `_FILM`: it then reaches no equilibrium."""
     thinnest = float(thinning_of(surface).min())
     if thinnest < _FILM:
         raise SolverError(
@@ -397,11 +421,11 @@ def _check_film(surface: FloatArray, state: SheetState) -> None:
 
 
 def _settled_spots(descent: _Descent) -> FloatArray:
-    """Return the control points (row, col, xyz) after spots have been solved separately.
+    """Return the control points (row + 2, col + 2, xyz) after spots have been solved separately.
 
-    Round an edge the sheet slips over points one by one. While one of them moves, a step of the
-    whole sheet is short everywhere. A spot is a window of the same sheet, with the same energy: its
-    decrease is that of the sheet.
+    A spot is a window of the sheet with large residuals. At an edge the sheet slips point by point,
+    and while one point moves, the steps of the whole sheet are short. The energy of a spot is a
+    part of the sheet's energy: a decrease of one is an equal decrease of the other.
     """
     sheet, control = descent.sheet, descent.control_mm.copy()
     rough = replace(descent.accuracy, most_steps=_SPOT_STEPS, strict=False)
@@ -416,7 +440,10 @@ def _settled_spots(descent: _Descent) -> FloatArray:
 
 
 def _spots(sheet: Sheet, residual_kpa: FloatArray, least_kpa: float) -> list[tuple[slice, slice]]:
-    """Return the cells, (rows, cols), round the control points with the largest residuals."""
+    """Return the spots, cells as (rows, cols), round control points with the largest residuals.
+
+    `residual_kpa` is (row + 2, col + 2). Residuals below `least_kpa` make no spot.
+    """
     left = residual_kpa.copy()
     least_kpa = max(_LEAST_SPOT * float(left.max()), least_kpa)
     spots: list[tuple[slice, slice]] = []
@@ -428,11 +455,11 @@ def _spots(sheet: Sheet, residual_kpa: FloatArray, least_kpa: float) -> list[tup
 
 
 def _controls(rows: slice, cols: slice) -> tuple[slice, slice]:
-    """Return the control points of cells."""
+    """Return the ranges (rows, cols) of the control points of some rows and columns of cells."""
     return slice(rows.start, rows.stop + 2), slice(cols.start, cols.stop + 2)
 
 
 def _round(control: int, cells: int) -> slice:
-    """Return the cells round a control point."""
+    """Return the range of cells round the control point with index `control` along one axis."""
     middle = control - 1
     return slice(max(0, middle - _SPOT_HALF_CELLS), min(cells, middle + _SPOT_HALF_CELLS + 1))

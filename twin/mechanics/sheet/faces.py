@@ -1,7 +1,7 @@
-"""Both faces of the deformed sheet as height maps over the world's x and y.
+"""Compute both faces of the deformed sheet as height maps over x and y; z is in the solver's frame.
 
-The sheet is sampled along itself and projected from above: where it overhangs, its highest part is
-taken.
+The sheet is sampled at points of its own surface, which are projected along z. Where it overhangs,
+the highest of the points above (x, y) is used.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _ON = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The sheet at points along itself, arrays (row, col) of the sampling."""
+    """The deformed sheet at a grid of its material points, in the solver's frame, mm."""
 
     #: (row, col, xy) positions on the mounted sheet
     material_mm: FloatArray
@@ -43,7 +43,11 @@ class Sampled:
 
 
 def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
-    """Sample the sheet at a pitch of about `pitch_mm` or less where its cells are fine."""
+    """Sample the sheet at intervals of about `pitch_mm` or less.
+
+    A cell is divided into 2 to 12 parts along each axis, so that intervals are longer in wide
+    cells.
+    """
     grid, h = sheet.grid, sheet.laws.thickness_mm
     x, y = _places(grid, pitch_mm)
     middle, along_x, along_y = grid.evaluate(state.control_mm, x, y)
@@ -63,7 +67,10 @@ def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
 
 
 def _with_margin(sampled: Sampled) -> Sampled:
-    """Return the samples and, up to the frame, the material that its edge drew in."""
+    """Return the samples with a margin of samples that continue the sheet to the frame.
+
+    The edge of a sheet on a compliant rim has moved inwards. The margin has the fields of the edge.
+    """
     parts = {name: _padded(values) for name, values in vars(sampled).items()}
     for name in ("middle_mm", "upper_mm", "lower_mm"):
         place = _UNDER_THE_FRAME * parts["material_mm"]
@@ -83,18 +90,18 @@ def height_map(
     y_mm: FloatArray,
     below: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Project a sampled surface from above.
+    """Return the heights of a sampled surface, and values on it, at the nodes of a grid in plan.
 
     Parameters
     ----------
-    surface_mm : (i, j, xyz)
-    values : (i, j, k) interpolated with it
-    x_mm, y_mm : (col,) and (row,) evenly spaced nodes
-    below : (1 + k,) height and values where there is no sheet
+    surface_mm : (i, j, xyz) points of the surface
+    values : (i, j, k) values at these points, which are interpolated linearly
+    x_mm, y_mm : (col,) and (row,) equally spaced nodes
+    below : (1 + k,) height and values at nodes without a sheet above or below them
 
     Returns
     -------
-    (row, col) heights and (row, col, k) values
+    heights (row, col), mm, and values (row, col, k); the highest where the sheet overhangs
     """
     shape = y_mm.size, x_mm.size
     height = np.full(shape, -np.inf)
@@ -122,7 +129,10 @@ def _compiled(function: Function) -> Function:
 
 
 def _principal(along_x: FloatArray, along_y: FloatArray, area2: FloatArray) -> FloatArray:
-    """Return the principal stretches from the metric: roots of its characteristic polynomial."""
+    """Return the principal stretches (row, col, 2), the larger first, from both derivatives.
+
+    `area2` is the squared area stretch (row, col).
+    """
     trace = (along_x**2).sum(axis=-1) + (along_y**2).sum(axis=-1)
     root = np.sqrt(np.maximum(trace**2 / 4 - area2, 0.0))
     larger = trace / 2 + root
@@ -132,7 +142,10 @@ def _principal(along_x: FloatArray, along_y: FloatArray, area2: FloatArray) -> F
 
 @_compiled
 def _raster(surface: Any, values: Any, grid: Any, height: Any, interpolated: Any) -> None:
-    """Draw the two triangles of each quad; `grid` is x0, y0, dx, dy of the nodes."""
+    """Interpolate the two triangles of each quad at the nodes in plan that they cover.
+
+    `grid` is x0, y0, dx, dy of the nodes. A node keeps the largest height.
+    """
     x0, y0, dx, dy = grid
     rows, cols = height.shape
     for j in range(surface.shape[0] - 1):

@@ -1,7 +1,9 @@
-"""The undeformed sheet on a grid of spline cells, held along its rim or by springs there.
+"""The undeformed sheet on a grid of spline cells, with a fixed rim or springs at the rim.
 
-The parameter plane is the sheet's own, unstretched: a pre-stretch of 1.1 means that a sheet of span
-L was cut to L / 1.1. A round sheet is the image of a square, so that its rim is a grid line.
+The parameters (x, y) of the splines are coordinates on the undeformed sheet, mm, before it is
+stretched into its frame. With a pre-stretch of 1.1, a sheet of span L was cut to L / 1.1. For a
+round sheet the parameters cover a square that is mapped to the disc, so that the rim is a grid
+line.
 """
 
 from dataclasses import dataclass
@@ -20,7 +22,7 @@ Rim = Literal["clamped", "simple"]
 
 @dataclass(frozen=True)
 class Frame:
-    """The frame of the sheet: its opening in the world, centred on the origin, mm."""
+    """Frame of the sheet: its opening, centred on the world's origin, support and pre-stretch."""
 
     length_x_mm: float
     length_y_mm: float
@@ -32,7 +34,7 @@ class Frame:
 
     @property
     def half_mm(self) -> tuple[float, float]:
-        """Half lengths of the opening."""
+        """Half lengths of the opening along x and y, mm."""
         return self.length_x_mm / 2, self.length_y_mm / 2
 
 
@@ -52,12 +54,14 @@ class SheetGrid:
     def evaluate(
         self, control_mm: FloatArray, x: FloatArray, y: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return (row, col, 3) position and its derivatives along the material's x and y.
+        """Return position, mm, and derivatives along the undeformed sheet's x and y, at a grid.
+
+        Each of the three arrays is (y, x, xyz).
 
         Parameters
         ----------
-        control_mm : (row + 2, col + 2, 3)
-        x, y : (col,) and (row,) points on the parameter lines
+        control_mm : (row + 2, col + 2, xyz)
+        x, y : (x,) and (y,) parameters of the grid's points, ascending
         """
         cut = _Map(self.frame, self.x, self.y).sampled(x, y)
         place, by_u, by_v = (
@@ -76,9 +80,9 @@ class SheetGrid:
         return place, along_x, along_y
 
     def window(self, rows: slice, cols: slice) -> "SheetGrid":
-        """Return some of the cells, held where their control points belong to further cells too.
+        """Return the grid of some of the cells; control points shared with other cells are fixed.
 
-        Its control points are this grid's from the first row and column to two beyond the last.
+        The control points are those of these cells: two more than cells along each axis.
         """
         rest = self.rest
         turned = rest.turned[rows, cols] if rest.turned.size else rest.turned
@@ -95,7 +99,10 @@ class SheetGrid:
         )
 
     def moved_from(self, source: "SheetGrid", control_mm: FloatArray) -> FloatArray:
-        """Return this grid's control points for the surface of control points of `source`."""
+        """Return control points of this grid for a surface that is given on the grid `source`.
+
+        `control_mm` are the control points of `source`, (row + 2, col + 2, xyz).
+        """
         across, along = self.y.interpolated_from(source.y), self.x.interpolated_from(source.x)
         displaced = control_mm - source.mounted_mm
         moved = np.einsum("ai,ijk,bj->abk", across, displaced, along, optimize=True)
@@ -103,7 +110,7 @@ class SheetGrid:
 
 
 def sheet_grid(frame: Frame, x: SplineLine, y: SplineLine) -> SheetGrid:
-    """Create the sheet on spline lines that cover its unstretched span."""
+    """Return the grid of a mounted sheet on spline lines that cover its unstretched span."""
     control = _Map(frame, x, y).control_mm()
     mounted = np.concatenate((control * frame.pre_stretch, np.zeros((y.size, x.size, 1))), axis=2)
     free = np.zeros(mounted.shape, dtype=bool)
@@ -117,21 +124,21 @@ def sheet_grid(frame: Frame, x: SplineLine, y: SplineLine) -> SheetGrid:
 
 
 def span_mm(frame: Frame) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the ends of the parameter lines along x and y: the unstretched span."""
+    """Return the ends (low, high), mm, of the unstretched sheet along x and along y."""
     half_x, half_y = (half / frame.pre_stretch for half in frame.half_mm)
     return (-half_x, half_x), (-half_y, half_y)
 
 
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """From the parameter square to the undeformed sheet, itself a spline."""
+    """Map from the spline parameters to positions on the undeformed sheet; the map is a spline."""
 
     frame: Frame
     x: SplineLine
     y: SplineLine
 
     def control_mm(self) -> FloatArray:
-        """Return (row + 2, col + 2, 2) control points."""
+        """Return the control points of the map, (row + 2, col + 2, xy), mm."""
         u, v = np.meshgrid(self.x.greville, self.y.greville)
         if self.frame.outline == "rectangular":
             return np.stack((u, v), axis=-1)
@@ -147,7 +154,10 @@ class _Map:
         return control
 
     def sampled(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return (5, row, col): X_u, Y_u, X_v, Y_v and their determinant at places (x, y)."""
+        """Return X_u, Y_u, X_v, Y_v and their determinant, (5, y, x), at parameters x and y.
+
+        (X, Y) is the position on the undeformed sheet; u and v are the parameters.
+        """
         if self.frame.outline == "rectangular":
             ones, zeros = np.ones((y.size, x.size)), np.zeros((y.size, x.size))
             return np.stack((ones, zeros, zeros, ones, ones))
@@ -162,7 +172,10 @@ class _Map:
 
 
 def functions_of(rest: Rest, rows: slice = slice(None)) -> FloatArray:
-    """Return (row, col, 4, 9, 6) all functions: value, d/dX, d/dY, d2/dX2, d2/dY2, d2/dXdY."""
+    """Return the nine spline functions of each cell at its Gauss points, (row, col, 4, 9, 6).
+
+    The last axis is the value, d/dX, d/dY, d2/dX2, d2/dY2, d2/dXdY along the undeformed sheet.
+    """
     products = _products(rest.along_x, rest.along_y[rows])
     if rest.turned.size:
         products[..., 1:] = np.einsum("jiqst,jiqnt->jiqns", rest.turned[rows], products[..., 1:])
@@ -170,19 +183,25 @@ def functions_of(rest: Rest, rows: slice = slice(None)) -> FloatArray:
 
 
 def normal_of(surface: FloatArray) -> FloatArray:
-    """Return unit normals of (..., 3, xyz) position and derivatives."""
+    """Return the unit normals (..., xyz) of a surface.
+
+    `surface` is (..., 3, xyz): position, and its derivatives by the two sheet coordinates.
+    """
     across, stretch = _across(surface)
     return np.stack([component / stretch for component in across], axis=-1)
 
 
 def thinning_of(surface: FloatArray) -> FloatArray:
-    """Return the thickness stretch lambda = 1 / area stretch of (..., 3, xyz)."""
+    """Return the thickness stretch lambda = 1 / area stretch of a surface, as for `normal_of`."""
     thinning: FloatArray = 1 / _across(surface)[1]
     return thinning
 
 
 def _across(surface: FloatArray) -> tuple[list[FloatArray], FloatArray]:
-    """Return the cross product (xyz) of both derivatives, and its length: the area stretch."""
+    """Return the three components of the derivatives' cross product, and the area stretch.
+
+    The area stretch is the length of the cross product.
+    """
     # Component by component: Numpy's own takes five times as long.
     (ax, ay, az), (bx, by, bz) = (np.moveaxis(surface[..., n, :], -1, 0) for n in (1, 2))
     across = [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
@@ -190,7 +209,7 @@ def _across(surface: FloatArray) -> tuple[list[FloatArray], FloatArray]:
 
 
 def _products(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
-    """Return the functions and their derivatives along the grid, as `functions_of` does."""
+    """Return functions as `functions_of`, but with the derivatives by the spline parameters."""
     orders = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1))
     # (row, col, qy, qx, b, a, derivative)
     parts = [np.einsum("jqb,ipa->jiqpba", along_y[:, :, y], along_x[:, :, x]) for x, y in orders]
@@ -209,7 +228,10 @@ def _rest(frame: Frame, x: SplineLine, y: SplineLine, control: FloatArray) -> Re
 
 
 def _along_the_sheet(functions: FloatArray, control: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the map of derivatives along the grid to those along the sheet, and its area."""
+    """Return the map of derivatives by the parameters to those along the sheet, and its area ratio.
+
+    The map is (row, col, 4, 5, 5), see `Rest.turned`; the area ratio is (row, col, 4).
+    """
     rows, cols = functions.shape[:2]
     cell = np.arange(9)
     local = control[

@@ -1,6 +1,7 @@
-"""Energy, forces and tangent of the thin sheet, compiled: one cell of splines at a time.
+"""Compiled sums of energy, forces and tangent of the thin sheet over its spline cells.
 
-Arrays are (row, col) of cells, then Gauss point; the terms at one point are in `point`.
+Arrays are (row, col, Gauss point) with rows and columns of cells. Module `point` computes the terms
+at one Gauss point.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -29,7 +30,7 @@ SLOTS = (
 
 
 class Cell(NamedTuple):
-    """Scratch of one cell, reused."""
+    """Work arrays for one cell, which are overwritten for each cell."""
 
     #: (9, 6) functions and derivatives at a point, and (5,) those of one along the grid
     functions: FloatArray
@@ -42,14 +43,14 @@ class Cell(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Scratch arrays of one call of `assemble_rows`."""
+    """Work arrays of one call of `assemble_rows`, because compiled code allocates no arrays."""
 
     point: Point
     cell: Cell
 
 
 class Assembled(NamedTuple):
-    """Sums to which `assemble_rows` adds."""
+    """Sums to which `assemble_rows` adds: energy, uJ; forces, mN; tangent, mN/mm."""
 
     #: (row,) of each row of cells
     energy: FloatArray
@@ -60,7 +61,7 @@ class Assembled(NamedTuple):
 
 
 def scratch() -> Scratch:
-    """Return the scratch arrays of one call of `assemble_rows`."""
+    """Return new work arrays for one call of `assemble_rows`."""
     cell = Cell(np.zeros((9, 6)), np.zeros(5), np.zeros(54), np.zeros((6, 81)), np.zeros((9, 81)))
     return Scratch(point_scratch(), cell)
 
@@ -74,15 +75,16 @@ def assemble_rows(
     work: Scratch,
     sums: Assembled,
 ) -> None:
-    """Add the energy, forces and, if requested, the tangent of some cell rows.
+    """Add the energy, the forces and, if requested, the tangent of some rows of cells to `sums`.
 
     Parameters
     ----------
-    rows : first row, and the one after the last
-    c : (row + 2, col + 2, 3) control points
-    rest, state, options : Rest, ContactState, EvaluationOptions
-    work : Scratch
-    sums : Assembled, added to
+    rows : index of the first row of cells, and of the row after the last one
+    c : (row + 2, col + 2, 3) control points, mm
+    rest : undeformed sheet
+    state : constants of the potentials, distances of the bodies, and anchors
+    options : whether the tangent is computed, and in which form
+    work : work arrays, see `scratch`
     """
     held, anchor, normal = map(np.ascontiguousarray, state.grip)
     plain = state._replace(grip=Grip(held, anchor, normal))
@@ -90,7 +92,7 @@ def assemble_rows(
 
 
 def _contiguous(rest: Rest) -> Rest:
-    """Return contiguous arrays, as of a whole sheet: for views Numba would compile again."""
+    """Return `rest` with contiguous arrays: Numba would compile the kernel again for views."""
     return Rest(*map(np.ascontiguousarray, rest))
 
 
@@ -144,7 +146,17 @@ def surface_rows(
     plain: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill out (row, col, 4, 3, 3) with r, r_1 and r_2 at the Gauss points of some cell rows."""
+    """Write r, r_1 and r_2 at the Gauss points of some rows of cells to `out` (row, col, 4, 3, 3).
+
+    Symbols: see `point`.
+
+    Parameters
+    ----------
+    first, end : index of the first row of cells, and of the row after the last one
+    c : (row + 2, col + 2, 3) control points, mm
+    rest : undeformed sheet
+    N, plain : (9, 3) and (5,) work arrays
+    """
     _surface_rows(first, end, np.ascontiguousarray(c), _contiguous(rest), N, plain, out)
 
 
@@ -167,7 +179,10 @@ def _surface_rows(
 
 @inlined
 def _functions(at: At, rest: Rest, N: FloatArray, plain: FloatArray) -> None:
-    """Fill N (9, m) with the cell's functions and their derivatives along the sheet."""
+    """Write a cell's nine functions, and derivatives of them along the sheet, to N (9, m).
+
+    m is 3 (value and first derivatives) or 6 (second derivatives as well).
+    """
     row, col, q = at
     x, y = rest.along_x[col, q % 2], rest.along_y[row, q // 2]
     count = N.shape[1]
@@ -196,7 +211,7 @@ def _functions(at: At, rest: Rest, N: FloatArray, plain: FloatArray) -> None:
 
 @inlined
 def _place(functions: FloatArray, c: FloatArray, row: int, col: int, v: FloatArray) -> None:
-    """Fill v (m, 3), the first m derivatives of the surface at a Gauss point."""
+    """Write position and derivatives of the surface at a Gauss point to v (m, 3), m = 3 or 6."""
     v[:] = 0.0
     for b in range(3):
         for a in range(3):
@@ -208,7 +223,7 @@ def _place(functions: FloatArray, c: FloatArray, row: int, col: int, v: FloatArr
 
 @inlined
 def _gather(N: FloatArray, weight: float, K: FloatArray, cell: Cell) -> None:
-    """Add a point's tangent to its cell's blocks: long loops, for vector units."""
+    """Add the tangent of a Gauss point to `cell.blocks`, in long loops that can be vectorised."""
     half, side, blocks = cell.half, cell.side, cell.blocks
     for j in range(9):
         n0, n1, n2 = weight * N[j, 0], weight * N[j, 1], weight * N[j, 2]

@@ -1,7 +1,7 @@
-"""The thin sheet's laws, compiled: membrane and bending, contact and cohesion; and their data.
+"""Compiled energies of the thin sheet, and their data: membrane, bending, contact and cohesion.
 
-Energies are per undeformed area, kPa mm = J/m^2; lengths mm. Kirchhoff-Love sheet of incompressible
-neo-Hookean solid (Kiendl et al. 2015), in closed form.
+Energies are per undeformed area, kPa mm = J/m^2; lengths are in mm. The sheet is a Kirchhoff-Love
+shell of an incompressible neo-Hookean solid (Kiendl et al. 2015); its energy has a closed form.
 """
 
 # ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
@@ -32,17 +32,17 @@ _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, _SOURCES)
 
 
 def kernel(function: Function) -> Function:
-    """Compile on first call and store the result on disk."""
+    """Compile `function` on its first call and store the compiled code on disk."""
     return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
 
 
 def inlined(function: Function) -> Function:
-    """Compile into the callers: for functions that run once per Gauss point."""
+    """Inline `function` into its compiled callers: for code that runs once per Gauss point."""
     return compile_and_keep(function, _OPTIONS | NESTED | {"forceinline": True}, _SOURCE_DIGEST)
 
 
 class Rest(NamedTuple):
-    """The undeformed sheet at its Gauss points."""
+    """Spline functions and areas of the undeformed sheet at its Gauss points."""
 
     #: (col, 2, derivative, 3) functions of a cell along the grid's x, at its Gauss points
     along_x: FloatArray
@@ -67,7 +67,11 @@ class Touch(NamedTuple):
 
 
 class Grip(NamedTuple):
-    """Where the sheet sticks: anchors in the world, normals of the surface at the anchor."""
+    """Anchors of a sheet that sticks: positions of its middle surface at first contact.
+
+    They move with the specimen, and are given in the solver's frame at travel 0. `normal` is the
+    unit normal of the touched body there.
+    """
 
     #: (row, col, 4) 1 where it sticks
     held: FloatArray
@@ -78,7 +82,7 @@ class Grip(NamedTuple):
 
 
 class Laws(NamedTuple):
-    """Constants of the potentials."""
+    """Constants of the sheet, the contact and the loads in the energy."""
 
     thickness_mm: float
     shear_modulus_kpa: float
@@ -97,7 +101,7 @@ class Laws(NamedTuple):
 
 
 class Material(NamedTuple):
-    """Scratch of `material`: derivatives of (tr a, det a, T, det b, tr b) by the forms."""
+    """Work arrays of `material`: derivatives of (tr a, det a, T, det b, tr b) by a and b."""
 
     #: (6, 5) by (a11, a22, a12, b11, b22, b12); those that are constant are set by the caller
     slopes: FloatArray
@@ -114,11 +118,17 @@ def material(
     H: FloatArray,
     want: bool,
 ) -> float:
-    """Return energy per undeformed area over shear modulus; fill its derivatives by (a, b).
+    """Return the sheet's energy per undeformed area over shear modulus, mm; write its derivatives.
 
     W = h/2 (A + 1/d - 3) + h^3/24 (3 T^2/d^4 - 2 k/d^3 + (B T - k A)/d^2) with A = tr a, d = det a,
     T = a22 b11 + a11 b22 - 2 a12 b12, k = det b, B = tr b: an incompressible neo-Hookean sheet.
-    The gradient is written to g and, if requested, the Hessian to H.
+
+    Parameters
+    ----------
+    forms : a11, a22, a12, b11, b22, b12: first and second fundamental form, see `point`
+    h : undeformed thickness, mm
+    g : (6,) output: derivatives of W by `forms`
+    H : (6, 6) output if `want` is True: second derivatives of W
     """
     a11, a22, a12, b11, b22, b12 = forms
     A, d, B = a11 + a22, a11 * a22 - a12 * a12, b11 + b22
@@ -178,7 +188,10 @@ def _add_second_slopes(slopes: tuple[float, float, float], H: FloatArray) -> Non
 
 @inlined
 def contact_law(gap_mm: float, laws: Laws) -> tuple[float, float, float]:
-    """Return potential, slope and curvature: repulsion below 0, cohesion up to the range."""
+    """Return the contact energy per undeformed area, J/m^2, and its two derivatives by the gap.
+
+    A gap below 0 is repelled. With tack the sheet is attracted at gaps from 0 to the tack's range.
+    """
     if gap_mm < 0:
         eps = laws.contact_stiffness
         return 0.5 * eps * gap_mm * gap_mm - laws.tack, eps * gap_mm, eps

@@ -1,4 +1,4 @@
-"""Positive definite sparse systems, by PARDISO (pypardiso) or else by SciPy's SuperLU."""
+"""Solve positive definite sparse systems by PARDISO (pypardiso) or else by SciPy's SuperLU."""
 
 import ctypes
 import importlib.metadata
@@ -28,7 +28,7 @@ _REPRODUCIBLE, _THREADS = 34, 4
 
 
 class LinearSolver(Protocol):
-    """Solves systems of one sparsity pattern."""
+    """Solver of symmetric linear systems that have one sparsity pattern."""
 
     def factorise(self, values: FloatArray) -> bool:
         """Factorise the upper triangle's values; return True if they are positive definite."""

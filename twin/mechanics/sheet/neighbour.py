@@ -1,15 +1,15 @@
-"""Equilibria for small changes of the input, to first order, from one pressed sheet.
+"""Compute equilibria of a sheet for small changes of the input, to first order, from one press.
 
-In equilibrium the forces g on the free control points c are zero, and remain zero if the data p of
+In equilibrium the forces g on the free control points c are zero. They remain zero if the data p of
 elastomer, press or specimen change (implicit function theorem):
 
     K dc/dp = -dg/dp,    K: the tangent in equilibrium, exact
 
-A neighbour is that step, Newton's first: g of the changed data at the control points of the
-equilibrium. Its faces, pressure and force are then those of any press. Two neighbours on either
-side give the derivative of all of them, with an error of second order in their distance.
+A neighbour is the state after one Newton step with the changed data, from the equilibrium. Faces,
+pressure and force are computed from it as for any press. Two neighbours, with the data changed by
++dp and -dp, give the derivatives of these results, with an error of second order in dp.
 
-Under a given force the travel s changes too: ds = (given force - force) / (dF/ds).
+If the force is prescribed, the travel s changes too: ds = (prescribed force - force) / (dF/ds).
 """
 
 from copy import copy
@@ -30,14 +30,15 @@ _SMALL_SHARE = 1e-6
 
 @dataclass(eq=False)
 class Neighbourhood:
-    """A sheet in equilibrium with the factors of its tangent.
+    """A sheet in equilibrium with its factorised tangent, for presses with slightly changed input.
 
     Raises
     ------
     PressError
-        It sticks: its equilibrium depends on its path, which is unknown for a neighbour.
+        The sheet sticks: its equilibrium depends on its load path, so that it has no derivative.
     SolverError
-        Its tangent is not definite: other equilibria are close to it, and it has no derivative.
+        The tangent is not positive definite: other equilibria are close, and the sheet has no
+        derivative.
     """
 
     rest: SettledSheet
@@ -68,14 +69,14 @@ class Neighbourhood:
         Raises
         ------
         PressError
-            The data change the frame, or are rejected as by `press_sheet`.
+            The new data have another frame, or `press_sheet` would reject them.
         """
         return self.neighbour(mechanics, specimen, elastomer, load).result()
 
     def neighbour(
         self, mechanics: Mechanics, specimen: Specimen, elastomer: Elastomer, load: Press
     ) -> SettledSheet:
-        """Return that press as the solver's state; see `press`."""
+        """Return the result of `press` with the same arguments as a state of the solver."""
         case = sheet_case(specimen, elastomer, load, mechanics)
         if case.frame != self.rest.case.frame:
             raise PressError(
@@ -93,7 +94,7 @@ class Neighbourhood:
         return SettledSheet(case, elastomer, load, sheet, state)
 
     def _stepped(self, sheet: Sheet, travel_mm: float, pressure_kpa: float) -> SheetState:
-        """Return the state of the sheet to first order."""
+        """Return the state, to first order, of a sheet with new data at a travel and a pressure."""
         rest = self.rest.state
         there = replace(rest, travel_mm=travel_mm, pressure_kpa=pressure_kpa)
         sheet.evaluate(rest.control_mm, there, tangent=False)
@@ -101,7 +102,7 @@ class Neighbourhood:
         return replace(there, control_mm=rest.control_mm + moved_mm)
 
     def _at_force(self, sheet: Sheet, state: SheetState, force_n: float) -> SheetState:
-        """Return the state moved along the travel to a given force."""
+        """Return the state whose travel is changed so that the contact force is `force_n`."""
         by_mm = _SMALL_SHARE * state.travel_mm
         travels_mm = state.travel_mm - by_mm, state.travel_mm + by_mm
         low, high = (self._stepped(sheet, value, state.pressure_kpa) for value in travels_mm)

@@ -1,8 +1,8 @@
-"""Load stepping of a press: first the travel, then the pressure; coarse cells before fine ones.
+"""Load stepping of a press on one grid: first the travel increases, then the back pressure.
 
-Every step starts from the line through the last two states. Only the last step must be in
-equilibrium. A step in which the sheet flows away is halved; if even a small one does, the error
-states the last stable state.
+Each step starts from a state on the line through the last two states. Only the last step must reach
+equilibrium. A step that fails, for example because the sheet becomes too thin, is halved. If a step
+of 1/16 fails as well, the error states the last stable travel or pressure.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ Progress = Callable[[float], None]
 
 
 class LimitPressureError(PressError):
-    """No equilibrium at a pressure; most often because the sheet thins without bound."""
+    """Error for a pressure without equilibrium, mostly because the sheet thins without limit."""
 
     def __init__(self, travel_mm: float, held_kpa: float, lost_kpa: float, reason: str) -> None:
         stable = f"is stable up to {held_kpa:.2f} kPa" if held_kpa > 0 else "is not stable"
@@ -49,14 +49,14 @@ class LimitPressureError(PressError):
 
 @dataclass(frozen=True)
 class Loads:
-    """Loads of a state."""
+    """Loads of a state: travel after first touch, mm, and back pressure, kPa."""
 
     travel_mm: float
     pressure_kpa: float = 0.0
 
 
 def mounted(grid: SheetGrid) -> SheetState:
-    """Return the unloaded sheet."""
+    """Return the state of the mounted sheet without loads and anchors."""
     points = grid.rest.area_mm2.shape
     grip = Grip(np.zeros(points), np.zeros((*points, 3)), np.zeros((*points, 3)))
     return SheetState(grid.mounted_mm, grip)
@@ -89,25 +89,25 @@ def follow(
     pressed_states: list[SheetState] | None = None,
     progress: Progress | None = None,
 ) -> SheetState:
-    """Press from the mounted sheet to `goal`.
+    """Return the equilibrium of a sheet at the loads `goal`, by load steps from the mounted sheet.
 
     Parameters
     ----------
-    sheet : Sheet
-    goal : Loads
-    accuracy : Accuracy
+    accuracy : tolerances of the equilibrium
     shared : list of SheetState, optional
-        States at the first travels of `load_steps`, from earlier paths of this sheet; added to.
+        States at the first travels of `load_steps`, from earlier paths of this sheet. New states at
+        these travels are appended.
     pressed_states : list of SheetState, optional
-        Takes the states of load steps with a pressure.
-    progress : called with the finished share of the load steps
+        The states of load steps with a back pressure are appended to this list.
+    progress : called with the finished fraction of the load steps, 0 to 1
 
     Raises
     ------
     LimitPressureError
-        The sheet is not stable at the pressure; states the largest pressure with an equilibrium.
+        The sheet has no equilibrium at the pressure. The message states the largest pressure of a
+        load step that the sheet reached.
     SolverError
-        No equilibrium; names the last travel that had one.
+        The sheet has no equilibrium at the travel. The message states the last travel reached.
     """
     stops, shared = load_steps(goal), [] if shared is None else shared
     during_load_steps = _during_load_steps(sheet, accuracy)
@@ -160,9 +160,20 @@ def advance(
     *,
     pressed_states: list[SheetState] | None = None,
 ) -> tuple[SheetState, SheetState]:
-    """Move from `state` to `goal`; return the new state and the one before it.
+    """Change the loads from those of `state` to `goal`; return the last two states of the steps.
 
-    `pressed_states` takes the states with a pressure.
+    The new state is the first of the two.
+
+    Parameters
+    ----------
+    before : state before `state`, for the prediction of the first step
+    accuracy : tolerances of each step
+    pressed_states : list to which the states with a back pressure are appended; None: no list
+
+    Raises
+    ------
+    LimitPressureError, SolverError
+        A step of 1/16 of the change fails, see `follow`.
     """
     step = 1.0
     done = 0.0
@@ -185,7 +196,7 @@ def advance(
 
 
 def refined(coarse: Sheet, fine: Sheet, state: SheetState) -> SheetState:
-    """Return the coarse sheet's state on the fine sheet's grid."""
+    """Return a state of the coarse sheet, interpolated on the grid of the fine sheet."""
     control = fine.grid.moved_from(coarse.grid, state.control_mm)
     grip = mounted(fine.grid).grip
     moved = replace(state, control_mm=control, grip=grip)
@@ -209,7 +220,7 @@ def _lifted(state: SheetState) -> FloatArray:
 
 
 def _at_points(coarse: SheetGrid, fine: SheetGrid, values: FloatArray) -> FloatArray:
-    """Interpolate (row, col, 4, k) values between the Gauss points of two grids."""
+    """Interpolate values (row, col, 4, k) from the coarse to the fine grid's Gauss points."""
     rows, cols, _, count = values.shape
     regular = values.reshape(rows, cols, 2, 2, count).transpose(0, 2, 1, 3, 4)
     table = RegularGridInterpolator(
@@ -235,9 +246,10 @@ def _between(start: Loads, goal: Loads, share: float) -> Loads:
 
 
 def _predicted(sheet: Sheet, state: SheetState, before: SheetState, loads: Loads) -> SheetState:
-    """Return the state of least energy on the line through the last two states, at `loads`.
+    """Return a first guess of the state at `loads`: the last state, moved on as in the last step.
 
-    Or the last state, if the three are not on one line of loads.
+    The distance moved is the one with the least energy out of four. If travel and pressure do not
+    change as in the last step, the guess has the control points of the last state.
     """
     there = replace(state, travel_mm=loads.travel_mm, pressure_kpa=loads.pressure_kpa)
     made = np.array([state.travel_mm - before.travel_mm, state.pressure_kpa - before.pressure_kpa])
@@ -253,13 +265,15 @@ def _predicted(sheet: Sheet, state: SheetState, before: SheetState, loads: Loads
 
 
 def check_thickness(sheet: Sheet, state: SheetState, least: float = THINNEST) -> None:
-    """Raise an error for a sheet thinner than silicone can be: it would reach no equilibrium.
+    """Raise an error if the sheet is thinner somewhere than real silicone can become.
 
-    `least` is of the undeformed thickness.
+    Parameters
+    ----------
+    least : smallest allowed ratio of local to undeformed thickness
 
     Raises
     ------
-    SolverError
+    SolverError : the smallest ratio is below `least`
     """
     thinnest = float(thinning_of(sheet.surface(state.control_mm)).min())
     if thinnest < least:

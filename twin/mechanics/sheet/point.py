@@ -1,9 +1,10 @@
-"""One Gauss point of the thin sheet, compiled: its potentials, and their first derivatives.
+"""Compiled potentials of the thin sheet at one Gauss point, and their first derivatives.
 
-The sheet is described by v = (r, r_1, r_2, r_11, r_22, r_12), the surface midway between its
-deformed faces and its derivatives along the undeformed sheet, and by the two fundamental forms
-a = (a11, a22, a12), a_ij = r_i . r_j, and b, b_ij = n . r_ij. All potentials are functions
-of r, a and b; their derivatives by v follow from
+The sheet is described by v = (r, r_1, r_2, r_11, r_22, r_12). r is the position of the surface
+midway between its deformed faces; the other elements are derivatives of r along the undeformed
+sheet. The two fundamental forms are a = (a11, a22, a12) with a_ij = r_i . r_j, and b = (b11, b22,
+b12) with b_ij = n . r_ij and the unit normal n. All potentials are functions of r, a and b. Their
+derivatives by v follow from
 
     da11 = 2 r_1 . dr_1 (a22, a12 likewise),   db_m = n . dr_m - Gamma_m^e n . dr_e,
 
@@ -27,7 +28,10 @@ Metric = tuple[float, float, float, float]
 
 
 class ContactState(NamedTuple):
-    """Data of the potentials: their constants, the bodies near the sheet, and its anchors."""
+    """Data of the contact potentials: constants, distances of bodies, and anchors where it sticks.
+
+    The distances are those of the bodies near the sheet. At an anchor, the sheet sticks to a body.
+    """
 
     laws: Laws
     touch: Touch
@@ -44,7 +48,7 @@ class EvaluationOptions(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Scratch of one Gauss point, reused."""
+    """Work arrays for one Gauss point, which are overwritten for each point."""
 
     v: FloatArray
     #: derivatives of the energy by v (6, 3), and by a and b (6,)
@@ -64,7 +68,7 @@ class Point(NamedTuple):
 
 
 def point_scratch() -> Point:
-    """Return the scratch arrays of one Gauss point."""
+    """Return new work arrays for a Gauss point; constant elements are set."""
     slopes = np.zeros((6, 5))
     slopes[0, 0] = slopes[1, 0] = slopes[3, 4] = slopes[4, 4] = 1.0
     return Point(
@@ -76,7 +80,10 @@ def point_scratch() -> Point:
 
 @inlined
 def potentials(at: At, state: ContactState, options: EvaluationOptions, point: Point) -> float:
-    """Fill stress, forces and, if requested, moduli; return the energy per area."""
+    """Return the energy per undeformed area, J/m^2; write its derivatives to `point`.
+
+    `point.v` is the input. Outputs are `force`, `stress` and, if requested, the second derivatives.
+    """
     v, n = point.v, point.normal
     laws, touch, grip = state.laws, state.touch, state.grip
     metric, bending = _geometry(point)
@@ -112,7 +119,7 @@ def potentials(at: At, state: ContactState, options: EvaluationOptions, point: P
 
 @inlined
 def _geometry(point: Point) -> tuple[Metric, tuple[float, float, float]]:
-    """Fill normal, dual vectors and Christoffel symbols; return a with its determinant, and b."""
+    """Write normal, dual vectors and Gamma to `point`; return a with its determinant, and b."""
     v, n, dual, gamma = point.v, point.normal, point.dual, point.gamma
     r1, r2 = v[1], v[2]
     a11, a22, a12 = dot(r1, r1), dot(r2, r2), dot(r1, r2)
@@ -132,7 +139,7 @@ def _geometry(point: Point) -> tuple[Metric, tuple[float, float, float]]:
 
 @inlined
 def dot(a: FloatArray, b: FloatArray) -> float:
-    """Return the inner product of two vectors in space."""
+    """Return the inner product of two vectors (3,)."""
     product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product
 
@@ -141,7 +148,7 @@ def dot(a: FloatArray, b: FloatArray) -> float:
 def _touch(
     part: int, at: At, metric: Metric, laws: Laws, touch: Touch, convex: bool, point: Point
 ) -> float:
-    """Add one body's potential to stress, forces and moduli; return it."""
+    """Return the potential of the contact with one body; add its derivatives to `point`."""
     a11, a22, a12, d = metric
     j_row, i_col, q = at
     half = 0.5 * laws.thickness_mm / np.sqrt(d)
@@ -168,7 +175,10 @@ def _touch(
 
 @inlined
 def _stick(at: At, grip: Grip, stiffness: float, point: Point) -> float:
-    """Add the spring to the anchor, along the touched surface there; return its energy."""
+    """Return the energy of the spring to the anchor; add its derivatives to `point`.
+
+    The spring acts only along the tangent plane of the touched surface at the anchor.
+    """
     j_row, i_col, q = at
     normal, total, along = grip.normal[j_row, i_col, q], 0.0, 0.0
     for k in range(3):
@@ -185,7 +195,10 @@ def _stick(at: At, grip: Grip, stiffness: float, point: Point) -> float:
 
 @inlined
 def _pressure(p_area: float, p: float, point: Point) -> float:
-    """Add p int z dA_z: its variation is the follower pressure, while the rim does not move."""
+    """Return the energy p z dA_z of the back pressure p; add its first derivatives to `point`.
+
+    The variation of its integral is the pressure normal to the deformed sheet, if the rim is fixed.
+    """
     v, force, up = point.v, point.force, p_area * point.normal[2]
     z = p * v[0, 2]
     force[0, 2] += up

@@ -1,12 +1,12 @@
 """Press a specimen into a thin sheet: the `sheet` model, from the experiment's data to its result.
 
-World frame, mm: the coated face of the mounted sheet is z = 0, the sheet spans its frame's opening
-and the specimen, on its plate, is pressed from below and touches the lower face at travel 0. In the
-solver's own frame z = 0 is the undeformed surface midway between the faces.
+World frame, mm: the coated face of the mounted sheet is z = 0, and the sheet spans the opening of
+its frame. The specimen, on its plate, is pressed from below; at travel 0 it touches the lower face.
+In the solver's own frame z = 0 is the undeformed surface midway between the faces.
 
-Sources: Kirchhoff-Love kinematics with an incompressible neo-Hookean solid, thickness change
-included; quadratic B-splines, 2 x 2 Gauss points. Penalty of contact: the compliance of half a
-thickness, E* / (h / 4), which fits solid elements best (shared notes on the sheet).
+The model has Kirchhoff-Love kinematics with an incompressible neo-Hookean solid, including the
+change of thickness. Elements are quadratic B-splines with 2 x 2 Gauss points. For the contact's
+penalty stiffness see `case`.
 """
 
 from collections import OrderedDict
@@ -80,14 +80,15 @@ def press_sheet(
     Parameters
     ----------
     specimen : Specimen
-        The specimen in its pose; it is on a plate as wide as the frame's opening.
+        The specimen in its pose. A plate under it, which covers the whole opening of the frame,
+        moves with it.
     elastomer : Elastomer
-        Thickness 0.05 to 1 mm, `opposite_face`; its outline, pre-stretch and tack are used.
+        Sheet of 0.05 to 1 mm thickness without film, in the layout `opposite_face`.
     load : Press
-        Depth or force, back pressure, gravity; `cell_mm` for the solver's finest cells.
+        Depth or force, back pressure, gravity; `cell_mm` is the width of the finest cells.
     mechanics : Mechanics
-        `support` simple or clamped (the default).
-    progress : called with the finished share
+        `support` is "simple" or "clamped"; None: clamped.
+    progress : called with the finished fraction of the press, 0 to 1
 
     Returns
     -------
@@ -97,17 +98,17 @@ def press_sheet(
     Raises
     ------
     PressError
-        A thin sheet does not describe the press, the specimen reaches over the frame, or the sheet
-        is unstable at the pressure: the message states the largest stable pressure.
+        The sheet model cannot compute this press (see `check_sheet`), or the force is not reached.
+        Or the sheet is unstable at the back pressure; the message then states a stable pressure.
     SolverError
-        No equilibrium; the message names the last travel that had one.
+        The sheet has no equilibrium at the travel. The message states the last travel reached.
     """
     return settled_sheet(specimen, elastomer, load, mechanics, progress).result()
 
 
 @dataclass(frozen=True, eq=False)
 class SettledSheet:
-    """A pressed sheet in equilibrium, as the solver's state."""
+    """A pressed sheet in equilibrium: its data, and the state of the solver on the finest cells."""
 
     case: SheetCase
     elastomer: Elastomer
@@ -127,7 +128,7 @@ def settled_sheet(
     mechanics: Mechanics,
     progress: Progress | None = None,
 ) -> SettledSheet:
-    """Press as `press_sheet` does, and return the sheet itself.
+    """Press as `press_sheet`, and return the equilibrium as a state of the solver.
 
     Raises
     ------
@@ -141,7 +142,7 @@ def settled_sheet(
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A case on coarse cells, and the common states of its presses."""
+    """A case's sheet on coarse cells, and states that its presses to different loads share."""
 
     case: SheetCase
     sheet: Sheet
@@ -159,7 +160,7 @@ def forget_paths() -> None:
 
 
 def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mechanics) -> _Path:
-    """Return the case's path, cached from an earlier press that differs only in its loads.
+    """Return the path of a case; it is cached for presses that differ only in their loads.
 
     The states of a cached path have the same bytes as those of a new one.
     """
@@ -220,7 +221,10 @@ def _settled(
 
 
 def _on_fine_cells(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, SheetState]:
-    """Return the equilibrium of a state of the coarse sheet on the case's finest cells."""
+    """Return a sheet with the case's finest cells, and its equilibrium at the loads of `state`.
+
+    The solution starts from `state`, that of the coarse sheet.
+    """
     cell_mm = finest_pitch_mm(case, coarse, state)
     is_thin = case.laws.thickness_mm < cell_mm
     if cell_mm * (_WIDEST_RATIO_THIN if is_thin else _WIDEST_RATIO) < COARSE_CELL_MM:
@@ -243,9 +247,10 @@ def _between(case: SheetCase, coarse: Sheet, state: SheetState) -> tuple[Sheet, 
 def _begun(
     case: SheetCase, cell_mm: float, coarser: Sheet, state: SheetState
 ) -> tuple[Sheet, SheetState]:
-    """Return the finest sheet and its first state.
+    """Return the finest sheet, and as its first state the interpolated one of the coarser sheet.
 
-    The coarser sheet's factors are freed with this call: memory is short in the next step.
+    It is a function so that the factors of the coarser sheet are freed at its end: the next step
+    needs much memory.
     """
     fine = case.sheet(finest_cells(case, coarser, state, cell_mm))
     return fine, refined(coarser, fine, state)
@@ -258,11 +263,11 @@ def _finest(fine: Sheet, start: SheetState) -> tuple[Sheet, SheetState]:
 
 
 def _soft(sheet: Sheet) -> Sheet:
-    """Return the sheet with contact no stiffer than its cells, for the load steps.
+    """Return the sheet with a contact stiffness limited according to its cells, for load steps.
 
-    On cells much wider than its thickness a sheet slips over an edge point by point, and the
-    stiffer the contact is, the more equilibria are close together. The result of a sheet that
-    sticks depends on the path, so it has the contact stiffness of its thickness.
+    On cells much wider than its thickness, a sheet slips over an edge point by point. The stiffer
+    the contact is, the more equilibria are close together. For a sheet that sticks the stiffness is
+    not limited, because its result depends on the load path.
     """
     if sheet.sticks:
         return sheet
@@ -273,10 +278,11 @@ def _soft(sheet: Sheet) -> Sheet:
 
 
 def _held_kpa(path: _Path, pressed_states: list[SheetState], load: Loads) -> float:
-    """Return a lower pressure than requested that is stable with a margin; 0 if there is none.
+    """Return a pressure, kPa, below the requested one that is stable with a margin; 0: none.
 
-    The largest of the load steps with an equilibrium on coarse and on intermediate cells, or, if
-    that is not reached within few steps, the next lower one with an equilibrium on coarse cells.
+    It is the largest pressure of the load steps with an equilibrium on coarse cells. This pressure
+    is also tested on intermediate cells. If that fails, the next lower pressure with an equilibrium
+    on coarse cells is returned.
     """
     tried = False
     for state in _at_lower_pressures(path, pressed_states, load):
@@ -296,7 +302,10 @@ def _held_kpa(path: _Path, pressed_states: list[SheetState], load: Loads) -> flo
 def _at_lower_pressures(
     path: _Path, pressed_states: list[SheetState], load: Loads
 ) -> Iterator[SheetState]:
-    """Yield states below the requested pressure: load steps, largest first, then lower ones."""
+    """Yield states at pressures below the requested one: those of load steps, the largest first.
+
+    Equilibria at the pressures `_LOW_PRESSURES_KPA` follow.
+    """
     for state in sorted(pressed_states, key=lambda step: -step.pressure_kpa):
         if state.pressure_kpa < load.pressure_kpa:
             yield state
@@ -311,19 +320,19 @@ def _silent(share: float) -> None:
 
 
 def _between_shares(report: Progress, low: float, high: float, share: float) -> None:
-    """Report the share of a part of the load steps as a share of all of them."""
+    """Report the fraction `share` of a part of the press as a fraction, `low` to `high`, of it."""
     report(low + (high - low) * share)
 
 
 def _to_force(
     sheet: Sheet, state: SheetState, force_n: float, accuracy: Accuracy, progress: Progress
 ) -> SheetState:
-    """Change the travel until specimen and plate press on the sheet with a force.
+    """Return the state at the travel at which specimen and plate press on the sheet with a force.
 
     Raises
     ------
     PressError
-        The force is not reached.
+        The force is not reached, or the air pressure causes a larger force already at first touch.
     """
     step = TRAVEL_STEP_MM
     before = state

@@ -1,8 +1,8 @@
-"""Pressure of specimen and plate on the touched face of a sheet in equilibrium, on a grid in plan.
+"""Compute the pressure of specimen and plate on a sheet in equilibrium, on a grid of cells in plan.
 
-The forces on the sheet are at its Gauss points. Each is distributed over that point's quarter of a
-spline cell, and with it over the solver's cells above that quarter: no force is lost, even on an
-edge narrower than a cell. So the sum over the cells is the force.
+The forces on the sheet act at its Gauss points. Each force is distributed over the quarter of a
+spline cell that belongs to the Gauss point, and from there to the cells in plan that it covers.
+No force is lost, even on an edge narrower than a cell: the sum over the cells is the contact force.
 """
 
 import numpy as np
@@ -19,14 +19,14 @@ _PARTS_PER_CELL, _STRETCHED = 4.0, 1.5
 def pressure_on_cells(
     sheet: Sheet, state: SheetState, x_mm: FloatArray, y_mm: FloatArray
 ) -> FloatArray:
-    """Return (row, col) vertical force of specimen and plate on the sheet over area in plan, kPa.
+    """Return the upward force of specimen and plate on the sheet per area in plan, (row, col), kPa.
 
-    Without friction and tack it is the contact's pressure, for p n_z dA = p dx dy. Tack counts as
-    negative, and friction is included.
+    Without friction and tack it is the contact pressure p, because p n_z dA = p dx dy. The pull of
+    tack is included with negative sign, and the vertical part of friction is included.
 
     Parameters
     ----------
-    x_mm, y_mm : (col,) and (row,) middles of even cells
+    x_mm, y_mm : (col,) and (row,) middles of cells of equal width, ascending
     """
     steps = x_mm[1] - x_mm[0], y_mm[1] - y_mm[0]
     lifted_mn = lift_kpa(sheet, state) * sheet.grid.rest.area_mm2
@@ -51,7 +51,7 @@ def pressure_on_cells(
 
 
 def lift_kpa(sheet: Sheet, state: SheetState) -> FloatArray:
-    """Return (row, col, 4) vertical force of specimen and plate per undeformed area."""
+    """Return the upward force of specimen and plate per undeformed area, (row, col, 4), kPa."""
     surface = sheet.surface(state.control_mm)
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
     slope = _contact_slope(sheet.gap_mm(surface, touch), sheet.laws)
@@ -66,20 +66,20 @@ def lift_kpa(sheet: Sheet, state: SheetState) -> FloatArray:
 
 
 def _contact_slope(gap_mm: FloatArray, laws: Laws) -> FloatArray:
-    """Return the slope of the contact's potential by the gap; see `laws.contact_law`."""
+    """Return the derivative, kPa, of the contact's potential by the gap, see `laws.contact_law`."""
     repelled = laws.contact_stiffness * np.minimum(gap_mm, 0.0)
     share = np.clip(gap_mm / laws.tack_range_mm, 0.0, 1.0)
     return np.asarray(repelled + 6 * laws.tack / laws.tack_range_mm * share * (1 - share))
 
 
 class _Cut:
-    """Points along a line, with a given number in each of its cells.
+    """Equally spaced points in the halves of some cells of a line.
 
     Attributes
     ----------
-    places_mm : (n,) ascending
-    cell : (n,) number of the cell of each point
-    half : (n,) 0 or 1, the Gauss point of each point's half of the cell
+    places_mm : (n,) positions along the line, ascending
+    cell : (n,) index of the cell that contains the point
+    half : (n,) 0 or 1, the half of the cell, and index of the Gauss point in this half
     parts : (n,) number of points in that half
     """
 
@@ -92,7 +92,7 @@ class _Cut:
 
 
 def _cut(line: SplineLine, loaded: BoolArray, step_mm: float) -> _Cut:
-    """Cut the loaded cells into parts that are short compared with a step."""
+    """Return points in the cells marked in `loaded`, at intervals far below `step_mm`."""
     cells = np.flatnonzero(loaded)
     widths = np.diff(line.edges)[cells]
     halves = np.ceil(widths / 2 * _STRETCHED * _PARTS_PER_CELL / step_mm).astype(np.intp)
@@ -100,7 +100,7 @@ def _cut(line: SplineLine, loaded: BoolArray, step_mm: float) -> _Cut:
 
 
 def _lower_mm(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return (row, col, xyz) the touched face at points along the sheet."""
+    """Return positions on the touched face, (y, x, xyz), mm, at parameters x and y of the sheet."""
     middle, along_x, along_y = sheet.grid.evaluate(state.control_mm, x, y)
     across = np.cross(along_x, along_y)
     area2 = (across**2).sum(axis=-1, keepdims=True)
@@ -110,7 +110,10 @@ def _lower_mm(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> 
 def _spread(
     values: FloatArray, row: FloatArray, col: FloatArray, shape: tuple[int, int]
 ) -> FloatArray:
-    """Sum values onto cells, (row, col): bilinearly on the four cells around each point."""
+    """Distribute values to the four cells around each point, bilinearly; return the sums per cell.
+
+    `row` and `col` are positions in cells, `shape` is (rows, cols) of the result.
+    """
     total = np.zeros(shape[0] * shape[1])
     low = [
         np.minimum(at.astype(np.intp), count - 2)

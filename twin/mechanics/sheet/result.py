@@ -1,4 +1,4 @@
-"""The result of a sheet in equilibrium: faces, contact, force and figures of a press."""
+"""Compute the result of a press from a sheet in equilibrium: faces, contact, force, validity."""
 
 import numpy as np
 
@@ -18,7 +18,10 @@ _HALF = 0.5
 
 
 def contact_force_n(sheet: Sheet, state: SheetState) -> float:
-    """Return the vertical force of specimen and plate on the sheet, N."""
+    """Return the upward force of specimen and plate on the sheet, N.
+
+    It is computed from the balance of forces: air pressure, weight and reaction of the rim.
+    """
     sheet.evaluate(state.control_mm, state, tangent=False)
     held = float(sheet.reactions().sum())
     surface = sheet.surface(state.control_mm)
@@ -36,7 +39,7 @@ def pressed_of(
     sheet: Sheet,
     state: SheetState,
 ) -> PressedElastomer:
-    """Return the result of a press: both faces as height maps, contact, figures and validity."""
+    """Return the result of a press, in the world frame, from the equilibrium of its sheet."""
     mounted_mm, modulus_kpa = elastomer.mounted_thickness_mm, young_modulus(elastomer).best_kpa
     half_mm, stretch = mounted_mm / 2, elastomer.pre_stretch
     nodes_x, nodes_y = (
@@ -86,7 +89,7 @@ def pressed_of(
 
 
 def _fields(carried: FloatArray) -> SheetFields:
-    """Return the named fields of the values (row, col, 5) on the coated face's nodes."""
+    """Return the fields at the coated face's nodes from an array (row, col, 5) of their values."""
     return SheetFields(
         thickness_mm=carried[..., 0],
         stretch=carried[..., 1:3],
@@ -98,7 +101,7 @@ def _fields(carried: FloatArray) -> SheetFields:
 def _touching(
     sheet: Sheet, state: SheetState, middle_mm: FloatArray, thickness_mm: FloatArray
 ) -> FloatArray:
-    """Return (row, col, 1): 1 where specimen or plate touches.
+    """Return 1 where specimen or plate touches the sheet, else 0, as float (row, col, 1).
 
     A sheet with tack touches up to the middle of the cohesive range, where its pull is largest.
     """
@@ -113,7 +116,7 @@ def _touching(
 
 
 def _contact_bend(sheet: Sheet, state: SheetState) -> float:
-    """Return the root mean square curvature where the specimen touches, 1/mm."""
+    """Return the RMS curvature, 1/mm, of the sheet where specimen or plate touches; 0: nowhere."""
     surface = sheet.surface(state.control_mm)
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
     touching = (sheet.gap_mm(surface, touch) < 0).any(axis=0)

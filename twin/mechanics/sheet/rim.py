@@ -1,9 +1,10 @@
-"""A compliant rim: the sheet's edge on springs along the frame, each length separately.
+"""A compliant rim: independent springs along the frame hold the edge of the sheet.
 
-Glue yields and a clamp lets a sheet creep in. The edge moves in the frame's plane by u under the
-line tension in excess of that of the mounted sheet: k u = N - N_0, k = 1 / compliance, per length
-of the mounted edge. The mounted sheet is in equilibrium: N_0 = mu h (1 - s^-6) along the outward
-normal, the tension of an incompressible neo-Hookean sheet that is stretched by s along x and y.
+Glue yields, and a sheet slips in a clamp. The edge moves in the frame's plane by u under the
+increase of the line tension N above that of the mounted sheet, N_0: k u = N - N_0, with
+k = 1 / compliance, per length of the mounted edge. The mounted sheet is in equilibrium. N_0 =
+mu h (1 - s^-6) is along the outward normal: the tension of an incompressible neo-Hookean sheet that
+is stretched by s along x and y.
 """
 
 from collections.abc import Sequence
@@ -29,10 +30,12 @@ class RimSpring:
 
     Attributes
     ----------
-    axis, end : control points [end] along the grid's axis 0 (rows) or 1 (columns)
-    mounted_mm : (point, xy) their positions at rest
-    stiffness : (offset, point) mN/mm between a control point and that 0, 1 or 2 further on
-    tension : (point, xy) mN of the mounted sheet, outwards
+    axis, end : the edge consists of the control points with index `end` (0: first, -1: last) along
+        the grid's axis 0 (rows) or 1 (columns)
+    mounted_mm : (point, xy) positions of these control points in the mounted sheet
+    stiffness : (offset, point) mN/mm, coupling of a control point to the one 0, 1 or 2 further
+        along the edge
+    tension : (point, xy) force of the mounted sheet's tension on the edge, mN, outwards
     """
 
     axis: int
@@ -42,7 +45,13 @@ class RimSpring:
     tension: FloatArray
 
     def add(self, control_mm: FloatArray, forces: FloatArray, tangent: FloatArray | None) -> float:
-        """Add forces (row, col, xyz) and tangent (row, col, slot, xyz, xyz); return the energy."""
+        """Add the springs' forces and tangent to those of the sheet; return their energy, uJ.
+
+        Parameters
+        ----------
+        control_mm, forces : (row + 2, col + 2, xyz)
+        tangent : (row + 2, col + 2, slot, xyz, xyz), see `kernel.SLOTS`; None: not computed
+        """
         moved = self._edge(control_mm)[:, :2] - self.mounted_mm
         pulled = self._times(moved)
         self._edge(forces)[:, :2] += pulled - self.tension
@@ -69,7 +78,12 @@ class RimSpring:
 def rim_springs(
     grid: SheetGrid, laws: Laws, edges: Sequence[tuple[int, int]] = EDGES
 ) -> tuple[RimSpring, ...]:
-    """Return the springs of a grid's edges; none if its frame is rigid."""
+    """Return the springs of a grid's edges, one `RimSpring` per edge; () for a rigid rim.
+
+    Parameters
+    ----------
+    edges : axis and end of each edge, see `RimSpring`
+    """
     compliance = grid.frame.rim_compliance_mm2_per_n
     if not compliance:
         return ()
@@ -99,7 +113,10 @@ def _spring(grid: SheetGrid, edge: tuple[int, int], stiffness: float, tension: f
 
 
 def _on_cells(line: SplineLine, control: FloatArray) -> FloatArray:
-    """Return (cell, 2) derivative along the line of the spline with control points (function,)."""
+    """Return the derivative of a spline along its line at the Gauss points, (cell, 2).
+
+    `control` (function,) are the coefficients of the spline.
+    """
     local = np.stack([control[a : a + line.cells] for a in range(3)], axis=-1)
     slope: FloatArray = np.einsum("cga,ca->cg", line.table[:, :, 1], local)
     return slope

@@ -1,4 +1,7 @@
-"""Quadratic B-splines on a graded line: values, derivatives, and interpolation between lines."""
+"""Quadratic B-splines on a line with cells of different widths; interpolation between lines.
+
+A function is one B-spline of a line. Positions along a line are parameters of the sheet, mm.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,16 +23,18 @@ _RUNGS = 2
 
 @dataclass(frozen=True, eq=False)
 class Widths:
-    """Largest widths of cells at ascending points along a line."""
+    """Largest allowed widths of cells, mm, at ascending points along a line."""
 
     #: (n,)
     places_mm: FloatArray
     widths_mm: FloatArray
 
     def at(self, places_mm: FloatArray, pitch_mm: float) -> FloatArray:
-        """Return the widths at points, from `pitch_mm` up; they increase no faster than allowed.
+        """Return the allowed widths of cells, mm, at points `places_mm` along the line.
 
-        Each is rounded down to a width of the series, so that last digits move no cell.
+        Widths are 1 to 4 x `pitch_mm`, and increase along the line by at most 0.2 mm per mm. Before
+        this limit they are rounded down to a geometric series with two widths per doubling, so that
+        rounding errors do not move cells.
         """
         pitches = np.clip(self.widths_mm / pitch_mm, 1.0, _WIDEST_PITCHES)
         rungs = 2.0 ** (np.floor(_RUNGS * np.log2(pitches) + 1e-9) / _RUNGS)
@@ -40,9 +45,10 @@ class Widths:
 
 @dataclass(frozen=True, eq=False)
 class SplineLine:
-    """C1 quadratic B-splines on the cells between `edges`, open at both ends.
+    """C1 quadratic B-splines on the cells between `edges`, with triple knots at both ends.
 
-    Cell i carries the functions i, i + 1 and i + 2; there are two more functions than cells.
+    In cell i the functions i, i + 1 and i + 2 are not zero. There are two more functions than
+    cells.
     """
 
     #: (cell + 1,) ascending
@@ -60,29 +66,32 @@ class SplineLine:
 
     @cached_property
     def greville(self) -> FloatArray:
-        """(function,) points at which the values are the coefficients of a straight line."""
+        """(function,) Greville points: a straight line has its values there as coefficients."""
         knots = self._knots
         return (knots[1:-2] + knots[2:-1]) / 2
 
     @cached_property
     def points(self) -> FloatArray:
-        """(cell, 2) Gauss points."""
+        """(cell, 2) positions of the two Gauss points of each cell."""
         steps = np.diff(self.edges)[:, None]
         points: FloatArray = self.edges[:-1, None] + steps * [0.5 - _GAUSS, 0.5 + _GAUSS]
         return points
 
     @cached_property
     def weights(self) -> FloatArray:
-        """(cell, 2) weights of the Gauss points."""
+        """(cell, 2) integration weights of the Gauss points, mm: half the width of the cell."""
         return np.repeat(np.diff(self.edges)[:, None] / 2, 2, axis=1)
 
     @cached_property
     def table(self) -> FloatArray:
-        """(cell, 2, derivative 0 to 2, 3) the functions of each cell at its Gauss points."""
+        """(cell, 2, derivative 0 to 2, 3) the three functions of each cell at its Gauss points."""
         return np.ascontiguousarray(self.at(self.points.ravel())[1]).reshape(self.cells, 2, 3, 3)
 
     def at(self, places: FloatArray) -> tuple[np.ndarray, FloatArray]:
-        """Return (n,) cell and (n, derivative 0 to 2, 3) functions of that cell at `places`."""
+        """Return the cell (n,) of each of n points, and the cell's three functions there.
+
+        The functions are (n, derivative 0 to 2, 3).
+        """
         last = self.cells - 1
         cell = np.clip(np.searchsorted(self.edges, places, side="right") - 1, 0, last)
         t0, t1, t2, t3 = (self._knots[cell + k] for k in range(1, 5))
@@ -96,14 +105,17 @@ class SplineLine:
         return cell, np.moveaxis(np.array(rows), -1, 0)
 
     def matrix(self, places: FloatArray, derivative: int = 0) -> FloatArray:
-        """Return (n, function) values of all functions at `places`."""
+        """Return the values (n, function) of all functions, or of a derivative, at n points."""
         cell, local = self.at(places)
         full = np.zeros((places.size, self.size))
         np.put_along_axis(full, cell[:, None] + np.arange(3), local[:, derivative], axis=1)
         return full
 
     def interpolated_from(self, source: "SplineLine") -> FloatArray:
-        """Return (function, source function): this line's spline through the values of `source`."""
+        """Return the matrix (function, source function) from coefficients of `source` to this line.
+
+        The resulting spline interpolates that of `source` at the Greville points of this line.
+        """
         passed = np.linalg.solve(self.matrix(self.greville), source.matrix(self.greville))
         return np.asarray(passed, dtype=np.float64)
 
@@ -122,11 +134,17 @@ def graded_line(
     *,
     allowed: Widths | None = None,
 ) -> SplineLine:
-    """Return cells of about `pitch_mm` within `fine_mm`, wider between it and the ends.
+    """Return a line with cells of about `pitch_mm` in a fine part, and wider cells outside it.
 
-    Within it they are also wider where that is `allowed`.
-    At the ends cells are of `rim_mm`: under pressure the sheet bends within less than its thickness
-    at a held rim, and an error there moves all of its face.
+    At both ends of the line cells have the width `rim_mm`: under pressure the sheet bends at a
+    fixed rim over a length below its thickness, and an error there moves its whole face.
+
+    Parameters
+    ----------
+    ends_mm : (low, high) ends of the line
+    fine_mm : (low, high) ends of the fine part
+    coarse_mm : largest width of cells outside the fine part
+    allowed : widths of cells in the fine part, if larger than the pitch; None: the pitch
     """
     low, high = max(fine_mm[0], ends_mm[0]), min(fine_mm[1], ends_mm[1])
     before = low - _between(low - ends_mm[0], pitch_mm, rim_mm, coarse_mm)[::-1]
@@ -135,14 +153,14 @@ def graded_line(
 
 
 def subdivided(edges: FloatArray, parts: npt.NDArray[np.int64]) -> FloatArray:
-    """Return the ends of `parts` (cell,) equal parts of each cell."""
+    """Return the ends (n,) of all parts of a line; cell i is divided into parts[i] equal parts."""
     cells = zip(edges[:-1], edges[1:], parts, strict=True)
     inner = [np.linspace(low, high, count, endpoint=False) for low, high, count in cells]
     return np.concatenate((*inner, edges[-1:]))
 
 
 def _fine(low: float, high: float, pitch_mm: float, allowed: Widths | None) -> FloatArray:
-    """Return the ends of cells of the pitch, or of the allowed width if that is larger."""
+    """Return the edges of the cells from `low` to `high`: of the pitch, or wider if allowed."""
     if allowed is not None:
         places = np.linspace(low, high, _SAMPLES)
         widths = allowed.at(places, pitch_mm)
@@ -153,7 +171,10 @@ def _fine(low: float, high: float, pitch_mm: float, allowed: Widths | None) -> F
 
 
 def _between(length_mm: float, pitch_mm: float, rim_mm: float, coarse_mm: float) -> FloatArray:
-    """Return the ends of cells from the fine part, at 0, to an end of the line."""
+    """Return the edges of the cells between the fine part and an end of the line.
+
+    Edges are distances from the fine part, in (0, `length_mm`].
+    """
     if length_mm < 1e-9:
         return np.zeros(0)
     places = np.linspace(0.0, length_mm, _SAMPLES)
@@ -162,7 +183,10 @@ def _between(length_mm: float, pitch_mm: float, rim_mm: float, coarse_mm: float)
 
 
 def _ends(places: FloatArray, widths_mm: FloatArray) -> FloatArray:
-    """Return the ends of cells but the first, at most as wide as `widths_mm` at even points."""
+    """Return the edges of cells, without the first, for widths given at equally spaced points.
+
+    Cells are at most `widths_mm` (n,) wide; `places` (n,) are the points.
+    """
     density = 1 / widths_mm
     cells = np.concatenate(([0.0], np.cumsum((density[1:] + density[:-1]) / 2)))
     cells *= (places[-1] - places[0]) / (places.size - 1)

@@ -1,4 +1,4 @@
-"""Position of a spline grid's tangent in a sparse matrix, and the areas of its control points."""
+"""Sparsity pattern of the tangent of a spline grid, and the areas of its control points."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from twin.mechanics.sheet.kernel import SLOTS
 
 @dataclass(frozen=True, eq=False)
 class Stencil:
-    """The tangent's sparsity: the position of each element in the upper triangle."""
+    """Sparsity of the tangent: CSR pattern of its upper triangle, and source of each element."""
 
     start: npt.NDArray[np.int32]
     columns: npt.NDArray[np.int32]
@@ -21,7 +21,10 @@ class Stencil:
 
 
 def control_areas(grid: SheetGrid) -> FloatArray:
-    """Return (row + 2, col + 2) area of the undeformed sheet that belongs to each control point."""
+    """Return the undeformed area of each control point, (row + 2, col + 2), mm^2.
+
+    It is the integral of the control point's spline function over the sheet.
+    """
     share = (functions_of(grid.rest)[..., 0] * grid.rest.area_mm2[..., None]).sum(axis=2)
     area = np.zeros(grid.free.shape[:2])
     rows, cols = share.shape[:2]
@@ -32,7 +35,7 @@ def control_areas(grid: SheetGrid) -> FloatArray:
 
 
 def stencil(free: npt.NDArray[np.bool_]) -> Stencil:
-    """Return the sparsity of the tangent of a grid with free control points (row, col, xyz)."""
+    """Return the sparsity of the tangent; `free` (row + 2, col + 2, xyz) marks what may move."""
     rows, cols, _ = free.shape
     number = np.full((rows + 4, cols + 4, 3), -1, np.int64)
     number[2:-2, 2:-2][free] = np.arange(free.sum())

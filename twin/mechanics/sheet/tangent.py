@@ -8,7 +8,10 @@ from twin.mechanics.sheet.point import Point, dot
 
 @inlined
 def fill_tangent(laws: Laws, convex: bool, point: Point) -> None:
-    """Fill the second derivatives of the energy by v."""
+    """Write the second derivatives of the energy by v to `point.tangent`.
+
+    `convex` True leaves out terms that can make the tangent indefinite.
+    """
     K, X, gamma, n, r1, r2 = (
         point.tangent, point.stress_by_v, point.gamma, point.normal, point.v[1], point.v[2],
     )  # fmt: skip
@@ -45,7 +48,7 @@ def fill_tangent(laws: Laws, convex: bool, point: Point) -> None:
 
 @inlined
 def _stress_changes(point: Point) -> None:
-    """Fill the changes of the stresses with v: the moduli times the strains' first derivatives."""
+    """Write the derivatives of the stresses by v: moduli times derivatives of a and b by v."""
     H, X, n, r1, r2 = point.modulus, point.stress_by_v, point.normal, point.v[1], point.v[2]
     gamma = point.gamma
     for m in range(6):
@@ -88,7 +91,7 @@ def _pressure_terms(p: float, point: Point) -> None:
 
 @inlined
 def _curvature_terms(point: Point) -> None:
-    """Add the second variation of b times its moments: the normal turns as r_1 and r_2 change."""
+    """Add the moments times the second derivatives of b, which depends on the normal."""
     K, n, dual = point.tangent, point.normal, point.dual
     c1 = c2 = bent = 0.0
     for m in range(3):
