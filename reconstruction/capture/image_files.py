@@ -188,9 +188,11 @@ def subtract_dark(stack: Stack, dark: Image, sensor: SensorNoise) -> Stack:
 
 
 def check_exposures(sets: Sequence[Stack], recorded: RecordedFrames) -> None:
-    """Raise CaptureError unless white minus black increases as the exposure time.
+    """Raise CaptureError unless white minus black is about proportional to the exposure time.
 
-    Ratios may differ by the factor EXPOSURE_FACTOR. A set without white and black is not checked.
+    Each set is compared with the first set. The ratio of white minus black (median over the lit,
+    unclipped pixels) must agree with the ratio of exposure times within the factor
+    EXPOSURE_FACTOR. Nothing is checked if the patterns have no white and black frames.
     """
     times_ms, patterns, sensor = recorded.exposures_ms, recorded.patterns, recorded.sensor
     if not patterns.uniform:

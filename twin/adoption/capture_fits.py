@@ -68,7 +68,10 @@ def with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class FittedCapture:
-    """Fitted projector response of a capture, and its blur with the distances of its points."""
+    """Fitted projector response of one capture, and the fitted blur.
+
+    The blur is stored with mean and standard deviation of the points' inverse distances.
+    """
 
     fit: ProjectorFit
     blur: CaptureBlur
@@ -154,8 +157,9 @@ def _pairs(
 ) -> NoiseSamples | None:
     """Return noise samples of all pairs of successive captures of the same scene.
 
-    The captures of such a pair differ by noise only. Its variance is that of the fitted noise
-    `own`, or of about the magnitude of the noise in capture.toml. None: there is no such pair.
+    Two captures are taken as captures of the same scene if the differences between their values
+    are explained by noise. The differences are compared with the fitted noise `own`, or, if `own`
+    is None, with the noise `sensor` of capture.toml. The result is None if there is no such pair.
     """
     all_samples: NoiseSamples | None = None
     for earlier, later in pairwise(captures):

@@ -79,12 +79,12 @@ class Specimen(Model):
 
     @property
     def finest_pitch_mm(self) -> float | None:
-        """Finest pitch, mm, of ridges or grooves that a sheet may span; None without ridges."""
+        """Finest pitch, mm, of the ridges or grooves that a sheet may span; None if it has neither."""
         return None
 
     @property
     def ridge_height_mm(self) -> float | None:
-        """Height of the ridges or grooves from root to crest, mm; None without ridges."""
+        """Height of the ridges or grooves from root to crest, mm; None if it has neither."""
         return None
 
     @property

@@ -393,7 +393,7 @@ def _study_of(tree: dict[str, Any], where: str, file: Path) -> Study:
 
 
 def _with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]:
-    """Return the tables of a study, with inputs of its `inputs_file` that its own override."""
+    """Return the tables of a study with the inputs of its `inputs_file`; its own inputs override."""
     own, named = with_sources(tree, where), tree.get("inputs_file")
     if not isinstance(named, str) or not named:
         return own

@@ -53,7 +53,7 @@ class RunContext:
     Attributes
     ----------
     memory : cache of stage results
-    clock : run times of the stages, and the progress callback
+    clock : stopwatch that records the run time of each stage and calls the progress callback
     trial : number of the repetition, which selects the temporal noise
     layer : assumed elastomer and load, by which the object is computed; None: the experiment's
     noise : function of the user for the noise of the camera; None: EMVA 1288
@@ -150,7 +150,7 @@ def take(
 
     Parameters
     ----------
-    clock : run times of the stages; None: they are not used
+    clock : stopwatch that records the run time of each stage; None: run times are not recorded
     trial : number of the repetition, which selects the temporal noise
 
     Returns
@@ -177,7 +177,7 @@ def record(
 
     Parameters
     ----------
-    clock : run times of the stages; None: they are not used
+    clock : stopwatch that records the run time of each stage; None: run times are not recorded
     trial : number of the repetition, which selects the temporal noise
     memory : cache of earlier recordings' stages, such as the loaded face; the result has the same
         bytes without a cache

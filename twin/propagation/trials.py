@@ -132,9 +132,9 @@ def record_of(
 
     Parameters
     ----------
-    n : number of trials, without the nominal measurement
-    measurands : figures that the nominal measurement must have; if none is given, it must have
-        points
+    n : number of trials, in addition to the nominal measurement
+    measurands : names of figures that must have a value in the nominal measurement. If no name is
+        given, the nominal measurement must have at least one point
     compensated : also estimate the surface of the object behind the coat in each trial. Default:
         True if the layer can be compensated, but False for a slab, where the fit takes some
         seconds

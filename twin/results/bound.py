@@ -184,7 +184,7 @@ def _expected_fit(
 def _of_spheres(experiment: Experiment, prediction: PredictedMaps) -> Iterator[tuple[str, Metric]]:
     """Yield bound and spread, um, of each ball's radius over the scored region, with names.
 
-    The spheres are fitted as by `score_sphere`.
+    The spheres are fitted in the same way as in `score_sphere`.
     """
     world_mm = prediction.points.points_world_mm
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):

@@ -82,7 +82,10 @@ class MeasuredQuantity:
 
     @property
     def true_face_error(self) -> float | None:
-        """Deviation of `true_face`, as `error` of `value`: the effect of the elastomer."""
+        """Deviation of `true_face` from the nominal length, um: the effect of the elastomer.
+
+        It is computed from `true_face` as `error` is computed from `value`.
+        """
         return self._deviation_of(self.true_face)
 
     @property

@@ -45,7 +45,7 @@ class RodSection:
 
         Raises
         ------
-        FitError : no crest with a valley on both sides
+        FitError : fewer than 20 positions have points, or no crest with a valley on both sides
         """
         low, high = self.valleys()
         inside = slice(low, high + 1)
@@ -54,7 +54,9 @@ class RodSection:
     def break_width(self) -> BarWidth:
         """Return the width between the points of largest curvature.
 
-        FitError as for `width`.
+        Raises
+        ------
+        FitError : for the reasons of `width`
         """
         low, high = self.valleys()
         inside = slice(low, high + 1)
@@ -63,7 +65,9 @@ class RodSection:
     def slope_change_width(self) -> BarWidth:
         """Return the width between the points where the slope changes fastest.
 
-        FitError as for `width`.
+        Raises
+        ------
+        FitError : for the reasons of `width`
         """
         low, high = self.valleys()
         inside = slice(low, high + 1)

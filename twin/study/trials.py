@@ -147,7 +147,7 @@ def _recalibrated(experiment: Experiment) -> Iterator[Case]:
 
 
 class InputDistribution(Protocol):
-    """Interface of a probability distribution, as of a frozen distribution of `scipy.stats`."""
+    """Interface of a probability distribution; frozen distributions of `scipy.stats` have it."""
 
     def rvs(self, *, random_state: np.random.Generator) -> Any:
         """Return one random value."""

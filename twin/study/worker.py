@@ -144,7 +144,7 @@ def _memory() -> Memory:
 
 
 def forget_stages() -> None:
-    """Clear the cached stage results, so that the next case is computed as by a new worker."""
+    """Clear the cached stage results and the measurer, so that this worker starts like a new one."""
     _measurer.cache_clear()
     _memory.cache_clear()
 

@@ -27,7 +27,10 @@ Metric = tuple[float, float, float, float]
 
 
 class ContactState(NamedTuple):
-    """Data of the potentials: their constants, the bodies near the sheet, and its anchors."""
+    """Data of the contact potentials: constants, distances of bodies, and anchors where it sticks.
+
+    The distances are those of the bodies near the sheet. At an anchor, the sheet sticks to a body.
+    """
 
     laws: Laws
     touch: Touch

@@ -38,9 +38,10 @@ class GratingResolution(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Return the finest pitch of which, as of all coarser ones, 50 % of the depth is measured.
+        """Return the finest resolved pitch for which all coarser gratings are resolved, too.
 
-        The measured depth must also be at least three standard deviations of its noise.
+        A grating is resolved if the depth of the measured coat is at least 50 % of the nominal
+        depth, and at least three standard deviations of its noise.
         """
         finest = None
         # The relief of the coat itself is used, because a grating that gel or sheet does not touch
