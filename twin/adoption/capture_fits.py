@@ -83,7 +83,11 @@ def fit_captures(
     sensor: SensorNoise,
     notes: list[str],
 ) -> list[FittedCapture]:
-    """Return the fits of all captures that can be fitted; add a note for each other capture."""
+    """Return the fits of all captures that can be fitted.
+
+    For each capture that cannot be fitted, a line with the reason is added to `notes`. Captures
+    merged from several exposures cannot be fitted.
+    """
     results = []
     for folder, capture in zip(folders, captures, strict=True):
         try:

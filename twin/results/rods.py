@@ -74,7 +74,12 @@ class RodSection:
         return slope_change_width(self.s_mm[inside], self.z_mm[inside], BREAK_SIGMA_MM)
 
     def valleys(self) -> tuple[int, int]:
-        """Return the indices of the lowest positions on both sides of the crest."""
+        """Return the indices of the lowest positions on both sides of the crest.
+
+        Raises
+        ------
+        FitError : fewer than 20 positions have points
+        """
         if self.z_mm.size < 20:
             raise FitError(f"rod section: {self.z_mm.size} positions with points, 20 needed")
         middle = np.abs(self.s_mm) < np.ptp(self.s_mm) / 4

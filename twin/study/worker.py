@@ -144,7 +144,7 @@ def _memory() -> Memory:
 
 
 def forget_stages() -> None:
-    """Clear the cached stage results and the measurer, so that this worker starts like a new one."""
+    """Clear the cached stage results and measurers, so that the next case starts without them."""
     _measurer.cache_clear()
     _memory.cache_clear()
 

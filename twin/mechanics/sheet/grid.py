@@ -170,13 +170,16 @@ def functions_of(rest: Rest, rows: slice = slice(None)) -> FloatArray:
 
 
 def normal_of(surface: FloatArray) -> FloatArray:
-    """Return unit normals of (..., 3, xyz) position and derivatives."""
+    """Return the unit normals (..., xyz) of a surface.
+
+    `surface` is (..., 3, xyz): position, and its derivatives by the two sheet coordinates.
+    """
     across, stretch = _across(surface)
     return np.stack([component / stretch for component in across], axis=-1)
 
 
 def thinning_of(surface: FloatArray) -> FloatArray:
-    """Return the thickness stretch lambda = 1 / area stretch of (..., 3, xyz)."""
+    """Return the thickness stretch lambda = 1 / area stretch of a surface, as for `normal_of`."""
     thinning: FloatArray = 1 / _across(surface)[1]
     return thinning
 

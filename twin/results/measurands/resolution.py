@@ -42,6 +42,10 @@ class GratingResolution(MeasurandKind):
 
         A grating is resolved if the depth of the measured coat is at least 50 % of the nominal
         depth, and at least three standard deviations of its noise.
+
+        Raises
+        ------
+        FitError : the coarsest grating is not resolved, or the depth of a grating cannot be fitted
         """
         finest = None
         # The relief of the coat itself is used, because a grating that gel or sheet does not touch
