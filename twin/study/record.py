@@ -50,7 +50,8 @@ class StudyRecord:
     def first_look(self) -> Cases:
         """Return all cases of a small study; for a large study, the cases of every n-th point.
 
-        At most about 500 cases are returned.
+        At most about 500 cases are returned. For a search that has started and for trials, all
+        cases are returned.
         """
         if self.study.sampling.method == "trials" or self.points is not None:
             return self.cases()

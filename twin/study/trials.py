@@ -187,7 +187,8 @@ def deviation_of(variable: Input, nominal: float) -> InputDistribution:
 
     Uniform, triangular and arcsine distributions are symmetric with the half width `spread` (JCGM
     101, 6.4.2, 6.4.5, 6.4.6). A normal distribution has the standard deviation `spread` and may be
-    cut off. A student_t distribution has the scale `spread` (6.4.9).
+    cut off. A student_t distribution has the scale `spread` (6.4.9). A choice has the differences
+    of its values from the nominal value.
     """
     from scipy import stats  # takes 0.5 s to import, and only trials need it
 
