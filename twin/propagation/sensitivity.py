@@ -80,8 +80,8 @@ def sobol_of_face(
     Raises
     ------
     InputError
-        `base_points` is 1 or not a power of 2, a press fails, no input changes the face, the face
-        has none of the figures, or the modality has no press.
+        `base_points` is 1 or not a power of 2, or the modality has no press. Or a press fails, no
+        input changes the face, or the face has none of the figures.
     """
     if base_points < 2 or base_points & (base_points - 1):
         raise InputError(f"--sobol {base_points}: allowed a power of 2, for example 64")

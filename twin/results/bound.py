@@ -49,9 +49,9 @@ def has_bound(experiment: Experiment) -> bool:
 
     This requires fringes on a pressed coat and only direct light: the trace does not contain light
     that is reflected between surfaces or passes through clear bodies. The engine of the renderer
-    must be "one_trace". White, black and the fringes
-    of both axes must be projected, with a code that has a closed form of the noise. Micro phase
-    shifting has none, because the information of its images depends on the position in the fringe.
+    must be "one_trace". White, black and the fringes of both axes must be projected, with a code
+    that has a closed form of the noise. Micro phase shifting has none, because the information of
+    its images depends on the position in the fringe.
     """
     method = experiment.method
     direct = experiment.bounces == 0 and experiment.render.engine == "one_trace"

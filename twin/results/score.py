@@ -269,8 +269,8 @@ def wrong_orders(
 ) -> int | None:
     """Return the number of decoded target pixels with a wrong fringe order.
 
-    Their projector column or row has an error of at least half a period, or of at least one period
-    if the sequence has no phase steps.
+    Their projector column or row has an error of at least half a period. Without phase steps, the
+    limit is one period.
 
     None if no pixel was decoded, because a count of 0 would be misleading.
     """

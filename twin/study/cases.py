@@ -217,8 +217,8 @@ def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = No
 
     Raises
     ------
-    ConfigError : some cases are not valid experiments, or constraints exclude all cases; the
-        message lists each problem once, with one case that has the problem
+    ConfigError : some cases are not valid experiments, or constraints exclude all cases. The
+        message lists the first problems, about five, each once with one case that has it
     InputError : too many points
     """
     cases, excluded = [], 0

@@ -45,8 +45,8 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
 
     Raises
     ------
-    ConfigError : the key of an input is not a number of the experiment, or a drawn value is not
-        allowed; the first problem is reported
+    ConfigError : no input applies to the experiment, the key of an input is not a number of the
+        experiment, or a drawn value is not allowed; the first problem is reported
     """
     experiment = nominal(study, base)
     count = study.sampling.count or 0

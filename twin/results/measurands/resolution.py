@@ -40,8 +40,8 @@ class GratingResolution(MeasurandKind):
     ) -> FittedValue:
         """Return the finest resolved pitch for which all coarser gratings are resolved, too.
 
-        A grating is resolved if the depth of the measured coat is at least 50 % of the nominal
-        depth, and at least three standard deviations of its noise.
+        A grating is resolved if the depth on the measured coat is at least 50 % of the nominal
+        depth. This depth must also be at least three standard deviations of its noise.
 
         Raises
         ------
