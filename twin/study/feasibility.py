@@ -2,8 +2,8 @@
 
 A constraint limits a field or a measured figure. A tolerance of a `[[measurand]]` limits the
 measured value with its expanded uncertainty U (ISO 14253-1). Every verdict except "within
-tolerance" counts as not met. A design with repeats, which differ only in their seed, is feasible only if each repeat
-is feasible. Otherwise the best design would be selected by its noise.
+tolerance" counts as not met. A design with repeats, which differ only in their seed, is feasible
+only if each repeat is feasible. Otherwise the best design would be selected by its noise.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
