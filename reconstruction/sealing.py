@@ -36,7 +36,10 @@ _tried: set[tuple[int, ...]] = set()
 
 
 def seal(file: IO[bytes]) -> None:
-    """Append the seal to a complete netCDF-4 file that is open for reading and writing."""
+    """Append a checksum, the seal, to a complete netCDF-4 file.
+
+    The file must be open for reading and writing. The module docstring describes the seal.
+    """
     import h5py
 
     runs: list[tuple[int, int]] = []

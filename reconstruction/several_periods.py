@@ -18,8 +18,9 @@ class Chain:
 
     Parameters
     ----------
-    weights : (level, fringe set), the whole numbers c_ij in the phase of a level
-    periods_px : (level,), the period P_i of each level, decreasing
+    weights : (level, fringe set), whole numbers c_ij: level i has the phase sum_j (c_ij phi_j),
+        with phi_j the phase of fringe set j
+    periods_px : (level,), the period P_i of each level, projector px, decreasing
     """
 
     weights: tuple[tuple[int, ...], ...]

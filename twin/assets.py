@@ -113,6 +113,10 @@ def asset_folders(collection: Collection) -> list[Path]:
     Returns
     -------
     Existing folders
+
+    Raises
+    ------
+    AssetError : there is no such collection
     """
     if collection not in get_args(Collection):
         raise AssetError(f"{collection}: no such collection, there are scenes and materials")

@@ -70,7 +70,14 @@ def unwind_on_signals() -> None:
 
 @contextmanager
 def signals_held() -> Iterator[None]:
-    """Delay the effect of signals to the end of the `with` block, which is an atomic step."""
+    """Delay the effect of signals to the end of the `with` block, which is an atomic step.
+
+    Call this in the main thread; in any other thread there is no effect.
+
+    Raises
+    ------
+    Interrupted : at the end of the block, if a signal arrived during the block
+    """
     if threading.current_thread() is not threading.main_thread():
         yield  # handlers run in the main thread only
         return

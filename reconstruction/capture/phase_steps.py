@@ -392,7 +392,11 @@ def lone_fringes(features: Sequence[ImageFeatures]) -> list[ImageFeatures]:
 
 
 def are_opposite(first: ImageFeatures, second: ImageFeatures) -> bool:
-    """Return True if two images are complementary: their levels u add up to about 1."""
+    """Return True if two images are complementary: each is bright where the other is dark.
+
+    The criterion is a correlation of the levels u - 1/2 below COMPLEMENTARY over the samples that
+    are lit in both images. The result is False if the two images vary along different axes.
+    """
     both = (
         first.is_lit & second.is_lit if first.axis == second.axis else np.zeros_like(first.is_lit)
     )

@@ -85,7 +85,10 @@ class ImageSet:
             )
 
     def require_names(self, *keys: str, allow_empty: bool = True) -> None:
-        """Raise InputError unless the values of these keys are texts; `allow_empty`: or empty."""
+        """Raise InputError unless the value of each of these keys is a text.
+
+        An empty text is allowed only if `allow_empty` is True.
+        """
         for key in keys:
             value = getattr(self, key)
             if not isinstance(value, str) or not (value or allow_empty):

@@ -219,7 +219,7 @@ class PatternCode:
         """Raise InputError if these periods cannot number all fringes along the axis."""
 
     def chain(self, fringes: AxisFringes) -> Chain:
-        """Return the levels by which Rule.CHAIN unwraps the phases."""
+        """Return the levels of temporal phase unwrapping for fringes; only for Rule.CHAIN."""
         raise NotImplementedError(f"pattern code {self.name!r} has no chain of periods")
 
     def unwrap(self, wrapped: Wrapped) -> FloatArray:

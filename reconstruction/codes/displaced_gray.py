@@ -29,7 +29,10 @@ class DisplacedGrayCode(PatternCode):
         return (period_word(fringes, self.displacement),)
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True if the frames show fringes and one displaced code word, one period wide."""
+        """Return True if the frames show fringes and a single code word that is displaced.
+
+        Each value of the code word must be one fringe period wide.
+        """
         return layout.words == ((1.0, True),) and layout.periods_px != ()
 
 

@@ -33,7 +33,10 @@ class ShiftedGrayCode(PatternCode):
         return period_word(fringes), period_word(fringes, 0.5, int(last[0]).bit_length())
 
     def is_shown_by(self, layout: AxisFrames) -> bool:
-        """Return True if the frames show two code words, one period wide, the second displaced."""
+        """Return True if the frames show two code words of which only the second is displaced.
+
+        Each value of both code words must be one fringe period wide.
+        """
         return layout.words == ((1.0, False), (1.0, True))
 
 

@@ -112,7 +112,7 @@ class Compensated(Protocol):
         ...
 
     def theory_mm(self, radius_mm: float) -> float:
-        """Return the standard uncertainty, mm, of a radius because of the layer's model."""
+        """Return the standard uncertainty, mm, of a radius due to errors of the layer's model."""
         ...
 
 

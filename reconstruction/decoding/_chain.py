@@ -22,10 +22,11 @@ from reconstruction.decoding._order import TINY, TURN, Numbered
 
 
 class Unwrapping(NamedTuple):
-    """Chain of fringe periods along one projector axis.
+    """Levels of temporal phase unwrapping along one projector axis, see `Chain`.
 
-    weights are (level, set), the c_ij; the periods are (level,) and (set,), px; length_px is the
-    length of the projector image.
+    `weights` (level, set) are whole numbers c_ij: level i has the phase sum_j (c_ij t_j), with t_j
+    the phase of fringe set j. `level_periods_px` (level,) and `set_periods_px` (set,) are periods,
+    projector px. `length_px` is the length of the projector image.
     """
 
     weights: FloatArray

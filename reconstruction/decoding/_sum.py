@@ -298,7 +298,10 @@ def level_row(
 
 @nested
 def mark_faint(modulation: Any, limits: Limits, reason: Any) -> None:
-    """Mark pixels as `LOW_MODULATION` if their modulation is below `min_modulation_dn`."""
+    """Mark pixels as `LOW_MODULATION` if their modulation is below `min_modulation_dn`.
+
+    Pixels that are marked already, with any other reason, are not changed.
+    """
     for col in range(modulation.size):
         is_kept = modulation[col] >= limits.min_modulation_dn or reason[col] != 0
         reason[col] = reason[col] if is_kept else LOW_MODULATION

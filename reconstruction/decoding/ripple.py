@@ -59,10 +59,16 @@ _EMPTY: FloatImage = np.zeros((2, 0, 0), np.float32)
 
 
 def ripple_of(patterns: PatternSet, response: ProjectorResponse | None) -> Ripple:
-    """Return the tables of a pattern sequence for a projector with the given response.
+    """Return the tables of phase error and noise over the phase for a projector's response.
 
-    Without fringes, or for None, a linear response, the tables have the shape (2, 0, 0). The
-    exception is `shot_share` for three steps, which is computed also for a linear response.
+    If the sequence has no fringes, or if `response` is None (a linear response), the tables have
+    the shape (2, 0, 0). Only `shot_share` is computed for a linear response, too, if the sequence
+    has three phase steps.
+
+    Parameters
+    ----------
+    patterns : pattern sequence
+    response : response of the projector; None: a linear response
     """
     if response is None or not patterns.steps:
         shot = _of_three_steps(patterns) if patterns.steps == 3 else _EMPTY

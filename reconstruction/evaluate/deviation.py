@@ -65,8 +65,9 @@ class Deviations:
     def form(self, upward: FloatArray) -> FittedDimension:
         """Return the width, mm, of the band with the middle 95 % of the deviations.
 
-        This is D95 % of ISO 10360-8. For the derivatives, each end of the band is taken to move
-        with the mean of the points in the 1 % of the ranks on either side of it.
+        This is D95 % of ISO 10360-8. The result includes the derivatives of the width by the
+        heights of the points. For them, each end of the band is taken as the mean of the points
+        next to it in rank: 1 % of all points below and 1 % above.
 
         Parameters
         ----------

@@ -334,7 +334,7 @@ class UntouchedGel:
     ----------
     where : (row, col) bool, pixels with a colour near that of the background
     light_change : RMS over image and channels of (light in the image / light in the background
-        - 1); 0 if the change is not compensated
+        - 1); 0 if the change is not compensated, or if too little undeformed gel is visible
     """
 
     where: BoolImage
@@ -392,7 +392,9 @@ class PhotometricDecoder:
         )
 
     def untouched(self, image: ArrayLike) -> UntouchedGel:
-        """Return the gel that `decode` treats as undeformed in an image, and its change of light.
+        """Return the pixels that `decode` treats as undeformed gel, and the change of the light.
+
+        The change is that of the light in the image compared with the background.
 
         Parameters
         ----------

@@ -68,7 +68,10 @@ def with_black(sensor: SensorNoise, dark: Dark | None) -> SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class FittedCapture:
-    """Fitted projector response of a capture, and its blur with the distances of its points."""
+    """Fitted projector response of one capture, and the fitted blur.
+
+    The blur is stored with mean and standard deviation of the points' inverse distances.
+    """
 
     fit: ProjectorFit
     blur: CaptureBlur
@@ -80,7 +83,11 @@ def fit_captures(
     sensor: SensorNoise,
     notes: list[str],
 ) -> list[FittedCapture]:
-    """Return the fits of all captures that can be fitted; add a note for each other capture."""
+    """Return the fits of all captures that can be fitted.
+
+    For each capture that cannot be fitted, a line with the reason is added to `notes`. Captures
+    merged from several exposures cannot be fitted.
+    """
     results = []
     for folder, capture in zip(folders, captures, strict=True):
         try:
@@ -154,8 +161,9 @@ def _pairs(
 ) -> NoiseSamples | None:
     """Return noise samples of all pairs of successive captures of the same scene.
 
-    The captures of such a pair differ by noise only. Its variance is that of the fitted noise
-    `own`, or of about the magnitude of the noise in capture.toml. None: there is no such pair.
+    Two captures are taken as captures of the same scene if the differences between their values
+    are explained by noise. The differences are compared with the fitted noise `own`, or, if `own`
+    is None, with the noise `sensor` of capture.toml. The result is None if there is no such pair.
     """
     all_samples: NoiseSamples | None = None
     for earlier, later in pairwise(captures):

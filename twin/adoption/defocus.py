@@ -50,9 +50,9 @@ class FittedDefocus:
 def defocus_of(blurs: Sequence[CaptureBlur]) -> FittedDefocus | None:
     """Return the defocus from the blurs of captures; None if they do not determine it.
 
-    They do not determine it if there are fewer than three heights, or if the heights are too close
-    to each other. The same applies if 1 / z of best focus is farther from the captures' mean than
-    their range: then the blur there would be an extrapolation.
+    They do not determine it if there are fewer than three heights, if g^2 is below three of its
+    standard uncertainties, or if b_0^2 is not positive. The same applies if 1 / z of best focus is
+    farther from the captures' mean than their range: then the blur there would be an extrapolation.
     """
     u = np.array([item.inverse_per_mm for item in blurs])
     spread = np.array([item.spread_per_mm for item in blurs])

@@ -73,7 +73,9 @@ class RigField:
     def quantity(self) -> dict[str, Any]:
         """Return the field as a table of a rig file: value, range and source.
 
-        The range is the 95 % interval; it is missing if no uncertainty was estimated.
+        The range is the 95 % interval: the value plus or minus two standard uncertainties. Its
+        lower end is at least 0 if the value is not negative. The range is missing if no uncertainty
+        was estimated, or if the value is not a float.
         """
         content: dict[str, Any] = {"value": _rounded(self.value)}
         if self.uncertainty is not None and isinstance(self.value, float):

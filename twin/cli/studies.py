@@ -167,9 +167,9 @@ def best(
 ) -> int:
     """Print the best feasible designs of a study: its Pareto front.
 
-    A case is feasible if it satisfies all constraints and meets all tolerances of its measurands
-    with their uncertainty. Exit code 1: no case is feasible; the cases that miss the fewest
-    conditions are printed.
+    A case is feasible if it satisfies all constraints and all tolerances. A measurand satisfies its
+    tolerance if its value plus or minus its expanded uncertainty is within the limits. Exit code 1:
+    no case is feasible; the cases that miss the fewest conditions are printed.
 
     Parameters
     ----------

@@ -43,7 +43,10 @@ class _Chosen:
 
 
 def choose_level(words: Sequence[str]) -> list[str]:
-    """Set the verbosity by the last -q or -v of a command line; return all other words."""
+    """Set the verbosity by the last -q or -v of a command line; return all other words.
+
+    Words after `--` are returned unchanged.
+    """
     other_words: list[str] = []
     _Chosen.level = Loudness.USUAL
     for number, word in enumerate(words):

@@ -144,11 +144,19 @@ def load_inputs(name: str | Path = DEFAULT_INPUTS) -> Inputs:
 
 
 def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return tables with spreads as plain numbers, and their sources in the key `source`.
+    """Return the tables of a file of inputs, with each quantity in [inputs.NAME] as a plain number.
+
+    A quantity is a table with value, range and source, such as `spread`. Its source is stored in
+    the key `source` of the input, unless the input has that key.
+
+    Parameters
+    ----------
+    tree : tables as read from TOML
+    where : name of the file, for messages
 
     Raises
     ------
-    ConfigError : a spread has no source, or is outside its stated range
+    ConfigError : a quantity has no source, or its value is outside its stated range
     """
     inputs = tree.get("inputs")
     if not isinstance(inputs, dict):

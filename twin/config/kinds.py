@@ -189,9 +189,10 @@ def _table_of(models: tuple[tuple[str, type[BaseModel]], ...]) -> type[BaseModel
 
 
 def follows(*registries: Registry[Any]) -> Callable[[Document], Document]:
-    """Return a decorator of documents that have fields with the kinds of registries.
+    """Return a decorator for classes of documents with fields that use these registries.
 
-    The schema of the decorated class is built again when a registry gets a new kind.
+    A field uses a registry if its type has `OneOf` or `NameOf` of the registry. The schema of the
+    decorated class is built again when a registry gets a new kind.
     """
 
     def enter(document: Document) -> Document:

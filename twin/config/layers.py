@@ -81,7 +81,9 @@ class OuterFace:
 
 
 def outer_face(layers: Mapping[str, Layer]) -> OuterFace | None:
-    """Return the face from which the layers reflect light onto the coat; None if it is in air.
+    """Return the face from which the layers reflect light onto the coat.
+
+    None if the coat is in air.
 
     In plane layers in contact, n sin(angle) is constant. Therefore the index of the coat's medium
     determines which light the topmost layer transmits.

@@ -30,7 +30,7 @@ class OpticalMaterial(Model):
 
     @property
     def is_sharp(self) -> bool:
-        """Whether light that reaches other surfaces over this surface is traced from the projector.
+        """Whether light that this surface sends to other surfaces is traced from the projector.
 
         This is necessary if the surface reflects or refracts sharply: a point that it illuminates
         cannot be connected to the pinhole of the projector.

@@ -71,10 +71,11 @@ class Row(Model):
 
     @property
     def scatter_share(self) -> float:
-        """Factor from the emulated standard deviation of the repeats to that of the row.
+        """Factor by which the emulated standard deviation over repeats is multiplied for the row.
 
-        For a mean, it gives the part that is common to the trials of the row. For a standard
-        deviation, it gives the remaining part.
+        For a mean, the product is the standard deviation of the part that is common to all trials
+        of the row: sqrt(shared / realisations), or 0 without `realisations`. For a standard
+        deviation, it is that of the part that differs between the trials: sqrt(1 - shared).
         """
         if self.statistic == "sd":
             return float(np.sqrt(1.0 - (self.shared or 0.0)))
@@ -83,7 +84,7 @@ class Row(Model):
 
     @property
     def needs_repeats(self) -> str:
-        """Key of the row that needs several measurements per simulation; empty if none does."""
+        """Key of the row that needs several measurements per simulation; empty if no key does."""
         if self.statistic == "sd":
             return "statistic = 'sd'"
         return "" if self.realisations is None else "realisations"

@@ -106,7 +106,10 @@ def _whole_range(loc: Loc, document: type[BaseModel]) -> str:
 
 
 def limits_at(path: str, document: type[BaseModel] = Experiment) -> tuple[float, ...]:
-    """Return all lower and upper limits of the numbers at a dotted path."""
+    """Return all limits, lower and upper, of the numbers at a dotted path as one flat tuple.
+
+    The result does not distinguish between lower and upper limits, and is empty without limits.
+    """
     return tuple(
         getattr(item, name)
         for metadata in _metadata_at(tuple(path.split(".")), document)

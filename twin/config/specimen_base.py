@@ -79,12 +79,18 @@ class Specimen(Model):
 
     @property
     def finest_pitch_mm(self) -> float | None:
-        """Finest pitch, mm, of ridges or grooves that a sheet may span; None without ridges."""
+        """Finest pitch, mm, of the ridges or grooves that a sheet may span.
+
+        None if the specimen has neither ridges nor grooves.
+        """
         return None
 
     @property
     def ridge_height_mm(self) -> float | None:
-        """Height of the ridges or grooves from root to crest, mm; None without ridges."""
+        """Height of the ridges or grooves from root to crest, mm.
+
+        None if the specimen has neither ridges nor grooves.
+        """
         return None
 
     @property

@@ -231,7 +231,10 @@ class GradientSearch(Model):
 
 
 class Constraint(Model):
-    """Lower or upper limit of a field of the experiment, a metric, or the ratio of two of them."""
+    """Limits of a number: a field of the experiment, a metric, or the ratio of two of them.
+
+    At least one of the lower limit `at_least` and the upper limit `at_most` must be given.
+    """
 
     value: str = Field(description="dotted path of a number in the experiment, or a metric")
     per: str | None = Field(default=None, description="divided by this path or metric")
@@ -393,7 +396,10 @@ def _study_of(tree: dict[str, Any], where: str, file: Path) -> Study:
 
 
 def _with_inputs(tree: dict[str, Any], where: str, file: Path) -> dict[str, Any]:
-    """Return the tables of a study, with inputs of its `inputs_file` that its own override."""
+    """Return the tables of a study with the inputs of its `inputs_file`.
+
+    Keys of the study's own inputs override those of the file.
+    """
     own, named = with_sources(tree, where), tree.get("inputs_file")
     if not isinstance(named, str) or not named:
         return own

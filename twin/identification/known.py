@@ -70,7 +70,7 @@ class Identified:
     ----------
     problem : the unknown fields, rows, limits and choices
     models : posterior and predictions for each combination of choices
-    seed : of all random draws
+    seed : seed of all random draws
     """
 
     problem: SensorProblem

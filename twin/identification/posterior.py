@@ -118,7 +118,10 @@ class Likelihood:
         ]
 
     def among(self, others: "Likelihood") -> "Likelihood":
-        """Return the joint likelihood of the rows of this one and the further rows of `others`."""
+        """Return this likelihood, extended by the rows that only `others` has.
+
+        Rows that both likelihoods have are included once. The limits are those of this likelihood.
+        """
         return replace(
             self,
             rows={**self.rows, **{n: r for n, r in others.rows.items() if n not in self.rows}},

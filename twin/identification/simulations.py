@@ -119,8 +119,8 @@ class Simulated:
         Figures and settings by name, one row per point and repeat; repeats of a point are
         consecutive.
     repeats : int
-    among : for each field with a fixed list of values (`among`): its column, and its values with
-        their shares of the axis, by the form of the value in names of figures
+    among : by name of each field with a fixed list of values: the index of the field's column, and
+        (value, share of the axis) by the form of the value in names of figures
     varied : names of the fields that were varied
     """
 

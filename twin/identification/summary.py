@@ -2,7 +2,7 @@
 
 | table | content |
 |---|---|
-| fields.NAME | path, value, intervals, and whether the rows hardly narrow it |
+| fields.NAME | path, value, intervals, and whether the variance is over 50 % of the prior's |
 | rows.NAME | measured and predicted, fitted or held out, and the twin's figure behind it |
 | limits.NAME | a bound from one side, the twin's figure, and the probability that it is met |
 | models | choices with their probabilities, the most probable first |

@@ -57,7 +57,11 @@ class Emitters:
 
     @property
     def dark_cap(self) -> float:
-        """View factor 1 / n^2 of the dark cap of the sky; 0: fill from the whole sky."""
+        """View factor 1 / n^2 of the dark cap of the sky for a horizontal facet.
+
+        n is the refractive index of the coat's medium. The dark cap sends no fill light to the
+        coat. The factor is 0 if the coat is in air (n = 1): the fill light is from the whole sky.
+        """
         return self.ior**-2.0 if self.ior > 1.0 else 0.0
 
     def irradiance(

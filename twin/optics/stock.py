@@ -59,7 +59,11 @@ def _centres(half_px: float, texels_per_px: int) -> FloatArray:
 
 
 def canvas_for(rig: Rig, kind: Emitter, texels_per_px: int = TEXELS_PER_PX) -> Canvas:
-    """Return the smallest canvas around the optical axis that contains image and blurred edge."""
+    """Return the smallest canvas around the optical axis that contains the projector's image.
+
+    The canvas includes a margin for the blur of the edge of the image. For "spot", the canvas is a
+    square that contains the circle round these.
+    """
     p = rig.projector.pinhole
     half_width = max(p.cx_px, p.width_px - 1 - p.cx_px) + MARGIN_PX
     half_height = max(p.cy_px, p.height_px - 1 - p.cy_px) + MARGIN_PX

@@ -264,7 +264,8 @@ def uncertainty_table(trials: Trials) -> Table:
 def budget_of(trials: Sequence[Trial], name: str) -> Budget | None:
     """Return the uncertainty budget of the fitted radius `name`, mm.
 
-    Returns None if there are fewer than two trials, or if u_cal is unknown.
+    Returns None if fewer than two trials, without trial 0, have this radius, or if u_cal is
+    unknown.
     """
     repeated = [trial for trial in trials if trial.number]
     radius = spread_of(values_of(repeated, name))

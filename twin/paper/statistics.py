@@ -32,7 +32,7 @@ class Spread:
 
     @property
     def u_rep(self) -> float | None:
-        """Standard uncertainty of the mean: s / sqrt(n), the paper's u_rep."""
+        """Standard uncertainty of the mean: s / sqrt(n), the paper's u_rep; None without `sd`."""
         return None if self.sd is None else self.sd / float(np.sqrt(self.n))
 
 

@@ -52,7 +52,8 @@ def _prediction(
 
     Parameters
     ----------
-    ahead : True to evaluate the trace at once, so that any thread may call the returned function
+    ahead : True: evaluate the trace before the function is returned, so that any thread may call
+        it
     """
     geometry = loaded(experiment, pressed, memory)
     view = viewed(experiment, geometry, memory)

@@ -103,7 +103,7 @@ def _calibration_figures(calibrated: CalibratedSheet) -> dict[str, Any]:
 
 
 def _known_travel(layer: SensorLayer) -> KnownTravel | None:
-    """Return the travel of the stage with its uncertainty; None if either is not stated.
+    """Return the measured travel of the press with its uncertainty; None if one is not stated.
 
     The uncertainty includes that of the plane of the undeformed coat.
     """

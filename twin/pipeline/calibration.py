@@ -190,7 +190,8 @@ def calibrate_rendered(
     experiment : gives rig, patterns, camera noise and seed; specimen and press are not used
     keep : new folder in which the captures are stored, each with the true calibration; None: they
         are not stored
-    as_images : True to store image files as of a real camera instead, without a calibration
+    as_images : True: the stored captures have image files, as a real camera gives them, and no
+        true calibration
 
     Raises
     ------

@@ -54,7 +54,7 @@ class RunContext:
     Attributes
     ----------
     memory : cache of stage results
-    clock : run times of the stages, and the progress callback
+    clock : stopwatch that records the run time of each stage and calls the progress callback
     trial : number of the repetition, which selects the temporal noise
     layer : assumed elastomer and load, by which the object is computed; None: the experiment's
     noise : function of the user for the noise of the camera; None: the noise model of the

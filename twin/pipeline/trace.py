@@ -40,7 +40,8 @@ class Geometry:
     Attributes
     ----------
     scene : scene of the renderer
-    surfaces : clear and polished bodies of the scene, and the stage that receives their light
+    surfaces : clear and polished bodies of the scene, and the table under the specimen (`Stage`),
+        which receives their light
     face : mesh of the pressed face; None for a bare specimen
     """
 
@@ -135,9 +136,9 @@ def maps_of_patches(patches: Patches, view: View) -> TraceMaps:
 
 @renderer_session()
 def photons_of(experiment: Experiment, geometry: Geometry, view: View) -> Photons | None:
-    """Return the traced light that reaches the stage by way of clear and polished bodies.
+    """Return the projector's light on the table under the specimen by way of sharp bodies.
 
-    None if the scene has no such bodies.
+    Sharp bodies are clear or polished bodies. None if the scene has no such bodies.
 
     Raises
     ------

@@ -74,14 +74,14 @@ def sobol_of_face(
     inputs : varied inputs by name; inputs of the optics do not change the face and have no index
     measurands : names of figures, such as sphere_1_radius_mm, rod_width_mm, force_n,
         relief_peak_mm; figures that the face does not have are omitted
-    base_points : number of base points, a power of 2
+    base_points : number of base points, a power of 2, at least 2
     seed : seed of the points
 
     Raises
     ------
     InputError
-        `base_points` is not a power of 2, a press fails, no input changes the face, the face has
-        none of the figures, or the modality has no press.
+        `base_points` is 1 or not a power of 2, or the modality has no press. Or a press fails, no
+        input changes the face, or the face has none of the figures.
     """
     if base_points < 2 or base_points & (base_points - 1):
         raise InputError(f"--sobol {base_points}: allowed a power of 2, for example 64")

@@ -86,8 +86,10 @@ def uncertainty(
     measurands : names of figures, such as "sphere_1_radius_mm"; default: the main figures
     calibration : {"drawn", "true"}
         "drawn": a new calibration of the rig in each trial; "true": always the true rig.
-    budget : also vary each input separately, for the ranked budget, which takes two measurements
-        per input
+    budget : True: also measure for the ranked budget. There are two measurements per input (for a
+        choice, one per value), in which only this input is varied. In up to 20 further
+        measurements only the noise is new. For photometric stereo with drawn calibrations, five
+        further measurements calibrate the sensor again
     seed : seed of all random draws; default: the seed in the file of inputs
     workers : Workers or int
         The workers, or a number of processes on this machine.
@@ -132,9 +134,9 @@ def record_of(
 
     Parameters
     ----------
-    n : number of trials, without the nominal measurement
-    measurands : figures that the nominal measurement must have; if none is given, it must have
-        points
+    n : number of trials, in addition to the nominal measurement
+    measurands : names of figures that must have a value in the nominal measurement. If no name is
+        given, the nominal measurement must have at least one point
     compensated : also estimate the surface of the object behind the coat in each trial. Default:
         True if the layer can be compensated, but False for a slab, where the fit takes some
         seconds

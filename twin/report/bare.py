@@ -160,7 +160,10 @@ def sections(measured: Measurement) -> list[Section]:
 
 
 def seen_figure(measured: Measurement) -> Figure:
-    """Return the figure of frames, heights, errors and reasons, all over the same camera pixels."""
+    """Return the figure of frames, heights, z errors and reasons why points are missing.
+
+    All panels show the same camera pixels.
+    """
     limit_um = measured.experiment.score.good_within_um
     return Figure(
         "seen",

@@ -188,7 +188,7 @@ def press_in_words(methods: dict[str, ComparisonSummary | None]) -> str:
 def ratio_table(methods: dict[str, ComparisonSummary | None]) -> Table | None:
     """Return the table of sphere-fit RMSE by contact-FPP and by every decoder of the gel's image.
 
-    Returns None if one of the two methods has no sphere fit.
+    Returns None if one of the two methods has no measurement, or if contact-FPP has no sphere fit.
     """
     coat, gel = methods.get(_COAT), methods.get(_GEL)
     if coat is None or gel is None or not gel.decoded or not coat.spheres:

@@ -303,9 +303,11 @@ def _limits(quantity: MeasuredQuantity) -> str:
 
 
 def deviation_table(measured: Measurement) -> Table:
-    """Return the table of RMS deviations (um) from the true object after each alignment.
+    """Return the table of deviations (um) from the true object: RMS after each alignment, and form.
 
-    A second column has the deviations of the true coat, or of the true visible surface.
+    The form is the width of the band with 95 % of the deviations after the rigid alignment. One
+    column has the deviations of the measured points. The other column has those of the true coat,
+    or of the true visible surface: the effect of the elastomer without measurement errors.
     """
     figures = measured.figures
     names = {"none": "", "offset": "offset_", "offset_tilt": "offset_tilt_", "rigid": "rigid_"}

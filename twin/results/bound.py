@@ -48,9 +48,10 @@ def has_bound(experiment: Experiment) -> bool:
     """Return True if bounds can be computed from the ray trace of the experiment.
 
     This requires fringes on a pressed coat and only direct light: the trace does not contain light
-    that is reflected between surfaces or passes through clear bodies. White, black and the fringes
-    of both axes must be projected, with a code that has a closed form of the noise. Micro phase
-    shifting has none, because the information of its images depends on the position in the fringe.
+    that is reflected between surfaces or passes through clear bodies. The engine of the renderer
+    must be "one_trace". White, black and the fringes of both axes must be projected, with a code
+    that has a closed form of the noise. Micro phase shifting has none, because the information of
+    its images depends on the position in the fringe.
     """
     method = experiment.method
     direct = experiment.bounces == 0 and experiment.render.engine == "one_trace"
@@ -101,7 +102,10 @@ def _sphere_names(number: int) -> tuple[str, str]:
 def bound_figures(
     experiment: Experiment, prediction: PredictedMaps, truth: Truth, pressed: PressedElastomer
 ) -> dict[str, Metric]:
-    """Return bounds and spreads by name; None if the expected points do not fix the shape."""
+    """Return the figures of the module docstring by name, except those of an object under a slab.
+
+    A bound and its spread are None if the expected points do not determine the shape.
+    """
     lit = int(truth.lit.sum())
     sigma_um = 1e3 * prediction.filtered_mm[prediction.valid]
     figures: dict[str, Metric] = {
@@ -184,7 +188,7 @@ def _expected_fit(
 def _of_spheres(experiment: Experiment, prediction: PredictedMaps) -> Iterator[tuple[str, Metric]]:
     """Yield bound and spread, um, of each ball's radius over the scored region, with names.
 
-    The spheres are fitted as by `score_sphere`.
+    The spheres are fitted in the same way as in `score_sphere`.
     """
     world_mm = prediction.points.points_world_mm
     for number, ball in enumerate(shape_of(experiment.specimen).spheres(), start=1):

@@ -183,7 +183,9 @@ def _under(
 def object_points(
     coat: PointMap, compensated: Compensated, texture_mm: float | None = None
 ) -> PointMap:
-    """Return the points of the object's surface at the pixels in contact; other pixels have none.
+    """Return the points of the object's surface at the pixels that are certainly in contact.
+
+    Other pixels have no point; among them are those on the blurred edge of the contact.
 
     Each measured point is moved inwards along its normal by the local thickness of the layer. Its
     sigma combines that of the coat's point with three contributions along the normal: the texture

@@ -47,8 +47,10 @@ def measurement_drawing(measured: "Measurement") -> Drawing:
 def measurement_arrays(measured: "Measurement") -> LabelledArrays:
     """Return the maps (row, col) of a measurement: measured z, true z, deviation and sigma.
 
-    World x and y of the point of each pixel are coordinates. At pixels without a point the maps
-    are NaN and `mask_reason` gives the reason. In files that `twin` writes, these pixels are 0.
+    World x and y of the point of each pixel are coordinates. At pixels without a point, all maps
+    except `true_z` are NaN, and `mask_reason` gives the reason. In files that `twin` writes, these
+    pixels are 0. `true_z` is NaN at pixels that do not show the measured surface. There is no map
+    of sigma if the method predicts none.
     """
     points, truth = measured.points, measured.truth
     valid = points.valid

@@ -12,7 +12,7 @@ With fringes:
 
 | file | content |
 |---|---|
-| capture/ | recordings as of a real rig: stack, description, calibration |
+| capture/ | recorded frames in the format of a real rig: stack, description, calibration |
 | white.exr | white frame as linear radiance |
 | reconstruction.nc | maps of the decoder |
 | height_map.*, surface.ply | heights on a regular grid, triangle mesh |

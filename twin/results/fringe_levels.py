@@ -51,7 +51,7 @@ class FringeNumbers:
 
     @classmethod
     def of(cls, experiment: Experiment, exposure_ms: float) -> "FringeNumbers":
-        """Return the numbers of an experiment at an exposure time."""
+        """Return these numbers for camera, projector and patterns of an experiment."""
         camera, projector = experiment.camera, experiment.projector
         sensor, light = noise_model(camera), FringeLight.of(projector, experiment.patterns)
         blur = Defocus.of(projector) or Defocus(projector.blur_px, 0.0, 1.0)

@@ -59,7 +59,10 @@ def may_compensate(experiment: Experiment) -> bool:
 
 
 def compensates_at_once(experiment: Experiment) -> bool:
-    """Return True if the object behind the coat is reconstructed in about 1 s (slab: 5 s)."""
+    """Return True if the object behind the coat can be reconstructed in about 1 s.
+
+    False for a slab, because its fit takes about 5 s, and if no object can be reconstructed.
+    """
     return may_compensate(experiment) and not is_slab(experiment.elastomer)
 
 

@@ -199,7 +199,10 @@ def seen_object(
     pressed: PressedElastomer | None,
     under: ObjectUnderSheet | None = None,
 ) -> ObjectView | None:
-    """Select the measured points of the object; None if there are fewer than two.
+    """Select the measured points of the object.
+
+    None if there are fewer than two points, or if all pixels that show the object have the same
+    world x or y.
 
     Parameters
     ----------

@@ -74,15 +74,19 @@ class MeasuredQuantity:
 
     @property
     def error(self) -> float | None:
-        """Value minus nominal length, um; for quantities without a nominal length, the value.
+        """Deviation of the value, as the tolerance limits it.
 
-        None if the value or the nominal length is missing.
+        For a length, it is the value minus the nominal length, um; None if one of them is missing.
+        For any other quantity, it is the value in the measurand's unit; None if it is missing.
         """
         return self._deviation_of(self.value)
 
     @property
     def true_face_error(self) -> float | None:
-        """Deviation of `true_face`, as `error` of `value`: the effect of the elastomer."""
+        """Deviation of the value of the true visible surface: the effect of the elastomer.
+
+        It is computed from `true_face` as `error` is computed from `value`; None if it is missing.
+        """
         return self._deviation_of(self.true_face)
 
     @property

@@ -264,7 +264,8 @@ def write_transfer(path: Path, transfer: ContactTransfer) -> None:
 def transfer_metrics(transfer: ContactTransfer) -> Metrics:
     """Return the figures of the contact transfer by name.
 
-    A pitch of 0 mm means that the coat shows every computed pitch with at least this contrast.
+    A pitch of 0 mm means that the coat shows relief of every pitch with its full height. This is
+    so if the coat is on the contact face.
     """
     pitches = {
         "half_contrast_pitch_mm": transfer.half_pitch_mm,

@@ -264,7 +264,8 @@ def coordinate_slope(
 ) -> Any:
     """Return the derivative of the projector coordinate along each camera ray, (row, col), px.
 
-    The derivative is per length of the ray from camera to surface, in air. It is analytic in
+    The surface point moves along its ray in air, and d is its distance from the camera. The
+    derivative is with respect to ln d, so that its unit is px and not px / mm. It is analytic in
     `pose` and `focal_px`, so that complex steps give its derivatives.
 
     Parameters

@@ -217,8 +217,8 @@ class Measurement:
     def to_xarray(self) -> "xarray.Dataset":
         """Return measured z, true z, deviation and sigma over camera pixels, with units.
 
-        World x and y are coordinates. Pixels without a point are NaN, and `mask_reason` gives the
-        reason.
+        World x and y are coordinates. Pixels without a point are NaN except in the map of true z,
+        and `mask_reason` gives the reason. Sigma is missing if the method predicts none.
         """
         from twin.results.drawing import measurement_arrays
 

@@ -45,7 +45,7 @@ class RodSection:
 
         Raises
         ------
-        FitError : no crest with a valley on both sides
+        FitError : fewer than 20 positions have points, or no crest with a valley on both sides
         """
         low, high = self.valleys()
         inside = slice(low, high + 1)
@@ -54,7 +54,9 @@ class RodSection:
     def break_width(self) -> BarWidth:
         """Return the width between the points of largest curvature.
 
-        FitError as for `width`.
+        Raises
+        ------
+        FitError : for the reasons of `width`
         """
         low, high = self.valleys()
         inside = slice(low, high + 1)
@@ -63,14 +65,21 @@ class RodSection:
     def slope_change_width(self) -> BarWidth:
         """Return the width between the points where the slope changes fastest.
 
-        FitError as for `width`.
+        Raises
+        ------
+        FitError : for the reasons of `width`
         """
         low, high = self.valleys()
         inside = slice(low, high + 1)
         return slope_change_width(self.s_mm[inside], self.z_mm[inside], BREAK_SIGMA_MM)
 
     def valleys(self) -> tuple[int, int]:
-        """Return the indices of the lowest positions on both sides of the crest."""
+        """Return the indices of the lowest positions on both sides of the crest.
+
+        Raises
+        ------
+        FitError : fewer than 20 positions have points
+        """
         if self.z_mm.size < 20:
             raise FitError(f"rod section: {self.z_mm.size} positions with points, 20 needed")
         middle = np.abs(self.s_mm) < np.ptp(self.s_mm) / 4

@@ -234,7 +234,8 @@ def wrong_orders(
 ) -> int | None:
     """Return the number of decoded target pixels with a wrong fringe order.
 
-    Their projector column or row has an error of at least half a period.
+    Their projector column or row has an error of at least half a period. Without phase steps, the
+    limit is one period.
 
     None if no pixel was decoded, because a count of 0 would be misleading.
     """
@@ -246,10 +247,7 @@ def wrong_orders(
 def _of_another_period(
     experiment: Experiment, reconstruction: Reconstruction, truth: Truth
 ) -> BoolImage:
-    """Return a mask (row, col) of pixels with a wrong fringe order.
-
-    Their projector column or row has an error of at least half a period.
-    """
+    """Return a mask (row, col) of pixels with a wrong fringe order, see `wrong_orders`."""
     patterns = pattern_set(experiment.projector, experiment.patterns)
     wrong: BoolImage = np.zeros(truth.column_px.shape, np.bool_)
     for axis in reconstruction.decoded.axes:

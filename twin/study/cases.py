@@ -80,7 +80,12 @@ def point_at(axes: tuple[Axis, ...], shares: FloatArray) -> Point:
 
 
 def shares_of(study: Study) -> FloatArray:
-    """Return the points of a study that samples its axes, as coordinates (point, axis), 0 to 1."""
+    """Return the points of a study that samples its axes, as coordinates (point, axis), 0 to 1.
+
+    Raises
+    ------
+    ValueError : the study's method of sampling is not latin_hypercube, sobol, saltelli or morris
+    """
     from scipy.stats import qmc  # takes 0.5 s to import, and a grid does not need it
 
     count, axes = study.sampling.count or 1, len(study.axis)
@@ -212,8 +217,8 @@ def cases_of(study: Study, base: Experiment, points: Iterable[Point] | None = No
 
     Raises
     ------
-    ConfigError : some cases are not valid experiments, or constraints exclude all cases; the
-        message lists each problem once, with one case that has the problem
+    ConfigError : some cases are not valid experiments, or constraints exclude all cases. The
+        message lists the first problems, about five, each once with one case that has it
     InputError : too many points
     """
     cases, excluded = [], 0

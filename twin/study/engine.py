@@ -304,7 +304,11 @@ class _Together:
         return True
 
     def _next(self) -> tuple[Run, list[Case]] | None:
-        """Take the next batch of any run; if no run has a batch, a case to be run in isolation."""
+        """Take the next batch of any run, or a case to be run in isolation.
+
+        Such a case is taken only if no run has a batch and no batch is pending. None if there is
+        nothing to take.
+        """
         self._isolated = False
         for run in self.runs:
             if (batch := run.next_batch()) is not None:

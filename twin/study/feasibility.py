@@ -1,9 +1,9 @@
 """Feasibility of measured designs: all constraints are satisfied, and all tolerances are met.
 
 A constraint limits a field or a measured figure. A tolerance of a `[[measurand]]` limits the
-measured value with its expanded uncertainty U (ISO 14253-1). Every verdict except "within" counts
-as not met. A design with repeats, which differ only in their seed, is feasible only if each repeat
-is feasible. Otherwise the best design would be selected by its noise.
+measured value with its expanded uncertainty U (ISO 14253-1). Every verdict except "within
+tolerance" counts as not met. A design with repeats, which differ only in their seed, is feasible
+only if each repeat is feasible. Otherwise the best design would be selected by its noise.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

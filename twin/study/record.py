@@ -1,4 +1,4 @@
-"""Record of a study (study, base experiment, points) in its store, as of the latest run."""
+"""Record of the latest run of a study in its store: the study, base experiment and points."""
 
 import math
 from collections.abc import Sequence

@@ -113,7 +113,7 @@ def saltelli_effects(blocks: FloatArray, axes: Sequence[str]) -> list[Effect]:
 
     The blocks are A, B and, for each axis i, A with column i from B. Rows without a value are left
     out. Further rows are left out until the number of rows is a power of two, as
-    `scipy.stats.sobol_indices` requires.
+    `scipy.stats.sobol_indices` requires. The result is empty if fewer than two rows have values.
     """
     blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
     if blocks.shape[1] < 2:

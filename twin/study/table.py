@@ -192,7 +192,10 @@ def write_parquet(table: StudyTable, path: Path) -> None:
 
 
 def _column(values: list[Any]) -> list[Any]:
-    """Return values of one type, or None: mixed integers and floats become floats, others text."""
+    """Return the values of a column as one type; None remains None.
+
+    Integers mixed with floats become floats. Any other mixture of types becomes text.
+    """
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) <= 1:
         return values

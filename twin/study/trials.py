@@ -45,8 +45,8 @@ def trial_cases(study: Study, base: Experiment) -> Cases:
 
     Raises
     ------
-    ConfigError : the key of an input is not a number of the experiment, or a drawn value is not
-        allowed; the first problem is reported
+    ConfigError : no input applies to the experiment, the key of an input is not a number of the
+        experiment, or a drawn value is not allowed; the first problem is reported
     """
     experiment = nominal(study, base)
     count = study.sampling.count or 0
@@ -147,7 +147,7 @@ def _recalibrated(experiment: Experiment) -> Iterator[Case]:
 
 
 class InputDistribution(Protocol):
-    """Interface of a probability distribution, as of a frozen distribution of `scipy.stats`."""
+    """Interface of a probability distribution; frozen distributions of `scipy.stats` have it."""
 
     def rvs(self, *, random_state: np.random.Generator) -> Any:
         """Return one random value."""
@@ -187,7 +187,8 @@ def deviation_of(variable: Input, nominal: float) -> InputDistribution:
 
     Uniform, triangular and arcsine distributions are symmetric with the half width `spread` (JCGM
     101, 6.4.2, 6.4.5, 6.4.6). A normal distribution has the standard deviation `spread` and may be
-    cut off. A student_t distribution has the scale `spread` (6.4.9).
+    cut off. A student_t distribution has the scale `spread` (6.4.9). A choice has the differences
+    of its values from the nominal value.
     """
     from scipy import stats  # takes 0.5 s to import, and only trials need it
 

@@ -155,7 +155,7 @@ def _memory() -> Memory:
 
 
 def forget_stages() -> None:
-    """Clear the cached stage results, so that the next case is computed as by a new worker."""
+    """Clear the cached stage results and measurers, so that the next case starts without them."""
     _measurer.cache_clear()
     _memory.cache_clear()
 

@@ -21,7 +21,12 @@ class Coverage(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Return the coverage of the whole specimen."""
+        """Return the coverage of the whole specimen.
+
+        Raises
+        ------
+        FitError : no pixel of the camera shows the specimen
+        """
         if observed.coverage is None:
             raise FitError("coverage: no pixel of the camera shows the specimen")
         return FittedValue(observed.coverage, 0.0, points.points_mm[points.touching])

@@ -95,7 +95,10 @@ def groove_of(
 def _over_groove(
     groove: NominalGroove, feature: Feature, points: ObjectPoints
 ) -> tuple[ObjectPoints, FloatArray]:
-    """Return the points over a groove and one opening to both sides, also in its own frame."""
+    """Return the points near a groove, in the world frame and in the groove's own frame.
+
+    Near means: over the groove, or at most one opening of the groove away on either side.
+    """
     wide = min(groove.length_x_mm, 3 * groove.opening_mm)
     near = points.part(inside(feature, points, wide, 0.9 * groove.length_y_mm))
     return near, feature.own(near.points_mm)

@@ -38,9 +38,14 @@ class GratingResolution(MeasurandKind):
         observed: ObjectView,
         points: ObjectPoints,
     ) -> FittedValue:
-        """Return the finest pitch of which, as of all coarser ones, 50 % of the depth is measured.
+        """Return the finest resolved pitch for which all coarser gratings are resolved, too.
 
-        The measured depth must also be at least three standard deviations of its noise.
+        A grating is resolved if the depth on the measured coat is at least 50 % of the nominal
+        depth. This depth must also be at least three standard deviations of its noise.
+
+        Raises
+        ------
+        FitError : the coarsest grating is not resolved, or the depth of a grating cannot be fitted
         """
         finest = None
         # The relief of the coat itself is used, because a grating that gel or sheet does not touch

@@ -26,7 +26,10 @@ _MOST_RELIEF_MM = 100.0
 
 @SPECIMENS.register
 class HeightMapFile(Specimen):
-    """A relief given by its heights on a grid, with upright sides: PNG, EXR, NPY or netCDF."""
+    """A relief with upright sides, given by a file of its heights on a grid.
+
+    The file is a grey image (PNG, TIFF, BMP, PGM or EXR), an NPY array or a netCDF file.
+    """
 
     kind: Literal["height_map"] = "height_map"
     file: str = Field(
