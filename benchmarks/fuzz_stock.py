@@ -9,7 +9,7 @@ import imageio.v3 as imageio
 import numpy as np
 from scipy.io import savemat
 
-from reconstruction.photometric.colour_maps import COLOUR_TERMS, PLACE_TERMS, ColourPolynomial
+from reconstruction.photometric.maps.polynomial import COLOUR_TERMS, PLACE_TERMS, ColourPolynomial
 from reconstruction.photometric.sensor import SensorCalibration, write_sensor_calibration
 from reconstruction.writing import write_exr_channels
 

@@ -29,6 +29,7 @@ from benchmarks.cap_height import cap_height_ratio
 from benchmarks.fit_lamps import UNITS
 from benchmarks.photometric_balls import distance_px, held_out, held_out_drift, whole
 from benchmarks.real_presses import WIDE_PAD, RealPresses, circle_of, read_presses, spots_of, twins
+from reconstruction.colour_maps import DEFAULT_MAP
 from reconstruction.photometric import BallPress, PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.calibration_ball import ContactCircle, find_contact_circle
 from reconstruction.photometric.images import mean_background, smoothed
@@ -278,7 +279,7 @@ def two_balls(quick: bool) -> dict[str, float]:
 
 def _name(decoded: DecodedImage) -> str:
     scheme = next(name for name, scheme in SCHEMES.items() if scheme == decoded.integration)
-    return scheme if decoded.colour_map == "polynomial" else f"{scheme}_table"
+    return scheme if decoded.colour_map == DEFAULT_MAP else f"{scheme}_{decoded.colour_map}"
 
 
 def _rmse_ratio(decoded: DecodedImage, base_mm: float) -> float:

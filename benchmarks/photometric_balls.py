@@ -24,6 +24,7 @@ import numpy as np
 from benchmarks._harness import print_figures
 from benchmarks.cap_height import cap_height_ratio
 from reconstruction.arrays import Levels
+from reconstruction.colour_maps import maps_in_order
 from reconstruction.integration_schemes import SCHEMES
 from reconstruction.photometric import (
     BallPress,
@@ -39,8 +40,6 @@ from reconstruction.photometric.calibration_ball import (
 )
 from reconstruction.photometric.images import mean_background, smoothed
 from reconstruction.photometric.press_files import read_rgb
-from reconstruction.photometric.sensor import MapKind
-from twin.results.decoders import MAP_ORDER
 
 PITCH_MM = 0.0634
 EDGE_PX = 35.0
@@ -95,7 +94,7 @@ def whole(circle: ContactCircle, shape: tuple[int, ...]) -> bool:
     return all(EDGE_PX < at < size - 1 - EDGE_PX for at, size in places)
 
 
-def held_out(presses: Sequence[BallPress], still: Levels, kind: MapKind) -> dict[str, list[Scored]]:
+def held_out(presses: Sequence[BallPress], still: Levels, kind: str) -> dict[str, list[Scored]]:
     """Return the score of each press by integration scheme."""
     results: dict[str, list[Scored]] = {name: [] for name in SCHEMES.names()}
     for calibration, press, circle in _halves(presses, still, kind):
@@ -116,7 +115,7 @@ def held_out_drift(
 
 
 def _halves(
-    presses: Sequence[BallPress], still: Levels, kind: MapKind
+    presses: Sequence[BallPress], still: Levels, kind: str
 ) -> Iterator[tuple[SensorCalibration, BallPress, ContactCircle]]:
     """Yield each press with the calibration on the other half of the presses."""
     flat = smoothed(mean_background([still]), 3)
@@ -135,7 +134,7 @@ def main() -> None:
     folder = parser.parse_args().folder
     presses, still = presses_of(folder), read_rgb(folder / "background.png")
     figures = {}
-    for kind in MAP_ORDER:
+    for kind in [own.name for own in maps_in_order()]:
         for name, rows in held_out(presses, still, kind).items():
             for ball_mm in sorted({row.ball_mm for row in rows}):
                 part = [row for row in rows if row.ball_mm == ball_mm]

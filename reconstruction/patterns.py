@@ -10,38 +10,25 @@ Frame: projector pixels, x right (column), y down (row), integer = centre of a p
 | k = floor(x / period) | period index (fringe order) |
 | w | code word: integer that numbers the fringes, see `codes`; without phase frames it is k |
 
-A code word w is projected as bits, one frame per bit, the most significant bit first. An inverse
-frame shows the complement of one bit. The bits are those of w in one of four encodings:
-
-| encoding | bits |
-|---|---|
-| reflected | g = w ^ (w >> 1), the reflected Gray code |
-| binary | w itself |
-| xor_02 | g, each coarser bit replaced by its exclusive or with the last bit of g |
-| xor_04 | g, each coarser bit replaced by its exclusive or with the last bit but one of g |
-
-With xor_02 and xor_04 no frame has stripes wider than a few words: Gupta et al., Int. J. Comput.
-Vis. 102, 33 (2013).
+A code word w is projected as bits in one of the encodings of `words`, one frame per bit, the most
+significant bit first. An inverse frame shows the complement of one bit.
 """
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, Levels
 from reconstruction.codes import CODES, AxisFringes, CodeWord, PatternCode, Rule, code_of
 from reconstruction.errors import InputError, require_integer, require_number
+from reconstruction.words import WORDS, WordEncoding
 
 Kind = Literal["phase", "gray", "inverse", "white", "black"]
 Axis = Literal["column", "row"]
-WordName = Literal["reflected", "binary", "xor_02", "xor_04"]
 AXES: tuple[Axis, Axis] = ("column", "row")
-WORDS: tuple[WordName, ...] = get_args(WordName)
-# Position, counted from the last bit, of the bit that is combined with the coarser ones.
-XOR_PLACES = {"xor_02": 0, "xor_04": 1}
 
 # Below 4 px a Gray stripe of a fractional period may be displaced by 0.25 periods, the whole margin
 # of the edge-safe rules.
@@ -89,7 +76,8 @@ class PatternSet:
     row_periods_px : all fringe periods along the row axis, the measuring period first; (): equal to
         those along the column axis
     axes : projector axes along which patterns are shown
-    word : encoding of code words as bits; values except "reflected" only with code "gray"
+    word : encoding of code words as bits, a name in `words.WORDS`; values except "reflected" only
+        with code "gray"
     inverse : whether the inverse of every Gray frame is shown, for comparison with that frame
     uniform : whether a white and a black frame are shown
     first_shifts_deg : phase at x = 0 of the first phase step, degrees, of every period along
@@ -106,7 +94,7 @@ class PatternSet:
     further_periods_px: tuple[float, ...] = ()
     row_periods_px: tuple[float, ...] = ()
     axes: tuple[Axis, ...] = AXES
-    word: WordName = "reflected"
+    word: str = "reflected"
     inverse: bool = False
     uniform: bool = True
     first_shifts_deg: tuple[float, ...] = ()
@@ -166,6 +154,11 @@ class PatternSet:
     def kind(self) -> PatternCode:
         """The pattern code that numbers the fringes, from `CODES`."""
         return CODES[self.code]
+
+    @property
+    def encoding(self) -> WordEncoding:
+        """The encoding of words as bits."""
+        return WORDS[self.word]
 
     def fringes(self, axis: Axis) -> AxisFringes:
         """Return image length and fringe periods along `axis`, px, as the input of a code."""
@@ -228,23 +221,12 @@ class PatternSet:
 
     def binary(self, bits: BoolArray) -> BoolArray:
         """Return the binary digits of a code word from its projected bits, both (bit, ...) bool."""
-        if self.word == "binary":
-            return bits
-        shown = bits.copy()
-        last = len(bits) - 1 - XOR_PLACES.get(self.word, len(bits))
-        if last >= 0:
-            shown[:last] ^= bits[last]
-        return np.asarray(np.logical_xor.accumulate(shown))
+        return self.encoding.binary(bits)
 
     def _bits_of(self, word: CodeWord, x_px: IntArray) -> BoolArray:
-        value = word.at(x_px)
-        shown = value if self.word == "binary" else value ^ (value >> 1)
+        shown = self.encoding.shown(word.at(x_px), word.bits)
         places = np.arange(word.bits)[::-1, None]
-        bits = (shown >> places) & 1
-        exchanged = XOR_PLACES.get(self.word)
-        if exchanged is not None:
-            bits = bits ^ ((shown >> exchanged) & 1) * (places > exchanged)
-        return np.asarray(bits, np.bool_)
+        return np.asarray((shown >> places) & 1, np.bool_)
 
     def index(self, kind: Kind, axis: Axis | None = None) -> slice:
         """Return the stack slice of the frames of one kind and axis; most significant bit first."""
@@ -310,8 +292,9 @@ class PatternSet:
         return tuple(float(value) for value in values)
 
     def _check_words(self) -> None:
-        if self.word not in WORDS:
-            raise InputError(f"patterns word is {self.word!r}; allowed are {', '.join(WORDS)}")
+        if not isinstance(self.word, str) or self.word not in WORDS:
+            allowed = ", ".join(WORDS.names())
+            raise InputError(f"patterns word is {self.word!r}; allowed are {allowed}")
         for name in ("inverse", "uniform"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"patterns {name} is {getattr(self, name)!r}; give true or false")

@@ -140,18 +140,19 @@ def load_plugin(file: str | Path) -> None:
     """
     path = Path(file).resolve()
     _run(path)
-    inherited = _inherited()
+    inherited = plugin_files()
     if path not in inherited:
         os.environ[PLUGINS_VARIABLE] = os.pathsep.join(map(str, [*inherited, path]))
 
 
 def load_inherited_plugins() -> None:
     """Run the plug-in files that the parent process has loaded."""
-    for path in _inherited():
+    for path in plugin_files():
         _run(path)
 
 
-def _inherited() -> list[Path]:
+def plugin_files() -> list[Path]:
+    """Return the plug-in files of this process, in the order in which they were loaded."""
     return [Path(name) for name in os.environ.get(PLUGINS_VARIABLE, "").split(os.pathsep) if name]
 
 

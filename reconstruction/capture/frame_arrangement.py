@@ -14,7 +14,8 @@ from typing import Any
 
 from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, code_of
 from reconstruction.errors import CaptureError, require_integer
-from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet, WordName
+from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet
+from reconstruction.words import WORDS
 
 # Largest deviation of a shift from equal steps, as a share of a step: shifts may be rounded.
 EQUAL_STEPS = 0.02
@@ -80,7 +81,7 @@ class Arrangement:
     """
 
     def __init__(
-        self, frames: Sequence[ListedFrame], size: ProjectorSize, word: WordName, code: str = ""
+        self, frames: Sequence[ListedFrame], size: ProjectorSize, word: str, code: str = ""
     ) -> None:
         _require_distinct(frames)
         self._stated = code_of(code) if code else None
@@ -351,9 +352,9 @@ def _left_out(
     stated_px : width of the code word with all bits
     shifted : whether there is a second code word
     """
-    finer = math.log2(fringe_px / stated_px)
-    count = max(round(finer) - (0 if shifted or word != "reflected" else 1), 0)
-    if abs(finer - round(finer)) > 1e-9 or finer < -1e-9 or (count and word != "reflected"):
+    finer, has_spare_bits = math.log2(fringe_px / stated_px), WORDS[word].has_spare_bits
+    count = max(round(finer) - (1 if has_spare_bits and not shifted else 0), 0)
+    if abs(finer - round(finer)) > 1e-9 or finer < -1e-9 or (count and not has_spare_bits):
         raise CaptureError(
             f"along {frames[0].axis} words are {stated_px:g} px wide and fringes {fringe_px:g} px; "
             "words must be as wide as a fringe, half of it, or that divided by 2, 4, 8 ..."

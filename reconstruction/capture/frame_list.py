@@ -38,8 +38,9 @@ from reconstruction.capture.recorded import (
 )
 from reconstruction.codes import code_of
 from reconstruction.errors import CaptureError, InputError, few, require_integer, require_number
-from reconstruction.patterns import AXES, WORDS, Axis, WordName
+from reconstruction.patterns import AXES, Axis
 from reconstruction.rig.sensor import SensorNoise
+from reconstruction.words import WORDS
 
 EntryKind = Literal["phase", "gray", "inverse", "gray_and_inverse", "white", "black"]
 BitOrder = Literal["coarse_first", "fine_first"]
@@ -130,14 +131,14 @@ class ListedSet(ImageSet):
 
     projector: ProjectorSize
     frames: tuple[FrameEntry, ...]
-    word: WordName = "reflected"
+    word: str = "reflected"
     code: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.code != "":
             code_of(self.code)
-        require_one_of("word", self.word, WORDS)
+        require_one_of("word", self.word, WORDS.names())
         object.__setattr__(self, "frames", _entries(self.frames))
 
     def recorded(self, folder: Path) -> RecordedFrames:

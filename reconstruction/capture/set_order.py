@@ -325,8 +325,7 @@ def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None
     ------
     CaptureError : two Gray frames of an axis are clearly exchanged
     """
-    # With the other encodings the exclusive or hides the order of all bits but one.
-    is_checked = patterns.word in ("reflected", "binary")
+    is_checked = patterns.encoding.is_order_checked
     if not any(patterns.word_bits(axis) for axis in patterns.axes) or not is_checked:
         return
     if min(stack.shape[1:]) < 2:

@@ -26,24 +26,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from reconstruction.arrays import BoolArray, FloatArray
-from reconstruction.compensation.balance import CURVATURE_SIGMA_MM, off_the_rim
-from reconstruction.compensation.relief import variance_and_area
+from reconstruction.arrays import FloatArray
+from reconstruction.compensation.free_span import LEAST_CELLS, SPAN_MM, BarAxes, FreeSpan, fit_span
 from reconstruction.compensation.sheet import CompensatedSheet
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import fit_plane, inliers
 
 # Share of the bar's length, about its middle, that the effect of the ends does not reach.
 _MIDDLE_SHARE = 0.3
-_SPAN_MM = 3.5
 # Margin between top cells and rounded edges: near the edges the sheet lifts off.
 _TOP_OFF_MM = 0.3
 _TURNS = 3
 # Largest offset of the bar from its stated position, and drop of the coat at which a flank starts.
 _ASIDE_MM, _FALLEN_MM = 1.0, 0.12
-_ARC_TURNS = 8
 _TAILS = 3.0
-_LEAST_CELLS = 40
 _FLAT_DEG, _LEAST_TURN_DEG = 3.0, 15.0
 THEORY_ON_EDGE, THEORY_OFF_EDGE = 0.2, 0.5
 """Relative errors of d - R by comparison with solid elements (tests/compensation/test_bar.py): for
@@ -139,47 +135,6 @@ class _Sheet:
         shear, t = self.young_modulus_kpa / 3, self.local_mm
         # a^2 by N = mu h c (a^2 - c^2).
         return float(np.sqrt(t**2 / 6 + shear * self.thinning**2 * t**3 / (3 * tension)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Span:
-    """Circular arc fitted to the free span next to an edge.
-
-    The arc has a frame of its own: s, mm, along the chord, and a height normal to the chord.
-
-    Attributes
-    ----------
-    origin : position of s = 0, mm: (across the bar from its middle towards the span, up)
-    slope_rad : angle by which the axis of s descends
-    sagging_mm : height of the arc at s = 0
-    curvature_per_mm : curvature of the arc, positive in a valley
-    covariance : (3, 3) of the fitted height, slope and half the curvature at s = 0
-    from_mm : smallest s of the measured points
-    """
-
-    origin: FloatArray
-    slope_rad: float
-    sagging_mm: float
-    curvature_per_mm: float
-    covariance: FloatArray
-    from_mm: float
-
-    def at(self, s_mm: float) -> tuple[FloatArray, float]:
-        """Return the (across, up) position of the coat at s, mm, and its descent angle, rad."""
-        turned = float(np.arcsin(np.clip(self.curvature_per_mm * s_mm, -1, 1)))
-        height = self.sagging_mm + (1 - np.cos(turned)) / self.curvature_per_mm
-        c, s = np.cos(self.slope_rad), np.sin(self.slope_rad)
-        place = self.origin + np.array([s_mm * c + height * s, height * c - s_mm * s])
-        return place, self.slope_rad - turned
-
-    def steeper_than(self, least_deg: float) -> float:
-        """Return the largest s, mm, at which the coat still descends by more than an angle."""
-        turned = np.clip(self.slope_rad - np.deg2rad(least_deg), -np.pi / 2, np.pi / 2)
-        return float(np.sin(turned)) / self.curvature_per_mm
-
-    def sigma_mm(self, s_mm: float) -> float:
-        by = np.array([1.0, s_mm, s_mm**2])
-        return float(np.sqrt(by @ self.covariance @ by))
 
 
 @dataclass(frozen=True)
@@ -283,7 +238,7 @@ def _between_flanks(
 
 
 def _measured_width(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
-    axes = _Axes.of(result, bar)
+    axes = _axes(result, bar)
     sheet = _sheet(result, axes, bar)
     spans = [_span(result, axes, bar, sheet, side) for side in (-1.0, 1.0)]
 
@@ -312,47 +267,27 @@ def _measured_width(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
     return BarUnderSheet(best, sigma, turn_deg=(left, right), on_edge=on_edge, **shares)
 
 
-@dataclass(frozen=True, eq=False)
-class _Axes:
-    """Frame of a bar: axes across, along and up, with the origin on its flat top; lengths in mm.
-
-    Attributes
-    ----------
-    middle_mm : (xyz) world position of the origin
-    rotation : (3, xyz) unit vectors of the three axes in the world frame
-    band : (row, col) bool, measured cells of the relief away from the bar's ends
-    """
-
-    middle_mm: FloatArray
-    rotation: FloatArray
-    band: BoolArray
-
-    @classmethod
-    def of(cls, result: CompensatedSheet, bar: BarPlace) -> "_Axes":
-        turn, relief = np.deg2rad(bar.along_deg), result.relief
-        along, middle = np.array([-np.sin(turn), np.cos(turn), 0.0]), (bar.x_mm, bar.y_mm, 0.0)
-        own = (relief.points_mm - middle) @ np.stack([np.cross(along, (0, 0, 1.0)), along], axis=1)
-        band = (np.abs(own[..., 1]) < _MIDDLE_SHARE * bar.length_mm / 2) & relief.measured
-        top = band & (np.abs(own[..., 0]) < bar.width_mm / 2 - bar.edge_radius_mm - _TOP_OFF_MM)
-        if top.sum() < _LEAST_CELLS:
-            raise FitError(f"width: {int(top.sum())} cells on the bar's top, {_LEAST_CELLS} needed")
-        points = result.object_mm[top]
-        flat = fit_plane(points)
-        flat = fit_plane(points[inliers(flat.residuals_mm)])
-        along -= (along @ flat.normal) * flat.normal
-        along /= np.linalg.norm(along)
-        rotation = np.stack([np.cross(along, flat.normal), along, flat.normal])
-        up = (flat.centroid_mm - middle) @ flat.normal / flat.normal[2]
-        return cls(np.array([bar.x_mm, bar.y_mm, up]), rotation, band)
-
-    def own(self, points_mm: FloatArray) -> FloatArray:
-        """Return world points (..., xyz) in the bar's frame, (..., across along up)."""
-        return np.asarray((points_mm - self.middle_mm) @ self.rotation.T)
+def _axes(result: CompensatedSheet, bar: BarPlace) -> BarAxes:
+    turn, relief = np.deg2rad(bar.along_deg), result.relief
+    along, middle = np.array([-np.sin(turn), np.cos(turn), 0.0]), (bar.x_mm, bar.y_mm, 0.0)
+    own = (relief.points_mm - middle) @ np.stack([np.cross(along, (0, 0, 1.0)), along], axis=1)
+    band = (np.abs(own[..., 1]) < _MIDDLE_SHARE * bar.length_mm / 2) & relief.measured
+    top = band & (np.abs(own[..., 0]) < bar.width_mm / 2 - bar.edge_radius_mm - _TOP_OFF_MM)
+    if top.sum() < LEAST_CELLS:
+        raise FitError(f"width: {int(top.sum())} cells on the bar's top, {LEAST_CELLS} needed")
+    points = result.object_mm[top]
+    flat = fit_plane(points)
+    flat = fit_plane(points[inliers(flat.residuals_mm)])
+    along -= (along @ flat.normal) * flat.normal
+    along /= np.linalg.norm(along)
+    rotation = np.stack([np.cross(along, flat.normal), along, flat.normal])
+    up = (flat.centroid_mm - middle) @ flat.normal / flat.normal[2]
+    return BarAxes(np.array([bar.x_mm, bar.y_mm, up]), rotation, band)
 
 
-def _sheet(result: CompensatedSheet, axes: _Axes, bar: BarPlace) -> _Sheet:
+def _sheet(result: CompensatedSheet, axes: BarAxes, bar: BarPlace) -> _Sheet:
     layer, across = result.layer, axes.own(result.relief.points_mm)[..., 0]
-    near_walls = axes.band & (np.abs(np.abs(across) - bar.width_mm / 2) < _SPAN_MM)
+    near_walls = axes.band & (np.abs(np.abs(across) - bar.width_mm / 2) < SPAN_MM)
     thinning = float(np.median(result.thinning[near_walls]))
     return _Sheet(layer.thickness_mm, layer.young_modulus_kpa, layer.back_pressure_kpa, thinning)
 
@@ -369,93 +304,24 @@ def _moved(result: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
 
 
 def _span(
-    result: CompensatedSheet, axes: _Axes, bar: BarPlace, sheet: _Sheet, side: float
-) -> _Span:
+    result: CompensatedSheet, axes: BarAxes, bar: BarPlace, sheet: _Sheet, side: float
+) -> FreeSpan:
     """Fit an arc to the free span next to an edge, without the ends that bend.
 
     The first of two fits gives the length over which bending decays.
     """
     tail = 2 * sheet.local_mm
     for _ in range(2):
-        span = _fitted(result, axes, (side, bar.width_mm / 2), _TAILS * tail)
+        span = fit_span(result, axes, (side, bar.width_mm / 2), _TAILS * tail)
         tail = sheet.tail_mm(sheet.tension(span.curvature_per_mm))
     return span
 
 
-def _fitted(
-    result: CompensatedSheet, axes: _Axes, wall: tuple[float, float], clear_mm: float
-) -> _Span:
-    relief, own, (side, half_mm) = result.relief, axes.own(result.relief.points_mm), wall
-    beyond = side * own[..., 0] - half_mm
-    start = result.layer.thickness_mm + relief.pitch_mm[0] + clear_mm
-    end = min(start + _SPAN_MM, _free_to_mm(result, axes, beyond) - clear_mm)
-    span_cells = axes.band & (beyond > start) & (beyond < end)
-    if span_cells.sum() < _LEAST_CELLS:
-        raise FitError(
-            f"width: {int(span_cells.sum())} cells of a free span next to the bar, "
-            f"{_LEAST_CELLS} needed"
-        )
-    across, along, up = np.moveaxis(own[span_cells], -1, 0)
-    return _arc(np.stack((side * across, up, along), axis=-1), span_cells, result)
-
-
-def _free_to_mm(result: CompensatedSheet, axes: _Axes, beyond_mm: FloatArray) -> float:
-    """Return the distance from the wall, mm, at which the free span ends at contact or clamp.
-
-    The pressure is averaged along the bar, because texture makes single cells seem in contact.
-    """
-    pitch = result.relief.pitch_mm[0]
-    cells = axes.band & (beyond_mm > 0)
-    number = (beyond_mm[cells] / pitch).astype(int)
-    count = np.maximum(np.bincount(number), 1)
-    free = off_the_rim(result.relief)[cells].astype(float)
-    pressure, inner = (np.bincount(number, of) / count for of in (result.pressure_kpa[cells], free))
-    taken = (pressure > result.layer.back_pressure_kpa / 2) | (inner < 1)
-    first = int(np.ceil(3 * CURVATURE_SIGMA_MM / pitch))
-    again = np.flatnonzero(taken[first:])
-    return float(first + again[0] if len(again) else len(taken)) * pitch - CURVATURE_SIGMA_MM
-
-
-def _arc(points: FloatArray, span_cells: BoolArray, result: CompensatedSheet) -> _Span:
-    """Fit an arc to points (n, across up along), mm; it may shift and turn along the bar."""
-    origin, y = points[:, :2].mean(axis=0), points[:, 2]
-    across, up = (points[:, :2] - origin).T
-    angle, curvature = float(np.arctan(-np.polyfit(across, up, 1)[0])), 0.0
-    used, ones = np.ones(len(y), bool), np.ones_like(y)
-    for _ in range(_ARC_TURNS):
-        c, s = np.cos(angle), np.sin(angle)
-        place, height = across * c - up * s, across * s + up * c
-        design = np.column_stack([ones, place, place**2, y, y**2, place * y, place * y**2])
-        flat = height - _over_parabola(place, curvature)
-        sagging, slope, half, *_ = fitted = np.linalg.lstsq(design[used], flat[used])[0]
-        rest = flat - design @ fitted
-        used = inliers(rest)
-        angle, curvature = angle - float(np.arctan(slope)), float(2 * half)
-    if curvature <= 0:
-        raise FitError("width: the coat next to the bar is not curved like a free span")
-    spread, members = np.zeros(span_cells.shape), np.zeros(span_cells.shape, bool)
-    spread[span_cells], members[span_cells] = rest, used
-    variance, area = variance_and_area(spread, members, result.relief.cell_area_mm2)
-    covariance = np.linalg.inv(design[used].T @ design[used])[:3, :3] * variance
-    together = area / result.relief.cell_area_mm2
-    return _Span(
-        origin, angle, float(sagging), curvature, covariance * together, float(place.min())
-    )
-
-
-def _over_parabola(place_mm: FloatArray, curvature_per_mm: float) -> FloatArray:
-    """Return the height, mm, of a circle above the parabola of equal curvature at the vertex."""
-    if not curvature_per_mm:
-        return np.zeros_like(place_mm)
-    turned = np.clip(curvature_per_mm * place_mm, -0.99, 0.99)
-    return np.asarray((1 - np.sqrt(1 - turned**2) - turned**2 / 2) / curvature_per_mm)
-
-
-def _edge(span: _Span, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _Edge:
+def _edge(span: FreeSpan, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _Edge:
     """Locate the centre O of an edge's rounding, at the distance d from the span's tension line.
 
     radius_mm : radius of the edge's rounding
-    drop_mm : depth of the bar's top below the origin of `_Axes`, for a changed local thickness
+    drop_mm : depth of the bar's top below the origin of `BarAxes`, for a changed local thickness
     """
     tension, middle = sheet.tension(span.curvature_per_mm), radius_mm + sheet.local_mm / 2
     tail = sheet.tail_mm(tension)
@@ -474,7 +340,7 @@ def _edge(span: _Span, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _Edge
         away = middle + turn_and_offset(s_mm)[1] + sheet.local_mm / 2
         return float(place[1] - away * np.cos(slope) + radius_mm + drop_mm)
 
-    low, high = span.from_mm - _SPAN_MM, min(span.from_mm + _SPAN_MM, span.steeper_than(_FLAT_DEG))
+    low, high = span.from_mm - SPAN_MM, min(span.from_mm + SPAN_MM, span.steeper_than(_FLAT_DEG))
     if high <= low or above(low) * above(high) > 0:
         raise FitError("width: the coat next to the bar does not lead to its top")
     s_mm = float(brentq(above, low, high))

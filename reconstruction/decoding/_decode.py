@@ -15,7 +15,6 @@ from reconstruction.decoding._chain import Unwrapping, unwrap_row
 from reconstruction.decoding._order import (
     NEAR_SIGMAS,
     PLAIN,
-    REFLECTED,
     Code,
     FringeRow,
     Numbered,
@@ -296,12 +295,12 @@ def _read_order(
     for col in range(margin.size):
         margin[col] *= widening
     read_word_row(frames, code, read)
-    if code.shown == REFLECTED:
+    if code.gray_of.size == 0:
         number_row(code, read.gray, phase, order, answer)
     else:
         reflect_row(code, read.gray, work.reflected)
         number_row(code, work.reflected, phase, order, answer)
-    if code.kind == PLAIN and code.shown == REFLECTED and not code.is_word:
+    if code.kind == PLAIN and code.gray_of.size == 0 and not code.is_word:
         fringe = FringeRow(phase, work.doubts[0], work.modulations[axis, 0])
         settle_borders(code, frames, read, fringe, order, answer)
     elif code.kind == PLAIN and not code.is_word:

@@ -31,7 +31,6 @@ LOWER, HALF, UPPER, ONE = np.float32(0.25), np.float32(0.5), np.float32(0.75), n
 NEAR_SIGMAS = 8.0
 ROOT = math.sqrt(2.0)
 PLAIN, COMPLEMENTARY, SHIFTED = 0, 1, 2
-REFLECTED, BINARY, EXCLUSIVE = 0, 1, 2
 ZERO, BIT, TWO = np.uint32(0), np.uint32(1), np.uint32(2)
 SHIFTS = (np.uint32(16), np.uint32(8), np.uint32(4), np.uint32(2))
 NONE, STEP = np.int32(0), np.int32(1)
@@ -86,22 +85,16 @@ class Code(NamedTuple):
     bits: int  # number of Gray frames, for all words
     safety_bits: np.uint32  # SHIFTED: number of bits of the second word
     length_px: int
-    shown: int  # REFLECTED, BINARY or EXCLUSIVE: encoding of words as bits
-    place: np.uint32  # EXCLUSIVE: number of the bit that is combined with coarser bits; last bit: 0
+    gray_of: Any  # (2^bits) uint32, Gray word of the bits as read; empty: they are a Gray word
     is_word: bool  # True if there is no phase: the word gives the coordinate, one period wide
     first_inverse: int  # stack index of the first inverse frame; -1: none, the threshold is `mean`
 
 
 @inlined
 def reflected(word: Any, code: Code) -> Any:
-    """Return the reflected Gray word for a word as it was read in the encoding `code.shown`."""
+    """Return the reflected Gray word for a word as it was read, in the encoding of `code`."""
     read = np.uint32(word)
-    if code.shown == BINARY:
-        return np.uint32(read ^ (read >> BIT))
-    if code.shown == EXCLUSIVE:
-        coarser = ((BIT << np.uint32(code.bits)) - BIT) & ~((TWO << code.place) - BIT)
-        return np.uint32(read ^ (coarser if (read >> code.place) & BIT else ZERO))
-    return read
+    return code.gray_of[read] if code.gray_of.size else read
 
 
 @nested
@@ -299,7 +292,7 @@ def weigh_near_bits(
     word, nearest, mean, margin = read
     # At the border of two words either word is wrong by half a word only, which sigma includes.
     allowed = STEP if code.is_word else NONE
-    is_settled = (code.kind == PLAIN) & (code.shown == REFLECTED) & (not code.is_word)
+    is_settled = (code.kind == PLAIN) & (code.gray_of.size == 0) & (not code.is_word)
     for col in range(word.size):
         if not nearest[col] < margin[col] or error[col] == ONE:
             continue

@@ -6,6 +6,7 @@ Every value that is equal for all pixels is computed here, before the kernels ru
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.arrays import FloatArray, FloatImage, Reason, Stack
 from reconstruction.codes import Rule
@@ -13,20 +14,13 @@ from reconstruction.compact import TURN_STEPS
 from reconstruction.decoding import DecodeOptions
 from reconstruction.decoding._chain import Unwrapping
 from reconstruction.decoding._decode import Maps, Plan, Units
-from reconstruction.decoding._order import (
-    BINARY,
-    COMPLEMENTARY,
-    EXCLUSIVE,
-    PLAIN,
-    REFLECTED,
-    SHIFTED,
-    Code,
-)
+from reconstruction.decoding._order import COMPLEMENTARY, PLAIN, SHIFTED, Code
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding._sum import Layout, Limits
 from reconstruction.decoding.ripple import Ripple, ripple_of, turned
-from reconstruction.patterns import AXES, XOR_PLACES, Axis, Kind, PatternSet
+from reconstruction.patterns import AXES, Axis, Kind, PatternSet
 from reconstruction.rig.sensor import SensorNoise
+from reconstruction.words import gray_word
 
 # Bits of `Code.period_high_px`: its product with an order of up to 12 bits is exact in the 24 bits
 # of single precision.
@@ -39,7 +33,6 @@ KERNELS = {
     Rule.WORD_PER_HALF_PERIOD: COMPLEMENTARY,
     Rule.TWO_WORDS: SHIFTED,
 }
-SHOWN = {"reflected": REFLECTED, "binary": BINARY, "xor_02": EXCLUSIVE, "xor_04": EXCLUSIVE}
 
 
 def make_plan(
@@ -181,11 +174,23 @@ def _code(patterns: PatternSet, axis: Axis, displacement: float) -> Code:
         bits=sum(word.bits for word in words),
         safety_bits=np.uint32(sum(word.bits for word in words[1:])),
         length_px=length_px + math.ceil(displacement * period_px),
-        shown=SHOWN[patterns.word],
-        place=np.uint32(XOR_PLACES.get(patterns.word, 0)),
+        gray_of=_gray_words(patterns, axis),
         is_word=patterns.steps == 0,
         first_inverse=_first(patterns, "inverse", axis),
     )
+
+
+def _gray_words(patterns: PatternSet, axis: Axis) -> NDArray[np.uint32]:
+    """Return the Gray word of each number of bits as read; empty if the bits are Gray words.
+
+    Only one word per axis has another encoding in the compiled decoder, see `general`.
+    """
+    words = patterns.words(axis)
+    if len(words) != 1:
+        return np.zeros(0, np.uint32)
+    gray = gray_word(patterns.encoding.words_of(words[0].bits))
+    is_gray = np.array_equal(gray, np.arange(gray.size))
+    return np.zeros(0, np.uint32) if is_gray else gray.astype(np.uint32)
 
 
 def place_displaced(maps: Maps, patterns: PatternSet) -> None:

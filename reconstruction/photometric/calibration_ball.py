@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels
+from reconstruction.colour_maps import Samples
 from reconstruction.errors import FitError, InputError, require_integer, require_number
 from reconstruction.photometric.images import GROWTH_PX, checked_image, find_markers, smoothed
 
@@ -192,24 +193,6 @@ class SampleOptions:
         require_integer("smoothing_px", self.smoothing_px, 1, 99)
         if self.smoothing_px % 2 == 0:
             raise InputError(f"smoothing_px is {self.smoothing_px}; give an odd number")
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Colours and slopes of n pixels of the calibration images, to which a colour map is fitted.
-
-    Parameters
-    ----------
-    levels : (n, 3) float32, smoothed 8-bit levels, red first
-    background : (n, 3) float32, levels of the undeformed gel at the same pixels
-    places_px : (n, 2) float, row and column
-    slopes : (n, 2) float, mm/mm, downwards and to the right
-    """
-
-    levels: FloatImage
-    background: FloatImage
-    places_px: FloatArray
-    slopes: FloatArray
 
 
 def ball_slopes(

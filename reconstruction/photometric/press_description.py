@@ -30,9 +30,10 @@ from pathlib import Path
 from typing import Any
 
 from reconstruction.capture.description import build, read_toml, table_of, take_header
+from reconstruction.colour_maps import DEFAULT_MAP, map_named
 from reconstruction.errors import CaptureError, InputError, require_integer, require_number
 from reconstruction.photometric.calibration_ball import SampleOptions
-from reconstruction.photometric.sensor import KINDS, PhotometricOptions
+from reconstruction.photometric.sensor import PhotometricOptions
 
 Names = tuple[str, ...]
 
@@ -84,16 +85,14 @@ class Calibrate:
 
     pitch_mm: float
     balls: tuple[Balls, ...]
-    map: str = "polynomial"
+    map: str = DEFAULT_MAP
     threshold_levels: float = 15.0
     smoothing_px: int = 3
     marker_level: int = 0
 
     def __post_init__(self) -> None:
         require_number("pitch_mm", self.pitch_mm, 0.0, open_low=True)
-        if self.map not in KINDS:
-            raise InputError(f"map is {self.map!r}; give one of {', '.join(KINDS)}")
-        _ = self.samples
+        _ = self.samples, map_named(self.map)
 
     @property
     def samples(self) -> SampleOptions:

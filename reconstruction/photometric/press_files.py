@@ -27,7 +27,6 @@ from reconstruction.photometric.press_description import (
 from reconstruction.photometric.press_doubts import doubts_of_background, doubts_of_image
 from reconstruction.photometric.sensor import (
     HeightMap,
-    MapKind,
     PhotometricDecoder,
     SensorCalibration,
     UntouchedGel,
@@ -179,8 +178,7 @@ def _calibrated(
         for balls in how.balls
         for image in _read_all(folder, balls.images, frame)
     ]
-    kind: MapKind = "table" if how.map == "table" else "polynomial"
-    return calibrate_sensor(presses, background, how.pitch_mm, kind, how.samples)
+    return calibrate_sensor(presses, background, how.pitch_mm, how.map, how.samples)
 
 
 def _read_all(folder: Path, names: Names, frame: Framing) -> list[Levels]:

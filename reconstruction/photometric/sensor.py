@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,17 +23,16 @@ from reconstruction.arrays import (
     PhotometricReason,
     ReasonImage,
 )
+from reconstruction.colour_maps import (
+    COLOUR_MAPS,
+    DEFAULT_MAP,
+    BoundMap,
+    ColourMap,
+    map_named,
+)
 from reconstruction.errors import CaptureError, InputError, require_number
 from reconstruction.integration_schemes import SCHEMES, Boundary, IntegrationScheme
 from reconstruction.photometric.calibration_ball import BallPress, SampleOptions, sample_presses
-from reconstruction.photometric.colour_maps import (
-    BoundPolynomial,
-    BoundTable,
-    ColourPolynomial,
-    ColourTable,
-    fit_polynomial,
-    fit_table,
-)
 from reconstruction.photometric.images import (
     CHANNELS,
     checked_image,
@@ -60,9 +59,6 @@ if TYPE_CHECKING:
 
     from reconstruction.drawing import Drawing
 
-MapKind = Literal["polynomial", "table"]
-ColourMap = ColourPolynomial | ColourTable
-KINDS: dict[str, type[Any]] = {"polynomial": ColourPolynomial, "table": ColourTable}
 FORMAT, VERSION = "photometric-calibration", 1
 PREFIX = "map_"
 LIT_LEVELS = 5.0, 250.0
@@ -111,7 +107,7 @@ def calibrate_sensor(
     presses: Sequence[BallPress],
     background_frames: ArrayLike,
     pitch_mm: float,
-    kind: MapKind = "polynomial",
+    kind: str = DEFAULT_MAP,
     options: SampleOptions | None = None,
 ) -> SensorCalibration:
     """Calibrate a sensor on presses of balls of known diameter.
@@ -123,8 +119,8 @@ def calibrate_sensor(
     presses : calibration images with the diameters of their balls
     background_frames : (frame, row, col, 3) uint8, images of the undeformed gel; about ten
     pitch_mm : distance of neighbouring pixels on the surface
-    kind : kind of the colour map: `polynomial` (smooth, depends on the position in the image) or
-        `table` (the classic look-up table)
+    kind : name of a map of `COLOUR_MAPS`, for example `polynomial` (smooth, depends on the position
+        in the image) or `table` (the classic look-up table)
     options : threshold of contact, smoothing and dots; None: the defaults of `SampleOptions`
 
     Raises
@@ -134,16 +130,11 @@ def calibrate_sensor(
     FitError : images have no contact circle or one that does not fit the ball, presses are too few,
         or the colours do not determine the slopes
     """
-    if kind not in KINDS:
-        raise InputError(f"map is {kind!r}; give one of {', '.join(KINDS)}")
-    how, background = options or SampleOptions(), mean_background(background_frames)
+    fitted, how = map_named(kind), options or SampleOptions()
+    background = mean_background(background_frames)
     _require_lit(background)
     samples = sample_presses(presses, background, pitch_mm, how)
-    colour_map: ColourMap
-    if kind == "table":
-        colour_map = fit_table(samples, smoothed(background, how.smoothing_px))
-    else:
-        colour_map = fit_polynomial(samples, (background.shape[0], background.shape[1]))
+    colour_map = fitted.fit(samples, smoothed(background, how.smoothing_px))
     return SensorCalibration(colour_map, background, pitch_mm, how.smoothing_px, how.marker_level)
 
 
@@ -160,11 +151,10 @@ def _require_lit(background: FloatImage) -> None:
 
 def write_sensor_calibration(path: Path | str, calibration: SensorCalibration) -> None:
     """Write a calibration to an .npz file; equal calibrations give files with equal bytes."""
-    kind = next(k for k, part in KINDS.items() if isinstance(calibration.colour_map, part))
     arrays: dict[str, NDArray[Any]] = {
         "format": np.array(FORMAT),
         "version": np.array(VERSION),
-        "kind": np.array(kind),
+        "kind": np.array(calibration.colour_map.name),
         "pitch_mm": np.array(calibration.pitch_mm),
         "smoothing_px": np.array(calibration.smoothing_px),
         "marker_level": np.array(calibration.marker_level),
@@ -199,15 +189,16 @@ def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> SensorCalibration:
     if header != (FORMAT, VERSION):
         raise CaptureError(f"format and version are {header}; this program reads {FORMAT, VERSION}")
     kind = str(arrays["kind"])
-    if kind not in KINDS:
-        raise CaptureError(f"map is {kind!r}; this program reads {', '.join(KINDS)}")
+    if kind not in COLOUR_MAPS:
+        known = ", ".join(COLOUR_MAPS.names())
+        raise CaptureError(f"map is {kind!r}; this program reads {known}")
     parts = {
         name.removeprefix(PREFIX): values
         for name, values in arrays.items()
         if name.startswith(PREFIX)
     }
     return SensorCalibration(
-        KINDS[kind].from_arrays(parts),
+        COLOUR_MAPS[kind].from_arrays(parts),
         arrays["background"],
         float(arrays["pitch_mm"]),
         int(arrays["smoothing_px"]),
@@ -364,7 +355,7 @@ class PhotometricDecoder:
         _ = self._bound, self._hidden_in_background
 
     @cached_property
-    def _bound(self) -> BoundPolynomial | BoundTable:
+    def _bound(self) -> BoundMap:
         return self.calibration.colour_map.bound_to(self._flat)
 
     @cached_property

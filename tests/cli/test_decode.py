@@ -279,6 +279,18 @@ def test_reconstruct_without_a_point_is_an_error(tmp_path, capsys):
     assert not out.exists()
 
 
+def test_a_wrong_period_is_among_the_likely_reasons(tmp_path, capsys):
+    """Fringes of 18 px that are decoded as 17 px: 32 frames either way, so only rays disagree."""
+    folder = tmp_path / "capture"
+    shutil.copytree(EXAMPLE, folder)
+    sequence = folder / "patterns.toml"
+    sequence.write_text(sequence.read_text().replace("period_px = 18.0", "period_px = 17.0"))
+    assert run(["reconstruct", str(folder), "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert "(epipolar mismatch 100%)" in message
+    assert "check period_px of the fringes" in message
+
+
 DISPLACED = (
     'axes = ["column"]\nsteps = 4\nperiod_px = 10\nuniform = false\n'
     'code = "displaced_gray"\nfirst_shifts_deg = [180]\n'

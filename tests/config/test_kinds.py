@@ -4,11 +4,12 @@ from collections.abc import Callable
 from typing import Annotated, Literal
 
 import pytest
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from reconstruction.registry import PluginError, Registry
 from twin.config.base import Model
-from twin.config.kinds import OneOf, follows, kind_of
+from twin.config.elastomer_models import MODELS, ModelFields
+from twin.config.kinds import OneOf, TablesOf, follows, kind_of
 from twin.config.schema import explain, list_keys
 
 
@@ -96,3 +97,75 @@ def test_a_model_without_a_kind_cannot_be_registered() -> None:
 
     with pytest.raises(PluginError, match=r"^Nameless: found no kind; set kind: Literal"):
         registry.register(Nameless)
+
+
+class Springs(Model):
+    stiffness: Annotated[float, Field(gt=0)] = 1.0
+
+
+class Fluid(Model):
+    viscosity: float = 2.0
+
+
+def tables() -> tuple[dict[str, type[BaseModel]], type[BaseModel]]:
+    """Return models by name, and a document with a table of each."""
+    models: dict[str, type[BaseModel]] = {"springs": Springs}
+
+    class Tables(Model):
+        settings: Annotated[dict[str, Model], TablesOf(lambda: models)]
+
+    return models, Tables
+
+
+def test_tables_by_name_are_checked_by_the_model_of_the_name() -> None:
+    models, document = tables()
+    loaded = document.model_validate({"settings": {"springs": {"stiffness": 3.0}}})
+    assert loaded.settings == {"springs": Springs(stiffness=3.0)}  # type: ignore[attr-defined]
+    assert document.model_validate(loaded.model_dump()) == loaded
+    assert loaded.model_dump(mode="json") == {"settings": {"springs": {"stiffness": 3.0}}}
+    models["fluid"] = Fluid
+    assert set(document.model_json_schema()["$defs"]) == {"Springs", "Fluid"}
+    assert [key.path for key in list_keys(document)] == [
+        "settings.springs.stiffness",
+        "settings.fluid.viscosity",
+    ]
+    assert document.model_validate({"settings": {"fluid": {}}}).settings == {"fluid": Fluid()}  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        ({"springs": {"stiffness": 0}}, "settings.springs.stiffness: found 0, should be greater"),
+        (
+            {"springs": {"stifness": 1}},
+            "unknown key 'stifness' in [settings.springs]; did you",
+        ),
+        ({"spring": {}}, "unknown key 'spring' in [settings]; did you mean 'springs'?"),
+        (3, "settings: found 3, allowed tables by name"),
+    ],
+)
+def test_wrong_tables_by_name_are_one_line(table: object, line: str) -> None:
+    _, document = tables()
+    assert problem(lambda: document.model_validate({"settings": table}), document).startswith(line)
+
+
+def test_a_document_without_tables_by_name_does_not_need_the_models() -> None:
+    def absent() -> dict[str, type[BaseModel]]:
+        raise AssertionError
+
+    class Tables(Model):
+        settings: Annotated[dict[str, Model], TablesOf(absent)]
+
+    assert Tables.model_validate({"settings": {}}).settings == {}
+
+
+def test_settings_of_an_elastomer_model_need_defaults() -> None:
+    class Rigid(Model):
+        limit: float
+
+    class Plate(ModelFields):
+        name = "plate"
+        settings = Rigid
+
+    with pytest.raises(PluginError, match="plate: settings: found no default of limit; add one"):
+        MODELS.register(Plate())

@@ -1,11 +1,10 @@
 """Kinds of coatings against each other and against stock Mitsuba."""
 
-import struct
-
 import numpy as np
 import pytest
 
 from reconstruction.errors import InputError
+from tests.optics.measured_tables import ALBEDO, matte_table, random_table
 from tests.optics.scenes import coated_scene
 from twin.config import ConfigError, digest, load_experiment, to_toml, vary
 from twin.config.coatings import COATINGS, Texture
@@ -13,9 +12,6 @@ from twin.config.materials import MATERIALS
 from twin.optics.coatings.flakes import Flakes
 from twin.optics.coatings.matte import Matte
 from twin.optics.coatings.measured import Measured
-
-ALBEDO = 0.37
-ANGLES, RADII = 16, 64
 
 
 @pytest.fixture(scope="module")
@@ -63,67 +59,6 @@ def frames_of(experiment, face, coating):
     coated = experiment.model_copy(update={"coating": coating})
     tables = light_tables(coated.projector, pattern_set(coated.projector, coated.patterns))
     return np.stack(trace_stack(coated_scene(coated, face), coated_rig(coated, face), tables, 4))
-
-
-def write_table(path, **fields):
-    """Write arrays as the RGL material database does."""
-    kinds = {np.dtype("u1"): 1, np.dtype("f4"): 10}
-    start = 18 + sum(13 + len(name) + 8 * array.ndim for name, array in fields.items())
-    head = b"tensor_file\0" + bytes([1, 0]) + struct.pack("<I", len(fields))
-    body = b""
-    for name, array in fields.items():
-        body += bytes(-(start + len(body)) % 8)
-        head += struct.pack("<H", len(name)) + name.encode()
-        head += struct.pack("<HBQ", array.ndim, kinds[array.dtype], start + len(body))
-        head += struct.pack(f"<{array.ndim}Q", *array.shape)
-        body += array.tobytes()
-    path.write_bytes(head + body)
-    return path
-
-
-def matte_table(path):
-    """Write the table of a matte coat: half vectors as they are, f cos = albedo cos / pi."""
-    theta = np.linspace(0, 1, ANGLES) ** 2 * np.pi / 2
-    u = np.linspace(0, 1, RADII)
-    azimuth, polar = np.meshgrid((2 * u - 1) * np.pi, u**2 * np.pi / 2, indexing="ij")
-    half = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth)])
-    half = np.concatenate([half, np.cos(polar)[None]])
-    outgoing = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=-1)
-    cosine = 2 * np.tensordot(outgoing, half, 1) * half[2] - outgoing[:, 2, None, None]
-    scale = np.array([1.0, 3.0])[None, None, :, None, None]
-    reflected = ALBEDO / np.pi * np.clip(cosine, 0, None)[None, :, None] * scale
-    even = np.ones((1, ANGLES, RADII, RADII))
-    return write_table(
-        path,
-        **table_fields(theta, np.zeros(1), np.array([500.0, 600.0]), reflected, even),
-        ndf=np.ones((2, 2), "f4"),
-        sigma=np.ones((2, 2), "f4"),
-        jacobian=np.zeros(1, "u1"),
-    )
-
-
-def table_fields(theta, phi, wavelengths, spectra, lobe):
-    arrays = {"theta_i": theta, "phi_i": phi, "wavelengths": wavelengths, "spectra": spectra}
-    arrays |= {"vndf": lobe, "luminance": lobe}
-    fields = {name: np.asarray(array, "f4") for name, array in arrays.items()}
-    return {"description": np.frombuffer(b"test", "u1"), **fields}
-
-
-def random_table(path, turns):
-    """Write a table of random lobes; those of an isotropic one do not depend on the azimuth."""
-    rng = np.random.default_rng(4)
-    phi = np.zeros(1) if turns == 1 else np.linspace(-np.pi, np.pi, turns)
-    theta = np.linspace(0, 1, 8) ** 2 * np.pi / 2
-    lobe, spectra = rng.uniform(0.5, 1.5, (turns, 8, 9, 9)), rng.random((turns, 8, 3, 9, 9))
-    rows = 1 if turns == 1 else 9
-    face = np.broadcast_to(rng.uniform(0.5, 1.5, (2, rows, 9)), (2, 9, 9)).astype("f4")
-    return write_table(
-        path,
-        **table_fields(theta, phi, np.array([400.0, 500.0, 600.0]), spectra, lobe),
-        ndf=face[0],
-        sigma=face[1],
-        jacobian=np.ones(1, "u1"),
-    )
 
 
 def test_a_matte_coat_equals_ink_without_flakes(mi, experiment, bump):

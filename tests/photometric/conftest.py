@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from reconstruction.colour_maps import COLOUR_MAPS
 from reconstruction.photometric.calibration_ball import BallPress
 from reconstruction.photometric.sensor import calibrate_sensor
 
@@ -133,5 +134,5 @@ def ball_presses(presses):
 def calibrations(ball_presses, background_frames):
     return {
         kind: calibrate_sensor(ball_presses, background_frames, PITCH_MM, kind)
-        for kind in ("polynomial", "table")
+        for kind in COLOUR_MAPS.names()
     }

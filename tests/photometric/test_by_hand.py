@@ -3,18 +3,11 @@
 import numpy as np
 import pytest
 
+from reconstruction.colour_maps import Samples
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
-from reconstruction.photometric.calibration_ball import Samples
-from reconstruction.photometric.colour_maps import (
-    BINS,
-    COLOUR_TERMS,
-    PLACE_TERMS,
-    ColourPolynomial,
-    ColourTable,
-    fit_polynomial,
-    fit_table,
-)
 from reconstruction.photometric.images import find_markers
+from reconstruction.photometric.maps.polynomial import COLOUR_TERMS, PLACE_TERMS, ColourPolynomial
+from reconstruction.photometric.maps.table import BINS, ColourTable
 from reconstruction.photometric.sensor import SensorCalibration
 
 
@@ -67,10 +60,11 @@ def test_lamberts_law_is_linear_in_the_colour():
     """
     q = np.random.default_rng(2).uniform(-0.2, 0.4, (20_000, 3))
     tilt = np.column_stack([0.5 * q[:, 0] - 0.2 * q[:, 2], 0.3 * q[:, 1]])
-    fitted = fit_polynomial(samples_of(q, tilt), (240, 320))
+    flat = np.full((240, 320, 3), 100.0, np.float32)
+    fitted = ColourPolynomial.fit(samples_of(q, tilt), flat)
     np.testing.assert_allclose(fitted.lowest, -0.26, atol=2e-3)
     np.testing.assert_allclose(fitted.highest, 0.46, atol=2e-3)
-    bound = fitted.bound_to(np.full((240, 320, 3), 100.0, np.float32))
+    bound = fitted.bound_to(flat)
     levels = np.full((240, 320, 3), [130.0, 110.0, 90.0], np.float32)
     slopes, _ = bound.slopes(levels)
     length = np.sqrt(1 - 0.17**2 - 0.03**2)
@@ -112,7 +106,7 @@ def test_a_bin_holds_the_mean_and_its_surroundings_the_nearest():
     background = np.full((8, 8, 3), [120.0, 120.0, 120.0], np.float32)
     slopes = np.array([[0.15, -0.15], [0.25, -0.05]])
     samples = Samples(levels, np.full((2, 3), 120.0, np.float32), np.full((2, 2), 3.0), slopes)
-    table = fit_table(samples, background)
+    table = ColourTable.fit(samples, background)
     np.testing.assert_allclose(table.slopes[45, 55, 25], [0.2, -0.1], atol=1e-7)
     np.testing.assert_allclose(table.slopes[0, 0, 0], [0.2, -0.1], atol=1e-7)
     assert table.known[49, 57, 25]

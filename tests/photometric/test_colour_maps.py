@@ -1,15 +1,18 @@
 import numpy as np
 import pytest
 
+from reconstruction.colour_maps import COLOUR_MAPS, maps_in_order
 from reconstruction.errors import CaptureError, FitError, InputError
-from reconstruction.photometric.colour_maps import ColourPolynomial
 from reconstruction.photometric.images import smoothed
+from reconstruction.photometric.maps.polynomial import ColourPolynomial
+from reconstruction.photometric.press_description import Calibrate
 from reconstruction.photometric.sensor import (
     SensorCalibration,
     calibrate_sensor,
     read_sensor_calibration,
     write_sensor_calibration,
 )
+from twin.config import load_experiment
 
 PITCH_MM = 0.0634
 
@@ -50,7 +53,7 @@ def test_undeformed_gel_is_flat(calibrations):
         assert known.all()
 
 
-@pytest.mark.parametrize("kind", ["polynomial", "table"])
+@pytest.mark.parametrize("kind", COLOUR_MAPS.names())
 def test_uncalibrated_colours_are_masked(calibrations, kind):
     calibration = calibrations[kind]
     levels = smoothed(calibration.background, 3)
@@ -61,7 +64,7 @@ def test_uncalibrated_colours_are_masked(calibrations, kind):
     assert np.isfinite(slopes).all()
 
 
-@pytest.mark.parametrize("kind", ["polynomial", "table"])
+@pytest.mark.parametrize("kind", COLOUR_MAPS.names())
 def test_file_is_reproduced(calibrations, tmp_path, kind):
     first, second = tmp_path / "a.npz", tmp_path / "b.npz"
     write_sensor_calibration(first, calibrations[kind])
@@ -130,6 +133,22 @@ def test_stored_objects_are_not_loaded(tmp_path):
     np.savez(path, format=np.array([{"a": 1}], dtype=object))
     with pytest.raises(CaptureError, match="photometric calibration"):
         read_sensor_calibration(path)
+
+
+def test_maps_in_the_order_of_tables():
+    assert [kind.name for kind in maps_in_order()] == ["polynomial", "table"]
+    assert all(kind.title and kind.summary for kind in maps_in_order())
+
+
+def test_unknown_map_is_named_with_the_allowed_ones():
+    """In an experiment and in the description of real presses."""
+    with pytest.raises(InputError, match="did you mean 'table'") as caught:
+        load_experiment("examples/gelsight_ball", {"photometric.colour_map": "tabel"})
+    message = str(caught.value)
+    assert "photometric.colour_map: found 'tabel', allowed: polynomial, table" in message
+    assert "\n" not in message
+    with pytest.raises(InputError, match=r"map is 'tabel'; give one of polynomial, table$"):
+        Calibrate(0.06, (), map="tabel")
 
 
 def test_bad_input_is_named(calibrations, ball_presses, background_frames):

@@ -3,11 +3,16 @@
 One sensor with few reference presses serves all tests; `benchmarks/gelsight.py` takes the full 50.
 """
 
+import os
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from benchmarks.cap_height import cap_height_ratio
 from benchmarks.real_presses import circle_of, read_presses, spots_of, twins
+from reconstruction.colour_maps import COLOUR_MAPS
 from reconstruction.errors import InputError
 from reconstruction.photometric import PhotometricDecoder, PhotometricOptions
 from reconstruction.photometric.calibration_ball import (
@@ -15,6 +20,7 @@ from reconstruction.photometric.calibration_ball import (
     find_contact_circle,
 )
 from reconstruction.photometric.images import mean_background, smoothed
+from reconstruction.registry import PLUGINS_VARIABLE, load_plugin
 from twin.camera import electrons_per_ms, full_well_e, read_noise_e
 from twin.config import load_experiment, vary
 from twin.optics.backed_coat import seen_face
@@ -25,6 +31,7 @@ from twin.results.folder import read_measurement, write_measurement
 from twin.specimens.kinds.ball import Ball
 
 FEW = {"photometric.presses.count": 9, "photometric.presses.smallest_diameter_mm": 5.5}
+PLUGIN = Path(__file__).parents[2] / "docs/extend/nearest_colours.py"
 BALL_MM, DEPTH_MM = 6.31, 0.7
 PLACES_MM = ((0.0, 0.0), (5.0, 2.5), (-4.0, -3.0))
 
@@ -238,6 +245,31 @@ def test_a_kept_calibration_serves_other_processes(
         file.write_bytes(b"damaged")
     with pytest.raises(InputError, match="pressed again"):
         found({})
+
+
+@pytest.fixture
+def nearest(monkeypatch):
+    """The colour map of docs/extend, until the test ends."""
+    monkeypatch.setenv(PLUGINS_VARIABLE, os.environ.get(PLUGINS_VARIABLE, ""))
+    COLOUR_MAPS.names()
+    before = set(sys.modules)
+    load_plugin(PLUGIN)
+    yield "nearest"
+    del COLOUR_MAPS._kinds["nearest"]
+    for name in set(sys.modules) - before:
+        if name.startswith("fringe_twin_plugin_"):
+            del sys.modules[name]
+
+
+def test_map_that_is_loaded_later_is_fitted_to_the_same_presses(
+    calibrated, experiment, memory, nearest
+):
+    before = {name: count for name, count, *_ in memory.stages()}
+    later = calibrated_sensor(vary(experiment, {"photometric.colour_map": nearest}), memory)[1]
+    assert later.colour_map.name == nearest
+    np.testing.assert_array_equal(later.background, calibrated[1].background)
+    after = {name: count for name, count, *_ in memory.stages()}
+    assert after["references"] == before["references"]
 
 
 def test_results_are_files(done, tmp_path):

@@ -14,7 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from reconstruction.errors import InputError
+from reconstruction.photometric import read_sensor_calibration
 from reconstruction.rig.calibration import read_calibration
+from twin.results.folder import read_measurement
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs/extend"
@@ -27,12 +30,18 @@ enamel = enamel:Enamel
 lacquer = lacquer:Lacquer
 [fringe_twin.elastomer_models]
 winkler = winkler:WINKLER
+[fringe_twin.noise_models]
+row_noise = row_noise:RowNoise
 [fringe_twin.codes]
 residue = residue_code:RESIDUE
+[fringe_twin.words]
+scattered = scattered_word:SCATTERED
 [fringe_twin.measurands]
 sagitta = sagitta:SAGITTA
 [fringe_twin.importers]
 calibration_text = calibration_text:CALIBRATION_TEXT
+[fringe_twin.colour_maps]
+nearest = nearest_colours:NearestColours
 [fringe_twin.integrations]
 frankot_chellappa = frankot_chellappa:FRANKOT_CHELLAPPA
 """
@@ -243,12 +252,69 @@ def test_slopes_are_integrated_by_another_scheme(installed: Path) -> None:
     assert "'frankot_chellappa'" in twin(installed, "keys", "photometric.integration")
 
 
+SHADED_PLANE = """
+import sys
+import numpy as np
+from reconstruction.colour_maps import COLOUR_MAPS, Samples
+from reconstruction.photometric import (
+    SensorCalibration, read_sensor_calibration, write_sensor_calibration
+)
+
+lamps = np.array([[0.5, 0.0], [-0.25, 0.4], [-0.25, -0.4]])
+steps = np.linspace(-0.3, 0.3, 31)
+slopes = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+levels = (100 * (1 + slopes @ lamps.T)).astype(np.float32)
+samples = Samples(levels, np.full_like(levels, 100), np.zeros_like(slopes), slopes)
+still = np.full((6, 8, 3), 50, np.float32)
+fitted = COLOUR_MAPS["nearest"].fit(samples, still)
+write_sensor_calibration(sys.argv[1], SensorCalibration(fitted, still, 0.06))
+
+colours = read_sensor_calibration(sys.argv[1]).colour_map.bound_to(still)
+plane = (still * (1 + lamps @ [0.1, -0.06])).astype(np.float32)
+plane[0, 0] = 200
+measured, known = colours.slopes(plane)
+np.testing.assert_allclose(measured[:, 1:], np.full((2, 5, 8), [[[0.1]], [[-0.06]]]), atol=0.01)
+assert known.sum() == 47 and not known[0, 0]
+"""
+FEW_PRESSES = (
+    "photometric.presses.count=5",
+    "photometric.presses.backgrounds=2",
+    "photometric.presses.smallest_diameter_mm=5.5",
+)
+
+
+def test_colours_are_mapped_by_another_map(installed: Path, tmp_path: Path) -> None:
+    """Slopes on a lattice of 0.02 calibrate it; it is stored, read and bound to weaker light."""
+    python(installed, SHADED_PLANE, tmp_path / "sensor.npz")
+    assert "'nearest' | 'polynomial'" in twin(installed, "keys", "photometric.colour_map")
+
+
+def test_a_measurement_compares_another_map(mi: object, installed: Path, tmp_path: Path) -> None:
+    """Without the package the folder is an error of one line, which names the allowed maps."""
+    settings = *FEW_PRESSES, "photometric.colour_map=nearest"
+    options = [word for setting in settings for word in ("-s", setting)]
+    twin(installed, "measure", "examples/gelsight_ball", "-o", tmp_path / "out", *options)
+    rows = (tmp_path / "out/decoders.csv").read_text("utf-8").splitlines()[1:]
+    maps = [row.partition(",")[0] for row in rows]
+    assert list(dict.fromkeys(maps)) == ["polynomial", "table", "nearest"]
+    assert (tmp_path / "out/other_calibration_2.npz").is_file()
+    page = (tmp_path / "out/report.html").read_text("utf-8")
+    assert "by the nearest colours map" in page
+    twin(installed, "report", tmp_path / "out")
+    with pytest.raises(InputError, match=r"found 'nearest', allowed: polynomial, table$"):
+        read_measurement(tmp_path / "out")
+    with pytest.raises(InputError, match=r"map is 'nearest'; .* polynomial, table$"):
+        read_sensor_calibration(tmp_path / "out/sensor_calibration.npz")
+
+
 def test_the_keys_of_all_kinds_are_listed(installed: Path) -> None:
     keys = twin(installed, "keys").splitlines()
     for key in ("specimen(lens).radius_mm", "coating(enamel).albedo"):
         assert key in keys
     assert any(key.endswith("material(lacquer).albedo") for key in keys)
     assert "'winkler'" in twin(installed, "keys", "mechanics.model")
+    assert "camera.noise_model(row_noise).row_sigma_e" in keys
+    assert "mechanics.settings.winkler.stiffness_kpa_per_mm" in keys
 
 
 def test_a_study_varies_a_number_of_a_kind(

@@ -12,6 +12,21 @@ from reconstruction.rig.sensor import SensorNoise
 
 # Fine samples per projector pixel when a pattern is blurred.
 FINE = 32
+LIST_HEAD = """format = "fringe-frames"
+version = 1
+bit_depth = 8
+{top}
+[projector]
+width_px = 160
+height_px = 96
+
+[sensor]
+gain_dn_per_e = 0.1
+read_noise_e = 5.0
+black_level_dn = 4.0
+saturation_dn = 255.0
+"""
+"""Start of a capture.toml with a list of frames, without any [[frames]]; `top`: further keys."""
 
 
 def frames_at(

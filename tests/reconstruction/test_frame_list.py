@@ -10,22 +10,8 @@ import pytest
 from reconstruction.capture.frame_list import read_listed
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import PatternSet
+from tests.reconstruction.conftest import LIST_HEAD
 
-HEAD = """
-format = "fringe-frames"
-version = 1
-bit_depth = 8
-{top}
-[projector]
-width_px = 160
-height_px = 96
-
-[sensor]
-gain_dn_per_e = 0.1
-read_noise_e = 5.0
-black_level_dn = 4.0
-saturation_dn = 255.0
-"""
 SIZE = {"width_px": 160, "height_px": 96}
 
 
@@ -35,7 +21,7 @@ def listed(folder, names, groups, top=""):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
-    text = HEAD.format(top=top) + "".join(f"\n[[frames]]\n{group}\n" for group in groups)
+    text = LIST_HEAD.format(top=top) + "".join(f"\n[[frames]]\n{group}\n" for group in groups)
     (folder / "capture.toml").write_text(text)
     return read_listed(folder / "capture.toml").recorded(folder)
 
@@ -272,7 +258,7 @@ def test_mistakes_outside_the_list_are_one_line(tmp_path, top, message):
     ],
 )
 def test_damaged_lists_are_one_line(tmp_path, find, replace, message):
-    text = HEAD.format(top="").replace(find, replace)
+    text = LIST_HEAD.format(top="").replace(find, replace)
     text += "" if "frames" in replace else f"\n[[frames]]\n{FRINGES}\n"
     (tmp_path / "capture.toml").write_text(text)
     with pytest.raises(CaptureError, match=message) as caught:

@@ -164,7 +164,7 @@ def test_a_bit_at_its_threshold_matters_only_if_the_word_changes_by_more_than_on
         ({"steps": 0, "code": "gray", "uniform": False}, "nothing to compare"),
         ({"steps": 0, "code": "gray", "period_px": 400.0}, "width of a word"),
         ({"code": "shifted_gray", "word": "binary"}, "use code 'gray'"),
-        ({"word": "octal"}, "allowed are reflected"),
+        ({"word": "octal"}, "allowed are binary, reflected"),
         ({"axes": ("row", "column")}, "allowed are"),
         ({"axes": 3}, "allowed are"),
         ({"first_shifts_deg": (0.0,)}, "give 2 numbers"),

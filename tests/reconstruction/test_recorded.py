@@ -10,23 +10,10 @@ from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, PatternSet
 from reconstruction.rig.calibration import write_calibration
 from reconstruction.rig.sensor import SensorNoise
+from tests.reconstruction.conftest import LIST_HEAD
 
 PATTERNS = PatternSet(160, 96, period_px=16.0, steps=4)
 SENSOR = SensorNoise(0.1, 5.0, 4.0, 255.0)
-HEAD = """format = "fringe-frames"
-version = 1
-bit_depth = 8
-
-[projector]
-width_px = 160
-height_px = 96
-
-[sensor]
-gain_dn_per_e = 0.1
-read_noise_e = 5.0
-black_level_dn = 4.0
-saturation_dn = 255.0
-"""
 
 
 @pytest.fixture
@@ -48,7 +35,7 @@ def as_manifest(folder, stack, calibration):
 
 def as_list(folder, stack, calibration):
     as_manifest(folder, stack, calibration)
-    text = HEAD
+    text = LIST_HEAD.format(top="")
     for kind in ("phase", "gray"):
         for axis in AXES:
             text += f'\n[[frames]]\nfiles = "*_{kind}_{axis}_*.png"\nkind = "{kind}"\n'

@@ -15,10 +15,11 @@ from twin.pipeline.captures import options_of
 from twin.pipeline.fringes import evaluate
 from twin.report.contact import discussion, verdicts
 from twin.report.measurement import summary_table, write_report
+from twin.results.balls import region_of
 from twin.results.figures import why_absent
 from twin.results.folder import read_measurement, write_measurement
 from twin.results.record import Fringes, Recording
-from twin.results.score import metrics, region_of, score
+from twin.results.score import metrics, score
 from twin.specimens import shape_of
 
 ERRORS = ("z_rmse_um", "z_bias_um", "z_p95_um", "sigma_z_median_um", "error_over_sigma")

@@ -13,7 +13,7 @@ from tests.results.test_object_score import STEP, experiment, score_of
 from twin.config import load_experiment
 from twin.config.sensor_layer import load_sensor_layer
 from twin.optics.stack import Truth
-from twin.report.object import measurand_in_words
+from twin.report.object import measurand_in_words, object_lines
 from twin.results.object_score import ObjectScore, score_object
 from twin.results.under_sheet import more_contact, sheet_compensation
 
@@ -84,6 +84,26 @@ def test_what_is_touched_too_little_is_absent_and_says_what_to_do():
     assert "press.back_pressure_kpa = " in ways
     assert "press deeper" in ways
     assert "elastomer.tack_j_m2" in ways
+
+
+@pytest.mark.parametrize("radius_mm", [4.01, 80.0])
+def test_a_radius_of_another_feature_has_a_remedy(wrapped, layer, radius_mm):
+    """A fitted radius of 80 mm is no measurement of a ball of 4 mm, though it is a number."""
+    case = load_experiment("examples/wrapped_balls", {"specimen": {"kind": "ball"}})
+    ball = replace(wrapped.quantity("radius_1"), value=radius_mm)
+    lines = object_lines(
+        SimpleNamespace(
+            experiment=case,
+            object=replace(wrapped, quantities=(ball,)),
+            compensation=sheet_compensation(case, coat_map(), layer),
+            figures=wrapped.figures,
+        )
+    )
+    is_lost = radius_mm > 2 * 4.0
+    assert ("not measured (fit: 80 mm)" in lines[0]) == is_lost
+    assert [line.startswith("to measure the object, press deeper") for line in lines[2:]] == (
+        [True] if is_lost else []
+    )
 
 
 def test_a_slab_shows_no_length_of_the_object():

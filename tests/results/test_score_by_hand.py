@@ -11,16 +11,14 @@ from reconstruction.pipeline import Reconstruction
 from reconstruction.triangulation import PointMap
 from twin.config import load_experiment
 from twin.optics.stack import Truth
+from twin.results.balls import SphereScore, region_of, score_sphere
 from twin.results.rods import RodSection, middle_of, section_of
 from twin.results.score import (
     Scores,
-    SphereScore,
     in_world,
     metrics,
     order_warnings,
-    region_of,
     score_heights,
-    score_sphere,
     score_truth,
     wanted_pixels,
     wrong_orders,

@@ -29,7 +29,7 @@ frames, with a random generator that is seeded by experiment, trial and frame.
 def noisy_electrons(
     noise: NoiseFunction, mean_e: FloatImage, rng: np.random.Generator
 ) -> FloatImage:
-    """Return the electrons of a frame (row, col), float32, by a function of the user.
+    """Return the electrons of a frame (row, col), float32, by a function or by a kind of noise.
 
     Raises
     ------
@@ -38,9 +38,14 @@ def noisy_electrons(
     electrons = np.asarray(noise(mean_e, rng), np.float32)
     if electrons.shape != mean_e.shape:
         raise InputError(
-            f"noise: the function returned the shape {electrons.shape}, needed {mean_e.shape}: "
-            "the electrons of each pixel"
+            f"noise: {name_of(noise)} returned the shape {electrons.shape}, needed "
+            f"{mean_e.shape}: the electrons of each pixel"
         )
     if not np.isfinite(electrons).all():
-        raise InputError("noise: the function returned values that are not finite")
+        raise InputError(f"noise: {name_of(noise)} returned values that are not finite")
     return electrons
+
+
+def name_of(noise: NoiseFunction) -> str:
+    """Return the name of a function of the user."""
+    return str(getattr(noise, "__name__", type(noise).__name__))

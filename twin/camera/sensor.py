@@ -76,8 +76,7 @@ def expose(
     white_frame : index of the frame for the automatic exposure, the white frame if there is one
     trial : number of the repetition: same camera and fixed pattern, new temporal noise
     progress : called with the finished fraction, 0 to 1
-    noise : function of the user instead of shot and read noise, see `NoiseFunction`; None:
-        the EMVA 1288 model
+    noise : function of the user instead of the camera's noise model, see `NoiseFunction`
 
     Raises
     ------
@@ -94,13 +93,14 @@ def expose(
     pixels = _fixed_pattern(experiment.seed, camera.prnu_percent, dark_offset_e(camera), shape)
 
     sensor, key = _sensor(camera, per_radiance, dark_e), _key(experiment, trial)
+    draw = _drawn_by(camera, noise)
 
     def record(frame: int) -> None:
-        if noise is not None:
+        if draw is not None:
             light_e = radiance[frame] * np.float32(per_radiance) * pixels.response
             rng = np.random.default_rng(seed_sequence(experiment, "noise", trial, frame))
             mean_e = np.maximum(light_e + np.float32(dark_e), np.float32(0))
-            electrons = noisy_electrons(noise, mean_e, rng)
+            electrons = noisy_electrons(draw, mean_e, rng)
             stack[frame] = _digitised(camera, electrons, pixels.offset_e)
         elif camera.noise:
             place = key, frame
@@ -124,6 +124,20 @@ def _check_noise(camera: Camera, noise: NoiseFunction | None) -> None:
             "camera.noise: found false, which records expected values; a function for the noise "
             "needs true"
         )
+
+
+def _drawn_by(camera: Camera, noise: NoiseFunction | None) -> NoiseFunction | None:
+    """Return the function that draws noise; None: the compiled kernel does, or there is none."""
+    model = camera.noise_model
+    if noise is not None or not camera.noise or model.is_emva1288:
+        return noise
+    sensor = noise_model(camera)
+
+    def electrons(mean_e: FloatImage, rng: np.random.Generator) -> FloatImage:
+        return model.electrons(mean_e, rng, sensor)
+
+    electrons.__name__ = model.kind
+    return electrons
 
 
 def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:

@@ -5,7 +5,7 @@ Frames and units are those of `twin.config.models`.
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from twin.config.base import Model
 from twin.config.bounds import (
@@ -19,8 +19,14 @@ from twin.config.bounds import (
     Tack,
     Travel,
 )
-from twin.config.elastomer_models import AUTO, MODELS, models_that_take
-from twin.config.kinds import NameOf
+from twin.config.elastomer_models import (
+    AUTO,
+    MODELS,
+    default_settings,
+    models_that_take,
+    settings_models,
+)
+from twin.config.kinds import NameOf, TablesOf
 
 
 class Film(Model):
@@ -187,6 +193,19 @@ class Mechanics(Model):
     tetrahedra: Annotated[int, Field(ge=200, le=20000)] = Field(
         default=4000, description="fem only: about how many"
     )
+    settings: Annotated[dict[str, Model], TablesOf(settings_models)] = Field(
+        default={},
+        validate_default=True,
+        exclude_if=lambda settings: not settings,
+        description="[mechanics.settings.MODEL]: settings of a model that has a table of its own",
+    )
+
+    @field_validator("settings")
+    @classmethod
+    def _model_has_its_settings(
+        cls, settings: dict[str, Model], info: ValidationInfo
+    ) -> dict[str, Model]:
+        return default_settings(info.data.get("model", AUTO)) | settings
 
     @model_validator(mode="after")
     def _model_takes_its_keys(self) -> "Mechanics":

@@ -8,7 +8,8 @@ are checked are declared here, because experiment files are read without loading
 
 from typing import ClassVar
 
-from reconstruction.registry import Registry
+from reconstruction.registry import PluginError, Registry
+from twin.config.base import Model
 
 
 class ModelFields:
@@ -23,13 +24,31 @@ class ModelFields:
     takes: ClassVar[tuple[str, ...]] = ()
     """Optional keys of `[mechanics]` that the model takes: `support`, `pad`."""
 
+    settings: ClassVar[type[Model] | None] = None
+    """Data model of its table `[mechanics.settings.NAME]`, each key with a default; None: no table.
+    """
+
     is_automatic: ClassVar[bool] = False
     """Whether `mechanics.model = "auto"` may select the model, which must then state its error."""
 
 
-MODELS: Registry[ModelFields] = Registry(
-    "elastomer_models", "twin.mechanics.models", lambda model: model.name
-)
+def _name_of(model: ModelFields) -> str:
+    """Return the name of a model.
+
+    Raises
+    ------
+    PluginError : a key of its settings has no default
+    """
+    fields = {} if model.settings is None else model.settings.model_fields
+    required = [key for key, field in fields.items() if field.is_required()]
+    if required:
+        raise PluginError(
+            f"elastomer_models: {model.name}: settings: found no default of {required[0]}; add one"
+        )
+    return model.name
+
+
+MODELS: Registry[ModelFields] = Registry("elastomer_models", "twin.mechanics.models", _name_of)
 """Registry of the elastomer models."""
 
 AUTO = "auto"
@@ -47,3 +66,17 @@ def models_that_take(key: str, model: str) -> tuple[str, ...]:
     if any(kind.name == model or (model == AUTO and kind.is_automatic) for kind in takers):
         return ()
     return tuple(kind.name for kind in takers)
+
+
+def settings_models() -> dict[str, type[Model]]:
+    """Return the data models of the models with settings of their own, by the model's name."""
+    return {model.name: model.settings for model in MODELS if model.settings is not None}
+
+
+def default_settings(model: str) -> dict[str, Model]:
+    """Return the default settings of a named model as table by name; empty: it has none.
+
+    `auto` has none, so that an experiment is validated without loading the models.
+    """
+    settings = None if model == AUTO or model not in MODELS else MODELS[model].settings
+    return {} if settings is None else {model: settings()}

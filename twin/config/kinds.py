@@ -2,12 +2,14 @@
 
     Material = Annotated[BaseMaterial, OneOf(MATERIALS)]
     Code = Annotated[str, NameOf(CODES)]
+    Settings = Annotated[dict[str, Model], TablesOf(settings_models)]
 
 A field of the first type takes a table; its key `kind` names the registered model that validates
 the table. The schema of a document with such a field is built on first use, and again after each
 plug-in. Such a document, and every document that contains it, has the decorator
 `@follows(REGISTRY)` and sets `defer_build`. A field of the second type takes the name of a
-registered kind.
+registered kind. A field of the third type takes tables by the name of a kind, each validated by the
+data model of that kind.
 """
 
 from collections.abc import Callable
@@ -15,7 +17,13 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    create_model,
+)
 from pydantic_core import CoreSchema, core_schema
 
 from reconstruction.errors import InputError
@@ -137,6 +145,47 @@ class NameOf:
             also = f"allowed: {self.also}, " if self.also else "allowed: "
             raise ValueError(text.replace("allowed: ", also, 1)) from None
         return name
+
+
+@dataclass(frozen=True)
+class TablesOf:
+    """Marks tables by the name of a kind, such as `[mechanics.settings.winkler]`.
+
+    Attributes
+    ----------
+    models : returns the data model of each name; is not called for a document without such a table
+    """
+
+    models: Callable[[], dict[str, type[BaseModel]]]
+
+    @property
+    def table(self) -> type[BaseModel]:
+        """Data model of the table that contains all of them, each at its defaults."""
+        return _table_of(tuple(self.models().items()))
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self._validated)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        return handler(self.table.__pydantic_core_schema__)
+
+    def _validated(self, tables: Any) -> dict[str, BaseModel]:
+        if not isinstance(tables, dict):
+            raise ValueError("allowed tables by name")
+        if not tables:
+            return {}
+        table = self.table.model_validate(tables)
+        return {name: getattr(table, name) for name in tables}
+
+
+@cache
+def _table_of(models: tuple[tuple[str, type[BaseModel]], ...]) -> type[BaseModel]:
+    fields: dict[str, Any] = {name: (model, model()) for name, model in models}
+    return create_model("Settings", __config__=ConfigDict(extra="forbid"), **fields)
 
 
 def follows(*registries: Registry[Any]) -> Callable[[Document], Document]:

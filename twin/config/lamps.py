@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
+from reconstruction.colour_maps import COLOUR_MAPS, DEFAULT_MAP
 from reconstruction.integration_schemes import SCHEMES
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import Flux, Irradiance, Length
@@ -167,7 +168,9 @@ class Photometric(Model):
     field_y_mm: Length = 14.3
     markers: Markers | None = None
     presses: BallPresses = Field(default_factory=BallPresses)
-    colour_map: Literal["polynomial", "table"] = "polynomial"
+    colour_map: Annotated[str, NameOf(COLOUR_MAPS)] = Field(
+        default=DEFAULT_MAP, description="how colours become slopes"
+    )
     integration: Annotated[str, NameOf(SCHEMES)] = Field(
         default="corrected", description="how slopes become heights"
     )

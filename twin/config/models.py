@@ -20,8 +20,8 @@ from reconstruction.patterns import (
     STEPS_RANGE,
     Axis,
     PatternSet,
-    WordName,
 )
+from reconstruction.words import WORDS
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import (
     EXPOSURE_PERCENTILE,
@@ -49,6 +49,7 @@ from twin.config.layers import Layer, Layers, check_rig
 from twin.config.materials import MATERIALS, Material
 from twin.config.measurands import ObjectMeasurand
 from twin.config.methods import TRAITS, Method, MethodTraits
+from twin.config.noise_models import NOISE_MODELS, AnyNoise, NoiseModel
 from twin.config.specimen_base import SPECIMENS, AnySpecimen, Specimen, Stage
 
 __all__ = [
@@ -65,6 +66,7 @@ __all__ = [
     "Material",
     "Mechanics",
     "Model",
+    "NoiseModel",
     "ObjectMeasurand",
     "PadFile",
     "Patterns",
@@ -150,11 +152,14 @@ class Projector(Model):
         return response
 
 
+@follows(NOISE_MODELS)
 class Camera(Model):
     """Monochrome camera: geometry of an ideal lens, and noise as in EMVA 1288.
 
     The terms are those of release 4 of the standard.
     """
+
+    model_config = ConfigDict(defer_build=True)
 
     width_px: Annotated[int, Field(ge=8, le=16384)]
     height_px: Annotated[int, Field(ge=8, le=16384)]
@@ -188,6 +193,10 @@ class Camera(Model):
         default=1, description="pixels summed per axis; DN remains scaled to the bit depth"
     )
     noise: bool = Field(default=True, description="False: expected value, no quantisation")
+    # Left out of digests at its default, which has no numbers.
+    noise_model: AnyNoise = Field(
+        default={}, validate_default=True, exclude_if=lambda model: model.is_emva1288
+    )
 
     @field_validator("pose")
     @classmethod
@@ -249,7 +258,9 @@ class Patterns(Model):
         "row_periods_px", "all periods along rows; empty: those along columns"
     )
     axes: tuple[Axis, ...] = _of_set("axes", "axes along which patterns are shown")
-    word: WordName = _of_set("word", "how words are shown as bits; code 'gray'")
+    word: Annotated[str, NameOf(WORDS)] = _of_set(
+        "word", "how words are shown as bits; code 'gray'"
+    )
     inverse: bool = _of_set("inverse", "show the inverse of every Gray frame")
     uniform: bool = _of_set("uniform", "show a white and a black frame")
     first_shifts_deg: tuple[Shift, ...] = _of_set(
@@ -343,7 +354,7 @@ class Provenance(Model):
     range: tuple[float, float] | None = None
 
 
-@follows(COATINGS, MATERIALS, SPECIMENS)
+@follows(COATINGS, MATERIALS, NOISE_MODELS, SPECIMENS)
 class Experiment(Model):
     """Complete description of one virtual measurement."""
 

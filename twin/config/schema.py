@@ -18,7 +18,7 @@ from pydantic_core import PydanticUndefined
 
 from twin.config.base import ConfigError
 from twin.config.bounds import Because
-from twin.config.kinds import NameOf, OneOf, kind_of
+from twin.config.kinds import NameOf, OneOf, TablesOf, kind_of
 from twin.config.materials import MATERIALS
 from twin.config.models import Experiment, Layer
 
@@ -219,7 +219,11 @@ def _options(annotation: Any) -> list[Any]:
 
 
 def _kinds_in(metadata: Iterable[Any]) -> list[Any]:
-    return [model for item in metadata if isinstance(item, OneOf) for model in item.models.values()]
+    kinds: list[Any] = []
+    for item in metadata:
+        kinds += item.models.values() if isinstance(item, OneOf) else []
+        kinds += [item.table] if isinstance(item, TablesOf) else []
+    return kinds
 
 
 @dataclass(frozen=True)
@@ -274,9 +278,10 @@ def _names_in(field: FieldInfo) -> list[NameOf]:
 
 
 def models_of(field: FieldInfo) -> list[type[BaseModel]]:
-    """Return the models of the tables that a field may be; empty for a dict of tables."""
+    """Return the models of the tables that a field may be; for a dict those of its values."""
     if typing.get_origin(field.annotation) is dict:
-        return []  # its keys are arbitrary names; the caller lists the tables under a placeholder
+        # The keys are arbitrary names; the caller lists the tables under a placeholder.
+        return _kinds_in(field.metadata)
     if typing.get_origin(field.annotation) is tuple:
         return _models(_options(typing.get_args(field.annotation)[0]))
     return _models(_options_of(field))

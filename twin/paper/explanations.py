@@ -6,9 +6,11 @@ identified, see `twin.paper.identified`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
+from reconstruction.colour_maps import maps_in_order
 from reconstruction.evaluate.fit import fit_sphere, fit_sphere_algebraic
 from reconstruction.integration_schemes import schemes_in_order
 from twin.config import Experiment
@@ -17,11 +19,9 @@ from twin.paper.plan import GELSIGHT, NOMINAL_RADIUS_MM, mean_of, pressed_face
 from twin.paper.statistics import values_of
 from twin.paper.trials import Trial
 from twin.report.table import Cell, Column, Table
-from twin.results.decoders import MAP_ORDER
 from twin.results.parts import face_points_mm
 from twin.specimens import shape_of
 
-_MAP_WORDS = {"table": "look-up table", "polynomial": "polynomial"}
 REGIONS_MM = (0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0)
 HEIGHT_SCALE = (0.66, 0.8, 0.9, 1.0, 1.1, 1.2, 1.33)
 
@@ -100,12 +100,12 @@ def decoder_table(trials: Sequence[Trial]) -> Table:
     """
     repeated = [trial for trial in trials if trial.number]
     rows: list[dict[str, Cell]] = []
-    for kind in MAP_ORDER:
-        for scheme in (known.name for known in schemes_in_order()):
-            radius, rmse = (_mean(repeated, f"{kind}_{scheme}", key) for key in ("radius", "rmse"))
-            if radius is not None and rmse is not None:
-                name = f"{_MAP_WORDS[kind]}, {scheme}"
-                rows.append({"decoder": name, "radius": radius, "rmse_um": 1e3 * rmse})
+    for kind, scheme in product(maps_in_order(), schemes_in_order()):
+        decoder = f"{kind.name}_{scheme.name}"
+        radius, rmse = (_mean(repeated, decoder, key) for key in ("radius", "rmse"))
+        if radius is not None and rmse is not None:
+            name = f"{kind.title}, {scheme.name}"
+            rows.append({"decoder": name, "radius": radius, "rmse_um": 1e3 * rmse})
     return Table(
         "explain_decoders",
         "GelSight by every decoder, same images",

@@ -23,6 +23,7 @@ from twin.output import write_json
 from twin.paper.photographs import photograph_of
 from twin.report.camera_images import block_mean
 from twin.report.canvas import height_scale
+from twin.results.balls import SphereScore
 from twin.results.record import Measurement
 from twin.results.rods import (
     SECTION_LENGTH_MM,
@@ -31,7 +32,7 @@ from twin.results.rods import (
     section_of,
     single_section,
 )
-from twin.results.score import SphereScore, wanted_pixels
+from twin.results.score import wanted_pixels
 from twin.specimens import shape_of
 
 PANELS_FOLDER = "panels"

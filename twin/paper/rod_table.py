@@ -6,7 +6,7 @@ from twin.paper.hardness import mixes
 from twin.paper.plan import WIDTH, rows_of
 from twin.paper.sphere_tables import PAPER_TRIALS, subsets
 from twin.paper.statistics import spread_of, values_of
-from twin.paper.trials import REFUSED, Trial
+from twin.paper.trials import REFUSED, RIGID_BAR, Trial
 from twin.report.table import PAPER, TWIN, Cell, Column, Table
 
 _WIDTHS = {
@@ -14,7 +14,6 @@ _WIDTHS = {
     "rod_break_width_mm": "between the breaks of its slope",
     "rod_slope_change_width_mm": "between the places where its slope changes fastest",
 }
-_COMPENSATED = "compensated_bar_1_width_mm"
 
 
 def rods_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
@@ -76,7 +75,7 @@ def _rod_rows(trials: Sequence[Trial], reference_mm: float) -> Iterator[dict[str
                 "cv_percent": None if width.sd is None else 100.0 * width.sd / width.mean,
                 "face_mean": None if face is None else face.mean,
             }
-        rigid = spread_of(values_of(some, _COMPENSATED))
+        rigid = spread_of(values_of(some, RIGID_BAR))
         if rigid is not None:
             row |= {"compensated": rigid.mean, "compensated_sd": rigid.sd}
         yield row

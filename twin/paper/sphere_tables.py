@@ -14,10 +14,9 @@ from twin.paper.plan import (
     rows_of,
 )
 from twin.paper.statistics import Budget, root_mean_square, spread_of, values_of
-from twin.paper.trials import Trial
+from twin.paper.trials import Trial, rigid_ball
 from twin.report.table import PAPER, TWIN, Cell, Column, Table
-from twin.results.figures import COMPENSATED
-from twin.results.score import region_name
+from twin.results.balls import region_name
 
 PAPER_TRIALS = 5
 BALLS = (1, 2)
@@ -140,17 +139,12 @@ def _fit_row(reading: Reading, ball: int, trial: Trial) -> dict[str, Cell]:
     row |= {f"face_{key}": figures.get(f"{true}{key}_mm") for key in ("radius", "rmse")}
     if reading.method != CONTACT_FPP:
         return row
-    sigma_um = figures.get(f"{_compensated(ball)}_sigma_um")
+    sigma_um = figures.get(f"{rigid_ball(ball)}_sigma_um")
     spread = None if sigma_um is None else 1e-3 * float(sigma_um)
     return row | {
-        "compensated": figures.get(f"{_compensated(ball)}_mm"),
+        "compensated": figures.get(f"{rigid_ball(ball)}_mm"),
         "compensated_sd": spread,
     }
-
-
-def _compensated(ball: int) -> str:
-    """Return the name of the measured value "radius of the rigid ball", without its unit."""
-    return f"{COMPENSATED}sphere_{ball}_radius"
 
 
 def repeated_fit_table(trials: Trials) -> Table:
@@ -203,7 +197,7 @@ def _repeated_rows(
         rmse = spread_of(values_of(some, reading.named(ball, "rmse_mm")))
         if radius is None or rmse is None:
             continue
-        rigid = spread_of(values_of(some, f"{_compensated(ball)}_mm"))
+        rigid = spread_of(values_of(some, f"{rigid_ball(ball)}_mm"))
         yield reading.key | {
             "sphere": ball,
             "compensated": None if rigid is None else rigid.mean,

@@ -11,6 +11,8 @@ from twin.paper.plan import FOOTPRINT_MM, identified
 from twin.pipeline.comparison import PhotometricPlan, case_for
 from twin.propagation.trials import record_of
 from twin.results.decoders import DecodedImage
+from twin.results.figures import COMPENSATED
+from twin.results.names import compensated_names
 from twin.results.record import Measurement
 from twin.results.score import metrics
 from twin.study.cases import Case, case_of
@@ -24,6 +26,9 @@ PAPER_DECODER = {"photometric.colour_map": "table", "photometric.integration": "
 
 REFUSED = "refused"
 """Key in `Trial.figures` of the reason why a trial could not be pressed or measured."""
+
+RIGID_BAR = f"{COMPENSATED}bar_1_width_mm"
+"""Figure of the rigid bar's width, estimated from the coat."""
 
 _GROUPS: Mapping[str, Group] = {
     "elastomer": "elastomer",
@@ -48,6 +53,11 @@ class Trial:
 
     number: int
     figures: Figures
+
+
+def rigid_ball(ball: int) -> str:
+    """Return the name, without unit, of the rigid ball's radius, estimated from the coat."""
+    return f"{COMPENSATED}sphere_{ball}_radius"
 
 
 def handling() -> Inputs:
@@ -81,8 +91,12 @@ def inputs() -> Inputs:
 
 
 def fringe_study(experiment: Experiment, trials: int) -> StudyRecord:
-    """Return the study record of the repeated contact-FPP measurement of a specimen."""
-    compensated = experiment.specimen.kind in {"two_balls", "bars"}
+    """Return the study record of the repeated contact-FPP measurement of a specimen.
+
+    The object behind the coat is estimated where the tables have a dimension of it.
+    """
+    in_tables = {RIGID_BAR, f"{rigid_ball(1)}_mm"}
+    compensated = not in_tables.isdisjoint(compensated_names(experiment))
     return record_of(experiment, inputs(), trials, budget=False, compensated=compensated)
 
 

@@ -81,8 +81,8 @@ LIKELY_CAUSES = {
     Reason.OUTSIDE_PROJECTOR: "coordinates are outside the projector: check its width_px and"
     " height_px, period_px and the number of bits",
     Reason.EDGE: "all pixels are next to one without light: check the exposure",
-    Reason.EPIPOLAR_MISMATCH: "columns and rows belong to no common point: check that the"
-    " calibration is that of this rig, and the axes of the frames",
+    Reason.EPIPOLAR_MISMATCH: "columns and rows belong to no common point: check period_px of"
+    " the fringes and the axes of the frames, and that the calibration is that of this rig",
     Reason.NO_POINT: "the rays do not meet in front of both devices: check that the calibration is"
     " that of this rig, sign and shift_deg",
 }

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Levels
+from reconstruction.colour_maps import COLOUR_MAPS, maps_in_order
 from reconstruction.errors import InputError
 from reconstruction.photometric import (
     BallPress,
@@ -19,7 +20,6 @@ from reconstruction.photometric import (
     calibrate_sensor,
 )
 from reconstruction.photometric.calibration_ball import SampleOptions
-from reconstruction.photometric.sensor import MapKind
 from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment, digest, seed_sequence
 from twin.config.models import Press
@@ -40,7 +40,7 @@ from twin.pipeline.fringes import RunContext
 from twin.pipeline.kept_calibrations import KeptCalibrations
 from twin.pipeline.memory import CachedResult, Memory
 from twin.pipeline.press import press, press_smooth, with_texture
-from twin.results.decoders import MAP_ORDER, chosen, decode_all
+from twin.results.decoders import chosen, decode_all
 from twin.results.parts import press_metrics
 from twin.results.record import Colours, Measurement
 from twin.results.score import metrics
@@ -271,7 +271,7 @@ def with_ball(experiment: Experiment, ball: Ball, depth_mm: float) -> Experiment
 
 def _calibrated(
     experiment: Experiment, memory: Memory
-) -> tuple[CachedResult[LitCoat], dict[MapKind, SensorCalibration]]:
+) -> tuple[CachedResult[LitCoat], dict[str, SensorCalibration]]:
     """Return the lit coat, and one calibration per kind of colour map.
 
     All calibrations are fitted to the same reference images. They are read from the folder of
@@ -291,7 +291,7 @@ def _calibrated(
     calibrations = memory.recall(
         "calibrations",
         experiment,
-        references.token,
+        (references.token, COLOUR_MAPS.names()),
         lambda watched: _calibrations(ColourSensor.of(watched, coat.value), references.value),
     )
     if store is not None:
@@ -330,13 +330,16 @@ def _references(sensor: ColourSensor) -> References:
     return References(sensor.backgrounds(), tuple(references))
 
 
-def _calibrations(sensor: ColourSensor, references: References) -> dict[MapKind, SensorCalibration]:
+def _calibrations(sensor: ColourSensor, references: References) -> dict[str, SensorCalibration]:
     markers = sensor.experiment.photometric.markers
     options = SampleOptions(
         marker_level=0 if markers is None else MARKER_LEVEL, unreadable_share=UNREADABLE_SHARE
     )
     images = references.presses, references.backgrounds
-    return {kind: calibrate_sensor(*images, sensor.pitch_mm, kind, options) for kind in MAP_ORDER}
+    return {
+        kind.name: calibrate_sensor(*images, sensor.pitch_mm, kind.name, options)
+        for kind in maps_in_order()
+    }
 
 
 def _photograph(

@@ -18,6 +18,7 @@ from reconstruction.capture.folder import Capture
 from reconstruction.errors import InputError, require_instance
 from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.camera import NoiseFunction, expose
+from twin.camera.noise_function import name_of
 from twin.config import digest, require_experiment
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
@@ -56,7 +57,8 @@ class RunContext:
     clock : run times of the stages, and the progress callback
     trial : number of the repetition, which selects the temporal noise
     layer : assumed elastomer and load, by which the object is computed; None: the experiment's
-    noise : function of the user for the noise of the camera; None: EMVA 1288
+    noise : function of the user for the noise of the camera; None: the noise model of the
+        experiment
     """
 
     memory: Memory
@@ -127,7 +129,7 @@ def evaluate(
     """
     scored = score(experiment, reconstruction, recording.truth)
     figures = taken_figures(pressed, recording) | metrics(scored)
-    figures["warnings"] += noise_warnings(noise)
+    figures["warnings"] += noise_warnings(experiment, noise)
     figures["warnings"] += decoding_warnings(experiment)
     figures["warnings"] += order_warnings(experiment, reconstruction, recording.truth)
     return Measurement(
@@ -280,14 +282,18 @@ def decoding_warnings(experiment: Experiment) -> list[str]:
     ]
 
 
-def noise_warnings(noise: NoiseFunction | None) -> list[str]:
-    """Return a warning if the noise of a result is from a function of the user."""
-    if noise is None:
+def noise_warnings(experiment: Experiment, noise: NoiseFunction | None) -> list[str]:
+    """Return a warning if a result contains noise other than that of EMVA 1288."""
+    camera = experiment.camera
+    if noise is not None:
+        source = f"by the function {name_of(noise)}, which the experiment does not contain"
+    elif camera.noise and not camera.noise_model.is_emva1288:
+        source = f"of the kind {camera.noise_model.kind}"
+    else:
         return []
-    name = getattr(noise, "__name__", type(noise).__name__)
     return [
-        f"camera noise by the function {name}, which the experiment does not contain; standard "
-        "deviations of points and bounds are those of the EMVA 1288 model"
+        f"camera noise {source}; standard deviations of points and bounds are those of the EMVA "
+        "1288 model"
     ]
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from pydantic_core import to_json
 
+from reconstruction.colour_maps import maps_in_order
 from reconstruction.errors import InputError
 from reconstruction.machine import unwritable
 from reconstruction.photometric import (
@@ -22,17 +23,15 @@ from reconstruction.photometric import (
     read_sensor_calibration,
     write_sensor_calibration,
 )
-from reconstruction.photometric.sensor import MapKind
 from reconstruction.reading import read_json
 from twin.config import Experiment
 from twin.files import naming_unwritable
 from twin.output import replace_json, versions
 from twin.pipeline.memory import Reads
-from twin.results.decoders import MAP_ORDER
 
 _READS_FILE = "reads.json"
 
-Calibrations = dict[MapKind, SensorCalibration]
+Calibrations = dict[str, SensorCalibration]
 
 
 @dataclass(frozen=True)
@@ -51,12 +50,11 @@ class KeptCalibrations:
                 content = read_json(file)
                 same = content.get("versions") == versions()
                 if same and Reads.from_json(content["reads"]).hold_for(experiment):
-                    return {kind: read_sensor_calibration(_file(file, kind)) for kind in MAP_ORDER}
+                    kinds = [kind.name for kind in maps_in_order()]
+                    return {kind: read_sensor_calibration(_file(file, kind)) for kind in kinds}
         return None
 
-    def put(
-        self, reads: Sequence[Reads], calibrations: Mapping[MapKind, SensorCalibration]
-    ) -> None:
+    def put(self, reads: Sequence[Reads], calibrations: Mapping[str, SensorCalibration]) -> None:
         """Store the calibrations of a sensor with the fields that their stages read.
 
         Parameters
@@ -82,5 +80,5 @@ class KeptCalibrations:
         replace_json(place / _READS_FILE, content)
 
 
-def _file(folder: Path, kind: MapKind) -> Path:
+def _file(folder: Path, kind: str) -> Path:
     return folder.with_name(f"{kind}.npz")

@@ -46,8 +46,8 @@ def measure(
     layer : assumed elastomer and load, by which the object under a thin sheet is computed; None:
         those of the experiment
     noise : function (mean electrons (row, col), random generator) -> electrons (row, col) that
-        replaces the shot and read noise of EMVA 1288, see `twin.camera.NoiseFunction`; only for
-        methods with fringes; None: EMVA 1288
+        replaces the noise model of the experiment, see `twin.camera.NoiseFunction`; only for
+        methods with fringes; None: the noise model of the experiment
 
     Raises
     ------
@@ -64,7 +64,7 @@ def measure(
         if noise is not None:
             raise InputError(
                 f"noise: found a function, allowed for methods with fringes; modality = "
-                f"'{experiment.modality}' calibrates its sensor with EMVA 1288 noise"
+                f"'{experiment.modality}' calibrates its sensor with camera.noise_model"
             )
         return measure_colours(experiment, run)
     return measure_fringes(experiment, run, bounds_of if bound else None)

@@ -32,11 +32,11 @@ from twin.report.pixel_panels import draw_small
 from twin.report.study_figures import Row
 from twin.report.table import Column, Table
 from twin.report.words import NONE, number, percent, printed_sentence
+from twin.results.balls import SphereScore
 from twin.results.decoders import DecodedImage, decoder_name
 from twin.results.figures import Figures, Metrics
 from twin.results.folder import read_measurement
 from twin.results.record import Colours, Measurement
-from twin.results.score import SphereScore
 
 _COAT: Method = "contact_fpp"
 _GEL: Method = "photometric_stereo"

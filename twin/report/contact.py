@@ -13,9 +13,9 @@ from twin.report.press import judge_press, press_figure
 from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import error_figure, height_map_figure, relief_figure
 from twin.report.words import number, signed
+from twin.results.balls import SphereScore
 from twin.results.figures import Figures, why_absent
 from twin.results.record import Measurement
-from twin.results.score import SphereScore
 
 METHOD = "contact-FPP"
 WARNED = "Warnings: the press is outside the range of its model, or a fit failed"

@@ -19,7 +19,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.codes import code_of
 from reconstruction.patterns import AXES
 from reconstruction.rig.pinhole import Pinhole
-from twin.config.models import Experiment, Provenance, Specimen
+from twin.config.models import Experiment, NoiseModel, Provenance, Specimen
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
 from twin.report.page import Block, CollapsedSection, Figure, Grade, Section, TwoColumns
@@ -132,9 +132,16 @@ def _camera(measured: Measurement) -> str:
     return (
         f"{width} × {height} px ({camera.binning} × {camera.binning} binning), "
         f"{camera.focal_length_mm:g} mm f/{camera.f_number:g}, {camera.bit_depth} bit, "
-        f"{camera.full_well_e:g} e⁻ full well, {camera.read_noise_e:g} e⁻ read noise; "
-        f"{pixel_um:.1f} µm per pixel on the face"
+        f"{camera.full_well_e:g} e⁻ full well, {camera.read_noise_e:g} e⁻ read noise"
+        f"{_noise(camera.noise_model)}; {pixel_um:.1f} µm per pixel on the face"
     )
+
+
+def _noise(model: NoiseModel) -> str:
+    """Return kind and numbers of camera noise other than that of EMVA 1288."""
+    if model.is_emva1288:
+        return ""
+    return f", noise {model.kind}: {phrase(model.model_dump(exclude={'kind'}))}"
 
 
 def _projector(measured: Measurement) -> str:

@@ -93,10 +93,9 @@ def _remedies(measured: Measurement) -> list[str]:
     """Return advice on how to measure the object; empty if its dimensions were measured."""
     score, compensation = measured.object, measured.compensation
     lengths = [quantity for quantity in score.quantities if quantity.measurand.unit == "mm"]
-    measurable = measured.figures.get("object_rms_um") is not None
-    if measurable and (
-        compensation is None or all(quantity.value is not None for quantity in lengths)
-    ):
+    has_points = measured.figures.get("object_rms_um") is not None
+    is_absent = compensation is not None and any(quantity.value is None for quantity in lengths)
+    if has_points and not is_absent and not any(map(_is_lost, lengths)):
         return []
     if compensation is None:
         return ["to measure the object, press deeper, or measure a different part of it"]

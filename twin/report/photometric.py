@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from reconstruction.colour_maps import COLOUR_MAPS
 from twin.report.experiment import GOOD_SHARE, POOR_SHARE, glance, grade_of_share, result_in_words
 from twin.report.page import (
     Figure,
@@ -29,7 +30,7 @@ from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import relief_figure
 from twin.report.table import Column, Table, pairs
 from twin.report.words import NONE, number, percent, signed
-from twin.results.decoders import MAP_NAMES, decoder_name
+from twin.results.decoders import decoder_name
 from twin.results.record import Measurement
 
 METHOD = "photometric stereo"
@@ -53,7 +54,7 @@ def sections(measured: Measurement) -> list[Section]:
     )
     seen_in = (
         _figure(measured, "images"),
-        _figure(measured, "slopes", colour_map=MAP_NAMES[own.colour_map]),
+        _figure(measured, "slopes", colour_map=COLOUR_MAPS[own.colour_map].title),
     )
     by_decoder = (
         relief_figure(measured),

@@ -14,6 +14,7 @@ from matplotlib.ticker import MultipleLocator
 from scipy.interpolate import RegularGridInterpolator
 
 from reconstruction.arrays import FloatArray, Levels
+from reconstruction.colour_maps import maps_in_order
 from reconstruction.integration_schemes import schemes_in_order
 from twin.config.lamps import Lamp
 from twin.config.models import Experiment
@@ -37,7 +38,7 @@ from twin.report.canvas import (
 )
 from twin.report.pixel_panels import Masked, show_z, true_scale, width_mm
 from twin.report.section import Trace, face_profile, trace_through_apexes
-from twin.results.decoders import MAP_ORDER, DecodedImage, decoder_name
+from twin.results.decoders import DecodedImage, decoder_name
 from twin.results.record import Measurement
 from twin.results.score import wanted_pixels
 
@@ -170,8 +171,8 @@ def draw_errors(path: Path, measured: Measurement) -> None:
 
 def _lines(measured: Measurement) -> list[list[DecodedImage]]:
     lines = [
-        [decoder for decoder in measured.colours.decoded if decoder.colour_map == kind]
-        for kind in MAP_ORDER
+        [decoder for decoder in measured.colours.decoded if decoder.colour_map == kind.name]
+        for kind in maps_in_order()
     ]
     return [line for line in lines if line]
 
@@ -212,7 +213,7 @@ def _mark_field(axes: Axes, measured: Measurement) -> None:
 
 _SAMPLES = 601
 _COLOURS = (MEASURED, FIT, NOMINAL, "#8c6d31", "#7b4173")
-_STYLES = {"polynomial": "-", "table": ":"}
+_STYLES = ("-", ":", "--", "-.")
 
 
 def draw_sections(path: Path, measured: Measurement) -> None:
@@ -256,11 +257,12 @@ def profile_mm(
 
 def _line(axes: Axes, s_mm: FloatArray, values: FloatArray, decoder: DecodedImage) -> None:
     place = [scheme.name for scheme in schemes_in_order()].index(decoder.integration)
+    line = [kind.name for kind in maps_in_order()].index(decoder.colour_map)
     axes.plot(
         s_mm,
         values,
         color=_COLOURS[place % len(_COLOURS)],
-        ls=_STYLES[decoder.colour_map],
+        ls=_STYLES[line % len(_STYLES)],
         lw=1.2,
         label=decoder_name(decoder),
     )

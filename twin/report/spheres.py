@@ -29,10 +29,11 @@ from twin.report.page import Figure, Section
 from twin.report.relief import average_on_grid, draw_cells
 from twin.report.section import Trace, trace_through_apexes
 from twin.report.table import Cell, Column, Table
+from twin.results.balls import SphereScore, region_of
 from twin.results.decoders import decoder_name
 from twin.results.object_points import is_covered
 from twin.results.record import Colours, Measurement
-from twin.results.score import SphereScore, region_of, wanted_pixels
+from twin.results.score import wanted_pixels
 
 _MAP_CELLS, _BINS, _CURVE_POINTS = 200, 81, 201
 # Radii of the fit regions, as shares of the ball's radius; largest number of points for a fit.

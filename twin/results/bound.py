@@ -31,13 +31,13 @@ from twin.config.measurands import MEASURANDS, ObjectMeasurand
 from twin.config.models import Experiment
 from twin.mechanics import PressedElastomer
 from twin.optics.stack import Truth
+from twin.results.balls import region_of
 from twin.results.features import Feature, feature_of, features_of
 from twin.results.figures import Metric
 from twin.results.object_fits import fit, require_determined
 from twin.results.object_points import ObjectView, seen_object
 from twin.results.prediction import PredictedMaps
 from twin.results.quantities import measurands_of
-from twin.results.score import region_of
 from twin.specimens import shape_of
 
 _ALWAYS = ("predicted_sigma_z_um", "predicted_share")

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from reconstruction.arrays import Levels
+from reconstruction.colour_maps import COLOUR_MAPS, maps_in_order
 from reconstruction.integration_schemes import SCHEMES, schemes_in_order
 from reconstruction.photometric import (
     HeightMap,
@@ -16,20 +17,16 @@ from reconstruction.photometric import (
     PhotometricOptions,
     SensorCalibration,
 )
-from reconstruction.photometric.sensor import MapKind
 from twin.config.models import Experiment
 from twin.optics.stack import Truth
 from twin.results.score import HeightScore, Scores, score_heights
-
-MAP_ORDER: tuple[MapKind, ...] = ("polynomial", "table")
-MAP_NAMES = {"polynomial": "polynomial", "table": "look-up table"}
 
 
 @dataclass(frozen=True, eq=False)
 class DecodedImage:
     """Heights and score of one image, decoded by one colour map and one integration."""
 
-    colour_map: MapKind
+    colour_map: str
     integration: str
     heights: HeightMap
     score: Scores[HeightScore]
@@ -52,7 +49,7 @@ class DecodedImage:
 def decode_all(
     experiment: Experiment,
     image: Levels,
-    calibrations: Mapping[MapKind, SensorCalibration],
+    calibrations: Mapping[str, SensorCalibration],
     truth: Truth,
 ) -> list[DecodedImage]:
     """Decode and score an image by every given colour map and every integration.
@@ -67,9 +64,9 @@ def decode_all(
     FitError : no pixel within `photometric.field` has a height
     """
     return [
-        decode_one(experiment, image, calibrations[kind], (kind, scheme.name), truth)
-        for kind in MAP_ORDER
-        if kind in calibrations
+        decode_one(experiment, image, calibrations[kind.name], (kind.name, scheme.name), truth)
+        for kind in maps_in_order()
+        if kind.name in calibrations
         for scheme in schemes_in_order()
     ]
 
@@ -78,7 +75,7 @@ def decode_one(
     experiment: Experiment,
     image: Levels,
     calibration: SensorCalibration,
-    decoder: tuple[MapKind, str],
+    decoder: tuple[str, str],
     truth: Truth,
 ) -> DecodedImage:
     """Decode and score an image by one decoder: a colour map and the name of an integration.
@@ -101,4 +98,4 @@ def chosen(experiment: Experiment, decoded: list[DecodedImage]) -> DecodedImage:
 
 def decoder_name(image: DecodedImage) -> str:
     """Return the name of a decoder for plots and tables."""
-    return f"{MAP_NAMES[image.colour_map]}, {SCHEMES[image.integration].title}"
+    return f"{COLOUR_MAPS[image.colour_map].title}, {SCHEMES[image.integration].title}"

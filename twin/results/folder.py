@@ -23,7 +23,8 @@ By photometric stereo:
 |---|---|
 | image.png, background.png | images as the sensor's driver delivers them, 8-bit RGB |
 | sensor_calibration.npz | the sensor's colour map (see `read_sensor_calibration`) |
-| other_calibration.npz | the other kind of colour map, on the same reference images |
+| other_calibration.npz | another colour map, on the same reference images |
+| other_calibration_2.npz, ... | further colour maps, with plug-ins |
 | height.nc | height, slopes and reason codes |
 | decoders.csv | figures of this image by every colour map and every integration |
 
@@ -44,14 +45,11 @@ from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.machine import run_side_by_side
 from reconstruction.photometric import (
-    SensorCalibration,
     read_sensor_calibration,
     write_height_map,
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.photometric.colour_maps import ColourTable
-from reconstruction.photometric.sensor import MapKind
 from reconstruction.pipeline import read_reconstruction, write_reconstruction
 from reconstruction.reading import is_regular, read_json, read_pixels
 from reconstruction.writing import write_png
@@ -79,6 +77,7 @@ from twin.results.under_sheet import SheetCompensation, sheet_compensation
 
 IMAGE_FILE, BACKGROUND_FILE, DECODERS_FILE = "image.png", "background.png", "decoders.csv"
 CALIBRATION_FILE, OTHER_CALIBRATION_FILE = "sensor_calibration.npz", "other_calibration.npz"
+_FURTHER_FILES = "other_calibration_{}.npz"
 TRUTH_FILE, MAPS_FILE, HEIGHTS_FILE = "truth.nc", "reconstruction.nc", "height.nc"
 
 _MEASURING_COMMANDS = ("measure", "demo")
@@ -223,10 +222,11 @@ def _write_white(path: Path, images: Fringes) -> None:
 
 
 def _write_decoding(folder: Path, images: Colours) -> None:
+    others = [kind for kind in images.calibrations if kind != images.own.colour_map]
+    numbered = [_FURTHER_FILES.format(number) for number in range(2, len(others) + 1)]
+    files = dict(zip(others, [OTHER_CALIBRATION_FILE, *numbered], strict=False))
     for kind, calibration in images.calibrations.items():
-        own = kind == images.own.colour_map
-        file = CALIBRATION_FILE if own else OTHER_CALIBRATION_FILE
-        write_sensor_calibration(folder / file, calibration)
+        write_sensor_calibration(folder / files.get(kind, CALIBRATION_FILE), calibration)
     write_decoders(folder / DECODERS_FILE, images.decoded)
 
 
@@ -258,12 +258,11 @@ def _read_fringes(
 def _read_colours(
     folder: Path, experiment: Experiment, truth: Truth
 ) -> tuple[Colours, Scores[TruthScore]]:
-    image, files = _read_image(folder / IMAGE_FILE), (CALIBRATION_FILE, OTHER_CALIBRATION_FILE)
-    calibrations: dict[MapKind, SensorCalibration] = {}
-    for calibration in (read_sensor_calibration(folder / file) for file in files):
-        calibrations[
-            "table" if isinstance(calibration.colour_map, ColourTable) else "polynomial"
-        ] = calibration
+    image = _read_image(folder / IMAGE_FILE)
+    further = sorted(folder.glob(_FURTHER_FILES.format("*")))
+    files = [folder / CALIBRATION_FILE, folder / OTHER_CALIBRATION_FILE, *further]
+    read = [read_sensor_calibration(file) for file in files]
+    calibrations = {calibration.colour_map.name: calibration for calibration in read}
     decoded = decode_all(experiment, image, calibrations, truth)
     own = chosen(experiment, decoded)
     return Colours(image, calibrations, decoded, own), own.score

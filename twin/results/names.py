@@ -11,6 +11,7 @@ from reconstruction.evaluate.conformity import CombinedUncertainty
 from twin.config.models import Experiment
 from twin.config.nominal import NominalHexNut
 from twin.mechanics.choice import is_slab, may_wrap
+from twin.results.balls import region_name, sphere_names
 from twin.results.bound import bound_names, has_bound
 from twin.results.compensated import slab_bound_name, slab_name
 from twin.results.features import bars_of, feature_of, features_of
@@ -25,7 +26,7 @@ from twin.results.object_score import (
 )
 from twin.results.quantities import measurands_of, nominal_mm
 from twin.results.rods import single_section
-from twin.results.score import FringeScore, HeightScore, region_name, sphere_names
+from twin.results.score import FringeScore, HeightScore
 from twin.specimens import shape_of
 
 OF_A_PRESS = (

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from reconstruction.arrays import BoolImage, FloatImage, Levels, Reason
 from reconstruction.capture.folder import Capture, read_capture
 from reconstruction.photometric import HeightMap, SensorCalibration
-from reconstruction.photometric.sensor import MapKind
 from reconstruction.pipeline import Reconstruction
 from twin.config import Experiment
 from twin.mechanics import PressedElastomer
@@ -122,7 +121,7 @@ class Colours:
     """
 
     picture: Levels
-    calibrations: Mapping[MapKind, SensorCalibration]
+    calibrations: Mapping[str, SensorCalibration]
     decoded: list[DecodedImage]
     own: DecodedImage
 

@@ -4,17 +4,17 @@ import os
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import isfinite
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from reconstruction.errors import InputError
 from reconstruction.machine import is_disk_full, threads
-from reconstruction.registry import load_inherited_plugins
+from reconstruction.registry import load_inherited_plugins, load_plugin, plugin_files
 from twin.config import Experiment
 from twin.pipeline import Memory
 from twin.results.parts import write_result, write_timings
@@ -69,6 +69,17 @@ class Batch:
     cases: tuple[tuple[str, Experiment, Conditions], ...]
     keep: tuple[str, ...] = ()
     make_measurer: MakeMeasurer = DEFAULT_MEASURING
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle with the paths of the plug-in files, which are loaded before the experiments."""
+        return _batch_after, (plugin_files(),), vars(self)
+
+
+def _batch_after(plugins: Sequence[Path]) -> Batch:
+    """Return a batch without attributes, after loading plug-ins; experiments have their classes."""
+    for file in plugins:
+        load_plugin(file)
+    return object.__new__(Batch)
 
 
 @dataclass(frozen=True)
@@ -129,8 +140,8 @@ def die_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    # Loaded before the first batch arrives, because unpickling an experiment needs the plug-ins'
-    # modules.
+    # For tasks that are not a batch: unpickling an experiment needs the modules of its kinds. A
+    # batch loads the plug-ins itself.
     load_inherited_plugins()
 
 

@@ -16,10 +16,11 @@ first press, not when the module is imported.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Protocol, cast
+from typing import ClassVar, Protocol, TypeVar, cast
 
 from reconstruction.registry import Registry
 from twin.config import elastomer_models
+from twin.config.base import Model
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics.errors import PressError
 from twin.mechanics.press import PressedElastomer, check_load, press
@@ -27,6 +28,7 @@ from twin.mechanics.validity import DEFLECTION_OVER_THICKNESS_LIMIT, SHEET_THICK
 from twin.shape import Shape
 from twin.specimens import shape_of
 
+Settings = TypeVar("Settings", bound=Model)
 Progress = Callable[[float], None]
 """Function that a model calls with the finished fraction of a press, 0 to 1."""
 
@@ -39,6 +41,16 @@ class PressInput:
     specimen: Specimen
     elastomer: Elastomer
     load: Press
+
+    def settings(self, model: str, kind: type[Settings]) -> Settings:
+        """Return the table `[mechanics.settings.MODEL]`; its defaults if the experiment has none.
+
+        Parameters
+        ----------
+        kind : data model of the table, the `settings` of that model
+        """
+        table = self.mechanics.settings.get(model)
+        return table if isinstance(table, kind) else kind()
 
     @cached_property
     def shape(self) -> Shape:

@@ -2,9 +2,8 @@
 
 Files and their parameters are those of J. Dupuy and W. Jakob, ACM Trans. Graph. 37, 274 (2018).
 Mitsuba's own `measured` needs a spectral variant, but the twin uses a monochromatic variant. This
-module therefore interpolates the table to one wavelength, normally that of the projector. For
-indirect light (`render.bounces`) the directions of reflection are drawn in proportion to the
-cosine, so that a glossy table needs more `bounce_paths`.
+module therefore interpolates the table to one wavelength, normally that of the projector.
+`reflectance_table` evaluates the table and draws directions by it.
 """
 
 import struct
@@ -75,73 +74,41 @@ def _enter_plugin(variant: str) -> None:
     """Register the BSDF of tables with the current Mitsuba variant, once for each variant."""
     dr: Any = import_module("drjit")
     mi: Any = import_module("mitsuba")
+    from twin.optics.reflectance_table import ReflectanceTable
 
     class Table(mi.BSDF):  # type: ignore[misc]
-        """A measured table as a BSDF; variables are named as by Dupuy and Jakob (2018)."""
+        """A table as a BSDF."""
 
         def __init__(self, properties: Any) -> None:
             mi.BSDF.__init__(self, properties)
             self.m_components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
             self.m_flags = self.m_components[0]
             fields = _fields(properties["filename"], properties["stamp"])
-            spectra = _at_wavelength(fields, properties["wavelength_nm"])
-            angles = [fields["phi_i"].tolist(), fields["theta_i"].tolist()]
-            self._is_isotropic = len(angles[0]) <= 2
-            self._has_jacobian = bool(fields["jacobian"][0])
-            self._vndf = mi.MarginalContinuous2D2(fields["vndf"], angles)
-            self._spectra = mi.MarginalContinuous2D2(spectra, angles, False, False)
-            faces = (fields["ndf"], fields["sigma"])
-            self._ndf, self._sigma = (
-                mi.MarginalContinuous2D0(face, [], False, False) for face in faces
+            self._table = ReflectanceTable(
+                fields, _at_wavelength(fields, properties["wavelength_nm"])
             )
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            theta_i, phi_i = _spherical(si.wi)
-            theta_m, phi_m = _spherical(dr.normalize(si.wi + wo))
-            u_m = _unit_square(theta_m, phi_m - phi_i if self._is_isotropic else phi_m)
-            u_m.y -= dr.floor(u_m.y)
-            angles = mi.Vector2f(phi_i, theta_i)
-            value = self._spectra.eval(self._vndf.invert(u_m, angles, active)[0], angles, active)
-            if self._has_jacobian:
-                sigma = self._sigma.eval(_unit_square(theta_i, phi_i))
-                value *= self._ndf.eval(u_m) / (4.0 * sigma)
-            return mi.Color1f(dr.select(active & (si.wi.z > 0.0) & (wo.z > 0.0), value, 0.0))
+            return self.eval_pdf(ctx, si, wo, active)[0]
 
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return dr.select(si.wi.z > 0.0, mi.warp.square_to_cosine_hemisphere_pdf(wo), 0.0)
+            return self.eval_pdf(ctx, si, wo, active)[1]
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+            value, density = self._table.value_and_density(si.wi, wo, active)
+            return mi.Color1f(value), density
 
         def sample(self, ctx: Any, si: Any, s1: Any, s2: Any, active: Any = True) -> Any:
             drawn = dr.zeros(mi.BSDFSample3f, dr.width(s2))
-            drawn.wo, drawn.eta = mi.warp.square_to_cosine_hemisphere(s2), 1.0
-            drawn.pdf = self.pdf(ctx, si, drawn.wo)
+            drawn.wo, value, drawn.pdf = self._table.draw(si.wi, s2, active)
+            drawn.eta = 1.0
             drawn.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
-            lit = active & (drawn.pdf > 0.0)
-            value = self.eval(ctx, si, drawn.wo, lit) / drawn.pdf
-            return drawn, mi.Color1f(dr.select(lit, value.x, 0.0))
+            return drawn, mi.Color1f(dr.select(drawn.pdf > 0.0, value / drawn.pdf, 0.0))
 
         def to_string(self) -> str:
             return f"{_PLUGIN}[]"
 
     mi.register_bsdf(_PLUGIN, Table)
-
-
-def _spherical(direction: Any) -> tuple[Any, Any]:
-    """Return the polar angle (to the normal, z) and the azimuth of unit vectors, rad."""
-    import drjit as dr
-
-    chord = dr.norm(direction - type(direction)(0.0, 0.0, 1.0))
-    return 2.0 * dr.safe_asin(0.5 * chord), dr.atan2(direction.y, direction.x)
-
-
-def _unit_square(theta: Any, phi: Any) -> Any:
-    """Return the table coordinates (0 to 1) of polar angle `theta` and azimuth `phi`, rad."""
-    import drjit as dr
-    import mitsuba as mi
-
-    return mi.Point2f(dr.sqrt(theta * (2.0 / np.pi)), (phi + np.pi) / (2.0 * np.pi))
 
 
 @lru_cache(maxsize=2)

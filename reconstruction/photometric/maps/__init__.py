@@ -1,0 +1,1 @@
+"""The built-in colour maps, see `reconstruction.colour_maps`."""
