@@ -59,9 +59,8 @@ def decode(
     options : filter and masks; None: the defaults of `DecodeOptions`
     scale : (row, col) float32, factor by which each pixel's DN above the black level was
         multiplied, see `merge_exposures`; None: 1 everywhere
-    response : response of the projector. The phase error that its harmonics cause is subtracted;
-        the uncertainty of this error is included in sigma and in the probability of a wrong order.
-        None: linear response
+    response : projector response. The phase error by its harmonics is subtracted; the uncertainty
+        of this error is part of sigma and of the probability of a wrong order. None: linear
     unwrap : function of the caller that numbers the fringes of one axis, see `codes.Unwrap`; None:
         the rule of the pattern code
 
