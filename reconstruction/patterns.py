@@ -81,7 +81,7 @@ class PatternSet:
     inverse : whether the inverse of every Gray frame is shown, for comparison with that frame
     uniform : whether a white and a black frame are shown
     first_shifts_deg : phase at x = 0 of the first phase step, degrees, of every period along
-        columns, then of every period along rows; for the shown axes only; (): all 0
+        the column axis, then of every period along the row axis; for the shown axes only; (): all 0
     """
 
     width_px: int
@@ -139,11 +139,11 @@ class PatternSet:
 
     @property
     def periods_px(self) -> tuple[float, ...]:
-        """All fringe periods along columns in the order of projection; the measuring one first."""
+        """Fringe periods along the column axis, px, in projection order, measuring one first."""
         return (self.period_px, *self.further_periods_px)
 
     def periods_along(self, axis: Axis) -> tuple[float, ...]:
-        """Return all fringe periods along `axis`, px; the measuring period first."""
+        """Return the fringe periods along `axis`, px, in projection order, measuring one first."""
         return self.row_periods_px if axis == "row" and self.row_periods_px else self.periods_px
 
     def period_along(self, axis: Axis) -> float:
@@ -165,7 +165,10 @@ class PatternSet:
         return AxisFringes(self.length_px(axis), self.periods_along(axis))
 
     def fused_periods(self, axis: Axis) -> tuple[float, ...]:
-        """Return the fringe periods, px, of the phases that give the coordinate along `axis`."""
+        """Return the fringe periods, px, of the phases that give the coordinate along `axis`.
+
+        With a multi-frequency code these are all periods, with other codes the measuring period.
+        """
         periods_px = self.periods_along(axis)
         return periods_px if self.kind.rule is Rule.CHAIN else periods_px[:1]
 
@@ -259,7 +262,7 @@ class PatternSet:
         return self.periods_along(axis)[fringes], self.shifts(axis, fringes)[step]
 
     def shifts(self, axis: Axis, fringes: int) -> tuple[float, ...]:
-        """Return the phase shift of each step, turns, of the period with index `fringes`."""
+        """Return the phase shifts, turns, of the steps of period `periods_along(axis)[fringes]`."""
         first = 0.0
         if self.first_shifts_deg:
             place = self.axes.index(axis) * len(self.periods_px) + fringes

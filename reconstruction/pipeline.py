@@ -37,7 +37,7 @@ class ReconstructOptions:
     ----------
     decode : options of decoding
     use : projector coordinate from which the depth is computed, see `triangulate`
-    tolerance : largest allowed distance of a decoded coordinate from the triangulated point
+    tolerance : largest allowed distance of a decoded coordinate from that of the triangulated point
     through_layers : refract the rays at the calibration's plane layers; False: triangulate as if
         there were only air above the surface, like software without a layer model
     """

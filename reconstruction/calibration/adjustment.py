@@ -121,7 +121,8 @@ def adjust(
     observations : one per board pose
     start : starting values
     options : estimated parameters and corrections; None: the defaults
-    most_rms_px : largest allowed RMS of all residuals after the first of several solutions
+    most_rms_px : largest allowed RMS, px, of all residuals after the first of the `TURNS` least
+        squares solutions
 
     Raises
     ------

@@ -278,7 +278,8 @@ def locate_features(calibration: Calibration, observation: Observation) -> Float
     """Return the triangulated positions of the features of a board, (n, 3) mm, world frame.
 
     The dimensions of the board are used only to correct the perspective bias of dot centres, an
-    effect below a micrometre. Therefore distances between the points are measurements.
+    effect below a micrometre. Otherwise the distances between the points do not depend on the
+    board's nominal dimensions.
     """
     camera = calibration.camera
     T = _rough_pose(calibration, observation)

@@ -63,8 +63,8 @@ class Capture:
     sensor : camera noise
     calibration : geometry of the rig; its camera has the image size of the stack
     bit_depth : bits per pixel value, 8 to 16
-    scale : (row, col) float32, factor of each pixel by which its exposure was scaled before merging
-        (see `merge_exposures`); None: a single exposure
+    scale : (row, col) float32, factor by which each pixel's DN above the black level was
+        multiplied, see `merge_exposures`; None: a single exposure
     response : response of the projector; None: it is unknown and assumed linear
 
     Raises
@@ -174,7 +174,8 @@ def write_capture(folder: Path | str, capture: Capture) -> None:
 def read_capture(folder: Path | str) -> Capture:
     """Read a capture from its folder, or from the subfolder `capture/` of `folder`.
 
-    The order of the frames is checked. Image files of several exposures are merged.
+    The frames are compared with the order that capture.toml states. Image files of several
+    exposures are merged.
 
     Raises
     ------

@@ -59,8 +59,8 @@ def decode(
     options : filter and masks; None: the defaults of `DecodeOptions`
     scale : (row, col) float32, factor by which each pixel's DN above the black level was
         multiplied, see `merge_exposures`; None: 1 everywhere
-    response : of the projector; the phase error by its harmonics is subtracted, and the uncertainty
-        of this error is part of sigma and of the order's error probability; None: linear response
+    response : projector response. The phase error by its harmonics is subtracted; the uncertainty
+        of this error is part of sigma and of the probability of a wrong order. None: linear
     unwrap : function of the caller that numbers the fringes of one axis, see `codes.Unwrap`; None:
         the rule of the pattern code
 

@@ -29,7 +29,7 @@ PIXELS, LEAST_PIXELS = 20_000, 200
 def micro_periods(
     stack: Stack, patterns: PatternSet, sensor: SensorNoise, scale: FloatImage | None
 ) -> tuple[MicroPeriods, MicroPeriods]:
-    """Return the periods along columns and rows, with the relative modulation of single images.
+    """Return the periods along column and row axis, with the relative modulation of single images.
 
     The modulation is estimated from a subset of the pixels, which are first decoded without a
     correction for blur.

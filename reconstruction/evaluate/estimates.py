@@ -149,7 +149,7 @@ def step_between(
 
 
 def fit_linear(design: FloatArray, z_mm: FloatArray) -> FittedDimension:
-    """Fit the parameters p of heights z = design p without outliers; the value is p[0].
+    """Fit the parameters p of heights z = design p, outliers excluded; the value is p[0].
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def v_groove(s_mm: FloatArray, z_mm: FloatArray, depth_mm: float, width_mm: floa
 
 
 def ball_radius(points_mm: FloatArray) -> tuple[FittedDimension, BallFit]:
-    """Fit a ball to points (n, xyz) without outliers; the value is its radius.
+    """Fit a ball to points (n, xyz), outliers excluded; the value is its radius.
 
     Raises
     ------
@@ -284,7 +284,7 @@ def ball_radius_of_all(points_mm: FloatArray) -> FittedDimension:
 
 
 def cylinder_radius(points_mm: FloatArray, axis: FloatArray) -> tuple[FittedDimension, CylinderFit]:
-    """Fit a cylinder to points (n, xyz) without outliers; the value is its radius.
+    """Fit a cylinder to points (n, xyz), outliers excluded; the value is its radius.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ def _radius(
 def _parameters(
     design: FloatArray, z_mm: FloatArray, groups: tuple[BoolImage, ...], count: int = 1
 ) -> list[FittedDimension]:
-    """Fit heights z = design p by least squares without outliers; return the first `count` of p.
+    """Fit heights z = design p by least squares, outliers excluded; return p[:count].
 
     Outliers are determined separately in each group of points (n,) bool. Otherwise a large plateau
     could hide the outliers of a small one, or exclude its points.

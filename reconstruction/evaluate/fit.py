@@ -306,7 +306,7 @@ def inliers(residuals_mm: FloatArray) -> BoolImage:
 
 @dataclass(frozen=True, eq=False)
 class InlierFit(Generic[Shape]):
-    """Result of `fit_inliers`: a shape fitted to points without outliers.
+    """Result of `fit_inliers`: a shape fitted to points, outliers excluded.
 
     Attributes
     ----------

@@ -41,7 +41,7 @@ class Flatness:
 def flatness(points_mm: ArrayLike) -> Flatness:
     """Return the flatness deviations of points from their reference plane.
 
-    The plane is fitted by least squares, repeated without outliers.
+    The plane is fitted by least squares; the fit is repeated with the outliers excluded.
 
     Parameters
     ----------
@@ -199,8 +199,8 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
 
     z = a + b s + h d(s) is fitted to the profile. d is 1 over the middle third of the width W
     between the edges. d is 0 on each side over a stretch that starts W / 3 outside of the edge and
-    is 2 W / 3 long (ISO 5436-1, 7.2). All other points are not used. The fit is repeated without
-    outliers.
+    is 2 W / 3 long (ISO 5436-1, 7.2). All other points are not used. The fit is repeated with
+    the outliers excluded.
 
     Parameters
     ----------
@@ -229,16 +229,18 @@ def step_height(s_mm: ArrayLike, z_mm: ArrayLike, left_mm: float, right_mm: floa
 
 
 def bar_width(s_mm: ArrayLike, z_mm: ArrayLike, fraction: float = 0.5) -> BarWidth:
-    """Measure the width of a bar between the positions at a fraction of its height.
+    """Measure the width of a bar between the positions where it reaches a fraction of its height.
 
-    The ground is the median of the lowest third of the heights, the top that of the highest 10 %.
+    The ground is the median of the lowest third of the heights, the top the median of the highest
+    10 %.
 
     Parameters
     ----------
     s_mm, z_mm : (n,) float
         Positions along the profile, ascending, and heights.
     fraction : float
-        Level of the crossings above the ground over the height of the bar, between 0 and 1.
+        Height above the ground at which the width is measured, divided by the height of the bar;
+        between 0 and 1.
 
     Raises
     ------

@@ -30,7 +30,7 @@ _LEAST_POINTS = 20
 
 @dataclass(frozen=True, eq=False)
 class BallFit:
-    """Sphere fitted to the points of a ball without outliers.
+    """Sphere fitted to the points of a ball, outliers excluded.
 
     Attributes
     ----------
@@ -63,9 +63,10 @@ class BallFit:
 
 
 def fit_ball(points_mm: ArrayLike) -> BallFit:
-    """Fit a sphere to the points of a ball without outliers.
+    """Fit a sphere to the points of a ball, outliers excluded.
 
-    A fit with soft-L1 loss is the start of least squares that are repeated without outliers.
+    A fit with soft-L1 loss determines the first outliers. A least squares fit to the other points
+    is repeated, each time without the outliers of the previous fit.
     `reconstruction.evaluate.fit.fit_sphere` uses every point.
 
     Parameters
@@ -132,7 +133,7 @@ def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: Fl
 
 @dataclass(frozen=True, eq=False)
 class CylinderFit:
-    """Cylinder fitted to points without outliers.
+    """Cylinder fitted to points, outliers excluded.
 
     Attributes
     ----------
@@ -160,9 +161,9 @@ class CylinderFit:
 
 
 def fit_cylinder(points_mm: ArrayLike, axis: ArrayLike) -> CylinderFit:
-    """Fit a cylinder to points without outliers.
+    """Fit a cylinder to points, outliers excluded.
 
-    A fit with soft-L1 loss determines the outliers; least squares then use the other points.
+    A fit with soft-L1 loss determines the outliers; one least squares fit uses the other points.
 
     Parameters
     ----------
@@ -253,7 +254,9 @@ def fit_heights(
     first: BoolImage | None = None,
     most_fits: int = 20,
 ) -> InlierFit[FloatArray]:
-    """Fit the parameters p of heights z = design p by least squares, repeated without outliers.
+    """Fit the parameters p of heights z = design p by least squares, outliers excluded.
+
+    The fit is repeated, each time without the outliers of the previous one.
 
     Parameters
     ----------

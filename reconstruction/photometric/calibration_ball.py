@@ -68,7 +68,8 @@ def find_contact_circle(
     The largest region above the threshold, with holes closed, gives a first circle. This region
     includes the gel next to the contact, which the ball also deforms. The slope of a ball increases
     up to the edge of contact and decreases outside it, so the colour difference has a peak at the
-    edge in every direction. A circle is fitted to these peaks without outliers, three times.
+    edge in every direction. A circle is fitted three times, each time to the peaks that
+    are no outliers.
     """
     difference = cv2.GaussianBlur(
         np.linalg.norm(image.astype(np.float32) - background, axis=2), (0, 0), SMOOTHING_PX / 3.0

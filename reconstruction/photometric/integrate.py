@@ -247,7 +247,10 @@ def corrected(
     boundary: Boundary = "neumann",
     weights: ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the heights with the steps nearest to the slopes, in (weighted) least squares.
+    """Return the heights that best fit the slopes, in (weighted) least squares.
+
+    The difference of the heights of two neighbouring pixels is fitted to their mean slope times the
+    pitch.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ class PhotometricResult:
     Parameters
     ----------
     image : (row, col, 3) uint8, red first, cropped and resized as it was decoded
-    calibration : calibration with the current background that was used; it can be used again
+    calibration : calibration that was used, with the current background; it can be used again
     height_map : measured heights
     untouched : pixels of undeformed gel, and the change of their light
     doubts : one line of text per reason why the calibration may be wrong

@@ -121,7 +121,8 @@ def calibrate_sensor(
     pitch_mm : distance of neighbouring pixels on the surface
     kind : name of a map of `COLOUR_MAPS`, for example `polynomial` (smooth, depends on the position
         in the image) or `table` (the classic look-up table)
-    options : threshold of contact, smoothing and dots; None: the defaults of `SampleOptions`
+    options : threshold of contact, smoothing, and level of printed dots; None: the defaults of
+        `SampleOptions`
 
     Raises
     ------

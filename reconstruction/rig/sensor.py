@@ -22,7 +22,7 @@ CLIP_SIGMAS = 6.0
 def noise_variance_dn2(
     mean_dn: Any, gain_dn_per_e: Any, read_noise_e: Any, black_level_dn: Any
 ) -> Any:
-    """Return the variance, DN^2, of a pixel value with the expected value `mean_dn`.
+    """Return the temporal variance, DN^2, of a pixel value with the expected value `mean_dn`.
 
     The arguments are scalars or arrays.
 
@@ -46,9 +46,10 @@ class SensorNoise:
     gain_dn_per_e : system gain K, DN per electron
     read_noise_e : temporal dark noise sigma_d, electrons
     black_level_dn : mean pixel value without light, DN
-    saturation_dn : value of a saturated pixel, DN, mostly the largest code; see `clipped_from_dn`
-    dsnu_e : standard deviation of the dark offset from pixel to pixel, electrons; also that of the
-        value of a saturated pixel
+    saturation_dn : value of a saturated pixel without noise, DN, mostly the largest code; see
+        `clipped_from_dn`
+    dsnu_e : standard deviation over the pixels of the dark offset, electrons. The values of
+        saturated pixels have the same standard deviation
 
     Raises
     ------
@@ -88,7 +89,10 @@ class SensorNoise:
         return self.saturation_dn - CLIP_SIGMAS * self.gain_dn_per_e * spread_e - 0.5
 
     def variance_dn2(self, mean_dn: float | FloatArray) -> FloatArray:
-        """Return the variance, DN^2, of a pixel value with the expected value `mean_dn`, DN."""
+        """Return the temporal variance, DN^2, of a pixel with the expected value `mean_dn`, DN.
+
+        It is the sum of shot, dark and rounding noise; `dsnu_e` is not included.
+        """
         variance = noise_variance_dn2(
             mean_dn, self.gain_dn_per_e, self.read_noise_e, self.black_level_dn
         )

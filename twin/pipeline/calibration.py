@@ -267,13 +267,16 @@ def calibrate_rig(
 
     Parameters
     ----------
-    source : folder with one capture folder per board pose, the first of which defines the world
-        frame; or an experiment: its rig is rendered with the poses of the board file
-    board : board file, or the name of a shipped board
+    source : path of a folder with one capture folder per board pose; the first pose that is used
+        defines the world frame. Or an experiment: its rig is rendered with the poses of the board
+        file
+    board : board file, its path, or the name of a shipped board
+    options : estimated parameters and corrections; None: the defaults
 
     Raises
     ------
-    InputError : for the reasons of `calibrate_captures` or `calibrate_rendered`
+    InputError : too few poses can be used, or they do not determine the rig; for an experiment: the
+        board file has no poses, or the board is not recognised in a pose
     MissingBackend : `source` is an experiment, and there is no usable Dr.Jit backend
     """
     kinds, remedy = (Experiment, Path, str), "give an experiment, or a folder of captures"

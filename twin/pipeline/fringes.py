@@ -209,8 +209,9 @@ def render(
     Raises
     ------
     MissingBackend : there is no usable Dr.Jit backend
-    InputError : the experiment has `render.engine` "stock" (unmodified Mitsuba), which cannot
-        represent some of its properties
+    InputError : depth of field with one sample per pixel; or `render.engine` is "stock" (unmodified
+        Mitsuba), and the experiment has lens distortion or a projector aperture, which that engine
+        cannot represent
     """
     require_experiment(experiment)
     require_instance("face", face, Trimesh, "give a mesh: twin.mechanics.face_mesh(pressed)")

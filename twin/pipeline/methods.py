@@ -41,10 +41,10 @@ def measure(
     memory : cache of stage results, which this measurement reads and extends; None: no cache. The
         result has the same bytes with and without a cache
     trial : number of the repetition, which selects the temporal noise
-    bound : True to add to the figures the bound of each dimension's standard uncertainty, see
-        `twin.results.bound`
-    layer : assumed elastomer and load, by which the object under a thin sheet is computed; None:
-        those of the experiment
+    bound : whether the figures include, for each fitted dimension, the Cramer-Rao lower bound and
+        the predicted value of its standard deviation by noise, see `twin.results.bound`
+    layer : elastomer and load that are assumed when the object under a thin sheet is computed from
+        the coat; None: those of the experiment
     noise : function (mean electrons (row, col), random generator) -> electrons (row, col) that
         replaces the noise model of the experiment, see `twin.camera.NoiseFunction`; only for
         methods with fringes; None: the noise model of the experiment

@@ -65,15 +65,17 @@ def press(experiment: Experiment, memory: Memory, progress: Progress | None = No
 
 
 def press_specimen(experiment: Experiment, progress: Progress | None = None) -> PressedElastomer:
-    """Return the elastomer into which the experiment's specimen is pressed, with coat and texture.
+    """Press the experiment's specimen; return the pressed elastomer with the texture of its coat.
 
     Parameters
     ----------
-    progress : as in `press`
+    progress : function that is called with the finished share, 0 to 1, of a thin sheet's load
+        steps; None: no calls
 
     Raises
     ------
-    InputError : `experiment` is no experiment, or for the reasons of `press`
+    InputError : `experiment` is no experiment, the press is invalid, or its solver does not
+        converge
     """
     require_experiment(experiment)
     return press(experiment, Memory(), progress).pressed

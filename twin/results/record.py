@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """Measured points of the surface, one per camera pixel.
+    """Measured points, one per camera pixel: of the coat, or of the bare specimen.
 
     Attributes
     ----------
@@ -218,7 +218,8 @@ class Measurement:
         """Return measured z, true z, deviation and sigma over camera pixels, with units.
 
         World x and y are coordinates. Pixels without a point are NaN except in the map of true z,
-        and `mask_reason` gives the reason. Sigma is missing if the method predicts none.
+        and `mask_reason` gives the reason. True z is NaN at pixels that do not show the measured
+        surface. Sigma is missing if the method predicts none.
         """
         from twin.results.drawing import measurement_arrays
 
@@ -236,7 +237,7 @@ class Measurement:
 
     @property
     def points(self) -> SurfacePoints:
-        """Measured points of the surface."""
+        """Measured points, one per camera pixel: of the coat, or of the bare specimen."""
         return self.images.points
 
     @cached_property

@@ -37,7 +37,7 @@ class StudyRecord:
     points: tuple[Point, ...] | None = None
 
     def cases(self) -> Cases:
-        """Return the cases of the study; for a search, the cases at the points so far.
+        """Return the cases of the study; for a search, the cases at the points proposed so far.
 
         Those of a gradient search include cases that violate the constraints.
         """

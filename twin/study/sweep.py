@@ -117,7 +117,7 @@ def sweep(
     record : the study with its base experiment
     folder : the store; it is created if it does not exist
     workers : processes that compute the cases
-    cases : cases of the record, if they were made before; default: they are made
+    cases : cases of the record, if the caller has already built them; default: they are built
     retry : also run cases again that failed because of their experiment
     make_measurer : importable factory of the measurer of cases; default: `Measuring`
     inputs : files that must not be in the folder

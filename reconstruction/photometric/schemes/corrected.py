@@ -6,7 +6,7 @@ from reconstruction.photometric.integrate import corrected
 
 
 class CorrectedIntegration(IntegrationScheme):
-    """Integration scheme of least squares: heights with the steps nearest to the slopes."""
+    """Integration scheme of least squares: the heights that best fit the slopes."""
 
     name = "corrected"
     title = "corrected"
