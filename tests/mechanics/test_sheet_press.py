@@ -16,7 +16,14 @@ from twin.mechanics.errors import SolverError
 from twin.mechanics.press import SheetFields
 from twin.mechanics.sheet import press
 from twin.mechanics.sheet.energy import SheetState
-from twin.mechanics.sheet.linear_solver import LinearSolver, Pardiso, SuperLU, has_pardiso
+from twin.mechanics.sheet.linear_solver import (
+    ACCURACY,
+    LinearSolver,
+    Pardiso,
+    SuperLU,
+    has_pardiso,
+    threads_for,
+)
 from twin.mechanics.sheet.path import Loads
 from twin.mechanics.texture import textured
 from twin.specimens.kinds.ball import Ball
@@ -328,8 +335,8 @@ def test_linear_solvers_solve_and_know_what_is_indefinite(kind: type[LinearSolve
 def test_solutions_have_the_same_bytes_with_any_number_of_threads(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Large enough that two threads share the factors."""
-    line = sparse.diags([-1.0, 2.001, -1.0], [-1, 0, 1], (100, 100))
+    """Large enough that two threads share the factors, which are in single precision."""
+    line = sparse.diags([-1.0, 2.001, -1.0], [-1, 0, 1], (150, 150))
     near = sparse.csr_matrix(sparse.kronsum(line, line))
     matrix = sparse.csr_matrix(sparse.triu(near @ near))
     matrix.sort_indices()
@@ -339,8 +346,15 @@ def test_solutions_have_the_same_bytes_with_any_number_of_threads(
         monkeypatch.setattr("twin.mechanics.sheet.linear_solver.threads", lambda n=count: n)
         solver = Pardiso(matrix.indptr, matrix.indices)
         assert solver.factorise(matrix.data.copy())
-        result.add(solver.solve(right).tobytes())
+        solution = solver.solve(right)
+        result.add(solution.tobytes())
+        full = matrix + sparse.triu(matrix, 1).T
+        residual = np.linalg.norm(full @ solution - right) / np.linalg.norm(right)
+        assert residual < 2 * ACCURACY  # of factors in single precision alone: 2e-3
+        step = solver.solve(right, 1e-4)
+        assert np.linalg.norm(full @ step - right) < 2e-4 * np.linalg.norm(right)
     assert len(result) == 1
+    assert threads_for(matrix.shape[0]) == threads_for(10**6) > threads_for(10**4) == 1
 
 
 @pytest.mark.skipif(len(SOLVERS) < 2, reason="one solver is installed")

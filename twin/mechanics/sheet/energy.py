@@ -17,7 +17,7 @@ from reconstruction.machine import threads
 from twin.mechanics.sheet.grid import SheetGrid, functions_of, normal_of, thinning_of
 from twin.mechanics.sheet.kernel import SLOTS, Assembled, assemble_rows, scratch, surface_rows
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
-from twin.mechanics.sheet.linear_solver import LinearSolver, linear_solver
+from twin.mechanics.sheet.linear_solver import ACCURACY, LinearSolver, linear_solver, threads_for
 from twin.mechanics.sheet.point import ContactState, EvaluationOptions
 from twin.mechanics.sheet.rim import RimSpring, rim_springs
 from twin.mechanics.sheet.stencil import Stencil, control_areas, stencil
@@ -30,6 +30,9 @@ _BAND_ROWS = 8
 # is largest. Springs that act farther would increase the work of peeling: 10 % at 0.2 mm, 50 % at
 # 0.1 mm.
 _GRIPS, _LETS_GO = 0.25, 0.5
+
+# Accuracy of the solution for a step of Newton's method: the next step corrects its error.
+_OF_A_STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +229,7 @@ class Sheet:
     def _over_bands(self, rows: int, parity: int, run: Callable[[int, int], None]) -> None:
         firsts = range(parity * _BAND_ROWS, rows, 2 * _BAND_ROWS)
         bands = [(first, min(first + _BAND_ROWS, rows)) for first in firsts]
-        if len(bands) < 2 or threads() == 1:
+        if len(bands) < 2 or threads_for(self.grid.free.size) == 1:
             for band in bands:
                 run(*band)
         else:
@@ -259,15 +262,15 @@ class Sheet:
 
     def newton_step_mm(self) -> FloatArray:
         """Return the Newton step, (row + 2, col + 2, xyz), from latest forces and factorisation."""
-        return self.answer_mm(self.forces())
+        return self.answer_mm(self.forces(), _OF_A_STEP)
 
-    def answer_mm(self, forces: FloatArray) -> FloatArray:
+    def answer_mm(self, forces: FloatArray, accuracy: float = ACCURACY) -> FloatArray:
         """Return minus the solution for forces (unknown,) by the latest factorisation, mm.
 
         The shape is (row + 2, col + 2, xyz), with 0 for components that are not free.
         """
         step = np.zeros(self._forces.shape)
-        step[self.grid.free] = -self.system.solver.solve(forces)
+        step[self.grid.free] = -self.system.solver.solve(forces, accuracy)
         return step
 
     def reactions(self) -> FloatArray:

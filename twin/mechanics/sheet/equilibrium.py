@@ -38,7 +38,8 @@ _STILL_STEEP = 0.75
 _ROUNDING, _LEAST_BY_FORCES = 1e-11, 0.25
 # Factors serve a second step if the residual is less than this many times the tolerance.
 _FACTORS_SERVE = 100.0
-# Of a step: a shorter share of it does not measure the distance to the equilibrium.
+# Of a step: a shorter share of it does not measure the distance to the equilibrium, unless the
+# whole step is shorter than the tolerance: energies and forces do not resolve such a step.
 _NEARLY_WHOLE = 0.9
 
 
@@ -220,7 +221,8 @@ def _is_near(descent: _Descent) -> bool:
 
 def _end(descent: _Descent) -> SheetState | None:
     """Return the equilibrium after a step, or None if it is not reached."""
-    if descent.share <= _NEARLY_WHOLE:
+    whole_mm = float(np.abs(descent.step_mm).max())
+    if descent.share <= _NEARLY_WHOLE and whole_mm >= descent.accuracy.step_mm:
         return None
     rest = _rest_mm(descent, descent.share * descent.step_mm)
     if rest is None:
