@@ -57,7 +57,7 @@ class AxisFringes:
     Parameters
     ----------
     length_px : projector pixels along the axis
-    periods_px : all fringe periods, the measuring one first; without fringes the width of a word
+    periods_px : all fringe periods, the measuring one first; without fringes the stripe width
     """
 
     length_px: int

@@ -85,7 +85,8 @@ def uncertainty(
         temporary folder.
     measurands : names of figures, such as "sphere_1_radius_mm"; default: the main figures
     calibration : {"drawn", "true"}
-        "drawn": a new calibration of the rig in each trial; "true": always the true rig.
+        "drawn": each trial is triangulated with a rig drawn from the covariance of a calibration;
+        for photometric stereo the trials use five calibrations in turn. "true": the true rig.
     budget : True: also measure for the ranked budget. There are two measurements per input (for a
         choice, one per value), in which only this input is varied. In up to 20 further
         measurements only the noise is new. For photometric stereo with drawn calibrations, five
