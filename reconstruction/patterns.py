@@ -148,7 +148,10 @@ class PatternSet:
         return self.row_periods_px if axis == "row" and self.row_periods_px else self.periods_px
 
     def period_along(self, axis: Axis) -> float:
-        """Return the measuring period along `axis`, px; without fringes the stripe width."""
+        """Return the measuring period along `axis`, px.
+
+        Without fringes it is the length over which the integer of the code word is constant.
+        """
         return self.periods_along(axis)[0]
 
     @property

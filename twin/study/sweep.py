@@ -119,9 +119,7 @@ def sweep(
     workers : processes that compute the cases
     cases : cases of the record, if the caller has already built them; default: they are built
     retry : also run cases again that failed because of their experiment
-    watch : called with the stage and its finished fraction, 0 to 1
-    make_measurer : importable function that returns the measurer of cases in each worker; None: a
-        `Measuring`
+    make_measurer : importable function that returns each worker's measurer; None: a `Measuring`
     inputs : files that the study reads; InputError if the folder is one of them or contains one
     tell : called with a sentence if another run uses the store, and for the first failed cases
 
