@@ -69,7 +69,8 @@ class PatternSet:
     width_px, height_px : size of the projector image
     period_px : measuring period, >= 4 px: the fringe period that gives the coordinate
     steps : number N of phase steps of every period, >= 3. With code "micro" only the measuring
-        period has N steps. 0: no fringes, only code words that are `period_px` wide each
+        period has N steps. 0: no fringes, only code words, whose integer changes every
+        `period_px`
     low_level, high_level : 8-bit projector levels of black and white
     code : pattern code that numbers the fringes, a name in `codes.CODES`
     further_periods_px : fringe periods in addition to the measuring period, if the code needs them
@@ -147,7 +148,10 @@ class PatternSet:
         return self.row_periods_px if axis == "row" and self.row_periods_px else self.periods_px
 
     def period_along(self, axis: Axis) -> float:
-        """Return the measuring period along `axis`, px; without fringes the width of a word."""
+        """Return the measuring period along `axis`, px.
+
+        Without fringes it is the length over which the integer of the code word is constant.
+        """
         return self.periods_along(axis)[0]
 
     @property
@@ -178,11 +182,11 @@ class PatternSet:
 
     @property
     def sets(self) -> int:
-        """Number of periods that have N phase steps; the periods with one image follow them."""
+        """Number of periods per axis with N phase steps; periods with one image follow them."""
         return sum(self.images(number) == self.steps for number in range(len(self.periods_px)))
 
     def step_sets(self, axis: Axis) -> tuple[slice, ...]:
-        """Return the stack slices of the frames of each period with N phase steps along `axis`."""
+        """Return the stack slice of each period with N phase steps along `axis`; () if none."""
         if not self.steps or axis not in self.axes:
             return ()
         first = self.index("phase", axis).start
@@ -200,19 +204,19 @@ class PatternSet:
         return math.ceil(self.length_px(axis) / self.period_along(axis))
 
     def gray_bits(self, axis: Axis) -> int:
-        """Return the number of bits that number the periods, without any edge-safe extra bits."""
+        """Return the least number of bits that can number the periods; a code may add bits."""
         return (self.periods(axis) - 1).bit_length()
 
     def words(self, axis: Axis) -> tuple[CodeWord, ...]:
-        """Return the code words that number the fringes along `axis`; () if `axis` is not shown."""
+        """Return the code words along `axis`; () if it is not shown or the code has no words."""
         return self.kind.words(self.fringes(axis)) if axis in self.axes else ()
 
     def word_bits(self, axis: Axis) -> int:
-        """Return the number of Gray frames along `axis`."""
+        """Return the number of Gray frames along `axis`, not counting inverse frames."""
         return sum(word.bits for word in self.words(axis))
 
     def word_count(self, axis: Axis) -> int:
-        """Return the number of values of the first code word along `axis`; 1 without code words."""
+        """Return how many integers the first code word has along `axis`; 1 without code words."""
         words = self.kind.words(self.fringes(axis))
         return words[0].count(self.length_px(axis)) if words else 1
 
@@ -239,7 +243,7 @@ class PatternSet:
         return slice(indices[0], indices[-1] + 1) if indices else slice(0, 0)
 
     def profile(self, frame: PatternFrame) -> Levels:
-        """Return the levels (pixel,) uint8 along the axis of a frame; for a uniform one along x."""
+        """Return the levels (pixel,) uint8 along the axis of a frame; uniform frames: along x."""
         if frame not in self.frames:
             raise InputError(f"{frame.name} is no frame of this pattern set")
         bright = self._brightness(frame)

@@ -36,8 +36,10 @@ class ReconstructOptions:
     Parameters
     ----------
     decode : options of decoding
-    use : projector coordinate from which the depth is computed, see `triangulate`
-    tolerance : largest allowed distance of a decoded coordinate from that of the triangulated point
+    use : projector coordinate from which the depth is computed; "both": both of them, weighted by
+        1 / sigma^2. It has no effect if only one axis was decoded
+    tolerance : largest allowed difference, px, between a decoded coordinate and the projection of
+        the triangulated point, see `EpipolarTolerance`
     through_layers : refract the rays at the calibration's plane layers; False: triangulate as if
         there were only air above the surface, like software without a layer model
     """

@@ -90,7 +90,7 @@ class Adjustment:
     used : for each pose (n,) bool, features included in the fit
     spread_px : standard deviation of the camera's residuals, and that of the projector's residuals
         after subtraction of the part that the camera's residuals cause
-    degrees_of_freedom : number of residuals minus number of free parameters
+    degrees_of_freedom : number of residuals of the used features minus number of free parameters
     pixel_ratios : fy / fx of camera and projector, estimated by one further step of the adjustment
         with both ratios free
     """

@@ -98,7 +98,7 @@ class Observation:
     radii_mm : (n,) float, radii of the dots; 0 for corners
     camera_px : (n, 2) float, column and row; for a dot the centre of its image, an ellipse, not the
         image of its centre
-    projector_px : (n, 2) float, projector column and row of the board at `camera_px`
+    projector_px : (n, 2) float, decoded projector column and row at `camera_px`
     slopes : (n, 2, 2) float, d(projector column, row) / d(camera x, y) at `camera_px`
     ids : (n,) int, ids of the features on the board
     camera_size_px, projector_size_px : image size (width, height)

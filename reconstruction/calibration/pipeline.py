@@ -192,7 +192,7 @@ class Calibrated:
     poses : residuals of each pose
     checks : plausibility checks, all of them passed
     doubts : warnings about residuals that the model does not explain, and about an implausible
-        aperture, which was left out
+        aperture, without which the rig was then calibrated
     """
 
     calibration: Calibration

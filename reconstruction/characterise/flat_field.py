@@ -80,7 +80,8 @@ def prnu_of(
     ----------
     frames : (frame, row, col) DN, at least two, of a bright and uniform surface out of focus
     black_level_dn : black level of the camera
-    dsnu_dn : standard deviation of the pixels' offsets, DN
+    dsnu_dn : standard deviation of the dark offset from pixel to pixel, DN; its variance is
+        subtracted
     clipped_from_dn : level, DN, from which a pixel may be saturated, see `SensorNoise`
 
     Raises

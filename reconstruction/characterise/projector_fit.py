@@ -81,8 +81,8 @@ class ProjectorFit:
     Attributes
     ----------
     gamma : gamma of the projector
-    blur_px : standard deviation of the lens blur, projector px; see `_lens_blur` for the share of a
-        camera pixel's footprint
+    blur_px : standard deviation of the lens blur, projector px. Half of the share that a camera
+        pixel's footprint may have in the fitted blur is subtracted
     noise : photon transfer curve of the residuals; None: the residuals do not determine it
     chi2 : squared residuals divided by the predicted variance, per degree of freedom
     offset_dn, light_dn : (pixel,) level without light, o, and amplitude, s, of the fitted pixels
@@ -151,10 +151,9 @@ def fit_projector(
     stack : (frame, row, col) DN, the stack that was decoded
     patterns : projected patterns
     sensor : black level and saturation; gain and noise give only the first weights
-    decoded : projector coordinates from this stack, the starting values of u and v. Coordinates
-        that were decoded from few phase steps for a linear projector have errors of 0.1 period at
-        gamma 2. Some pixels then converge to a wrong bit edge: decode again with the fitted
-        response, and fit again
+    decoded : projector coordinates from this stack, from which the fit starts. If they were decoded
+        from few phase steps without a response, their errors are 0.1 period at gamma 2, and some
+        pixels converge to a wrong bit edge: decode again with the fitted response, and fit again
     limits : number of fitted pixels and starting values; None: the defaults of `FitLimits`
 
     Raises

@@ -57,7 +57,8 @@ class AxisFringes:
     Parameters
     ----------
     length_px : projector pixels along the axis
-    periods_px : all fringe periods, the measuring one first; without fringes the width of a word
+    periods_px : all fringe periods, the measuring one first; without fringes the length over which
+        the integer of the code word is constant
     """
 
     length_px: int

@@ -101,9 +101,9 @@ class DecodeOptions:
     gray_sigmas : a Gray level closer to its threshold than this many sigmas makes the fringe order
         uncertain if the order depends on it
     max_condition : clipped or lost frames of a pixel are excluded from its fit; a pixel with a
-        larger condition number of the remaining frames is masked (1: all frames are valid)
-    max_order_error : a pixel with a larger probability of a wrong fringe order is masked; 1: only
-        pixels with a certainly wrong order are masked
+        larger condition number of the remaining frames is masked. With all frames it is 1
+    max_order_error : a pixel with a larger probability of a wrong fringe order is masked; pixels
+        with the probability 1 are always masked
     """
 
     filter_taps: int = 8

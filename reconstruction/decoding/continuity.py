@@ -33,7 +33,7 @@ def jump_share(
     ----------
     coordinate_px : (row, col), projector px
     valid : (row, col) bool, pixels with a coordinate
-    period_px : period of the fringes, or width of a word of a Gray code without fringes
+    period_px : period of the fringes; without fringes the length over which a code word is constant
     is_word : True for a Gray code without fringes, for which cells of one word or two are left out
         because coordinates jump from word to word
 

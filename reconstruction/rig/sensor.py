@@ -46,10 +46,10 @@ class SensorNoise:
     gain_dn_per_e : system gain K, DN per electron
     read_noise_e : temporal dark noise sigma_d, electrons
     black_level_dn : mean pixel value without light, DN
-    saturation_dn : value of a saturated pixel without noise, DN, mostly the largest code; see
-        `clipped_from_dn`
-    dsnu_e : standard deviation over the pixels of the dark offset, electrons. The values of
-        saturated pixels have the same standard deviation
+    saturation_dn : value of a saturated pixel without noise, DN, mostly the largest value of the
+        converter; see `clipped_from_dn`
+    dsnu_e : standard deviation of the dark offset from pixel to pixel, electrons. The offset is
+        also added to the values of saturated pixels
 
     Raises
     ------

@@ -47,11 +47,11 @@ Use = Literal["column", "row", "both"]
 
 @dataclass(frozen=True)
 class EpipolarTolerance:
-    """Largest allowed distance between a decoded coordinate and that of the triangulated point.
+    """Largest allowed difference of a decoded coordinate from the projection of the point.
 
-    The coordinate of the point is that of its projection into the projector. The default is one
-    projector pixel. Real calibrations have smaller errors, some 0.1 px, and a wrong fringe order
-    has a larger one, a whole period.
+    The projection is that of the triangulated point into the projector. The default allows one
+    projector pixel plus five standard deviations. Errors of real calibrations are smaller, some
+    0.1 px; a wrong fringe order causes a larger difference, a whole period.
 
     Parameters
     ----------
@@ -128,9 +128,9 @@ def triangulate(
     ----------
     decoded : projector coordinates of every camera pixel, along one axis or both
     calibration : geometry of the rig, for the image size of `decoded`
-    use : coordinate that determines the depth. The other one is only compared with the projection
-        of the point. If only one axis was decoded, `use` must be that axis, and there is no
-        comparison
+    use : coordinate that determines the depth; "both": both of them, weighted by 1 / sigma^2. Each
+        decoded coordinate is compared with the projection of the point. If only one axis was
+        decoded, `use` must be that axis, and there is no comparison
     tolerance : pixels with a larger difference get the reason EPIPOLAR_MISMATCH
 
     Raises

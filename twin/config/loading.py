@@ -86,7 +86,16 @@ def decode_settings(**values: Any) -> Decode:
 
 
 def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
-    """Return a copy of an experiment with values replaced by dotted path, and validate it."""
+    """Return a validated copy of an experiment with some values replaced.
+
+    Parameters
+    ----------
+    changes : new values by the dotted path of their key, for example {"camera.binning": 2}
+
+    Raises
+    ------
+    ConfigError : a path does not exist, or the changed experiment is invalid
+    """
     require_experiment(experiment)
     tree = experiment.model_dump(mode="python")
     _assign_all(tree, changes)

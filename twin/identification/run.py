@@ -56,6 +56,9 @@ def identify(
         Output folder; the simulations are stored in its subfolder `studies`.
     workers : Workers
         Processes that simulate; the result does not depend on their number.
+    watch : called with the stage and its finished fraction, 0 to 1
+    make_measurer : function that returns the measurer of cases in each worker
+    inputs : files that the problem reads; InputError if `folder` is one of them or contains one
 
     Raises
     ------

@@ -287,8 +287,9 @@ def compare(
     out : folder of the comparison; a comparison that it already contains is continued
     fill : function that measures one experiment into a folder; the folder gets its final name when
         the function has returned
+    watch : called with the stage and its finished fraction, 0 to 1
     plan : sensor and load of photometric stereo; None: a GelSight Mini under the same force
-    inputs : input files, which must not be in `out`, see `claim`
+    inputs : files that the experiments read; InputError if `out` is one of them or contains one
 
     Returns
     -------

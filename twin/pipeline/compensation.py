@@ -320,7 +320,9 @@ def with_compensation(done: Measurement, layer: SensorLayer | None = None) -> Me
 
     Parameters
     ----------
-    layer : assumed elastomer and load; None: those of the measurement, or of its experiment
+    done : the measurement
+    layer : assumed elastomer and load; None: those of the measurement, or of its experiment. Under
+        a thin sheet, another layer also changes the other figures of the object
     """
     require_instance("done", done, Measurement, "give a result of twin.measure")
     if not isinstance(done.images, Fringes):

@@ -85,11 +85,11 @@ def uncertainty(
         temporary folder.
     measurands : names of figures, such as "sphere_1_radius_mm"; default: the main figures
     calibration : {"drawn", "true"}
-        "drawn": a new calibration of the rig in each trial; "true": always the true rig.
-    budget : True: also measure for the ranked budget. There are two measurements per input (for a
-        choice, one per value), in which only this input is varied. In up to 20 further
-        measurements only the noise is new. For photometric stereo with drawn calibrations, five
-        further measurements calibrate the sensor again
+        "drawn": each trial is triangulated with a rig drawn from the covariance of a calibration;
+        for photometric stereo the trials use five calibrations in turn. "true": the true rig.
+    budget : True: also measure for the ranked budget: two measurements per input (for a choice, one
+        per value), in which only this input is varied, and up to 20 with new noise only. For
+        photometric stereo with drawn calibrations, five more measurements recalibrate the sensor
     seed : seed of all random draws; default: the seed in the file of inputs
     workers : Workers or int
         The workers, or a number of processes on this machine.

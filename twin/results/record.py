@@ -270,9 +270,9 @@ class Measurement:
 
     @property
     def pixel_mm(self) -> float:
-        """Width of a camera pixel on the measured surface, mm.
+        """Width of a camera pixel at the height z = 0 of the world, mm.
 
-        It is taken on the flat coated face, or at the highest point of a bare specimen.
+        The undeformed coated face is at this height, or the highest point of a bare specimen.
         """
         if isinstance(self.images, Colours):
             return self.images.heights.pitch_mm

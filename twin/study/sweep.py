@@ -119,9 +119,9 @@ def sweep(
     workers : processes that compute the cases
     cases : cases of the record, if the caller has already built them; default: they are built
     retry : also run cases again that failed because of their experiment
-    make_measurer : importable factory of the measurer of cases; default: `Measuring`
-    inputs : files that must not be in the folder
-    tell : called with a sentence if another run uses the store, and on the first failures
+    make_measurer : importable function that returns each worker's measurer; None: a `Measuring`
+    inputs : files that the study reads; InputError if the folder is one of them or contains one
+    tell : called with a sentence if another run uses the store, and for the first failed cases
 
     Raises
     ------
