@@ -65,6 +65,7 @@ def diagnose() -> list[Finding]:
         _packages,
         _backend,
         _cuda,
+        _sheet_solver,
         _cores,
         _memory,
         _compiled_kernels,
@@ -128,6 +129,18 @@ def _cuda() -> list[Finding]:
     devices = sorted(path.name for path in Path("/dev").glob("nvidia[0-9]*"))
     detail = ", ".join(devices) or "no device, the CPU is used"
     return [Finding("cuda", True, detail)]
+
+
+def _sheet_solver() -> list[Finding]:
+    """Name the linear solver of thin sheets; without PARDISO presses take 3 to 4 times as long."""
+    from twin.mechanics.sheet.linear_solver import has_pardiso
+
+    if has_pardiso():
+        return [Finding("thin-sheet solver", True, "PARDISO (pypardiso)")]
+    detail = "SuperLU (SciPy), takes 3 to 4 times as long as PARDISO"
+    if platform.machine() in {"x86_64", "AMD64"}:
+        detail = f"{detail}; to get PARDISO: {install('fast')}"
+    return [Finding("thin-sheet solver", True, detail)]
 
 
 def _cores() -> list[Finding]:

@@ -60,3 +60,15 @@ def test_unwritable_numba_cache_is_reported(monkeypatch):
     finding = by_name()["numba cache"]
     assert not finding.ok
     assert "NUMBA_CACHE_DIR" in finding.advice
+
+
+def test_the_linear_solver_of_thin_sheets_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without PARDISO the command that installs it is printed."""
+    monkeypatch.setattr("twin.mechanics.sheet.linear_solver.has_pardiso", lambda: False)
+    monkeypatch.setattr("platform.machine", lambda: "x86_64")
+    slow = by_name()["thin-sheet solver"]
+    assert slow.ok
+    assert "SuperLU" in slow.detail
+    assert "[fast]" in slow.detail
+    monkeypatch.setattr("twin.mechanics.sheet.linear_solver.has_pardiso", lambda: True)
+    assert by_name()["thin-sheet solver"].detail.startswith("PARDISO")
