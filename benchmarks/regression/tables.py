@@ -88,5 +88,5 @@ def _above(baselines: Baselines) -> tuple[str, ...]:
         f"On {machines}; {versions}; {span}.",
         "A case is measured again by `./run bench all --only CASE`; u is the standard uncertainty",
         "of the mean over the seeds. `./run bench all --check` compares",
-        "new values with these values and with the targets.",
+        "new values with those below and with the targets.",
     )
