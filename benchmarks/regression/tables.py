@@ -87,5 +87,6 @@ def _above(baselines: Baselines) -> tuple[str, ...]:
     return (
         f"On {machines}; {versions}; {span}.",
         "A case is measured again by `./run bench all --only CASE`; u is the standard uncertainty",
-        "of the mean over the seeds. `./run bench all --check` compares with values and targets.",
+        "of the mean over the seeds. `./run bench all --check` compares",
+        "new values with those below and with the targets.",
     )
