@@ -51,6 +51,13 @@ def pages(site) -> dict[Path, Links]:
     return {page: Links(page) for page in sorted(site.rglob("*.html"))}
 
 
+def test_no_line_of_a_page_is_a_comment_by_mistake():
+    """MyST leaves out lines that begin with a per cent sign, as text wrapped after a number may."""
+    pages = [path for path in (ROOT / "docs").rglob("*.md") if path.is_file()]
+    lines = [(page.name, line) for page in pages for line in page.read_text("utf-8").splitlines()]
+    assert [line for line in lines if line[1].startswith("%")] == []
+
+
 def test_every_document_is_a_page(site):
     documents = {
         page.relative_to(ROOT / "docs").with_suffix("")
