@@ -53,7 +53,8 @@ class LinearSolver(Protocol):
     def solve(self, right: FloatArray, accuracy: float = ACCURACY) -> FloatArray:
         """Solve for the right-hand side `right` with the latest factorisation.
 
-        The residual is at most `accuracy` of the right-hand side, both as Euclidean norms.
+        The residual is at most `accuracy` of the right-hand side, both as Euclidean norms. It may
+        be larger for a matrix so ill-conditioned that 50 iterations do not reach it.
         """
         ...
 
