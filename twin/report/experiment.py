@@ -26,6 +26,7 @@ from twin.report.page import Block, CollapsedSection, Figure, Grade, Section, Tw
 from twin.report.table import Column, Table, pairs, parts
 from twin.report.words import coating_phrase, in_words, label_of, percent, phrase, split_unit
 from twin.results.decoders import decoder_name
+from twin.results.layout import layout_figures
 from twin.results.record import Measurement
 from twin.specimens import shape_of
 
@@ -52,9 +53,30 @@ def _fringes(measured: Measurement) -> list[tuple[str, str]]:
         ("camera", _camera(measured)),
         ("projector", _projector(measured)),
         ("patterns", _patterns(measured)),
-        ("exposure", f"{measured.figures['exposure_ms']:.3g} ms per frame"),
+        ("layout", _layout(measured)),
+        ("exposure", _exposure(measured)),
         ("decoding", _decoding(measured)),
     ]
+
+
+def _layout(measured: Measurement) -> str:
+    figures = layout_figures(measured.experiment)
+    depth_mm, baseline_mm = figures.get("depth_of_field_mm"), figures.get("baseline_mm")
+    return (
+        f"field {figures['field_width_mm']:.3g} × {figures['field_height_mm']:.3g} mm from "
+        f"{figures['working_distance_mm']:.3g} mm, magnification {figures['magnification']:.3g}"
+        + (f", depth of field {depth_mm:.2g} mm" if depth_mm else "")
+        + f", Airy radius {figures['diffraction_um']:.2g} µm"
+        + (f"; baseline {baseline_mm:.3g} mm" if baseline_mm else "")
+    )
+
+
+def _exposure(measured: Measurement) -> str:
+    figures = measured.figures
+    text = f"{figures['exposure_ms']:.3g} ms per frame"
+    # Results of earlier versions have no duration.
+    duration_ms = figures.get("sequence_ms")
+    return text if duration_ms is None else f"{text}, {duration_ms:.4g} ms for all frames"
 
 
 def _colours(measured: Measurement) -> list[tuple[str, str]]:

@@ -18,6 +18,7 @@ from reconstruction.errors import InputError
 from twin.config import ConfigError, Experiment, digest, vary
 from twin.config.loading import by_method
 from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
+from twin.results.layout import KNOWN_BEFORE, layout_figures
 from twin.study.measuring import NOMINAL_CONDITIONS, Conditions
 from twin.study.needed import (
     bound_needed,
@@ -305,11 +306,13 @@ def _parts(
 
 
 def _admits(constraints: tuple[Constraint, ...], experiment: Experiment) -> bool:
-    """Return True if all constraints on fields are satisfied.
+    """Return True if all constraints on fields, and on figures of the layout, are satisfied.
 
-    Constraints on figures are checked after the measurement.
+    Constraints on other figures are checked after the measurement.
     """
+    named = {name for bound in constraints for name in (bound.value, bound.per)}
+    known = layout_figures(experiment) if named & KNOWN_BEFORE else {}
     return all(
-        _parts(experiment, {}, bound) is None or meets(experiment, {}, bound)
+        _parts(experiment, known, bound) is None or meets(experiment, known, bound)
         for bound in constraints
     )
