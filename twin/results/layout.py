@@ -88,8 +88,8 @@ def _depth_axis_warnings(experiment: Experiment) -> list[str]:
     remedy = f'decode.use = "{other}"' if other in shown else f'patterns.axes = ["{other}"]'
     return [
         f"the depth is computed from projector {used}s, which change by {by_axis[used]:.2g} px per "
-        f"mm of depth, {other}s by {by_axis[other]:.2g}; set {remedy}, or move the projector to the "
-        "other axis (projector.pose.azimuth_deg)"
+        f"mm of depth, {other}s by {by_axis[other]:.2g}; set {remedy}, or turn the baseline "
+        "(projector.pose.azimuth_deg)"
     ]
 
 
