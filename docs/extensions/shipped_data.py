@@ -61,20 +61,14 @@ class Lenses(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
-        headings = (
-            "file",
-            "lens",
-            "focal length, magnification",
-            "working distance, mm",
-            "f-number",
-            "circle, mm",
-        )
+        measures = ("focal length, magnification", "distance, mm", "f-number", "circle, mm")
+        headings = ("in scenes/lenses", "lens", *measures)
         return [table(headings, [lens_row(*entry) for entry in shipped_lenses().items()])]
 
 
 def lens_row(name: str, lens: FixedFocal | Telecentric) -> tuple[str, ...]:
     """Return the cells of one lens."""
-    circle = f"{lens.image_circle_mm:g}"
+    name, circle = name.rpartition("/")[2], f"{lens.image_circle_mm:g}"
     if isinstance(lens, Telecentric):
         size, at = f"{lens.magnification:g}, telecentric", f"{lens.working_distance_mm:g}"
         return (name, lens.model, size, at, f"{lens.working_f_number:g} (working)", circle)

@@ -15,7 +15,7 @@ def image_mm(focal_mm, distance_mm):
 
 
 def circle_mm(focal_mm, distance_mm, f_number, at_mm):
-    """Return the circle that a cone from `at_mm` leaves in the image plane of `distance_mm`."""
+    """Return the size of the cone of light from `at_mm` in the image plane of `distance_mm`."""
     focus_mm, plane_mm = image_mm(focal_mm, at_mm), image_mm(focal_mm, distance_mm)
     return focal_mm / f_number * abs(focus_mm - plane_mm) / focus_mm
 

@@ -1,4 +1,4 @@
-"""Field, lens and distance of [optics]: the rig follows, or one line says why it cannot."""
+"""Field, lens and distance of [optics]: the rig follows, or one line states the reason."""
 
 import tomllib
 

@@ -64,8 +64,8 @@ Lens = FixedFocal | Telecentric
 class Optics(Model):
     """Requested field, distance, depth and angle; keys of camera and projector follow from them.
 
-    Two of lens, field and working distance determine the third. Without a lens, `field_mm` alone or
-    `working_distance_mm` alone is met with the camera's own focal length.
+    Two of lens, field and working distance determine the third. If only `field_mm` or only
+    `working_distance_mm` is stated, the camera keeps its own focal length.
     """
 
     field_mm: tuple[Length, Length] | None = Field(

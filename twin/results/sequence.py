@@ -1,4 +1,4 @@
-"""Duration of a pattern sequence, and warnings about what a real projector cannot show.
+"""Duration of a pattern sequence, and a warning about patterns that a projector cannot show.
 
 A frame takes as long as the slowest of its three parts, because camera and projector run in step:
 
