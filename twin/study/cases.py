@@ -312,7 +312,13 @@ def _admits(constraints: tuple[Constraint, ...], experiment: Experiment) -> bool
     """
     named = {name for bound in constraints for name in (bound.value, bound.per)}
     known = layout_figures(experiment) if named & KNOWN_BEFORE else {}
-    return all(
-        _parts(experiment, known, bound) is None or meets(experiment, known, bound)
-        for bound in constraints
-    )
+    return all(_may_meet(bound, experiment, known) for bound in constraints)
+
+
+def _may_meet(bound: Constraint, experiment: Experiment, known: Mapping[str, float]) -> bool:
+    """Return False if the known figures, or a lower limit of the duration, miss a constraint."""
+    if _parts(experiment, known, bound) is not None:
+        return meets(experiment, known, bound)
+    if bound.value != "sequence_ms" or bound.per is not None or bound.at_most is None:
+        return True
+    return known.get("least_sequence_ms", 0.0) <= bound.at_most
