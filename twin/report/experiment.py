@@ -153,7 +153,7 @@ def _camera(measured: Measurement) -> str:
     pixel_um = 1e3 * measured.pixel_mm
     return (
         f"{width} × {height} px ({camera.binning} × {camera.binning} binning), "
-        f"{camera.focal_length_mm:g} mm f/{camera.f_number:g}, {camera.bit_depth} bit, "
+        f"{camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}, {camera.bit_depth} bit, "
         f"{camera.full_well_e:g} e⁻ full well, {camera.read_noise_e:g} e⁻ read noise"
         f"{_noise(camera.noise_model)}; {pixel_um:.1f} µm per pixel on the face"
     )
