@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from twin.mechanics.sheet.faces import _principal
 from twin.mechanics.sheet.splines import SplineLine, graded_line, subdivided
+from twin.mechanics.sheet.surface import faces_of
 from twin.mechanics.validity import assess_sheet, max_slope_deg, sheet_height_error_mm
 
 LINE = SplineLine(np.arange(6.0))
@@ -81,10 +81,19 @@ def test_principal_stretches():
     """Twice as long and half as wide; and a simple shear by 1: the golden ratio and its inverse."""
     along_x = np.array([[2.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
     along_y = np.array([[0.0, 0.5, 0.0], [1.0, 1.0, 0.0], [0.0, 3.0, 0.0]])
-    area2 = np.sum(np.cross(along_x, along_y) ** 2, axis=1)
+    surface = np.stack((np.zeros((3, 3)), along_x, along_y), axis=1)[None]
     golden = (1 + 5**0.5) / 2
     expected = [[2.0, 0.5], [golden, 1 / golden], [3.0, 0.5]]
-    np.testing.assert_allclose(_principal(along_x, along_y, area2), expected)
+    np.testing.assert_allclose(faces_of(surface, 0.2).stretch[0], expected)
+
+
+def test_faces_of_a_stretched_sheet():
+    """Twice as long: half as thick, and each face is half of that from the middle surface."""
+    surface = np.array([[[[1.0, 2.0, 3.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]])
+    faces = faces_of(surface, 0.2)
+    assert faces.thickness_mm[0, 0] == pytest.approx(0.1)
+    np.testing.assert_allclose(faces.upper_mm[0, 0], [1.0, 2.0, 3.05])
+    np.testing.assert_allclose(faces.lower_mm[0, 0], [1.0, 2.0, 2.95])
 
 
 def test_slopes_within_a_contact():

@@ -175,7 +175,7 @@ def _sampled(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> F
 
     The gap to each body is limited smoothly to `Sheet.reach_mm`.
     """
-    surface = np.stack(sheet.grid.evaluate(state.control_mm, x, y), axis=-2)[:, :, None]
+    surface = sheet.grid.evaluate(state.control_mm, x, y)[:, :, None]
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
     gaps = np.moveaxis(sheet.gap_mm(surface, touch)[..., 0], 0, -1)
     near = sheet.reach_mm * np.tanh(gaps / sheet.reach_mm)

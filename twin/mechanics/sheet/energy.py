@@ -14,8 +14,15 @@ import numpy as np
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.cells import box_of
 from reconstruction.machine import threads
-from twin.mechanics.sheet.grid import SheetGrid, functions_of, normal_of, thinning_of
-from twin.mechanics.sheet.kernel import SLOTS, Assembled, assemble_rows, scratch, surface_rows
+from twin.mechanics.sheet.grid import SheetGrid, normal_of, thinning_of
+from twin.mechanics.sheet.kernel import (
+    SLOTS,
+    Assembled,
+    assemble_rows,
+    curvature_rows,
+    scratch,
+    surface_rows,
+)
 from twin.mechanics.sheet.laws import Grip, Laws, Touch
 from twin.mechanics.sheet.linear_solver import ACCURACY, LinearSolver, linear_solver, threads_for
 from twin.mechanics.sheet.point import ContactState, EvaluationOptions
@@ -293,25 +300,8 @@ class Sheet:
 
     def curvature_squared(self, control_mm: FloatArray) -> FloatArray:
         """Return the mean of the two squared principal curvatures, (row, col, 4), 1/mm^2."""
-        # All functions of a fine grid at once are half a gibibyte.
-        bands = (slice(a, a + _BAND_ROWS) for a in range(0, self.grid.y.cells, _BAND_ROWS))
-        return np.concatenate([self._curvature_squared(control_mm, band) for band in bands])
-
-    def _curvature_squared(self, control_mm: FloatArray, band: slice) -> FloatArray:
-        functions = functions_of(self.grid.rest, band)
-        rows, cols = functions.shape[:2]
-        cell = np.arange(9)
-        local = control_mm[
-            np.arange(band.start, band.start + rows)[:, None, None] + cell // 3,
-            np.arange(cols)[None, :, None] + cell % 3,
-        ]
-        v = np.einsum("jiqnd,jink->djiqk", functions, local)
-        unit = normal_of(np.moveaxis(v[:3], 0, -2))
-        b11, b22, b12 = ((v[d] * unit).sum(axis=-1) for d in (3, 4, 5))
-        a11, a22, a12 = ((v[d] * v[e]).sum(axis=-1) for d, e in ((1, 1), (2, 2), (1, 2)))
-        det = a11 * a22 - a12**2
-        trace = (a22 * b11 + a11 * b22 - 2 * a12 * b12) / det
-        square: FloatArray = trace**2 / 2 - (b11 * b22 - b12**2) / det
+        square = np.zeros(self.grid.rest.area_mm2.shape)
+        curvature_rows(0, self.grid.y.cells, control_mm, self.grid.rest, square)
         return square
 
     def regripped(self, state: SheetState) -> SheetState:

@@ -54,6 +54,8 @@ class Accuracy:
     strict: bool = True
     #: anchors are updated after any step shorter than this, and after every fourth
     anchors_from_mm: float = 0.0
+    #: windows with large residuals may be solved separately, see `_settled_spots`
+    spots: bool = True
 
 
 def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
@@ -67,7 +69,9 @@ def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
         The sheet thins to a film, no direction lowers its energy, or, if `accuracy.strict` is True,
         there is no equilibrium within `accuracy.most_steps` steps.
     """
-    return _settled(_Descent(sheet, state, accuracy, spots=_slips(sheet, state)))
+    return _settled(
+        _Descent(sheet, state, accuracy, spots=accuracy.spots and slips(sheet, state.pressure_kpa))
+    )
 
 
 @dataclass(frozen=True)
@@ -256,14 +260,14 @@ def _rest_mm(descent: _Descent, made_mm: FloatArray) -> FloatArray | None:
 # ---- a definite tangent ----------------------------------------------------------------------
 
 
-def _slips(sheet: Sheet, state: SheetState) -> bool:
+def slips(sheet: Sheet, pressure_kpa: float) -> bool:
     """Return True for a sheet under pressure without anchors and tack.
 
     Its equilibrium does not depend on the load path. With anchors or tack it does, and large steps
     would deviate from the path. A sheet without pressure may be slack, with many equilibria close
     together.
     """
-    return not sheet.sticks and not sheet.laws.tack and state.pressure_kpa > 0
+    return not sheet.sticks and not sheet.laws.tack and pressure_kpa > 0
 
 
 def _definite(descent: _Descent, damping: _Damping) -> _Damping:
@@ -271,13 +275,13 @@ def _definite(descent: _Descent, damping: _Damping) -> _Damping:
 
     Return the damping that was used.
     """
-    slips = _slips(descent.sheet, descent.state)
+    once = slips(descent.sheet, descent.state.pressure_kpa)
     if not damping.convex:
-        viscosity = _exact(descent.sheet, damping, once=slips)
+        viscosity = _exact(descent.sheet, damping, once=once)
         if viscosity is not None:
             return _Damping(viscosity)
         descent.sheet.evaluate(descent.control_mm, descent.state, tangent=True, convex=True)
-        damping = damping.convexified() if slips else _Damping(convex_steps=1)
+        damping = damping.convexified() if once else _Damping(convex_steps=1)
     viscosity = max(damping.viscosity, _LEAST_VISCOSITY)
     while not descent.sheet.factorise(viscosity):
         viscosity *= _GROWTH

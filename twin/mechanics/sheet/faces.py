@@ -15,6 +15,7 @@ from reconstruction.compiling import Function, compile_and_keep, digest_of_sourc
 from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.grid import SheetGrid
 from twin.mechanics.sheet.splines import subdivided
+from twin.mechanics.sheet.surface import faces_of
 
 # As of `specimens.distance`: the same bytes on any type of CPU.
 _OPTIONS = {"nogil": True, "_nrt": False, "error_model": "numpy"}
@@ -48,20 +49,14 @@ def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
     A cell is divided into 2 to 12 parts along each axis, so that intervals are longer in wide
     cells.
     """
-    grid, h = sheet.grid, sheet.laws.thickness_mm
+    grid = sheet.grid
     x, y = _places(grid, pitch_mm)
-    middle, along_x, along_y = grid.evaluate(state.control_mm, x, y)
-    mounted = grid.evaluate(grid.mounted_mm, x, y)[0][..., :2]
-    across = np.cross(along_x, along_y)
-    area2 = (across**2).sum(axis=-1)
-    offset = h / 2 * across / area2[..., None]
+    surface = grid.evaluate(state.control_mm, x, y)
+    faces = faces_of(surface, sheet.laws.thickness_mm)
     sampled = Sampled(
-        material_mm=mounted,
-        middle_mm=middle,
-        upper_mm=middle + offset,
-        lower_mm=middle - offset,
-        thickness_mm=h / np.sqrt(area2),
-        stretch=_principal(along_x, along_y, area2),
+        material_mm=grid.evaluate(grid.mounted_mm, x, y)[..., 0, :2],
+        middle_mm=surface[..., 0, :],
+        **faces._asdict(),
     )
     return _with_margin(sampled) if grid.frame.rim_compliance_mm2_per_n else sampled
 
@@ -126,18 +121,6 @@ def _places(grid: SheetGrid, pitch_mm: float) -> tuple[FloatArray, FloatArray]:
 
 def _compiled(function: Function) -> Function:
     return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
-
-
-def _principal(along_x: FloatArray, along_y: FloatArray, area2: FloatArray) -> FloatArray:
-    """Return the principal stretches (row, col, 2), the larger first, from both derivatives.
-
-    `area2` is the squared area stretch (row, col).
-    """
-    trace = (along_x**2).sum(axis=-1) + (along_y**2).sum(axis=-1)
-    root = np.sqrt(np.maximum(trace**2 / 4 - area2, 0.0))
-    larger = trace / 2 + root
-    stretch: FloatArray = np.sqrt(np.stack((larger, area2 / larger), axis=-1))
-    return stretch
 
 
 @_compiled

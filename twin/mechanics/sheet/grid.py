@@ -15,6 +15,7 @@ import numpy.typing as npt
 from reconstruction.arrays import FloatArray
 from twin.mechanics.sheet.laws import Rest
 from twin.mechanics.sheet.splines import SplineLine
+from twin.mechanics.sheet.surface import points_on, surface_at
 
 Outline = Literal["rectangular", "round"]
 Rim = Literal["clamped", "simple"]
@@ -51,33 +52,21 @@ class SheetGrid:
     #: (row + 2, col + 2, xyz) components of the control points that may move
     free: npt.NDArray[np.bool_]
 
-    def evaluate(
-        self, control_mm: FloatArray, x: FloatArray, y: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return position, mm, and derivatives along the undeformed sheet's x and y, at a grid.
-
-        Each of the three arrays is (y, x, xyz).
+    def evaluate(self, control_mm: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return position, mm, and derivatives along the undeformed sheet, (y, x, 3, xyz).
 
         Parameters
         ----------
         control_mm : (row + 2, col + 2, xyz)
         x, y : (x,) and (y,) parameters of the grid's points, ascending
         """
-        cut = _Map(self.frame, self.x, self.y).sampled(x, y)
-        place, by_u, by_v = (
-            np.einsum(
-                "ai,ijk,bj->abk",
-                self.y.matrix(y, dy),
-                control_mm,
-                self.x.matrix(x, dx),
-                optimize=True,
-            )
-            for dx, dy in ((0, 0), (1, 0), (0, 1))
-        )
-        (xu, yu), (xv, yv), det = cut[:2], cut[2:4], cut[4]
-        along_x = (by_u * yv[..., None] - by_v * yu[..., None]) / det[..., None]
-        along_y = (by_v * xu[..., None] - by_u * xv[..., None]) / det[..., None]
-        return place, along_x, along_y
+        return surface_at(control_mm, points_on(self.x, x), points_on(self.y, y), self.cut(x, y))
+
+    def cut(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the map of the undeformed sheet at parameters x and y, see `surface_at`."""
+        if self.frame.outline == "rectangular":
+            return np.zeros((5, 0, 0))
+        return _Map(self.frame, self.x, self.y).sampled(x, y)
 
     def window(self, rows: slice, cols: slice) -> "SheetGrid":
         """Return the grid of some of the cells; control points shared with other cells are fixed.
@@ -158,9 +147,6 @@ class _Map:
 
         (X, Y) is the position on the undeformed sheet; u and v are the parameters.
         """
-        if self.frame.outline == "rectangular":
-            ones, zeros = np.ones((y.size, x.size)), np.zeros((y.size, x.size))
-            return np.stack((ones, zeros, zeros, ones, ones))
         control = self.control_mm()
         (xu, yu), (xv, yv) = (
             np.einsum(
@@ -169,17 +155,6 @@ class _Map:
             for dx, dy in ((1, 0), (0, 1))
         )
         return np.stack((xu, yu, xv, yv, xu * yv - yu * xv))
-
-
-def functions_of(rest: Rest, rows: slice = slice(None)) -> FloatArray:
-    """Return the nine spline functions of each cell at its Gauss points, (row, col, 4, 9, 6).
-
-    The last axis is the value, d/dX, d/dY, d2/dX2, d2/dY2, d2/dXdY along the undeformed sheet.
-    """
-    products = _products(rest.along_x, rest.along_y[rows])
-    if rest.turned.size:
-        products[..., 1:] = np.einsum("jiqst,jiqnt->jiqns", rest.turned[rows], products[..., 1:])
-    return products
 
 
 def normal_of(surface: FloatArray) -> FloatArray:
@@ -209,7 +184,11 @@ def _across(surface: FloatArray) -> tuple[list[FloatArray], FloatArray]:
 
 
 def _products(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
-    """Return functions as `functions_of`, but with the derivatives by the spline parameters."""
+    """Return the nine functions of each cell at its Gauss points, (row, col, 4, 9, 6).
+
+    The last axis is the value and the derivatives d/du, d/dv, d2/du2, d2/dv2, d2/dudv by the spline
+    parameters.
+    """
     orders = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1))
     # (row, col, qy, qx, b, a, derivative)
     parts = [np.einsum("jqb,ipa->jiqpba", along_y[:, :, y], along_x[:, :, x]) for x, y in orders]

@@ -17,9 +17,11 @@ from twin.mechanics.sheet.point import (
     ContactState,
     EvaluationOptions,
     Point,
+    dot,
     point_scratch,
     potentials,
 )
+from twin.mechanics.sheet.surface import normal_times_area
 from twin.mechanics.sheet.tangent import fill_tangent
 
 #: Offsets (row, col) of the upper half of the tangent's stencil, in the order of its slots.
@@ -175,6 +177,46 @@ def _surface_rows(
             for q in range(4):
                 _functions((j_row, i_col, q), rest, N, plain)
                 _place(N, c, j_row, i_col, out[j_row, i_col, q])
+
+
+def curvature_rows(first: int, end: int, c: FloatArray, rest: Rest, out: FloatArray) -> None:
+    """Write the mean of the two squared principal curvatures, 1/mm^2, to `out` (row, col, 4).
+
+    Parameters
+    ----------
+    first, end : index of the first row of cells, and of the row after the last one
+    c : (row + 2, col + 2, 3) control points, mm
+    rest : undeformed sheet
+    """
+    N, v, across = np.zeros((9, 6)), np.zeros((6, 3)), np.zeros(3)
+    _curvature_rows(
+        first, end, np.ascontiguousarray(c), _contiguous(rest), N, np.zeros(5), v, across, out
+    )
+
+
+@kernel
+def _curvature_rows(
+    first: int,
+    end: int,
+    c: FloatArray,
+    rest: Rest,
+    N: FloatArray,
+    plain: FloatArray,
+    v: FloatArray,
+    across: FloatArray,
+    out: FloatArray,
+) -> None:
+    for j_row in range(first, end):
+        for i_col in range(rest.area_mm2.shape[1]):
+            for q in range(4):
+                _functions((j_row, i_col, q), rest, N, plain)
+                _place(N, c, j_row, i_col, v)
+                a11, a22, a12 = dot(v[1], v[1]), dot(v[2], v[2]), dot(v[1], v[2])
+                det = normal_times_area(v, across)
+                # Second fundamental form times the area stretch.
+                b11, b22, b12 = dot(v[3], across), dot(v[4], across), dot(v[5], across)
+                trace = (a22 * b11 + a11 * b22 - 2 * a12 * b12) / det
+                out[j_row, i_col, q] = (0.5 * trace * trace - (b11 * b22 - b12 * b12) / det) / det
 
 
 @inlined

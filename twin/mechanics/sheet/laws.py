@@ -25,7 +25,7 @@ _OPTIONS: dict[str, Any] = {
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-_SOURCES = ("laws.py", "point.py", "tangent.py", "kernel.py")
+_SOURCES = ("laws.py", "point.py", "tangent.py", "kernel.py", "surface.py", "pressure.py")
 
 
 _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, _SOURCES)

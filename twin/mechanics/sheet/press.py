@@ -13,7 +13,7 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -29,7 +29,8 @@ from twin.mechanics.sheet.cells import (
     finest_pitch_mm,
 )
 from twin.mechanics.sheet.energy import Sheet, SheetState
-from twin.mechanics.sheet.equilibrium import Accuracy, settle
+from twin.mechanics.sheet.equilibrium import Accuracy, settle, slips
+from twin.mechanics.sheet.nested import NEAR, descended, wider_cells
 from twin.mechanics.sheet.path import (
     TRAVEL_STEP_MM,
     LimitPressureError,
@@ -149,6 +150,11 @@ class _Path:
     #: at the common travels of all paths, see `load_steps`; further ones are appended
     states: list[SheetState]
 
+    @cached_property
+    def wider(self) -> list[Sheet]:
+        """The sheet on wider cells, the widest first."""
+        return [_soft(self.case.sheet(cells)) for cells in wider_cells(self.case)]
+
 
 #: Paths of this process, the latest last: a study over travel, pressure or force continues them.
 _paths: OrderedDict[str, _Path] = OrderedDict()
@@ -190,22 +196,39 @@ def _equilibrium(path: _Path, load: Press, progress: Progress | None) -> tuple[S
 def _settled(
     path: _Path, load: Press, pressed_states: list[SheetState], report: Progress
 ) -> tuple[Sheet, SheetState]:
-    case, coarse = path.case, path.sheet
+    """Return the finest sheet and its equilibrium.
+
+    A sheet whose equilibrium depends on the load path follows the path, and so does a sheet for
+    which nested iteration does not reach an equilibrium.
+    """
     goal = Loads(load.depth_mm or TRAVEL_STEP_MM, load.back_pressure_kpa)
+    if slips(path.sheet, goal.pressure_kpa):
+        # The force of a state that is no equilibrium is not known.
+        accuracy = NEAR if load.force_n is None else _ROUGH
+        with suppress(SolverError, LimitPressureError):
+            state = descended([*path.wider, path.sheet], goal, accuracy)
+            return _continued(path, load, state, report)
     state = follow(
-        coarse,
+        path.sheet,
         goal,
         _ROUGH,
         path.states,
         pressed_states=pressed_states,
         progress=lambda share: report(0.6 * share),
     )
+    return _continued(path, load, state, report)
+
+
+def _continued(
+    path: _Path, load: Press, state: SheetState, report: Progress
+) -> tuple[Sheet, SheetState]:
+    """Return the finest sheet and its equilibrium, from a state of the coarse sheet."""
     if load.force_n is not None:
         ahead = partial(_between_shares, report, 0.6, 0.7)
-        state = _to_force(coarse, state, load.force_n, _ROUGH, ahead)
+        state = _to_force(path.sheet, state, load.force_n, _ROUGH, ahead)
+    report(0.7)
     try:
-        report(0.7)
-        fine, equilibrium = _on_fine_cells(case, coarse, state)
+        fine, equilibrium = _on_fine_cells(path.case, path.sheet, state)
     except SolverError as error:
         if state.pressure_kpa == 0:
             raise

@@ -5,12 +5,24 @@ spline cell that belongs to the Gauss point, and from there to the cells in plan
 No force is lost, even on an edge narrower than a cell: the sum over the cells is the contact force.
 """
 
+# ruff: noqa: PLR0917 - compiled functions cannot take keyword-only arguments
+
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray, IntArray
 from twin.mechanics.sheet.energy import Sheet, SheetState
-from twin.mechanics.sheet.laws import Laws
+from twin.mechanics.sheet.laws import Laws, kernel
 from twin.mechanics.sheet.splines import SplineLine
+from twin.mechanics.sheet.surface import (
+    Points,
+    Work,
+    along_row,
+    normal_times_area,
+    point_in_row,
+    points_on,
+    turn,
+    work_for,
+)
 
 # Parts of the sheet per solver cell, at the stretch of the second number.
 _PARTS_PER_CELL, _STRETCHED = 4.0, 1.5
@@ -40,14 +52,23 @@ def pressure_on_cells(
     share = lifted_mn[
         cut_y.cell[:, None], cut_x.cell, 2 * cut_y.half[:, None] + cut_x.half
     ] / (cut_y.parts[:, None] * cut_x.parts)  # fmt: skip
-    place = _lower_mm(sheet, state, cut_x.places_mm, cut_y.places_mm)
-    at = [
-        np.clip((place[..., axis] - along[0]) / step, 0, along.size - 1)
-        for axis, along, step in ((0, x_mm, steps[0]), (1, y_mm, steps[1]))
-    ]
+    x, y = (
+        points_on(*of) for of in ((sheet.grid.x, cut_x.places_mm), (sheet.grid.y, cut_y.places_mm))
+    )
+    control, total = np.ascontiguousarray(state.control_mm), np.zeros((y_mm.size, x_mm.size))
+    _distribute(
+        control,
+        x,
+        y,
+        sheet.grid.cut(cut_x.places_mm, cut_y.places_mm),
+        share,
+        sheet.laws.thickness_mm / 2,
+        np.array([x_mm[0], y_mm[0], *steps]),
+        work_for(control),
+        total,
+    )
     # kPa mm^2 = mN
-    on_cells = _spread(share, at[1], at[0], (y_mm.size, x_mm.size))
-    return np.asarray(on_cells / (steps[0] * steps[1]))
+    return np.asarray(total / (steps[0] * steps[1]))
 
 
 def lift_kpa(sheet: Sheet, state: SheetState) -> FloatArray:
@@ -99,32 +120,43 @@ def _cut(line: SplineLine, loaded: BoolArray, step_mm: float) -> _Cut:
     return _Cut(line, cells, halves)
 
 
-def _lower_mm(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return positions on the touched face, (y, x, xyz), mm, at parameters x and y of the sheet."""
-    middle, along_x, along_y = sheet.grid.evaluate(state.control_mm, x, y)
-    across = np.cross(along_x, along_y)
-    area2 = (across**2).sum(axis=-1, keepdims=True)
-    return np.asarray(middle - sheet.laws.thickness_mm / 2 * across / area2)
+@kernel
+def _distribute(
+    c: FloatArray,
+    x: Points,
+    y: Points,
+    cut: FloatArray,
+    forces: FloatArray,
+    half_mm: float,
+    cells: FloatArray,
+    work: Work,
+    total: FloatArray,
+) -> None:
+    """Add forces (y, x) at points of the lower face to the four nearest cells, bilinearly.
 
-
-def _spread(
-    values: FloatArray, row: FloatArray, col: FloatArray, shape: tuple[int, int]
-) -> FloatArray:
-    """Distribute values to the four cells around each point, bilinearly; return the sums per cell.
-
-    `row` and `col` are positions in cells, `shape` is (rows, cols) of the result.
+    Parameters
+    ----------
+    c, x, y, cut : as `surface_at`
+    half_mm : half of the undeformed thickness
+    cells : (4,) x0, y0, dx, dy: middle of the first cell in plan, and widths
+    total : (row, col) sums
     """
-    total = np.zeros(shape[0] * shape[1])
-    low = [
-        np.minimum(at.astype(np.intp), count - 2)
-        for at, count in zip((row, col), shape, strict=True)
-    ]
-    beyond = row - low[0], col - low[1]
-    for down in (0, 1):
-        for right in (0, 1):
-            weight = (beyond[0] if down else 1 - beyond[0]) * (
-                beyond[1] if right else 1 - beyond[1]
-            )
-            cell = (low[0] + down) * shape[1] + low[1] + right
-            total += np.bincount(cell.ravel(), (values * weight).ravel(), total.size)
-    return total.reshape(shape)
+    v, across = work.point, work.across
+    rows, cols = total.shape
+    for j in range(y.cell.size):
+        along_row(c, y, j, work.row)
+        for i in range(x.cell.size):
+            if forces[j, i] == 0.0:
+                continue
+            point_in_row(work.row, x, i, v)
+            if cut.shape[1] > 0:
+                turn(cut, j, i, v)
+            over_area2 = half_mm / normal_times_area(v, across)
+            col = min(max((v[0, 0] - across[0] * over_area2 - cells[0]) / cells[2], 0.0), cols - 1)
+            row = min(max((v[0, 1] - across[1] * over_area2 - cells[1]) / cells[3], 0.0), rows - 1)
+            a, b = min(int(row), rows - 2), min(int(col), cols - 2)
+            down, right = row - a, col - b
+            total[a, b] += (1 - down) * (1 - right) * forces[j, i]
+            total[a, b + 1] += (1 - down) * right * forces[j, i]
+            total[a + 1, b] += down * (1 - right) * forces[j, i]
+            total[a + 1, b + 1] += down * right * forces[j, i]

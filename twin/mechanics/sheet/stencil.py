@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstruction.arrays import FloatArray
-from twin.mechanics.sheet.grid import SheetGrid, functions_of
+from twin.mechanics.sheet.grid import SheetGrid
 from twin.mechanics.sheet.kernel import SLOTS
 
 
@@ -25,12 +25,14 @@ def control_areas(grid: SheetGrid) -> FloatArray:
 
     It is the integral of the control point's spline function over the sheet.
     """
-    share = (functions_of(grid.rest)[..., 0] * grid.rest.area_mm2[..., None]).sum(axis=2)
+    rest = grid.rest
+    rows, cols = rest.area_mm2.shape[:2]
+    weights = rest.area_mm2.reshape(rows, cols, 2, 2)
+    along_x = np.einsum("jiqp,ipa->jiqa", weights, rest.along_x[:, :, 0])
+    share = np.einsum("jiqa,jqb->jiba", along_x, rest.along_y[:, :, 0])
     area = np.zeros(grid.free.shape[:2])
-    rows, cols = share.shape[:2]
-    for node in range(9):
-        b, a = divmod(node, 3)
-        area[b : b + rows, a : a + cols] += share[..., node]
+    for b, a in np.ndindex(3, 3):
+        area[b : b + rows, a : a + cols] += share[..., b, a]
     return area
 
 
