@@ -81,7 +81,7 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
     """
     points = np.asarray(points_mm, np.float64)
     start = fit_sphere(points)
-    parameters = _softly(points, np.append(start.centre_mm, start.radius_mm))
+    parameters = soft_sphere(points, np.append(start.centre_mm, start.radius_mm))
 
     def radial(sphere: SphereFit) -> FloatArray:
         return radial_mm(np.append(sphere.centre_mm, sphere.radius_mm), points)
@@ -93,7 +93,7 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
     return BallFit(ball.centre_mm, ball.radius_mm, sigma_mm, ball.residuals_mm, fitted)
 
 
-def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
+def soft_sphere(points: FloatArray, start: FloatArray) -> FloatArray:
     """Return centre and radius, (4,), with the least soft-L1 loss of the radial distances.
 
     Parameters
@@ -119,7 +119,7 @@ def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
 
 
 def _soft_newton(points: FloatArray, start: FloatArray, scale_mm: float) -> FloatArray | None:
-    """Return centre and radius, (4,), as `_softly` does for one scale, by Newton's method.
+    """Return centre and radius, (4,), as `soft_sphere` for one scale, by Newton's method.
 
     The soft-L1 loss of a residual f is 2 (sqrt(1 + z) - 1) with z = (f / scale)^2: its slope by f
     is proportional to f / sqrt(1 + z), and the derivative of the slope to (1 + z)^(-3/2). Returns
