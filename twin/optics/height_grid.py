@@ -71,7 +71,7 @@ def is_even(grid: FloatArray) -> bool:
     return True
 
 
-class Blocks(NamedTuple):
+class BlockExtremes(NamedTuple):
     """Extremes of a height grid in blocks of `BLOCK` x `BLOCK` cells, (row, col) of the block.
 
     Attributes
@@ -84,13 +84,13 @@ class Blocks(NamedTuple):
     steepest: FloatArray
 
 
-def blocks_of(grid: FloatArray) -> Blocks:
+def blocks_of(grid: FloatArray) -> BlockExtremes:
     """Return the extremes of a grid (row, col, xyz), mm, in its blocks of cells."""
     size = tuple(-(-(length - 1) // BLOCK) for length in grid.shape[:2])
     tops_mm, square = np.full(size, -np.inf), np.zeros(size)
     widths = np.diff(grid[0, :, 0]), np.diff(grid[:, 0, 1])
     _fill_blocks(np.ascontiguousarray(grid[..., 2]), *widths, tops_mm, square)
-    return Blocks(tops_mm, np.sqrt(square))
+    return BlockExtremes(tops_mm, np.sqrt(square))
 
 
 @_compiled
