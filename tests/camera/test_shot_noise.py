@@ -9,6 +9,7 @@ from twin.camera.noise import (
     FROM_NORMAL,
     Sensor,
     count_of_normal,
+    exp_of_small,
     normal_pair,
     record_frame,
     small_counts,
@@ -169,6 +170,11 @@ def test_a_count_does_not_depend_on_the_other_pixels(cols):
         record_frame(mean, ones, zeros, COUNTER, (KEY, 5), frame)
     np.testing.assert_array_equal(frames[0][:, ::3], frames[1][:, ::3])
     assert len(np.unique(frames[1])) >= min(cols, 5)
+
+
+def test_the_series_of_an_exponential_is_exact():
+    x = np.linspace(-0.125, 0.0, 4001)
+    np.testing.assert_allclose([exp_of_small(value) for value in x], np.exp(x), rtol=3e-16)
 
 
 def test_both_regimes_live_in_one_frame():
