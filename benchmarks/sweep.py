@@ -19,7 +19,8 @@ compares `measure` called repeatedly in one process, so it gains from sharing an
 worker only; the second also gains the start of a process per case. Also: the overhead of engine and
 store per case, and wall-clock seconds per point of each stage, in one process on all cores, in the
 sweep's order: `press_s, trace_s, light_s, noise_s, decode_s, score_s`, `object_s` (comparison with
-the true object) and `store_s` (the overhead).
+the true object) and `store_s` (the overhead). `path_cpu_s`: processor time per point of trace,
+light and noise, which other processes of the machine change less than seconds.
 """
 
 import os
@@ -137,23 +138,25 @@ def measured_in_process(cases: list[Case]) -> float:
 
 
 class _TimedMemory(Memory):
-    """Adds up the seconds of every stage that no other stage requests."""
+    """Adds up seconds and processor time of every stage that no other stage requests."""
 
     def __init__(self) -> None:
         super().__init__()
         self.seconds: Counter[str] = Counter()
+        self.cpu_s: Counter[str] = Counter()
         self._inside = False
 
     def recall(self, stage, *arguments):
         """Recall a stage and time it."""
         if self._inside:
             return super().recall(stage, *arguments)
-        self._inside, start = True, time.perf_counter()
+        self._inside, start, cpu_start = True, time.perf_counter(), time.process_time()
         try:
             return super().recall(stage, *arguments)
         finally:
             self._inside = False
             self.seconds[stage] += time.perf_counter() - start
+            self.cpu_s[stage] += time.process_time() - cpu_start
 
 
 def seconds_of_stages(cases: list[Case]) -> dict[str, float]:
@@ -167,6 +170,8 @@ def seconds_of_stages(cases: list[Case]) -> dict[str, float]:
     found = {
         name: sum(memory.seconds[stage] for stage in stages) for name, stages in STAGES.items()
     }
+    path = ("trace_s", "light_s", "noise_s")
+    found["path_cpu_s"] = sum(memory.cpu_s[stage] for name in path for stage in STAGES[name])
     return {name: value / len(cases) for name, value in (found | after).items()}
 
 

@@ -25,6 +25,8 @@ from reconstruction.evaluate.fit import (
 # Number of soft-L1 fits: the scale of the residuals for the first one is from a fit that outliers
 # have biased.
 _SOFT_TURNS = 2
+# Newton's steps end below this share of the scale of the residuals; usually after five steps.
+_NEWTON_STEP, _MOST_NEWTON_STEPS = 1e-6, 20
 _LEAST_POINTS = 20
 
 
@@ -79,7 +81,7 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
     """
     points = np.asarray(points_mm, np.float64)
     start = fit_sphere(points)
-    parameters = _softly(points, np.append(start.centre_mm, start.radius_mm))
+    parameters = soft_sphere(points, np.append(start.centre_mm, start.radius_mm))
 
     def radial(sphere: SphereFit) -> FloatArray:
         return radial_mm(np.append(sphere.centre_mm, sphere.radius_mm), points)
@@ -91,7 +93,7 @@ def fit_ball(points_mm: ArrayLike) -> BallFit:
     return BallFit(ball.centre_mm, ball.radius_mm, sigma_mm, ball.residuals_mm, fitted)
 
 
-def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
+def soft_sphere(points: FloatArray, start: FloatArray) -> FloatArray:
     """Return centre and radius, (4,), with the least soft-L1 loss of the radial distances.
 
     Parameters
@@ -101,17 +103,49 @@ def _softly(points: FloatArray, start: FloatArray) -> FloatArray:
     parameters = start
     for _ in range(_SOFT_TURNS):
         scale_mm = max(spread(radial_mm(parameters, points)), 1e-9)
-        solution = least_squares(
-            radial_mm,
-            parameters,
-            radial_jacobian,
-            args=(points,),
-            loss="soft_l1",
-            f_scale=scale_mm,
-            x_scale="jac",
-        )
-        parameters = np.asarray(solution.x)
+        solution = _soft_newton(points, parameters, scale_mm)
+        if solution is None:
+            solution = least_squares(
+                radial_mm,
+                parameters,
+                radial_jacobian,
+                args=(points,),
+                loss="soft_l1",
+                f_scale=scale_mm,
+                x_scale="jac",
+            ).x
+        parameters = np.asarray(solution)
     return parameters
+
+
+def _soft_newton(points: FloatArray, start: FloatArray, scale_mm: float) -> FloatArray | None:
+    """Return centre and radius, (4,), as `soft_sphere` for one scale, by Newton's method.
+
+    The soft-L1 loss of a residual f is 2 (sqrt(1 + z) - 1) with z = (f / scale)^2: its slope by f
+    is proportional to f / sqrt(1 + z), and the derivative of the slope to (1 + z)^(-3/2). Returns
+    None if the steps do not decrease.
+    """
+    axes, sphere, before = np.ascontiguousarray(points.T), start, np.inf
+    for _ in range(_MOST_NEWTON_STEPS):
+        toward = sphere[:3, None] - axes
+        distance = np.sqrt(np.einsum("ij,ij->j", toward, toward))
+        if not distance.all():
+            return None
+        left = distance - sphere[3]
+        flat = 1.0 / (1.0 + np.square(left / scale_mm))
+        weight = np.sqrt(flat)
+        slopes = np.vstack([toward / distance, np.full_like(distance, -1.0)])
+        try:
+            step = np.linalg.solve((slopes * (weight * flat)) @ slopes.T, -slopes @ (weight * left))
+        except np.linalg.LinAlgError:
+            return None
+        size = float(np.abs(step).max())
+        if not size < before:
+            return None
+        sphere, before = sphere + step, size
+        if size <= _NEWTON_STEP * scale_mm:
+            return sphere
+    return None
 
 
 def _radius_sigma_mm(points: FloatArray, centre_mm: FloatArray, residuals_mm: FloatArray) -> float:

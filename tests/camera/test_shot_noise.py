@@ -9,6 +9,7 @@ from twin.camera.noise import (
     FROM_NORMAL,
     Sensor,
     count_of_normal,
+    exp_of_small,
     normal_pair,
     record_frame,
     small_counts,
@@ -153,6 +154,27 @@ def test_five_electrons_are_as_skewed_as_poisson_numbers_are():
     assert drawn.mean() == pytest.approx(5.0, abs=4 * np.sqrt(5.0 / drawn.size))
     assert stats.skew(drawn) == pytest.approx(5.0**-0.5, abs=0.01)
     assert stats.kurtosis(drawn) == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("cols", [1, 2, 129, 300])
+def test_a_count_does_not_depend_on_the_other_pixels(cols):
+    """Setup: small means everywhere, and in every third column only.
+
+    The random words of small means are computed for the groups of columns that need them.
+    """
+    ones, zeros = np.ones((3, cols), np.float32), np.zeros((3, cols), np.float32)
+    few, all_small = (np.full((3, cols), mean, np.float32) for mean in (5000.0, 20.3))
+    few[:, ::3] = 20.3
+    frames = [np.zeros((3, cols), np.uint16) for _ in range(2)]
+    for mean, frame in zip((few, all_small), frames, strict=True):
+        record_frame(mean, ones, zeros, COUNTER, (KEY, 5), frame)
+    np.testing.assert_array_equal(frames[0][:, ::3], frames[1][:, ::3])
+    assert len(np.unique(frames[1])) >= min(cols, 5)
+
+
+def test_the_series_of_an_exponential_is_exact():
+    x = np.linspace(-0.125, 0.0, 4001)
+    np.testing.assert_allclose([exp_of_small(value) for value in x], np.exp(x), rtol=3e-16)
 
 
 def test_both_regimes_live_in_one_frame():

@@ -1,6 +1,7 @@
 """The coated face as a mesh: heights, facets and normals are the field's."""
 
 import dataclasses
+import weakref
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from tests.work import lines_run
 from twin.config.models import Elastomer, Press
 from twin.mechanics import PressedElastomer, face_mesh, face_normals, press, slab_mesh
+from twin.mechanics.relief import face_grid
 from twin.specimens.kinds.ball import Ball
 
 
@@ -17,6 +19,20 @@ def test_vertices_carry_the_field_row_by_row(reference_press: PressedElastomer) 
     for row, col in ((0, 0), (100, 7), (250, cols - 1)):
         expected = pressed.face_x_mm[col], pressed.face_y_mm[row], pressed.face_z_mm[row, col]
         assert tuple(mesh.vertices[row * cols + col]) == expected
+
+
+def test_the_face_for_the_renderer_is_the_mesh_in_single_precision(
+    reference_press: PressedElastomer,
+) -> None:
+    """Expected: the arrays of the mesh, rounded; freed with the last reference, without cycles."""
+    face, mesh = face_grid(reference_press), face_mesh(reference_press)
+    for name in ("vertices", "vertex_normals"):
+        expected = np.asarray(getattr(mesh, name), np.float32)
+        np.testing.assert_array_equal(getattr(face, name), expected)
+    np.testing.assert_array_equal(face.faces, mesh.faces)
+    alive = weakref.ref(face)
+    del face
+    assert alive() is None
 
 
 def test_facets_face_up_and_cover_the_slab_once(reference_press: PressedElastomer) -> None:

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 from tests.optics.scenes import coated_scene
 from twin.config import load_experiment
-from twin.optics.height_grid import height_grid, shades_itself
+from twin.optics.height_grid import BLOCK, blocks_of, height_grid, shades_itself
 from twin.optics.light import light_tables, pattern_set
 from twin.optics.rig import true_calibration
 
@@ -51,6 +51,23 @@ def spike(x, y):
 def steep(grid_face):
     """Return a spike with flanks of up to 75 degrees; the projector is at 65 degrees."""
     return grid_face(spike, lambda x, y: (-x * spike(x, y), -y * spike(x, y)), pitch_mm=0.04)
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (9, 9), (10, 18), (21, 40)])
+def test_blocks_have_the_extremes_of_their_cells(shape):
+    """Expected: slopes of both facets of every cell by array arithmetic, bit for bit."""
+    rng = np.random.default_rng(3)
+    x, y = (np.cumsum(rng.uniform(0.01, 0.03, count)) for count in reversed(shape))
+    z = rng.normal(0.0, 0.01, shape)
+    found = blocks_of(np.stack([*np.meshgrid(x, y), z], axis=-1))
+    along_x, along_y = np.diff(z, axis=1) / np.diff(x), np.diff(z, axis=0) / np.diff(y)[:, None]
+    first = along_x[:-1] ** 2 + along_y[:, 1:] ** 2
+    slopes = np.sqrt(np.maximum(first, along_x[1:] ** 2 + along_y[:, :-1] ** 2))
+    for row, col in np.ndindex(found.tops_mm.shape):
+        cells = slice(BLOCK * row, BLOCK * (row + 1)), slice(BLOCK * col, BLOCK * (col + 1))
+        vertices = tuple(slice(of.start, of.stop + 1) for of in cells)
+        assert found.steepest[row, col] == slopes[cells].max()
+        assert found.tops_mm[row, col] == z[vertices].max()
 
 
 def test_a_gentle_face_needs_no_shadow_rays(mi, experiment, bump):

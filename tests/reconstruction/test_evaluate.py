@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from reconstruction.errors import FitError
 from reconstruction.evaluate import (
@@ -14,7 +15,8 @@ from reconstruction.evaluate import (
     slope_change_width,
     step_height,
 )
-from reconstruction.evaluate.fit import fit_sphere
+from reconstruction.evaluate.fit import fit_sphere, radial_mm, spread
+from reconstruction.evaluate.robust import soft_sphere
 
 NOISE_MM = 0.002
 
@@ -25,6 +27,26 @@ def with_outliers(values, rng, share=0.05, size=0.5):
     chosen = rng.random(values.shape[0]) < share
     moved[chosen] += size * (1 + rng.random(chosen.sum()))
     return moved
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.05, 0.3])
+@pytest.mark.parametrize("half_angle", [0.2, 1.0])
+def test_the_soft_sphere_is_that_of_scipy(outliers, half_angle):
+    """Expected: the least loss by scipy's trust region, to 1e-4 of the scale of the residuals."""
+    rng = np.random.default_rng(5)
+    slope, turn = half_angle * np.sqrt(rng.random(800)), rng.uniform(0, 2 * np.pi, 800)
+    distance = 4.0 + with_outliers(rng.normal(0, NOISE_MM, 800), rng, outliers, 0.02)
+    points = distance[:, None] * np.column_stack(
+        [np.sin(slope) * np.cos(turn), np.sin(slope) * np.sin(turn), np.cos(slope)]
+    )
+    start = np.append(fit_sphere(points).centre_mm, fit_sphere(points).radius_mm)
+    found, expected = soft_sphere(points, start), start
+    tight = {"loss": "soft_l1", "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15, "x_scale": "jac"}
+    for _ in range(2):
+        scale = spread(radial_mm(expected, points))
+        expected = least_squares(radial_mm, expected, args=(points,), f_scale=scale, **tight).x
+    left = radial_mm(found, points) - radial_mm(expected, points)
+    assert np.abs(left).max() < 1e-4 * NOISE_MM
 
 
 def test_flatness_of_a_tilted_noisy_plane():

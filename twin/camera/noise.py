@@ -36,6 +36,8 @@ FROM_NORMAL = 100
 _SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("noise.py",))
 # Sizes of the tables of small counts; the probability of a count beyond the last is below 2^-32.
 _STEPS_PER_ELECTRON, _COUNTS, _BUCKET_BITS = 8, 192, 8
+# Number of blocks of random words that are computed together for small counts.
+_CHUNK = 64
 
 _F = np.float32
 _FROM_NORMAL, _STEPS = _F(FROM_NORMAL), _F(_STEPS_PER_ELECTRON)
@@ -135,6 +137,7 @@ class _RowScratch(NamedTuple):
     """Work arrays for one row of pixels, because compiled code allocates no arrays."""
 
     words: NDArray[np.uint32]
+    few_words: NDArray[np.uint32]
     mean: FloatImage
     counts: FloatImage
     read: FloatImage
@@ -142,7 +145,8 @@ class _RowScratch(NamedTuple):
 
 def _lines(cols: int) -> _RowScratch:
     mean, counts, read = (np.zeros(cols, np.float32) for _ in range(3))
-    return _RowScratch(np.zeros((2, cols + cols % 2), np.uint32), mean, counts, read)
+    words, few_words = (np.zeros((2, n), np.uint32) for n in (cols + cols % 2, 2 * _CHUNK))
+    return _RowScratch(words, few_words, mean, counts, read)
 
 
 @_inlined
@@ -248,51 +252,114 @@ def count_of_normal(mean: Any, normal: Any) -> Any:
 @_inlined
 def _small_count(mean: Any, word_0: Any, word_1: Any, tables: Any) -> Any:
     """Return a Poisson number of a mean below `FROM_NORMAL` from two words, by inversion."""
-    step = np.int64(mean * _STEPS)
-    count = np.int64(tables.first[step, word_0 >> np.uint32(32 - _BUCKET_BITS)])
-    while np.uint64(word_0) >= tables.ends[step, count]:
-        count += 1
-    rest, share = float(mean) - step / _STEPS_PER_ELECTRON, (float(word_1) + 0.5) * 2.0**-32
-    if share < 1.0 - rest:  # and therefore below exp(-rest): the usual case
-        return np.float32(count)
-    term = np.exp(-rest)
-    below = term
-    more = 0
+    # Indices without sign: no test whether they count from the end of the array.
+    step, word = np.uint64(mean * _STEPS), np.uint64(word_0)
+    count = np.uint64(tables.first[step, word_0 >> np.uint32(32 - _BUCKET_BITS)])
+    # The first comparison is an addition: the processor often mispredicts a branch here.
+    count += np.uint64(word >= tables.ends[step, count])
+    while word >= tables.ends[step, count]:
+        count += np.uint64(1)
+    rest = float(mean) - float(step) * (1.0 / _STEPS_PER_ELECTRON)
+    share = (float(word_1) + 0.5) * 2.0**-32
+    if share >= 1.0 - rest:  # and therefore perhaps above exp(-rest)
+        count += _count_of_rest(rest, share)
+    return np.float32(count)
+
+
+@_inlined
+def _count_of_rest(mean: Any, share: Any) -> Any:
+    """Return the Poisson number of a mean of at most 1/8 at which the distribution has `share`."""
+    term = exp_of_small(-mean)
+    below, count = term, 0
     while share > below:
-        more += 1
-        term *= rest / more
+        count += 1
+        term *= mean / count
         below += term
-    return np.float32(count + more)
+    return np.uint64(count)
+
+
+@_inlined
+def exp_of_small(x: Any) -> Any:
+    """Return exp(x) for |x| <= 1/8, to rounding: 12 terms of its series, faster than `np.exp`."""
+    value = 1.0 + x * (1.0 / 12.0)
+    for n in range(11, 0, -1):
+        value = 1.0 + x * value * (1.0 / n)
+    return value
 
 
 @_nested
-def _fill(words: Any, key: Any, place: Any) -> None:
-    """Fill the words (2, 2 n) of a row: two for each column; block i is for columns i and n + i."""
+def _fill(words: Any, half: Any, key: Any, place: Any, first: Any) -> None:
+    """Fill the words (2, 2 half) of blocks from `first` on; block i is for columns i, half + i.
+
+    There are two words for each column.
+    """
     row, frame, kind = place
-    half = words.shape[1] // 2
     for i in range(half):
-        block = threefry((np.uint32(i), row, frame, kind), key)
+        block = threefry((np.uint32(first + i), row, frame, kind), key)
         words[0, i], words[1, i], words[0, half + i], words[1, half + i] = block
 
 
 @_nested
-def _draw_row(
-    mean: Any, tables: Any, key: Any, place: Any, words: Any, counts: Any, read: Any
-) -> None:
-    """Fill `counts` and `read` of one row with Poisson numbers of `mean` and normal numbers."""
-    row, frame = place
-    _fill(words, key, (row, frame, np.uint32(0)))
+def _expect(radiance: Any, response: Any, sensor: Any, mean: Any) -> Any:
+    """Fill `mean` of one row with expected electrons; return the number of small means."""
     small = 0
+    for col in range(mean.size):
+        light_e = radiance[col] * sensor.per_radiance
+        mean[col] = max(light_e * response[col] + sensor.dark_e, _ZERO)
+        small += mean[col] < _FROM_NORMAL
+    return small
+
+
+@_nested
+def _draw_large(mean: Any, words: Any, counts: Any, read: Any) -> None:
+    """Fill `counts` and `read` of one row with Poisson numbers of `mean` and normal numbers."""
     for col in range(mean.size):
         shot, read[col] = normal_pair(words[0, col], words[1, col])
         counts[col] = count_of_normal(mean[col], shot)
-        small += mean[col] < _FROM_NORMAL
-    if not small:
-        return
-    _fill(words, key, (row, frame, np.uint32(1)))
+
+
+@_nested
+def _draw_small(mean: Any, tables: Any, key: Any, place: Any, words: Any, counts: Any) -> None:
+    """Replace the counts of small means in one row.
+
+    Parameters
+    ----------
+    words : (2, 2 n), work array for n blocks that are computed together
+    """
+    half, chunk = (mean.size + 1) // 2, words.shape[1] // 2
+    for low in range(0, half, chunk):
+        count, high = min(chunk, half - low), half + low
+        if _smalls(mean[low : low + count]) + _smalls(mean[high : high + count]):
+            _fill(words, chunk, key, place, low)
+            _draw_each(mean, tables, words, counts, (low, 0, count))
+            _draw_each(mean, tables, words, counts, (high, chunk, min(count, mean.size - high)))
+
+
+@_nested
+def _smalls(mean: Any) -> Any:
+    small = 0
     for col in range(mean.size):
+        small += mean[col] < _FROM_NORMAL
+    return small
+
+
+@_inlined
+def _draw_each(mean: Any, tables: Any, words: Any, counts: Any, part: Any) -> None:
+    first_col, first_word, count = part
+    for i in range(count):
+        col, word = first_col + i, first_word + i
         if mean[col] < _FROM_NORMAL:
-            counts[col] = _small_count(mean[col], words[0, col], words[1, col], tables)
+            counts[col] = _small_count(mean[col], words[0, word], words[1, word], tables)
+
+
+@_nested
+def _convert(counts: Any, read: Any, offset_e: Any, sensor: Any, recorded: Any) -> None:
+    """Fill `recorded` of one row with the digital numbers of electrons."""
+    for col in range(counts.size):
+        well_e = min(counts[col], sensor.full_well_e)
+        signal_e = read[col] * sensor.read_noise_e + well_e + offset_e[col]
+        dn = np.rint(signal_e * sensor.gain_dn_per_e + sensor.black_level_dn)
+        recorded[col] = np.uint16(min(max(dn, _ZERO), sensor.largest_dn))
 
 
 @_compiled
@@ -307,15 +374,12 @@ def _record(
     recorded: Any,
 ) -> None:
     response, offset_e = pattern
-    rows, cols = radiance.shape
-    words, mean, counts, read = lines
-    for row in range(rows):
-        for col in range(cols):
-            light_e = radiance[row, col] * sensor.per_radiance
-            mean[col] = max(light_e * response[row, col] + sensor.dark_e, _ZERO)
-        _draw_row(mean, tables, key, (np.uint32(row), frame), words, counts, read)
-        for col in range(cols):
-            well_e = min(counts[col], sensor.full_well_e)
-            signal_e = read[col] * sensor.read_noise_e + well_e + offset_e[row, col]
-            dn = np.rint(signal_e * sensor.gain_dn_per_e + sensor.black_level_dn)
-            recorded[row, col] = np.uint16(min(max(dn, _ZERO), sensor.largest_dn))
+    words, few_words, mean, counts, read = lines
+    for row in range(radiance.shape[0]):
+        place = np.uint32(row), frame
+        small = _expect(radiance[row], response[row], sensor, mean)
+        _fill(words, (mean.size + 1) // 2, key, (*place, np.uint32(0)), 0)
+        _draw_large(mean, words, counts, read)
+        if small:
+            _draw_small(mean, tables, key, (*place, np.uint32(1)), few_words, counts)
+        _convert(counts, read, offset_e[row], sensor, recorded[row])

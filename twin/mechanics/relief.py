@@ -1,15 +1,66 @@
 """Meshes of a pressed elastomer: coated face with smooth normals, and slab as a closed body."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 
-from reconstruction.arrays import FloatArray, IntArray
+from reconstruction.arrays import FloatArray, FloatImage, IntArray
+from reconstruction.compiling import Function, compile_and_keep, digest_of_sources
 from twin.config.models import Elastomer
 from twin.mechanics.layouts import mirrored, touched_at_nodes, widened
 from twin.mechanics.press import PressedElastomer
 from twin.specimens.solids import grid_facets
+
+_SOURCE_DIGEST = digest_of_sources(Path(__file__).parent, ("relief.py",))
+# Without fused multiply-add, the normals are those of array arithmetic to the last digit.
+_OPTIONS: dict[str, Any] = {"nogil": True, "_nrt": False, "error_model": "numpy"}
+
+
+def _compiled(function: Function) -> Function:
+    return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
+
+
+@dataclass(frozen=True, eq=False)
+class FaceGrid:
+    """Coated face for the renderer: the arrays of `face_mesh`, in single precision.
+
+    It is made in a quarter of the time of `face_mesh`. It has no reference cycles, so that the last
+    reference releases its memory.
+
+    Attributes
+    ----------
+    shape : number of rows and of columns of the vertices
+    vertices, vertex_normals : (vertex, xyz) float32, row by row; world, mm
+    vertex_attributes : further values of the vertices by name
+    """
+
+    shape: tuple[int, int]
+    vertices: FloatImage
+    vertex_normals: FloatImage
+    vertex_attributes: dict[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def faces(self) -> IntArray:
+        """Facets (facet, 3), indices of vertices."""
+        return grid_facets(*self.shape)
+
+    @cached_property
+    def grid(self) -> FloatArray:
+        """Vertices (row, col, xyz) as float64."""
+        return self.vertices.astype(np.float64).reshape(*self.shape, 3)
+
+
+def face_grid(pressed: PressedElastomer) -> FaceGrid:
+    """Return the coated face with normals that point to +z, world frame, mm, for the renderer."""
+    rows, cols = pressed.face_z_mm.shape
+    vertices, normals = (np.zeros((rows, cols, 3), np.float32) for _ in range(2))
+    _fill_vertices(pressed, pressed.face_z_mm, vertices)
+    _fill_normals(pressed, normals)
+    return FaceGrid((rows, cols), vertices.reshape(-1, 3), normals.reshape(-1, 3))
 
 
 def face_mesh(pressed: PressedElastomer) -> trimesh.Trimesh:
@@ -90,33 +141,53 @@ def _rim(rows: int, cols: int) -> IntArray:
 
 def face_normals(pressed: PressedElastomer) -> FloatArray:
     """Return (row, col, xyz) unit normals of the coated face, pointing to +z."""
-    slope_x = _derivative(pressed.face_z_mm, pressed.face_x_mm, axis=1)
-    slope_y = _derivative(pressed.face_z_mm, pressed.face_y_mm, axis=0)
-    upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)
-    return np.asarray(np.stack((-slope_x * upright, -slope_y * upright, upright), axis=-1))
+    normals = np.zeros((*pressed.face_z_mm.shape, 3))
+    _fill_normals(pressed, normals)
+    return normals
 
 
 def _vertices(pressed: PressedElastomer, z_mm: FloatArray) -> FloatArray:
     vertices = np.zeros((*z_mm.shape, 3))
-    vertices[..., 0] = pressed.face_x_mm
-    vertices[..., 1] = pressed.face_y_mm[:, None]
-    vertices[..., 2] = z_mm
+    _fill_vertices(pressed, z_mm, vertices)
     return vertices.reshape(-1, 3)
 
 
-def _derivative(z: FloatArray, nodes_mm: FloatArray, axis: int) -> FloatArray:
-    """Return dz/dy (axis 0) or dz/dx (axis 1) at the nodes (row, col), fourth-order accurate.
+def _fill_vertices(pressed: PressedElastomer, z_mm: FloatArray, vertices: Any) -> None:
+    vertices[..., 0] = pressed.face_x_mm
+    vertices[..., 1] = pressed.face_y_mm[:, None]
+    vertices[..., 2] = z_mm
+
+
+def _fill_normals(pressed: PressedElastomer, normals: Any) -> None:
+    """Fill the normals (row, col, xyz) of the coated face; slopes are fourth-order accurate.
 
     With a lower order the grid is visible in the shading. Beyond the rim z is extended as an odd
     function: this is exact for a simply supported slab, and continues the slope at a pad's side.
     """
-    step = float(nodes_mm[-1] - nodes_mm[0]) / (nodes_mm.size - 1)
-    margin = tuple((2, 2) if direction == axis else (0, 0) for direction in range(2))
-    wide = np.pad(z, margin, mode="reflect", reflect_type="odd")
+    wide = np.pad(pressed.face_z_mm, 2, mode="reflect", reflect_type="odd")
+    nodes = pressed.face_x_mm, pressed.face_y_mm
+    step_x, step_y = (float(of[-1] - of[0]) / (of.size - 1) for of in nodes)
+    _normals(wide, 12 * step_x, 12 * step_y, normals)
 
-    def shifted(cells: int) -> FloatArray:
-        window = [slice(None), slice(None)]
-        window[axis] = slice(2 + cells, wide.shape[axis] - 2 + cells)
-        return wide[tuple(window)]
 
-    return np.asarray((8 * (shifted(1) - shifted(-1)) - (shifted(2) - shifted(-2))) / (12 * step))
+@_compiled
+def _normals(wide: Any, over_x: Any, over_y: Any, normals: Any) -> None:
+    """Fill unit normals from heights `wide`, which have two more nodes on each side.
+
+    Parameters
+    ----------
+    over_x, over_y : 12 steps of the grid, mm
+    """
+    rows, cols = normals.shape[0], normals.shape[1]
+    for row in range(rows):
+        below, under = wide[row], wide[row + 1]
+        here = wide[row + 2]
+        above, over = wide[row + 3], wide[row + 4]
+        for col in range(cols):
+            x, c = 8 * (here[col + 3] - here[col + 1]), col + 2
+            slope_x = (x - (here[col + 4] - here[col])) / over_x
+            slope_y = (8 * (above[c] - under[c]) - (over[c] - below[c])) / over_y
+            upright = 1 / np.sqrt(1 + slope_x * slope_x + slope_y * slope_y)
+            normals[row, col, 0] = -slope_x * upright
+            normals[row, col, 1] = -slope_y * upright
+            normals[row, col, 2] = upright

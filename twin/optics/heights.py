@@ -32,10 +32,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from reconstruction.arrays import FloatArray
-from twin.optics.height_grid import is_even, steepest_by_cell
-
-_BLOCK = 8
-"""Number of cells along each side of a block."""
+from twin.optics.height_grid import BLOCK, blocks_of, is_even
 
 _TURNS = 12
 """Largest number of Newton steps; a smooth relief needs two or three."""
@@ -85,8 +82,8 @@ class MarchedHeights:
         rows, cols = grid.shape[:2]
         x_mm, y_mm, z_mm = grid[0, :, 0], grid[:, 0, 1], grid[..., 2]
         density = [(len(axis) - 1) / (axis[-1] - axis[0]) for axis in (x_mm, y_mm)]
-        cells = np.stack([z_mm[:-1, :-1], z_mm[:-1, 1:], z_mm[1:, :-1], z_mm[1:, 1:]]).max(axis=0)
-        tops = _around(cells)
+        blocks = blocks_of(grid)
+        tops = _around(blocks.tops_mm)
         return cls(
             corner_mm=(_number(x_mm[0]), _number(y_mm[0])),
             cells_per_mm=(_number(density[0]), _number(density[1])),
@@ -96,7 +93,7 @@ class MarchedHeights:
             lowest_mm=_number(z_mm.min()),
             middle_mm=_number((z_mm.min() + z_mm.max()) / 2.0),
             highest_mm=_number(z_mm.max()),
-            steepest=mi.Float(_around(steepest_by_cell(grid)).astype(np.float32).ravel()),
+            steepest=mi.Float(_around(blocks.steepest).astype(np.float32).ravel()),
             tops=mi.Float(tops.astype(np.float32).ravel()),
             block_cols=dr.opaque(mi.UInt32, tops.shape[1]),
         )
@@ -114,7 +111,7 @@ class MarchedHeights:
         level = dr.sqrt(direction.x * direction.x + direction.y * direction.y)
         steepest = dr.gather(mi.Float, self.steepest, self._block(track.at(0.0)), active)
         # At most a block along each axis: the ray remains in the block or in its neighbours.
-        stride_mm = _BLOCK / dr.maximum(dr.maximum(dr.abs(track.dx), dr.abs(track.dy)), 1e-6)
+        stride_mm = BLOCK / dr.maximum(dr.maximum(dr.abs(track.dx), dr.abs(track.dy)), 1e-6)
 
         def height_mm(distance_mm: Any) -> Any:
             return dr.fma(distance_mm, direction.z, point_mm.z)
@@ -282,7 +279,7 @@ class MarchedHeights:
     def _block(self, place: "_Place") -> Any:
         """Return the index of the block that contains a position, or of the nearest block."""
         col, row = self._cell(place)
-        return dr.fma(mi.UInt32(row) // _BLOCK, self.block_cols, mi.UInt32(col) // _BLOCK)
+        return dr.fma(mi.UInt32(row) // BLOCK, self.block_cols, mi.UInt32(col) // BLOCK)
 
     def _cell(self, place: "_Place") -> "_Place":
         """Return column and row (whole numbers) of the cell at a position, or of the nearest."""
@@ -392,11 +389,7 @@ def _equal(a: _Facet, b: _Facet) -> Any:
     return (a[0] == b[0]) & (a[1] == b[1]) & (a[2] == b[2])
 
 
-def _around(cells: FloatArray) -> FloatArray:
-    """Return the largest value in each block of cells and the eight blocks around it."""
-    rows, cols = (-(-size // _BLOCK) * _BLOCK for size in cells.shape)
-    padded = np.full((rows, cols), -np.inf)
-    padded[: cells.shape[0], : cells.shape[1]] = cells
-    blocks = padded.reshape(rows // _BLOCK, _BLOCK, -1, _BLOCK).max(axis=(1, 3))
+def _around(blocks: FloatArray) -> FloatArray:
+    """Return the largest value in each block and the eight blocks around it."""
     wide = np.pad(blocks, 1, constant_values=-np.inf)
     return np.asarray(sliding_window_view(wide, (3, 3)).max(axis=(2, 3)))

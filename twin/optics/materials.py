@@ -11,6 +11,8 @@ from reconstruction.arrays import FloatImage
 if TYPE_CHECKING:
     import trimesh
 
+    from twin.mechanics.relief import FaceGrid
+
 
 def mitsuba_mesh(
     name: str,
@@ -145,7 +147,7 @@ def listed_as(name: str, parameters: Any) -> str | None:
     return next((key for key in (name, f"{name}.value") if key in parameters), None)
 
 
-def coated_mesh(face: "trimesh.Trimesh", bsdf: dict[str, Any]) -> Any:
+def coated_mesh(face: "trimesh.Trimesh | FaceGrid", bsdf: dict[str, Any]) -> Any:
     """Return the coated face (vertices in world mm, smooth vertex normals) as `mi.Mesh`.
 
     The vertex attribute `INK_ALBEDO` of the face, if present, is `vertex_shade` of the `mi.Mesh`.

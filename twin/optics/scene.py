@@ -29,6 +29,8 @@ from twin.optics.rig import ThinLens, irradiance_at_1mm, true_calibration
 if TYPE_CHECKING:
     import trimesh
 
+    from twin.mechanics.relief import FaceGrid
+
 
 class CoatedScene:
     """Scene that contains only a coated face, with the ray queries of a Mitsuba scene.
@@ -37,14 +39,16 @@ class CoatedScene:
     is sufficient if all rays are marched over the face's grid of heights.
     """
 
-    def __init__(self, face: "trimesh.Trimesh", bsdf: dict[str, Any], *, tree: bool = True) -> None:
+    def __init__(
+        self, face: "trimesh.Trimesh | FaceGrid", bsdf: dict[str, Any], *, tree: bool = True
+    ) -> None:
         self._mesh = mesh = coated_mesh(face, bsdf)
         self._tree = _tree_of(mesh) if tree else None
         self._bsdf = bsdf
         #: `mi.ShapePtr` of the face; opaque, as its number must not be part of a kernel's code
         self.shape = dr.opaque(mi.ShapePtr, mesh)
 
-    def put(self, face: "trimesh.Trimesh") -> None:
+    def put(self, face: "trimesh.Trimesh | FaceGrid") -> None:
         """Replace the face by another face with the same facets and the same attributes."""
         parameters = mi.traverse(self._mesh)
         for key, values in (("positions", face.vertices), ("normals", face.vertex_normals)):
@@ -106,7 +110,7 @@ def _tree_of(mesh: Any) -> Any:
 
 
 def marched_scene(
-    experiment: Experiment, face: "trimesh.Trimesh", bsdf: dict[str, Any]
+    experiment: Experiment, face: "trimesh.Trimesh | FaceGrid", bsdf: dict[str, Any]
 ) -> CoatedScene:
     """Return the scene of the coated face with the BSDF `bsdf`, for use with `coated_rig`.
 
@@ -122,13 +126,13 @@ def marched_scene(
     return CoatedScene(face, bsdf, tree=tree)
 
 
-def bsdf_on(face: "trimesh.Trimesh", coating: Coating) -> dict[str, Any]:
+def bsdf_on(face: "trimesh.Trimesh | FaceGrid", coating: Coating) -> dict[str, Any]:
     """Return a coat's BSDF for `mi.load_dict`; a face with `INK_ALBEDO` has a texture as albedo."""
     shaded = INK_ALBEDO in face.vertex_attributes
     return coating.bsdf_with_ink(SHADE) if shaded else coating.bsdf()
 
 
-def heights_of(face: "trimesh.Trimesh") -> MarchedHeights | None:
+def heights_of(face: "trimesh.Trimesh | FaceGrid") -> MarchedHeights | None:
     """Return the heights of a face for ray marching; None if its vertices are no uniform grid."""
     grid = height_grid(face)
     return None if grid is None else MarchedHeights.of_grid(grid)
@@ -152,7 +156,7 @@ def rig_of(experiment: Experiment) -> Rig:
     )
 
 
-def coated_rig(experiment: Experiment, face: "trimesh.Trimesh") -> Rig:
+def coated_rig(experiment: Experiment, face: "trimesh.Trimesh | FaceGrid") -> Rig:
     """Return the rig for a scene of only the coated face.
 
     Rays are marched if the vertices of the face are a uniform grid of heights.
@@ -181,7 +185,7 @@ def coating_in_layer(experiment: Experiment) -> Coating:
     return experiment.coating if holder is None else experiment.coating.in_medium(holder.ior)
 
 
-def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh") -> None:
+def check_below_layers(layers: dict[str, Layer], face: "trimesh.Trimesh | FaceGrid") -> None:
     """Raise InputError if a coated face reaches the lowest interface of the layers.
 
     Raises

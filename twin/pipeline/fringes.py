@@ -22,7 +22,8 @@ from twin.camera.noise_function import name_of
 from twin.config import digest, require_experiment
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
-from twin.mechanics import PressedElastomer, face_mesh
+from twin.mechanics import PressedElastomer
+from twin.mechanics.relief import face_grid
 from twin.optics.checks import check_direct_engine, check_stack_size
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
@@ -378,7 +379,7 @@ def loaded(
         "geometry",
         experiment,
         pressed.face_digest,
-        lambda watched: trace.load_face(watched, face_mesh(pressed.pressed)),
+        lambda watched: trace.load_face(watched, face_grid(pressed.pressed)),
     )
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from twin.config.digest import seed_sequence
 from twin.config.models import Experiment
+from twin.mechanics.relief import FaceGrid
 from twin.optics.bounces import Bounces
 from twin.optics.checks import check_focus, check_stock
 from twin.optics.connection import Rig, axial_range_mm
@@ -47,7 +48,7 @@ class Geometry:
 
     scene: Any
     surfaces: Surfaces
-    face: "trimesh.Trimesh | None" = None
+    face: "trimesh.Trimesh | FaceGrid | None" = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +84,7 @@ class Traced:
 
 
 @renderer_session()
-def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
+def load_face(experiment: Experiment, face: "trimesh.Trimesh | FaceGrid") -> Geometry:
     """Return the scene of a pressed face.
 
     Parameters
@@ -94,9 +95,10 @@ def load_face(experiment: Experiment, face: "trimesh.Trimesh") -> Geometry:
     ------
     InputError : the face intersects the layers through which it is seen
     """
-    # A mesh of trimesh and a traversal of Mitsuba have reference cycles: the previous face, up to
-    # 70 MB, would remain in memory until Python's next collection of cycles.
-    gc.collect()
+    if not isinstance(face, FaceGrid):
+        # A mesh of trimesh has reference cycles: the previous face, up to 70 MB, would remain in
+        # memory until Python's next collection of cycles, which takes 0.1 s.
+        gc.collect()
     return Geometry(marched_scene(experiment, face, _BARE), Surfaces(), face)
 
 

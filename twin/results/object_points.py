@@ -14,7 +14,7 @@ from math import ceil, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import BoolImage, FloatArray, IntArray
+from reconstruction.arrays import BoolImage, FloatArray, IntArray, at_pixels
 from reconstruction.cells import box_of
 from reconstruction.evaluate.estimates import FittedDimension, shared_by
 from twin.config.models import Experiment
@@ -104,15 +104,14 @@ class ObjectPoints:
 
     def part(self, selected: BoolImage) -> "ObjectPoints":
         """Return the points that a mask (n,) selects."""
-        # Integer indices are faster than an index with a mask.
-        which, sigma, pixels = np.flatnonzero(selected), self.sigma_mm, self.pixels
+        sigma, pixels = self.sigma_mm, self.pixels
         return replace(
             self,
-            points_mm=self.points_mm[which],
-            sigma_mm=None if sigma is None else sigma[which],
-            touching=self.touching[which],
-            over=self.over[which],
-            pixels=None if pixels is None else pixels[which],
+            points_mm=at_pixels(self.points_mm, selected),
+            sigma_mm=None if sigma is None else at_pixels(sigma, selected),
+            touching=at_pixels(self.touching, selected),
+            over=at_pixels(self.over, selected),
+            pixels=None if pixels is None else at_pixels(pixels, selected),
         )
 
     def thinned(self) -> "ObjectPoints":
@@ -216,23 +215,23 @@ def seen_object(
     every = (slice(None, None, nth), slice(None, None, nth))
     target, true_mm = visible[every], truth.points_world_mm[every].astype(np.float64)
     measured_target = target & valid[every]
-    if measured_target.sum() < 2 or not np.ptp(true_mm[target][:, :2], axis=0).all():
+    xy = np.ascontiguousarray(at_pixels(true_mm[..., :2], target).T)
+    if measured_target.sum() < 2 or not np.ptp(xy, axis=1).all():
         return None
-    heights = Heights.over(surface, true_mm[target][:, :2])
-    touching, over = _places(true_mm, target, heights, pressed)
+    heights = Heights.over(surface, xy.T)
+    touching, over = _places(xy.T, target, heights, pressed)
     whole = int((target & over).sum())
     blur_px = experiment.decode.filter_sigma_px if experiment.decode.filter_taps else 0.0
-    pixels = np.arange(visible.size).reshape(visible.shape)[every][measured_target]
-    on = (
-        touching[measured_target],
-        over[measured_target],
-        shared_by(blur_px, nth),
-        pixels,
-        float(nth**2),
+    pixels = np.arange(visible.size).reshape(visible.shape)[every]
+    touching, over, pixels, true_face = (
+        at_pixels(values, measured_target) for values in (touching, over, pixels, true_mm)
     )
-    sigma = None if sigma_mm is None else sigma_mm[every][measured_target].astype(np.float64)
-    coat = ObjectPoints(world_mm[every][measured_target].astype(np.float64), sigma, *on)
-    measured, known = coat, touching[measured_target]
+    on = (touching, over, shared_by(blur_px, nth), pixels, float(nth**2))
+    sigma = None if sigma_mm is None else at_pixels(sigma_mm[every], measured_target)
+    sigma = None if sigma is None else sigma.astype(np.float64)
+    world = at_pixels(world_mm[every], measured_target).astype(np.float64)
+    coat = ObjectPoints(world, sigma, *on)
+    measured, known = coat, touching
     if under is not None:
         measured, known = _cells_of(under, heights), under.touches(coat.points_mm[:, :2])
     return ObjectView(
@@ -240,8 +239,8 @@ def seen_object(
         surface=surface,
         measured=measured,
         coat=coat,
-        true_face=ObjectPoints(true_mm[measured_target], np.zeros(int(measured_target.sum())), *on),
-        coverage=float((known & over[measured_target]).sum()) / whole if whole else None,
+        true_face=ObjectPoints(true_face, np.zeros(len(true_face)), *on),
+        coverage=float((known & over).sum()) / whole if whole else None,
         heights=heights,
         pixel_mm=_pitch(true_mm, target),
         gratings=gratings_of(experiment.specimen),
@@ -272,13 +271,17 @@ def _nth(count: int) -> int:
 
 
 def _places(
-    true_mm: FloatArray, target: BoolImage, heights: Heights, pressed: PressedElastomer | None
+    xy: FloatArray, target: BoolImage, heights: Heights, pressed: PressedElastomer | None
 ) -> tuple[BoolImage, BoolImage]:
-    """Return masks (row, col) of the pixels in contact with the specimen, and of those over it."""
+    """Return masks (row, col) of the pixels in contact with the specimen, and of those over it.
+
+    Parameters
+    ----------
+    xy : (n, xy) true positions at the pixels of `target`, mm
+    """
     touching, over = np.zeros(target.shape, bool), np.zeros(target.shape, bool)
     if pressed is None:
         return target, target
-    xy = true_mm[target][:, :2]
     over[target] = np.isfinite(heights.z_mm[heights.cells_of(xy)])
     row = _nearest(pressed.y_mm, xy[:, 1])
     touching[target] = pressed.contact[row, _nearest(pressed.x_mm, xy[:, 0])]
@@ -294,5 +297,5 @@ def _nearest(places: FloatArray, target: FloatArray) -> NDArray[np.intp]:
 
 def _pitch(true_mm: FloatArray, target: BoolImage) -> float:
     both = target[:, 1:] & target[:, :-1]
-    steps = (true_mm[:, 1:] - true_mm[:, :-1])[both]
+    steps = at_pixels((true_mm[:, 1:] - true_mm[:, :-1])[..., :2], both)
     return float(np.median(np.hypot(steps[:, 0], steps[:, 1]))) if len(steps) else 0.0

@@ -255,15 +255,15 @@ def _quantity(
     value, coat, true_value, why = None, None, None, NOTHING_FOUND
     covered = observed is not None and observed.covered
     if observed is not None:
-        value, why = _attempt(request, feature, observed, observed.measured)
-        if request.hidden and covered:
-            coat, _ = _attempt(request, feature, observed, _whole(request, observed.coat))
-            true_value, _ = _attempt(
-                request, feature, observed, _whole(request, observed.true_face)
-            )
-            value, why = (None, without) if without else (value, why)
+        hidden = request.hidden and covered
+        if hidden and without:
+            why = without
         else:
-            true_value, _ = _attempt(request, feature, observed, observed.true_face)
+            value, why = _attempt(request, feature, observed, observed.measured)
+        if hidden:
+            coat, _ = _attempt(request, feature, observed, _whole(request, observed.coat))
+        true_face = _whole(request, observed.true_face) if hidden else observed.true_face
+        true_value, _ = _attempt(request, feature, observed, true_face)
     return MeasuredQuantity(
         measurand=request,
         nominal=nominal_mm(feature, request),

@@ -270,13 +270,13 @@ def order_warnings(
     points = reconstruction.point_map
     both = points.valid & wanted_pixels(experiment, truth)
     wrong = at_pixels(_of_another_period(experiment, reconstruction, truth), both)
+    if not wrong.any() or wrong.all():
+        return []
     measured_mm, true_mm = (
         at_pixels(surface, both)[:, 2]
         for surface in (points.points_world_mm, truth.points_world_mm)
     )
     error_um = 1e3 * (measured_mm - true_mm).astype(np.float64)
-    if not wrong.any() or wrong.all():
-        return []
     all_um, others_um = rms(error_um), rms(error_um[~wrong])
     if all_um < _DOMINATED * others_um:
         return []
