@@ -109,6 +109,19 @@ def test_patterns_without_a_grid_are_solved_too(density: float) -> None:
     np.testing.assert_allclose(whole(matrix) @ solver.solve(right), right, atol=1e-9)
 
 
+def test_lines_of_very_different_length_are_halved() -> None:
+    """60 points on one line, and 100 lines of one point each, which nothing is coupled with."""
+    coupled = np.concatenate((np.full(59, -1.0), np.zeros(100)))
+    upper = sparse.csr_matrix(sparse.diags([np.full(160, 4.0), coupled], [0, 1]))
+    upper.eliminate_zeros()
+    elimination = dissected(upper.indptr, upper.indices)
+    assert max(front.end - front.first for front in elimination.fronts) < 24
+    solver = NestedDissection(upper.indptr, upper.indices)
+    right = np.random.default_rng(2).normal(size=160)
+    assert solver.factorise(upper.data.copy())
+    np.testing.assert_allclose(whole(upper) @ solver.solve(right), right, atol=1e-12)
+
+
 def test_small_systems_are_banded_and_large_ones_are_not() -> None:
     small, large = plate(10, 3), plate(60, 3)
     assert isinstance(linear_solver(small.indptr, small.indices), Banded)

@@ -140,8 +140,8 @@ def _domains(graph: Graph) -> tuple[IntArray, list[int]]:
         inner = domain[first] == domain[second]
         first, second = first[inner], second[inner]
         large = np.bincount(domain, minlength=len(parents)) >= _LEAF_POINTS
-        large[[number in parents for number in range(len(parents))]] = False
-        upper = _upper_half(domain, large, line, position)
+        large[parents[1:]] = False  # halved before
+        upper = _upper_half(domain, len(parents), line, position)
         across = large[domain[first]] & (upper[first] != upper[second])
         separates = np.zeros(graph.size, dtype=bool)
         separates[first[across & upper[first]]] = True
@@ -156,22 +156,30 @@ def _domains(graph: Graph) -> tuple[IntArray, list[int]]:
 
 def _upper_half(
     domain: IntArray,
-    large: npt.NDArray[np.bool_],
+    size: int,
     line: npt.NDArray[np.float64],
     position: npt.NDArray[np.float64],
 ) -> npt.NDArray[np.bool_]:
-    """Return the points in the upper half of their domain, along its longer side."""
-    extents = []
+    """Return the points in the upper half of their domain, along its longer side.
+
+    `size` is the number of domains.
+    """
+    lows, extents = [], []
     for values in (line, position):
-        low, high = np.full(large.size, np.inf), np.full(large.size, -np.inf)
+        low, high = np.full(size, np.inf), np.full(size, -np.inf)
         np.minimum.at(low, domain, values)
         np.maximum.at(high, domain, values)
+        lows.append(low)
         extents.append(high - low)
-    along = np.where((extents[0] >= extents[1])[domain], line, position)
+    by_line = extents[0] >= extents[1]
+    along = np.where(by_line[domain], line, position)
     order = np.lexsort((along, domain))
-    count = np.bincount(domain, minlength=large.size)
+    count = np.bincount(domain, minlength=size)
     middle = np.minimum(np.cumsum(count) - count + count // 2, domain.size - 1)
-    return np.asarray(along >= along[order[middle]][domain])
+    cut = along[order[middle]]
+    # More than half of the points can be on the first line: then the others are the upper half.
+    cut = np.where(cut > np.where(by_line, *lows), cut, np.nextafter(cut, np.inf))
+    return np.asarray(along >= cut[domain])
 
 
 def _children_first(parents: list[int]) -> list[int]:
