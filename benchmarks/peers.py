@@ -36,7 +36,7 @@ from benchmarks import all as all_cases
 from benchmarks._harness import print_figures, quick_parser
 from benchmarks.contest.contestants import CONTESTANTS, HERE, Contestant
 from benchmarks.contest.environments import PeerError
-from benchmarks.contest.work import WORKS, Work
+from benchmarks.contest.work import WORKS, PeerTask
 from benchmarks.regression.tables import with_table
 
 ROOT = Path(__file__).parents[1]
@@ -46,7 +46,7 @@ REPEATS, TIMEOUT_S = 5, 1800
 
 
 @dataclass(frozen=True)
-class Row:
+class PeerResult:
     """One program's result of a piece of work, or the reason that there is none.
 
     Attributes
@@ -55,7 +55,7 @@ class Row:
     error : in the unit of the work; None: no result
     """
 
-    work: Work
+    work: PeerTask
     contestant: Contestant
     seconds: float | None = None
     memory_mib: float | None = None
@@ -102,7 +102,9 @@ def main() -> None:
     print_figures({name: value for row in rows for name, value in row.figures().items()})
 
 
-def compare(works: list[Work], contestants: list[Contestant], quick: bool) -> Iterator[Row]:
+def compare(
+    works: list[PeerTask], contestants: list[Contestant], quick: bool
+) -> Iterator[PeerResult]:
     """Do each piece of work that another program does, by all of them; yield the rows."""
     for work in works:
         able = [one for one in contestants if work.name in one.scope]
@@ -116,19 +118,23 @@ def compare(works: list[Work], contestants: list[Contestant], quick: bool) -> It
 
 
 def row_of(
-    work: Work, contestant: Contestant, inputs: dict[str, np.ndarray], folder: Path, repeats: int
-) -> Row:
+    work: PeerTask,
+    contestant: Contestant,
+    inputs: dict[str, np.ndarray],
+    folder: Path,
+    repeats: int,
+) -> PeerResult:
     """Let a program do a piece of work whose inputs are in a folder, and judge its result."""
     try:
         python = contestant.environment.python()
         figures = run_child(python, contestant.name, work.name, folder, repeats)
     except PeerError as error:
-        return Row(work, contestant, remark=str(error))
+        return PeerResult(work, contestant, remark=str(error))
     with np.load(folder / "result.npz") as file:
         result = dict(file)
     error, remark = work.error_of(inputs, result)
     seconds = figures["seconds"] / work.results_in(result)
-    return Row(work, contestant, seconds, figures["memory_bytes"] / 2**20, error, remark)
+    return PeerResult(work, contestant, seconds, figures["memory_bytes"] / 2**20, error, remark)
 
 
 def run_child(
@@ -159,11 +165,11 @@ def run_child(
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def table(rows: Iterable[Row]) -> str:
+def table(rows: Iterable[PeerResult]) -> str:
     """Return the page's table in Markdown."""
     errors = "; ".join(f"{work.name}: {work.error}" for work in WORKS)
     lines = [
-        f"On one core of {all_cases.machine()}, {datetime.now(UTC).date().isoformat()}.",
+        f"On one of {all_cases.machine()}, {datetime.now(UTC).date().isoformat()}.",
         f"Errors: {errors}.",
         "",
         *(f"|{'|'.join(cells)}|" for cells in (HEAD, ("---",) * len(HEAD))),

@@ -52,7 +52,16 @@ class Environment:
     def _make(self, place: Path) -> None:
         print(f"installing {' '.join(self.packages)} in {place}", flush=True)
         venv.create(place, clear=True, with_pip=True)
-        pip = [str(_interpreter(place)), "-m", "pip", "install", "--progress-bar", "off"]
+        pip = [
+            str(_interpreter(place)),
+            "-m",
+            "pip",
+            "install",
+            "--progress-bar",
+            "off",
+            "--retries",
+            "2",
+        ]
         try:
             done = subprocess.run(
                 [*pip, *self.packages], capture_output=True, text=True, timeout=_TIMEOUT_S

@@ -24,7 +24,7 @@ TAXIM_SHAPE = 480, 640  # twice the pixels of the images of real presses
 
 
 @dataclass(frozen=True)
-class Work:
+class PeerTask:
     """One piece of work.
 
     Attributes
@@ -245,8 +245,8 @@ def frame_error(inputs: Arrays, result: Arrays) -> tuple[float, str]:
 
 
 WORKS = (
-    Work("decode", "RMS of the projector coordinate, px", decode_inputs, decode_error),
-    Work("tactile", "RMS of the change by contact, levels", tactile_inputs, tactile_error),
-    Work("press", "force, %", press_inputs, press_error),
-    Work("frame", "RMS over mean radiance, %", frame_inputs, frame_error),
+    PeerTask("decode", "RMS of the projector coordinate, px", decode_inputs, decode_error),
+    PeerTask("tactile", "RMS of the change by contact, levels", tactile_inputs, tactile_error),
+    PeerTask("press", "force, %", press_inputs, press_error),
+    PeerTask("frame", "RMS over mean radiance, %", frame_inputs, frame_error),
 )
