@@ -96,7 +96,9 @@ def gray_frames(projector_px: np.ndarray) -> np.ndarray:
 def decode_error(inputs: Arrays, result: Arrays) -> tuple[float, str]:
     """Return the RMS error of the coordinates without gross errors, px."""
     rms_px, valid, gross = _decoded(result["px"], inputs["truth_px"])
-    remarks = [f"{valid:.1%} of the pixels decoded, {gross:.2%} gross errors"]
+    remarks = ["all pixels decoded"]
+    if valid < 1.0 or gross > 0.0:
+        remarks = [f"{valid:.1%} of the pixels decoded, {gross:.2%} gross errors"]
     if "unfiltered_px" in result:
         unfiltered = _decoded(result["unfiltered_px"], inputs["truth_px"])
         remarks.append(f"error without filter {unfiltered[0]:.2g} px")
