@@ -307,7 +307,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1, help="random presses at the same time")
     parser.add_argument("--kept", type=Path, metavar="FILE", help="JSON lines of finished presses")
     chosen = parser.parse_args()
-    print(f"solver: {'PARDISO' if has_pardiso() else 'SuperLU'}", flush=True)
+    print(f"solver: {'PARDISO' if has_pardiso() else 'nested dissection'}", flush=True)
     if chosen.press is not None:
         print(outcome(chosen.press))
         return
@@ -317,7 +317,7 @@ def main() -> None:
     result: dict[str, Any] = {} if chosen.presses else dict(measured(chosen.quick))
     result |= summary(press_all(range(count), chosen.workers, chosen.kept))
     result["peak_memory_gib"] = max(result.get("peak_memory_gib", 0.0), result["press_gib"] or 0.0)
-    print_figures(result | {"solver": "pardiso" if has_pardiso() else "superlu"})
+    print_figures(result | {"solver": "pardiso" if has_pardiso() else "nested_dissection"})
 
 
 if __name__ == "__main__":

@@ -68,7 +68,7 @@ def test_the_linear_solver_of_thin_sheets_is_named(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("platform.machine", lambda: "x86_64")
     slow = by_name()["thin-sheet solver"]
     assert slow.ok
-    assert "SuperLU" in slow.detail
+    assert "nested dissection" in slow.detail
     assert "[fast]" in slow.detail
     monkeypatch.setattr("twin.mechanics.sheet.linear_solver.has_pardiso", lambda: True)
     assert by_name()["thin-sheet solver"].detail.startswith("PARDISO")

@@ -1,4 +1,4 @@
-"""Solve positive definite sparse systems by PARDISO (pypardiso) or else by SciPy's SuperLU."""
+"""Solve positive definite sparse systems: small by a band, others by PARDISO or own factors."""
 
 import ctypes
 import importlib.metadata
@@ -12,10 +12,17 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
-from scipy.sparse.linalg import LinearOperator, cg, splu
+from scipy.linalg import lapack
+from scipy.sparse.linalg import LinearOperator, cg
 
-from reconstruction.arrays import FloatArray, FloatImage
-from reconstruction.machine import environment_variable, threads, warnings_ignored
+from reconstruction.arrays import FloatArray
+from reconstruction.machine import (
+    environment_variable,
+    one_blas_thread,
+    threads,
+    warnings_ignored,
+)
+from twin.mechanics.sheet.multifrontal import Multifrontal, Values
 
 IntArray = npt.NDArray[np.int32]
 _LIBRARY_VARIABLE = "PYPARDISO_MKL_RT"
@@ -36,6 +43,9 @@ _REPRODUCIBLE, _THREADS = 34, 4
 # Fewer unknowns are solved and evaluated by one thread: for these, several threads take longer next
 # to another busy process, and 1.7 times the processor time.
 _LARGE = 20_000
+# Unknowns times the square of the width of the band: of 5,600 unknowns on a square grid. With less,
+# the factors of the band need at most the time of PARDISO, and no symbolic factorisation.
+_BANDED = 4e8
 
 
 def threads_for(unknowns: int) -> int:
@@ -77,43 +87,26 @@ def _library() -> str | None:
     return os.path.realpath(min(places, key=len)) if places else None
 
 
-class Pardiso:
-    """PARDISO of MKL: one symbolic factorisation for all systems of the pattern.
+class _Refined:
+    """Factors of large systems in single precision, with refinement in double precision.
 
-    The factors of large systems are in single precision, which takes 60 % of the time of double
-    precision. A solution by them has a relative error of 1e-5 and more; conjugate gradients in
-    double precision, with these factors as preconditioner, reduce it to that of double factors.
+    Single precision takes 60 % of the time of double precision. A solution by such factors has a
+    relative error of 1e-5 and more; conjugate gradients in double precision, with these factors as
+    preconditioner, reduce it to that of double factors.
     """
 
     def __init__(self, start: IntArray, columns: IntArray) -> None:
-        with _named_library():  # the import searches for it already
-            from pypardiso import PyPardisoSolver
-
-            self._solver: Any = PyPardisoSolver(mtype=_REAL_POSITIVE_DEFINITE)
         size = start.size - 1
-        self._solver.set_iparm(_OWN_SETTINGS, 1)
-        self._solver.set_iparm(_ORDERING, _NESTED_DISSECTION)
         self._single = size >= _LARGE
-        self._solver.set_iparm(_SINGLE_PRECISION, int(self._single))
-        # One order of sums: the same bytes in every run, with any number of cores.
-        self._solver.set_iparm(_REPRODUCIBLE, _THREADS)
-        self._solver.libmkl.MKL_CBWR_Set(ctypes.c_int(_MKL_CBWR_AUTO))
-        self._threads = min(threads_for(size), _THREADS)
+        self._dtype = np.float32 if self._single else np.float64
         self._upper = sparse.csr_matrix((np.ones(columns.size), columns, start), shape=(size, size))
-        self._values = np.ones(columns.size, np.float32 if self._single else np.float64)
-        # PARDISO counts rows and columns from 1.
-        self._pattern = (start + 1).astype(np.int32), (columns + 1).astype(np.int32)
-        if self._run(_ANALYSE):
-            raise MemoryError("PARDISO: no memory for the symbolic factorisation")
-        # The library allocates the factors; at the end of the process they are freed with it.
-        weakref.finalize(self, self._solver.free_memory, everything=True).atexit = False
 
     def factorise(self, values: FloatArray) -> bool:
         """Factorise the upper triangle's values; return True if they are positive definite."""
         self._upper.data = values
         self._diagonal = self._upper.diagonal()
-        np.multiply(values, _SCALE, out=self._values, casting="same_kind")
-        return self._run(_FACTORISE) == 0
+        scaled = np.zeros(values.size, self._dtype)
+        return self._factorise(np.multiply(values, _SCALE, out=scaled, casting="same_kind"))
 
     def solve(self, right: FloatArray, accuracy: float = ACCURACY) -> FloatArray:
         """Solve for the right-hand side `right` with the latest factorisation."""
@@ -122,28 +115,69 @@ class Pardiso:
         size = right.size
         matrix = LinearOperator((size, size), self._times, dtype=np.float64)
         factors = LinearOperator((size, size), self._by_factors, dtype=np.float64)
-        solution, _ = cg(matrix, right, rtol=accuracy, maxiter=_MOST_ITERATIONS, M=factors)
+        with one_blas_thread():  # sums by several threads have other last digits
+            solution, _ = cg(matrix, right, rtol=accuracy, maxiter=_MOST_ITERATIONS, M=factors)
         return np.asarray(solution)
 
     def _by_factors(self, right: FloatArray) -> FloatArray:
         """Return the solution by the factors in their precision."""
         # In single precision small residuals would be 0.
         scale = float(np.abs(right).max()) or 1.0
-        scaled = (right * (_SCALE / scale)).astype(self._values.dtype)
-        solution = np.zeros_like(scaled)
-        self._run(_SOLVE, scaled, solution)
-        return np.asarray(scale * solution.astype(np.float64))
+        scaled = (right * (_SCALE / scale)).astype(self._dtype)
+        return np.asarray(scale * self._solve(scaled).astype(np.float64))
 
     def _times(self, vector: FloatArray) -> FloatArray:
         """Return the product of the symmetric matrix with a vector."""
         both = self._upper @ vector + self._upper.T @ vector
         return np.asarray(both - self._diagonal * vector)
 
+    def _factorise(self, values: Values) -> bool:
+        """Factorise scaled values in the precision of the factors."""
+        raise NotImplementedError
+
+    def _solve(self, right: Values) -> Values:
+        """Return the solution for a right-hand side in the precision of the factors."""
+        raise NotImplementedError
+
+
+class Pardiso(_Refined):
+    """PARDISO of MKL: one symbolic factorisation for all systems of the pattern."""
+
+    def __init__(self, start: IntArray, columns: IntArray) -> None:
+        super().__init__(start, columns)
+        with _named_library():  # the import searches for it already
+            from pypardiso import PyPardisoSolver
+
+            self._solver: Any = PyPardisoSolver(mtype=_REAL_POSITIVE_DEFINITE)
+        self._solver.set_iparm(_OWN_SETTINGS, 1)
+        self._solver.set_iparm(_ORDERING, _NESTED_DISSECTION)
+        self._solver.set_iparm(_SINGLE_PRECISION, int(self._single))
+        # One order of sums: the same bytes in every run, with any number of cores.
+        self._solver.set_iparm(_REPRODUCIBLE, _THREADS)
+        self._solver.libmkl.MKL_CBWR_Set(ctypes.c_int(_MKL_CBWR_AUTO))
+        self._threads = min(threads_for(start.size - 1), _THREADS)
+        self._values: Values = np.ones(columns.size, self._dtype)
+        # PARDISO counts rows and columns from 1.
+        self._pattern = (start + 1).astype(np.int32), (columns + 1).astype(np.int32)
+        if self._run(_ANALYSE):
+            raise MemoryError("PARDISO: no memory for the symbolic factorisation")
+        # The library allocates the factors; at the end of the process they are freed with it.
+        weakref.finalize(self, self._solver.free_memory, everything=True).atexit = False
+
+    def _factorise(self, values: Values) -> bool:
+        self._values = values
+        return self._run(_FACTORISE) == 0
+
+    def _solve(self, right: Values) -> Values:
+        solution = np.zeros_like(right)
+        self._run(_SOLVE, right, solution)
+        return solution
+
     def _run(
         self,
         phase: int,
-        right: FloatImage | FloatArray = _UNUSED,
-        solution: FloatImage | FloatArray = _UNUSED,
+        right: Values = _UNUSED,
+        solution: Values = _UNUSED,
     ) -> int:
         """Run a phase of PARDISO; return its error code, 0 without an error."""
         solver, (start, columns) = self._solver, self._pattern
@@ -167,38 +201,58 @@ class Pardiso:
         return error.value
 
 
-class SuperLU:
-    """SciPy's LU without pivoting, so that its diagonal has the signs of the eigenvalues."""
+class NestedDissection(_Refined):
+    """Multifrontal factors by SciPy's BLAS and LAPACK, for machines without PARDISO."""
 
     def __init__(self, start: IntArray, columns: IntArray) -> None:
-        size = start.size - 1
-        self._upper = sparse.csr_matrix((np.ones(columns.size), columns, start), shape=(size, size))
+        super().__init__(start, columns)
+        self._factors = Multifrontal(start, columns, self._dtype)
+
+    def _factorise(self, values: Values) -> bool:
+        return self._factors.factorise(values)
+
+    def _solve(self, right: Values) -> Values:
+        return self._factors.solve(right)
+
+
+class Banded:
+    """LAPACK's factors of a banded matrix: for small systems they need the least time."""
+
+    def __init__(self, start: IntArray, columns: IntArray) -> None:
+        self._size = start.size - 1
+        self._width = band_width(start, columns) + 1
+        row = np.repeat(np.arange(self._size), np.diff(start))
+        self._targets = row * self._width + columns - row
+        self._factors = np.zeros((self._width, self._size), order="F")
 
     def factorise(self, values: FloatArray) -> bool:
         """Factorise the upper triangle's values; return True if they are positive definite."""
-        self._upper.data = values
-        above = sparse.triu(self._upper, 1)
-        whole = (self._upper + above.T).tocsc()
-        try:
-            self._factors = splu(
-                whole,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-        except RuntimeError:  # exactly singular
-            return False
-        return bool((self._factors.U.diagonal() > 0).all())
+        band = np.zeros((self._size, self._width))
+        band.ravel()[self._targets] = values  # column by column, as LAPACK stores it
+        with one_blas_thread():
+            self._factors, failed = lapack.dpbtrf(band.T, lower=1, overwrite_ab=1)
+        return not failed
 
     def solve(self, right: FloatArray, accuracy: float = ACCURACY) -> FloatArray:
         """Solve for the right-hand side `right` with the latest factorisation."""
-        solution: FloatArray = self._factors.solve(right)
-        return solution
+        with one_blas_thread():
+            solution, _ = lapack.dpbtrs(self._factors, right, lower=1)
+        return np.asarray(solution)
+
+
+def band_width(start: IntArray, columns: IntArray) -> int:
+    """Return the largest distance of an element from the diagonal."""
+    return int((columns[start[1:] - 1] - np.arange(start.size - 1)).max())
 
 
 def linear_solver(start: IntArray, columns: IntArray) -> LinearSolver:
-    """Return the fastest solver that is installed, for the upper triangle of a CSR pattern."""
-    return Pardiso(start, columns) if has_pardiso() else SuperLU(start, columns)
+    """Return the fastest solver that is installed, for the upper triangle of a CSR pattern.
+
+    The columns of each row are sorted, and begin with the diagonal.
+    """
+    if (start.size - 1) * band_width(start, columns) ** 2 < _BANDED:
+        return Banded(start, columns)
+    return Pardiso(start, columns) if has_pardiso() else NestedDissection(start, columns)
 
 
 @cache

@@ -1,0 +1,1 @@
+"""Comparison of the same work by this project and by other programs (`benchmarks/peers.py`)."""
