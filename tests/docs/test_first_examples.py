@@ -6,16 +6,16 @@ from pathlib import Path
 import pytest
 
 from reconstruction.reading import read_json
-from tests.docs.test_tutorials import blocks
+from tests.docs.documents import DOCS, ROOT, blocks
 from twin.cli import run
 from twin.config import load_experiment
 
-README = Path(__file__).parents[2] / "README.md"
+README = ROOT / "README.md"
 PROMISED_UM = 20.0
 
 
 def minimal_experiment() -> str:
-    (result,) = re.findall(r"^```toml\n(.*?)^```$", README.read_text("utf-8"), re.DOTALL | re.M)
+    (result,) = (block.text for block in blocks(README) if block.language == "toml")
     return result
 
 
@@ -47,6 +47,7 @@ def test_the_minimal_experiment_of_the_readme_reads_its_ball(mi, minimal, tmp_pa
 
 def test_getting_started_begins_with_the_same_experiment(minimal, tmp_path):
     page = tmp_path / "page.toml"
-    (text,) = (text for _, caption, text in blocks("getting_started.md") if caption == "my.toml")
+    started = blocks(DOCS / "getting_started.md")
+    (text,) = (block.text for block in started if block.caption == "my.toml")
     page.write_text(text, encoding="utf-8")
     assert load_experiment(page) == load_experiment(minimal, {"camera.binning": 4})

@@ -7,26 +7,18 @@ from pathlib import Path
 
 import pytest
 
+from tests.docs.documents import DOCS, blocks
 from twin.cli import run
 from twin.config import ConfigError, load_experiment
 from twin.config.rig import shipped_lenses
 from twin.results.layout import layout_figures
 
-DOCS = Path(__file__).parents[2] / "docs"
-BLOCK = re.compile(
-    r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.DOTALL | re.M
-)
-
-
-def blocks(page: str) -> list[tuple[str, str, str]]:
-    """Return the language, caption and text of every block of a page."""
-    return BLOCK.findall((DOCS / page).read_text(encoding="utf-8"))
-
 
 def follow(page: str) -> None:
     """Run the commands and code of the page in the current folder."""
     variables: dict[str, object] = {}
-    for language, caption, text in blocks(page):
+    for block in blocks(DOCS / page):
+        language, caption, text = block.language, block.caption, block.text
         if language == "toml" and caption:
             Path(caption).write_text(text, encoding="utf-8")
         elif language == "sh":
@@ -78,15 +70,6 @@ def test_the_page_on_field_lens_and_distance_runs(tmp_path, monkeypatch, capsys)
 
 def test_tutorials_have_something_to_run():
     for page in ("getting_started.md", "tutorial_design.md"):
-        languages = [language for language, _, _ in blocks(page)]
+        languages = [block.language for block in blocks(DOCS / page)]
         assert {"toml", "sh", "python"} <= set(languages), page
-    assert sum(len(said(text)) for _, _, text in blocks("tutorial_design.md")) >= 8
-
-
-def test_the_readmes_experiment_is_valid(tmp_path):
-    text = (DOCS.parent / "README.md").read_text(encoding="utf-8")
-    whole = [block for language, _, block in BLOCK.findall(text) if language == "toml"]
-    assert whole
-    for block in whole:
-        (tmp_path / "my.toml").write_text(block, encoding="utf-8")
-        assert load_experiment(tmp_path / "my.toml").name == "my_first_press"
+    assert sum(len(said(block.text)) for block in blocks(DOCS / "tutorial_design.md")) >= 8
