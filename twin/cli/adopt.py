@@ -7,6 +7,7 @@ from twin.cli.app import Out, Report, app, progress_bars, say
 
 if TYPE_CHECKING:
     from reconstruction.characterise import UncertainValue
+    from twin.adoption.adopt import Adopted
     from twin.adoption.elastomer import KnownBallPress
 
 
@@ -56,8 +57,7 @@ def adopt(
     """
     from twin.adoption.adopt import Given
     from twin.adoption.adopt import adopt as make
-    from twin.adoption.summary import summary_of
-    from twin.adoption.write import FIELDS_FILE, RIG_FILE, write_adopted
+    from twin.adoption.write import write_adopted
     from twin.output import output_folder
     from twin.report.adopted import write_adopted_page
 
@@ -70,6 +70,13 @@ def adopt(
         write_adopted(folder, adopted, given)
         if report:
             write_adopted_page(folder, adopted, given, watch)
+    _print_summary(adopted, out)
+
+
+def _print_summary(adopted: "Adopted", out: Path) -> None:
+    from twin.adoption.summary import summary_of
+    from twin.adoption.write import FIELDS_FILE, RIG_FILE
+
     for line in summary_of(adopted):
         say(line)
     say(f"wrote {out / RIG_FILE}; every field with range and source: {out / FIELDS_FILE}")
