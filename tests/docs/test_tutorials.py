@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from reconstruction.reading import read_json
 from tests.docs.documents import DOCS, blocks
 from twin.cli import run
 from twin.config import ConfigError, load_experiment
@@ -42,11 +43,25 @@ def said(text: str) -> list[str]:
     return below or behind
 
 
+PRINTED = {
+    "getting_started.md": (
+        (r"    object: radius 1: ([\d.]+) mm", "object_radius_1_mm", 2e-4),
+        (r"apparent in the coat: ([\d.]+) mm", "object_radius_1_coat_mm", 1e-3),
+        (r"deviation of its points ([\d.]+) um RMS", "object_rms_um", 0.15),
+    )
+}
+"""Numbers that a page prints as the output of its command: text, figure, tolerance."""
+
+
 @pytest.mark.parametrize("page", ["getting_started.md", "tutorial_design.md"])
 def test_a_tutorial_runs_with_the_printed_output(mi, tmp_path, monkeypatch, page):
     monkeypatch.chdir(tmp_path)
     follow(page)
     assert (tmp_path / "out" / "report.html").is_file()
+    for text, figure, digits in PRINTED.get(page, ()):
+        (number,) = re.findall(text, (DOCS / page).read_text(encoding="utf-8"))
+        metrics = read_json(tmp_path / "out" / "result.json")["metrics"]
+        assert metrics[figure] == pytest.approx(float(number), abs=digits), figure
 
 
 def test_the_page_on_field_lens_and_distance_runs(tmp_path, monkeypatch, capsys):
