@@ -53,6 +53,7 @@ JUDGES = {
     "docs/getting_started.md: .venv/bin/python": "test_blocks.py::test_extras_of_an_installation",
     "docs/install.md: ./run demo": "../paper/test_demo.py::test_the_folder_has_all",
     "docs/install.md: python3.11": "test_blocks.py::test_extras_of_an_installation",
+    "docs/optics.md: ": "test_tutorials.py::test_the_page_on_field_lens_and_distance_runs",
     "docs/paper.md: twin paper": _COMMANDS,
     "docs/real_rig.md: format =": "../cli/test_real_rig.py::test_listed_columns_only_give",
     "docs/sheet.md: [elastomer]": "test_blocks.py::test_tables_of_a_thin_sheet",
@@ -156,7 +157,7 @@ def experiment_with(tmp_path: Path, name: str, text: str) -> Experiment:
     return load_experiment(file)
 
 
-def test_a_measured_coat(tmp_path):
+def test_a_measured_coat(mi, tmp_path):
     """Expected: the file is next to the experiment, the wavelength is that of the projector."""
     table = matte_table(tmp_path / "my_coat_spec.bsdf")
     text = one("docs/coatings.md", "[coating]").text
