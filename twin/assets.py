@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
+from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal, get_args
@@ -103,6 +105,39 @@ def list_assets(collection: Collection) -> list[str]:
     )
 
 
+def likely_material(word: str, table: str, tables: Iterable[str] = ()) -> str:
+    """Return the name of the data file in `materials` that a word probably means; "" if none.
+
+    The word is compared with the names of the files, then with the words of their first comment and
+    description. For example "steel" in `specimen.material` gives "materials/metals/steel".
+
+    Parameters
+    ----------
+    table : dotted path of the table that takes the material. If a folder of materials has the name
+        of this table, as `coatings` of `coating`, only its files are compared
+    tables : names of tables with a folder of their own, which no other table uses
+    """
+    by_folder = {name: _tables_of(name.partition("/")[0]) for name in list_assets("materials")}
+    own = [name for name, of in by_folder.items() if of & {*table.split(".")}]
+    shared = [name for name, of in by_folder.items() if not of & {*tables}]
+    named = {Path(name).name: name for name in own or shared}
+    plain = Path(word).name.removesuffix(".toml").strip().lower().replace(" ", "_")
+    close = difflib.get_close_matches(plain, named, n=1, cutoff=0.7)
+    mentioned = [name for name in named.values() if plain in _words_about(name)]
+    likely = [named[name] for name in close] or mentioned
+    return f"materials/{likely[0]}" if likely and plain else ""
+
+
+def _tables_of(folder: str) -> set[str]:
+    return {folder, folder.removesuffix("s")}
+
+
+def _words_about(material: str) -> set[str]:
+    """Return the words of a material's first comment and description, in lower case."""
+    text = asset_path("materials", material).read_text(encoding="utf-8").lower()
+    return set(re.findall(r"[a-z0-9]+", text.partition("\n\n")[0]))
+
+
 def asset_folders(collection: Collection) -> list[Path]:
     """List the folders that may contain a collection, in the order of their precedence.
 
@@ -153,12 +188,15 @@ def _not_found(collection: Collection, name: str) -> str:
     if _is_path(name) or len(name) > _LONGEST_NAME:
         return f"{shown(name)}: no such file"
     known = list_assets(collection)
+    material = likely_material(name, "") if collection == "materials" else ""
+    if material:
+        return f"materials/{name}: not found; did you mean {material}?"
     stem = Path(name.removesuffix(".toml")).name
     same = [entry for entry in known if Path(entry).name == stem]
     own = [str(path) for path in Path(name).parent.glob("*.toml")]
     wanted = name.removesuffix(".toml")
     close = difflib.get_close_matches(wanted, [*known, *own], n=2, cutoff=0.5)
     nearest = difflib.get_close_matches(wanted, known, n=1, cutoff=0.0)
-    likely = ", ".join(dict.fromkeys(same + close))
+    likely = ", ".join(dict.fromkeys(same or close))
     advice = f"did you mean {likely}?" if likely else f"the nearest name is {', '.join(nearest)}"
     return f"{name}: not found, neither as a file nor in {collection}; {advice}"

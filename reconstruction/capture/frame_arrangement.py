@@ -371,8 +371,11 @@ def _inferred_px(
         return fringe_px
     if count == plain + 1:
         return 0.5 * fringe_px
+    low_px, high_px = length_px / 2.0**count, length_px / 2.0 ** (count - 2)
     raise CaptureError(
         f"along {frames[0].axis} there are {count} Gray frames; fringes of {fringe_px:g} px need "
         f"{plain}, or {plain + 1} with half-period words: record the missing ones, or give "
-        "period_px of the Gray frames, the width of one word"
+        "period_px of the Gray frames, the width of one word; or the axes, or width_px and "
+        f"height_px, are exchanged, or period_px is wrong: {count} frames number fringes of "
+        f"{low_px:.4g} to {high_px:.4g} px on {length_px} px"
     )

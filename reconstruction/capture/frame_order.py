@@ -57,6 +57,7 @@ class Sample:
     stack : (frame, row, col), DN
     calibration : calibration with the camera's image size of the sample; None: not calibrated
     is_lit : (row, col) bool
+    stride : distance of the sampled pixels, px
     """
 
     stack: Stack
@@ -64,6 +65,7 @@ class Sample:
     sensor: SensorNoise
     calibration: Calibration | None
     is_lit: BoolImage
+    stride: int
 
 
 def check_order(
@@ -86,7 +88,7 @@ def check_order(
     CaptureError : another order or unequal exposures explain the frames; the message names the
         mistake
     """
-    sample = _sample(stack, patterns, sensor, calibration)
+    sample = sample_of(stack, patterns, sensor, calibration)
     if np.count_nonzero(sample.is_lit) < LEAST_LIT:
         return
     _check_sequence(sample)
@@ -97,12 +99,13 @@ def check_order(
     check_borders(stack, patterns, sensor)
 
 
-def _sample(
+def sample_of(
     stack: Stack,
     patterns: PatternSet,
     sensor: SensorNoise,
     calibration: Calibration | None,
 ) -> Sample:
+    """Return the frames of a capture on a coarse grid of pixels; arguments as of `check_order`."""
     stride = max(1, min(stack.shape[1:]) // SAMPLE_PX)
     sample = np.ascontiguousarray(stack[:, ::stride, ::stride])
     largest = sample.max(axis=0).astype(np.float64)
@@ -111,7 +114,7 @@ def _sample(
         largest < sensor.clipped_from_dn
     )
     thinned = None if calibration is None else _thinned(calibration, stride, sample.shape[1:])
-    return Sample(sample, patterns, sensor, thinned, is_lit)
+    return Sample(sample, patterns, sensor, thinned, is_lit, stride)
 
 
 def _thinned(calibration: Calibration, stride: int, shape: tuple[int, ...]) -> Calibration:
@@ -179,8 +182,22 @@ def _mistakes(patterns: PatternSet) -> Iterator[Order]:
             (True, f"shifted by {n}: the first {n} frame(s) look missing", early),
         ]
     yield from ((message, take) for applies, message, take in orders if applies)
+    yield from _reversed_gray(patterns)
     if has_phase:
         yield from _mistaken_phases(patterns)
+
+
+def _reversed_gray(patterns: PatternSet) -> Iterator[Order]:
+    """Yield the order in which the bits are listed coarse first but recorded fine first."""
+    for axes in (AXES, AXES[:1], AXES[1:]) if patterns.axes == AXES else (patterns.axes,):
+        take = list(range(len(patterns.frames)))
+        for kind in ("gray", "inverse"):
+            for axis in axes:
+                of = [i for i, f in enumerate(patterns.frames) if (f.kind, f.axis) == (kind, axis)]
+                for place, frame in zip(of, of[::-1], strict=True):
+                    take[place] = frame
+        text = f"the Gray frames along {' and '.join(axes)} look recorded in the opposite order"
+        yield f"{text} (key bits: coarse or fine first)", take
 
 
 def _mistaken_phases(patterns: PatternSet) -> Iterator[Order]:

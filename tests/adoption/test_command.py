@@ -1,5 +1,8 @@
 """`twin adopt` on the worked example of docs/real_rig.md with its known rig."""
 
+import contextlib
+import csv
+import io
 import json
 import re
 import shutil
@@ -20,7 +23,10 @@ EXAMPLE = Path(__file__).parents[2] / "docs" / "example_capture"
 @pytest.fixture(scope="module")
 def adopted(tmp_path_factory):
     out = tmp_path_factory.mktemp("adopt") / "rig"
-    assert run(["adopt", str(EXAMPLE), "-o", str(out), "--no-report"]) == 0
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert run(["adopt", str(EXAMPLE), "-o", str(out), "--no-report"]) == 0
+    (out.parent / "printed.txt").write_text(printed.getvalue(), encoding="utf-8")
     return out
 
 
@@ -50,6 +56,25 @@ def test_files_are_a_contract(adopted):
     assert load_experiment(adopted / "experiment.toml").name == "adopted"
     response = tomllib.loads((adopted / "response.toml").read_text())["response"]
     assert response["gamma"] == pytest.approx(rig["projector"]["gamma"]["value"], rel=1e-6)
+
+
+def test_the_terminal_prints_ten_lines_and_the_files_have_the_rest(adopted):
+    """Expected: estimates with interval, counts that agree with result.json, and the next step."""
+    text = (adopted.parent / "printed.txt").read_text(encoding="utf-8")
+    assert 4 < len(text.splitlines()) <= 10
+    assert re.search(r"^projector\.gamma = 0\.99\d+ \(95 %: 0\.99\d+ to ", text, re.M)
+    assert "a press of a known ball (--ball)" in text
+    rows = list(csv.DictReader((adopted / "fields.csv").read_text("utf-8").splitlines()))
+    rig = tomllib.loads((adopted / "rig.toml").read_text())
+    by_path = {row["field"]: row for row in rows}
+    gamma = by_path["projector.gamma"]
+    assert float(gamma["value"]) == pytest.approx(rig["projector"]["gamma"]["value"], rel=1e-6)
+    assert float(gamma["low"]) < float(gamma["value"]) < float(gamma["high"])
+    metrics = json.loads((adopted / "result.json").read_text())["metrics"]
+    assert len(rows) == metrics["fields_found"] + metrics["fields_assumed"]
+    devices = ("camera.", "projector.", "coating.", "elastomer.")
+    assumed = sum(r["source"].startswith("assumed") for r in rows if r["field"].startswith(devices))
+    assert f"{assumed} assumed" in text
 
 
 def test_the_response_is_taken_by_a_capture(adopted, tmp_path, capsys):

@@ -4,6 +4,7 @@ Oracle: a camera with the pixels of the projector, times a coat that varies by a
 four, plus ambient light and noise: coordinates are the pixels.
 """
 
+import re
 import shutil
 from pathlib import Path
 
@@ -81,6 +82,8 @@ def test_described_sets_are_decoded(tmp_path, capsys, name):
         assert result.periods_along(axis) == pytest.approx(patterns.periods_along(axis), rel=0.01)
     text = (folder / "capture.toml").read_text()
     assert "# unsure" in text
+    (tested,) = re.findall(r"^tested: (\d+)% of the lit pixels", capsys.readouterr().out, re.M)
+    assert int(tested) > 90
     if name == "three frequencies":
         return  # periods to 1 % give no coordinates: they are to be corrected
     assert run(["decode", str(folder), "-o", str(tmp_path / "out"), "--filter-taps", "0"]) == 0
@@ -92,7 +95,6 @@ def test_described_sets_are_decoded(tmp_path, capsys, name):
         error = np.abs(np.asarray(maps[f"{axis}_px"]) - truth[axis])[valid]
         assert np.median(error) < 1.1
         assert np.mean(error > 3.0) < 0.01
-    assert "unsure" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("code", ["gray", "complementary_gray"])
@@ -127,6 +129,47 @@ def test_steps_in_another_order_are_detected_by_their_phase(tmp_path):
     folder = write_set(tmp_path / "set", patterns, order)
     assert described(folder, patterns) == 0
     assert "shift_deg = [180.0, 90.0, 0.0, 270.0]" in (folder / "capture.toml").read_text()
+
+
+def test_an_encoding_that_is_not_recognised_is_named_by_the_test(tmp_path, capsys):
+    """XOR code words are described as reflected ones; decoding the images shows the error.
+
+    Expected: the description fails its test; with the printed change, and the width of a word that
+    images do not show, the coordinates are the pixels.
+    """
+    patterns = PatternSet(**SIZE, steps=0, period_px=4, code="gray", word="xor_02", **COLUMN)
+    folder = write_set(tmp_path / "set", patterns)
+    assert described(folder, patterns) == 0
+    printed = capsys.readouterr().out
+    assert "\ntested: 1" not in printed
+    (change,) = re.findall(r'^with (word = "xor_02"): (?:9\d|100)% of the lit', printed, re.M)
+    text = (folder / "capture.toml").read_text()
+    text = text.replace("version = 1", f"version = 1\n{change}").replace("= 2.5 ", "= 4.0 ")
+    (folder / "capture.toml").write_text(text)
+    assert run(["decode", str(folder), "-o", str(tmp_path / "out"), "--filter-taps", "0"]) == 0
+    maps = read_arrays(tmp_path / "out" / "decoded.nc")
+    valid = np.asarray(maps["mask_reason"]) == 0
+    error = np.abs(np.asarray(maps["column_px"]) - np.arange(320))[valid]
+    assert np.mean(error > 2.0) < 0.01
+
+
+@pytest.mark.parametrize(("gain", "word"), [(1.0, "tested"), (4.0, "unsure")])
+def test_the_assumed_noise_is_compared_with_the_images(tmp_path, capsys, gain, word):
+    """Setup: noise of 1 DN as in the other sets, which is 0.5 of the assumed one, and of 4 DN."""
+    patterns = PatternSet(**SIZE, period_px=20, steps=6, code="gray", **COLUMN)
+    folder = tmp_path / "set"
+    folder.mkdir()
+    rng = np.random.default_rng(3)
+    for number, image in enumerate(camera_images(patterns)):
+        noisy = image + rng.normal(0.0, np.sqrt(gain**2 - 1.0), image.shape)
+        noisy = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        imageio.imwrite(folder / f"img_{number + 1:02d}.bmp", noisy)
+    assert described(folder, patterns) == 0
+    found = re.findall(
+        r"^(\w+): \[sensor\]: the phase frames scatter by ([\d.]+)", capsys.readouterr().out, re.M
+    )
+    ((state, ratio),) = found
+    assert (state, float(ratio) > 1.5) == (word, gain > 1.0)
 
 
 def test_contradicting_names_and_other_sizes_are_reported(tmp_path, capsys):

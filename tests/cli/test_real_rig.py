@@ -4,15 +4,18 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from reconstruction.calibration.observation import read_board_capture
 from reconstruction.capture.folder import read_capture
 from reconstruction.errors import CaptureError
 from reconstruction.pipeline import read_maps, read_reconstruction, reconstruct
+from reconstruction.rig.calibration import read_calibration, write_calibration
 from twin.cli import run
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -101,6 +104,76 @@ def listed_example(tmp_path):
     for path in [*EXAMPLE.glob("*_column_*.png"), EXAMPLE / "calibration.yaml"]:
         shutil.copy(path, folder)
     (folder / "capture.toml").write_text(text.partition("```toml\n")[2].partition("```")[0])
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("stated", "explained"),
+    [
+        ({"period_px = 18.0": "period_px = 16.0"}, "period_px = 18 along column and row"),
+        ({}, ""),
+    ],
+)
+def test_without_points_the_period_is_searched(both_axes, tmp_path, capsys, stated, explained):
+    """Setup: all frames, with a wrong period that needs as many bits; or with the right one.
+
+    Expected: one line that names the period with which all pixels give points, and no result.
+    """
+    out, file = tmp_path / "out", both_axes / "capture.toml"
+    text = file.read_text()
+    for old, new in stated.items():
+        text = text.replace(old, new)
+    file.write_text(text)
+    code = run(["reconstruct", str(both_axes), "-o", str(out)])
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert code == (2 if explained else 0)
+    assert out.exists() == (not explained)
+    if explained:
+        assert f"with {explained} (found 16) 100% of the lit pixels give points" in line
+
+
+def test_another_rigs_calibration_is_named_if_no_period_fits(both_axes, tmp_path, capsys):
+    """Setup: the projector of the calibration is turned by 30 degrees about its axis."""
+    calibration = read_calibration(both_axes / "calibration.yaml")
+    turn = Rotation.from_euler("z", 30.0, degrees=True).as_matrix()
+    pose = calibration.T_world_from_proj.copy()
+    pose[:3, :3] = pose[:3, :3] @ turn
+    (both_axes / "calibration.yaml").unlink()
+    write_calibration(both_axes / "calibration.yaml", replace(calibration, T_world_from_proj=pose))
+    assert run(["reconstruct", str(both_axes), "-o", str(tmp_path / "out")]) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "tried without result: exchanged axes, and period_px from 7.5 to 45 px" in line
+
+
+def test_bits_in_the_opposite_order_are_named(both_axes, tmp_path, capsys):
+    file = both_axes / "capture.toml"
+    text = file.read_text().replace('kind = "gray"', 'kind = "gray"\nbits = "fine_first"')
+    file.write_text(text)
+    assert run(["decode", str(both_axes), "-o", str(tmp_path / "out")]) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "the Gray frames along column and row look recorded in the opposite order" in line
+
+
+def test_a_number_of_bits_names_the_periods_that_it_suits(both_axes, tmp_path, capsys):
+    """8 bits number 256 words on 1280 px: 5 px wide, or half-periods of fringes below 20 px."""
+    file = both_axes / "capture.toml"
+    file.write_text(file.read_text().replace("period_px = 18.0", "period_px = 27.0"))
+    assert run(["decode", str(both_axes), "-o", str(tmp_path / "out")]) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "8 frames number fringes of 5 to 20 px on 1280 px" in line
+
+
+@pytest.fixture
+def both_axes(tmp_path):
+    """Return the example, listed as in the document but with the frames along both axes."""
+    folder = listed_example(tmp_path)
+    for path in EXAMPLE.glob("*_row_*.png"):
+        shutil.copy(path, folder)
+    head, _, rest = (folder / "capture.toml").read_text().partition("[[frames]]")
+    groups, _, sensor = rest.partition("[sensor]")
+    columns = f"[[frames]]{groups}"
+    text = f"{head}{columns}{columns.replace('column', 'row')}[sensor]{sensor}"
+    (folder / "capture.toml").write_text(text)
     return folder
 
 

@@ -5,7 +5,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from twin.assets import asset_path, list_assets
+from twin.assets import AssetError, asset_path, list_assets
 from twin.config import ConfigError, load_experiment
 from twin.config.quantities import split_quantities
 from twin.mechanics.choice import check_press, select_model
@@ -151,3 +151,37 @@ def test_wrapped_scenes_are_thin_sheets_that_may_be_thick(name):
         load_experiment(f"examples/wrapped_{name}", {"elastomer.thickness_mm": thickness_mm})
     with pytest.raises(ConfigError, match=r"elastomer\.thickness_mm: found 4, allowed 0\.05 to 3"):
         load_experiment(f"examples/wrapped_{name}", {"elastomer.thickness_mm": 4.0})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"specimen.material": "steel"}, 'material = { use = "materials/metals/steel" }?'),
+        ({"specimen.material": {"kind": "steel"}}, '{ use = "materials/metals/steel" }?'),
+        ({"specimen.material": {"use": "steel"}}, '{ use = "materials/metals/steel" }?'),
+        ({"specimen.material": "Stainless Steel"}, '"materials/metals/stainless_steel" }?'),
+        ({"specimen.material": "aluminum"}, '"materials/metals/aluminium" }?'),
+        ({"specimen.material": "acrylic"}, '"materials/plastics/pmma" }?'),
+        ({"coating": "airbrushed"}, 'coating = { use = "materials/coatings/airbrushed" }?'),
+        ({"elastomer": "silicone_a"}, '{ use = "materials/elastomers/silicone_a" }?'),
+        ({"specimen.material": "cheese"}, "found 'cheese', allowed a table"),
+    ],
+)
+def test_a_material_by_its_plain_name_is_suggested(changes, message):
+    """The suggestion is of the table's own folder, and is a line of TOML that can be pasted."""
+    with pytest.raises(ConfigError) as caught:
+        load_experiment("examples/wrapped_nut", changes)
+    (line,) = str(caught.value).splitlines()
+    assert line.endswith(message)
+
+
+def test_a_material_that_does_not_exist_is_suggested_by_its_description(tmp_path):
+    """Iron is a word of the comment of steel."""
+    file = tmp_path / "iron.toml"
+    file.write_text(
+        'use = "scenes/examples/wrapped_nut"\n'
+        '[specimen]\nmaterial = { use = "materials/metals/iron" }\n',
+        encoding="utf-8",
+    )
+    with pytest.raises(AssetError, match="did you mean materials/metals/steel"):
+        load_experiment(file)

@@ -6,16 +6,16 @@ from pathlib import Path
 import pytest
 
 from reconstruction.reading import read_json
-from tests.docs.test_tutorials import blocks
+from tests.docs.documents import DOCS, ROOT, blocks
 from twin.cli import run
 from twin.config import load_experiment
 
-README = Path(__file__).parents[2] / "README.md"
+README = ROOT / "README.md"
 PROMISED_UM = 20.0
 
 
 def minimal_experiment() -> str:
-    (result,) = re.findall(r"^```toml\n(.*?)^```$", README.read_text("utf-8"), re.DOTALL | re.M)
+    (result,) = (block.text for block in blocks(README) if block.language == "toml")
     return result
 
 
@@ -47,6 +47,32 @@ def test_the_minimal_experiment_of_the_readme_reads_its_ball(mi, minimal, tmp_pa
 
 def test_getting_started_begins_with_the_same_experiment(minimal, tmp_path):
     page = tmp_path / "page.toml"
-    (text,) = (text for _, caption, text in blocks("getting_started.md") if caption == "my.toml")
+    started = blocks(DOCS / "getting_started.md")
+    (text,) = (block.text for block in started if block.caption == "my.toml")
     page.write_text(text, encoding="utf-8")
     assert load_experiment(page) == load_experiment(minimal, {"camera.binning": 4})
+
+
+def test_without_air_the_terminal_prints_a_line_with_which_the_object_is_measured(
+    mi, minimal, tmp_path, capsys
+):
+    """Setup: the experiment without air, and again with the printed line of TOML in its table.
+
+    Expected: the radius is not measured without the line, and within 20 um with it.
+    """
+    text = minimal.read_text(encoding="utf-8")
+    minimal.write_text(re.sub(r"back_pressure_kpa = .*", "", text), encoding="utf-8")
+    few = ["camera.binning=4", "press.cell_mm=0.3", "press.relief_pitch_mm=0.05"]
+    command = ["measure", str(minimal), "-o", str(tmp_path / "out"), "--no-report"]
+    command += [word for setting in few for word in ("-s", setting)]
+    assert run(command) == 0
+    printed = capsys.readouterr().out
+    assert "not measured" in printed
+    (line,) = re.findall(r"^    (back_pressure_kpa = .*)$", printed, re.M)
+    assert "# in [press]: touches" in line
+    with minimal.open("a", encoding="utf-8") as file:
+        file.write(f"{line}\n")
+    assert run(command) == 0
+    assert "remedy" not in capsys.readouterr().out
+    figures = read_json(tmp_path / "out" / "result.json")["metrics"]
+    assert abs(figures["object_radius_1_mm"] - 3.0) < 1e-3 * PROMISED_UM

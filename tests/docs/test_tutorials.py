@@ -7,26 +7,19 @@ from pathlib import Path
 
 import pytest
 
+from reconstruction.reading import read_json
+from tests.docs.documents import DOCS, blocks
 from twin.cli import run
 from twin.config import ConfigError, load_experiment
 from twin.config.rig import shipped_lenses
 from twin.results.layout import layout_figures
 
-DOCS = Path(__file__).parents[2] / "docs"
-BLOCK = re.compile(
-    r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.DOTALL | re.M
-)
-
-
-def blocks(page: str) -> list[tuple[str, str, str]]:
-    """Return the language, caption and text of every block of a page."""
-    return BLOCK.findall((DOCS / page).read_text(encoding="utf-8"))
-
 
 def follow(page: str) -> None:
     """Run the commands and code of the page in the current folder."""
     variables: dict[str, object] = {}
-    for language, caption, text in blocks(page):
+    for block in blocks(DOCS / page):
+        language, caption, text = block.language, block.caption, block.text
         if language == "toml" and caption:
             Path(caption).write_text(text, encoding="utf-8")
         elif language == "sh":
@@ -50,11 +43,25 @@ def said(text: str) -> list[str]:
     return below or behind
 
 
+PRINTED = {
+    "getting_started.md": (
+        (r"    object: radius 1: ([\d.]+) mm", "object_radius_1_mm", 2e-4),
+        (r"apparent in the coat: ([\d.]+) mm", "object_radius_1_coat_mm", 1e-3),
+        (r"deviation of its points ([\d.]+) um RMS", "object_rms_um", 0.15),
+    )
+}
+"""Numbers that a page prints as the output of its command: text, figure, tolerance."""
+
+
 @pytest.mark.parametrize("page", ["getting_started.md", "tutorial_design.md"])
 def test_a_tutorial_runs_with_the_printed_output(mi, tmp_path, monkeypatch, page):
     monkeypatch.chdir(tmp_path)
     follow(page)
     assert (tmp_path / "out" / "report.html").is_file()
+    for text, figure, digits in PRINTED.get(page, ()):
+        (number,) = re.findall(text, (DOCS / page).read_text(encoding="utf-8"))
+        metrics = read_json(tmp_path / "out" / "result.json")["metrics"]
+        assert metrics[figure] == pytest.approx(float(number), abs=digits), figure
 
 
 def test_the_page_on_field_lens_and_distance_runs(tmp_path, monkeypatch, capsys):
@@ -78,15 +85,6 @@ def test_the_page_on_field_lens_and_distance_runs(tmp_path, monkeypatch, capsys)
 
 def test_tutorials_have_something_to_run():
     for page in ("getting_started.md", "tutorial_design.md"):
-        languages = [language for language, _, _ in blocks(page)]
+        languages = [block.language for block in blocks(DOCS / page)]
         assert {"toml", "sh", "python"} <= set(languages), page
-    assert sum(len(said(text)) for _, _, text in blocks("tutorial_design.md")) >= 8
-
-
-def test_the_readmes_experiment_is_valid(tmp_path):
-    text = (DOCS.parent / "README.md").read_text(encoding="utf-8")
-    whole = [block for language, _, block in BLOCK.findall(text) if language == "toml"]
-    assert whole
-    for block in whole:
-        (tmp_path / "my.toml").write_text(block, encoding="utf-8")
-        assert load_experiment(tmp_path / "my.toml").name == "my_first_press"
+    assert sum(len(said(block.text)) for block in blocks(DOCS / "tutorial_design.md")) >= 8

@@ -60,7 +60,7 @@ def test_names_do_not_leave_the_collection(name):
 
 @pytest.mark.parametrize("name", ["elastomers/silicon_c", "silicone_c"])
 def test_misspelt_name_gets_a_suggestion(name):
-    with pytest.raises(AssetError, match="did you mean elastomers/silicone_c") as caught:
+    with pytest.raises(AssetError, match="did you mean materials/elastomers/silicone_c") as caught:
         asset_path("materials", name)
     assert "\n" not in str(caught.value)
 

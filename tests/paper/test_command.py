@@ -1,10 +1,13 @@
 """`twin paper` from the command line: parts of it, and bad input."""
 
 import json
+import re
 
 import pytest
 
 from twin.cli import run
+from twin.paper.figures import FIGURES
+from twin.paper.run import TABLE_GROUPS
 
 
 def test_one_table_and_one_figure(tmp_path, capsys):
@@ -27,6 +30,7 @@ def test_one_table_and_one_figure(tmp_path, capsys):
     ("arguments", "message"),
     [
         (["--only", "tabel"], "--only tabel: found no such table or figure, allowed identified"),
+        (["--only", "tables/rodz"], "did you mean tables/rods?"),
         (["-j", "0"], "--workers 0: allowed 1 or more"),
         (["--trials", "1"], "--trials 1: allowed 2 to 10000"),
     ],
@@ -36,6 +40,12 @@ def test_bad_input_is_one_line(tmp_path, capsys, arguments, message):
     assert run(["paper", "-o", str(out), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_the_help_names_every_group_and_figure(capsys):
+    assert run(["paper", "--help"]) == 0
+    words = set(re.findall(r"\w+", capsys.readouterr().out))
+    assert {*TABLE_GROUPS, *FIGURES} <= words
 
 
 def test_a_folder_with_foreign_files_is_not_changed(tmp_path, capsys):

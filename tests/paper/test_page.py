@@ -57,6 +57,12 @@ def test_a_missed_target_is_reported_in_words(page):
     assert "<li>missed: GelSight: RMSE of the sphere fit" in page.read_text(encoding="utf-8")
 
 
+def test_the_badge_states_how_many_figures_were_fitted(page):
+    text = page.read_text(encoding="utf-8")
+    assert re.search(r"\d+ of \d+ figures meet their targets, \d+ of them fitted", text)
+    assert "<li>1 of 2 compared with rows from which the sensor was identified (fitted)" in text
+
+
 def test_assumptions_are_marked_with_their_source(page):
     text = page.read_text(encoding="utf-8")
     assert '<tr class="assumed"><th scope="row" class="code">projector.pose.polar_deg' in text

@@ -104,7 +104,7 @@ def test_budget_of_a_model(run_of):
 
 
 def test_cases_of_figures_are_linked_by_name(run_of, tmp_path):
-    cases = run_of().all_cases()
+    cases = run_of().cases_folder()
     pairs = {(name, method) for names, methods in CASES for name in names for method in methods}
     for name, method in pairs:
         assert (cases / name / method / "result.json").is_file()
@@ -114,14 +114,14 @@ def test_cases_of_figures_are_linked_by_name(run_of, tmp_path):
 def test_nominal_trials_are_the_figures_cases(run_of, tmp_path):
     """Expected: one measurement for both, repeated if the figures' files are missing."""
     run = run_of()
-    cases = run.all_cases()
+    cases = run.cases_folder()
     nominal = run.fringe_trials(RODS[0])[0]
     assert measured[RODS[0], "contact_fpp"] == 4
     case = (cases / RODS[0] / "contact_fpp").resolve()
     assert case.parent.parent == tmp_path / "work/trials" / RODS[0]
     assert read_json(case / "result.json")["metrics"] == nominal.figures
     (case / COMPLETENESS_FILE).unlink()
-    run_of().all_cases()
+    run_of().cases_folder()
     assert (case / COMPLETENESS_FILE).is_file()
 
 
@@ -160,7 +160,7 @@ def test_all_groups_of_a_request_are_measured_together(run_of):
     run.measure(Request(trials=3).measured)
     before = sum(measured.values())
     assert before > 60
-    run.ball_trials(), run.rod_trials(), run.budget(BALLS), run.bare_nut(), run.all_cases()
+    run.ball_trials(), run.rod_trials(), run.budget(BALLS), run.bare_nut(), run.cases_folder()
     assert sum(measured.values()) == before
 
 
@@ -169,6 +169,27 @@ def test_measurements_of_a_request():
     assert Request(trials=3, only=("hardness",)).measured == set()
     assert Request(trials=3, only=("differences",)).measured == {"nut"}
     assert Request(trials=3, only=("rods",)).measured == {*reproduction.TRIALS_OF_RODS, "measured"}
+    assert Request(trials=3, only=("tables/rods",)).measured == {*reproduction.TRIALS_OF_RODS}
+    assert Request(trials=3, only=("tables/explain_decoders",)).measured == {"gelsight"}
+    assert Request(trials=3, only=("tables/identified_worth",)).measured == set()
+
+
+@pytest.mark.parametrize("only", ["figures/sphere_fit", "tables/pictures", "figures/rods"])
+def test_a_single_figure_or_table_measures_only_its_own_cases(run_of, only):
+    """Expected: two methods of the balls, the pressed nut, or three nominal rods; no trials."""
+    request = Request(trials=3, only=(only,))
+    run = replace(run_of(), shown=request.cases)
+    run.measure(request.measured)
+    run.cases_folder()
+    cases = {
+        "figures/sphere_fit": {(BALLS, "photometric_stereo"), (BALLS, "contact_fpp")},
+        "tables/pictures": {("nut", "contact_fpp")},
+        "figures/rods": {(name, "contact_fpp") for name in RODS},
+    }
+    assert {
+        (name.removesuffix("_photometric_stereo"), method) for name, method in measured
+    } == cases[only]
+    assert sum(measured.values()) == len(cases[only])
 
 
 def test_a_foreign_folder_is_not_replaced_by_a_link(tmp_path):

@@ -91,6 +91,25 @@ CONTACT_RMSE = "contact-FPP: RMSE of the sphere fit, region as identified"
 RATIO = "RMSE, GelSight over contact-FPP, each with its region"
 
 
+def test_each_claim_states_the_use_of_the_papers_row():
+    """The sensor was identified from rods A and C and the contact-FPP radii and RMSE."""
+    trials = {letter: fringe_trials() for letter in "ABC"}
+    for letter, of in trials.items():
+        for trial in of:
+            trial.figures[WIDTH] = {"A": 1.99, "B": 4.81, "C": 7.23}[letter]
+    both = {CONTACT_FPP: fringe_trials(), GELSIGHT: colour_trials()}
+    tables = {"rods": rods_table(trials), "repeated_fit": repeated_fit_table(both)}
+    uses = {claim.name: claim.use for claim in claims_of(tables)}
+    assert [uses[f"rod {name}: error of the mean width"] for name in "ABC"] == [
+        "fitted",
+        "predicted",
+        "fitted",
+    ]
+    assert uses[CONTACT_RMSE] == uses[RATIO] == "fitted"
+    gelsight = [use for name, use in uses.items() if name.startswith(f"{GELSIGHT}: RMSE")]
+    assert gelsight == ["predicted"]
+
+
 def test_claims_are_judged_by_the_tables():
     both = {CONTACT_FPP: fringe_trials(0.012), GELSIGHT: colour_trials(0.09)}
     claims = {c.name: c for c in claims_of({"repeated_fit": repeated_fit_table(both)})}

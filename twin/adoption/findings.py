@@ -26,6 +26,9 @@ from twin.config.quantities import is_quantity
 COVERAGE = 2.0
 """Half width of the 95 % interval of a normal distribution, in standard uncertainties."""
 
+ASSUMED, NEEDS = "assumed", "; needs "
+"""Start of the source of an assumed field, and text before the data that would determine it."""
+
 _DIGITS = 7
 _TABLES = ("camera", "projector", "coating", "elastomer")
 # Experiment that provides specimen and press to validate the rig.
@@ -158,8 +161,8 @@ def _assumed_source(path: str, model: ModelRig) -> str:
     table, _, name = path.partition(".")
     of_the_coat = model.coating.determined_by if table == "coating" else {}
     missing = of_the_coat.get(name) or _NEEDS.get(path) or _NEEDS.get(table)
-    needs = f"; needs {missing}" if missing else ""
-    return f"assumed: as in {model.name}, the captures do not tell it{needs}"
+    needs = f"{NEEDS}{missing}" if missing else ""
+    return f"{ASSUMED}: as in {model.name}, not determined by the captures{needs}"
 
 
 def write_rig(path: Path, name: str, tables: Mapping[str, Any]) -> None:

@@ -3,12 +3,14 @@
 | file | content |
 |---|---|
 | rig.toml | the rig: value, range and source of every field |
+| fields.csv | the same as a table: path, value, range, source |
 | experiment.toml | an experiment with a ball pressed on this rig, for twin measure |
 | response.toml | the projector's response, a table for capture.toml; if it was estimated |
 | photon_transfer.csv | variance of the noise (DN^2) by mean signal (DN); if it was estimated |
 | result.json | figures, digest, versions |
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +26,15 @@ from twin.output import EXPERIMENT_FILE, write_outcome
 from twin.results.parts import write_rows
 
 COMMAND = "adopt"
-RIG_FILE, RESPONSE_FILE, NOISE_FILE = "rig.toml", "response.toml", "photon_transfer.csv"
+RIG_FILE, FIELDS_FILE = "rig.toml", "fields.csv"
+RESPONSE_FILE, NOISE_FILE = "response.toml", "photon_transfer.csv"
 
 
 def write_adopted(folder: Path, adopted: Adopted, given: Given) -> dict[str, Any]:
     """Write all files of an adopted rig except the report; return the figures of result.json."""
     figures = adopted_metrics(adopted)
     write_rig(folder / RIG_FILE, given.captures[0].name, adopted.tables)
+    write_rows(folder / FIELDS_FILE, list(_field_rows(adopted)), 7)
     write_text(folder / EXPERIMENT_FILE, to_toml(adopted.experiment))
     response = adopted.capture.response
     if adopted.fit is not None and response is not None:
@@ -44,6 +48,13 @@ def write_adopted(folder: Path, adopted: Adopted, given: Given) -> dict[str, Any
     named = content_digest(adopted.capture.stack, str(adopted.tables))
     write_outcome(folder, COMMAND, figures, digest=named)
     return figures
+
+
+def _field_rows(adopted: Adopted) -> Iterator[dict[str, Any]]:
+    for path, value, limits, source in rows_of(adopted.tables):
+        low, high = limits or (None, None)
+        number = value if isinstance(value, (int, float)) else str(value)
+        yield {"field": path, "value": number, "low": low, "high": high, "source": source}
 
 
 def adopted_metrics(adopted: Adopted) -> dict[str, Any]:

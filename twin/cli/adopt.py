@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twin.cli.app import Out, Report, app, print_table, progress_bars, say
+from twin.cli.app import Out, Report, app, progress_bars, say
 
 if TYPE_CHECKING:
     from reconstruction.characterise import UncertainValue
@@ -57,7 +57,7 @@ def adopt(
     """
     from twin.adoption.adopt import Given
     from twin.adoption.adopt import adopt as make
-    from twin.adoption.write import RIG_FILE, write_adopted
+    from twin.adoption.write import write_adopted
     from twin.output import output_folder
     from twin.report.adopted import write_adopted_page
 
@@ -70,22 +70,16 @@ def adopt(
         write_adopted(folder, adopted, given)
         if report:
             write_adopted_page(folder, adopted, given, watch)
-    _print_fields(adopted)
-    say(f"wrote {out / RIG_FILE}")
+    _print_summary(adopted, out)
 
 
-def _print_fields(adopted: "Adopted") -> None:
-    """Print value, 95 % interval and source of each field of the adopted rig, and the notes."""
-    from twin.adoption.findings import rows_of
+def _print_summary(adopted: "Adopted", out: Path) -> None:
+    from twin.adoption.summary import summary_of
+    from twin.adoption.write import FIELDS_FILE, RIG_FILE
 
-    rows = [
-        [path, _shown(value), _shown(limits), source]
-        for path, value, limits, source in rows_of(adopted.tables)
-        if path.split(".")[0] in ("camera", "projector", "coating", "elastomer")
-    ]
-    print_table(("field", "value", "95 % interval", "source"), rows)
-    for note in adopted.notes:
-        say(f"note: {note}")
+    for line in summary_of(adopted):
+        say(line)
+    say(f"wrote {out / RIG_FILE}; every field with range and source: {out / FIELDS_FILE}")
 
 
 def _ball_press(
@@ -113,9 +107,3 @@ def _known_albedo(albedo: float | None, uncertainty: float) -> "UncertainValue |
     require_number("--reference-albedo", albedo, 0.0, 1.0, open_low=True)
     require_number("--reference-uncertainty", uncertainty, 0.0, 1.0)
     return UncertainValue(albedo, uncertainty)
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, (list, tuple)):
-        return " to ".join(_shown(item) for item in value) if len(value) == 2 else str(list(value))
-    return f"{value:.5g}" if isinstance(value, float) else "" if value is None else str(value)

@@ -137,6 +137,7 @@ def describe(
     from reconstruction.capture.description import DESCRIPTION_FILE
     from reconstruction.capture.guess import guess
     from reconstruction.capture.guess_file import require_groups, written
+    from reconstruction.capture.guess_test import tests_of
     from reconstruction.writing import write_text
     from twin.files import creating
 
@@ -145,15 +146,21 @@ def describe(
         watch("describe", 0.0)
         guessed = guess(folder, size)
         watch("describe", 1.0)
-    require_groups(guessed, folder)
-    target = out or folder / DESCRIPTION_FILE
-    with creating(target) as part:
-        write_text(part, written(guessed, size, is_known=projector is not None))
+        require_groups(guessed, folder)
+        target = out or folder / DESCRIPTION_FILE
+        text = written(guessed, size, is_known=projector is not None)
+        with creating(target) as part:
+            write_text(part, text)
+        watch("decode", 0.0)
+        tests = tests_of(text, folder)
+        watch("decode", 1.0)
     for group in guessed.groups:
         along = f" along {group.axis}" if group.axis else ""
         say(f"{group.kind}{along}: {counted(len(group.files), 'image')}, {group.files[0]} ...")
     for text in guessed.unsure:
         say(f"unsure: {text}")
+    for text in tests:
+        say(text)
     say("unsure: the values that the file marks, such as periods in projector pixels and [sensor]")
     say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")
 

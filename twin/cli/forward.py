@@ -183,10 +183,50 @@ def measure(
     out: Out,
     settings: Settings = None,
     report: Report = True,
+    remedies: bool = False,
 ) -> None:
-    """Measure virtually: press, render, expose, reconstruct, score against the truth, report."""
+    """Measure virtually: press, render, expose, reconstruct, score against the truth, report.
+
+    If a thin sheet touches too little of the object to measure it, a load with which it does is
+    computed by further presses and printed as a line of TOML.
+
+    Parameters
+    ----------
+    remedies
+        Then print the smallest air pressure, load and tack; about ten presses instead of one.
+    """
+    from twin.output import RESULT_FILE
+    from twin.report.page import REPORT_FILE
+
     loaded = load(experiment, settings)
-    _measure(loaded, out, "measure", [experiment], report)
+    done = _measure(loaded, out, "measure", [experiment], report)
+    _print_contact_remedies(done, experiment, thorough=remedies)
+    say(f"wrote {out / (REPORT_FILE if report else RESULT_FILE)}")
+
+
+def _print_contact_remedies(done: "Measurement", file: Path, thorough: bool) -> None:
+    """Print the loads with which a thin sheet touches enough of the object, if it does not."""
+    from twin.report.object import is_touched_too_little
+
+    if not is_touched_too_little(done):
+        return
+    from twin.pipeline.contact_remedies import contact_remedies, first_remedy
+
+    with progress_bars() as watch:
+        watch("remedies", 0.0)
+        if thorough:
+            remedies = contact_remedies(done.experiment, partial(watch, "remedies"))
+        else:
+            remedies = list(filter(None, [first_remedy(done.experiment)]))
+        watch("remedies", 1.0)
+    if not remedies:
+        say("remedy: none of the tried air pressures, loads and tacks is sufficient by itself")
+        return
+    say("remedy: each of these lines, for the table in its comment; computed by presses")
+    for remedy in remedies:
+        say(f"    {remedy.toml}")
+    if not thorough:
+        say(f"smallest air pressure, load and tack: twin measure {file} -o OUT --remedies")
 
 
 @app.command
@@ -300,11 +340,10 @@ def _measure(
     command: str,
     inputs: Sequence[Path] = (),
     report: bool = True,
-) -> None:
-    from twin.output import RESULT_FILE, output_folder
+) -> "Measurement":
+    from twin.output import output_folder
     from twin.pipeline.methods import measure_into, measure_whole
     from twin.report.measurement import summary_table
-    from twin.report.page import REPORT_FILE
 
     with output_folder(out, inputs) as folder, progress_bars() as watch:
         if report:
@@ -312,7 +351,7 @@ def _measure(
         else:
             done = measure_into(folder, command, experiment, watch)
     say(summary_table(done))
-    say(f"wrote {out / (REPORT_FILE if report else RESULT_FILE)}")
+    return done
 
 
 def _write_with_report(

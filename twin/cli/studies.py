@@ -398,7 +398,10 @@ def paper(
     Parameters
     ----------
     only
-        Name of a group of tables or of a figure; repeat the option for several.
+        Group of tables (identified, hardness, rods, spheres, completeness, differences) or figure
+        (concept, ridges, hardness, setup, direct_and_contact, missing, rods, grid, sphere_fit); one
+        table or figure: tables/NAME, figures/NAME. Only their measurements run. Repeat the option
+        for several.
     trials
         Number of repetitions of every repeated measurement; default: 100, or with --quick the
         paper's 5.

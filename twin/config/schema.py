@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from twin.assets import likely_material
 from twin.config.base import ConfigError
 from twin.config.bounds import Because
 from twin.config.kinds import NameOf, OneOf, TablesOf, kind_of
@@ -28,6 +29,7 @@ Document = TypeVar("Document", bound=BaseModel)
 Loc = tuple[int | str, ...]
 
 _WRONG_KIND = {"union_tag_invalid", "union_tag_not_found"}
+_NO_TABLE = {"model_type", "model_attributes_type", "dict_type"}
 _OUTSIDE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 # Names that pydantic inserts into paths for unions of plain values, such as camera.exposure_ms.
 _SCALAR_TAGS = {"constrained-float", "float", "literal['auto']"}
@@ -65,7 +67,9 @@ def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
             guess = _closest(key, item["loc"][:-1], document) if shown else None
             suggested.add(f"{parent}.{guess}".lstrip("."))
             where = f"in [{parent}]" if parent else "at the top level"
-            hint = f"; did you mean '{guess}'?" if guess else "; remove it"
+            used = item["input"] if key == "use" and isinstance(item["input"], str) else ""
+            named = _material_hint(used, parent) if used and parent else ""
+            hint = f"; did you mean '{guess}'?" if guess else named or "; remove it"
             lines.append(f"unknown key '{key}' {where}{hint}")
     for item in error.errors(include_url=False):
         path = _path(item["loc"], document)
@@ -76,6 +80,8 @@ def explain(error: ValidationError, document: type[BaseModel]) -> list[str]:
         elif item["type"] not in ("missing", "extra_forbidden"):
             prefix = f"{path}: found {_short(item['input'])}, " if path else ""
             whole = _whole_range(item["loc"], document) if item["type"] in _OUTSIDE else ""
+            if item["type"] in _NO_TABLE and isinstance(item["input"], str):
+                whole = f"allowed a table{_material_hint(item['input'], path)}"
             if item["type"] == "literal_error" and path in outside:
                 continue  # the number's range was reported already
             outside |= {path} if item["type"] in _OUTSIDE else set()
@@ -88,12 +94,20 @@ def _kind_line(path: str, context: Mapping[str, Any], table: Any) -> str:
     discriminator = str(context["discriminator"]).strip("'")
     key = f"{path}.{discriminator}"
     if "tag" not in context:
-        return f"{key}: missing in {_short(table)}; add it"
+        used = table.get("use") if isinstance(table, dict) else None
+        hint = _material_hint(used, path) if isinstance(used, str) else ""
+        return f"{key}: missing in {_short(table)}{hint or '; add it'}"
     expected = str(context["expected_tags"])
     kinds = [name.strip(" '") for name in expected.split(",")]
     close = difflib.get_close_matches(context["tag"], kinds, n=1)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
+    hint = f"; did you mean '{close[0]}'?" if close else _material_hint(context["tag"], path)
     return f"{key}: found '{context['tag']}', allowed: {expected}{hint}"
+
+
+def _material_hint(word: str, path: str) -> str:
+    """Return the hint, after a semicolon, to write the file of a named material; empty if none."""
+    file = likely_material(word, path, Experiment.model_fields)
+    return f'; did you mean {path.rpartition(".")[2]} = {{ use = "{file}" }}?' if file else ""
 
 
 def _whole_range(loc: Loc, document: type[BaseModel]) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.paper.plan import CONTACT_FPP, GELSIGHT, mean_of, rows_of
+from twin.paper.plan import CONTACT_FPP, GELSIGHT, identified, mean_of, rows_of
 from twin.paper.sphere_tables import IDENTIFIED, OWN
 from twin.report.table import TWIN, Cell, Column, Table
 
@@ -19,6 +19,8 @@ MOST_STEPS = 2.0
 # Each trial here has its own coat; all trials of the paper had the same coat.
 RADIUS_WITHIN_MM = 0.10
 _RADII = ("radius_1", "radius_2")
+FITTED, LIMIT, PREDICTED = "fitted", "limit", "predicted"
+"""Uses of a row of the paper in the identification of the sensor."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,8 @@ class Claim:
     allowed : target range, as text with its unit
     value : value of the twin; None if it was not measured
     met : True if the value is within the target range
+    use : use of the compared rows of the paper in the identification of the sensor: fitted,
+        limit (a limit read from a picture), predicted, or "" if the value is compared with no row
     why : reason if the target is missed; else empty
     """
 
@@ -39,6 +43,7 @@ class Claim:
     value: float | None
     met: bool
     why: str = ""
+    use: str = ""
 
 
 def claims_of(tables: dict[str, Table]) -> list[Claim]:
@@ -66,6 +71,7 @@ def claims_table(claims: Sequence[Claim]) -> Table:
             "allowed": claim.allowed,
             "found": claim.value,
             "met": "yes" if claim.met else "NO",
+            "use": claim.use,
             "why": claim.why,
         }
         for claim in claims
@@ -75,9 +81,20 @@ def claims_table(claims: Sequence[Claim]) -> Table:
         Column("allowed", "target"),
         Column("found", "measured", 4),
         Column("met", "target met"),
+        Column("use", "paper's row"),
         Column("why", "reason where it is not met"),
     )
-    return Table("claims", "Targets of this reproduction", "", heads, rows)
+    note = (
+        "Paper's row: fitted (the sensor was identified from this row), limit (read from a "
+        "picture, also used in the identification), or predicted (not used)."
+    )
+    return Table("claims", "Targets of this reproduction", "", heads, rows, (note,))
+
+
+def _use_of(*rows: str) -> str:
+    """Return fitted, or predicted if none of these rows was used to identify the sensor."""
+    known = identified()["rows"]
+    return FITTED if any(known[row]["fitted"] for row in rows) else PREDICTED
 
 
 def _mean_rmse_mm(table: Table, method: str, region: str) -> float | None:
@@ -91,6 +108,10 @@ def _mean_rmse_mm(table: Table, method: str, region: str) -> float | None:
     return float(np.mean(list(by_ball.values()))) if by_ball else None
 
 
+_RMSE_ROWS = {
+    CONTACT_FPP: ("rmse_1", "rmse_2"),
+    GELSIGHT: ("gelsight_rmse_1_footprint", "gelsight_rmse_2_footprint"),
+}
 _AS_EVALUATED = ((CONTACT_FPP, IDENTIFIED), (GELSIGHT, OWN))
 """Methods, each with the region of its sphere fit that explains the paper's rows."""
 
@@ -107,14 +128,15 @@ def _rmse_claims(table: Table) -> list[Claim]:
         met = low <= rmse_mm <= high
         allowed = f"{low:.4f} to {high:.4f} mm"
         name = f"{method}: RMSE of the sphere fit, region {region}"
-        claims.append(Claim(name, allowed, rmse_mm, met, "" if met else _WHY_RMSE))
+        use = _use_of(*_RMSE_ROWS[method])
+        claims.append(Claim(name, allowed, rmse_mm, met, "" if met else _WHY_RMSE, use))
     if len(means) == 2:
         ratio = means[GELSIGHT] / means[CONTACT_FPP]
         met = ratio >= LEAST_RATIO
         name = f"RMSE, {GELSIGHT} over {CONTACT_FPP}, each with its region"
-        claims.append(
-            Claim(name, f"at least {LEAST_RATIO:g}", ratio, met, "" if met else _WHY_RMSE)
-        )
+        allowed = f"at least {LEAST_RATIO:g}"
+        use = _use_of(*(row for rows in _RMSE_ROWS.values() for row in rows))
+        claims.append(Claim(name, allowed, ratio, met, "" if met else _WHY_RMSE, use))
     return claims
 
 
@@ -128,7 +150,8 @@ def _radius_claims(table: Table) -> list[Claim]:
         low, high = paper - RADIUS_WITHIN_MM, paper + RADIUS_WITHIN_MM
         allowed, name = f"{low:.3f} to {high:.3f} mm", str(row["row"]).replace("_", " of ball ")
         name = f"{CONTACT_FPP}: mean {name}, given the coat common to all trials, as identified"
-        claims.append(Claim(name, allowed, twin, met, "" if met else _WHY_RADIUS))
+        use = _use_of(str(row["row"]))
+        claims.append(Claim(name, allowed, twin, met, "" if met else _WHY_RADIUS, use))
     return claims
 
 
@@ -186,7 +209,8 @@ def _rod_claims(table: Table) -> list[Claim]:
         met = error_mm is not None and error_mm <= most
         allowed = f"at most {most:.3g} mm, the paper's error and one SD"
         name = f"rod {published['name']}: error of the mean width"
-        claims.append(Claim(name, allowed, error_mm, met, "" if met else _WHY_RODS))
+        use = _use_of(f"rod_{published['name'].lower()}")
+        claims.append(Claim(name, allowed, error_mm, met, "" if met else _WHY_RODS, use))
     return claims
 
 
@@ -212,7 +236,8 @@ def _picture_claims(table: Table) -> list[Claim]:
         figure, met = row["measured"], row["met"] == "yes"
         measured = float(figure) if isinstance(figure, (int, float)) else None
         name = f"{row['figure']}: as in the paper's picture"
-        claims.append(Claim(name, str(row["known"]), measured, met, "" if met else _WHY_PICTURE))
+        why = "" if met else _WHY_PICTURE
+        claims.append(Claim(name, str(row["known"]), measured, met, why, LIMIT))
     return claims
 
 

@@ -39,14 +39,10 @@ def problem() -> SensorProblem:
     return load_problem(PROBLEM)[0]
 
 
-def identified_tables(trials: Mapping[str, Sequence[Trial]]) -> list[Table]:
-    """Return the tables on fields, rows, discrete choices and the benefit of one more measurement.
-
-    Parameters
-    ----------
-    trials : repeated measurements, by the experiment's name in the identification problem
-    """
-    return [fields_table(), identified_rows_table(trials), choices_table(), worth_table()]
+def cases_of_pictures() -> tuple[tuple[str, str], ...]:
+    """Return specimen and method of every case that the table of limits from pictures needs."""
+    experiments = [problem().experiments[limit.experiment] for limit in problem().limits.values()]
+    return tuple((of.base.rsplit("/", 1)[-1], _METHOD) for of in experiments)
 
 
 def fields_table() -> Table:

@@ -1,17 +1,18 @@
 """HTML page of the reproduction with every table and figure, self-contained and printable."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from twin.config import Experiment
 from twin.config.inputs import Inputs
 from twin.output import versions
+from twin.paper.claims import FITTED, LIMIT, PREDICTED
 from twin.paper.figures import FIGURES
 from twin.paper.plan import BALLS
 from twin.report.experiment import settings_blocks
 from twin.report.page import REPORT_FILE, Figure, Grade, Note, Page, Section, Verdict, write_page
-from twin.report.table import Column, Table
+from twin.report.table import Cell, Column, Table
 from twin.report.words import shown
 
 
@@ -152,11 +153,27 @@ def _verdicts(tables: Mapping[str, Table]) -> list[Verdict]:
     return [
         Verdict(
             question="Does the twin reproduce the paper?",
-            headline=f"{len(met)} of {len(rows)} figures meet their targets",
+            headline=f"{len(met)} of {len(rows)} figures meet their targets, "
+            f"{sum(row['use'] in (FITTED, LIMIT) for row in met)} of them fitted",
             grade=grade,
-            reasons=tuple(missed) or ("every target is met",),
+            reasons=(*_uses(rows), *(missed or ["every target is met"])),
         )
     ]
+
+
+def _uses(rows: Sequence[Mapping[str, Cell]]) -> Iterator[str]:
+    """Yield, for each use of the paper's rows, the number of targets met and the figures."""
+    kinds = {
+        FITTED: "compared with rows from which the sensor was identified (fitted)",
+        LIMIT: "limits from pictures, also used in the identification",
+        PREDICTED: "compared with rows that the identification did not use (predicted)",
+        "": "compared with no row of the paper",
+    }
+    for use, words in kinds.items():
+        some = [row for row in rows if row["use"] == use]
+        met = sum(row["met"] == "yes" for row in some)
+        if some:
+            yield f"{met} of {len(some)} {words}"
 
 
 def _spread_table(inputs: Inputs) -> Table:

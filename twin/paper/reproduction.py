@@ -79,6 +79,7 @@ class Reproduction:
     resolution : numerical resolution of every experiment
     watch : called with the progress
     workers : processes for the measurements; their number does not change the results
+    shown : (specimen, method) of the cases that figures and tables show; None: all
     """
 
     work: Path
@@ -86,6 +87,7 @@ class Reproduction:
     resolution: Resolution = COARSE
     watch: ProgressCallback = no_progress
     workers: Workers = field(default_factory=lambda: local_workers(1))
+    shown: frozenset[tuple[str, str]] | None = None
     _made: dict[str, CaseGroup] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -109,7 +111,7 @@ class Reproduction:
         """
         groups = [self._group(name) for name in GROUPS if name in names]
         if "measured" in names:
-            alone = [name for name in _REPEATED if _trials(name) not in names]
+            alone = [name for name in self._nominal_names if _trials(name) not in names]
             groups = [self._nominal(name) for name in alone] + groups
         run_groups(groups, self.workers, self.watch)
 
@@ -119,7 +121,11 @@ class Reproduction:
 
     def ball_trials(self) -> dict[str, list[Trial]]:
         """Return the trials of the repeated measurements of the two balls, by method."""
-        return {GELSIGHT: self._trials_of("gelsight"), CONTACT_FPP: self.fringe_trials(BALLS)}
+        return {GELSIGHT: self.gelsight_trials(), CONTACT_FPP: self.fringe_trials(BALLS)}
+
+    def gelsight_trials(self) -> list[Trial]:
+        """Return the trials of the repeated presses under the GelSight-like sensor."""
+        return self._trials_of("gelsight")
 
     def _trials_of(self, group: str) -> list[Trial]:
         return trials_among(self._group(group).cases.run, self._figures(group))
@@ -217,12 +223,12 @@ class Reproduction:
         }
         return vary(bare, changed)
 
-    def all_cases(self) -> Path:
-        """Measure every specimen of the figures; return the folder of links to their cases."""
+    def cases_folder(self) -> Path:
+        """Measure the cases that are shown; return the folder of links to them."""
         self._figures("measured")
         for (name, method), case in self._figure_cases().items():
             link(self.work / "cases" / name / method, self.work / "measured/cases" / case.digest)
-        for name in _REPEATED:
+        for name in self._nominal_names:
             nominal = self._nominal(name)
             (outcome,) = run_groups([nominal], self.workers, self.watch)
             _figures(nominal.cases.run, nominal.folder, outcome)
@@ -236,8 +242,16 @@ class Reproduction:
         return {
             (name, method): self._case(name, method)
             for name, method in pairs
-            if not (name in _REPEATED and method == "contact_fpp")
+            if self._is_shown(name, method) and not (name in _REPEATED and method == _REPEATED_BY)
         }
+
+    @property
+    def _nominal_names(self) -> list[str]:
+        """Specimens of which the nominal trial is shown."""
+        return [name for name in _REPEATED if self._is_shown(name, _REPEATED_BY)]
+
+    def _is_shown(self, name: str, method: Method) -> bool:
+        return self.shown is None or (name, method) in self.shown
 
     def _nominal(self, name: str) -> CaseGroup:
         """Return a group of only the nominal trial of a repeated measurement, with the true rig."""
@@ -303,6 +317,7 @@ def _trials(name: str) -> str:
     return f"trials/{name}"
 
 
+_REPEATED_BY: Method = "contact_fpp"
 _REPEATED = (*RODS, BALLS)
 """Specimens with repeated trials; the figures show the nominal trial of each."""
 TRIALS_OF_RODS = tuple(_trials(name) for name in RODS)

@@ -11,6 +11,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -37,9 +38,16 @@ from twin.paper.explanations import (
     region_table,
 )
 from twin.paper.figures import FIGURES, draw_figure
-from twin.paper.identified import identified_tables, pictures_table
+from twin.paper.identified import (
+    cases_of_pictures,
+    choices_table,
+    fields_table,
+    identified_rows_table,
+    pictures_table,
+    worth_table,
+)
 from twin.paper.page import Contents, write_paper_page
-from twin.paper.plan import BALLS, COARSE, CONTACT_FPP, FINE, GELSIGHT, experiment_of
+from twin.paper.plan import BALLS, CASES, COARSE, CONTACT_FPP, FINE, GELSIGHT, experiment_of
 from twin.paper.reproduction import TRIALS_OF_BALLS, TRIALS_OF_RODS, Reproduction
 from twin.paper.rod_table import hardness_table, rods_table
 from twin.paper.sphere_tables import repeated_fit_table, sphere_fit_table, uncertainty_table
@@ -58,65 +66,94 @@ _NAMES = (
 )
 
 
-def sphere_tables(run: Reproduction) -> list[Table]:
-    """Return the tables on the two balls: sphere fits, uncertainty, decoders, ranked budget."""
-    trials = run.ball_trials()
-    return [
-        sphere_fit_table(trials),
-        repeated_fit_table(trials),
-        uncertainty_table(trials),
-        decoder_table(trials[GELSIGHT]),
-        budget_table(BALLS, run.budget(BALLS), trials[CONTACT_FPP]),
-    ]
+ALL_CASES = tuple(
+    (name, method) for names, methods in CASES for name in names for method in methods
+)
 
 
-def rod_tables(run: Reproduction) -> list[Table]:
-    """Return the table of the rod widths, in a list."""
-    return [rods_table(run.rod_trials())]
+@dataclass(frozen=True)
+class PaperTable:
+    """Description of one table of the reproduction.
+
+    Attributes
+    ----------
+    group : name of the group of tables that are requested together
+    make : function that returns the table from the measurements of a run
+    needs : groups of measurements that the table needs
+    cases : function that returns (experiment's name, method) of each case of the figures that the
+        table needs
+    """
+
+    group: str
+    make: Callable[[Reproduction], Table]
+    needs: tuple[str, ...] = ()
+    cases: Callable[[], tuple[tuple[str, str], ...]] = tuple
 
 
-def difference_tables(run: Reproduction) -> list[Table]:
-    """Return the tables on possible reasons for differences between twin and paper."""
-    run.watch("differences", 0.0)
-    balls = experiment_of(BALLS, run.resolution)
-    tables = [region_table(balls), height_scale_table(balls.score.roi_radius_mm)]
-    run.watch("differences", 1.0)
-    return [*tables, nut_table(run.bare_nut())]
-
-
-def sensor_tables(run: Reproduction) -> list[Table]:
-    """Return the tables of the identification, compared with the trials of balls and rods."""
+def _identified_rows(run: Reproduction) -> Table:
     balls = run.ball_trials()
     trials = {"balls": balls[CONTACT_FPP], "gelsight": balls[GELSIGHT]}
     for letter, repeated in run.rod_trials().items():
         trials |= {f"{form}_{letter.lower()}": repeated for form in ("bar", "round")}
-    return identified_tables(trials)
+    return identified_rows_table(trials)
 
 
-def object_tables(run: Reproduction) -> list[Table]:
-    """Return the tables on the objects in the paper's pictures: completeness, and limits."""
-    cases = run.all_cases()
-    return [completeness_table(cases), pictures_table(cases)]
+def _region(run: Reproduction) -> Table:
+    run.watch("differences", 0.0)
+    table = region_table(experiment_of(BALLS, run.resolution))
+    run.watch("differences", 1.0)
+    return table
 
 
-TABLES: Mapping[str, Callable[[Reproduction], list[Table]]] = {
-    "identified": sensor_tables,
-    "hardness": lambda _: [hardness_table()],
-    "rods": rod_tables,
-    "spheres": sphere_tables,
-    "completeness": object_tables,
-    "differences": difference_tables,
+def _height_scale(run: Reproduction) -> Table:
+    return height_scale_table(experiment_of(BALLS, run.resolution).score.roi_radius_mm)
+
+
+def _budget(run: Reproduction) -> Table:
+    return budget_table(BALLS, run.budget(BALLS), run.fringe_trials(BALLS))
+
+
+_BALLS, _DIFFERENCES, _OBJECTS = "spheres", "differences", "completeness"
+_TRIALS = (*TRIALS_OF_BALLS, *TRIALS_OF_RODS)
+TABLES: Mapping[str, PaperTable] = {
+    "identified_fields": PaperTable("identified", lambda _: fields_table()),
+    "identified": PaperTable("identified", _identified_rows, _TRIALS),
+    "identified_choices": PaperTable("identified", lambda _: choices_table()),
+    "identified_worth": PaperTable("identified", lambda _: worth_table()),
+    "hardness": PaperTable("hardness", lambda _: hardness_table()),
+    "rods": PaperTable("rods", lambda run: rods_table(run.rod_trials()), TRIALS_OF_RODS),
+    "sphere_fit": PaperTable(
+        _BALLS, lambda run: sphere_fit_table(run.ball_trials()), TRIALS_OF_BALLS
+    ),
+    "repeated_fit": PaperTable(
+        _BALLS, lambda run: repeated_fit_table(run.ball_trials()), TRIALS_OF_BALLS
+    ),
+    "uncertainty": PaperTable(
+        _BALLS, lambda run: uncertainty_table(run.ball_trials()), TRIALS_OF_BALLS
+    ),
+    "explain_decoders": PaperTable(
+        _BALLS, lambda run: decoder_table(run.gelsight_trials()), ("gelsight",)
+    ),
+    f"budget_{BALLS}": PaperTable(_BALLS, _budget, ("budgets", TRIALS_OF_BALLS[1])),
+    "completeness": PaperTable(
+        _OBJECTS, lambda run: completeness_table(run.cases_folder()), cases=lambda: ALL_CASES
+    ),
+    "pictures": PaperTable(
+        _OBJECTS, lambda run: pictures_table(run.cases_folder()), cases=cases_of_pictures
+    ),
+    "explain_region": PaperTable(_DIFFERENCES, _region),
+    "explain_height_scale": PaperTable(_DIFFERENCES, _height_scale),
+    "explain_nut": PaperTable(_DIFFERENCES, lambda run: nut_table(run.bare_nut()), ("nut",)),
 }
+"""Tables of the reproduction by name; `--only` takes a table, its group, or a figure."""
+TABLE_GROUPS = tuple(dict.fromkeys(table.group for table in TABLES.values()))
+_ONE_TABLE, _ONE_FIGURE = "tables/", "figures/"
 
 
-_NEEDS: Mapping[str, tuple[str, ...]] = {
-    "identified": (*TRIALS_OF_BALLS, *TRIALS_OF_RODS),
-    "rods": TRIALS_OF_RODS,
-    "spheres": (*TRIALS_OF_BALLS, "budgets"),
-    "completeness": ("measured",),
-    "differences": ("nut",),
-}
-"""Groups of measurements that each group of tables needs."""
+def names_allowed() -> list[str]:
+    """Return the names that `--only` takes: groups, figures, and single tables and figures."""
+    single = [f"{_ONE_TABLE}{name}" for name in TABLES] + [f"{_ONE_FIGURE}{n}" for n in FIGURES]
+    return [*dict.fromkeys([*TABLE_GROUPS, *FIGURES]), *single]
 
 
 @dataclass(frozen=True)
@@ -126,7 +163,7 @@ class Request:
     Attributes
     ----------
     trials : number of repetitions of every repeated measurement
-    only : names of groups of tables, or of figures; empty: all
+    only : names of groups of tables, of figures, or tables/NAME and figures/NAME; empty: all
     full : True: full resolution; False: reduced resolution with a shorter run time
     """
 
@@ -135,28 +172,44 @@ class Request:
     full: bool = False
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.only if name not in {*TABLES, *FIGURES}]
+        unknown = [name for name in self.only if name not in names_allowed()]
         if unknown:
+            close = get_close_matches(unknown[0], names_allowed(), n=1)
+            hint = f"; did you mean {close[0]}?" if close else ""
             raise InputError(
                 f"--only {unknown[0]}: found no such table or figure, allowed "
-                f"{', '.join([*TABLES, *FIGURES])}"
+                f"{', '.join(names_allowed())}{hint}"
             )
 
     @property
     def tables(self) -> list[str]:
-        """Names of the requested groups of tables."""
-        return [name for name in TABLES if not self.only or name in self.only]
+        """Names of the requested tables."""
+        return [
+            name
+            for name, table in TABLES.items()
+            if not self.only or {table.group, f"{_ONE_TABLE}{name}"} & {*self.only}
+        ]
 
     @property
     def figures(self) -> list[str]:
         """Names of the requested figures."""
-        return [name for name in FIGURES if not self.only or name in self.only]
+        return [
+            name
+            for name in FIGURES
+            if not self.only or {name, f"{_ONE_FIGURE}{name}"} & {*self.only}
+        ]
+
+    @property
+    def cases(self) -> frozenset[tuple[str, str]]:
+        """Specimen and method of every case that the requested figures and tables show."""
+        drawn = [case for name in self.figures for case in FIGURES[name].cases]
+        return frozenset(drawn + [case for name in self.tables for case in TABLES[name].cases()])
 
     @property
     def measured(self) -> set[str]:
         """Names of the groups of measurements that the requested tables and figures need."""
-        drawn = {"measured"} if any(FIGURES[name].cases for name in self.figures) else set()
-        return drawn.union(*(_NEEDS.get(name, ()) for name in self.tables))
+        shown = {"measured"} if self.cases else set()
+        return shown.union(*(TABLES[name].needs for name in self.tables))
 
 
 @dataclass(frozen=True)
@@ -192,7 +245,7 @@ def reproduce(
         adding(out, *_NAMES) as folder,
     ):
         _make_folder(out / WORK)
-        run = Reproduction(out / WORK, request.trials, resolution, watch, pool)
+        run = Reproduction(out / WORK, request.trials, resolution, watch, pool, request.cases)
         return _reproduce(out, folder, request, run)
 
 
@@ -225,8 +278,8 @@ def _reproduce(out: Path, folder: Path, request: Request, run: Reproduction) -> 
 
 
 def tables_of(run: Reproduction, names: Sequence[str]) -> dict[str, Table]:
-    """Return the tables of the named groups by name; "claims" compares them with the targets."""
-    tables = {table.name: table for name in names for table in TABLES[name](run)}
+    """Return the named tables; "claims" compares them with the targets."""
+    tables = {name: TABLES[name].make(run) for name in names}
     claims = claims_of(tables)
     return tables | ({"claims": claims_table(claims)} if claims else {})
 
@@ -237,7 +290,7 @@ def _draw(
     """Measure the cases of the figures, then submit the drawing jobs; return these by figure."""
     folder, cases, steps = figures_folder(out), run.work / "cases", count(1)
     if any(FIGURES[name].cases for name in names):
-        cases = run.all_cases()
+        cases = run.cases_folder()
 
     def report(_: "Future[None]") -> None:
         run.watch("figures", next(steps) / len(names))
@@ -268,4 +321,5 @@ def _figures_of(claims: Sequence[Mapping[str, Cell]]) -> dict[str, Any]:
 
 def _line(row: Mapping[str, Cell]) -> str:
     mark = "met   " if row["met"] == "yes" else "MISSED"
-    return f"{mark} {row['claim']}: {shown(row['found'], 4)} ({row['allowed']})"
+    use = f"; {row['use']}" if row["use"] else ""
+    return f"{mark} {row['claim']}: {shown(row['found'], 4)} ({row['allowed']}{use})"

@@ -1,7 +1,8 @@
 """Reconstruct or decode captures of fringes, rendered or real; needs no renderer."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import tomli_w
 
 from reconstruction.arrays import ReasonImage
 from reconstruction.capture.folder import read_capture, read_uncalibrated
+from reconstruction.capture.period_search import best_period
 from reconstruction.decoding.continuity import DOUBTFUL_SHARE, jump_share
 from reconstruction.decoding.decode import Decoded, DecodeOptions, Reason
 from reconstruction.decoding.decode import decode as decode_stack
@@ -49,7 +51,7 @@ def reconstruct_capture(
         watch("read", 1.0)
         watch("reconstruct", 0.0)
         result = reconstruct(capture, options_of(decode))
-        require_points(capture_folder, result.point_map.mask_reason)
+        require_points(capture_folder, result.point_map.mask_reason, partial(best_period, capture))
         watch("reconstruct", 1.0)
         axes = result.decoded.axes
         figures = reconstruction_metrics(result, decode.use if len(axes) == 2 else axes[0])
@@ -88,12 +90,19 @@ LIKELY_CAUSES = {
 }
 
 
-def require_points(capture: Path, reasons: ReasonImage) -> None:
+_GEOMETRIC = (Reason.EPIPOLAR_MISMATCH, Reason.NO_POINT)
+
+
+def require_points(
+    capture: Path, reasons: ReasonImage, explain: Callable[[], str] = lambda: ""
+) -> None:
     """Raise CaptureError, with the most frequent reason code, if no pixel is valid.
 
     Parameters
     ----------
     reasons : (row, col) reason codes
+    explain : returns the result of trials with other periods and axes, as text; called only if the
+        most frequent reason is one of the geometry
     """
     if np.any(reasons == Reason.VALID):
         return
@@ -103,7 +112,9 @@ def require_points(capture: Path, reasons: ReasonImage) -> None:
         f"{Reason(int(code)).name.lower().replace('_', ' ')} {count / reasons.size:.0%}"
         for code, count in sorted(zip(codes, counts, strict=True), key=lambda item: -item[1])
     )
-    raise CaptureError(f"{capture}: no pixel gives a point ({shares}); {LIKELY_CAUSES[main]}")
+    tried = explain() if main in _GEOMETRIC else ""
+    cause = "; ".join(filter(None, [LIKELY_CAUSES[main], tried]))
+    raise CaptureError(f"{capture}: no pixel gives a point ({shares}); {cause}")
 
 
 def options_of(decode: Decode) -> ReconstructOptions:

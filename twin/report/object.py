@@ -89,6 +89,12 @@ def _short(quantity: MeasuredQuantity) -> str:
     return f"{name}: {quantity.value:.4f}\N{NO-BREAK SPACE}mm {_interval(quantity)}"
 
 
+def is_touched_too_little(measured: Measurement) -> bool:
+    """Return True if a thin sheet touches too little of the object to measure it."""
+    compensation = measured.compensation
+    return bool(_remedies(measured)) and compensation is not None and not compensation.why
+
+
 def _remedies(measured: Measurement) -> list[str]:
     """Return advice on how to measure the object; empty if its dimensions were measured."""
     score, compensation = measured.object, measured.compensation

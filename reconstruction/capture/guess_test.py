@@ -1,0 +1,163 @@
+"""Test a guessed capture.toml against its images: decode them, and try likely other values.
+
+A correct description decodes most lit pixels, and the projector coordinate is continuous from pixel
+to pixel. If it does not, other encodings and orders of the bits are tried. The assumed noise of the
+camera is compared with the scatter of the phase frames around their sinusoids.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from reconstruction.capture.description import DESCRIPTION_FILE
+from reconstruction.capture.folder import read_frames
+from reconstruction.capture.frame_list import ListedSet, read_listed
+from reconstruction.capture.frame_order import ENOUGH, LEAST_LIT, sample_of
+from reconstruction.decoding import DecodeOptions
+from reconstruction.decoding.continuity import DOUBTFUL_SHARE, jump_share
+from reconstruction.decoding.decode import decode
+from reconstruction.errors import CaptureError
+from reconstruction.patterns import PatternSet
+from reconstruction.rig.sensor import SensorNoise
+from reconstruction.words import WORDS
+from reconstruction.writing import write_text
+
+# Measured over assumed noise within these limits needs no message.
+_NOISE_RATIO = 0.5, 2.0
+_LEAST_STEPS = 4
+
+
+@dataclass(frozen=True)
+class DecodingTest:
+    """Result of decoding the images by one description.
+
+    Attributes
+    ----------
+    share : share of the lit pixels with coordinates, 0 to 1
+    jumps : largest share of jumps of a coordinate, see `continuity.jump_share`
+    noise_ratio : measured over assumed standard deviation of the phase frames; None: not known
+    why : why the images cannot be decoded; empty if they can
+    """
+
+    share: float = 0.0
+    jumps: float = 0.0
+    noise_ratio: float | None = None
+    why: str = ""
+
+    @property
+    def passes(self) -> bool:
+        """Whether most lit pixels have coordinates, and these are continuous."""
+        return not self.why and self.share >= ENOUGH and self.jumps <= DOUBTFUL_SHARE
+
+    def in_words(self) -> str:
+        """Return the result as text."""
+        if self.why:
+            return f"twin decode would end with: {self.why}"
+        return (
+            f"{self.share:.0%} of the lit pixels decode, the coordinate jumps at {self.jumps:.0%}"
+        )
+
+
+def tests_of(text: str, folder: Path) -> list[str]:
+    """Return lines of text on the test of a capture.toml: passed, or unsure and what would pass.
+
+    Parameters
+    ----------
+    text : content of the guessed capture.toml
+    folder : folder of the images
+    """
+    try:
+        listed = _read(text)
+    except CaptureError as error:
+        return [f"unsure: {DecodingTest(why=str(error)).in_words()}"]
+    guessed = _tested(listed, folder)
+    lines = [f"{'tested' if guessed.passes else 'unsure'}: {guessed.in_words()}"]
+    if not guessed.passes:
+        others = [(change, _tested(other, folder)) for change, other in _others(listed)]
+        lines += [f"with {change}: {of.in_words()}" for change, of in others if of.passes]
+    if guessed.noise_ratio is not None:
+        lines.append(_noise_line(guessed.noise_ratio))
+    return lines
+
+
+def _noise_line(ratio: float) -> str:
+    low, high = _NOISE_RATIO
+    is_close = low <= ratio <= high
+    return (
+        f"{'tested' if is_close else 'unsure'}: [sensor]: the phase frames scatter by {ratio:.2g} "
+        "times the assumed noise around their sinusoids"
+    )
+
+
+def _read(text: str) -> ListedSet:
+    with TemporaryDirectory() as temporary:
+        file = Path(temporary) / DESCRIPTION_FILE
+        write_text(file, text)
+        return read_listed(file)
+
+
+def _others(listed: ListedSet) -> Iterator[tuple[str, ListedSet]]:
+    """Yield other descriptions: another encoding of the bits, and their opposite order."""
+    for word in WORDS.names():
+        if word != listed.word:
+            yield f'word = "{word}"', replace(listed, word=word)
+    reverse = tuple(
+        replace(entry, bits="fine_first") if entry.kind in ("gray", "inverse") else entry
+        for entry in listed.frames
+    )
+    if reverse != listed.frames:
+        yield 'bits = "fine_first"', replace(listed, frames=reverse)
+
+
+def _tested(listed: ListedSet, folder: Path) -> DecodingTest:
+    try:
+        recorded = listed.recorded(folder)
+        stack, _ = read_frames(recorded)
+    except CaptureError as error:
+        return DecodingTest(why=str(error).removeprefix(f"{folder}: "))
+    patterns, sensor = recorded.patterns, recorded.sensor
+    sample = sample_of(stack, patterns, sensor, None)
+    if np.count_nonzero(sample.is_lit) < LEAST_LIT:
+        return DecodingTest(why="too few pixels are lit")
+    decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0))
+    valid = decoded.valid[:: sample.stride, :: sample.stride][sample.is_lit]
+    jumps = [
+        jump_share(
+            getattr(decoded, axis).coordinate_px,
+            decoded.valid,
+            patterns.period_along(axis),
+            is_word=patterns.steps == 0,
+        )
+        for axis in patterns.axes
+    ]
+    ratio = _noise_ratio(sample.stack[:, sample.is_lit].astype(np.float64), patterns, sensor)
+    return DecodingTest(float(np.mean(valid)), max(jumps), ratio)
+
+
+def _noise_ratio(
+    pixels: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    patterns: PatternSet,
+    sensor: SensorNoise,
+) -> float | None:
+    """Return the measured over the assumed standard deviation of the phase frames; None: too few.
+
+    Parameters
+    ----------
+    pixels : (frame, pixel), DN, of lit pixels
+    """
+    if patterns.steps < _LEAST_STEPS:
+        return None
+    phase = np.exp(2j * np.pi * np.arange(patterns.steps) / patterns.steps)
+    ratios = []
+    for axis in patterns.axes:
+        for span in patterns.step_sets(axis):
+            values = pixels[span]
+            mean = values.mean(axis=0)
+            amplitude = 2.0 / patterns.steps * phase.conj() @ values
+            fitted = mean + np.real(phase[:, np.newaxis] * amplitude)
+            square = ((values - fitted) ** 2).sum(axis=0) / (patterns.steps - 3)
+            ratios.append(np.sqrt(np.median(square / sensor.variance_dn2(mean))))
+    return float(np.median(ratios))
