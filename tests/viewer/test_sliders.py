@@ -56,6 +56,7 @@ def test_a_thin_sheet_has_fine_steps_although_its_source_allows_slabs():
     thickness = sliders["elastomer.thickness_mm"]
     assert thickness.high == pytest.approx(4 * thickness.value)
     assert thickness.step < 0.01
+    assert 1 < sliders["patterns.period_px"].low < sliders["patterns.period_px"].high < 100
 
 
 def test_a_share_has_no_value_above_1():

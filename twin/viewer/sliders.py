@@ -74,7 +74,8 @@ def slider_ranges(experiment: Experiment, exposure_ms: float | None = None) -> l
     """Return the sliders of an experiment.
 
     The range of a slider is that of the value's stated source, limited to 4 times the current value
-    of a load or of a property of the elastomer. Without a source it is an interval round the value.
+    of a load, of the fringe period or of a property of the elastomer. Without a source it is an
+    interval round the value.
 
     Parameters
     ----------
@@ -118,8 +119,9 @@ def _ends(experiment: Experiment, key: str, value: float, reach: float) -> tuple
 
 
 def _within_ratio(key: str, value: float, low: float, high: float) -> tuple[float, float]:
-    if key.startswith(("elastomer.", "press.")) and value > 0:
-        return float(low), min(float(high), _LARGEST_RATIO * value)
+    if key.startswith(("elastomer.", "press.", "patterns.")) and value > 0:
+        least = value / _LARGEST_RATIO if key.startswith("patterns.") else low
+        return max(float(low), least), min(float(high), _LARGEST_RATIO * value)
     return float(low), float(high)
 
 
