@@ -4,10 +4,14 @@ import os
 import shutil
 import subprocess
 import time
+import tomllib
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
 # Notes each call; `-m venv` makes an environment with this script as Python.
@@ -204,6 +208,18 @@ def test_python_that_does_not_work_is_reported(checkout):
     ended = checkout.run("demo", TWIN_PYTHON="/absent/python")
     assert ended.returncode == 3
     assert "no Python 3.11 or newer found at TWIN_PYTHON=/absent/python" in ended.stderr
+
+
+def test_lock_file_has_every_requirement_of_the_project():
+    """With a version that pyproject.toml allows: those of the extras, too."""
+    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    pins = dict(line.partition("; ")[0].split("==") for line in lines if not line.startswith("#"))
+    versions = {canonicalize_name(name): version for name, version in pins.items()}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"].values()
+    for line in (*project["dependencies"], *chain(*extras)):
+        requirement = Requirement(line)
+        assert versions[canonicalize_name(requirement.name)] in requirement.specifier, line
 
 
 def test_lock_file_holds_versions_only():

@@ -16,7 +16,7 @@ pytest.importorskip("viser", reason="the extra `view` is not installed")
 ROOT = Path(__file__).parents[2]
 COMMAND = "from twin.cli import main; main()"
 PICTURES = "[...document.querySelectorAll('img')].map(one => one.src).filter(one => one)"
-LABEL = "elastomer: thickness (mm)"
+LABEL = "thickness (mm)"
 
 
 @pytest.fixture(scope="module")

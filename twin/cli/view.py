@@ -19,7 +19,7 @@ def view(
     host: str = "127.0.0.1",
     port: int = 8080,
 ) -> None:
-    """Move camera, projector, specimen and elastomer in a browser; the image follows. Needs viser.
+    """Change the design by sliders in a browser; image, error map and figures follow.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def view(
 
         measured = read_measurement(source)
     experiment = load(source / "experiment.toml" if measured else source, settings)
-    shown = LiveView(experiment, measured, host, port)
+    shown = LiveView(experiment, measured, host, port, str(source))
     say(f"open {shown.address} in a browser; Ctrl-C ends it")
     try:
         shown.serve()

@@ -10,7 +10,7 @@ from math import inf
 
 from twin.config.elastomer_models import AUTO
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
-from twin.mechanics.errors import PressError
+from twin.mechanics.errors import PressError, SolverError
 from twin.mechanics.hardness import young_modulus
 from twin.mechanics.models import (
     MODELS,
@@ -69,6 +69,31 @@ def settled_with(case: PressInput, progress: Progress | None = None) -> SettledP
     SolverError : the solution did not converge
     """
     return select_model(case).settle(case, progress)
+
+
+def preview_with(case: PressInput, near: SettledPress | None = None) -> SettledPress | None:
+    """Press less accurately than `press_with`, with the same model, in less time.
+
+    Parameters
+    ----------
+    near : an earlier preview of a similar press, from which the solution may start
+
+    Returns
+    -------
+    The press; None if the model has no faster computation than that of `press_with`
+
+    Raises
+    ------
+    PressError, SolverError : as `press_with`
+    """
+    model = select_model(case)
+    model.check(case)
+    if near is None:
+        return model.preview(case)
+    try:
+        return model.preview(case, near)
+    except SolverError:
+        return model.preview(case)  # without the start, which may be far from this press
 
 
 def check_press(

@@ -1,38 +1,45 @@
-"""Live view in a browser: rig, coat, specimen, camera image and sliders.
+"""Live view in a browser: scene, sliders, camera image, error map and figures.
 
-The package viser (extra `view`) displays the view. Its threads only store the latest slider values.
-The main thread computes the images, so that a signal ends the command.
+The package viser displays the view. Its threads only store the latest slider values. The main
+thread computes the images, so that a signal ends the command.
 """
 
 import gc
 import io
 import threading
 import time
+from collections.abc import Iterable
 from contextlib import redirect_stdout
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from reconstruction.arrays import FloatArray, Levels
-from reconstruction.colouring import Deviation
+from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import surface_mesh
-from reconstruction.rig.pinhole import Pinhole
 from twin.config import Experiment
 from twin.extras import missing
-from twin.mechanics import PressedElastomer
-from twin.optics.rig import true_calibration
 from twin.optics.view import SceneSurface
-from twin.report.scene import CAMERA_RGB, PROJECTOR_RGB, rig_lines
 from twin.results.folder import deviation_of
 from twin.results.record import Measurement
-from twin.viewer.preview import Preview, PreviewPicture, SliderRange, slider_ranges
+from twin.viewer.picture import VIEWS, ScenePicture
+from twin.viewer.preview import Preview, PreviewPicture
+from twin.viewer.results import ResultPanel
+from twin.viewer.scene import section_of
+from twin.viewer.sliders import EXPOSURE, GROUPS, SliderRange, slider_ranges
+from twin.viewer.texts import command_line, deviation_scale, height_scale, press_line
 
-_STEPS = 100
 # Offset of the measured surface above the coat of the preview, which would intersect it.
 _RAISED_MM = (0.0, 0.0, 0.05)
 _MOST_VERTICES = 200_000
+_PANEL_PX = 300
+# Without a change of a slider for this time, the experiment is measured.
+_REST_S = 0.3
+
+
+class _SliderMovedError(Exception):
+    """A slider was moved during a measurement, which is then out of date."""
 
 
 def viser_module() -> Any:
@@ -52,27 +59,35 @@ class LiveView:
     """Live view of an experiment: the scene in the browser and the latest slider values."""
 
     def __init__(
-        self, experiment: Experiment, measured: Measurement | None, host: str, port: int
+        self,
+        experiment: Experiment,
+        measured: Measurement | None,
+        host: str,
+        port: int,
+        source: str = "",
     ) -> None:
         viser = viser_module()
         self._preview = Preview(experiment)
+        self._experiment, self._source = experiment, source or experiment.name
         self._changes: dict[str, float] = {}
-        self._pressed: PressedElastomer | None = None
+        self._sliders: dict[str, tuple[SliderRange, Any]] = {}
         self._moved = threading.Event()
         self._moved.set()
         with redirect_stdout(io.StringIO()):  # viser prints a banner
             self._server = viser.ViserServer(host, port, label="fringe-twin", verbose=False)
-        self._server.scene.set_up_direction("+z")
-        reach = experiment.camera.pose.standoff_mm
-        self._server.initial_camera.position = (0.25 * reach, -0.5 * reach, 0.45 * reach)
-        self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
-        blank: Levels = np.zeros((8, 8, 3), np.uint8)
         gui = self._server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="small")
+        self._picture = ScenePicture(self._server, experiment)
         self._status = gui.add_markdown("pressing ...")
-        self._fringes = gui.add_image(blank, label="camera image: fringes")
-        self._white = gui.add_image(blank, label="camera image: white light")
-        for control in slider_ranges(experiment):
-            self._add_slider(control)
+        self._heights = gui.add_html("")
+        self._add_views()
+        self._folders = {group: gui.add_folder(group) for group in GROUPS}
+        self._add_sliders(slider_ranges(experiment))
+        gui.add_button("reset").on_click(self._reset)
+        self._command = gui.add_markdown(command_line(self._source, {}))
+        self._results = ResultPanel(self._server)
+        gui.main_panel.dock_left()
+        gui.main_panel.set_width(_PANEL_PX)
         if measured is not None:
             self._add_measured(measured)
 
@@ -81,97 +96,117 @@ class LiveView:
         """URL at which a browser shows the view."""
         return f"http://{self._server.get_host()}:{self._server.get_port()}"
 
+    @property
+    def server(self) -> Any:
+        """The Viser server, with scene and panels."""
+        return self._server
+
     def serve(self) -> None:
         """Recompute the view for new slider values, until a signal ends the process."""
+        at_rest = False
         while True:
             # With a time limit: on some systems a wait without one does not handle signals.
-            if self._moved.wait(0.2):
-                self._moved.clear()
-                self._update(dict(self._changes))
-                if not gc.get_freeze_count():
-                    # Objects that exist now are excluded from later collections, which the renderer
-                    # runs before each picture and which take 50 % of its time.
-                    gc.collect()
-                    gc.freeze()
+            if self._moved.wait(_REST_S):
+                self.update()
+                at_rest = False
+            elif not at_rest:
+                at_rest = self.measure()
+                # Objects that exist now are excluded from later collections, which the renderer
+                # runs before each picture and which take 50 % of its time.
+                gc.collect()
+                gc.freeze()
 
     def close(self) -> None:
         """Stop the server of the view."""
         self._server.stop()
 
-    def _add_slider(self, control: SliderRange) -> None:
-        step = (control.high - control.low) / _STEPS
-        slider = self._server.gui.add_slider(
-            control.label, min=control.low, max=control.high, step=step, initial_value=control.value
-        )
-
-        def move(_: Any) -> None:
-            self._changes[control.key] = float(slider.value)
-            self._moved.set()
-
-        slider.on_update(move)
-
-    def _update(self, changes: dict[str, float]) -> None:
-        start = time.perf_counter()
+    def update(self) -> None:
+        """Show the latest slider values at reduced size."""
+        self._moved.clear()
+        changes, start = dict(self._changes), time.perf_counter()
+        self._command.content = command_line(self._source, changes)
         try:
             shown = self._preview.show(changes)
         except InputError as error:
             self._status.content = f"**not possible:** {error}"
             return
-        self._fringes.image, self._white.image = _rgb(shown.fringes), _rgb(shown.white)
-        pressed = shown.pressed
+        self._show(shown)
         self._status.content = (
-            f"force {pressed.force_n:.3g} N, travel {pressed.depth_mm:.3g} mm, coat up to "
-            f"{pressed.face_z_mm.max():.3g} mm; picture in {time.perf_counter() - start:.2f} s"
+            f"{press_line(shown.pressed)}; picture in {time.perf_counter() - start:.2f} s"
         )
-        if self._pressed is None or not np.array_equal(self._pressed.face_z_mm, pressed.face_z_mm):
-            for surface in shown.surfaces:
-                self._draw_surface(surface)
-            self._pressed = pressed
-        self._draw_rig(shown)
+        if EXPOSURE not in self._sliders:
+            self._add_sliders(slider_ranges(self._experiment, shown.exposure_ms))
 
-    def _draw_surface(self, surface: SceneSurface) -> Any:
-        """Add a surface to the scene, and return its handle, with which it can be hidden."""
-        rgb, name = np.rint(255 * surface.rgb).astype(np.uint8), f"/{surface.name}"
-        if rgb.ndim == 1:
-            mesh = surface.vertices_mm, surface.triangles
-            return self._server.scene.add_mesh_simple(name, *mesh, color=tuple(rgb.tolist()))
-        from trimesh import Trimesh
+    def measure(self) -> bool:
+        """Measure with the latest slider values, and show figures and error map.
 
-        body = Trimesh(surface.vertices_mm, surface.triangles, vertex_colors=rgb, process=False)
-        return self._server.scene.add_mesh_trimesh(name, body)
+        Returns
+        -------
+        False if a slider was moved, which ends the measurement
+        """
+        changes = dict(self._changes)
+        self._results.begin()
+        try:
+            done = self._preview.measure(changes, self._watch)
+            shown = self._preview.show(changes)
+        except _SliderMovedError:
+            return False
+        except InputError as error:
+            self._results.fail(str(error))
+            return True
+        self._show(shown)
+        self._results.show(done)
+        self._status.content = press_line(shown.pressed)
+        return True
 
-    def _draw_rig(self, shown: PreviewPicture) -> None:
-        for lines in rig_lines(shown.experiment, elastomer=False):
-            ends_mm, scene = lines.ends_mm.reshape(-1, 2, 3), self._server.scene
-            scene.add_line_segments(f"/{lines.name}", ends_mm, lines.rgb, thickness=0.2)
-        rig, visible = true_calibration(shown.experiment), _rgb(shown.fringes)
-        self._add_device("/camera", rig.camera, rig.T_world_from_cam, CAMERA_RGB, visible)
-        self._add_device("/projector", rig.projector, rig.T_world_from_proj, PROJECTOR_RGB, None)
+    def _watch(self, stage: str, fraction: float, /) -> None:
+        if self._moved.is_set():
+            raise _SliderMovedError
+        self._results.progress(stage, fraction)
 
-    def _add_device(
-        self,
-        name: str,
-        device: Pinhole,
-        pose: FloatArray,
-        rgb: tuple[int, int, int],
-        image: Levels | None,
-    ) -> None:
-        half = 0.5 * device.height_px / device.fy_px
-        aspect = device.width_px / device.height_px
-        # Viser scales a frustum by its volume: with this scale its length is 1/8 of the distance
-        # from the device to the origin.
-        depth_mm = float(np.linalg.norm(pose[:3, 3])) / 8.0
-        self._server.scene.add_camera_frustum(
-            name,
-            fov=2.0 * float(np.arctan(half)),
-            aspect=aspect,
-            scale=depth_mm * float(np.cbrt(half * half * aspect / 3.0)),
-            color=rgb,
-            image=image,
-            wxyz=_quaternion(pose[:3, :3]),
-            position=pose[:3, 3],
-            thickness=0.4,
+    def _show(self, shown: PreviewPicture) -> None:
+        section = section_of(shown.experiment, shown.pressed)
+        self._heights.content = height_scale(shown.pressed)
+        self._results.picture(shown, section)
+        self._picture.draw_press(shown.experiment, shown.pressed, section)
+        self._picture.draw_rig(shown.experiment, _rgb(shown.fringes))
+
+    def _add_views(self) -> None:
+        buttons = self._server.gui.add_button_group("view", VIEWS)
+        buttons.on_click(lambda _: self._picture.show(buttons.value))
+
+    def _add_sliders(self, sliders: Iterable[SliderRange]) -> None:
+        for slider in sliders:
+            if slider.key not in self._sliders:
+                with self._folders[slider.group]:
+                    self._sliders[slider.key] = slider, self._slider(slider)
+        used = {slider.group for slider, _ in self._sliders.values()}
+        for group, folder in self._folders.items():
+            folder.visible = group in used
+
+    def _slider(self, slider: SliderRange) -> Any:
+        handle = self._server.gui.add_slider(
+            slider.label,
+            min=slider.low,
+            max=slider.high,
+            step=slider.step,
+            initial_value=slider.value,
+            hint=slider.key,
         )
+
+        def move(_: Any) -> None:
+            if handle.value == slider.value:  # also that of an automatic exposure
+                self._changes.pop(slider.key, None)
+            else:
+                self._changes[slider.key] = float(handle.value)
+            self._moved.set()
+
+        handle.on_update(move)
+        return handle
+
+    def _reset(self, _: Any) -> None:
+        for slider, handle in self._sliders.values():
+            handle.value = slider.value
 
     def _add_measured(self, measured: Measurement) -> None:
         """Add the measured surface, coloured by its deviation from the true surface."""
@@ -183,10 +218,10 @@ class LiveView:
                 "measure with camera.binning = 4, or open surface.ply in a mesh viewer"
             )
         raised_mm, rgb = mesh.vertices_mm + _RAISED_MM, deviation.rgb[measured_surface.valid]
-        handle = self._draw_surface(
-            SceneSurface("measured", raised_mm, mesh.triangles, rgb / 255.0)
-        )
-        box = self._server.gui.add_checkbox(_told_of(deviation), initial_value=True)
+        surface = SceneSurface("measured", raised_mm, mesh.triangles, rgb / 255.0)
+        handle = self._picture.draw_surface("/measured", surface)
+        box = self._server.gui.add_checkbox("surface of the folder", initial_value=True)
+        self._server.gui.add_html(deviation_scale(deviation))
 
         def show(_: Any) -> None:
             handle.visible = box.value
@@ -194,18 +229,5 @@ class LiveView:
         box.on_update(show)
 
 
-def _told_of(deviation: Deviation) -> str:
-    limit = deviation.limit_um
-    return f"measured; blue -{limit:.3g} um, red +{limit:.3g} um"
-
-
 def _rgb(levels: Levels) -> Levels:
     return np.repeat(levels[..., np.newaxis], 3, axis=-1)
-
-
-def _quaternion(rotation: FloatArray) -> tuple[float, float, float, float]:
-    """Return a rotation matrix (3, 3) as unit quaternion (w, x, y, z)."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return float(w), float(x), float(y), float(z)

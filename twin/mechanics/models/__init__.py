@@ -162,6 +162,23 @@ class ElastomerModel(elastomer_models.ModelFields):
         """
         raise NotImplementedError(f"{type(self).__name__}.press")
 
+    def preview(self, case: PressInput, near: SettledPress | None = None) -> SettledPress | None:
+        """Press less accurately than `press`, in less time, for a live view.
+
+        Parameters
+        ----------
+        near : an earlier preview of a similar press, from which the solution may start
+
+        Returns
+        -------
+        The press; None if the model has no faster computation than `press`
+
+        Raises
+        ------
+        PressError, SolverError : as `press`
+        """
+        return None
+
     def settle(self, case: PressInput, progress: Progress | None = None) -> SettledPress:
         """Press, and return the equilibrium with its derivatives.
 

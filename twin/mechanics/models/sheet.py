@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING
 
 from twin.config.models import Elastomer
 from twin.mechanics.errors import PressError
-from twin.mechanics.models import MODELS, ElastomerModel, PressInput, Progress
+from twin.mechanics.models import (
+    MODELS,
+    ElastomerModel,
+    PressInput,
+    Progress,
+    SettledPress,
+)
 from twin.mechanics.press import PressedElastomer
 from twin.mechanics.validity import (
     SHEET_THICKNESS_MM,
@@ -59,6 +65,14 @@ class SheetModel(ElastomerModel):
         The cached load path of an earlier press that differs only in its loads is reused.
         """
         return _settled(case, progress).result()
+
+    def preview(self, case: PressInput, near: SettledPress | None = None) -> "SettledWithTangent":
+        """Return the sheet on coarse cells; the load steps start from the state of `near`."""
+        from twin.mechanics.sheet.press import coarse_sheet
+
+        state = near.sheet if isinstance(near, SettledWithTangent) else None
+        parts = case.specimen, case.elastomer, case.load, case.mechanics
+        return SettledWithTangent(coarse_sheet(*parts, state))
 
     def settle(self, case: PressInput, progress: Progress | None = None) -> "SettledWithTangent":
         """Press, and return the sheet with its tangent, by which `nearby` computes changes."""

@@ -65,6 +65,9 @@ _LOW_PRESSURES_KPA = (0.25, 0.1)
 # Of contact during the load steps: its compliance, in cells, at the sheet's shear modulus.
 _SOFT = 0.125
 _KEPT_PATHS = 4
+# Of a preview: its steps are limited, so that a large change of the input takes about 1 s, too.
+_PREVIEW = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=8, strict=False)
+_PREVIEW_RELIEF_MM = 0.1
 # Loads in which presses of one path may differ.
 _LOADS = {"control": "depth", "depth_mm": 1.0, "force_n": None, "back_pressure_kpa": 0.0}
 
@@ -139,6 +142,40 @@ def settled_sheet(
     path = _path(specimen, elastomer, load, mechanics)
     sheet, state = _equilibrium(path, load, progress)
     return SettledSheet(path.case, elastomer, load, sheet, state)
+
+
+def coarse_sheet(
+    specimen: Specimen,
+    elastomer: Elastomer,
+    load: Press,
+    mechanics: Mechanics,
+    near: SettledSheet | None = None,
+) -> SettledSheet:
+    """Press on the coarse cells of the load steps only: a preview of `settled_sheet`.
+
+    Parameters
+    ----------
+    near : result of an earlier call, from whose state the load steps start; None: from the mounted
+        sheet. A sheet that sticks always starts from the mounted sheet
+
+    Raises
+    ------
+    PressError, SolverError
+        As `press_sheet`.
+    """
+    case = sheet_case(specimen, elastomer, load, mechanics)
+    sheet = _soft(case.sheet(coarse_cells(case)))
+    travel_mm, pressure_kpa = load.depth_mm, load.back_pressure_kpa
+    if near is None or sheet.sticks:
+        state = follow(sheet, Loads(travel_mm or TRAVEL_STEP_MM, pressure_kpa), _ROUGH)
+    else:
+        start = refined(near.sheet, sheet, near.state)
+        goal = Loads(travel_mm or start.travel_mm, pressure_kpa)
+        state, _ = advance(sheet, start, start, goal, _PREVIEW)
+    if load.force_n is not None:
+        state = _to_force(sheet, state, load.force_n, _PREVIEW, _silent)
+    shown = load.model_copy(update={"relief_pitch_mm": _PREVIEW_RELIEF_MM})
+    return SettledSheet(case, elastomer, shown, sheet, state)
 
 
 @dataclass(frozen=True, eq=False)
