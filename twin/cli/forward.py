@@ -185,7 +185,7 @@ def measure(
     report: Report = True,
 ) -> None:
     """Measure virtually: press, render, expose, reconstruct, score against the truth, report."""
-    loaded = load(experiment, settings)
+    loaded = load(experiment, settings, warn=False)  # the result lists its warnings
     _measure(loaded, out, "measure", [experiment], report)
 
 

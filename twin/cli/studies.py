@@ -103,7 +103,8 @@ def _on_message(sentence: str) -> None:
 def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
     """Print the cases that cannot be measured; return exit code 2 if none can be, else 0.
 
-    A search has no list of cases; points along its axes are checked instead.
+    Values outside the ranges of their sources are printed as warnings. A search has no list of
+    cases; points along its axes are checked instead.
 
     Raises
     ------
@@ -111,10 +112,13 @@ def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
     """
     from twin.study.checks import check_figures
     from twin.study.measurable import probes_of, unmeasurable
+    from twin.study.remarks import remarks_of
 
     searches = record.study.sampling.method in ("optimise", "gradient")
     cases = probes_of(record) if searches else cases
     check_figures(record, cases)
+    for remark in remarks_of({case.digest: {} for case in cases}, cases):
+        sys.stderr.write(f"twin: warning: {remark.in_words(len(cases))}\n")
     unmeasurable_cases = unmeasurable(cases)
     for reason, some in unmeasurable_cases.items():
         at = ", ".join(f"{name} = {value}" for name, value in some[0].settings.items())

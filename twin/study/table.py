@@ -101,7 +101,8 @@ def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTa
     if record.study.repeats > 1:
         spread_over_repeats(rows, cases)
     known = [entries[case.digest] for case in cases if case.digest in entries]
-    remarks = remarks_of({entry.digest: entry.figures for entry in known if entry.state == "done"})
+    done = {entry.digest: entry.figures for entry in known if entry.state == "done"}
+    remarks = remarks_of(done, cases)
     return StudyTable(record, axes, metrics, tuple(map(_explained, rows)), cases, remarks)
 
 
