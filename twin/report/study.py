@@ -207,7 +207,7 @@ def _best(shown: Shown) -> list[Block]:
 
 
 def _nearest(shown: Shown) -> list[Block]:
-    """Return a note that no case is feasible, and the cases that miss the fewest conditions."""
+    """Return a note that no case is feasible, and the cases nearest to the limits."""
     words = feasibility_in_words(shown.table.rows)
     note = Note(f"No case is feasible: {words}.", "failure")
     some = nearest_rows(shown.table.done(), shown.objectives)[:_MOST_BEST]
@@ -216,7 +216,7 @@ def _nearest(shown: Shown) -> list[Block]:
     columns = [*shown.table.axes, *shown.metrics]
     more = (Column("case", "case"), Column("remark", "missed", kind="reason"))
     rows = tuple(_row(row, columns) for row in some)
-    lead = Note("Infeasible cases; those that miss the fewest conditions first.")
+    lead = Note("Infeasible cases, the nearest to the limits first.")
     return [
         note,
         lead,

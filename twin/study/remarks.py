@@ -12,6 +12,7 @@ from typing import Any
 from reconstruction.errors import counted
 from twin.config.quantities import outside_sources
 from twin.mechanics.models import model_of
+from twin.mechanics.validity import remedy_of
 from twin.results.figures import why_absent
 from twin.study.cases import Case
 from twin.study.measuring import TRUE_RIG
@@ -70,7 +71,12 @@ def remarks_of(
             if digest not in cases.setdefault(kind, []):
                 cases[kind].append(digest)
     ranked = sorted(cases.items(), key=lambda item: -len(item[1]))
-    return tuple(Remark(texts[kind], tuple(some)) for kind, some in ranked)
+    return tuple(Remark(_with_remedy(texts[kind]), tuple(some)) for kind, some in ranked)
+
+
+def _with_remedy(text: str) -> str:
+    remedy = remedy_of(text)
+    return f"{text}; {remedy}" if remedy else text
 
 
 def _warned(figures: Mapping[str, Any]) -> Iterator[str]:
