@@ -82,7 +82,7 @@ def verdict_sentence(table: StudyTable, verdict: StudyVerdict) -> str:
 
 def verdict_reason(table: StudyTable, verdict: StudyVerdict) -> str:
     """Return why the feasible design is the one to build, as parts separated by semicolons."""
-    values = _values_text(verdict, verdict.values)
+    values = _values_text(verdict.values)
     of = counted(verdict.designs, "measured design")
     conditions = " that meets all conditions" if table.conditions else ""
     if verdict.designs == 1:
@@ -94,9 +94,8 @@ def verdict_reason(table: StudyTable, verdict: StudyVerdict) -> str:
     else:
         least = "smallest" if verdict.objectives[0].goal == "minimise" else "largest"
         kind = "feasible" if table.conditions else "measured"
-        label, _ = label_of(verdict.objectives[0].metric)
-        value = amount(*_first(verdict.values))
-        parts = [f"of {verdict.met} {kind} designs it has the {least} {label}, {value}"]
+        label, value = _name_of(verdict.objectives[0].metric), amount(*_first(verdict.values))
+        parts = [f"its {label} is the {least} of {verdict.met} {kind} designs, {value}"]
         parts += _next(table, verdict)
     return "; ".join([*parts, *_reserve(verdict)])
 
@@ -106,9 +105,14 @@ def _first(values: Mapping[str, float]) -> tuple[float, str]:
     return value, label_of(name)[1]
 
 
-def _values_text(verdict: StudyVerdict, values: Mapping[str, float]) -> str:
-    shown = {goal.metric: label_of(goal.metric) for goal in verdict.objectives}
-    return " and ".join(f"{shown[n][0]} {amount(v, shown[n][1])}" for n, v in values.items())
+def _name_of(figure: str) -> str:
+    """Return the label of a figure for a sentence: "z error (RMS)" for "z error, RMS"."""
+    name, _, kind = label_of(figure)[0].partition(", ")
+    return f"{name} ({kind})" if kind else name
+
+
+def _values_text(values: Mapping[str, float]) -> str:
+    return " and ".join(f"{_name_of(n)} {amount(v, label_of(n)[1])}" for n, v in values.items())
 
 
 def _on_the_front(verdict: StudyVerdict, values: str) -> str:
