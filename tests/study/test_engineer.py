@@ -19,7 +19,7 @@ def desk(tmp_path, monkeypatch):
 
 
 def measured(case):
-    """The design of a case as the page names it, its figures, and whether it meets the wish."""
+    """A design as the page names it, its figures, and whether it is within tolerance."""
     axes = read_toml(case.parent / "experiment.toml")
     figures = read_json(case)["metrics"]
     settings = {

@@ -28,7 +28,7 @@ TOLERANCE = {"name": "ball", "quantity": "radius", "plus_minus_um": 5.0}
 
 
 class Traded(Fake):
-    """Margin 100 albedo - 10 slab - 22.5 um; the exposure falls with the albedo.
+    """Margin 100 albedo - 10 slab - 22.5 um; the exposure is 1 / albedo.
 
     The error is the albedo; that of seed 8 is 1 um less at an albedo of 0.4 only.
     """
@@ -76,7 +76,7 @@ def test_the_best_design_within_tolerance_is_the_one_to_build(swept, tmp_path, c
     table = swept(ALBEDO, SLAB)
     sentence = (
         "Build this: albedo 0.4, slab 1 mm, because it is the only one of 6 measured designs that "
-        "meets all conditions, with z error (RMS) 2.4 µm; its smallest reserve is 7.5 µm "
+        "satisfies all conditions, with z error (RMS) 2.4 µm; its smallest reserve is 7.5 µm "
         "(object_ball within tolerance)."
     )
     assert sentence_of(table) == sentence
@@ -112,7 +112,7 @@ def test_where_none_is_feasible_the_miss_and_the_axis_that_helps_are_stated(swep
     )
     page = write_study(tmp_path / "out").read_text(encoding="utf-8")
     assert last_paragraph(page) == sentence_of(table)
-    assert "none of 4 designs meets all conditions" in page
+    assert "none of 4 designs satisfies all conditions" in page
     assert nearest_rows(table.rows, [LIGHT])[0]["slab"] == 2.0
 
 

@@ -26,7 +26,7 @@ _QUESTION = "Which design to build?"
 def verdict_card(table: StudyTable, verdict: StudyVerdict) -> Verdict:
     """Return the verdict as the card at the head of the page."""
     if verdict.row is None or not verdict.feasible:
-        headline = f"none of {counted(verdict.designs, 'design')} meets all conditions"
+        headline = f"none of {counted(verdict.designs, 'design')} satisfies all conditions"
         return Verdict(_QUESTION, headline, "poor", (verdict_sentence(table, verdict),))
     warned = [remark.text for remark in table.remarks if verdict.row["case"] in remark.digests]
     grade: Grade = "check" if warned else "good"
@@ -85,8 +85,8 @@ def _trade(table: StudyTable, verdict: StudyVerdict, chosen: Row, over: Sequence
     return Figure(
         "trade",
         "Trade",
-        f"{title} of all cases over {names}. Star: the {star} design; dots: feasible cases; "
-        "crosses: cases that miss a condition.",
+        f"{title[:1].upper()}{title[1:]} of all cases over {names}. Star: the {star} design; dots: "
+        "feasible cases; crosses: cases that miss a condition.",
         f"{title} over {names}",
         lambda path: draw_trade(path, rows, chosen, (objective, over), titles),
     )

@@ -84,7 +84,7 @@ def verdict_reason(table: StudyTable, verdict: StudyVerdict) -> str:
     """Return why the feasible design is the one to build, as parts separated by semicolons."""
     values = _values_text(verdict.values)
     of = counted(verdict.designs, "measured design")
-    conditions = " that meets all conditions" if table.conditions else ""
+    conditions = " that satisfies all conditions" if table.conditions else ""
     if verdict.designs == 1:
         parts = [f"it is the only measured design, with {values}"]
     elif verdict.met == 1:
