@@ -103,9 +103,9 @@ class Space:
     binning : of the last measurement, which is that of the named design
     """
 
-    thickness_mm: Sequence[float] = (0.05, 0.1, 0.15, 0.2)
+    thickness_mm: Sequence[float] = (0.1, 0.15, 0.2)
     shore_a: Sequence[float] = (8.0, 12.0)
-    cell_mm: float = 0.2
+    cell_mm: float = 0.3
     binning: int = 1
 
     def designs(self) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:

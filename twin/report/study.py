@@ -144,7 +144,7 @@ def _shown(
         objectives,
         best,
         verdict_of(table, requested),
-        titles_of(table),
+        titles_of(table, [objective.metric for objective in objectives]),
         {name: effect for name, effect in effects.items() if effect},
         {digest: picture for digest, picture in pictures.items() if picture is not None},
         failed,

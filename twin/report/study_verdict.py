@@ -76,11 +76,12 @@ def _with_numbers(table: StudyTable, names: Sequence[str]) -> list[Row]:
 
 
 def _trade(table: StudyTable, verdict: StudyVerdict, chosen: Row, over: Sequence[str]) -> Figure:
-    objective, titles = verdict.objectives[0].metric, titles_of(table)
+    objective = verdict.objectives[0].metric
+    titles = titles_of(table, [goal.metric for goal in verdict.objectives])
     figures = [name for name in over if name not in table.axes]
     rows = _with_numbers(table, [objective, *figures])
-    title = titles.get(objective, objective)
-    names = ", ".join(titles.get(name, name) for name in over)
+    title = titles[objective]
+    names = ", ".join(titles[name] for name in over)
     star = "recommended" if verdict.feasible else "nearest"
     return Figure(
         "trade",

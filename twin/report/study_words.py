@@ -4,7 +4,7 @@ The unit of a figure is the suffix of its name. The unit of an axis is the suffi
 else of the path that it varies.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from reconstruction.errors import counted
@@ -21,10 +21,12 @@ _SIDES = {
 }
 
 
-def headings_of(table: StudyTable) -> dict[str, tuple[str, str]]:
-    """Return label and unit of every axis and figure of a study, by its name."""
-    names = {name: label_of(name) for name in table.metrics}
-    return names | axis_headings(table)
+def headings_of(table: StudyTable, more: Iterable[str] = ()) -> dict[str, tuple[str, str]]:
+    """Return label and unit of every axis and figure of a study, by its name.
+
+    `more` are names of further figures, such as objectives.
+    """
+    return {name: label_of(name) for name in (*table.metrics, *more)} | axis_headings(table)
 
 
 def axis_headings(table: StudyTable) -> dict[str, tuple[str, str]]:
@@ -37,9 +39,9 @@ def axis_headings(table: StudyTable) -> dict[str, tuple[str, str]]:
     return found
 
 
-def titles_of(table: StudyTable) -> dict[str, str]:
+def titles_of(table: StudyTable, more: Iterable[str] = ()) -> dict[str, str]:
     """Return the headings of all axes and figures, with the unit in brackets, by name."""
-    both = headings_of(table).items()
+    both = headings_of(table, more).items()
     return {name: f"{label} ({unit})" if unit else label for name, (label, unit) in both}
 
 
