@@ -218,7 +218,7 @@ def last_sentence(page: str) -> str:
 
 
 def named_case(sentence: str) -> str:
-    """Return the name of the case whose design a sentence names."""
+    """Return the name of the case with the design that a sentence names."""
     for row in read_table(Path("found")).rows:
         if sentence.startswith(f"Build this: {in_words(row)}, because "):
             return str(row["case"])

@@ -69,7 +69,7 @@ class Validity:
 
 
 def remedy_of(warning: str) -> str:
-    """Return what removes a warning of a press; empty if the warning states it itself."""
+    """Return the remedy for a warning of a press; empty if the warning does."""
     return next((remedy for words, remedy in _REMEDIES.items() if words in warning), "")
 
 

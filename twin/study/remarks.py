@@ -59,7 +59,7 @@ def remarks_of(
     Parameters
     ----------
     figures : by digest of the case, the figures of its `result.json`
-    of : the cases, whose values may be outside the ranges of their sources
+    of : the cases; their values may be outside the ranges of their sources
     """
     outside = {c.digest: outside_sources(c.experiment) for c in of if c.digest in figures}
     texts: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""Verdict of a study: the design to build; if none is feasible, the nearest and what would help.
+"""Verdict of a study: the design to build; if none is feasible, the nearest and a helpful change.
 
 A design is a point of the axes; its repeats, which differ in the seed, count together. Of several
 objectives the verdict takes the design on the Pareto front that is nearest to the best value of
@@ -54,7 +54,7 @@ class StudyVerdict:
 
     Attributes
     ----------
-    feasible : whether the design meets all conditions
+    feasible : whether the design satisfies all conditions
     row : row of the design in the table; of repeats the first; None: no case has all objectives
     axes : headings of the settings of the design
     values : value of each objective by its name, mean of the repeats
@@ -193,7 +193,7 @@ def _helpful(table: StudyTable, condition: str, nearest: Row) -> Advice | None:
 def _ranked(
     table: StudyTable, rows: Sequence[Row], values: Sequence[float], at: Row
 ) -> Advice | None:
-    """Return the advice on the axis with the largest effect whose best level is not yet taken."""
+    """Return the advice on the axis with the largest effect, unless the design has its best level."""
     by_row = {id(row): value for row, value in zip(rows, values, strict=True)}
     cells = [by_row.get(id(row)) for row in table.rows]
     labels = {axis: group_labels(rows, axis) for axis in _axes(table)}
