@@ -193,7 +193,7 @@ def _helpful(table: StudyTable, condition: str, nearest: Row) -> Advice | None:
 def _ranked(
     table: StudyTable, rows: Sequence[Row], values: Sequence[float], at: Row
 ) -> Advice | None:
-    """Return the advice on the axis with the largest effect, unless the design has its best level."""
+    """Return the advice on the axis with the largest effect that a design has not at its best."""
     by_row = {id(row): value for row, value in zip(rows, values, strict=True)}
     cells = [by_row.get(id(row)) for row in table.rows]
     labels = {axis: group_labels(rows, axis) for axis in _axes(table)}
