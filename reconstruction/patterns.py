@@ -134,9 +134,9 @@ class PatternSet:
         return (*ordered, *last[: 2 * self.uniform])
 
     @property
-    def exposure_frame(self) -> int:
-        """Stack index of the frame for the automatic exposure: the white one, or 0 without one."""
-        return self.index("white").start if self.uniform else 0
+    def exposure_frame(self) -> int | None:
+        """Stack index of the frame for the automatic exposure, the white one; None without one."""
+        return self.index("white").start if self.uniform else None
 
     @property
     def periods_px(self) -> tuple[float, ...]:

@@ -8,6 +8,8 @@ from shipped import Shipped, experiments, files, first_sentence, picture_of
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from twin.config.optics import FixedFocal, Telecentric
+from twin.config.rig import shipped_lenses
 from twin.config.schema import Key, experiment_keys
 
 
@@ -54,6 +56,28 @@ class ShippedFiles(SphinxDirective):
         ]
 
 
+class Lenses(SphinxDirective):
+    """A table of the shipped lenses."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table."""
+        measures = ("focal length, magnification", "distance, mm", "f-number", "circle, mm")
+        headings = ("in scenes/lenses", "lens", *measures)
+        return [table(headings, [lens_row(*entry) for entry in shipped_lenses().items()])]
+
+
+def lens_row(name: str, lens: FixedFocal | Telecentric) -> tuple[str, ...]:
+    """Return the cells of one lens."""
+    name, circle = name.rpartition("/")[2], f"{lens.image_circle_mm:g}"
+    if isinstance(lens, Telecentric):
+        size, at = f"{lens.magnification:g}, telecentric", f"{lens.working_distance_mm:g}"
+        return (name, lens.model, size, at, f"{lens.working_f_number:g} (working)", circle)
+    size = f"{lens.focal_length_mm:g} mm; up to {lens.largest_magnification(0.0):.2g}"
+    widest, smallest = lens.f_numbers
+    at = f"from {lens.nearest_mm:g}"
+    return (name, lens.model, size, at, f"{widest:g} to {smallest:g}", circle)
+
+
 class ExperimentKeys(SphinxDirective):
     """A table of keys for each part of an experiment."""
 
@@ -98,5 +122,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Enter the directives."""
     app.add_directive("gallery", Gallery)
     app.add_directive("shipped", ShippedFiles)
+    app.add_directive("lenses", Lenses)
     app.add_directive("experiment-keys", ExperimentKeys)
     return {"parallel_read_safe": True}

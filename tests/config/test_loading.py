@@ -152,7 +152,7 @@ def quantities_of(name, collection):
 DATA = [("materials", name) for name in list_assets("materials")] + [
     ("scenes", name)
     for name in list_assets("scenes")
-    if name.split("/")[0] in ("rigs", "cameras", "projectors")
+    if name.split("/")[0] in ("rigs", "cameras", "lenses", "projectors")
 ]
 
 

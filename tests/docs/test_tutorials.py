@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from twin.cli import run
-from twin.config import load_experiment
+from twin.config import ConfigError, load_experiment
+from twin.config.rig import shipped_lenses
+from twin.results.layout import layout_figures
 
 DOCS = Path(__file__).parents[2] / "docs"
 BLOCK = re.compile(
@@ -53,6 +55,25 @@ def test_a_tutorial_runs_with_the_printed_output(mi, tmp_path, monkeypatch, page
     monkeypatch.chdir(tmp_path)
     follow(page)
     assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_the_page_on_field_lens_and_distance_runs(tmp_path, monkeypatch, capsys):
+    """Its commands run, its request is met, and its message is the one that is printed."""
+    monkeypatch.chdir(tmp_path)
+    follow("optics.md")
+    printed = capsys.readouterr().out
+    assert "scenes/lenses/kowa_lm35jc10m" in printed
+    assert "frames" in printed
+    experiment = load_experiment("sensor.toml")
+    assert layout_figures(experiment)["depth_of_field_mm"] == pytest.approx(1.0, rel=0.02)
+    text = (DOCS / "optics.md").read_text(encoding="utf-8")
+    message = re.search(r"^    (optics.field_mm: .*?)\.\.\.$", text, re.DOTALL | re.M)
+    lens = {"optics.lens": shipped_lenses()["scenes/lenses/fujinon_hf50xa_5m"].model_dump()}
+    with pytest.raises(ConfigError) as failure:
+        load_experiment(
+            "sensor.toml", lens | {"optics.field_mm": [12, 9], "optics.depth_mm": "absent"}
+        )
+    assert " ".join(message[1].split()) in str(failure.value)
 
 
 def test_tutorials_have_something_to_run():

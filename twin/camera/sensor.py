@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from twin.camera.noise_function import NoiseFunction, noisy_electrons
 from twin.config import Experiment, seed_sequence
 from twin.config.bounds import EXPOSURE_PERCENTILE, EXPOSURE_RANGE_MS
 from twin.config.digest import keyed_sequence
+from twin.config.imaging import magnification_at
 from twin.config.models import Camera
 
 _PLANCK_J_S = 6.62607015e-34
@@ -62,7 +63,7 @@ class _Pixels:
 def expose(
     experiment: Experiment,
     radiance: Sequence[FloatImage],
-    white_frame: int,
+    white_frame: int | None,
     trial: int = 0,
     progress: Callable[[float], None] = lambda _: None,
     *,
@@ -73,7 +74,8 @@ def expose(
     Parameters
     ----------
     radiance : sequence of (row, col) float32, mW / (mm^2 sr)
-    white_frame : index of the frame for the automatic exposure, the white frame if there is one
+    white_frame : index of the white frame, for the automatic exposure; None: there is no white
+        frame, and each pixel of the automatic exposure is the brightest over all frames
     trial : number of the repetition: same camera and fixed pattern, new temporal noise
     progress : called with the finished fraction, 0 to 1
     noise : function of the user instead of the camera's noise model, see `NoiseFunction`
@@ -85,7 +87,8 @@ def expose(
     """
     camera = experiment.camera
     _check_noise(camera, noise)
-    exposure_ms = choose_exposure_ms(experiment, radiance[white_frame])
+    white = reduce(np.maximum, radiance) if white_frame is None else radiance[white_frame]
+    exposure_ms = choose_exposure_ms(experiment, white)
     per_radiance = exposure_ms * electrons_per_ms(camera, experiment.projector.wavelength_nm)
     dark_e = camera.dark_current_e_per_s * camera.binning**2 * exposure_ms * 1e-3
     shape = radiance[0].shape
@@ -258,7 +261,7 @@ def electrons_per_ms(camera: Camera, wavelength_nm: float) -> float:
     electrons = QE * E * area * t * wavelength / (h c). Natural vignetting (cos^4, 2 % in the corner
     of the paper's camera) is not included.
     """
-    magnification = camera.focal_length_mm / (camera.pose.standoff_mm - camera.focal_length_mm)
+    magnification = magnification_at(camera.focal_length_mm, camera.pose.standoff_mm)
     working_f_number = camera.f_number * (1.0 + magnification)
     irradiance = math.pi * camera.lens_transmission / (4.0 * working_f_number**2)
     area_mm2 = (camera.pixel_pitch_um * 1e-3 * camera.binning) ** 2

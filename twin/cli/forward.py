@@ -163,7 +163,7 @@ def render(
             for kind in frames:
                 with clock.stage(f"write {kind}") as progress:
                     write_frames(folder, recording, kind, progress)
-        figures = write_taken(folder, pressed, recording)
+        figures = write_taken(folder, loaded, pressed, recording)
         if report:
             from twin.report.camera_images import draw_frames
 

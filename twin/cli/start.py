@@ -6,7 +6,17 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from twin.cli.app import FAILURE, MISSING_BACKEND, app, print_table, say
+from twin.cli.app import (
+    FAILURE,
+    MISSING_BACKEND,
+    ExperimentFile,
+    Settings,
+    app,
+    load,
+    print_metrics,
+    print_table,
+    say,
+)
 
 
 @app.command
@@ -95,6 +105,25 @@ def keys(pattern: str | None = None, /) -> None:
 
     for line in lines_of(matching(pattern or "")):
         say(line)
+
+
+@app.command
+def layout(experiment: ExperimentFile, /, *, settings: Settings = None) -> None:
+    """Print field, distance, depth of field, angle and sequence of an experiment; no rendering.
+
+    The output also lists the keys that follow from the table [optics], and the shipped lenses that
+    meet it; see docs/optics.md.
+    """
+    from twin.config.rig import derived_keys, lenses_meeting
+    from twin.results.layout import layout_figures
+
+    loaded = load(experiment, settings)
+    print_metrics(dict(layout_figures(loaded)))
+    values = loaded.model_dump()
+    for path, key in derived_keys(values, loaded.name).items():
+        say(f"{path} = {key.value:.6g}  # {key.source}")
+    if loaded.optics.is_stated:
+        say(f"lenses that meet [optics]: {', '.join(lenses_meeting(values)) or 'none shipped'}")
 
 
 @app.command

@@ -167,6 +167,15 @@ Exposure = Annotated[
     Field(ge=EXPOSURE_RANGE_MS[0], le=EXPOSURE_RANGE_MS[1]),
     Because("100 ns, an electronic shutter, to 1000 s, the longest of a cooled camera"),
 ]
+#: focal length over diameter of the pupil
+FNumber = Annotated[float, Field(ge=0.7, le=64)]
+Magnification = Annotated[
+    float, Field(ge=1e-3, le=100), Because("0.001, a photograph, to 100, a microscope objective")
+]
+#: images or patterns per second
+Rate = Annotated[
+    float, Field(ge=1e-3, le=1e6), Because("1 MHz is above the fastest cameras and projectors")
+]
 FullWell = Annotated[
     float, Field(ge=1, le=1e9), Because("1 electron to 1e9, above the largest photodiodes' wells")
 ]

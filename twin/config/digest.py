@@ -13,8 +13,9 @@ from reconstruction.reading import read_bytes
 from twin.assets import mesh_path
 from twin.config.models import Experiment
 
-# Fields that do not change any result: names, descriptions, and sources of numbers.
-_NOT_CONTENT = {"name", "description", "provenance", "links"}
+# Fields that do not change any result: names, descriptions, sources of numbers, and keys from which
+# others were computed.
+_NOT_CONTENT = {"name", "description", "provenance", "links", "optics"}
 
 
 def digest(experiment: Experiment) -> str:

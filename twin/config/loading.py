@@ -13,6 +13,7 @@ machine.
 """
 
 import difflib
+import math
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -28,6 +29,7 @@ from twin.config.base import AssetCycleError, ConfigError
 from twin.config.kinds import default_kinds
 from twin.config.methods import TRAITS, Method
 from twin.config.models import Decode, Experiment
+from twin.config.optics import Optics
 from twin.config.quantities import (
     SET_HERE,
     convert_units,
@@ -35,6 +37,7 @@ from twin.config.quantities import (
     split_quantities,
     value_at,
 )
+from twin.config.rig import derived_keys
 from twin.config.schema import keys_of_kind, validated
 
 ABSENT = "absent"
@@ -57,9 +60,13 @@ def load_experiment(path: str | Path, overrides: Mapping[str, Any] | None = None
     ConfigError : with one line per problem: key, found, allowed, remedy
     """
     file = scene_file(path)
-    tree = resolve_uses(read_toml(file), (file,))
-    _assign_all(tree, {} if overrides is None else overrides)
-    return validate_experiment(tree, where=str(path))
+    own = read_toml(file)
+    tree = resolve_uses(own, (file,))
+    changes = {} if overrides is None else overrides
+    _assign_all(tree, changes)
+    stated = _own_tables(own)
+    _assign_all(stated, changes)
+    return validate_experiment(tree, where=str(path), stated=stated)
 
 
 def require_experiment(value: object) -> None:
@@ -68,9 +75,20 @@ def require_experiment(value: object) -> None:
     require_instance("experiment", value, Experiment, remedy)
 
 
-def validate_experiment(tree: Mapping[str, Any], where: str = "experiment") -> Experiment:
-    """Return the experiment of nested tables; raise ConfigError with one line per problem."""
-    values, origins = split_quantities(convert_units(_linked(tree, where)))
+def validate_experiment(
+    tree: Mapping[str, Any], where: str = "experiment", stated: Mapping[str, Any] | None = None
+) -> Experiment:
+    """Return the experiment of nested tables; raise ConfigError with one line per problem.
+
+    Parameters
+    ----------
+    stated : the tables that the user wrote, without those of used files: a key in them must not
+        contradict the value that follows from [optics]; None: no key is checked
+    """
+    linked = _linked(tree, where)
+    if "optics" in linked:
+        linked = _with_derived_keys(linked, where, {} if stated is None else stated)
+    values, origins = split_quantities(convert_units(linked))
     stated = values.pop("provenance", {})
     if not isinstance(stated, dict):
         raise ConfigError(f"{where}: provenance: found a value, allowed a table")
@@ -95,9 +113,18 @@ def vary(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
     ConfigError : a path does not exist, or the changed experiment is invalid
     """
     require_experiment(experiment)
-    tree = experiment.model_dump(mode="python")
+    tree, stated = experiment.model_dump(mode="python"), dict[str, Any]()
     _assign_all(tree, changes)
-    return validate_experiment(tree, where=experiment.name)
+    _assign_all(stated, changes)
+    return validate_experiment(tree, where=experiment.name, stated=stated)
+
+
+def as_built(experiment: Experiment) -> Experiment:
+    """Return the experiment with the numbers of its rig, without the requests of [optics].
+
+    A rig that deviates from its design, as a drawn one does, keeps its other numbers.
+    """
+    return experiment.model_copy(update={"optics": Optics()})
 
 
 def by_method(method: Method) -> dict[str, Any]:
@@ -132,6 +159,41 @@ def _linked(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
         if key in links:
             _assign(linked, key, _quantity_of(linked, key, links[key], where))
     return linked | ({"links": links} if links else {})
+
+
+def _with_derived_keys(
+    linked: dict[str, Any], where: str, stated: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return tables with the keys of camera and projector that follow from [optics].
+
+    Raises
+    ------
+    ConfigError : a request cannot be met, or `stated` has another value of such a key
+    """
+    derived = derived_keys(_plain(linked), where)
+    written, problems = _plain(stated) if derived else {}, []
+    for path, key in derived.items():
+        value = value_at(written, path)
+        if not _is_same(value, key.value):
+            problems.append(
+                f"{where}: {path}: found {value}, allowed {key.value:.6g}, {key.source}; remove "
+                "this key, or those of [optics] from which it follows"
+            )
+        _assign(linked, path, {"value": key.value, "source": key.source})
+    if problems:
+        raise ConfigError("\n".join(problems))
+    return _linked(linked, where)
+
+
+def _is_same(value: Any, derived: float) -> bool:
+    """Return True if a key is not stated, or has the derived value, or is another kind of error."""
+    if isinstance(value, (int, float)):
+        return math.isclose(value, derived, rel_tol=1e-9, abs_tol=1e-9)
+    return not isinstance(value, str)
+
+
+def _plain(tree: Mapping[str, Any]) -> dict[str, Any]:
+    return split_quantities(convert_units(dict(tree)))[0]
 
 
 def _own_tables(tree: Mapping[str, Any]) -> dict[str, Any]:

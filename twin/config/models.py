@@ -32,10 +32,12 @@ from twin.config.bounds import (
     Exposure,
     FilterWidth,
     Flux,
+    FNumber,
     FullWell,
     Length,
     Photons,
     PixelPitch,
+    Rate,
     ReadNoise,
     ResponseSpread,
     ThrowRatio,
@@ -50,6 +52,7 @@ from twin.config.materials import MATERIALS, Material
 from twin.config.measurands import ObjectMeasurand
 from twin.config.methods import TRAITS, Method, MethodTraits
 from twin.config.noise_models import NOISE_MODELS, AnyNoise, NoiseModel
+from twin.config.optics import Optics
 from twin.config.specimen_base import SPECIMENS, AnySpecimen, Specimen, Stage
 
 __all__ = [
@@ -68,6 +71,7 @@ __all__ = [
     "Model",
     "NoiseModel",
     "ObjectMeasurand",
+    "Optics",
     "PadFile",
     "Patterns",
     "Photometric",
@@ -100,6 +104,11 @@ class Pose(Model):
     roll_deg: Angle = Field(default=0.0, description="rotation about the ray of the image centre")
 
 
+def _optional(description: str) -> Any:
+    """Return a field whose value may be absent; digests exclude an absent value."""
+    return Field(default=None, exclude_if=lambda value: value is None, description=description)
+
+
 class Projector(Model):
     """DLP projector: an inverse camera with radiometry."""
 
@@ -116,6 +125,12 @@ class Projector(Model):
     contrast: Contrast = Field(description="full white / full black")
     gamma: Annotated[float, Field(ge=0.3, le=4)] = Field(
         default=1.0, description="light = (level / 255) ** gamma"
+    )
+    pattern_rate_8bit_hz: Rate | None = _optional(
+        "largest rate of patterns of 256 levels, for sequence_ms; absent: no limit"
+    )
+    pattern_rate_1bit_hz: Rate | None = _optional(
+        "largest rate of patterns of black and white; absent: pattern_rate_8bit_hz"
     )
     response: Annotated[tuple[Fraction, ...], Field(max_length=65536)] | None = Field(
         default=None,
@@ -165,7 +180,7 @@ class Camera(Model):
     height_px: Annotated[int, Field(ge=8, le=16384)]
     pixel_pitch_um: PixelPitch
     focal_length_mm: Length
-    f_number: Annotated[float, Field(ge=0.7, le=64)]
+    f_number: FNumber
     depth_of_field: bool = Field(
         default=False,
         description="True: thin lens of diameter focal_length_mm / f_number, in focus on the plane "
@@ -176,6 +191,9 @@ class Camera(Model):
     exposure_ms: Exposure | Literal["auto"] = Field(
         description=f"'auto': the white frame's {EXPOSURE_PERCENTILE:g}th percentile reaches "
         "auto_level"
+    )
+    frame_rate_hz: Rate | None = _optional(
+        "largest rate of images at this size and bit depth, for sequence_ms; absent: no limit"
     )
     auto_level: Annotated[float, Field(gt=0, lt=1)] = Field(
         default=0.85, description="target of the automatic exposure as a fraction of saturation"
@@ -383,6 +401,7 @@ class Experiment(Model):
     mechanics: Mechanics = Mechanics()
     projector: Projector
     camera: Camera
+    optics: Optics = Field(default=Optics(), exclude_if=lambda optics: not optics.is_stated)
     patterns: Patterns
     render: Render = Render()
     decode: Decode = Decode()

@@ -26,6 +26,7 @@ from twin.results.figures import Metric
 from twin.results.names import may_compensate
 from twin.results.parts import press_metrics
 from twin.results.prediction import PredictedMaps, predict
+from twin.results.sequence import frame_count, sequence_ms
 
 
 def predicted(
@@ -108,7 +109,11 @@ def bounds_alone(
         )
     pressed = press(experiment, memory)
     prediction, truth = predicted(experiment, pressed, memory)
-    figures = press_metrics(pressed.pressed) | {"exposure_ms": prediction.exposure_ms}
+    figures = press_metrics(pressed.pressed) | {
+        "exposure_ms": prediction.exposure_ms,
+        "frames": frame_count(experiment),
+        "sequence_ms": sequence_ms(experiment, prediction.exposure_ms),
+    }
     bounds = bound_figures(experiment, prediction, truth, pressed.pressed)
     return pressed.pressed, figures | bounds
 

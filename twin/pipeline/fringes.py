@@ -34,9 +34,11 @@ from twin.pipeline.memory import CachedResult, Memory
 from twin.pipeline.press import PressedFace, press
 from twin.pipeline.progress import Stopwatch
 from twin.results.figures import Metrics
+from twin.results.layout import layout_warnings
 from twin.results.parts import taken_figures
 from twin.results.record import Fringes, Measurement, Recording
 from twin.results.score import metrics, order_warnings, score
+from twin.results.sequence import sequence_warnings
 from twin.results.under_sheet import sheet_compensation
 
 if TYPE_CHECKING:
@@ -128,9 +130,11 @@ def evaluate(
         None: EMVA 1288
     """
     scored = score(experiment, reconstruction, recording.truth)
-    figures = taken_figures(pressed, recording) | metrics(scored)
+    figures = taken_figures(experiment, pressed, recording) | metrics(scored)
     figures["warnings"] += noise_warnings(experiment, noise)
     figures["warnings"] += decoding_warnings(experiment)
+    figures["warnings"] += layout_warnings(experiment)
+    figures["warnings"] += sequence_warnings(experiment, recording.exposure_ms)
     figures["warnings"] += order_warnings(experiment, reconstruction, recording.truth)
     return Measurement(
         experiment=experiment,

@@ -12,6 +12,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import ConfigError, Experiment, vary
 from twin.config.inputs import Input
+from twin.config.loading import as_built
 from twin.pipeline.memory import Memory
 from twin.pipeline.press import press
 from twin.pipeline.progress import ProgressCallback, no_progress
@@ -110,7 +111,7 @@ def sobol_of_face(
 
 def _face(experiment: Experiment, drawn: Mapping[str, float], memory: Memory) -> dict[str, Any]:
     try:
-        case = vary(experiment, drawn)
+        case = vary(as_built(experiment), drawn)
         return face_figures(case, press(case, memory).pressed)
     except ConfigError as error:
         raise InputError(f"--sobol: {error}") from None

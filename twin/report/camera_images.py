@@ -264,7 +264,7 @@ def _reasons(axes: Axes, reason: Levels) -> None:
 
 def white_frame(capture: Capture) -> PatternFrame:
     """Return the white frame of a sequence, or its first frame if it has no uniform frames."""
-    return capture.patterns.frames[capture.patterns.exposure_frame]
+    return capture.patterns.frames[capture.patterns.exposure_frame or 0]
 
 
 def fringe_frame(capture: Capture) -> PatternFrame:

@@ -26,6 +26,7 @@ from twin.report.page import Block, CollapsedSection, Figure, Grade, Section, Tw
 from twin.report.table import Column, Table, pairs, parts
 from twin.report.words import coating_phrase, in_words, label_of, percent, phrase, split_unit
 from twin.results.decoders import decoder_name
+from twin.results.layout import layout_figures
 from twin.results.record import Measurement
 from twin.specimens import shape_of
 
@@ -52,9 +53,30 @@ def _fringes(measured: Measurement) -> list[tuple[str, str]]:
         ("camera", _camera(measured)),
         ("projector", _projector(measured)),
         ("patterns", _patterns(measured)),
-        ("exposure", f"{measured.figures['exposure_ms']:.3g} ms per frame"),
+        ("layout", _layout(measured)),
+        ("exposure", _exposure(measured)),
         ("decoding", _decoding(measured)),
     ]
+
+
+def _layout(measured: Measurement) -> str:
+    figures = layout_figures(measured.experiment)
+    depth_mm, baseline_mm = figures.get("depth_of_field_mm"), figures.get("baseline_mm")
+    return (
+        f"field {figures['field_width_mm']:.3g} × {figures['field_height_mm']:.3g} mm from "
+        f"{figures['working_distance_mm']:.3g} mm, magnification {figures['magnification']:.3g}"
+        + (f", depth of field {depth_mm:.2g} mm" if depth_mm else "")
+        + f", Airy radius {figures['diffraction_um']:.2g} µm"
+        + (f"; baseline {baseline_mm:.3g} mm" if baseline_mm else "")
+    )
+
+
+def _exposure(measured: Measurement) -> str:
+    figures = measured.figures
+    text = f"{figures['exposure_ms']:.3g} ms per frame"
+    # Results of earlier versions have no duration.
+    duration_ms = figures.get("sequence_ms")
+    return text if duration_ms is None else f"{text}, {duration_ms:.4g} ms for all frames"
 
 
 def _colours(measured: Measurement) -> list[tuple[str, str]]:
@@ -131,7 +153,7 @@ def _camera(measured: Measurement) -> str:
     pixel_um = 1e3 * measured.pixel_mm
     return (
         f"{width} × {height} px ({camera.binning} × {camera.binning} binning), "
-        f"{camera.focal_length_mm:g} mm f/{camera.f_number:g}, {camera.bit_depth} bit, "
+        f"{camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}, {camera.bit_depth} bit, "
         f"{camera.full_well_e:g} e⁻ full well, {camera.read_noise_e:g} e⁻ read noise"
         f"{_noise(camera.noise_model)}; {pixel_um:.1f} µm per pixel on the face"
     )

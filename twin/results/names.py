@@ -34,7 +34,7 @@ OF_A_PRESS = (
     "peak_pressure_kpa", "height_error_estimate_mm", "thinnest_mm", "largest_stretch",
     "steepest_deg", "texture_rms_um", "texture_correlation_mm",
 )  # fmt: skip
-_OF_A_RECORDING = ("exposure_ms", "frames", "saturated_share")
+_OF_A_RECORDING = ("exposure_ms", "frames", "sequence_ms", "saturated_share")
 _OF_A_ROD = (
     "rod_width_mm", "rod_break_width_mm", "rod_slope_change_width_mm", "rod_height_mm",
     "rod_failure",

@@ -42,6 +42,7 @@ from twin.results.figures import Metric, Metrics
 from twin.results.nuts import nut_figures
 from twin.results.record import Recording
 from twin.results.rods import rod_figures
+from twin.results.sequence import sequence_ms
 from twin.shape import Sphere
 from twin.specimens import shape_of
 
@@ -212,20 +213,23 @@ def write_frames(
         progress((number + 1) / len(frames))
 
 
-def taken_figures(pressed: PressedElastomer | None, recording: Recording) -> dict[str, Metric]:
+def taken_figures(
+    experiment: Experiment, pressed: PressedElastomer | None, recording: Recording
+) -> dict[str, Metric]:
     """Return the figures of press (None: no press) and recording by name."""
     figures: dict[str, Metric] = {"warnings": []} if pressed is None else press_metrics(pressed)
-    return figures | recording_metrics(recording)
+    sequence = {"sequence_ms": sequence_ms(experiment, recording.exposure_ms)}
+    return figures | recording_metrics(recording) | sequence
 
 
 def write_taken(
-    folder: Path, pressed: PressedElastomer | None, recording: Recording
+    folder: Path, experiment: Experiment, pressed: PressedElastomer | None, recording: Recording
 ) -> dict[str, Metric]:
     """Write press and recording into a folder; return the figures of both."""
     if pressed is not None:
         write_pressed(folder, pressed)
     write_recording(folder, recording)
-    return taken_figures(pressed, recording)
+    return taken_figures(experiment, pressed, recording)
 
 
 def press_metrics(pressed: PressedElastomer) -> dict[str, Metric]:

@@ -19,6 +19,7 @@ from twin.config import ConfigError, Experiment, digest, vary
 from twin.config.loading import by_method
 from twin.config.quantities import value_at
 from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
+from twin.results.layout import KNOWN_BEFORE, layout_figures
 from twin.study.measuring import NOMINAL_CONDITIONS, Conditions
 from twin.study.needed import (
     bound_needed,
@@ -298,11 +299,19 @@ def _parts(
 
 
 def _admits(constraints: tuple[Constraint, ...], experiment: Experiment) -> bool:
-    """Return True if all constraints on fields are satisfied.
+    """Return True if all constraints on fields, and on figures of the layout, are satisfied.
 
-    Constraints on figures are checked after the measurement.
+    Constraints on other figures are checked after the measurement.
     """
-    return all(
-        _parts(experiment, {}, bound) is None or meets(experiment, {}, bound)
-        for bound in constraints
-    )
+    named = {name for bound in constraints for name in (bound.value, bound.per)}
+    known = layout_figures(experiment) if named & KNOWN_BEFORE else {}
+    return all(_may_meet(bound, experiment, known) for bound in constraints)
+
+
+def _may_meet(bound: Constraint, experiment: Experiment, known: Mapping[str, float]) -> bool:
+    """Return False if the known figures, or a lower limit of the duration, miss a constraint."""
+    if _parts(experiment, known, bound) is not None:
+        return meets(experiment, known, bound)
+    if bound.value != "sequence_ms" or bound.per is not None or bound.at_most is None:
+        return True
+    return known.get("least_sequence_ms", 0.0) <= bound.at_most

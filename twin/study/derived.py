@@ -11,6 +11,7 @@ under the back pressure |
 | radius_bias_mm | radius of the true coated face minus radius of the ball: effect of the slab |
 | depth_over_thickness | travel of the press over the slab's thickness |
 | force_per_depth_n_per_mm | force over travel |
+| magnification, field_width_mm, baseline_mm, ... | layout of the rig, see `twin.results.layout` |
 
 Derived figures are not stored in `result.json`. Tables, constraints and objectives accept them
 like the stored figures.
@@ -27,6 +28,7 @@ from twin.mechanics.contact_transfer import Ridges, pitch_at, ridge_height_mm
 from twin.mechanics.models import model_of
 from twin.mechanics.transfer import opposite_transfer
 from twin.results.figures import Metric, Metrics
+from twin.results.layout import LAYOUT, layout_figures
 from twin.specimens import shape_of
 
 
@@ -88,6 +90,10 @@ def _radius_bias_mm(experiment: Experiment, metrics: Metrics) -> float:
     return _number(metrics, "sphere_1_true_face_radius_mm") - nominal
 
 
+def _of_the_layout(name: str) -> Callable[[Experiment, Metrics], float]:
+    return lambda experiment, _: layout_figures(experiment)[name]
+
+
 DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
     "half_contrast_pitch_mm": _kept_pitch(0.5),
     "tenth_contrast_pitch_mm": _kept_pitch(0.1),
@@ -96,6 +102,7 @@ DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
     "radius_bias_mm": _radius_bias_mm,
     "depth_over_thickness": lambda e, m: _number(m, "depth_mm") / e.elastomer.thickness_mm,
     "force_per_depth_n_per_mm": lambda _, m: _number(m, "force_n") / _number(m, "depth_mm"),
+    **{name: _of_the_layout(name) for name in LAYOUT},
 }
 
 OF_A_MEASUREMENT = ("groove_over_error", "radius_bias_mm")

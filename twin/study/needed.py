@@ -15,7 +15,7 @@ from twin.results.names import OF_A_PRESS, may_compensate, of_the_object
 from twin.study.derived import DERIVED, OF_A_MEASUREMENT
 
 Bound = Literal["no", "beside", "alone"]
-_WITHOUT_FRAMES = {*OF_A_PRESS, "exposure_ms", "warnings"}
+_WITHOUT_FRAMES = {*OF_A_PRESS, "exposure_ms", "frames", "sequence_ms", "warnings"}
 
 
 def bound_needed(study: Study) -> Bound:

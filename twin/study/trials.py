@@ -22,7 +22,7 @@ from reconstruction.arrays import FloatArray
 from twin.config import ConfigError, Experiment, vary
 from twin.config.digest import keyed_sequence
 from twin.config.inputs import Input
-from twin.config.loading import by_method
+from twin.config.loading import as_built, by_method
 from twin.config.sensor_layer import SensorLayer
 from twin.config.study import Study
 from twin.study.cases import Case, Cases, case_of
@@ -114,7 +114,7 @@ def alone_cases(
     ------
     ConfigError : the key of an input is not a number of the experiment, or a value is not allowed
     """
-    silent = vary(experiment, {"camera.noise": False})
+    silent = vary(as_built(experiment), {"camera.noise": False})
     conditions = Conditions(face_only=face_only, layer=layer)
     settings: dict[str, Any] = {PART: ALONE, INPUT: "", STEP: MIDDLE}
     cases = [case_of(settings, silent, conditions)]
@@ -244,7 +244,9 @@ def draw(experiment: Experiment, inputs: Mapping[str, Input], seed: int, trial: 
     ------
     ConfigError : the key of an input is not in the experiment, or a drawn value is not allowed
     """
-    return vary(experiment, drawn_values(experiment, inputs, seed, trial)) if trial else experiment
+    if not trial:
+        return experiment
+    return vary(as_built(experiment), drawn_values(experiment, inputs, seed, trial))
 
 
 def drawn_values(

@@ -15,6 +15,7 @@ from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.patterns import PERIOD_RANGE_PX
 from twin.config import Experiment, vary
+from twin.config.loading import as_built
 from twin.mechanics import PressedElastomer, face_mesh
 from twin.optics.view import SceneSurface
 from twin.pipeline import Memory
@@ -141,8 +142,8 @@ class Preview:
                 "view needs fringes on a coat"
             )
         self._memory = Memory()
-        self._full = experiment
-        self._small = vary(experiment, _preview_size(experiment))
+        self._full = as_built(experiment)
+        self._small = vary(self._full, _preview_size(experiment))
 
     def show(self, changes: Mapping[str, Any]) -> PreviewPicture:
         """Return the preview of the experiment with some values changed.
