@@ -25,14 +25,14 @@ def measured(case):
     settings = {
         "thickness": axes["elastomer"]["thickness_mm"],
         "hardness": axes["elastomer"]["shore_a"],
-        "frames": str(figures["frames"]),
+        "steps": axes["patterns"]["steps"],
     }
     meets = figures["object_depth_verdict"] == "within tolerance"
     return engineer.in_words(settings), figures, meets
 
 
 def test_from_a_wish_to_the_sensor_that_an_exhaustive_check_confirms(mi, desk):
-    """Setup: two thicknesses and two sequences of 200 ms; the thick sheet spans the strokes free.
+    """Setup: two thicknesses, two sequences of at most 200 ms; a thick sheet spans the strokes free.
 
     Expected: at most six commands; the page's last sentence names the design of the largest margin
     among those within tolerance; measured again it is within tolerance, too. `./run bench
@@ -44,7 +44,8 @@ def test_from_a_wish_to_the_sensor_that_an_exhaustive_check_confirms(mi, desk):
     assert len(cases) == 4
     within = [(figures["least_margin_um"], name) for name, figures, meets in cases if meets]
     assert 0 < len(within) < 4
-    assert last.startswith(f"Build this: {max(within)[1]}, because it ")
+    assert last.startswith(f"Build this: {max(within)[1]}, because ")
     assert built["least_margin_um"] == pytest.approx(max(within)[0], abs=1e-6)
-    assert built["exposure_ms"] * built["frames"] == pytest.approx(engineer.SEQUENCE_MS)
+    assert built["sequence_ms"] <= engineer.SEQUENCE_MS
+    assert built["frames"] in (14, 17)
     assert abs(built["object_depth_error_um"]) < 10.0
