@@ -32,7 +32,7 @@ def measured(case):
 
 
 def test_from_a_wish_to_the_sensor_that_an_exhaustive_check_confirms(mi, desk):
-    """Setup: two thicknesses, two sequences of at most 200 ms; a thick sheet spans the strokes free.
+    """Setup: two thicknesses, two sequences of at most 200 ms; the thick sheet spans the strokes.
 
     Expected: at most six commands; the page's last sentence names the design of the largest margin
     among those within tolerance; measured again it is within tolerance, too. `./run bench
