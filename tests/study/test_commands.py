@@ -274,7 +274,9 @@ def test_any_name_is_printed_and_drawn(tmp_path, capsys, faked, monkeypatch, nam
     file, out = study_file(tmp_path, *axis, *choices), str(tmp_path / "out")
     assert run(["sweep", file, "-o", out, "-j", "1"]) == 0
     assert run(["sweep", "best", out, "-b", "bowl"]) == 0
-    assert capsys.readouterr().out.count(name) == 2
+    printed, _, verdict = capsys.readouterr().out.rpartition("Build this: ")
+    assert printed.count(name) == 2
+    assert name in verdict
     assert run(["sweep", "report", out, "-b", "bowl", "-b", "slope"]) == 0
     assert escape(name) in (tmp_path / "out" / "report.html").read_text()
     if name == "<b>&":
