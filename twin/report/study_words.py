@@ -164,8 +164,8 @@ def advice_text(table: StudyTable, verdict: StudyVerdict) -> str:
     level = amount(advice.level, unit)
     if verdict.feasible:
         return (
-            f"{label[:1].upper()}{label[1:]} has the largest effect{_share(advice)}, and the design is "
-            f"at an end of this axis: {_SIDES[advice.side].replace('it', level)}."
+            f"{label[:1].upper()}{label[1:]} has the largest effect{_share(advice)}, and the design "
+            f"is at an end of this axis: {_SIDES[advice.side].replace('it', level)}."
         )
     least = verdict.least
     of = split_unit(least[1].figure)[1] if least else ""
