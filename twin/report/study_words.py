@@ -163,9 +163,10 @@ def advice_text(table: StudyTable, verdict: StudyVerdict) -> str:
     label, unit = axis_headings(table)[advice.axis]
     level = amount(advice.level, unit)
     if verdict.feasible:
+        axis = label[:1].upper() + label[1:]
         return (
-            f"{label[:1].upper()}{label[1:]} has the largest effect{_share(advice)}, and the design "
-            f"is at an end of this axis: {_SIDES[advice.side].replace('it', level)}."
+            f"{axis} has the largest effect{_share(advice)}, and the design is at an end "
+            f"of this axis: {_SIDES[advice.side].replace('it', level)}."
         )
     least = verdict.least
     of = split_unit(least[1].figure)[1] if least else ""
