@@ -117,7 +117,7 @@ def test_csv_and_parquet(swept, capsys, tmp_path):
     [
         (("base_albedo", "base_albdo"), "unknown key 'base_albdo' in [coating]; did you mean"),
         (("[0.3, 0.5]", "[0.3, 1.5]"), "coating.base_albedo: found 1.5, should be less than 1"),
-        (("[8.0, 12.0]", "[8.0, 40.0]"), "elastomer.shore_a: found 40, allowed 5 to 15"),
+        (("[8.0, 12.0]", "[8.0, 400.0]"), "elastomer.shore_a: found 400"),
         (("values", "valeus"), "unknown key 'valeus' in [axis.0]; did you mean 'values'?"),
         (("at_most = 0.3", ""), "constraint.0: found {'value': 'force_n'}, needs at_least"),
         (('"examples/slab_balls"', '"examples/slab_bals"'), "did you mean examples/slab_balls"),
@@ -274,7 +274,9 @@ def test_any_name_is_printed_and_drawn(tmp_path, capsys, faked, monkeypatch, nam
     file, out = study_file(tmp_path, *axis, *choices), str(tmp_path / "out")
     assert run(["sweep", file, "-o", out, "-j", "1"]) == 0
     assert run(["sweep", "best", out, "-b", "bowl"]) == 0
-    assert capsys.readouterr().out.count(name) == 2
+    printed, _, verdict = capsys.readouterr().out.rpartition("Build this: ")
+    assert printed.count(name) == 2
+    assert name in verdict
     assert run(["sweep", "report", out, "-b", "bowl", "-b", "slope"]) == 0
     assert escape(name) in (tmp_path / "out" / "report.html").read_text()
     if name == "<b>&":

@@ -10,6 +10,7 @@ from twin.config.study import Axis, Study, load_study
 from twin.study.cases import cases_of, point_count, points_of, shares_of
 from twin.study.estimate import estimate
 from twin.study.record import StudyRecord
+from twin.study.remarks import remarks_of
 from twin.study.store import Store
 
 LOW_HIGH = {"path": "coating.base_albedo", "low": 0.1, "high": 0.5}
@@ -85,12 +86,17 @@ def test_choices_move_several_fields(base, tmp_path):
     assert by_name["force"].press.depth_mm is None
 
 
-def test_values_may_leave_a_stated_range_with_a_source(study_of, base):
-    axis = {"path": "elastomer.shore_a", "values": [30.0]}
-    with pytest.raises(ConfigError, match=r"allowed 5 to 15 .*\(at elastomer.shore_a = 30.0\)"):
-        cases_of(study_of(axis), base)
-    result = cases_of(study_of(axis | {"source": "assumed: a harder mix"}), base).run
-    assert result[0].experiment.elastomer.shore_a == 30.0
+def test_values_outside_a_stated_range_are_warned_of_unless_they_have_a_source(study_of, base):
+    """An error follows only where the value is outside the physical range of its key."""
+    axis = {"path": "elastomer.shore_a", "values": [10.0, 30.0]}
+    cases = cases_of(study_of(axis), base).run
+    (remark,) = remarks_of({case.digest: {} for case in cases}, cases)
+    assert remark.digests == (cases[1].digest,)
+    assert "elastomer.shore_a = 30 is outside 5 to 15, the range of its source (" in remark.text
+    sourced = cases_of(study_of(axis | {"source": "assumed: a harder mix"}), base).run
+    assert remarks_of({case.digest: {} for case in sourced}, sourced) == ()
+    with pytest.raises(ConfigError, match=r"elastomer.shore_a: found 500"):
+        cases_of(study_of(axis | {"values": [500.0]}), base)
 
 
 def test_repeats_and_modalities_multiply(study_of, base):

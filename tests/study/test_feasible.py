@@ -85,7 +85,7 @@ def test_where_no_design_is_feasible_the_nearest_are_shown_as_such(swept, tmp_pa
     swept(constraint=(Constraint(value="z_rmse_um", at_most=0.2),))
     assert run(["sweep", "best", str(tmp_path / "out")]) == 1
     said = capsys.readouterr()
-    assert "no case is feasible; those that miss the fewest conditions" in said.err
+    assert "no case is feasible; the nearest to the limits first" in said.err
     assert "3 miss: z_rmse_um <= 0.2; 2 miss: object_ball within tolerance" in said.err
     assert "not feasible:" in " ".join(said.out.split())
     page = write_study(tmp_path / "out").read_text(encoding="utf-8")

@@ -127,11 +127,18 @@ def _of_the_system(error: OSError) -> tuple[str, int] | None:
     return None
 
 
-def load(file: Path, settings: list[str] | None) -> "Experiment":
-    """Load an experiment file and apply KEY=VALUE settings to it."""
-    from twin.config import load_experiment
+def load(file: Path, settings: list[str] | None, *, warn: bool = True) -> "Experiment":
+    """Load an experiment file and apply KEY=VALUE settings to it.
 
-    return load_experiment(str(file), settings_of(settings))
+    If `warn` is True, a warning is printed for each value outside the range of its source.
+    """
+    from twin.config import load_experiment
+    from twin.config.quantities import outside_sources
+
+    experiment = load_experiment(str(file), settings_of(settings))
+    for line in outside_sources(experiment) if warn else ():
+        sys.stderr.write(f"twin: warning: {line}\n")
+    return experiment
 
 
 def settings_of(texts: list[str] | None) -> dict[str, Any]:

@@ -198,7 +198,7 @@ def measure(
     from twin.output import RESULT_FILE
     from twin.report.page import REPORT_FILE
 
-    loaded = load(experiment, settings)
+    loaded = load(experiment, settings, warn=False)  # the result lists its warnings
     done = _measure(loaded, out, "measure", [experiment], report)
     _print_contact_remedies(done, experiment, thorough=remedies)
     say(f"wrote {out / (REPORT_FILE if report else RESULT_FILE)}")

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from twin.study.outcome import SweepOutcome
     from twin.study.record import StudyRecord
     from twin.study.remarks import Remark
+    from twin.study.table import StudyTable
     from twin.study.workers import Workers
 
 _MOST_REASONS, _MOST_NEAREST = 10, 6
@@ -103,7 +104,8 @@ def _on_message(sentence: str) -> None:
 def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
     """Print the cases that cannot be measured; return exit code 2 if none can be, else 0.
 
-    A search has no list of cases; points along its axes are checked instead.
+    Values outside the ranges of their sources are printed as warnings. A search has no list of
+    cases; points along its axes are checked instead.
 
     Raises
     ------
@@ -111,10 +113,13 @@ def _check(record: "StudyRecord", cases: "Sequence[Case]") -> int:
     """
     from twin.study.checks import check_figures
     from twin.study.measurable import probes_of, unmeasurable
+    from twin.study.remarks import remarks_of
 
     searches = record.study.sampling.method in ("optimise", "gradient")
     cases = probes_of(record) if searches else cases
     check_figures(record, cases)
+    for remark in remarks_of({case.digest: {} for case in cases}, cases):
+        sys.stderr.write(f"twin: warning: {remark.in_words(len(cases))}\n")
     unmeasurable_cases = unmeasurable(cases)
     for reason, some in unmeasurable_cases.items():
         at = ", ".join(f"{name} = {value}" for name, value in some[0].settings.items())
@@ -165,11 +170,11 @@ def best(
     *,
     objective: Objectives = None,
 ) -> int:
-    """Print the best feasible designs of a study: its Pareto front.
+    """Print the best feasible designs of a study, its Pareto front, and the design to build.
 
     A case is feasible if it satisfies all constraints and all tolerances. A measurand satisfies its
     tolerance if its value plus or minus its expanded uncertainty is within the limits. Exit code 1:
-    no case is feasible; the cases that miss the fewest conditions are printed.
+    no case is feasible; the cases nearest to the limits are printed, and the axis that would help.
 
     Parameters
     ----------
@@ -179,8 +184,10 @@ def best(
         METRIC to minimise, or +METRIC to maximise; repeat the option for a Pareto front. Default:
         the objectives of the study.
     """
+    from twin.report.study_words import verdict_sentence
     from twin.study.feasibility import feasibility_in_words
     from twin.study.table import best_rows, nearest_rows, objective_of, read_table, usable_rows
+    from twin.study.verdict import verdict_of
 
     table = read_table(folder)
     chosen = [objective_of(text) for text in objective or ()] or list(table.record.study.goals)
@@ -192,13 +199,30 @@ def best(
     if table.conditions:
         sys.stderr.write(f"twin: {feasibility_in_words(table.rows)}\n")
     if not some:
-        sys.stderr.write("twin: no case is feasible; those that miss the fewest conditions:\n")
+        sys.stderr.write("twin: no case is feasible; the nearest to the limits first:\n")
     names = dict.fromkeys([goal.metric for goal in chosen] + list(table.metrics))
     more = ("case",) if some else ("case", "reason")
-    headings = (*table.axes, *names, *more)
-    cells = ([cell(row.get(n), 5) for n in headings] for row in rows)
+    columns = (*table.axes, *names, *more)
+    cells = ([cell(row.get(n), 5) for n in columns] for row in rows)
+    headings = [_heading(table, name) for name in columns]
     print_table(headings, cells, width=None if sys.stdout.isatty() else 200)
+    say(_in_ascii(verdict_sentence(table, verdict_of(table, chosen))))
     return 0 if some else FAILURE
+
+
+def _heading(table: "StudyTable", name: str) -> str:
+    """Return the name of a column; the unit is appended unless it is part of the name."""
+    from twin.report.study_words import axis_headings
+    from twin.report.words import split_unit
+
+    unit = axis_headings(table).get(name, ("", ""))[1]
+    return f"{name} ({_in_ascii(unit)})" if unit and not split_unit(name)[1] else name
+
+
+def _in_ascii(text: str) -> str:
+    for sign, plain in (("µ", "u"), ("°", " deg"), ("²", "2"), ("³", "3"), ("–", "-")):
+        text = text.replace(sign, plain)
+    return text
 
 
 @sweep_app.command
@@ -218,20 +242,24 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     from twin.output import adding
     from twin.report import REPORT_FILE, REPORT_NAMES
     from twin.report.study import write_study
+    from twin.report.study_words import verdict_sentence
     from twin.report.uncertainty import write_uncertainty_page
     from twin.study.pictures import picture_best
     from twin.study.table import objective_of, read_table
+    from twin.study.verdict import verdict_of
 
     chosen = [objective_of(text) for text in objective or ()]
-    table = read_table(
-        folder
-    )  # raises before any file is written if the folder is no readable store
+    table = read_table(folder)  # raises before any file is written if the folder is no store
+    verdict = ""
     with adding(folder, *REPORT_NAMES) as drawn, progress_bars() as watch:
         if table.record.study.sampling.method == "trials":
             write_uncertainty_page(folder, watch, drawn, [goal.metric for goal in chosen])
         else:
             failed = picture_best(folder, chosen, watch)
             write_study(folder, watch, chosen, drawn, failed)
+            verdict = verdict_sentence(table, verdict_of(table, chosen))
+    if verdict:
+        say(_in_ascii(verdict))
     say(f"wrote {folder / REPORT_FILE}")
 
 

@@ -15,7 +15,7 @@ from twin.config.base import ConfigError, Model
 from twin.config.bounds import Figure, Spread
 from twin.config.loading import read_toml
 from twin.config.models import Experiment
-from twin.config.quantities import check_ranges, split_quantities
+from twin.config.quantities import check_ranges, split_quantities, value_at
 from twin.config.schema import validated
 
 DEFAULT_INPUTS = "inputs/handling"
@@ -171,9 +171,7 @@ def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:
 
 def number_at(experiment: Experiment, key: str) -> float | None:
     """Return the number at a dotted path of an experiment; None if there is no number."""
-    node: Any = experiment
-    for part in key.split("."):
-        node = node.get(part) if isinstance(node, dict) else getattr(node, part, None)
+    node = value_at(experiment, key)
     if isinstance(node, bool) or not isinstance(node, (int, float)):
         return None
     return float(node)

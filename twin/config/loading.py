@@ -31,7 +31,7 @@ from twin.config.methods import TRAITS, Method
 from twin.config.models import Decode, Experiment
 from twin.config.optics import Optics
 from twin.config.quantities import (
-    check_ranges,
+    SET_HERE,
     convert_units,
     is_quantity,
     split_quantities,
@@ -93,9 +93,7 @@ def validate_experiment(
     if not isinstance(stated, dict):
         raise ConfigError(f"{where}: provenance: found a value, allowed a table")
     values["provenance"] = stated | {key: origin.model_dump() for key, origin in origins.items()}
-    experiment = validated(Experiment, values, f"{where}: ")
-    check_ranges(values, experiment.provenance, where)
-    return experiment
+    return validated(Experiment, values, f"{where}: ")
 
 
 def decode_settings(**values: Any) -> Decode:
@@ -303,12 +301,18 @@ def _overlay(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
         if is_quantity(node) or not isinstance(under, dict):
             merged[key] = node
         elif is_quantity(under):
-            merged[key] = {**under, "value": node, "source": "set in the experiment"}
+            merged[key] = {**under, "value": node, "source": _set_here(under)}
         elif isinstance(node, dict) and _same_kind(under, node, key):
             merged[key] = _overlay(under, node)
         else:
             merged[key] = node
     return merged
+
+
+def _set_here(under: Mapping[str, Any]) -> Any:
+    """Return the source of a plain value that replaces a quantity: it names that of the range."""
+    source = under.get("source")
+    return source if str(source).startswith(SET_HERE) else f"{SET_HERE}{source}"
 
 
 def _same_kind(base: dict[str, Any], top: dict[str, Any], key: str) -> bool:

@@ -3,7 +3,8 @@
     thickness_mm = { value = 2.0, range = [1.0, 5.0], source = "assumed: ..." }
 
 The value is stored in the experiment. Source and range are stored in the table `provenance` of the
-experiment, by dotted path.
+experiment, by dotted path. A value outside the range of its source gives a warning. A value outside
+the physical range of its key (`twin.config.bounds`) is an error.
 
 A number may be written with a unit in TOML, `thickness_mm = "120 um"`. The suffix of the key is
 the unit of the stored number. A text with another unit of the same quantity is converted when the
@@ -11,7 +12,8 @@ file is read. Length, time, force, pressure and power have such units.
 """
 
 import re
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, Protocol
 
 from pydantic import ValidationError
 
@@ -29,6 +31,8 @@ _SCALE_TO_SI = {unit: (kind, si) for kind, units in _UNITS.items() for unit, si 
 _NUMBER_AND_UNIT = re.compile(
     r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*([A-Za-zµ]+)\s*$"
 )
+SET_HERE = "set in the experiment; range: "
+"""Start of the source of a plain value that replaces a quantity; the range's source follows."""
 _KEYS = {"value", "source", "range"}
 
 
@@ -112,33 +116,68 @@ def _provenance(node: dict[str, Any], path: str) -> Provenance:
         raise ConfigError("\n".join(faults)) from None
 
 
-def check_ranges(values: dict[str, Any], provenance: dict[str, Provenance], where: str) -> None:
-    """Check that values are within the ranges that their data files state.
+class Sourced(Protocol):
+    """Values with their provenance by dotted path, such as an `Experiment`."""
+
+    @property
+    def provenance(self) -> Mapping[str, Provenance]:
+        """Source and range of each number that a data file states."""
+
+
+def outside_sources(values: Sourced) -> tuple[str, ...]:
+    """Return a warning for each value outside the range of its source, which the warning names."""
+    return tuple(
+        f"{path} = {value:g} is outside {_span(origin)}, the range of its source "
+        f"({origin.source.removeprefix(SET_HERE)}); {_remedy(path, value, origin)}"
+        for path, value, origin in _outside(values, values.provenance)
+    )
+
+
+def check_ranges(values: dict[str, Any], provenance: Mapping[str, Provenance], where: str) -> None:
+    """Check the values of a file that states value and range of each number in the same table.
 
     Raises
     ------
     ConfigError : one line per value outside its range, which starts with `where`
     """
-    problems = []
+    problems = [
+        f"{where}: {path}: found {value:g}, allowed {_span(origin)} ({origin.source}); give "
+        f"another value, or {_remedy(path, value, origin)}"
+        for path, value, origin in _outside(values, provenance)
+    ]
+    if problems:
+        raise ConfigError("\n".join(problems))
+
+
+def _outside(
+    values: Any, provenance: Mapping[str, Provenance]
+) -> Iterator[tuple[str, float, Provenance]]:
+    """Yield path, value and origin of each number outside the range of its origin."""
     for path, origin in provenance.items():
         value = value_at(values, path)
         if origin.range is None or not isinstance(value, (int, float)):
             continue
-        low, high = origin.range
-        if not low <= value <= high:
-            problems.append(
-                f"{path}: found {value:g}, allowed {low:g} to {high:g} ({origin.source}); give "
-                f"another value, or write in [{path.rpartition('.')[0]}] "
-                f"{path.rpartition('.')[2]} = {{ value = {value:g}, range = [{min(low, value):g}, "
-                f'{max(high, value):g}], source = "reason" }}'
-            )
-    if problems:
-        raise ConfigError("\n".join(f"{where}: {line}" for line in problems))
+        if not origin.range[0] <= value <= origin.range[1]:
+            yield path, value, origin
 
 
-def value_at(values: dict[str, Any], path: str) -> Any:
-    """Return the value or table at a dotted path of nested tables; None if there is none."""
+def _span(origin: Provenance) -> str:
+    low, high = origin.range or (0.0, 0.0)
+    return f"{low:g} to {high:g}"
+
+
+def _remedy(path: str, value: float, origin: Provenance) -> str:
+    """Return the TOML line that states a value with a range and a source of the user."""
+    (table, _, key), (low, high) = path.rpartition("."), origin.range or (value, value)
+    return (
+        f"write in [{table}] {key} = {{ value = {value:g}, range = [{min(low, value):g}, "
+        f'{max(high, value):g}], source = "reason" }}'
+    )
+
+
+def value_at(values: Any, path: str) -> Any:
+    """Return the value at a dotted path of nested tables or models; None if there is none."""
     node: Any = values
     for key in path.split("."):
-        node = node.get(key) if isinstance(node, dict) else None
+        node = node.get(key) if isinstance(node, dict) else getattr(node, key, None)
     return node

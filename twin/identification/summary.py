@@ -102,7 +102,7 @@ def _draws(
 ) -> dict[str, list[float]]:
     """Draw samples of the fields, by name, from those inside all stated ranges.
 
-    An experiment rejects a value outside its stated range.
+    An experiment with a value outside its stated range would have a warning.
     """
     low, high = np.array([field["range"] for field in values.values()]).T
     allowed = samples[((samples >= low) & (samples <= high)).all(axis=1)]

@@ -29,6 +29,17 @@ THINNEST = 0.2
 SHEET_GOOD, SHEET_LIMIT = 0.125, 0.25
 #: pitch over thickness of the finest ridges that a thin sheet models, because it neglects shear
 SHEET_RIDGES = 5.0
+_STRAINS, _STRETCH, _STEEP = "strains are large above", "a sheet stretches as it bends", "deg steep"
+_RIM, _SIDES, _SHEAR = "how the rim is held", "its free sides yield", "shear through the thickness"
+_REMEDIES = {
+    _STRAINS: 'press less deep, use a thicker elastomer, or set mechanics.model = "neo_hookean"',
+    _STRETCH: "press less deep, or use a thicker slab",
+    _STEEP: "limit x_mm and y_mm of each [[measurand]] to flat parts at least one thickness from "
+    "walls, or give the edges a slope or a radius",
+    _RIM: "use a larger elastomer.length_x_mm and length_y_mm, or a smaller part",
+    _SIDES: "use a larger elastomer.length_x_mm and length_y_mm, or a smaller part",
+    _SHEAR: "use a thinner sheet",
+}
 # Height error of the thin sheet over h^2 / R, from solid neo-Hookean elements: ball of 4 mm, sheets
 # of 0.1 to 1.5 mm, error at most 18 um at h = 1 mm (shared notes on the sheet).
 _SHEET_ERROR = 0.072
@@ -55,6 +66,11 @@ class Validity:
     #: (slab) or shear through the thickness (sheet)
     height_error_mm: float
     warnings: tuple[str, ...]
+
+
+def remedy_of(warning: str) -> str:
+    """Return the remedy for a warning of a press; empty if the warning does."""
+    return next((remedy for words, remedy in _REMEDIES.items() if words in warning), "")
 
 
 def max_slope_deg(height_mm: FloatArray, contact: BoolArray, pitch_mm: float) -> float:
@@ -128,32 +144,32 @@ def _with_warnings(figures: Validity, thickness_mm: float, layout: Layout) -> Va
     checks = (
         (
             figures.depth_over_thickness > DEPTH_OVER_THICKNESS_LIMIT,
-            f"depth is {figures.depth_over_thickness:.2f} of the thickness: strains are large "
-            f"above {DEPTH_OVER_THICKNESS_LIMIT}",
+            f"depth is {figures.depth_over_thickness:.2f} of the thickness: {_STRAINS} "
+            f"{DEPTH_OVER_THICKNESS_LIMIT}",
         ),
         (
             figures.depth_over_radius > DEPTH_OVER_RADIUS_LIMIT,
-            f"depth is {figures.depth_over_radius:.2f} of the ball's radius: strains are large "
-            f"above {DEPTH_OVER_RADIUS_LIMIT}",
+            f"depth is {figures.depth_over_radius:.2f} of the ball's radius: {_STRAINS} "
+            f"{DEPTH_OVER_RADIUS_LIMIT}",
         ),
         (
             free and figures.deflection_over_thickness > DEFLECTION_OVER_THICKNESS_LIMIT,
             f"the coated face rises by {figures.deflection_over_thickness:.2f} of the thickness: "
-            f"a sheet stretches as it bends above {DEFLECTION_OVER_THICKNESS_LIMIT}, which a "
+            f"{_STRETCH} above {DEFLECTION_OVER_THICKNESS_LIMIT}, which a "
             "linear slab leaves out",
         ),
         (
             figures.max_slope_deg > SLOPE_LIMIT_DEG,
-            f"the specimen is {figures.max_slope_deg:.0f} deg steep within the contact: "
+            f"the specimen is {figures.max_slope_deg:.0f} {_STEEP} within the contact: "
             f"a height field holds up to {SLOPE_LIMIT_DEG:.0f} deg",
         ),
         (
             figures.margin_mm < needed,
             f"the contact ends {figures.margin_mm:.2f} mm from the rim, less than one thickness: "
-            "how the rim is held matters there"
+            f"{_RIM} matters there"
             if free
             else f"the contact ends {figures.margin_mm:.2f} mm from the pad's side, less than "
-            "three thicknesses: its free sides yield, which an endless layer leaves out",
+            f"three thicknesses: {_SIDES}, which an endless layer leaves out",
         ),
         (
             figures.cells_across < _FEWEST_CELLS_ACROSS,
@@ -237,7 +253,7 @@ def assess_sheet(
     checks = (
         (
             ratio > SHEET_GOOD,
-            f"the sheet is {ratio:.2f} of its radius of bending thick: shear through the thickness "
+            f"the sheet is {ratio:.2f} of its radius of bending thick: {_SHEAR} "
             f"counts above {SHEET_GOOD}"
             + (", solid elements are needed above 0.25" if ratio > SHEET_LIMIT else ""),
         ),

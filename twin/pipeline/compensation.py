@@ -35,6 +35,7 @@ from reconstruction.writing import write_text
 from twin.config import Experiment, load_experiment
 from twin.config.digest import content_digest
 from twin.config.loading import read_toml
+from twin.config.quantities import outside_sources
 from twin.config.sensor_layer import SensorLayer, layer_to_toml, load_sensor_layer, sensor_layer_of
 from twin.config.specimen_base import Specimen
 from twin.mechanics.choice import is_slab, may_wrap
@@ -159,6 +160,8 @@ def compensate_result(
         result = _compensation(points, layer, experiment)
         watch("compensate", 1.0)
         figures |= result.figures
+        if outside := outside_sources(layer):
+            figures["warnings"] = list(outside)
         _write(target, measured, result.compensated, layer)
         draw(target, replace(result, figures=figures))
         write_text(target / LAYER_FILE, layer_to_toml(layer))

@@ -16,6 +16,7 @@ from reconstruction.compensation import (
     ObjectPart,
     parts_of,
 )
+from twin.config.quantities import outside_sources
 from twin.pipeline.compensation import CompensationResult
 from twin.pipeline.progress import ProgressCallback, no_progress
 from twin.report.canvas import (
@@ -62,6 +63,8 @@ def write_compensation_page(
         lead=f"Shape of the rigid object behind the measured coat of {name}, computed from the "
         f"coat, the elastomer and the load. {used}",
         sections=[first, _contact_section(result), _layer_section(result)],
+        warned="Values outside the range of their source",
+        warnings=outside_sources(result.layer),
     )
     return write_page(folder / REPORT_FILE, page, watch)
 

@@ -18,7 +18,7 @@ from twin.results.figures import Figures, why_absent
 from twin.results.record import Measurement
 
 METHOD = "contact-FPP"
-WARNED = "Warnings: the press is outside the range of its model, or a fit failed"
+WARNED = "Warnings: the press or a value is outside its range, or a fit failed"
 MOST_SPREAD_OVER_SIGMA = 1.15
 LEAST_COMPLETENESS = 0.95
 MOST_SATURATED_SHARE = 1e-3

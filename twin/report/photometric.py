@@ -34,7 +34,7 @@ from twin.results.decoders import decoder_name
 from twin.results.record import Measurement
 
 METHOD = "photometric stereo"
-WARNED = "Warnings: the press is outside the range of its model, or a fit failed"
+WARNED = "Warnings: the press or a value is outside its range, or a fit failed"
 GOOD_SCALE_ERROR, POOR_SCALE_ERROR = 0.05, 0.2
 _DECODERS = (
     Column("name", "colour map, integration"),

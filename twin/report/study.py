@@ -35,8 +35,9 @@ from twin.report.study_figures import (
     draw_main_effects,
     draw_parallel,
 )
+from twin.report.study_verdict import verdict_blocks, verdict_card
+from twin.report.study_words import headings_of, settings_text, titles_of, value_text
 from twin.report.table import Column, Table
-from twin.report.words import NONE
 from twin.results.rows import is_number
 from twin.study.feasibility import feasibility_in_words
 from twin.study.pictures import CasePicture, stored_picture
@@ -50,6 +51,7 @@ from twin.study.table import (
     read_table,
     usable_rows,
 )
+from twin.study.verdict import StudyVerdict, verdict_of
 
 _MOST_METRICS, _MOST_PAIRS, _MOST_BEST = 5, 6, 12
 _UNTAKEN = "not drawn yet; twin sweep report measures the best designs and draws them"
@@ -76,6 +78,8 @@ class Shown:
     rows : finished cases that have all values `metrics`
     metrics : names of the measured values that are plotted
     best : best feasible cases, or cases on the Pareto front
+    verdict : the design to build, or the nearest to the limits
+    titles : headings of axes and measured values, with units, by name
     effects : sensitivities of a measured value to the axes of the study, by name of the value
     pictures : pictures of the best designs, by the case's digest
     failed : reasons why designs have no picture, by the case's digest
@@ -86,6 +90,8 @@ class Shown:
     metrics: list[str]
     objectives: list[Objective]
     best: list[Row]
+    verdict: StudyVerdict
+    titles: Mapping[str, str]
     effects: dict[str, list[Effect]]
     pictures: dict[str, CasePicture] = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
@@ -137,6 +143,8 @@ def _shown(
         metrics,
         objectives,
         best,
+        verdict_of(table, requested),
+        titles_of(table, [objective.metric for objective in objectives]),
         {name: effect for name, effect in effects.items() if effect},
         {digest: picture for digest, picture in pictures.items() if picture is not None},
         failed,
@@ -160,7 +168,9 @@ def _page(shown: Shown) -> Page:
             Section("best", "Best designs", tuple(_best(shown))),
             *(Section(f"of_{f.name}", f.title, (replace(f, title=""),)) for f in _figures(shown)),
             Section("cases", "All cases", tuple(_cases(shown))),
+            Section("verdict", "Verdict", tuple(verdict_blocks(shown.table, shown.verdict))),
         ],
+        verdicts=[verdict_card(shown.table, shown.verdict)],
         warned="Warnings of the cases" if shown.table.remarks else "",
         warnings=remark_lines(shown.table),
         wide=True,
@@ -181,7 +191,7 @@ def _best(shown: Shown) -> list[Block]:
     order = "Feasible cases on the Pareto front" if several else "Feasible cases, best first"
     columns = [*shown.table.axes, *shown.metrics]
     rows = tuple(_row(row, columns) for row in shown.best[:_MOST_BEST])
-    heads = (*_columns(columns), Column("case", "case"))
+    heads = (*_columns(shown, columns), Column("case", "case"))
     blocks: list[Block] = [
         Note(f"{order}: {goals}."),
         Table("best_cases", "", "", heads, rows, look="cases"),
@@ -197,7 +207,7 @@ def _best(shown: Shown) -> list[Block]:
 
 
 def _nearest(shown: Shown) -> list[Block]:
-    """Return a note that no case is feasible, and the cases that miss the fewest conditions."""
+    """Return a note that no case is feasible, and the cases nearest to the limits."""
     words = feasibility_in_words(shown.table.rows)
     note = Note(f"No case is feasible: {words}.", "failure")
     some = nearest_rows(shown.table.done(), shown.objectives)[:_MOST_BEST]
@@ -206,11 +216,11 @@ def _nearest(shown: Shown) -> list[Block]:
     columns = [*shown.table.axes, *shown.metrics]
     more = (Column("case", "case"), Column("remark", "missed", kind="reason"))
     rows = tuple(_row(row, columns) for row in some)
-    lead = Note("Infeasible cases; those that miss the fewest conditions first.")
+    lead = Note("Infeasible cases, the nearest to the limits first.")
     return [
         note,
         lead,
-        Table("nearest_cases", "", "", (*_columns(columns), *more), rows, look="cases"),
+        Table("nearest_cases", "", "", (*_columns(shown, columns), *more), rows, look="cases"),
     ]
 
 
@@ -220,14 +230,17 @@ def _designs(shown: Shown) -> list[Block]:
     scales = Scales.of(shown.pictures.values()) if shown.pictures else None
     for place, row in enumerate(designs_of(shown.best, shown.table.axes), start=1):
         digest = str(row["case"])
-        settings = ", ".join(f"{name} {_text(row[name])}" for name in shown.table.axes)
+        settings = settings_text(shown.table, row)
         picture = shown.pictures.get(digest)
         gallery: list[Block] = []
         if scales is not None and picture is not None:
             gallery = [Gallery(tuple(design_figures(place, settings, picture, scales)), 3)]
         else:
             reasons[shown.failed.get(digest, _UNTAKEN)] = None
-        metrics = " · ".join(f"{metric} {_text(row.get(metric))}" for metric in shown.table.metrics)
+        metrics = " · ".join(
+            f"{shown.titles[metric]} {value_text(row.get(metric))}"
+            for metric in shown.table.metrics
+        )
         blocks = (Note(metrics), *gallery, Note(_links(digest)))
         sections.append(Section(f"design_{place}", f"{place} · {settings}", blocks))
     return [*(Note(f"Without pictures: {reason}") for reason in reasons), *sections]
@@ -243,19 +256,20 @@ def _links(digest: str) -> str:
 
 def _figures(shown: Shown) -> list[Figure]:
     rows, axes, metrics = shown.rows, shown.table.axes, shown.metrics
+    titles = shown.titles
     figures = [
         Figure("main_effects", "Main effects",
                "Line: mean over all other axes; band: range of all cases. A row has one scale.",
                "each figure over each axis",
-               lambda path: draw_main_effects(path, rows, axes, metrics)),
+               lambda path: draw_main_effects(path, rows, axes, metrics, titles)),
         Figure("parallel", "All cases in parallel coordinates",
-               f"Every case is one line, coloured by {metrics[0]}.",
+               f"Every case is one line, coloured by {titles[metrics[0]]}.",
                "one line per case over all axes and figures",
-               lambda path: draw_parallel(path, rows, axes, metrics)),
+               lambda path: draw_parallel(path, rows, axes, metrics, titles)),
     ]  # fmt: skip
     several = list(combinations(axes, 2))[:_MOST_PAIRS]
     if several:
-        figures += [_interactions(rows, several, metric) for metric in metrics[:2]]
+        figures += [_interactions(shown, several, metric) for metric in metrics[:2]]
     return [*figures, *_front(shown), *_sensitivity(shown)]
 
 
@@ -268,7 +282,8 @@ def _front(shown: Shown) -> list[Figure]:
         Figure("front", "Pareto front", "Two objectives of all cases. Front: feasible designs for "
                "which no feasible design is better in every objective.",
                "two objectives of all cases with the Pareto front",
-               lambda path: draw_front(path, whole, shown.best, shown.objectives))
+               lambda path: draw_front(
+                   path, whole, shown.best, shown.objectives, shown.titles))
     ]  # fmt: skip
 
 
@@ -279,17 +294,18 @@ def _sensitivity(shown: Shown) -> list[Figure]:
     return [
         Figure("sensitivity", "Sensitivity", _SENSITIVITY_WORDS[method] + _left_out(shown),
                "sensitivity of each figure to each axis",
-               lambda path: draw_effects(path, shown.effects, method))
+               lambda path: draw_effects(path, shown.effects, method, shown.titles))
     ]  # fmt: skip
 
 
-def _interactions(rows: list[Row], several: list[tuple[str, str]], metric: str) -> Figure:
+def _interactions(shown: Shown, several: list[tuple[str, str]], metric: str) -> Figure:
+    title, titles = shown.titles[metric], shown.titles
     return Figure(
         f"interactions_{metric}",
-        f"Interactions: {metric}",
-        f"Mean {metric} over pairs of axes; one colour scale for all maps.",
-        f"mean {metric} over pairs of axes",
-        lambda path: draw_interactions(path, rows, several, metric),
+        f"Interactions: {title}",
+        f"Mean {title} over pairs of axes; one colour scale for all maps.",
+        f"mean {title} over pairs of axes",
+        lambda path: draw_interactions(path, shown.rows, several, metric, titles),
     )
 
 
@@ -304,7 +320,7 @@ def _cases(shown: Shown) -> list[Block]:
     table, left_out = shown.table, len(shown.table.done()) - len(shown.rows)
     columns = [*table.axes, *shown.metrics]
     more = ("feasible", "case", "experiment", "remark")
-    heads = (*_columns(columns), *(Column(name, name) for name in more[:3]),
+    heads = (*_columns(shown, columns), *(Column(name, name) for name in more[:3]),
              Column("remark", "remark", kind="reason"))  # fmt: skip
     rows = tuple(_row(row, columns) for row in table.rows)
     kinds = tuple(str(row["state"]) for row in table.rows)
@@ -322,8 +338,9 @@ def _cases(shown: Shown) -> list[Block]:
     ]
 
 
-def _columns(names: Sequence[str]) -> list[Column]:
-    return [Column(name, name, kind="number") for name in names]
+def _columns(shown: Shown, names: Sequence[str]) -> list[Column]:
+    headings = headings_of(shown.table)
+    return [Column(n, headings[n][0], unit=headings[n][1], kind="number") for n in names]
 
 
 def _row(row: Row, columns: Sequence[str]) -> dict[str, str]:
@@ -333,7 +350,7 @@ def _row(row: Row, columns: Sequence[str]) -> dict[str, str]:
     if state != "done":
         reason = f"{state}: {reason}" if reason else state
     feasible = row["feasible"]
-    return {name: _text(row.get(name)) for name in columns} | {
+    return {name: value_text(row.get(name)) for name in columns} | {
         "feasible": "" if feasible is None else ("yes" if feasible else "no"),
         "case": _link(digest, file, digest) if there else digest,
         "experiment": _link(digest, "experiment.toml", "experiment") if there else "",
@@ -348,9 +365,3 @@ def _link(digest: str, file: str, text: str) -> str:
 def _is_number(rows: Sequence[Row], name: str) -> bool:
     """Return True if a value is a number in more than 50 % of the cases."""
     return sum(is_number(row.get(name)) for row in rows) > len(rows) / 2
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return NONE
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -4,6 +4,7 @@ An axis of a study is a setting that varies from case to case. A value is a resu
 has the same scale in all plots of a picture, so that the plots can be compared.
 """
 
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -32,12 +33,19 @@ from twin.report.canvas import (
 )
 from twin.report.page import Figure
 from twin.report.pixel_panels import ZScale, draw_small, show_picture, show_z, show_z_error
+from twin.results.rows import is_number
 from twin.study.pictures import CasePicture
-from twin.study.sensitivity import Effect
+from twin.study.sensitivity import Effect, groups_of
 
 Row = Mapping[str, Any]
-_MOST_LABELS = 9
-_BINS = 6
+Titles = Mapping[str, str]
+"""Headings of axes and values by name; a name without heading is its own heading."""
+_LABEL_WIDTH = 22  # characters of a line along an axis of a small plot
+
+
+def _title(titles: Titles, name: str) -> str:
+    """Return the heading of a name in lines that fit along the axis of a small plot."""
+    return textwrap.fill(titles.get(name, name), _LABEL_WIDTH)
 
 
 def numbers(rows: Sequence[Row], name: str) -> FloatArray:
@@ -45,29 +53,19 @@ def numbers(rows: Sequence[Row], name: str) -> FloatArray:
     return np.array([float(row[name]) for row in rows])
 
 
-def groups_of(rows: Sequence[Row], axis: str) -> tuple[list[str], list[list[Row]]]:
-    """Group rows by the levels of an axis; return the labels and the rows of the groups.
-
-    An axis with more than nine levels is divided into six equal parts of its range.
-    """
-    levels = list(dict.fromkeys(row[axis] for row in rows))
-    if all(isinstance(level, (int, float)) for level in levels):
-        levels.sort()
-    if len(levels) <= _MOST_LABELS:
-        groups = [[row for row in rows if row[axis] == level] for level in levels]
-        return [
-            f"{level:.4g}" if isinstance(level, float) else str(level) for level in levels
-        ], groups
-    values = numbers(rows, axis)
-    edges = np.linspace(values.min(), values.max(), _BINS + 1)
-    bins = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
-    filled = [i for i in range(_BINS) if (bins == i).any()]
-    names = [f"{(edges[i] + edges[i + 1]) / 2:.3g}" for i in filled]
-    return names, [[r for r, b in zip(rows, bins, strict=True) if b == i] for i in filled]
+def _labelled_groups(rows: Sequence[Row], axis: str) -> tuple[list[str], list[list[Row]]]:
+    """Return the labels of the levels of an axis, and the rows of each level."""
+    groups = groups_of(rows, axis)
+    labels = [f"{level:.4g}" if isinstance(level, float) else str(level) for level, _ in groups]
+    return labels, [group for _, group in groups]
 
 
 def draw_main_effects(
-    path: Path, rows: Sequence[Row], axes: Sequence[str], metrics: Sequence[str]
+    path: Path,
+    rows: Sequence[Row],
+    axes: Sequence[str],
+    metrics: Sequence[str],
+    titles: Titles,
 ) -> None:
     """Draw each value over each axis as PNG: mean over all other axes, and range of all cases."""
     width, height = 2.2, 1.5
@@ -81,13 +79,13 @@ def draw_main_effects(
                 if across:
                     place.set_yticklabels([])
                 else:
-                    place.set_ylabel(metric)
+                    place.set_ylabel(_title(titles, metric))
                 if down == len(metrics) - 1:
-                    place.set_xlabel(axis)
+                    place.set_xlabel(_title(titles, axis))
 
 
 def _draw_effect(place: Axes, rows: Sequence[Row], axis: str, metric: str) -> None:
-    names, groups = groups_of(rows, axis)
+    names, groups = _labelled_groups(rows, axis)
     values = [numbers(group, metric) for group in groups]
     at = np.arange(len(names))
     place.fill_between(
@@ -107,7 +105,11 @@ def _limits(values: FloatArray) -> tuple[float, float]:
 
 
 def draw_interactions(
-    path: Path, rows: Sequence[Row], pairs: Sequence[tuple[str, str]], metric: str
+    path: Path,
+    rows: Sequence[Row],
+    pairs: Sequence[tuple[str, str]],
+    metric: str,
+    titles: Titles,
 ) -> None:
     """Draw maps of the mean of a value over each pair of axes, on one colour scale, as PNG."""
     low, high = numbers(rows, metric).min(), numbers(rows, metric).max()
@@ -118,14 +120,16 @@ def draw_interactions(
             left, top = 0.8 + number % across * 3.0, 0.25 + number // across * 2.9
             place = axes_at(figure, left, top, 2.1, 2.0)
             shown = _draw_pair(place, rows, (x, y), metric, (float(low), float(high)))
-        add_colorbar(place, shown, f"mean {metric}")
+            place.set_xlabel(_title(titles, x))
+            place.set_ylabel(_title(titles, y))
+        add_colorbar(place, shown, f"mean {titles.get(metric, metric)}")
 
 
 def _draw_pair(
     place: Axes, rows: Sequence[Row], pair: tuple[str, str], metric: str, ends: tuple[float, float]
 ) -> Any:
-    columns, groups = groups_of(rows, pair[0])
-    lines, by_line = groups_of(rows, pair[1])
+    columns, groups = _labelled_groups(rows, pair[0])
+    lines, by_line = _labelled_groups(rows, pair[1])
     line_of = {id(row): number for number, group in enumerate(by_line) for row in group}
     means = np.full((len(lines), len(columns)), np.nan)
     for column, group in enumerate(groups):
@@ -138,13 +142,15 @@ def _draw_pair(
     )  # fmt: skip
     place.set_xticks(range(len(columns)), columns, rotation=30)
     place.set_yticks(range(len(lines)), lines)
-    place.set_xlabel(pair[0])
-    place.set_ylabel(pair[1])
     return shown
 
 
 def draw_parallel(
-    path: Path, rows: Sequence[Row], axes: Sequence[str], metrics: Sequence[str]
+    path: Path,
+    rows: Sequence[Row],
+    axes: Sequence[str],
+    metrics: Sequence[str],
+    titles: Titles,
 ) -> None:
     """Draw every case as a line over axes and values (parallel coordinates), as PNG.
 
@@ -162,13 +168,14 @@ def draw_parallel(
         place.set_xlim(0, len(names) - 1)
         place.set_ylim(-0.07, 1.07)
         place.spines[:].set_visible(False)
-        place.set_xticks(range(len(names)), names, rotation=20, ha="right")
+        shown = [_title(titles, name) for name in names]
+        place.set_xticks(range(len(names)), shown, rotation=20, ha="right")
         place.set_yticks([])
         for at, name in enumerate(names):
             place.axvline(at, color=FAINT, linewidth=0.6)
             for height, text in zip((-0.035, 1.035), _ends(rows, name), strict=True):
                 place.text(at, height, text, fontsize=7.0, color=INK, ha="center", va="center")
-        add_colorbar(place, lines, metrics[0])
+        add_colorbar(place, lines, titles.get(metrics[0], metrics[0]))
 
 
 def _places(rows: Sequence[Row], name: str) -> FloatArray:
@@ -193,7 +200,11 @@ def _ends(rows: Sequence[Row], name: str) -> tuple[str, str]:
 
 
 def draw_front(
-    path: Path, rows: Sequence[Row], front: Sequence[Row], objectives: Sequence[Objective]
+    path: Path,
+    rows: Sequence[Row],
+    front: Sequence[Row],
+    objectives: Sequence[Objective],
+    titles: Titles,
 ) -> None:
     """Draw two objectives of all cases as points, and the cases on the Pareto front, as PNG."""
     x, y = objectives[0].metric, objectives[1].metric
@@ -207,13 +218,61 @@ def draw_front(
         order = sorted(front, key=lambda row: float(row[x]))
         place.plot(numbers(order, x), numbers(order, y), "o-", color=FIT, markersize=5,
                    linewidth=1.0, label="best")  # fmt: skip
-        place.set_xlabel(f"{x} ({objectives[0].goal})")
-        place.set_ylabel(f"{y} ({objectives[1].goal})")
+        place.set_xlabel(f"{titles.get(x, x)}: {objectives[0].goal}")
+        place.set_ylabel(f"{titles.get(y, y)}: {objectives[1].goal}")
         place.legend()
         plain_spines(place)
 
 
-def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: str) -> None:
+def draw_trade(
+    path: Path,
+    rows: Sequence[Row],
+    chosen: Row,
+    columns: tuple[str, Sequence[str]],
+    titles: Titles,
+) -> None:
+    """Draw a figure of all cases over other columns, with the chosen design, as PNG.
+
+    Parameters
+    ----------
+    columns : name of the figure, and names of the columns over which it is drawn
+    """
+    objective, over = columns
+    width, height, gap = 2.6, 2.3, 0.35
+    with drawing(path, 1.0 + len(over) * (width + gap), height + 1.15) as figure:
+        for across, name in enumerate(over):
+            place = axes_at(figure, 0.9 + across * (width + gap), 0.45, width, height)
+            _draw_column(place, rows, chosen, name, objective)
+            place.set_xlabel(titles.get(name, name))
+            if across:
+                place.set_yticklabels([])
+            else:
+                place.set_ylabel(_title(titles, objective))
+                place.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
+
+
+def _draw_column(place: Axes, rows: Sequence[Row], chosen: Row, name: str, objective: str) -> None:
+    labels, groups = _labelled_groups(rows, name)
+    ordered = not all(is_number(row[name]) for row in rows)
+    at = {id(row): number for number, group in enumerate(groups) for row in group}
+    kinds = (("not feasible", False, "x", FAINT), ("feasible", True, "o", MEASURED))
+    for label, feasible, marker, colour in kinds:
+        some = [row for row in rows if bool(row["feasible"]) == feasible]
+        x = [at[id(row)] for row in some] if ordered else numbers(some, name)
+        place.plot(x, numbers(some, objective), marker, color=colour, markersize=4, label=label)
+    x_chosen = at[id(chosen)] if ordered else float(chosen[name])
+    place.plot(
+        [x_chosen], [float(chosen[objective])], "*", color=FIT, markersize=13, label="this design"
+    )
+    if ordered:
+        place.set_xticks(range(len(labels)), labels, rotation=30, ha="right")
+    place.set_ylim(*_limits(numbers(rows, objective)))
+    plain_spines(place)
+
+
+def draw_effects(
+    path: Path, effects: Mapping[str, Sequence[Effect]], method: str, titles: Titles
+) -> None:
     """Draw the sensitivities as PNG, with one group of bars per value.
 
     Intervals are drawn unless `method` is "grid".
@@ -224,7 +283,8 @@ def draw_effects(path: Path, effects: Mapping[str, Sequence[Effect]], method: st
             height = 0.28 * len(ranking)
             place = axes_at(figure, 1.9, top, 4.6, height)
             draw_effect_bars(place, ranking, intervals=method != "grid")
-            place.set_title(metric, fontsize=8.5)
+            place.set_title(titles.get(metric, metric), fontsize=8.5)
+            place.set_yticks(place.get_yticks(), [_title(titles, e.axis) for e in ranking])
             place.set_xlim(left=0.0, right=None if method == "morris" else 1.05)
             top += height + 0.75
 

@@ -112,7 +112,8 @@ def write_told(folder: Path, command: str, done: Measurement) -> None:
 
     `command` is the name of the calling command.
     """
-    write_result(folder, command, done.experiment, done.metrics)
+    figures = {**done.metrics, "warnings": list(done.warnings)}
+    write_result(folder, command, done.experiment, figures)
     write_timings(folder, done.seconds)
 
 

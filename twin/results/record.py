@@ -14,6 +14,7 @@ from reconstruction.capture.folder import Capture, read_capture
 from reconstruction.photometric import HeightMap, SensorCalibration
 from reconstruction.pipeline import Reconstruction
 from twin.config import Experiment
+from twin.config.quantities import outside_sources
 from twin.mechanics import PressedElastomer
 from twin.optics.rig import camera_pinhole
 from twin.optics.stack import Frames, RadianceStack, Truth
@@ -232,8 +233,9 @@ class Measurement:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of press and measurement, such as limits of the model of the press."""
-        return warnings_of(self.metrics)
+        """Warnings of press and measurement, and of values outside the range of their source."""
+        known = (*warnings_of(self.metrics), *outside_sources(self.experiment))
+        return tuple(dict.fromkeys(known))
 
     @property
     def points(self) -> SurfacePoints:

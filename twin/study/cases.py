@@ -17,6 +17,7 @@ from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError
 from twin.config import ConfigError, Experiment, digest, vary
 from twin.config.loading import by_method
+from twin.config.quantities import value_at
 from twin.config.study import MOST_CASES, Axis, Constraint, Level, Study, without_absent
 from twin.results.layout import KNOWN_BEFORE, layout_figures
 from twin.study.measuring import NOMINAL_CONDITIONS, Conditions
@@ -269,14 +270,6 @@ def _settings(study: Study, point: Point) -> dict[str, Any]:
     return {axis.title: level.label for axis, level in zip(study.axis, point, strict=True)}
 
 
-def field_of(experiment: Experiment, path: str) -> Any:
-    """Return the value at a dotted path of an experiment; None if there is no such field."""
-    node: Any = experiment
-    for name in path.split("."):
-        node = node.get(name) if isinstance(node, dict) else getattr(node, name, None)
-    return node
-
-
 def quantity(experiment: Experiment, figures: Mapping[str, Any], bound: Constraint) -> float | None:
     """Return the number that a constraint limits: a field, a figure, or the ratio of two.
 
@@ -299,7 +292,7 @@ def _parts(
 ) -> list[float] | None:
     """Return the limited number, or numerator and denominator; None if one of them is missing."""
     names = [bound.value] if bound.per is None else [bound.value, bound.per]
-    values = [figures.get(name, field_of(experiment, name)) for name in names]
+    values = [figures.get(name, value_at(experiment, name)) for name in names]
     if not all(isinstance(value, (int, float)) for value in values):
         return None
     return [float(value) for value in values]

@@ -6,7 +6,9 @@ tolerance" counts as not met. A design with repeats, which differ only in their 
 only if each repeat is feasible. Otherwise the best design would be selected by its noise.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from reconstruction.errors import counted
@@ -21,8 +23,32 @@ Row = Mapping[str, Any]
 
 UNMET = "unmet"
 """Key of a table row under which the conditions that the case does not meet are stored."""
+RESERVES = "reserves"
+"""Key of a table row under which the reserve of the case to each condition is stored."""
 TOLERANCES = "all tolerances of [[measurand]] are met, with U"
 _PERCENT = 100.0
+_EVERY_REPEAT = "every repeat of the design"
+
+
+@dataclass(frozen=True)
+class Reserve:
+    """Distance of a case from the limit of a condition, negative if the condition is not met.
+
+    Attributes
+    ----------
+    figure : name of the limited number; its suffix is the unit of `amount`
+    amount : the distance; for a tolerance minus U; None if the case lacks the number
+    scale : size of the limit, for a tolerance the width from the middle to a limit
+    """
+
+    figure: str
+    amount: float | None
+    scale: float
+
+    @property
+    def relative(self) -> float:
+        """The distance divided by the size of the limit; minus infinity if it is not known."""
+        return -math.inf if self.amount is None else self.amount / self.scale
 
 
 def has_tolerances(experiment: Experiment) -> bool:
@@ -42,12 +68,57 @@ def unmet_conditions(
     return unmet | dict(_beyond_tolerance(figures))
 
 
+def reserves(
+    case: Case, figures: Mapping[str, Any], bounds: Iterable[Constraint]
+) -> dict[str, Reserve]:
+    """Return the reserve of a measured case to every condition, met or not, by its title."""
+    found: dict[str, Reserve] = {}
+    for bound in bounds:
+        number = quantity(case.experiment, figures, bound)
+        amount = None if number is None else -bound.excess(number)
+        name = bound.value if bound.per is None else f"{bound.value} / {bound.per}"
+        limits = [limit for limit in (bound.at_least, bound.at_most) if limit]
+        found[bound.title] = Reserve(name, amount, min(map(abs, limits), default=1.0))
+    judged = _judged(figures)
+    widths = _tolerance_widths(case.experiment) if judged else {}
+    for name in judged:
+        amount, unit = _margin(figures, name) or (None, "um")
+        width = widths.get(name, 1.0) * (_PERCENT if unit == "%" else 1.0)
+        shown = f"{name}_margin_{'percent' if unit == '%' else 'um'}"
+        found[_tolerance_title(name)] = Reserve(shown, amount, width)
+    return found
+
+
+def _tolerance_widths(experiment: Experiment) -> dict[str, float]:
+    """Return the size of the largest finite limit of each tolerance; 1 if it is 0."""
+    widths = {}
+    for measurand in measurands_of(experiment):
+        tolerance = tolerance_of(measurand)
+        limits = () if tolerance is None else (tolerance.lower, tolerance.upper)
+        sizes = [abs(limit) for limit in limits if math.isfinite(limit)]
+        widths[f"object_{measurand.name}"] = max(sizes, default=1.0) or 1.0
+    return widths
+
+
+def shortfall(row: Row) -> float:
+    """Return the sum of the relative distances of a row beyond the limits of its conditions.
+
+    It is 0 if all conditions are met, and infinite if the value of a condition is missing.
+    """
+    held: Mapping[str, Reserve] = row[RESERVES]
+    return sum(max(0.0, -reserve.relative) for reserve in held.values())
+
+
+def _tolerance_title(name: str) -> str:
+    return f"{name} within tolerance"
+
+
 def _beyond_tolerance(figures: Mapping[str, Any]) -> Iterable[tuple[str, str]]:
     for name in _judged(figures):
         if figures[f"{name}_verdict"] != WITHIN:
             margin = _margin(figures, name)
             short = "no value" if margin is None else f"{-margin[0]:.3g} {margin[1]} short, with U"
-            yield f"{name} within tolerance", f"{figures[f'{name}_verdict']}, {short}"
+            yield _tolerance_title(name), f"{figures[f'{name}_verdict']}, {short}"
 
 
 def _judged(figures: Mapping[str, Any]) -> list[str]:
@@ -90,7 +161,7 @@ def spread_over_repeats(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -
         for row in repeats if missed else ():
             if row["feasible"]:
                 row["feasible"] = False
-                row[UNMET] = {"every repeat of the design": f"{missed} of {len(repeats)} not"}
+                row[UNMET] = {_EVERY_REPEAT: f"{missed} of {len(repeats)} not"}
 
 
 def unmet_counts(rows: Iterable[Row]) -> dict[str, int]:

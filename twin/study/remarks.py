@@ -5,13 +5,16 @@ first case.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from reconstruction.errors import counted
+from twin.config.quantities import outside_sources
 from twin.mechanics.models import model_of
+from twin.mechanics.validity import remedy_of
 from twin.results.figures import why_absent
+from twin.study.cases import Case
 from twin.study.measuring import TRUE_RIG
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
@@ -48,23 +51,32 @@ class Remark:
         return f"{len(self.digests)} of {counted(of, 'case')}: {self.text}"
 
 
-def remarks_of(figures: Mapping[str, Mapping[str, Any]]) -> tuple[Remark, ...]:
-    """Return the kinds of warnings in the figures of finished cases, the most frequent first.
+def remarks_of(
+    figures: Mapping[str, Mapping[str, Any]], of: Iterable[Case] = ()
+) -> tuple[Remark, ...]:
+    """Return the kinds of warnings of finished cases, the most frequent first.
 
     Parameters
     ----------
     figures : by digest of the case, the figures of its `result.json`
+    of : the cases; their values may be outside the ranges of their sources
     """
+    outside = {c.digest: outside_sources(c.experiment) for c in of if c.digest in figures}
     texts: dict[str, str] = {}
     cases: dict[str, list[str]] = {}
     for digest, of_case in figures.items():
-        for text in dict.fromkeys(_warned(of_case)):
+        for text in dict.fromkeys((*_warned(of_case), *outside.get(digest, ()))):
             kind = _NUMBER.sub("#", text)
             texts.setdefault(kind, text)
             if digest not in cases.setdefault(kind, []):
                 cases[kind].append(digest)
     ranked = sorted(cases.items(), key=lambda item: -len(item[1]))
-    return tuple(Remark(texts[kind], tuple(some)) for kind, some in ranked)
+    return tuple(Remark(_with_remedy(texts[kind]), tuple(some)) for kind, some in ranked)
+
+
+def _with_remedy(text: str) -> str:
+    remedy = remedy_of(text)
+    return f"{text}; {remedy}" if remedy else text
 
 
 def _warned(figures: Mapping[str, Any]) -> Iterator[str]:

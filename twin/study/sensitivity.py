@@ -11,8 +11,9 @@ The method depends on the sampling of the points. The values of the figure are m
   mu*.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -21,9 +22,10 @@ from reconstruction.arrays import FloatArray, IntArray
 from twin.config.study import Study
 from twin.results.rows import is_number
 from twin.study.cases import shares_of
-from twin.study.table import StudyTable
+from twin.study.table import Row, StudyTable
 
 _DRAWS = 1000
+_MOST_LEVELS, _PARTS = 9, 6
 
 
 @dataclass(frozen=True)
@@ -52,13 +54,20 @@ def effects_of(table: StudyTable, metric: str) -> list[Effect]:
     `without`). Grids leave out these points; the other designs leave out their whole trajectory or
     row.
     """
+    return effects_on(table, [row.get(metric) for row in table.rows])
+
+
+def effects_on(table: StudyTable, cells: Sequence[Any]) -> list[Effect]:
+    """Return the effect of every axis on a value of the rows of a table, see `effects_of`."""
     study = table.record.study
     axes = [axis.title for axis in study.axis]
     if study.sampling.method == "grid":
-        return _grid_effects(table, axes, metric)
+        known = [row for row, cell in zip(table.rows, cells, strict=True) if is_number(cell)]
+        numbers = [float(cell) for cell in cells if is_number(cell)]
+        return variance_shares(numbers, {a: [str(row[a]) for row in known] for a in axes})
     if study.sampling.method not in ("saltelli", "morris"):
         return []
-    values = _by_point(table, study, metric)
+    values = _by_point(cells, study)
     if values is None:
         return []
     if study.sampling.method == "saltelli":
@@ -72,30 +81,62 @@ def without(table: StudyTable, metric: str) -> int:
     return sum(not is_number(row.get(metric)) for row in table.rows)
 
 
-def _by_point(table: StudyTable, study: Study, metric: str) -> FloatArray | None:
-    """Return the figure (point,), mean over repeats; None if constraints exclude points.
+def _by_point(cells: Sequence[Any], study: Study) -> FloatArray | None:
+    """Return the values (point,), mean over repeats; None if constraints exclude points.
 
-    A point without the figure has NaN.
+    A point without a value has NaN.
     """
     repeats = study.repeats * max(1, len(study.modalities))
-    cells = (row.get(metric) for row in table.rows)
     values = np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
     if len(values) != len(shares_of(study)) * repeats:
         return None
     return np.asarray(values.reshape(-1, repeats).mean(axis=1))
 
 
-def _grid_effects(table: StudyTable, axes: Sequence[str], metric: str) -> list[Effect]:
-    rows = [row for row in table.done() if is_number(row.get(metric))]
-    values = np.array([float(row[metric]) for row in rows])
-    if len(values) < 2 or np.ptp(values) == 0.0:
+def variance_shares(values: Sequence[float], labels: Mapping[str, Sequence[str]]) -> list[Effect]:
+    """Return for each axis the share of the variance of values (row,) that its labels explain.
+
+    The list is empty if there are fewer than two values, or if all are equal.
+
+    Parameters
+    ----------
+    labels : by axis, the label (row,) of its level at each value
+    """
+    numbers = np.asarray(values, np.float64)
+    if len(numbers) < 2 or np.ptp(numbers) == 0.0:
         return []
-    effects = []
-    for axis in axes:
-        labels = [str(row[axis]) for row in rows]
-        share = correlation_ratio(values, labels)
-        effects.append(Effect(axis, share, share, share))
-    return effects
+    shares = {axis: correlation_ratio(numbers, of_axis) for axis, of_axis in labels.items()}
+    return [Effect(axis, share, share, share) for axis, share in shares.items()]
+
+
+def group_labels(rows: Sequence[Row], axis: str) -> list[str]:
+    """Return for each row the label of its group, see `groups_of`."""
+    labels = {id(row): str(level) for level, group in groups_of(rows, axis) for row in group}
+    return [labels[id(row)] for row in rows]
+
+
+def groups_of(rows: Sequence[Row], axis: str) -> list[tuple[Any, list[Row]]]:
+    """Group rows by the levels of an axis; return the levels, numbers in order, and their rows.
+
+    An axis with more than nine numbers is divided into six equal parts of its range, each with the
+    number in its middle.
+    """
+    levels = list(dict.fromkeys(row[axis] for row in rows))
+    if not all(is_number(level) for level in levels):
+        return [(level, [row for row in rows if row[axis] == level]) for level in levels]
+    if len(levels) <= _MOST_LEVELS:
+        return [(level, [row for row in rows if row[axis] == level]) for level in sorted(levels)]
+    edges = np.linspace(min(levels), max(levels), _PARTS + 1)
+    numbers = np.array([row[axis] for row in rows], np.float64)
+    parts = np.clip(np.digitize(numbers, edges) - 1, 0, _PARTS - 1)
+    filled = [part for part in range(_PARTS) if (parts == part).any()]
+    return [
+        (
+            float(edges[part] + edges[part + 1]) / 2,
+            [row for row, at in zip(rows, parts, strict=True) if at == part],
+        )
+        for part in filled
+    ]
 
 
 def correlation_ratio(values: FloatArray, labels: Sequence[str]) -> float:

@@ -1,6 +1,6 @@
 """Run a study: compute the cases that its store lacks."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -71,14 +71,14 @@ class _Session:
     store : the store
     compute : computes cases into the store
     retry : True: also run cases again that failed because of their experiment
-    requested : digests of the requested cases
+    requested : the requested cases by digest
     damaged : reasons, by digest, why damaged cases run again
     """
 
     store: Store
     compute: Run
     retry: bool
-    requested: list[str] = field(default_factory=list)
+    requested: dict[str, Case] = field(default_factory=dict)
     damaged: dict[str, str] = field(default_factory=dict)
 
     def run(self, cases: Cases) -> SweepOutcome:
@@ -87,7 +87,7 @@ class _Session:
     def wanted(self, cases: Cases) -> list[Case]:
         """Return the cases without duplicates; remove from the store those that must run again."""
         wanted = cases.unique()
-        self.requested.extend(case.digest for case in wanted)
+        self.requested.update((case.digest, case) for case in wanted)
         self.damaged.update(forget_damaged(self.store, wanted))
         forget_failures(self.store, wanted, every=self.retry)
         return wanted
@@ -273,13 +273,17 @@ def _measuring(record: StudyRecord, folder: Path, watch: ProgressCallback) -> Me
     return Measuring(calibrated(folder, nominal(record.study, record.base), board, watch))
 
 
-def _standing(index: Index, requested: Sequence[str]) -> dict[str, Any]:
+def _standing(index: Index, requested: Mapping[str, Case]) -> dict[str, Any]:
     """Return number of results, warnings and reasons of failure of the requested cases."""
     entries = index.entries()
-    stored = [entries[digest] for digest in dict.fromkeys(requested) if digest in entries]
+    stored = [entries[digest] for digest in requested if digest in entries]
     failures: dict[str, list[str]] = {}
     for entry in stored:
         if entry.state == "failed":
             failures.setdefault(entry.reason, []).append(entry.digest)
     done = {entry.digest: entry.figures for entry in stored if entry.state == "done"}
-    return {"finished": len(done), "failures": failures, "remarks": remarks_of(done)}
+    return {
+        "finished": len(done),
+        "failures": failures,
+        "remarks": remarks_of(done, requested.values()),
+    }

@@ -23,10 +23,13 @@ from twin.results.rows import is_number
 from twin.study.cases import Case
 from twin.study.derived import DERIVED, with_derived
 from twin.study.feasibility import (
+    RESERVES,
     TOLERANCES,
     UNMET,
     feasibility_in_words,
     has_tolerances,
+    reserves,
+    shortfall,
     spread_over_repeats,
     unmet_conditions,
 )
@@ -36,6 +39,8 @@ from twin.study.remarks import Remark, remarks_of
 from twin.study.store import Store
 
 _HEAD = ("case", "state", "reason", "feasible")
+DESIGN = "design"
+"""Key of a table row under which the settings of the case without its seed are stored, as text."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +106,8 @@ def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTa
     if record.study.repeats > 1:
         spread_over_repeats(rows, cases)
     known = [entries[case.digest] for case in cases if case.digest in entries]
-    remarks = remarks_of({entry.digest: entry.figures for entry in known if entry.state == "done"})
+    done = {entry.digest: entry.figures for entry in known if entry.state == "done"}
+    remarks = remarks_of(done, cases)
     return StudyTable(record, axes, metrics, tuple(map(_explained, rows)), cases, remarks)
 
 
@@ -132,8 +138,11 @@ def _row(
         "reason": _reason(entry) if entry else "",
         "feasible": None,
         UNMET: {},
+        RESERVES: {},
+        DESIGN: design_of(case.settings, case.settings),
     }
     if state == "done":
+        head[RESERVES] = reserves(case, figures, bounds)
         head[UNMET] = unmet_conditions(case, figures, bounds)
         head["feasible"] = not head[UNMET]
     return figures | dict(case.settings) | head
@@ -225,9 +234,20 @@ def best_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]
     usable = usable_rows(rows, objectives)
     if not usable:
         raise InputError(_why_none(rows, names))
-    costs = np.array([[cost_of(row, objective) for objective in objectives] for row in usable])
-    front = [row for row, is_best in zip(usable, on_front(costs), strict=True) if is_best]
-    return sorted(front, key=lambda row: cost_of(row, objectives[0]))
+    costs = costs_of(usable, objectives)
+    front = np.flatnonzero(on_front(costs))
+    return [usable[place] for place in front[np.argsort(costs[front, 0], kind="stable")]]
+
+
+def costs_of(rows: Sequence[Row], objectives: Sequence[Objective]) -> FloatArray:
+    """Return the costs (row, objective); repeats of a design have the mean of their costs."""
+    costs = np.array([[cost_of(row, objective) for objective in objectives] for row in rows])
+    places: dict[Any, list[int]] = {}
+    for place, row in enumerate(rows):
+        places.setdefault(row.get(DESIGN, place), []).append(place)
+    for together in places.values():
+        costs[together] = costs[together].mean(axis=0)
+    return costs
 
 
 def _why_none(rows: Sequence[Row], names: Sequence[str]) -> str:
@@ -240,15 +260,23 @@ def _why_none(rows: Sequence[Row], names: Sequence[str]) -> str:
 
 
 def nearest_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
-    """Return the finished rows that have all objectives, the fewest missed conditions first.
+    """Return the finished rows that have all objectives, the nearest to all limits first.
 
-    Use this for a study without a feasible case. Rows with equal counts are sorted by the first
-    objective.
+    Use this for a study without a feasible case. The distance is the sum of all distances beyond
+    limits, each divided by the size of the limit; of repeats the largest counts. Rows with equal
+    distances are sorted by the number of missed conditions, then by the first objective.
     """
     some = [
         row for row in rows if all(is_number(row.get(objective.metric)) for objective in objectives)
     ]
-    return sorted(some, key=lambda row: (len(row[UNMET]), cost_of(row, objectives[0])))
+    worst: dict[str, float] = {}
+    for row in some:
+        worst[row[DESIGN]] = max(shortfall(row), worst.get(row[DESIGN], 0.0))
+
+    def order(row: Row) -> tuple[float, int, float]:
+        return worst[row[DESIGN]], len(row[UNMET]), cost_of(row, objectives[0])
+
+    return sorted(some, key=order)
 
 
 def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
@@ -261,7 +289,9 @@ def ranked_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Ro
     front = best_rows(rows, objectives)
     if len(objectives) > 1:
         return front
-    return sorted(usable_rows(rows, objectives), key=lambda row: cost_of(row, objectives[0]))
+    usable = usable_rows(rows, objectives)
+    order = np.argsort(costs_of(usable, objectives)[:, 0], kind="stable")
+    return [usable[place] for place in order]
 
 
 def goals_of(table: StudyTable, requested: Sequence[Objective] = ()) -> list[Objective]:
@@ -275,11 +305,16 @@ def goals_of(table: StudyTable, requested: Sequence[Objective] = ()) -> list[Obj
     return list(requested or table.record.study.goals) or [Objective(metric=first)]
 
 
+def design_of(settings: Mapping[str, Any], axes: Iterable[str]) -> str:
+    """Return the settings of a design, all axes but the seed, as text for comparisons."""
+    return repr([settings[axis] for axis in axes if axis != "seed"])
+
+
 def designs_of(rows: Sequence[Row], axes: Sequence[str]) -> list[Row]:
     """Return the first row of each design, at most as many as a report has pictures."""
     designs: dict[str, Row] = {}
     for row in rows:
-        designs.setdefault(repr([row[axis] for axis in axes if axis != "seed"]), row)
+        designs.setdefault(design_of(row, axes), row)
     return list(designs.values())[:MOST_DESIGNS]
 
 
