@@ -9,7 +9,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.compensation.balance import CURVATURE_SIGMA_MM, off_the_rim
-from reconstruction.compensation.relief import variance_and_area
+from reconstruction.compensation.scatter import variance_and_area
 from reconstruction.compensation.sheet import CompensatedSheet
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import inliers
