@@ -270,9 +270,9 @@ def quantity_table(measured: Measurement) -> Table:
         tuple(_row(quantity) for quantity in score.quantities),
         (
             f"U: expanded uncertainty with k = {', '.join(factors)} (2: about 95 %). It includes "
-            f"noise and texture of the points, {elastomer}calibration, and repeatability if it is "
-            "stated. Verdict after ISO 14253-1 with guard band U: within tolerance by U "
-            f"or more, outside by U or more, or undecided. {surface}",
+            f"noise and texture of the points, {elastomer}repeatability if it is stated, and "
+            "calibration: parts of u, in this order. Verdict after ISO 14253-1 with guard band U: "
+            f"within tolerance by U or more, outside by U or more, or undecided. {surface}",
             *_assumed(measured),
             *_conditions(score.quantities),
             *_absences(score.quantities),
@@ -290,7 +290,7 @@ def _assumed(measured: Measurement) -> list[str]:
     return [
         "Standard uncertainties of the sheet and its load ([sigma] of the experiment, else those "
         f"of inputs/handling): thickness {1e3 * layer.sigma_thickness_mm:.2g} µm, air "
-        f"{layer.sigma_back_pressure_kpa:.2g} kPa, modulus {layer.sigma_young_modulus_kpa:.2g} "
+        f"{layer.sigma_back_pressure_kpa:.2g} kPa, modulus {layer.sigma_young_modulus_kpa:.3g} "
         f"kPa, pre-stretch {layer.sigma_pre_stretch:.2g}."
     ]
 
