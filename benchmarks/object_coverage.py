@@ -10,9 +10,9 @@ values with the standard uncertainties that `twin measure` assumes.
 Target: 93 to 97 % of the intervals value +- U with k = 2 contain the true length. Presses dominate
 the run time: about 10 s each, and 2 s per sensor.
 
-Last line: {"radius_coverage", "radius_error_over_u", "radius_measured", "width_...", "step_...",
-"sensors"}. `..._error_over_u` is the RMS of error over standard uncertainty, `..._measured` the
-share of the sensors with a value.
+Last line: {"radius_coverage", "radius_error_over_u", "radius_error_um", "radius_measured",
+"width_...", "step_..."}. `..._error_over_u` is the RMS of error over standard uncertainty,
+`..._error_um` the RMS error, `..._measured` the share of the sensors with a value.
 """
 
 import tempfile
