@@ -104,6 +104,7 @@ def coverage(case: str, quick: bool) -> dict[str, float | None]:
     with tempfile.TemporaryDirectory() as folder:
         rigs = None if quick else calibrated(Path(folder), nominal, BOARD)
     for number, pressed in enumerate(presses(nominal, counts[0])):
+        before = len(errors)
         try:
             for done in sensors(pressed, counts[1], rigs, rng):
                 sensors_run += 1
@@ -113,9 +114,7 @@ def coverage(case: str, quick: bool) -> dict[str, float | None]:
                     over.append(length.error / length.uncertainty.standard)
         except InputError as error:
             print(f"{case}, press {number}: {error}", flush=True)
-        print(
-            f"{case}, press {number}: errors (um) {np.round(errors[-counts[1] :], 1)}", flush=True
-        )
+        print(f"{case}, press {number}: errors (um) {np.round(errors[before:], 1)}", flush=True)
     inside = float(np.mean(np.abs(over) <= 2.0)) if over else None
     return {
         f"{case}_coverage": inside,
