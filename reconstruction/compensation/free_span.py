@@ -9,7 +9,7 @@ import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.compensation.balance import CURVATURE_SIGMA_MM, off_the_rim
-from reconstruction.compensation.relief import variance_and_area
+from reconstruction.compensation.scatter import variance_and_area
 from reconstruction.compensation.sheet import CompensatedSheet
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import inliers
@@ -83,7 +83,11 @@ class FreeSpan:
 
 
 def fit_span(
-    result: CompensatedSheet, axes: BarAxes, wall: tuple[float, float], clear_mm: float
+    result: CompensatedSheet,
+    axes: BarAxes,
+    wall: tuple[float, float],
+    clear_mm: float,
+    length_mm: float = SPAN_MM,
 ) -> FreeSpan:
     """Fit the span next to one wall of a bar.
 
@@ -91,6 +95,7 @@ def fit_span(
     ----------
     wall : side of the bar, -1 or 1, and distance of the wall from the bar's middle, mm
     clear_mm : distance from both ends of the span within which bending matters
+    length_mm : largest length of the fitted part, which begins near the wall
 
     Raises
     ------
@@ -99,7 +104,7 @@ def fit_span(
     relief, own, (side, half_mm) = result.relief, axes.own(result.relief.points_mm), wall
     beyond = side * own[..., 0] - half_mm
     start = result.layer.thickness_mm + relief.pitch_mm[0] + clear_mm
-    end = min(start + SPAN_MM, _free_to_mm(result, axes, beyond) - clear_mm)
+    end = min(start + length_mm, _free_to_mm(result, axes, beyond) - clear_mm)
     span_cells = axes.band & (beyond > start) & (beyond < end)
     if span_cells.sum() < LEAST_CELLS:
         raise FitError(

@@ -19,7 +19,8 @@ from scipy import ndimage
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.compensation.presentation import LayerMaps
-from reconstruction.compensation.relief import Relief, variance_and_area
+from reconstruction.compensation.relief import Relief
+from reconstruction.compensation.scatter import noise_of_fit
 from reconstruction.errors import FitError
 from reconstruction.evaluate.estimates import FittedDimension, ball_radius, cylinder_radius
 from reconstruction.evaluate.fit import fit_plane, rms
@@ -180,7 +181,7 @@ def _fitted(compensated: Compensated, cells: BoolArray, core: BoolArray) -> Obje
     if fit is not None:
         estimate = fit(points)
         residual, radius = estimate.residuals_mm[estimate.used], estimate.value
-        noise = _noise_mm(compensated, core, estimate)
+        noise = _noise_mm(core, estimate)
         layer = _layer_mm(compensated, core, lambda moved: fit(moved).value)
         theory = compensated.theory_mm(radius)
     row, col = np.nonzero(cells)
@@ -228,18 +229,13 @@ def _rod(points_mm: FloatArray, axis: FloatArray) -> FittedDimension:
     return cylinder_radius(points_mm, axis)[0]
 
 
-def _noise_mm(compensated: Compensated, core: BoolArray, estimate: FittedDimension) -> float:
+def _noise_mm(core: BoolArray, estimate: FittedDimension) -> float:
     """Return the standard uncertainty, mm, of a radius from noise and texture of the coat.
 
     The variance of the residuals along the normal is used as the variance along z. The two are
     equal at gentle slopes.
     """
-    relief: Relief = compensated.relief
-    rest, used = np.zeros(core.shape), np.zeros(core.shape, bool)
-    rest[core], used[core] = estimate.residuals_mm, estimate.used
-    variance, area = variance_and_area(rest, used, relief.cell_area_mm2)
-    spread = np.full(int(core.sum()), np.sqrt(variance))
-    return estimate.noise_mm(spread, area / relief.cell_area_mm2)
+    return noise_of_fit(estimate, np.flatnonzero(core), core.shape).sigma_mm
 
 
 def _layer_mm(compensated: Compensated, core: BoolArray, radius_of: RadiusOf) -> float:

@@ -14,11 +14,11 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import spsolve
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.scatter import variance_and_area
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import spread
 
 _LEAST_SHARE = 0.2
-_CORRELATED_CELLS = 8
 # Passes of the shift to the cells' middles: the first pass uses the slope of unshifted heights.
 _TURNS_TO_MIDDLES = 2
 
@@ -106,54 +106,6 @@ class Relief:
         limit = 4 * spread(rest[self.measured])
         used = self.measured & (np.abs(rest) <= max(limit, 1e-12))
         return variance_and_area(rest, used, self.cell_area_mm2)
-
-
-def variance_and_area(
-    rest_mm: FloatArray, used: BoolArray, cell_area_mm2: float
-) -> tuple[float, float]:
-    """Return the variance and the correlation area, mm^2, of residuals over the `used` cells.
-
-    The variance is mm^2, or without unit if the residuals are without unit.
-    The correlation area is the cell's area times the sum of the autocorrelation along each of the
-    two axes. Each sum ends before the first lag without positive correlation. The area is at least
-    one cell.
-
-    Parameters
-    ----------
-    rest_mm, used : (row, col) residuals, and bool
-    """
-    count = int(used.sum())
-    if count < 2:
-        raise FitError("residuals: fewer than two cells were measured; give another region")
-    values = np.where(used, rest_mm, 0.0)
-    variance = float(np.sum(values**2)) / count
-    if variance == 0.0:
-        return 0.0, cell_area_mm2
-    width = 1.0
-    for axis in range(2):
-        width *= _correlated_cells(values, used, variance, axis)
-    return variance, width * cell_area_mm2
-
-
-def _correlated_cells(values: FloatArray, used: BoolArray, variance: float, axis: int) -> float:
-    """Return 1 + 2 sum of the autocorrelation along an axis, a number of cells.
-
-    The sum is over lags from 1 to 8 cells, and ends before the first value that is not positive.
-    """
-    total = 1.0
-    for lag in range(1, min(_CORRELATED_CELLS, values.shape[axis] - 1) + 1):
-        first = np.take(values, range(values.shape[axis] - lag), axis=axis)
-        second = np.take(values, range(lag, values.shape[axis]), axis=axis)
-        both = np.take(used, range(values.shape[axis] - lag), axis=axis) & np.take(
-            used, range(lag, values.shape[axis]), axis=axis
-        )
-        if not both.any():
-            break
-        share = float(np.sum(first * second)) / int(both.sum()) / variance
-        if share <= 0:
-            break
-        total += 2 * share
-    return total
 
 
 def relief_on_frame(

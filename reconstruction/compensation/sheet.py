@@ -61,6 +61,8 @@ ellipsoids, rods, nut, stud and stairs under sheets of 0.15 and 0.25 mm (docs/co
 # solver: tests/compensation.
 _FORCE_METHOD = 0.03
 _FLAT = 1 / np.sqrt(12.0)
+# Without air the standard uncertainty of its pressure is 0, too: no division by 0.
+_LEAST_AIR_KPA = 1e-9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -125,13 +127,19 @@ class CompensatedSheet(PresentedObject):
         """Shifts of the object's points along the normals, mm, by uncertain values of the layer.
 
         Each entry is (row, col), one standard uncertainty, and common to all points of a part. The
-        entries are for the sheet's thickness and its thinning. For a sheet that sticks, a third
-        entry varies over a part: from the negative second entry at the edge to the positive one in
-        the middle.
+        entries are for the sheet's thickness, its thinning, and its squeeze by the contact
+        pressure, of which modulus and air pressure are uncertain. For a sheet that sticks, a
+        further entry varies over a part: from the negative second entry at the edge to the positive
+        one in the middle.
         """
         layer = self.layer
         of_stretch = layer.thickness_mm * self.sigma_thinning
-        moves = [self.thinning * layer.sigma_thickness_mm, of_stretch]
+        share = np.hypot(
+            layer.sigma_young_modulus_kpa / layer.young_modulus_kpa,
+            layer.sigma_back_pressure_kpa / max(layer.back_pressure_kpa, _LEAST_AIR_KPA),
+        )
+        of_squeeze = -share * self.squeeze_mm
+        moves = [self.thinning * layer.sigma_thickness_mm, of_stretch, of_squeeze]
         if layer.sticks:
             inwards = np.asarray(ndimage.distance_transform_edt(self.contact))
             moves.append(of_stretch * (2 * inwards / max(float(inwards.max()), 1.0) - 1))

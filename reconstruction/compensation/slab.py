@@ -25,7 +25,8 @@ from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.compensation.presentation import PresentedObject
-from reconstruction.compensation.relief import Relief, variance_and_area
+from reconstruction.compensation.relief import Relief
+from reconstruction.compensation.scatter import variance_and_area
 from reconstruction.errors import FitError
 
 # Relative change of the sum of squares (about 10,000) at which the fit ends: it corresponds to

@@ -44,6 +44,8 @@ class FittedDimension:
         unused point; None if no shape is fitted
     gradient : (k,) derivative of the value by the parameters of the shape; None if no shape is
         fitted
+    slope_of_residual : (n,) derivative of the value by each residual, 0 for an unused point; None:
+        residuals are heights, so that it is `slope`
     """
 
     value: float
@@ -52,6 +54,7 @@ class FittedDimension:
     used: BoolImage
     design: FloatArray | None = None
     gradient: FloatArray | None = None
+    slope_of_residual: FloatArray | None = None
 
     def noise_mm(self, sigma_mm: FloatArray, together: float) -> float:
         """Return the standard uncertainty of the value, mm, from that of the points' heights.
@@ -319,13 +322,14 @@ def _radius(
     used : (n,) bool, fitted points
     residuals : (used,) radial residuals, mm
     """
-    slope, all_residuals = np.zeros(len(used)), np.zeros(len(used))
-    slope[used] = np.linalg.pinv(design)[0] * upward
+    radial, slope, all_residuals = np.zeros((3, len(used)))
+    radial[used] = np.linalg.pinv(design)[0]
+    slope[used] = radial[used] * upward
     all_residuals[used] = residuals
     heights = np.zeros((len(used), design.shape[1]))
     heights[used] = design / upward[:, None]
     first = np.eye(design.shape[1])[0]
-    return FittedDimension(radius_mm, slope, all_residuals, used, heights, first)
+    return FittedDimension(radius_mm, slope, all_residuals, used, heights, first, radial)
 
 
 def _parameters(

@@ -121,6 +121,21 @@ def test_width_does_not_depend_on_the_stated_place(off: dict[str, float]) -> Non
     assert measured.width_mm == pytest.approx(bar_under_sheet(sheet, BAR).width_mm, abs=3e-3)
 
 
+def test_a_span_that_is_no_arc_is_less_certain() -> None:
+    """Setup: a cubic of 1 um/mm^3 from the wall outwards, 43 um at the end of the fitted span.
+
+    Expected: the width by the half spans differs, and the true width remains within U.
+    """
+    sheet = pressed_bar(1.0)
+    points = sheet.relief.points_mm.copy()
+    points[..., 2] += 1e-3 * np.maximum(np.abs(points[..., 0]) - WIDTH_MM / 2, 0.0) ** 3
+    bent = replace(sheet, relief=replace(sheet.relief, points_mm=points))
+    arc, cubic = (bar_under_sheet(coat, BAR) for coat in (sheet, bent))
+    assert arc.span_mm < 11e-3
+    assert cubic.span_mm > 1.3 * arc.span_mm
+    assert abs(cubic.width_mm - arc.width_mm) < 2 * cubic.sigma_mm
+
+
 def test_a_thicker_sheet_has_a_larger_uncertainty() -> None:
     """It touches the edge along a line, so that the model's share of the uncertainty is larger."""
     thin, thick = (bar_under_sheet(pressed_bar(1.0, h), BAR) for h in (0.08, 0.12))

@@ -7,7 +7,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from reconstruction.compensation import CompensatedSheet, SheetOpening, compensate_sheet, parts_of
-from reconstruction.compensation.relief import filled, relief_on_frame, variance_and_area
+from reconstruction.compensation.relief import filled, relief_on_frame
+from reconstruction.compensation.scatter import variance_and_area
 from reconstruction.errors import FitError
 from tests.compensation.sheets import RIM_MM, YOUNG_KPA, coat_points, layer_of, pressed_ball
 from tests.oracles.round_sheet import Profile

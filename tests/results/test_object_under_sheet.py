@@ -14,7 +14,7 @@ from twin.config import load_experiment
 from twin.config.sensor_layer import load_sensor_layer
 from twin.optics.stack import Truth
 from twin.report.object import measurand_in_words, object_lines
-from twin.results.object_score import ObjectScore, score_object
+from twin.results.object_score import ObjectScore, quantity_figures, score_object
 from twin.results.under_sheet import more_contact, sheet_compensation
 
 TRAVEL_MM = 0.6
@@ -69,6 +69,30 @@ def test_the_first_figure_in_words_is_the_object(wrapped):
     before, after = words.split("apparent in the coat: ")
     assert "±" in before
     assert after.startswith(f"{wrapped.quantity('radius_1').coat:.4f} mm")
+
+
+def test_a_condition_of_the_uncertainty_is_in_figures_and_words(wrapped):
+    """A contact of few patches of the coat: one press does not determine the scatter."""
+    ball = wrapped.quantity("radius_1")
+    assert ball.condition == ""
+    assert "object_radius_1_condition" not in wrapped.figures
+    few = replace(ball, condition="U is a lower limit: the contact has only 5 patches")
+    assert "only 5 patches" in measurand_in_words(few)
+    assert dict(quantity_figures(few))["object_radius_1_condition"] == few.condition
+
+
+def test_thickness_and_air_of_an_experiment_are_in_the_uncertainty():
+    """Setup: the coat of a ball under 0.2 mm; without [sigma] the spreads of inputs/handling.
+
+    Expected: 2 % of the thickness are 4 um, which move the radius by about as much.
+    """
+    usual, stated = (
+        scored(coat_map(), **settings).quantity("radius_1").uncertainty
+        for settings in ({}, {"sigma.thickness_mm": 1e-3, "sigma.back_pressure_kpa": 0.0})
+    )
+    assert 3.0 < usual.elastomer < 6.0
+    assert stated.elastomer < 0.5 * usual.elastomer
+    assert usual.calibration == pytest.approx(0.108, rel=0.02)
 
 
 def test_what_is_touched_too_little_is_absent_and_says_what_to_do():

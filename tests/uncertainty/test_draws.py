@@ -5,8 +5,10 @@ import pytest
 from scipy import stats
 
 from twin.config import ConfigError, load_experiment
-from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
+from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs, usual_inputs
+from twin.config.sensor_layer import sensor_layer_of
 from twin.pipeline.comparison import PhotometricPlan, case_for
+from twin.propagation.trials import record_of
 from twin.study.trials import deviation_of, draw, drawn_values, standard_uncertainty
 
 SEED = 5
@@ -183,3 +185,17 @@ def test_lists_drawn_together_have_equal_lengths():
     }
     with pytest.raises(ValueError, match="unequal numbers of values"):
         Inputs.model_validate({"inputs": two})
+
+
+def test_the_sigma_of_an_experiment_is_that_of_its_trials_and_of_its_layer():
+    """One statement of a tolerance: for the object's U, and for drawn sheets."""
+    case = load_experiment("examples/wrapped_balls", {"sigma.thickness_mm": 1e-3})
+    drawn, usual = usual_inputs(case).inputs, load_inputs().inputs
+    assert standard_uncertainty(drawn["thickness"], 0.2) == pytest.approx(1e-3)
+    assert drawn["back_pressure"] == usual["back_pressure"]
+    sigma = sensor_layer_of(case).sigma
+    assert sigma.thickness_mm == 1e-3
+    assert sigma.back_pressure_kpa == pytest.approx(0.05 * case.press.back_pressure_kpa)
+    record = record_of(case, DEFAULT_INPUTS, 2)
+    assert record.study.inputs["thickness"] == drawn["thickness"]
+    assert sensor_layer_of(load_experiment("examples/slab_balls")).sigma.thickness_mm == 0.0

@@ -28,6 +28,9 @@ from twin.config.elastomer_models import (
 )
 from twin.config.kinds import NameOf, TablesOf
 
+SHEET_THICKNESS_MM = (0.05, 1.0)
+"""Range of the thickness of a thin sheet, mm."""
+
 
 class Film(Model):
     """Coat as an elastic film with its own modulus: the outermost part of the slab's thickness."""
@@ -103,6 +106,13 @@ class Elastomer(Model):
                 f"{self.length_x_mm:g} and {self.length_y_mm:g}"
             )
         return self
+
+    @property
+    def is_thin_sheet(self) -> bool:
+        """Whether this is a thin sheet: opposite-face layout, no film, 0.05 to 1 mm thick."""
+        low, high = SHEET_THICKNESS_MM
+        thin = low <= self.thickness_mm <= high
+        return thin and self.layout == "opposite_face" and self.film is None
 
     @property
     def sticks(self) -> bool:

@@ -83,6 +83,10 @@ class Input(Model):
             and not (self.optional and number_at(experiment, self.key) is None)
         )
 
+    def spread_at(self, nominal: float) -> float:
+        """Return the spread in the unit of the key, for a nominal value; 0 for a choice."""
+        return (self.spread or 0.0) * (abs(nominal) if self.relative else 1.0)
+
     def nominal_in(self, experiment: Experiment) -> float:
         """Return the nominal value of the input in an experiment, in the unit of its key.
 
@@ -141,6 +145,23 @@ def load_inputs(name: str | Path = DEFAULT_INPUTS) -> Inputs:
     file = scene_file(name)
     tree = with_sources(read_toml(file), str(file))
     return validated(Inputs, tree, f"{file}: ")
+
+
+def usual_inputs(experiment: Experiment) -> Inputs:
+    """Return `inputs/handling`, with the standard uncertainties that [sigma] of an experiment has.
+
+    An input with the key `elastomer.NAME` or `press.NAME` has that of `sigma.NAME`, if it is given.
+    """
+    usual, stated = load_inputs(), experiment.sigma.model_dump(exclude_none=True)
+    own = {f"{table}.{name}": u for table in ("elastomer", "press") for name, u in stated.items()}
+    changes = {
+        name: given.model_copy(
+            update={"spread": own[given.key], "relative": False, "source": "[sigma]"}
+        )
+        for name, given in usual.inputs.items()
+        if given.key in own
+    }
+    return usual.model_copy(update={"inputs": usual.inputs | changes}) if changes else usual
 
 
 def with_sources(tree: dict[str, Any], where: str) -> dict[str, Any]:

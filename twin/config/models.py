@@ -25,6 +25,7 @@ from reconstruction.words import WORDS
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import (
     EXPOSURE_PERCENTILE,
+    AirPressure,
     BlackLevel,
     Contrast,
     DarkCurrent,
@@ -35,11 +36,14 @@ from twin.config.bounds import (
     FNumber,
     FullWell,
     Length,
+    ModulusSigma,
     Photons,
     PixelPitch,
     Rate,
     ReadNoise,
     ResponseSpread,
+    RimCompliance,
+    Rounding,
     ThrowRatio,
     Tolerance,
 )
@@ -365,6 +369,23 @@ class ScoreSettings(Model):
     )
 
 
+class AssumedSigma(Model):
+    """Standard uncertainties of elastomer and load, for the uncertainty of the object's lengths."""
+
+    thickness_mm: Rounding | None = Field(
+        default=None, description="absent: under a thin sheet that of inputs/handling, else 0"
+    )
+    young_modulus_kpa: ModulusSigma | None = Field(
+        default=None,
+        description="absent: 0 for a measured modulus, else that of the conversion from hardness",
+    )
+    pre_stretch: Fraction | None = Field(default=None, description="absent: 0")
+    rim_compliance_mm2_per_n: RimCompliance | None = Field(default=None, description="absent: 0")
+    back_pressure_kpa: AirPressure | None = Field(
+        default=None, description="absent: under a thin sheet that of inputs/handling, else 0"
+    )
+
+
 class Provenance(Model):
     """Source of one number, and its valid range if stated."""
 
@@ -406,6 +427,11 @@ class Experiment(Model):
     render: Render = Render()
     decode: Decode = Decode()
     score: ScoreSettings
+    sigma: AssumedSigma = Field(
+        default=AssumedSigma(),
+        exclude_if=lambda sigma: sigma == AssumedSigma(),
+        description="standard uncertainties of elastomer and load, for those of the object",
+    )
     measurand: tuple[ObjectMeasurand, ...] = Field(
         default=(),
         max_length=200,

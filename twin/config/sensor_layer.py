@@ -22,10 +22,11 @@ from twin.config.bounds import (
     Travel,
 )
 from twin.config.elastomer import Elastomer
+from twin.config.inputs import usual_inputs
 from twin.config.kinds import follows
 from twin.config.loading import read_toml, resolve_uses
 from twin.config.materials import MATERIALS
-from twin.config.models import Experiment, Provenance
+from twin.config.models import AssumedSigma, Experiment, Provenance
 from twin.config.quantities import convert_units, split_quantities
 from twin.config.schema import validated
 from twin.config.specimen_base import SPECIMENS, AnySpecimen
@@ -109,6 +110,9 @@ class SensorLayer(Model):
     )
 
 
+_IN_SIGMA = tuple(AssumedSigma.model_fields)
+
+
 def load_sensor_layer(path: Path) -> SensorLayer:
     """Load a layer from a file; its tables may `use` data files, as in an experiment file.
 
@@ -123,7 +127,11 @@ def load_sensor_layer(path: Path) -> SensorLayer:
 
 
 def sensor_layer_of(experiment: Experiment) -> SensorLayer:
-    """Return elastomer and load of an experiment, with standard uncertainties of zero."""
+    """Return elastomer and load of an experiment, with the standard uncertainties of its [sigma].
+
+    For a thin sheet, an uncertainty that [sigma] lacks is that of the same key in
+    `inputs/handling`. All other uncertainties that it lacks are 0.
+    """
     press = experiment.press
     load = MeasuredLoad(
         back_pressure_kpa=press.back_pressure_kpa, depth_mm=press.depth_mm, force_n=press.force_n
@@ -132,8 +140,24 @@ def sensor_layer_of(experiment: Experiment) -> SensorLayer:
     sigma = LayerSigma(
         depth_mm=None if press.depth_mm is None else 0.0,
         texture_mm=0.0 if texture is None else 1e-3 * texture.rms_um,
+        **_usual_sigma(experiment) | experiment.sigma.model_dump(exclude_none=True),
     )
     return SensorLayer(elastomer=experiment.elastomer, press=load, sigma=sigma)
+
+
+def _usual_sigma(experiment: Experiment) -> dict[str, float]:
+    """Return the standard uncertainties of `inputs/handling`, by key of [sigma].
+
+    Empty without a thin sheet: the dimensions under a slab are fitted with its nominal values.
+    """
+    if not experiment.elastomer.is_thin_sheet:
+        return {}
+    keys = {f"{table}.{name}": name for table in ("elastomer", "press") for name in _IN_SIGMA}
+    return {
+        keys[given.key]: given.spread_at(given.nominal_in(experiment))
+        for given in usual_inputs(experiment).inputs.values()
+        if given.key in keys
+    }
 
 
 def layer_to_toml(layer: SensorLayer) -> str:

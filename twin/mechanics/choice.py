@@ -8,6 +8,7 @@ times the modulus in kPa, equal to the last bit: a single press is sufficient fo
 from dataclasses import replace
 from math import inf
 
+from twin.config.elastomer import SHEET_THICKNESS_MM
 from twin.config.elastomer_models import AUTO
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics.errors import PressError, SolverError
@@ -20,9 +21,7 @@ from twin.mechanics.models import (
     SettledPress,
     model_of,
 )
-from twin.mechanics.models.sheet import is_thin_sheet
 from twin.mechanics.press import PressedElastomer
-from twin.mechanics.validity import SHEET_THICKNESS_MM
 
 _STIFFNESS = {"shore_a", "shore_00", "young_modulus_kpa"}
 
@@ -151,7 +150,7 @@ def select_model(case: PressInput) -> ElastomerModel:
 
 def may_wrap(elastomer: Elastomer) -> bool:
     """Whether an elastomer is a thin sheet, which may wrap round the object."""
-    return is_thin_sheet(elastomer)
+    return elastomer.is_thin_sheet
 
 
 def is_slab(elastomer: Elastomer) -> bool:

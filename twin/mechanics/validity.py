@@ -22,7 +22,6 @@ DEPTH_OVER_RADIUS_LIMIT = 0.4
 SLOPE_LIMIT_DEG = 45.0
 DEFLECTION_OVER_THICKNESS_LIMIT = 0.4
 _FEWEST_CELLS_ACROSS = 10.0
-SHEET_THICKNESS_MM = (0.05, 1.0)
 #: smallest allowed thickness of a sheet over its undeformed thickness: silicones tear before that
 THINNEST = 0.2
 #: thickness over radius of bending up to which a thin sheet is accurate, and up to which usable

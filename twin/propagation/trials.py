@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from reconstruction.netcdf import write_arrays
 from twin.config import ConfigError, Experiment, load_experiment, require_experiment
-from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs
+from twin.config.inputs import DEFAULT_INPUTS, Input, Inputs, load_inputs, usual_inputs
 from twin.config.schema import explain
 from twin.config.study import Study
 from twin.output import EXPERIMENT_FILE, RESULT_FILE, adding, write_json
@@ -148,7 +148,7 @@ def record_of(
     """
     if not 2 <= n <= MOST_TRIALS:
         raise ConfigError(f"trials: found {n}, allowed 2 to {MOST_TRIALS}")
-    given = _inputs(inputs)
+    given = usual_inputs(experiment) if inputs == DEFAULT_INPUTS else _inputs(inputs)
     sampling = {
         "method": "trials",
         "count": n,

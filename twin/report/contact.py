@@ -8,7 +8,7 @@ from twin.mechanics.models import model_of
 from twin.report.bound import bound_section
 from twin.report.camera_images import recorded_section
 from twin.report.experiment import glance, rig_figure
-from twin.report.page import Grade, JudgedTarget, Section, TwoColumns, Verdict, judged, target
+from twin.report.page import JudgedTarget, Section, TwoColumns, Verdict, judged, target
 from twin.report.press import judge_press, press_figure
 from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import error_figure, height_map_figure, relief_figure
@@ -23,13 +23,11 @@ MOST_SPREAD_OVER_SIGMA = 1.15
 LEAST_COMPLETENESS = 0.95
 MOST_SATURATED_SHARE = 1e-3
 MOST_FILTER_BIAS_SHARE = 0.1
-GOOD_RADIUS_SHARE, POOR_RADIUS_SHARE = 0.05, 0.25
 
 
 def verdicts(scored: Measurement) -> list[Verdict]:
-    """Return judgements of the measurement, of the shape transfer (for balls) and of the press."""
-    shape = [_shape(scored)] if scored.score.spheres else []
-    return [_sensor(scored), *shape, judge_press(scored)]
+    """Return judgements of the measured coat and of the press."""
+    return [_sensor(scored), judge_press(scored)]
 
 
 def _sensor(scored: Measurement) -> Verdict:
@@ -80,27 +78,6 @@ def _filter_target(figures: Figures) -> list[JudgedTarget]:
         "RMS, included in sigma): lower decode.filter_sigma_px"
     )
     return [target(words, met=False)]
-
-
-def _shape(scored: Measurement) -> Verdict:
-    spheres = scored.score.spheres
-    ratios = [s.true_face.radius_mm / s.nominal.radius_mm for s in spheres]
-    farthest = max(ratios, key=lambda ratio: abs(ratio - 1))
-    worst = abs(farthest - 1)
-    otherwise: Grade = "check" if worst <= POOR_RADIUS_SHARE else "poor"
-    radii = dict.fromkeys(f"{s.true_face.radius_mm:.2f}" for s in spheres)
-    balls = dict.fromkeys(f"{s.nominal.radius_mm:g}" for s in spheres)
-    words = (
-        f"the radius of the true coated face is {farthest:.2f} times the ball's "
-        f"(good within {GOOD_RADIUS_SHARE:.0%}, poor beyond {POOR_RADIUS_SHARE:.0%})"
-    )
-    return judged(
-        "Does the coated face have the radius of the ball?",
-        f"radius {' and '.join(radii)}\N{NO-BREAK SPACE}mm, "
-        f"ball\N{NO-BREAK SPACE}{' and '.join(balls)}\N{NO-BREAK SPACE}mm",
-        [target(words, worst <= GOOD_RADIUS_SHARE, otherwise)],
-        ("this difference is caused by elastomer and press, not by the optics",),
-    )
 
 
 # Relative difference of measured and true RMSE below which both faces have the same form.
@@ -174,7 +151,7 @@ def _measurement(scored: Measurement) -> str:
 def _radius(scored: Measurement) -> str:
     parts = [_radius_of(ball) for ball in scored.score.spheres]
     return (
-        "The fitted radius is that of the coated face, because the camera cannot see the ball. "
+        "The sphere fits give the apparent radius of the coated face, not that of the ball. "
         + " ".join(parts)
     )
 
@@ -193,8 +170,9 @@ def _sheet(scored: Measurement) -> str:
     return (
         f"Pressure, tack and stretch determine how far the {sheet.thickness_mm:g} mm sheet wraps "
         "the specimen. In the contact the distance from specimen to coat is the local thickness: "
-        "a ball of radius R is measured as R plus this thickness. Outside the contact the sheet "
-        "spans freely, and its shape contains little information on the ball. Here the largest "
+        "the coat over a ball of radius R has the radius R plus this thickness. Outside the "
+        "contact the sheet spans freely, and its shape contains little information on the ball. "
+        "Here the largest "
         f"stretch is {figures['largest_stretch']:.2f}, the smallest thickness "
         f"{figures['thinnest_mm']:.3f} mm and the largest slope {figures['steepest_deg']:.0f}°."
     )

@@ -7,7 +7,16 @@ import numpy as np
 
 from reconstruction.evaluate.conformity import NOT_WITHIN, WITHIN
 from twin.report.object_picture import object_figure, touches
-from twin.report.page import Block, Grade, Note, Section, Verdict
+from twin.report.page import (
+    Block,
+    Grade,
+    JudgedTarget,
+    Note,
+    Section,
+    Verdict,
+    judged,
+    target,
+)
 from twin.report.table import Column, Row, Table
 from twin.report.words import NONE, number, percent, signed
 from twin.results.object_points import is_covered
@@ -49,38 +58,69 @@ def object_verdict(measured: Measurement) -> Verdict:
     The deviation is used if no tolerance is stated.
     """
     score, question = measured.object, "How accurately is the object measured?"
-    judged = [quantity for quantity in score.quantities if quantity.tolerance is not None]
-    if judged:
-        return Verdict(
-            question, _headline(judged), _grade(judged), tuple(map(measurand_in_words, judged))
-        )
+    toleranced = [quantity for quantity in score.quantities if quantity.tolerance is not None]
+    if toleranced:
+        words = tuple(map(measurand_in_words, toleranced))
+        return Verdict(question, _headline(toleranced), _grade(toleranced), words)
     figures = measured.figures
     rms_um, share = figures.get("object_rms_um"), figures.get("object_coverage_share")
     lengths = tuple(measurand_in_words(quantity) for quantity in score.quantities[:2])
-    first = next(
-        (quantity for quantity in score.quantities if quantity.measurand.unit == "mm"), None
-    )
+    first = next(iter(_lengths(measured)), None)
     if rms_um is None or share is None:
         known = first is not None and first.value is not None
         headline = _short(first) if first is not None and known else _NO_POINT
         grade: Grade = "check" if known else "poor"
         return Verdict(question, headline, grade, (*lengths, *_remedies(measured)))
-    limit_um = measured.experiment.score.good_within_um
-    p95_um = figures.known("object_p95_um")
     deviation = f"{rms_um:.1f}\N{NO-BREAK SPACE}µm RMS where it {touches(measured.experiment)}"
-    return Verdict(
+    return judged(
         question,
         deviation if first is None or first.value is None else _short(first),
-        _grade_of_deviation(max(p95_um, rms_um) / limit_um),  # RMS: a few large outliers
+        [*_of_lengths(measured), _of_points(measured, deviation)],
         (
-            *lengths,
-            f"deviation of the points from the true object {deviation}; 95 % deviate by up to "
-            f"{p95_um:.1f} µm (good up to {limit_um:g} µm)",
             f"{percent(share)} of the object {touches(measured.experiment)} and has a point",
             *_remedies(measured),
             "for a verdict, state a tolerance in [[measurand]] of the experiment",
         ),
     )
+
+
+def _lengths(measured: Measurement) -> list[MeasuredQuantity]:
+    return [quantity for quantity in measured.object.quantities if quantity.measurand.unit == "mm"]
+
+
+def _of_lengths(measured: Measurement) -> list[JudgedTarget]:
+    """Return the targets of the lengths without tolerance: measured, true value within U.
+
+    The first length and those that the experiment requests must be measured.
+    """
+    required = bool(measured.experiment.measurand)
+    return [
+        _of_length(quantity, required or not number)
+        for number, quantity in enumerate(_lengths(measured))
+    ]
+
+
+def _of_length(quantity: MeasuredQuantity, required: bool) -> JudgedTarget:
+    words, error = measurand_in_words(quantity), quantity.error
+    if quantity.value is None:
+        return target(words, met=not required)
+    # The true length is the specimen's own; a stated nominal length may differ from it.
+    if error is None or quantity.measurand.nominal_mm is not None:
+        return target(words, met=True)
+    met = abs(error) <= quantity.uncertainty.expanded
+    return target(words if met else f"{words} (target: deviation within U)", met)
+
+
+def _of_points(measured: Measurement, deviation: str) -> JudgedTarget:
+    """Return the target of the deviation of the object's points, with the deviation as text."""
+    limit_um = measured.experiment.score.good_within_um
+    p95_um, rms_um = map(measured.figures.known, ("object_p95_um", "object_rms_um"))
+    words = (
+        f"deviation of the points from the true object {deviation}; 95 % deviate by up to "
+        f"{p95_um:.1f} µm (good up to {limit_um:g} µm)"
+    )
+    # RMS: a few large outliers
+    return JudgedTarget(words, _grade_of_deviation(max(p95_um, rms_um) / limit_um))
 
 
 def _short(quantity: MeasuredQuantity) -> str:
@@ -97,8 +137,7 @@ def is_touched_too_little(measured: Measurement) -> bool:
 
 def _remedies(measured: Measurement) -> list[str]:
     """Return advice on how to measure the object; empty if its dimensions were measured."""
-    score, compensation = measured.object, measured.compensation
-    lengths = [quantity for quantity in score.quantities if quantity.measurand.unit == "mm"]
+    compensation, lengths = measured.compensation, _lengths(measured)
     has_points = measured.figures.get("object_rms_um") is not None
     is_absent = compensation is not None and any(quantity.value is None for quantity in lengths)
     if has_points and not is_absent and not any(map(_is_lost, lengths)):
@@ -127,14 +166,10 @@ def object_lines(measured: Measurement) -> list[str]:
     If tolerances are stated, the list contains only the judged measurands.
     """
     score, figures = measured.object, measured.figures
-    judged = [quantity for quantity in score.quantities if quantity.tolerance is not None]
-    if judged:
-        return [_ascii(measurand_in_words(quantity)) for quantity in judged]
-    lines = [
-        _ascii(measurand_in_words(quantity))
-        for quantity in score.quantities
-        if quantity.measurand.unit == "mm"
-    ]
+    toleranced = [quantity for quantity in score.quantities if quantity.tolerance is not None]
+    if toleranced:
+        return [_ascii(measurand_in_words(quantity)) for quantity in toleranced]
+    lines = [_ascii(measurand_in_words(quantity)) for quantity in _lengths(measured)]
     rms_um = figures.get("object_rms_um")
     if rms_um is None:
         lines.append(_NO_POINT)
@@ -170,7 +205,8 @@ def measurand_in_words(quantity: MeasuredQuantity) -> str:
     error = signed(float(quantity.error or 0.0), 1)
     value = f"{quantity.value:.4f} mm {_interval(quantity)}"
     difference = f"{error} µm from the object's {quantity.nominal:g} mm"
-    return f"{name}: {value}, {difference}{verdict}{coat}"
+    condition = f"; {quantity.condition}" if quantity.condition else ""
+    return f"{name}: {value}, {difference}{verdict}{condition}{coat}"
 
 
 def _interval(quantity: MeasuredQuantity) -> str:
@@ -191,17 +227,17 @@ def _ascii(text: str) -> str:
     return text
 
 
-def _headline(judged: list[MeasuredQuantity]) -> str:
-    within = sum(quantity.decision == WITHIN for quantity in judged)
-    if len(judged) == 1:
-        return str(judged[0].decision)
-    return f"{within} of {len(judged)} within tolerance"
+def _headline(toleranced: list[MeasuredQuantity]) -> str:
+    within = sum(quantity.decision == WITHIN for quantity in toleranced)
+    if len(toleranced) == 1:
+        return str(toleranced[0].decision)
+    return f"{within} of {len(toleranced)} within tolerance"
 
 
-def _grade(judged: list[MeasuredQuantity]) -> Grade:
-    if all(quantity.decision == WITHIN for quantity in judged):
+def _grade(toleranced: list[MeasuredQuantity]) -> Grade:
+    if all(quantity.decision == WITHIN for quantity in toleranced):
         return "good"
-    return "poor" if any(quantity.decision == NOT_WITHIN for quantity in judged) else "check"
+    return "poor" if any(quantity.decision == NOT_WITHIN for quantity in toleranced) else "check"
 
 
 _QUANTITIES = (
@@ -240,13 +276,38 @@ def quantity_table(measured: Measurement) -> Table:
         tuple(_row(quantity) for quantity in score.quantities),
         (
             f"U: expanded uncertainty with k = {', '.join(factors)} (2: about 95 %). It includes "
-            f"noise and texture of the points, {elastomer}and repeatability and calibration if "
-            "they are stated. Verdict after ISO 14253-1 with guard band U: within tolerance by U "
-            f"or more, outside by U or more, or undecided. {surface}",
+            f"noise and texture of the points, {elastomer}repeatability if it is stated, and "
+            "calibration: parts of u, in this order. Verdict after ISO 14253-1 with guard band U: "
+            f"within tolerance by U or more, outside by U or more, or undecided. {surface}",
+            *_assumed(measured),
+            *_conditions(score.quantities),
             *_absences(score.quantities),
         ),
         look="compared",
     )
+
+
+def _assumed(measured: Measurement) -> list[str]:
+    """Return a note with the standard uncertainties of sheet and load; empty without a sheet."""
+    under = measured.compensation and measured.compensation.compensated
+    if not under:
+        return []
+    layer = under.sheet.layer
+    return [
+        "Standard uncertainties of the sheet and its load ([sigma] of the experiment, else those "
+        f"of inputs/handling): thickness {1e3 * layer.sigma_thickness_mm:.2g} µm, air "
+        f"{layer.sigma_back_pressure_kpa:.2g} kPa, modulus {layer.sigma_young_modulus_kpa:.3g} "
+        f"kPa, pre-stretch {layer.sigma_pre_stretch:.2g}."
+    ]
+
+
+def _conditions(quantities: tuple[MeasuredQuantity, ...]) -> list[str]:
+    """Return one note for each condition of an uncertainty."""
+    return [
+        f"{quantity.measurand.name.replace('_', ' ')}: {quantity.condition}."
+        for quantity in quantities
+        if quantity.condition
+    ]
 
 
 def _absences(quantities: tuple[MeasuredQuantity, ...]) -> list[str]:

@@ -129,6 +129,7 @@ def _of_the_object(experiment: Experiment) -> set[str]:
             tolerance=tolerance_of(request),
             points_mm=None,
             why="not measured yet",
+            condition="not known yet",
             covered=is_covered(experiment) and request.hidden,
         )
         for request in measurands_of(experiment)

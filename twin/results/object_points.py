@@ -129,7 +129,7 @@ class ObjectPoints:
         the whole field.
         """
         if self.under is not None and self.pixels is not None:
-            return self.under.noise_mm(estimate, self.pixels)
+            return self.under.noise_of(estimate, self.pixels).sigma_mm
         if self.sigma_mm is not None:
             return estimate.noise_mm(self.sigma_mm, self.together)
         spread = np.std(estimate.residuals_mm[estimate.used])

@@ -59,6 +59,7 @@ class MeasuredQuantity:
         stated
     points_mm : (n, xyz) the fitted points, world frame; None without a value
     why : reason why there is no value; else empty
+    condition : condition under which the uncertainty is valid; empty: none
     """
 
     measurand: ObjectMeasurand
@@ -71,6 +72,7 @@ class MeasuredQuantity:
     why: str = ""
     coat: float | None = None
     covered: bool = False
+    condition: str = ""
 
     @property
     def error(self) -> float | None:
@@ -272,7 +274,9 @@ def _quantity(
         uncertainty=CombinedUncertainty(
             noise=0.0 if value is None else 1e3 * value.noise_mm,
             repeatability=request.repeatability_um,
-            calibration=request.calibration_um,
+            calibration=0.0
+            if value is None
+            else request.sigma_of_calibration_um(_in_unit(request, value.value)),
             coverage_factor=request.coverage_factor,
             elastomer=0.0
             if value is None
@@ -283,6 +287,26 @@ def _quantity(
         why=why,
         coat=None if coat is None else _in_unit(request, coat.value),
         covered=covered and request.hidden,
+        condition="" if value is None else condition_of(value),
+    )
+
+
+def condition_of(value: FittedValue) -> str:
+    """Return the condition under which the uncertainty of a fitted value is valid; empty: none.
+
+    The scatter of a coat's texture is estimated from the residuals of the fit. Over a contact of
+    only a few patches of the texture, the fit follows the texture, and one press does not show it.
+    """
+    points, estimate = value.of, value.estimate
+    if points is None or points.under is None or points.pixels is None or estimate is None:
+        return ""
+    noise = points.under.noise_of(estimate, points.pixels)
+    if noise.is_known:
+        return ""
+    return (
+        f"U is a lower limit: the contact has only {noise.patches:.0f} independent patches of the "
+        f"coat, and one press determines their scatter from {noise.least_patches} on; repeat the "
+        "press at other places of the coat"
     )
 
 
@@ -303,11 +327,11 @@ def _elastomer_mm(
 
     The value is fitted again with all points moved by each standard uncertainty of the layer. For
     a radius, the error of the theory of thin sheets is added. For a width determined from free
-    spans, 0 is returned: its own uncertainty includes that of the sheet.
+    spans, the fit itself determines this uncertainty.
     """
     points = None if observed is None else observed.measured
     if observed is None or points is None or points.under is None or value.estimate is None:
-        return 0.0
+        return value.layer_mm
     under, cells = points.under, points.pixels
     assert cells is not None
     changes = [
@@ -372,6 +396,8 @@ def quantity_figures(measured: MeasuredQuantity) -> Iterator[tuple[str, Metric]]
         yield f"{name}_verdict", str(measured.decision)
     if measured.why:
         yield f"{name}_why", measured.why
+    if measured.condition:
+        yield f"{name}_condition", measured.condition
 
 
 def summary_of(quantities: tuple[MeasuredQuantity, ...]) -> dict[str, Metric]:

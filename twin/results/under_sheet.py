@@ -21,7 +21,7 @@ from reconstruction.compensation import (
     compensate_sheet,
     parts_of,
 )
-from reconstruction.compensation.relief import variance_and_area
+from reconstruction.compensation.scatter import FitNoise, noise_of_fit
 from reconstruction.errors import InputError
 from reconstruction.evaluate.estimates import FittedDimension
 from reconstruction.triangulation import PointMap
@@ -74,21 +74,14 @@ class ObjectUnderSheet:
         touching[inside] = contact[row[inside], col[inside]]
         return touching
 
-    def noise_mm(self, estimate: FittedDimension, cells: IntArray) -> float:
-        """Return the standard uncertainty, mm, of a fit by noise and texture of the coat.
-
-        Variance and correlation area of the points are estimated from the residuals of the fit.
+    def noise_of(self, estimate: FittedDimension, cells: IntArray) -> FitNoise:
+        """Return the uncertainty of a fit by noise and texture of the coat.
 
         Parameters
         ----------
         cells : (n,) number of the cell of each fitted point
         """
-        relief, shape = self.sheet.relief, self.sheet.contact.shape
-        rest, used = np.zeros(shape), np.zeros(shape, bool)
-        rest.flat[cells], used.flat[cells] = estimate.residuals_mm, estimate.used
-        variance, area_mm2 = variance_and_area(rest, used, relief.cell_area_mm2)
-        spread_mm = np.full(len(cells), np.sqrt(variance))
-        return estimate.noise_mm(spread_mm, area_mm2 / relief.cell_area_mm2)
+        return noise_of_fit(estimate, cells, self.sheet.contact.shape)
 
     def moved(self, points_mm: FloatArray, cells: IntArray) -> Iterator[FloatArray]:
         """Yield the points (n, xyz), mm, moved by each non-zero standard uncertainty of the layer.

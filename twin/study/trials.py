@@ -196,7 +196,7 @@ def deviation_of(variable: Input, nominal: float) -> InputDistribution:
         weights = np.array(variable.weights or [1.0] * len(variable.values))
         values = tuple(value - nominal for value in variable.values)
         return Choice(values, tuple((weights / weights.sum()).tolist()))
-    spread = (variable.spread or 0.0) * (abs(nominal) if variable.relative else 1.0)
+    spread = variable.spread_at(nominal)
     if not spread:
         return Choice((0.0,), (1.0,))
     wide: dict[str, Any] = {"loc": -spread, "scale": 2.0 * spread}

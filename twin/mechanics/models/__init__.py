@@ -21,10 +21,11 @@ from typing import ClassVar, Protocol, TypeVar, cast
 from reconstruction.registry import Registry
 from twin.config import elastomer_models
 from twin.config.base import Model
+from twin.config.elastomer import SHEET_THICKNESS_MM
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics.errors import PressError
 from twin.mechanics.press import PressedElastomer, check_load, press
-from twin.mechanics.validity import DEFLECTION_OVER_THICKNESS_LIMIT, SHEET_THICKNESS_MM
+from twin.mechanics.validity import DEFLECTION_OVER_THICKNESS_LIMIT
 from twin.shape import Shape
 from twin.specimens import shape_of
 

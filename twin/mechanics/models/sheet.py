@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from twin.config.models import Elastomer
 from twin.mechanics.errors import PressError
 from twin.mechanics.models import (
     MODELS,
@@ -14,11 +13,7 @@ from twin.mechanics.models import (
     SettledPress,
 )
 from twin.mechanics.press import PressedElastomer
-from twin.mechanics.validity import (
-    SHEET_THICKNESS_MM,
-    bend_over_ball,
-    sheet_estimate_mm,
-)
+from twin.mechanics.validity import bend_over_ball, sheet_estimate_mm
 
 if TYPE_CHECKING:
     from twin.mechanics.sheet.neighbour import Neighbourhood
@@ -38,7 +33,7 @@ class SheetModel(ElastomerModel):
 
     def applies(self, case: PressInput) -> bool:
         """Whether the elastomer is a thin sheet."""
-        return is_thin_sheet(case.elastomer)
+        return case.elastomer.is_thin_sheet
 
     def error_estimate_mm(self, case: PressInput) -> float | None:
         """Return the expected height error, mm, that results from neglecting shear.
@@ -77,13 +72,6 @@ class SheetModel(ElastomerModel):
     def settle(self, case: PressInput, progress: Progress | None = None) -> "SettledWithTangent":
         """Press, and return the sheet with its tangent, by which `nearby` computes changes."""
         return SettledWithTangent(_settled(case, progress))
-
-
-def is_thin_sheet(elastomer: Elastomer) -> bool:
-    """Whether an elastomer is a thin sheet: opposite-face layout, no film, 0.05 to 1 mm thick."""
-    low, high = SHEET_THICKNESS_MM
-    thin = low <= elastomer.thickness_mm <= high
-    return thin and elastomer.layout == "opposite_face" and elastomer.film is None
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.config.elastomer import SHEET_THICKNESS_MM
 from twin.config.models import Elastomer, Mechanics, Press, Specimen
 from twin.mechanics.errors import PressError
 from twin.mechanics.hardness import young_modulus
@@ -20,7 +21,7 @@ from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
 from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.splines import SplineLine, Widths, graded_line
 from twin.mechanics.size import check_face_nodes
-from twin.mechanics.validity import SHEET_THICKNESS_MM, THINNEST
+from twin.mechanics.validity import THINNEST
 from twin.shape import Shape, SignedDistance
 from twin.specimens import shape_of
 from twin.specimens.distance import RectangularInside, RoundInside, distances_of, frame_wall, plate

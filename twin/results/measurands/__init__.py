@@ -68,11 +68,13 @@ class FittedValue:
     Attributes
     ----------
     value : fitted value, mm; for a share, the share 0 to 1
-    noise_mm : standard uncertainty of the value by the noise of the points, mm
+    noise_mm : standard uncertainty of the value by noise and texture of the points, mm
     points_mm : (n, xyz) the points that took part
     estimate : fit of the value with its derivatives by the heights of `of`; None if the value is
         not fitted to points
     of : all points that were given to the fit; None if the value is not fitted to points
+    layer_mm : standard uncertainty, mm, by the uncertain values and the model of a sheet, if the
+        fit itself determines it
     """
 
     value: float
@@ -80,6 +82,7 @@ class FittedValue:
     points_mm: FloatArray
     estimate: FittedDimension | None = None
     of: ObjectPoints | None = None
+    layer_mm: float = 0.0
 
 
 class SectionLine(Protocol):

@@ -75,7 +75,8 @@ def _width_under_sheet(
         )
     bar = bar_under_sheet(under.sheet, places[request.number - 1])
     top = points.part(points.touching & points.over)
-    return FittedValue(bar.width_mm, bar.sigma_mm, top.points_mm)
+    layer_mm = float(np.linalg.norm((bar.layer_mm, bar.edge_mm, bar.theory_mm)))
+    return FittedValue(bar.width_mm, bar.noise_mm, top.points_mm, layer_mm=layer_mm)
 
 
 def _section_width(points: ObjectPoints, place: FloatArray, pixel_mm: float) -> FittedValue:
