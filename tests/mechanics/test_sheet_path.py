@@ -26,9 +26,6 @@ from twin.mechanics.sheet.equilibrium import (
     Accuracy,
     _Descent,
     _searched,
-    _settled,
-    _settled_spots,
-    _spots,
     settle,
 )
 from twin.mechanics.sheet.laws import Grip
@@ -112,65 +109,6 @@ def test_a_step_between_two_sides_is_cut(force: Callable[[float], float], share:
     result, new = _searched(descent, step, slope=-1e-9)
     assert result == share
     assert new.control_mm[0, 0, 2] == share
-
-
-def small_round_sheet() -> tuple[Sheet, SheetState]:
-    """A frictionless sheet round a small ball under 2 kPa, pushed out of its equilibrium."""
-    line = SplineLine(np.linspace(-6.0, 6.0, 41))
-    sheet = round_sheet(laws(0.2), ball(2.0), line)
-    state = follow(sheet, Loads(0.6, 2.0), FINE)
-    pushed = state.control_mm.copy()
-    pushed[20, 25, 2] += 0.02
-    return sheet, replace(state, control_mm=pushed)
-
-
-def test_what_a_window_gains_the_sheet_gains() -> None:
-    sheet, state = small_round_sheet()
-    rows, cols = slice(12, 28), slice(17, 33)
-    window, inside = sheet.window(rows, cols), (slice(12, 30), slice(17, 35))
-    part = replace(
-        state,
-        control_mm=state.control_mm[inside],
-        grip=Grip(*(item[rows, cols] for item in state.grip)),
-    )
-    settled = settle(window, part, FINE)
-    moved = state.control_mm.copy()
-    moved[inside] = settled.control_mm
-    gains = [
-        item.evaluate(before, state, tangent=False).energy
-        - item.evaluate(after, state, tangent=False).energy
-        for item, before, after in (
-            (window, part.control_mm, settled.control_mm),
-            (sheet, state.control_mm, moved),
-        )
-    ]
-    assert gains[0] > 1e-3
-    assert gains[1] == pytest.approx(gains[0], rel=1e-9)
-    # Held all round: the two outer rows of control points belong to other cells, too.
-    still = (settled.control_mm == part.control_mm).all(axis=2)
-    still[2:-2, 2:-2] = True
-    assert still.all()
-
-
-def test_spots_are_where_the_sheet_is_farthest_from_rest() -> None:
-    sheet, state = small_round_sheet()
-    descent = _Descent(sheet, state, FINE)
-    residual = sheet.residuals_kpa()
-    (rows, cols), *_ = _spots(sheet, residual, 0.0)
-    assert rows.start <= 20 - 1 < rows.stop
-    assert cols.start <= 25 - 1 < cols.stop
-    before = descent.now.energy
-    descent.move(_settled_spots(descent))
-    assert descent.now.energy < before
-    assert descent.residual_kpa < 0.1 * residual.max()
-
-
-def test_spots_do_not_change_the_equilibrium() -> None:
-    sheet, state = small_round_sheet()
-    close = Accuracy(step_mm=1e-6, residual_kpa=1e-3)
-    result = [_settled(_Descent(sheet, state, close, spots=spots)) for spots in (False, True)]
-    off_um = 1e3 * np.abs(result[0].control_mm - result[1].control_mm)
-    assert off_um.max() < 0.01
 
 
 def test_anchors_updated_early_move_a_stuck_sheet_by_little() -> None:

@@ -106,11 +106,9 @@ class Sheet:
     sticks: bool = False
     #: width of the cells in the contact
     cell_mm: float = 0.0
-    #: sheet of which this is a window: it shares its threads and the systems of its windows
-    whole: "Sheet | None" = None
     system: System = field(init=False)
     pool: ThreadPoolExecutor = field(init=False)
-    #: springs of a compliant rim; a window ends before it
+    #: springs of a compliant rim
     rim: tuple[RimSpring, ...] = field(init=False, default=())
     #: evaluation that the stored forces and tangent belong to
     latest: Evaluation = field(init=False)
@@ -118,26 +116,12 @@ class Sheet:
 
     def __post_init__(self) -> None:
         rows, cols = self.grid.free.shape[:2]
-        if self.whole is None:
-            self.system, self._systems = System.of(self.grid.free), dict[object, System]()
-            self.pool = ThreadPoolExecutor(threads())
-            self.rim = rim_springs(self.grid, self.laws)
-        else:
-            self._systems, self.pool = self.whole._systems, self.whole.pool
-            self.system = self._system_of_window()
+        self.system = System.of(self.grid.free)
+        self.pool = ThreadPoolExecutor(threads())
+        self.rim = rim_springs(self.grid, self.laws)
         self._forces = np.zeros((rows, cols, 3))
         self._tangent = np.zeros((rows, cols, len(SLOTS), 3, 3))
         self.area_mm2 = control_areas(self.grid)
-
-    def _system_of_window(self) -> System:
-        """Return the system of a window; windows of equal size and free components share one.
-
-        A factorisation for this window overwrites that of an earlier one.
-        """
-        form = (self.grid.free.shape, self.grid.free.tobytes())
-        if form not in self._systems:
-            self._systems[form] = System.of(self.grid.free)
-        return self._systems[form]
 
     # ---- evaluation ----------------------------------------------------------------------
 
@@ -327,12 +311,6 @@ class Sheet:
             np.where(new, normal, state.grip.normal),
         )
         return replace(state, grip=grip)
-
-    def window(self, rows: slice, cols: slice) -> "Sheet":
-        """Return the sheet of some of the cells, with the control points of its outline fixed."""
-        grid = self.grid.window(rows, cols)
-        z_mm, cell_mm = self.touched_z_mm, self.cell_mm
-        return Sheet(grid, self.laws, self.bodies, z_mm, cell_mm=cell_mm, whole=self)
 
 
 def _stacked(distances: list[Distances], shape: tuple[int, ...]) -> Touch:

@@ -5,7 +5,6 @@ for some steps. A line search on the energy, and a limit on the rotation of norm
 prevent cells from flipping.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +13,6 @@ from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet.energy import Evaluation, Sheet, SheetState
 from twin.mechanics.sheet.grid import thinning_of
-from twin.mechanics.sheet.laws import Grip
 
 _LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.5, 1e-3, 1e-4
 #: cosine of the largest turn of a normal in one step
@@ -26,9 +24,6 @@ _LEAST_VISCOSITY, _CONVEX_FROM, _MOST_VISCOSITY = 1.0, 1e4, 1e15
 # A tangent that was not definite is tried again after 1 step, 2, 4 and at most this number.
 _MOST_CONVEX_STEPS = 16
 _GROWTH = 8.0
-_SPOT_HALF_CELLS, _MOST_SPOTS, _SPOT_STEPS = 10, 8, 12
-# Of the largest residual: below this a control point is no spot.
-_LEAST_SPOT = 0.05
 # Of a step's promised gain.
 _POOR, _GOOD = 0.5, 0.75
 # Of the decrease that the slope at a step's start predicts; a quadratic of the step's own length
@@ -54,8 +49,6 @@ class Accuracy:
     strict: bool = True
     #: anchors are updated after any step shorter than this, and after every fourth
     anchors_from_mm: float = 0.0
-    #: windows with large residuals may be solved separately, see `_settled_spots`
-    spots: bool = True
 
 
 def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
@@ -69,9 +62,7 @@ def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
         The sheet thins to a film, no direction lowers its energy, or, if `accuracy.strict` is True,
         there is no equilibrium within `accuracy.most_steps` steps.
     """
-    return _settled(
-        _Descent(sheet, state, accuracy, spots=accuracy.spots and slips(sheet, state.pressure_kpa))
-    )
+    return _settled(_Descent(sheet, state, accuracy))
 
 
 @dataclass(frozen=True)
@@ -109,8 +100,6 @@ class _Descent:
     sheet: Sheet
     state: SheetState
     accuracy: Accuracy
-    #: spots may be solved separately during the descent
-    spots: bool = False
     control_mm: FloatArray = field(init=False)
     #: evaluation that the sheet's forces and tangent belong to
     now: Evaluation = field(init=False)
@@ -142,13 +131,6 @@ class _Descent:
         self.now = self.sheet.evaluate(
             control_mm, self.state, tangent=True, convex=self.damping.convex
         )
-
-    def hands_over(self, share: float) -> bool:
-        """Return True if spots are solved after a step that was shortened to the fraction `share`.
-
-        The tangent after such a step is not needed, because the spots change the control points.
-        """
-        return self.spots and (self.damping.viscosity > 0 or share < 1)
 
     def descend(self) -> None:
         """Take one Newton step, shortened by the line search; store step, share and gain."""
@@ -203,10 +185,7 @@ def _settled(descent: _Descent) -> SheetState:
         end = _end(descent)
         if end is not None:
             return replace(end, steps=descent.state.steps + count + 1)
-        hands_over = descent.hands_over(descent.share)
         descent.damp()
-        if hands_over:
-            descent.move(_settled_spots(descent))
     if not accuracy.strict:
         return replace(descent.here, steps=descent.state.steps + accuracy.most_steps)
     raise SolverError(
@@ -339,29 +318,29 @@ def _searched(descent: _Descent, step: FloatArray, slope: float) -> tuple[float,
     if -slope <= _ROUNDING * abs(now.energy):
         return _by_forces(descent, step)
     share = min(1.0, _LARGEST_MOVE_MM / float(np.abs(step).max()))
-    new = _at(descent, now.control_mm + share * step, share)
+    new = _at(descent, now.control_mm + share * step)
     if _lowers(now, new, share * slope):
         share, best = _extended(descent, step, new, share=share, slope=slope)
-        return share, _held(descent, best, share)
+        return share, _held(descent, best)
     while share >= _SMALLEST_SHARE:
         share *= 0.5
         new = sheet.evaluate(now.control_mm + share * step, descent.state, tangent=False)
         if _lowers(now, new, share * slope):
-            return share, _held(descent, new, share)
-    return 0.0, _held(descent, now, 0.0)
+            return share, _held(descent, new)
+    return 0.0, _held(descent, now)
 
 
-def _at(descent: _Descent, control_mm: FloatArray, share: float) -> Evaluation:
-    """Evaluate control points after a share of the step, with the tangent unless spots follow."""
-    tangent, convex = not descent.hands_over(share), descent.damping.convex
-    return descent.sheet.evaluate(control_mm, descent.state, tangent=tangent, convex=convex)
+def _at(descent: _Descent, control_mm: FloatArray) -> Evaluation:
+    """Evaluate control points with their tangent."""
+    convex = descent.damping.convex
+    return descent.sheet.evaluate(control_mm, descent.state, tangent=True, convex=convex)
 
 
-def _held(descent: _Descent, place: Evaluation, share: float) -> Evaluation:
+def _held(descent: _Descent, place: Evaluation) -> Evaluation:
     """Return the evaluation `place`, repeated if the sheet does not have its forces and tangent."""
-    if descent.sheet.latest is place and (place.tangent or descent.hands_over(share)):
+    if descent.sheet.latest is place and place.tangent:
         return place
-    return _at(descent, place.control_mm, share)
+    return _at(descent, place.control_mm)
 
 
 def _by_forces(descent: _Descent, step: FloatArray) -> tuple[float, Evaluation]:
@@ -421,51 +400,3 @@ def _check_film(surface: FloatArray, state: SheetState) -> None:
             f"sheet: thins to {thinnest:.2f} of its thickness at {state.travel_mm:.3g} mm of "
             f"travel and {state.pressure_kpa:.3g} kPa"
         )
-
-
-# ---- spots -----------------------------------------------------------------------------------
-
-
-def _settled_spots(descent: _Descent) -> FloatArray:
-    """Return the control points (row + 2, col + 2, xyz) after spots have been solved separately.
-
-    A spot is a window of the sheet with large residuals. At an edge the sheet slips point by point,
-    and while one point moves, the steps of the whole sheet are short. The energy of a spot is a
-    part of the sheet's energy: a decrease of one is an equal decrease of the other.
-    """
-    sheet, control = descent.sheet, descent.control_mm.copy()
-    rough = replace(descent.accuracy, most_steps=_SPOT_STEPS, strict=False)
-    for rows, cols in _spots(sheet, sheet.residuals_kpa(), descent.accuracy.residual_kpa):
-        inside = _controls(rows, cols)
-        grip = Grip(*(part[rows, cols] for part in descent.state.grip))
-        start = replace(descent.state, control_mm=control[inside], grip=grip)
-        with suppress(SolverError):  # otherwise the whole sheet has to continue first
-            window = _Descent(sheet.window(rows, cols), start, rough)
-            control[inside] = _settled(window).control_mm
-    return control
-
-
-def _spots(sheet: Sheet, residual_kpa: FloatArray, least_kpa: float) -> list[tuple[slice, slice]]:
-    """Return the spots, cells as (rows, cols), round control points with the largest residuals.
-
-    `residual_kpa` is (row + 2, col + 2). Residuals below `least_kpa` make no spot.
-    """
-    left = residual_kpa.copy()
-    least_kpa = max(_LEAST_SPOT * float(left.max()), least_kpa)
-    spots: list[tuple[slice, slice]] = []
-    while len(spots) < _MOST_SPOTS and left.max() > least_kpa:
-        row, col = np.unravel_index(int(left.argmax()), left.shape)
-        spots.append((_round(int(row), sheet.grid.y.cells), _round(int(col), sheet.grid.x.cells)))
-        left[_controls(*spots[-1])] = 0.0
-    return spots
-
-
-def _controls(rows: slice, cols: slice) -> tuple[slice, slice]:
-    """Return the ranges (rows, cols) of the control points of some rows and columns of cells."""
-    return slice(rows.start, rows.stop + 2), slice(cols.start, cols.stop + 2)
-
-
-def _round(control: int, cells: int) -> slice:
-    """Return the range of cells round the control point with index `control` along one axis."""
-    middle = control - 1
-    return slice(max(0, middle - _SPOT_HALF_CELLS), min(cells, middle + _SPOT_HALF_CELLS + 1))

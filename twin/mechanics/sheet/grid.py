@@ -68,25 +68,6 @@ class SheetGrid:
             return np.zeros((5, 0, 0))
         return _Map(self.frame, self.x, self.y).sampled(x, y)
 
-    def window(self, rows: slice, cols: slice) -> "SheetGrid":
-        """Return the grid of some of the cells; control points shared with other cells are fixed.
-
-        The control points are those of these cells: two more than cells along each axis.
-        """
-        rest = self.rest
-        turned = rest.turned[rows, cols] if rest.turned.size else rest.turned
-        control = slice(rows.start, rows.stop + 2), slice(cols.start, cols.stop + 2)
-        inside = np.zeros((rows.stop - rows.start + 2, cols.stop - cols.start + 2, 1), dtype=bool)
-        inside[2:-2, 2:-2] = True
-        return SheetGrid(
-            self.frame,
-            SplineLine(self.x.edges[cols.start : cols.stop + 1]),
-            SplineLine(self.y.edges[rows.start : rows.stop + 1]),
-            Rest(rest.along_x[cols], rest.along_y[rows], turned, rest.area_mm2[rows, cols]),
-            self.mounted_mm[control],
-            self.free[control] & inside,
-        )
-
     def moved_from(self, source: "SheetGrid", control_mm: FloatArray) -> FloatArray:
         """Return control points of this grid for a surface that is given on the grid `source`.
 

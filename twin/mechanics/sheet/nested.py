@@ -25,7 +25,7 @@ from twin.mechanics.sheet.path import Loads, check_thickness, mounted, refined
 # Widths of the first cells over those of the load steps.
 _WIDER = (4.0, 2.0)
 # On cells wider than the sheet's details an equilibrium takes many steps and does not help.
-NEAR = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=20, strict=False, spots=False)
+NEAR = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=20, strict=False)
 """Accuracy of a state from which finer cells start."""
 _CLEAR_MM, _MOST_LOWERINGS = 1e-3, 200
 # Of the hull's unit normals: a smaller z belongs to its lower side or to a side.
