@@ -49,6 +49,8 @@ class Accuracy:
     strict: bool = True
     #: anchors are updated after any step shorter than this, and after every fourth
     anchors_from_mm: float = 0.0
+    #: the first tangent is convex: that of a state from wider cells is hardly ever definite
+    starts_convex: bool = False
 
 
 def settle(sheet: Sheet, state: SheetState, accuracy: Accuracy) -> SheetState:
@@ -113,6 +115,8 @@ class _Descent:
     gain: float = field(init=False, default=1.0)
 
     def __post_init__(self) -> None:
+        if self.accuracy.starts_convex:
+            self.damping = _Damping().convexified()
         self.move(self.state.control_mm)
 
     @property

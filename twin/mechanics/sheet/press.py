@@ -156,26 +156,33 @@ def coarse_sheet(
     Parameters
     ----------
     near : result of an earlier call, from whose state the load steps start; None: from the mounted
-        sheet. A sheet that sticks always starts from the mounted sheet
+        sheet. A sheet that sticks always starts from the mounted sheet. A sheet under pressure
+        without friction and tack needs no load steps and no earlier call
 
     Raises
     ------
     PressError, SolverError
         As `press_sheet`.
     """
-    case = sheet_case(specimen, elastomer, load, mechanics)
-    sheet = _soft(case.sheet(coarse_cells(case)))
-    travel_mm, pressure_kpa = load.depth_mm, load.back_pressure_kpa
-    if near is None or sheet.sticks:
-        state = follow(sheet, Loads(travel_mm or TRAVEL_STEP_MM, pressure_kpa), _ROUGH)
-    else:
-        start = refined(near.sheet, sheet, near.state)
-        goal = Loads(travel_mm or start.travel_mm, pressure_kpa)
-        state, _ = advance(sheet, start, start, goal, _PREVIEW)
+    path = _Path.of(sheet_case(specimen, elastomer, load, mechanics))
+    sheet, state = path.sheet, _previewed(path, load, near)
     if load.force_n is not None:
         state = _to_force(sheet, state, load.force_n, _PREVIEW, _silent)
     shown = load.model_copy(update={"relief_pitch_mm": _PREVIEW_RELIEF_MM})
-    return SettledSheet(case, elastomer, shown, sheet, state)
+    return SettledSheet(path.case, elastomer, shown, sheet, state)
+
+
+def _previewed(path: "_Path", load: Press, near: SettledSheet | None) -> SheetState:
+    """Return the state of the coarse sheet as `coarse_sheet`, at the depth of a load."""
+    sheet, goal = path.sheet, Loads(load.depth_mm or TRAVEL_STEP_MM, load.back_pressure_kpa)
+    if slips(sheet, goal.pressure_kpa):
+        with suppress(SolverError):
+            return descended([*path.wider, sheet], goal, NEAR)
+    if near is None or sheet.sticks:
+        return follow(sheet, goal, _ROUGH)
+    start = refined(near.sheet, sheet, near.state)
+    goal = replace(goal, travel_mm=load.depth_mm or start.travel_mm)
+    return advance(sheet, start, start, goal, _PREVIEW)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +193,11 @@ class _Path:
     sheet: Sheet
     #: at the common travels of all paths, see `load_steps`; further ones are appended
     states: list[SheetState]
+
+    @classmethod
+    def of(cls, case: SheetCase) -> "_Path":
+        """Return the path of a case, without states."""
+        return cls(case, _soft(case.sheet(coarse_cells(case))), [])
 
     @cached_property
     def wider(self) -> list[Sheet]:
@@ -210,9 +222,7 @@ def _path(specimen: Specimen, elastomer: Elastomer, load: Press, mechanics: Mech
     same = (specimen, elastomer, load.model_copy(update=_LOADS), mechanics)
     key = "\n".join(f"{type(part).__name__} {part.model_dump_json()}" for part in same)
     if key not in _paths:
-        case = sheet_case(specimen, elastomer, load, mechanics)
-        sheet = _soft(case.sheet(coarse_cells(case)))
-        _paths[key] = _Path(case, sheet, [])
+        _paths[key] = _Path.of(sheet_case(specimen, elastomer, load, mechanics))
     _paths.move_to_end(key)
     while len(_paths) > _KEPT_PATHS:
         _paths.popitem(last=False)
@@ -317,7 +327,8 @@ def _begun(
 
 
 def _finest(fine: Sheet, start: SheetState) -> tuple[Sheet, SheetState]:
-    equilibrium = settle(fine, start, _FINE)
+    accuracy = replace(_FINE, starts_convex=slips(fine, start.pressure_kpa))
+    equilibrium = settle(fine, start, accuracy)
     check_thickness(fine, equilibrium)
     return fine, equilibrium
 
