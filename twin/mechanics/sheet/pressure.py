@@ -15,7 +15,7 @@ from twin.mechanics.sheet.laws import Laws, kernel
 from twin.mechanics.sheet.splines import SplineLine
 from twin.mechanics.sheet.surface import (
     Points,
-    Work,
+    PointWork,
     along_row,
     normal_times_area,
     point_in_row,
@@ -129,7 +129,7 @@ def _distribute(
     forces: FloatArray,
     half_mm: float,
     cells: FloatArray,
-    work: Work,
+    work: PointWork,
     total: FloatArray,
 ) -> None:
     """Add forces (y, x) at points of the lower face to the four nearest cells, bilinearly.

@@ -20,8 +20,8 @@ class Points(NamedTuple):
     functions: FloatArray
 
 
-class Work(NamedTuple):
-    """Work arrays of a call, because compiled code allocates no arrays."""
+class PointWork(NamedTuple):
+    """PointWork arrays of a call, because compiled code allocates no arrays."""
 
     #: (2, col + 2, xyz) sums of a row, and (3, xyz) position and derivatives of a point
     row: FloatArray
@@ -29,9 +29,9 @@ class Work(NamedTuple):
     across: FloatArray
 
 
-def work_for(control_mm: FloatArray) -> Work:
+def work_for(control_mm: FloatArray) -> PointWork:
     """Return work arrays for control points (row + 2, col + 2, xyz)."""
-    return Work(np.zeros((2, control_mm.shape[1], 3)), np.zeros((3, 3)), np.zeros(3))
+    return PointWork(np.zeros((2, control_mm.shape[1], 3)), np.zeros((3, 3)), np.zeros(3))
 
 
 def points_on(line: SplineLine, places_mm: FloatArray) -> Points:
@@ -56,7 +56,7 @@ def surface_at(control_mm: FloatArray, x: Points, y: Points, cut: FloatArray) ->
 
 @kernel
 def _surface_at(
-    c: FloatArray, x: Points, y: Points, cut: FloatArray, work: Work, out: FloatArray
+    c: FloatArray, x: Points, y: Points, cut: FloatArray, work: PointWork, out: FloatArray
 ) -> None:
     for j in range(y.cell.size):
         along_row(c, y, j, work.row)
