@@ -75,7 +75,7 @@ def _is_default(value: Any, field: FieldInfo) -> bool:
 
 
 def _sorted(table: str, items: list[Item], provenance: Mapping[str, Any]) -> list[Item]:
-    """Return the table's kind, then the values of the experiment itself, then those of its files."""
+    """Return the kind first, then values of the experiment itself, then those of its files."""
 
     def is_of_a_file(item: Item) -> bool:
         origin = provenance.get(item[0])
