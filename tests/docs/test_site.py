@@ -130,6 +130,21 @@ def test_a_browser_opens_every_page(site, pages, tab, width):
         assert tab.overflow() == [], f"{page.relative_to(site)} at {width}"
 
 
+@pytest.mark.parametrize("width", WIDTHS)
+def test_names_of_keys_are_not_broken(site, tab, width):
+    """Expected: each name on one line; a table that continues at the right has a shadow there."""
+    tab.open((site / "keys.html").as_uri(), width)
+    names = "[...document.querySelectorAll('article td:first-child code')]"
+    heights = tab.evaluate(f"{names}.map(name => name.getBoundingClientRect().height)")
+    assert len(heights) > 200
+    assert max(heights) < 30
+    tables = "[...document.querySelectorAll('.table-wrapper')]"
+    wide = f"{tables}.filter(e => e.scrollWidth > e.clientWidth)"
+    shadows = tab.evaluate(f"{wide}.map(e => getComputedStyle(e).backgroundImage)")
+    assert shadows or width > 1000
+    assert all("linear-gradient" in shadow for shadow in shadows)
+
+
 def test_equations_are_drawn(site, tab):
     """MathML of the sheet's energy takes room: the browser has laid it out."""
     tab.open((site / "physics" / "sheet.html").as_uri())
