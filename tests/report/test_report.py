@@ -99,6 +99,23 @@ def test_its_first_printed_page_is_a_certificate(reported, experiment, tmp_path)
         shown = "getComputedStyle(document.querySelector('.certificate')).display"
         assert tab.evaluate(shown) == "none"
         assert 0 < printed_px(tab, page, ".certificate") <= PAPER_PX[1]
+        assert tab.overflow() == []
+        assert tab.evaluate(f"{visible('button, input, canvas, nav, summary')}.length") == 0
+        headings = visible("main > section > h2")
+        below = "h.parentElement.getBoundingClientRect().bottom - h.getBoundingClientRect().bottom"
+        heights_px = tab.evaluate(f"{headings}.map(h => {below})")
+        assert len(heights_px) > 5
+        assert min(heights_px) > 20
+        figures = tab.evaluate(f"{visible('figure img')}.map(f => f.getBoundingClientRect().height)")
+        assert max(figures) < PAPER_PX[1] / 2
+
+
+def visible(selector: str) -> str:
+    """Return the expression of the elements that take room on the page."""
+    return (
+        f"[...document.querySelectorAll('{selector}')]"
+        ".filter(one => one.getBoundingClientRect().height > 0)"
+    )
 
 
 def test_same_result_gives_same_bytes_wherever_it_lies(reported, finished, tmp_path):
