@@ -106,7 +106,9 @@ def test_its_first_printed_page_is_a_certificate(reported, experiment, tmp_path)
         heights_px = tab.evaluate(f"{headings}.map(h => {below})")
         assert len(heights_px) > 5
         assert min(heights_px) > 20
-        figures = tab.evaluate(f"{visible('figure img')}.map(f => f.getBoundingClientRect().height)")
+        figures = tab.evaluate(
+            f"{visible('figure img')}.map(f => f.getBoundingClientRect().height)"
+        )
         assert max(figures) < PAPER_PX[1] / 2
 
 
