@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from reconstruction.errors import InputError
-from tests.browser import PAPER_PX, assert_readable, browser, printed_px
+from tests.browser import PAPER_PX, WIDTHS, assert_readable, browser, printed_px
 from twin.config import digest, vary
 from twin.report.experiment import glance
 from twin.report.measurement import write_report
@@ -79,6 +79,21 @@ def test_page_tells_result_warnings_and_assumptions(reported, experiment):
 
 def test_a_browser_opens_it(reported, tmp_path):
     assert_readable(reported[0] / "report.html", tmp_path)
+
+
+def test_a_phone_shows_where_a_figure_continues(reported, tmp_path):
+    """Expected: each figure that is wider than the page has a hint, each table a shadow."""
+    cut = "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth)"
+    with browser(tmp_path) as tab:
+        tab.open((reported[0] / "report.html").as_uri(), WIDTHS[1])
+        hint = "e.querySelector('img') ? getComputedStyle(e, '::before').content"
+        shown = f"{hint} : getComputedStyle(e).backgroundImage"
+        hints = tab.evaluate(f"{cut}.map(e => {shown})")
+        tab.open((reported[0] / "report.html").as_uri(), WIDTHS[0])
+        first = "getComputedStyle(document.querySelector('.scroll'), '::before')"
+        assert tab.evaluate(f"{first}.content") == "none"
+    assert len(hints) > 5
+    assert all("scroll" in hint or "linear-gradient" in hint for hint in hints)
 
 
 def test_its_first_printed_page_is_a_certificate(reported, experiment, tmp_path):
