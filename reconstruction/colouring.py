@@ -1,4 +1,4 @@
-"""Colour points by their height deviation, for viewers that read vertex colours."""
+"""Colour points by height deviation or intensity, for viewers that read vertex colours."""
 
 from functools import cached_property
 from typing import Any
@@ -45,3 +45,30 @@ class Deviation:
         """One line of text that explains the colours, for the header of a file."""
         limit = f"{self.limit_um:.3g} um"
         return f"colour is deviation_um: blue -{limit}, white 0, red +{limit}, grey unknown"
+
+
+class Intensity:
+    """Mean pixel value of each pixel, and the grey level that shows it.
+
+    Attributes
+    ----------
+    dn : (row, col) float32, mean pixel value, DN; read at the pixels with a point only
+    white_dn : smallest value that is shown white: the 99th percentile over the pixels with a point
+    """
+
+    def __init__(self, dn: NDArray[Any], known: BoolImage) -> None:
+        self.dn: FloatImage = np.asarray(dn, np.float32)
+        values = self.dn[known]
+        self.white_dn = max(float(np.percentile(values, 99.0)), 1e-6) if len(values) else 1.0
+
+    @cached_property
+    def rgb(self) -> Levels:
+        """Grey levels (row, col, rgb) uint8, three equal ones per pixel, proportional to `dn`."""
+        share = np.clip(self.dn / self.white_dn, 0.0, 1.0)
+        grey = np.rint(255.0 * share).astype(np.uint8)
+        return np.repeat(grey[..., np.newaxis], 3, axis=-1)
+
+    @property
+    def legend(self) -> str:
+        """One line of text that explains the colours, for the header of a file."""
+        return f"colour is intensity_dn: black 0, white {self.white_dn:.4g} DN"

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from reconstruction.arrays import BoolImage, Reason, at_pixels
 from reconstruction.capture.folder import Capture
 from reconstruction.codes import Unwrap
-from reconstruction.colouring import Deviation
+from reconstruction.colouring import Deviation, Intensity
 from reconstruction.decoding.decode import AxisDecode, Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError, one_line
 from reconstruction.netcdf import (
@@ -190,6 +190,9 @@ _LONG_NAMES = {
     "sigma_x_mm": "standard uncertainty of world x",
     "sigma_y_mm": "standard uncertainty of world y",
     "sigma_z_mm": "standard uncertainty of world z",
+    "normal_x": "x of the measured unit normal towards the camera; 0, 0, 0: not known",
+    "normal_y": "y of the measured unit normal towards the camera; 0, 0, 0: not known",
+    "normal_z": "z of the measured unit normal towards the camera; 0, 0, 0: not known",
     "mask_reason": "reason why there is no point; 0: there is one",
     "column_px": "projector column",
     "row_px": "projector row",
@@ -258,27 +261,37 @@ def _ply_header(columns: Mapping[str, NDArray[Any]], count: int, comments: tuple
 
 
 def write_point_map_ply(
-    path: Path | str, point_map: PointMap, deviation: Deviation | None = None
+    path: Path | str,
+    point_map: PointMap,
+    deviation: Deviation | None = None,
+    intensity: Intensity | None = None,
 ) -> None:
     """Write the valid points, in row-major order of their camera pixels, as a PLY file.
 
-    Each point has its sigma_x_mm, sigma_y_mm, sigma_z_mm and its pixel (row, col). With `deviation`
-    it also has deviation_um and the colour (red, green, blue) of the deviation.
+    Each point has its normal (nx, ny, nz), sigma_x_mm, sigma_y_mm, sigma_z_mm and its pixel (row,
+    col). With `deviation` it also has deviation_um, with `intensity` intensity_dn. The colour (red,
+    green, blue) is that of the deviation, or without it that of the intensity.
     """
     valid = point_map.valid
     row, col = np.divmod(np.flatnonzero(valid), valid.shape[1])
     sigma_mm = at_pixels(point_map.sigma_xyz_mm, valid)
-    scalars: Maps = {f"sigma_{name}_mm": sigma_mm[:, i] for i, name in enumerate("xyz")}
+    normals = at_pixels(point_map.normals_world, valid)
+    scalars: Maps = {f"n{name}": normals[:, i] for i, name in enumerate("xyz")}
+    scalars |= {f"sigma_{name}_mm": sigma_mm[:, i] for i, name in enumerate("xyz")}
     scalars |= {
         "row": row.astype(np.uint16),
         "col": col.astype(np.uint16),
     }
     comments = ["frame world, z up", "units mm", "order row-major, valid pixels only"]
-    if deviation is not None:
-        rgb = at_pixels(deviation.rgb, valid)
+    colours = deviation or intensity
+    if colours is not None:
+        rgb = at_pixels(colours.rgb, valid)
         scalars |= {name: rgb[:, i] for i, name in enumerate(("red", "green", "blue"))}
+        comments.append(colours.legend)
+    if deviation is not None:
         scalars |= {"deviation_um": at_pixels(deviation.um, valid)}
-        comments.append(deviation.legend)
+    if intensity is not None:
+        scalars |= {"intensity_dn": at_pixels(intensity.dn, valid)}
     write_ply(path, at_pixels(point_map.points_world_mm, valid), scalars, tuple(comments))
 
 
@@ -346,6 +359,8 @@ def _variables(decoded: Decoded, point_map: PointMap) -> Maps:
     maps: Maps = {f"{name}_mm": point_map.points_world_mm[..., i] for i, name in enumerate("xyz")}
     sigma_mm = point_map.sigma_xyz_mm
     maps |= {f"sigma_{name}_mm": sigma_mm[..., i] for i, name in enumerate("xyz")}
+    normals = point_map.normals_world
+    maps |= {f"normal_{name}": normals[..., i] for i, name in enumerate("xyz")}
     maps |= {"mask_reason": point_map.mask_reason}
     return maps | _decoded_variables(decoded)
 

@@ -1,17 +1,21 @@
 """Docstrings of the code as Sphinx reads them: names in single backticks, tables with bars."""
 
 import re
+from collections.abc import Iterator
+from itertools import zip_longest
 from typing import Any
 
 from sphinx.application import Sphinx
 
 _NAME = re.compile(r"(?<![`\w:])`([^`\n]+)`(?![`_])")
 _RULE = re.compile(r"\|[-| ]+\|")
+_ERROR = re.compile(r"(\w+) : (.*)")
 
 
 def read(_app: Sphinx, _what: str, _name: str, _of: Any, _how: Any, lines: list[str]) -> None:
     """Turn one docstring, in place, into what reStructuredText means."""
     lines[:] = [line for text in lines if not _RULE.fullmatch(text.strip()) for line in row(text)]
+    lines[:] = list(errors_apart(lines))
     lines[:] = [_NAME.sub(r"``\1``", line).replace("|", r"\|") for line in lines]
 
 
@@ -22,6 +26,19 @@ def row(line: str) -> list[str]:
         return [line]
     first, *rest = (cell.strip() for cell in text.strip("|").split(" | "))
     return [f"- {first}: {'; '.join(rest)}"]
+
+
+def errors_apart(lines: list[str]) -> Iterator[str]:
+    """Yield lines; in a section Raises the condition of an error follows on a line of its own.
+
+    Napoleon reads a whole line of this section as the name of an error.
+    """
+    section = ""
+    for line, below in zip_longest(lines, lines[1:], fillvalue=""):
+        if line and {*below} == {"-"}:
+            section = line
+        error = _ERROR.fullmatch(line) if section == "Raises" else None
+        yield from (error[1], f"    {error[2]}") if error else (line,)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -82,6 +82,11 @@ class Decoded:
         """Pixels with known coordinates along all `axes`, (row, col) bool."""
         return np.equal(self.mask_reason, Reason.VALID)
 
+    @property
+    def intensity_dn(self) -> FloatImage:
+        """Mean pixel value over the phase frames of the first of `axes`, (row, col), DN."""
+        return self.row.mean_dn if self.axes == ("row",) else self.column.mean_dn
+
 
 @dataclass(frozen=True)
 class DecodeOptions:

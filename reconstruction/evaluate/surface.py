@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Levels, at_pixels
 from reconstruction.cells import SquareCells
-from reconstruction.colouring import Deviation
+from reconstruction.colouring import Deviation, Intensity
 from reconstruction.errors import InputError
 from reconstruction.machine import run_side_by_side
 from reconstruction.netcdf import LabelledArrays, write_arrays
@@ -238,7 +238,12 @@ def write_mesh_ply(path: Path, mesh: SurfaceMesh, rgb: Levels | None = None) -> 
     write_bytes(path, header.encode("ascii"), vertices.tobytes(), faces.tobytes())
 
 
-def write_surface(folder: Path, points: PointMap, deviation: Deviation | None = None) -> None:
+def write_surface(
+    folder: Path,
+    points: PointMap,
+    deviation: Deviation | None = None,
+    intensity: Intensity | None = None,
+) -> None:
     """Write the files of a measured surface to a folder: points, height map and mesh.
 
     The files are points.ply, and if there are three valid neighbouring pixels also height_map.nc,
@@ -246,11 +251,13 @@ def write_surface(folder: Path, points: PointMap, deviation: Deviation | None = 
 
     Parameters
     ----------
-    deviation : gives points and mesh their colours; None: no colours
+    deviation : gives points and mesh their colours; None: those of the intensity
+    intensity : is written for each point; None: it is not known
     """
-    jobs = [lambda: write_point_map_ply(folder / "points.ply", points, deviation)]
+    colours = deviation or intensity
+    jobs = [lambda: write_point_map_ply(folder / "points.ply", points, deviation, intensity)]
     if (points.valid[1:, 1:] & points.valid[:-1, 1:] & points.valid[1:, :-1]).any():
-        rgb = None if deviation is None else at_pixels(deviation.rgb, points.valid)
+        rgb = None if colours is None else at_pixels(colours.rgb, points.valid)
         jobs += [
             lambda: write_mesh_ply(folder / "surface.ply", surface_mesh(points), rgb),
             lambda: _write_heights(folder, height_map(points)),

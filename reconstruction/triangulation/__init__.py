@@ -36,6 +36,7 @@ from reconstruction.triangulation._ray import (
     lens_of,
     meet_rows,
 )
+from reconstruction.triangulation.normals import surface_normals
 
 # The first row of a band needs more iterations than the others, which start from the row above.
 BAND_ROWS = 48
@@ -95,6 +96,14 @@ class PointMap:
         """Predicted standard deviation of world z, (row, col), mm; 0 where masked."""
         sigma = stored_value(self, "sigma_xyz_mm")
         return sigma.component(2) if isinstance(sigma, RaySpread) else self.sigma_xyz_mm[..., 2]
+
+    @property
+    def normals_world(self) -> FloatImage:
+        """Measured unit normals towards the camera, (row, col, xyz); 0 where not known.
+
+        Each access computes them from neighbouring points, see `normals.surface_normals`.
+        """
+        return surface_normals(self.points_world_mm, self.valid)
 
     @cached_property
     def points_cam_mm(self) -> FloatImage:

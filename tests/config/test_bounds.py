@@ -26,6 +26,7 @@ def test_every_number_has_both_ends() -> None:
     assert len(numbers) > 250
     open_ended = [key.path for key in numbers if not {">", "<"} <= set(key.allowed)]
     assert not open_ended
+    assert [key.path for key in keys if "Undefined" in key.allowed + key.default] == []
 
 
 @pytest.mark.parametrize(

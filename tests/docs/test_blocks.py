@@ -35,6 +35,7 @@ JUDGES = {
     "README.md: twin init": "test_blocks.py::test_first_commands_of_the_readme",
     "README.md: import twin": "test_blocks.py::test_python_example_of_the_readme",
     "CONTRIBUTING.md: ./run setup": "../packaging/test_run.py::test_",
+    "docs/bring_your_own.md: ": "test_bring_your_own.py::test_",
     "docs/coatings.md: [coating]": "test_blocks.py::test_a_measured_coat",
     "docs/coatings.md: [coating.texture]": "test_blocks.py::test_the_texture_of_a_coat",
     "docs/compensation.md: # layer.toml": "test_blocks.py::test_layer_file",

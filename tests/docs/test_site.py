@@ -1,5 +1,6 @@
 """The documentation: built without a warning, no dead link, and readable in a browser."""
 
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -56,6 +57,15 @@ def test_no_line_of_a_page_is_a_comment_by_mistake():
     pages = [path for path in (ROOT / "docs").rglob("*.md") if path.is_file()]
     lines = [(page.name, line) for page in pages for line in page.read_text("utf-8").splitlines()]
     assert [line for line in lines if line[1].startswith("%")] == []
+
+
+def test_no_field_of_a_docstring_is_left_as_text(site):
+    """A section that Sphinx does not understand is printed with its field names, as ":raises X"."""
+    fields = re.compile(r":(raises|param|type|returns|rtype|var|ivar)\b")
+    pages = [*(site / "api").glob("*.html")]
+    assert len(pages) > 5
+    left = [page.name for page in pages if fields.search(page.read_text(encoding="utf-8"))]
+    assert left == []
 
 
 def test_every_document_is_a_page(site):
@@ -118,6 +128,21 @@ def test_a_browser_opens_every_page(site, pages, tab, width):
         assert tab.activity.errors == [], page
         assert {urlsplit(item).scheme for item in tab.activity.requests} <= {"file", "data"}, page
         assert tab.overflow() == [], f"{page.relative_to(site)} at {width}"
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_names_of_keys_are_not_broken(site, tab, width):
+    """Expected: each name on one line; a table that continues at the right has a shadow there."""
+    tab.open((site / "keys.html").as_uri(), width)
+    names = "[...document.querySelectorAll('article td:first-child code')]"
+    heights = tab.evaluate(f"{names}.map(name => name.getBoundingClientRect().height)")
+    assert len(heights) > 200
+    assert max(heights) < 30
+    tables = "[...document.querySelectorAll('.table-wrapper')]"
+    wide = f"{tables}.filter(e => e.scrollWidth > e.clientWidth)"
+    shadows = tab.evaluate(f"{wide}.map(e => getComputedStyle(e).backgroundImage)")
+    assert shadows or width > 1000
+    assert all("linear-gradient" in shadow for shadow in shadows)
 
 
 def test_equations_are_drawn(site, tab):

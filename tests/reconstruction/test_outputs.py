@@ -6,7 +6,7 @@ import trimesh
 import xarray
 
 from reconstruction.capture.folder import Capture
-from reconstruction.colouring import UNKNOWN, Deviation
+from reconstruction.colouring import UNKNOWN, Deviation, Intensity
 from reconstruction.decoding.decode import DecodeOptions, Reason
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.evaluate.surface import write_surface
@@ -20,6 +20,7 @@ from reconstruction.pipeline import (
     write_reconstruction,
 )
 from reconstruction.rig.sensor import SensorNoise
+from reconstruction.triangulation.normals import surface_normals
 
 
 @pytest.fixture(scope="module")
@@ -142,6 +143,44 @@ def test_ply_carries_deviation_as_colour(reconstruction, tmp_path):
     assert (cloud.colors[~known[row, col], :3] == UNKNOWN).all()
     header = (tmp_path / "points.ply").read_bytes()[:400]
     assert b"colour is deviation_um: blue -2 um, white 0, red +2 um" in header
+
+
+def test_ply_has_normals_and_intensity(reconstruction, tmp_path):
+    """Expected: the intensity as grey level, and as normals those of reconstruction.nc."""
+    points, decoded = reconstruction.point_map, reconstruction.decoded
+    intensity = Intensity(decoded.intensity_dn, points.valid)
+    write_surface(tmp_path, points, intensity=intensity)
+    cloud, mesh = (trimesh.load(tmp_path / name) for name in ("points.ply", "surface.ply"))
+    raw = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    dn = decoded.column.mean_dn[points.valid]
+    np.testing.assert_array_equal(raw["intensity_dn"].ravel(), dn)
+    grey = np.rint(np.minimum(255.0 * dn / np.percentile(dn, 99.0), 255.0))
+    for colours in (cloud.colors, mesh.visual.vertex_colors):
+        np.testing.assert_allclose(colours[:, :3], np.repeat(grey[:, np.newaxis], 3, 1), atol=1)
+    assert b"white 19" in (tmp_path / "points.ply").read_bytes()[:400]
+    stored = reconstruction.to_xarray()
+    for name in "xyz":
+        expected = stored[f"normal_{name}"].values[points.valid]
+        np.testing.assert_array_equal(raw[f"n{name}"].ravel(), expected)
+
+
+def test_normals_of_a_ball_and_of_a_step():
+    """Expected: radial on the ball; across a jump from the pixels of the same level only."""
+    y, x = 0.05 * np.mgrid[60:-61:-1, -150:151]
+    z = np.sqrt(20.0**2 - x**2 - y**2)
+    valid = np.ones(z.shape, bool)
+    valid[5, 7] = valid[::2, 200] = valid[40, 99] = valid[40, 101] = False
+    ball = surface_normals(np.stack((x, y, z), axis=-1), valid)
+    assert not ball[5, 7].any()
+    assert not ball[40, 100].any()
+    known = ball.any(axis=-1)
+    assert (known == valid)[:, :199].sum() == known[:, :199].size - 1
+    cosine = np.einsum("rci,rci->rc", ball, np.stack((x, y, z), axis=-1) / 20.0)
+    assert np.degrees(np.arccos(np.minimum(cosine[known], 1.0))).max() < 0.15
+    step = np.stack((x, y, 0.1 * x + np.where(x > 0.01, 2.0, 0.0)), axis=-1)
+    expected = np.array((-0.1, 0.0, 1.0)) / np.hypot(1.0, 0.1)
+    level = surface_normals(step, np.ones(z.shape, bool))
+    np.testing.assert_allclose(level, np.broadcast_to(expected, level.shape), atol=1e-4)
 
 
 def test_wrong_arrays_are_rejected(tmp_path):

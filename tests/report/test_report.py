@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from reconstruction.errors import InputError
-from tests.browser import PAPER_PX, assert_readable, browser, printed_px
+from tests.browser import PAPER_PX, WIDTHS, assert_readable, browser, printed_px
 from twin.config import digest, vary
 from twin.report.experiment import glance
 from twin.report.measurement import write_report
@@ -81,6 +81,21 @@ def test_a_browser_opens_it(reported, tmp_path):
     assert_readable(reported[0] / "report.html", tmp_path)
 
 
+def test_a_phone_shows_where_a_figure_continues(reported, tmp_path):
+    """Expected: each figure that is wider than the page has a hint, each table a shadow."""
+    cut = "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth)"
+    with browser(tmp_path) as tab:
+        tab.open((reported[0] / "report.html").as_uri(), WIDTHS[1])
+        hint = "e.querySelector('img') ? getComputedStyle(e, '::before').content"
+        shown = f"{hint} : getComputedStyle(e).backgroundImage"
+        hints = tab.evaluate(f"{cut}.map(e => {shown})")
+        tab.open((reported[0] / "report.html").as_uri(), WIDTHS[0])
+        first = "getComputedStyle(document.querySelector('.scroll'), '::before')"
+        assert tab.evaluate(f"{first}.content") == "none"
+    assert len(hints) > 5
+    assert all("scroll" in hint or "linear-gradient" in hint for hint in hints)
+
+
 def test_its_first_printed_page_is_a_certificate(reported, experiment, tmp_path):
     """Object, measurands, uncertainty, conditions, versions, on one sheet of A4."""
     page = reported[0] / "report.html"
@@ -99,6 +114,25 @@ def test_its_first_printed_page_is_a_certificate(reported, experiment, tmp_path)
         shown = "getComputedStyle(document.querySelector('.certificate')).display"
         assert tab.evaluate(shown) == "none"
         assert 0 < printed_px(tab, page, ".certificate") <= PAPER_PX[1]
+        assert tab.overflow() == []
+        assert tab.evaluate(f"{visible('button, input, canvas, nav, summary')}.length") == 0
+        headings = visible("main > section > h2")
+        below = "h.parentElement.getBoundingClientRect().bottom - h.getBoundingClientRect().bottom"
+        heights_px = tab.evaluate(f"{headings}.map(h => {below})")
+        assert len(heights_px) > 5
+        assert min(heights_px) > 20
+        figures = tab.evaluate(
+            f"{visible('figure img')}.map(f => f.getBoundingClientRect().height)"
+        )
+        assert max(figures) < PAPER_PX[1] / 2
+
+
+def visible(selector: str) -> str:
+    """Return the expression of the elements that take room on the page."""
+    return (
+        f"[...document.querySelectorAll('{selector}')]"
+        ".filter(one => one.getBoundingClientRect().height > 0)"
+    )
 
 
 def test_same_result_gives_same_bytes_wherever_it_lies(reported, finished, tmp_path):

@@ -17,6 +17,9 @@ class AssetCycleError(ConfigError):
     """Error of data files that `use` each other in a cycle."""
 
 
+SET_HERE = "set in the experiment; range: "
+"""Start of the source of a plain value that replaces a quantity; the range's source follows."""
+
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Angle = Annotated[float, Field(ge=-180, le=180)]
 

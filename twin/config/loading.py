@@ -25,13 +25,12 @@ from reconstruction import reading
 from reconstruction.errors import InputError, require_instance
 from reconstruction.reading import shown
 from twin.assets import asset_path, scene_file
-from twin.config.base import AssetCycleError, ConfigError
+from twin.config.base import SET_HERE, AssetCycleError, ConfigError
 from twin.config.kinds import default_kinds
 from twin.config.methods import TRAITS, Method
 from twin.config.models import Decode, Experiment
 from twin.config.optics import Optics
 from twin.config.quantities import (
-    SET_HERE,
     convert_units,
     is_quantity,
     split_quantities,

@@ -57,6 +57,7 @@ from twin.config.measurands import ObjectMeasurand
 from twin.config.methods import TRAITS, Method, MethodTraits
 from twin.config.noise_models import NOISE_MODELS, AnyNoise, NoiseModel
 from twin.config.optics import Optics
+from twin.config.overview import overview
 from twin.config.specimen_base import SPECIMENS, AnySpecimen, Specimen, Stage
 
 __all__ = [
@@ -457,6 +458,11 @@ class Experiment(Model):
     provenance: dict[str, Provenance] = Field(
         default_factory=dict, description="source and valid range by dotted path"
     )
+
+    def __repr__(self) -> str:
+        return overview(self)
+
+    __str__ = __repr__
 
     @property
     def bounces(self) -> int:

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 from pydantic import ValidationError
 
-from twin.config.base import ConfigError
+from twin.config.base import SET_HERE, ConfigError
 from twin.config.models import Provenance
 
 _UNITS = {
@@ -31,8 +31,6 @@ _SCALE_TO_SI = {unit: (kind, si) for kind, units in _UNITS.items() for unit, si 
 _NUMBER_AND_UNIT = re.compile(
     r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*([A-Za-zµ]+)\s*$"
 )
-SET_HERE = "set in the experiment; range: "
-"""Start of the source of a plain value that replaces a quantity; the range's source follows."""
 _KEYS = {"value", "source", "range"}
 
 

@@ -273,8 +273,8 @@ def list_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
             limits = _limits(field.metadata)
             text = ", ".join(filter(None, [_type_name(field.annotation), limits]))
             allowed = " | ".join(names.allowed for names in _names_in(field)) or text
-            required = field.default is PydanticUndefined
-            default = "required" if required else str(field.default)
+            default = field.get_default(call_default_factory=True, validated_data={})
+            default = "required" if field.is_required() else str(default)
             yield Key(f"{prefix}{name}", allowed, default, _meaning(field))
         for part in inner:
             tag = f"({part.model_fields['kind'].default})" if len(inner) > 1 else ""
@@ -311,7 +311,8 @@ def _type_name(annotation: Any) -> str:
         inner, *metadata = typing.get_args(annotation)
         return ", ".join(filter(None, [_type_name(inner), _limits(_flat(metadata))]))
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return f"table ({annotation.model_fields['kind'].default})"
+        kind = annotation.model_fields["kind"].default
+        return "table" if kind is PydanticUndefined else f"table ({kind})"
     if typing.get_origin(annotation) in (dict, tuple):
         return _collection_name(annotation)
     parts = [part for part in typing.get_args(annotation) if part is not type(None)]

@@ -12,6 +12,7 @@ import tomli_w
 from reconstruction.arrays import ReasonImage
 from reconstruction.capture.folder import read_capture, read_uncalibrated
 from reconstruction.capture.period_search import best_period
+from reconstruction.colouring import Intensity
 from reconstruction.decoding.continuity import DOUBTFUL_SHARE, jump_share
 from reconstruction.decoding.decode import Decoded, DecodeOptions, Reason
 from reconstruction.decoding.decode import decode as decode_stack
@@ -57,10 +58,11 @@ def reconstruct_capture(
         figures = reconstruction_metrics(result, decode.use if len(axes) == 2 else axes[0])
         figures |= continuity_metrics(result.decoded, capture.patterns)
         maps = folder / "reconstruction.nc", result.decoded, result.point_map
+        intensity = Intensity(result.decoded.intensity_dn, result.point_map.valid)
         digests: list[str] = []
         run_side_by_side(
             [
-                lambda: write_surface(folder, result.point_map),
+                lambda: write_surface(folder, result.point_map, intensity=intensity),
                 lambda: write_reconstruction(*maps),
                 lambda: digests.append(content_digest(decode, capture)),
             ]

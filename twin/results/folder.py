@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 
 from reconstruction.arrays import Levels
-from reconstruction.colouring import Deviation
+from reconstruction.colouring import Deviation, Intensity
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import write_surface
 from reconstruction.machine import run_side_by_side
@@ -50,7 +50,7 @@ from reconstruction.photometric import (
     write_height_points,
     write_sensor_calibration,
 )
-from reconstruction.pipeline import read_reconstruction, write_reconstruction
+from reconstruction.pipeline import Reconstruction, read_reconstruction, write_reconstruction
 from reconstruction.reading import is_regular, read_json, read_pixels
 from reconstruction.writing import write_png
 from twin.config import Experiment, load_experiment
@@ -145,7 +145,7 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
             run_side_by_side(
                 [
                     lambda: write_reconstruction(folder / MAPS_FILE, maps.decoded, maps.point_map),
-                    lambda: write_surface(folder, maps.point_map, deviation_of(done)),
+                    lambda: _write_points(folder, done, maps),
                 ]
             )
         return
@@ -156,6 +156,12 @@ def write_kept(folder: Path, done: Measurement, keep: tuple[str, ...]) -> None:
     if "points" in keep:
         write_height_map(folder / HEIGHTS_FILE, images.heights)
         write_height_points(folder / "points.ply", images.heights)
+
+
+def _write_points(folder: Path, done: Measurement, maps: Reconstruction) -> None:
+    points = maps.point_map
+    intensity = Intensity(maps.decoded.intensity_dn, points.valid)
+    write_surface(folder, points, deviation_of(done), intensity)
 
 
 def deviation_of(done: Measurement) -> Deviation:
