@@ -21,7 +21,7 @@ class Points(NamedTuple):
 
 
 class PointWork(NamedTuple):
-    """PointWork arrays of a call, because compiled code allocates no arrays."""
+    """Work arrays of a call, because compiled code allocates no arrays."""
 
     #: (2, col + 2, xyz) sums of a row, and (3, xyz) position and derivatives of a point
     row: FloatArray
