@@ -27,7 +27,15 @@ import numpy as np
 from scipy.optimize import brentq
 
 from reconstruction.arrays import FloatArray
-from reconstruction.compensation.free_span import LEAST_CELLS, SPAN_MM, BarAxes, FreeSpan, fit_span
+from reconstruction.compensation.arc import LEAST_CELLS
+from reconstruction.compensation.free_span import (
+    SPAN_MM,
+    BarAxes,
+    FreeSpan,
+    SpanFit,
+    fit_span,
+    smooth_span,
+)
 from reconstruction.compensation.sheet import CompensatedSheet
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import fit_plane, inliers
@@ -39,12 +47,9 @@ _TOP_OFF_MM = 0.3
 _TURNS = 3
 # Largest offset of the bar from its stated position, and drop of the coat at which a flank starts.
 _ASIDE_MM, _FALLEN_MM = 1.0, 0.12
-_TAILS = 3.0
 _FLAT_DEG, _LEAST_TURN_DEG = 3.0, 15.0
-_PRESS_SCATTER_MM = 8e-3
-"""Standard uncertainty of a width by the shape of the free spans, in addition to the difference of
-the widths by whole and by half spans. Empirical: widths of 11 of 13 drawn presses of sheets with up
-to 3 mm of sag have an RMS error of 10 um, texture included (`benchmarks/object_coverage.py`)."""
+# Change of an edge's position by a half span, over the standard uncertainty of the change by noise.
+_SIGNIFICANT = 2.0
 THEORY_ON_EDGE, THEORY_OFF_EDGE = 0.2, 0.5
 """Relative errors of d - R by comparison with solid elements (tests/compensation/test_bar.py): for
 contact along the rounded edge, and for contact on one line."""
@@ -85,10 +90,12 @@ class BarUnderSheet:
     layer_mm : share from the uncertain values of the sheet and of the air pressure
     edge_mm : share from the uncertain edge radius
     theory_mm : share from the model of bending over an edge
-    span_mm : share from the shape of the free spans, which the model takes for arcs
+    span_mm : share from the shape of the free spans: kinks that are not significant, and the
+        change by a fit to half spans where it is significant
     turn_deg : change of the sheet's direction at each of the two edges
     on_edge : True if the sheet is in contact along both rounded edges; False if its contact with
         an edge is one line only
+    span_touches : for each of the two free spans, True if it touches an obstacle next to the bar
     """
 
     width_mm: float
@@ -100,6 +107,7 @@ class BarUnderSheet:
     span_mm: float
     turn_deg: tuple[float, float]
     on_edge: bool
+    span_touches: tuple[bool, bool]
 
 
 def bending_offset_mm(radius_mm: float, tail_mm: float, turn_rad: float) -> float:
@@ -228,9 +236,12 @@ def _between_flanks(
     number = np.floor(across_mm / pitch_mm).astype(int)
     first = int(number.min()) if len(number) else 0
     count = np.bincount(number - first)
-    if not len(number) or not count.all():
+    strips = np.flatnonzero(count)
+    # The points of cells may all miss a strip of the cells' width, but not two.
+    if not len(number) or np.diff(strips).max(initial=1) > 2:
         raise FitError("width: the coat was not measured over the whole bar")
-    profile = np.bincount(number - first, z_mm) / count
+    heights = np.bincount(number - first, z_mm)[strips] / count[strips]
+    profile = np.interp(np.arange(len(count)), strips, heights)
     places = (first + np.arange(len(count)) + 0.5) * pitch_mm
     top = np.abs(places) < top_mm
     if top.sum() > 2:
@@ -246,35 +257,51 @@ def _between_flanks(
 def _measured_width(result: CompensatedSheet, bar: BarPlace) -> BarUnderSheet:
     axes = _axes(result, bar)
     sheet = _sheet(result, axes, bar)
-    spans, near = (
-        [_span(result, axes, bar, sheet, (side, length)) for side in (-1.0, 1.0)]
-        for length in (SPAN_MM, SPAN_MM / 2)
-    )
+    fits = [_span(result, axes, bar, sheet, side) for side in (-1.0, 1.0)]
 
-    def edges(of: _Sheet, radius_mm: float, spans: list[FreeSpan] = spans) -> list[_Edge]:
+    def edges(of: _Sheet, radius_mm: float, spans: list[FreeSpan] | None = None) -> list[_Edge]:
         # With a thicker sheet the bar's top is deeper below the coat.
         drop_mm = of.local_mm - sheet.local_mm
-        return [_edge(span, of, radius_mm, drop_mm) for span in spans]
+        chosen = [fit.best for fit in fits] if spans is None else spans
+        return [_edge(span, of, radius_mm, drop_mm) for span in chosen]
 
-    def width(of: _Sheet, radius_mm: float, spans: list[FreeSpan] = spans) -> float:
-        return sum(edge.across_mm for edge in edges(of, radius_mm, spans)) + 2 * radius_mm
+    def width(of: _Sheet, radius_mm: float) -> float:
+        return sum(edge.across_mm for edge in edges(of, radius_mm)) + 2 * radius_mm
 
     radius, best = bar.edge_radius_mm, width(sheet, bar.edge_radius_mm)
-    here, layer = (
-        edges(sheet, radius),
-        [width(changed, radius) - best for changed in _moved(result, sheet)],
-    )
+    here = edges(sheet, radius)
+    layer = [width(changed, radius) - best for changed in _moved(result, sheet)]
+    others = ([fit.kinked for fit in fits], [fit.near or fit.best for fit in fits])
+    kinked, near = (edges(sheet, radius, spans) for spans in others)
     shares = {
         "noise_mm": float(np.linalg.norm([edge.noise_mm for edge in here])),
         "layer_mm": float(np.linalg.norm(layer)),
         "edge_mm": abs(width(sheet, radius + bar.sigma_edge_radius_mm) - best),
         "theory_mm": sum(_theory_mm(edge) for edge in here),
-        "span_mm": float(np.hypot(width(sheet, radius, near) - best, _PRESS_SCATTER_MM)),
+        "span_mm": float(np.linalg.norm([*map(_span_mm, here, kinked, near)])),
     }
     left, right = (float(np.rad2deg(edge.turn_rad)) for edge in here)
-    sigma = float(np.linalg.norm(list(shares.values())))
-    on_edge = all(edge.on_edge for edge in here)
-    return BarUnderSheet(best, sigma, turn_deg=(left, right), on_edge=on_edge, **shares)
+    return BarUnderSheet(
+        best,
+        sigma_mm=float(np.linalg.norm(list(shares.values()))),
+        turn_deg=(left, right),
+        on_edge=all(edge.on_edge for edge in here),
+        span_touches=(fits[0].touches, fits[1].touches),
+        **shares,
+    )
+
+
+def _span_mm(edge: _Edge, kinked: _Edge, near: _Edge) -> float:
+    """Return the uncertainty of an edge's position, mm, from the shape of its free span.
+
+    It has two parts: the change by the most likely kink, and the change by a fit to the half of the
+    span near the bar, if that change is significant. Its variance by noise is the difference of the
+    variances of the two fits (Hausman, Econometrica 46, 1978).
+    """
+    change = near.across_mm - edge.across_mm
+    by_noise = np.sqrt(max(near.noise_mm**2 - edge.noise_mm**2, 0.0))
+    of_half = change if abs(change) > _SIGNIFICANT * by_noise else 0.0
+    return float(np.hypot(kinked.across_mm - edge.across_mm, of_half))
 
 
 def _axes(result: CompensatedSheet, bar: BarPlace) -> BarAxes:
@@ -314,23 +341,16 @@ def _moved(result: CompensatedSheet, sheet: _Sheet) -> list[_Sheet]:
 
 
 def _span(
-    result: CompensatedSheet,
-    axes: BarAxes,
-    bar: BarPlace,
-    sheet: _Sheet,
-    part: tuple[float, float],
-) -> FreeSpan:
+    result: CompensatedSheet, axes: BarAxes, bar: BarPlace, sheet: _Sheet, side: float
+) -> SpanFit:
     """Fit an arc to the free span next to an edge, without the ends that bend.
 
-    The first of two fits gives the length over which bending decays. `part` is the side of the
-    bar, -1 or 1, and the largest length of the arc.
+    The first of two fits gives the length over which bending decays. `side` is -1 or 1.
     """
-    side, length_mm = part
-    tail = 2 * sheet.local_mm
-    for _ in range(2):
-        span = fit_span(result, axes, (side, bar.width_mm / 2), _TAILS * tail, length_mm)
-        tail = sheet.tail_mm(sheet.tension(span.curvature_per_mm))
-    return span
+    wall, tail = (side, bar.width_mm / 2), 2 * sheet.local_mm
+    first = smooth_span(result, axes, wall, tail)
+    tail = sheet.tail_mm(sheet.tension(first.curvature_per_mm))
+    return fit_span(result, axes, wall, tail)
 
 
 def _edge(span: FreeSpan, sheet: _Sheet, radius_mm: float, drop_mm: float) -> _Edge:

@@ -1,23 +1,28 @@
 """Free span of a sheet next to a bar: the arc of a circle that fits the coat there; mm.
 
-The span carries the air pressure by tension only, so that its cross section is an arc.
+The span carries the air pressure by tension only, so that its cross section is an arc. A slack span
+may touch an obstacle next to the bar, for example the edge of the bar's plate. It then has a kink
+there. The most likely kink is therefore fitted as well, and used if it is significant.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.arc import LEAST_CELLS, Arc, Kink, Section, fitted_arc, likely_kink
 from reconstruction.compensation.balance import CURVATURE_SIGMA_MM, off_the_rim
-from reconstruction.compensation.scatter import variance_and_area
 from reconstruction.compensation.sheet import CompensatedSheet
 from reconstruction.errors import FitError
-from reconstruction.evaluate.fit import inliers
 
-# Largest length of a span, and least number of cells for any fit next to or on a bar.
+# Largest length of a span.
 SPAN_MM = 3.5
-LEAST_CELLS = 40
-_ARC_TURNS = 8
+# In lengths over which bending decays: distance from the ends of a span at which it is negligible.
+_TAILS = 3.0
+# Angle of a kink over its standard uncertainty. A kink is fitted at the most likely of about 10
+# independent positions: by chance the ratio exceeds 3 in about 1 % of the spans.
+_SIGNIFICANT = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +47,7 @@ class BarAxes:
 
 @dataclass(frozen=True, eq=False)
 class FreeSpan:
-    """Circular arc fitted to the free span next to an edge.
+    """Circular arc of the free span next to an edge, between the edge and the first kink.
 
     The arc has a frame of its own: s, mm, along the chord, and a height normal to the chord.
 
@@ -82,29 +87,80 @@ class FreeSpan:
         return float(np.sqrt(by @ self.covariance @ by))
 
 
-def fit_span(
-    result: CompensatedSheet,
-    axes: BarAxes,
-    wall: tuple[float, float],
-    clear_mm: float,
-    length_mm: float = SPAN_MM,
+@dataclass(frozen=True, eq=False)
+class SpanFit:
+    """Arcs fitted to the free span next to one edge.
+
+    Attributes
+    ----------
+    best : arc with a kink if the kink is significant, else without
+    kinked : arc with the most likely kink, significant or not
+    near : as `best`, fitted to the half of the span near the bar; None if the span is short
+    touches : True if the kink is significant: the span touches an obstacle
+    """
+
+    best: FreeSpan
+    kinked: FreeSpan
+    near: FreeSpan | None
+    touches: bool
+
+
+def smooth_span(
+    result: CompensatedSheet, axes: BarAxes, wall: tuple[float, float], tail_mm: float
 ) -> FreeSpan:
-    """Fit the span next to one wall of a bar.
+    """Fit an arc without a kink to the span next to one wall of a bar; see `fit_span`."""
+    section, origin = _section(result, axes, wall, tail_mm)
+    return _span_of(fitted_arc(section), origin)
+
+
+def fit_span(
+    result: CompensatedSheet, axes: BarAxes, wall: tuple[float, float], tail_mm: float
+) -> SpanFit:
+    """Fit arcs without and with a kink to the span next to one wall of a bar.
 
     Parameters
     ----------
     wall : side of the bar, -1 or 1, and distance of the wall from the bar's middle, mm
-    clear_mm : distance from both ends of the span within which bending matters
-    length_mm : largest length of the fitted part, which begins near the wall
+    tail_mm : length over which the bending of the sheet decays
 
     Raises
     ------
     FitError : too few cells, or a coat that is not curved like a free span
     """
+    section, origin = _section(result, axes, wall, tail_mm)
+    arc = smooth = fitted_arc(section)
+    kink, touches = likely_kink(section, smooth, tail_mm), False
+    if kink is not None:
+        with suppress(FitError):
+            arc = fitted_arc(section, kink)
+            touches = arc.kink_over_sigma > _SIGNIFICANT
+    near = _near(section, kink if touches else None)
+    return SpanFit(
+        best=_span_of(arc if touches else smooth, origin),
+        kinked=_span_of(arc, origin),
+        near=None if near is None else _span_of(near, origin),
+        touches=touches,
+    )
+
+
+def _near(section: Section, kink: Kink | None) -> Arc | None:
+    """Return the arc fitted to the half of a span near the bar; None if the span is short."""
+    near = section.first(SPAN_MM / 2)
+    if near.cells.sum() < LEAST_CELLS or (kink is not None and not near.reaches_beyond(kink)):
+        return None
+    with suppress(FitError):
+        return fitted_arc(near, kink)
+    return None
+
+
+def _section(
+    result: CompensatedSheet, axes: BarAxes, wall: tuple[float, float], tail_mm: float
+) -> tuple[Section, FloatArray]:
+    """Return the free span without its ends, and the origin of the section's coordinates."""
     relief, own, (side, half_mm) = result.relief, axes.own(result.relief.points_mm), wall
-    beyond = side * own[..., 0] - half_mm
+    beyond, clear_mm = side * own[..., 0] - half_mm, _TAILS * tail_mm
     start = result.layer.thickness_mm + relief.pitch_mm[0] + clear_mm
-    end = min(start + length_mm, _free_to_mm(result, axes, beyond) - clear_mm)
+    end = min(start + SPAN_MM, _free_to_mm(result, axes, beyond) - clear_mm)
     span_cells = axes.band & (beyond > start) & (beyond < end)
     if span_cells.sum() < LEAST_CELLS:
         raise FitError(
@@ -112,7 +168,9 @@ def fit_span(
             f"{LEAST_CELLS} needed"
         )
     across, along, up = np.moveaxis(own[span_cells], -1, 0)
-    return _arc(np.stack((side * across, up, along), axis=-1), span_cells, result)
+    origin = np.array([side * across.mean(), up.mean()])
+    points = np.stack((side * across - origin[0], up - origin[1], along), axis=-1)
+    return Section(points, span_cells), origin
 
 
 def _free_to_mm(result: CompensatedSheet, axes: BarAxes, beyond_mm: FloatArray) -> float:
@@ -132,36 +190,12 @@ def _free_to_mm(result: CompensatedSheet, axes: BarAxes, beyond_mm: FloatArray) 
     return float(first + again[0] if len(again) else len(taken)) * pitch - CURVATURE_SIGMA_MM
 
 
-def _arc(points: FloatArray, span_cells: BoolArray, result: CompensatedSheet) -> FreeSpan:
-    """Fit an arc to points (n, across up along), mm; it may shift and turn along the bar."""
-    origin, y = points[:, :2].mean(axis=0), points[:, 2]
-    across, up = (points[:, :2] - origin).T
-    angle, curvature = float(np.arctan(-np.polyfit(across, up, 1)[0])), 0.0
-    used, ones = np.ones(len(y), bool), np.ones_like(y)
-    for _ in range(_ARC_TURNS):
-        c, s = np.cos(angle), np.sin(angle)
-        place, height = across * c - up * s, across * s + up * c
-        design = np.column_stack([ones, place, place**2, y, y**2, place * y, place * y**2])
-        flat = height - _over_parabola(place, curvature)
-        sagging, slope, half, *_ = fitted = np.linalg.lstsq(design[used], flat[used])[0]
-        rest = flat - design @ fitted
-        used = inliers(rest)
-        angle, curvature = angle - float(np.arctan(slope)), float(2 * half)
-    if curvature <= 0:
-        raise FitError("width: the coat next to the bar is not curved like a free span")
-    spread, members = np.zeros(span_cells.shape), np.zeros(span_cells.shape, bool)
-    spread[span_cells], members[span_cells] = rest, used
-    variance, area = variance_and_area(spread, members, result.relief.cell_area_mm2)
-    covariance = np.linalg.inv(design[used].T @ design[used])[:3, :3] * variance
-    together = area / result.relief.cell_area_mm2
+def _span_of(arc: Arc, origin: FloatArray) -> FreeSpan:
     return FreeSpan(
-        origin, angle, float(sagging), curvature, covariance * together, float(place.min())
+        origin,
+        arc.angle_rad,
+        float(arc.parameters[0]),
+        arc.curvature_per_mm,
+        arc.covariance[:3, :3],
+        float(arc.place_mm.min()),
     )
-
-
-def _over_parabola(place_mm: FloatArray, curvature_per_mm: float) -> FloatArray:
-    """Return the height, mm, of a circle above the parabola of equal curvature at the vertex."""
-    if not curvature_per_mm:
-        return np.zeros_like(place_mm)
-    turned = np.clip(curvature_per_mm * place_mm, -0.99, 0.99)
-    return np.asarray((1 - np.sqrt(1 - turned**2) - turned**2 / 2) / curvature_per_mm)

@@ -85,12 +85,17 @@ def test_offset_is_the_solids_within_its_uncertainty(case: dict[str, Any]) -> No
 
 
 @cache
-def pressed_bar(pressure_kpa: float, thickness_mm: float = 0.08) -> CompensatedSheet:
-    """Press a bar into a strip by the one-dimensional oracle, and compensate its coat."""
+def pressed_bar(
+    pressure_kpa: float, thickness_mm: float = 0.08, height_mm: float | None = None
+) -> CompensatedSheet:
+    """Press a bar into a strip by the one-dimensional oracle, and compensate its coat.
+
+    The plate under a bar with a height extends 1 mm beyond the bar.
+    """
+    section = bar_section(WIDTH_MM, EDGE_MM, height_mm, WIDTH_MM + 2.0)
     profile = strip_sheet_profile(
-        bar_section(WIDTH_MM, EDGE_MM), thickness_mm, YOUNG_KPA, RIM_MM, 0.6,
-        pressure_kpa=pressure_kpa, step_mm=0.02,
-    )  # fmt: skip
+        section, thickness_mm, YOUNG_KPA, RIM_MM, 0.6, pressure_kpa=pressure_kpa, step_mm=0.02
+    )
     places = np.arange(-RIM_MM + 0.02, RIM_MM, 0.04)
     x, y = np.meshgrid(places, np.arange(-5.98, 6, 0.04))
     z = CubicSpline(profile.radius_mm, profile.upper_z_mm)(np.abs(x))
@@ -119,6 +124,25 @@ def test_width_does_not_depend_on_the_stated_place(off: dict[str, float]) -> Non
     sheet = pressed_bar(1.0)
     measured = bar_under_sheet(sheet, replace(BAR, **off))
     assert measured.width_mm == pytest.approx(bar_under_sheet(sheet, BAR).width_mm, abs=3e-3)
+
+
+@pytest.mark.parametrize(("height_mm", "touches"), [(1.5, False), (1.07, True), (1.04, True)])
+def test_a_span_may_touch_the_edge_of_the_plate(height_mm: float, touches: bool) -> None:
+    """Setup: at 1.2 kPa the edge of the plate lifts the span by 0, 30 and 60 um.
+
+    The arc without a kink would be 33 and 68 um too wide.
+    """
+    sheet = pressed_bar(1.2, height_mm=height_mm)
+    measured = bar_under_sheet(sheet, BAR)
+    assert measured.span_touches == (touches, touches)
+    assert measured.width_mm == pytest.approx(WIDTH_MM, abs=0.012)
+    assert measured.span_mm < 0.01
+
+
+def test_no_width_if_the_plate_carries_the_span() -> None:
+    """Setup: the edge of the plate lifts the span by 0.2 mm, so that no free span is left."""
+    with pytest.raises(FitError, match="cells of a free span next to the bar"):
+        bar_under_sheet(pressed_bar(1.2, height_mm=0.89), BAR)
 
 
 def test_a_span_that_is_no_arc_is_less_certain() -> None:

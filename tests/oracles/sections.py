@@ -41,12 +41,17 @@ def rod_section(radius_mm: float, plate_mm: float | None = None) -> Section:
             distance - radius_mm, x_mm / distance, (z_mm + radius_mm) / distance, 1 / distance
         )
 
-    return (circle, *_plate(plate_mm))
+    return (circle, *_plate(plate_mm, 15.0))
 
 
-def bar_section(width_mm: float, edge_mm: float, height_mm: float | None = None) -> Section:
-    """Return a bar (about the axis: a disc) with rounded edges, on a plate if it has a height."""
-    return (_rounded(width_mm, edge_mm, 0.0), *_plate(height_mm))
+def bar_section(
+    width_mm: float, edge_mm: float, height_mm: float | None = None, plate_mm: float = 15.0
+) -> Section:
+    """Return a bar (about the axis: a disc) with rounded edges, on a plate if it has a height.
+
+    The plate has the width `plate_mm`.
+    """
+    return (_rounded(width_mm, edge_mm, 0.0), *_plate(height_mm, plate_mm))
 
 
 def flat_section() -> Section:
@@ -54,7 +59,7 @@ def flat_section() -> Section:
     return (_rounded(2 * _FAR_MM, 0.1, 0.0),)
 
 
-def _plate(below_mm: float | None, width_mm: float = 15.0, edge_mm: float = 0.2) -> Section:
+def _plate(below_mm: float | None, width_mm: float, edge_mm: float = 0.2) -> Section:
     """Return the plate under the object: narrower than the rim, which it may pass."""
     return () if below_mm is None else (_rounded(width_mm, edge_mm, below_mm),)
 
