@@ -28,7 +28,7 @@ _LARGEST_SINE = 0.99
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class CoatSection:
     """Points of a coat next to a bar.
 
     Attributes
@@ -41,12 +41,12 @@ class Section:
     points_mm: FloatArray
     cells: BoolArray
 
-    def first(self, length_mm: float) -> "Section":
+    def first(self, length_mm: float) -> "CoatSection":
         """Return the part of the section that is nearest to the bar."""
         across = self.points_mm[:, 0]
         inner, cells = across < across.min() + length_mm, self.cells.copy()
         cells[self.cells] = inner
-        return Section(self.points_mm[inner], cells)
+        return CoatSection(self.points_mm[inner], cells)
 
     def reaches_beyond(self, kink: "Kink") -> bool:
         """Return True if the section determines the arc beyond a kink."""
@@ -117,7 +117,7 @@ class Arc:
         return -float(self.parameters[_KINK] / np.sqrt(self.covariance[_KINK, _KINK]))
 
 
-def fitted_arc(section: Section, kink: Kink | None = None) -> Arc:
+def fitted_arc(section: CoatSection, kink: Kink | None = None) -> Arc:
     """Fit an arc to a section; the arc may shift and turn along the bar.
 
     Raises
@@ -148,7 +148,7 @@ def fitted_arc(section: Section, kink: Kink | None = None) -> Arc:
     return Arc(descent, place, parameters, covariance, design, rest, used)
 
 
-def likely_kink(section: Section, smooth: Arc, tail_mm: float) -> Kink | None:
+def likely_kink(section: CoatSection, smooth: Arc, tail_mm: float) -> Kink | None:
     """Return the kink on an obstacle that reduces the residuals of an arc most; None: no kink does.
 
     Parameters
@@ -194,7 +194,7 @@ def _design(place: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def _covariance(
-    section: Section, design: FloatArray, rest: FloatArray, used: BoolArray
+    section: CoatSection, design: FloatArray, rest: FloatArray, used: BoolArray
 ) -> FloatArray:
     residuals, members = np.zeros(section.cells.shape), np.zeros(section.cells.shape, bool)
     residuals[section.cells], members[section.cells] = rest, used

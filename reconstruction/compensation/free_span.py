@@ -11,7 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.arrays import BoolArray, FloatArray
-from reconstruction.compensation.arc import LEAST_CELLS, Arc, Kink, Section, fitted_arc, likely_kink
+from reconstruction.compensation.arc import (
+    LEAST_CELLS,
+    Arc,
+    CoatSection,
+    Kink,
+    fitted_arc,
+    likely_kink,
+)
 from reconstruction.compensation.balance import CURVATURE_SIGMA_MM, off_the_rim
 from reconstruction.compensation.sheet import CompensatedSheet
 from reconstruction.errors import FitError
@@ -143,7 +150,7 @@ def fit_span(
     )
 
 
-def _near(section: Section, kink: Kink | None) -> Arc | None:
+def _near(section: CoatSection, kink: Kink | None) -> Arc | None:
     """Return the arc fitted to the half of a span near the bar; None if the span is short."""
     near = section.first(SPAN_MM / 2)
     if near.cells.sum() < LEAST_CELLS or (kink is not None and not near.reaches_beyond(kink)):
@@ -155,7 +162,7 @@ def _near(section: Section, kink: Kink | None) -> Arc | None:
 
 def _section(
     result: CompensatedSheet, axes: BarAxes, wall: tuple[float, float], tail_mm: float
-) -> tuple[Section, FloatArray]:
+) -> tuple[CoatSection, FloatArray]:
     """Return the free span without its ends, and the origin of the section's coordinates."""
     relief, own, (side, half_mm) = result.relief, axes.own(result.relief.points_mm), wall
     beyond, clear_mm = side * own[..., 0] - half_mm, _TAILS * tail_mm
@@ -170,7 +177,7 @@ def _section(
     across, along, up = np.moveaxis(own[span_cells], -1, 0)
     origin = np.array([side * across.mean(), up.mean()])
     points = np.stack((side * across - origin[0], up - origin[1], along), axis=-1)
-    return Section(points, span_cells), origin
+    return CoatSection(points, span_cells), origin
 
 
 def _free_to_mm(result: CompensatedSheet, axes: BarAxes, beyond_mm: FloatArray) -> float:
