@@ -33,6 +33,9 @@ _STILL_STEEP = 0.75
 _ROUNDING, _LEAST_BY_FORCES = 1e-11, 0.25
 # Factors serve a second step if the residual is less than this many times the tolerance.
 _FACTORS_SERVE = 100.0
+# Of the tolerance of a step: the damped steps of a soft sheet are much shorter than its distance to
+# the equilibrium.
+_DAMPED = 0.1
 # Of a step: a shorter share of it does not measure the distance to the equilibrium, unless the
 # whole step is shorter than the tolerance: energies and forces do not resolve such a step.
 _NEARLY_WHOLE = 0.9
@@ -230,13 +233,15 @@ def _rest_mm(descent: _Descent, made_mm: FloatArray) -> FloatArray | None:
 
     It is computed with the last factorisation, so that no factorisation only confirms an
     equilibrium. With viscosity this step is too short; the step made before, `made_mm`, must then
-    be short as well.
+    be short as well, and both must be shorter by `_DAMPED` for a sheet that is not slack.
     """
     if descent.residual_kpa >= descent.accuracy.residual_kpa:
         return None
     rest = descent.sheet.newton_step_mm()
-    made = float(np.abs(made_mm).max()) if descent.viscosity else 0.0
-    longest_mm = max(float(np.abs(rest).max()), made)
+    longest_mm = float(np.abs(rest).max())
+    if descent.viscosity:
+        damped = _DAMPED if slips(descent.sheet, descent.state.pressure_kpa) else 1.0
+        longest_mm = max(longest_mm, float(np.abs(made_mm).max())) / damped
     return rest if longest_mm < descent.accuracy.step_mm else None
 
 

@@ -50,6 +50,8 @@ from twin.mechanics.validity import THINNEST
 _WIDEST_RATIO, _WIDEST_RATIO_THIN = 3.0, 1.9
 # A slack sheet of 0.05 mm needs a hundred steps and more, and a path with half steps is no shorter.
 _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
+# The finest cells follow from the coarse state, which need not be an equilibrium.
+_NEARLY = replace(_ROUGH, most_steps=20, strict=False)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
 # On intermediate cells a sheet that sticks has its full contact stiffness: if it is not in
 # equilibrium there, the finest cells start inside the specimen.
@@ -251,7 +253,7 @@ def _settled(
     goal = Loads(load.depth_mm or TRAVEL_STEP_MM, load.back_pressure_kpa)
     if slips(path.sheet, goal.pressure_kpa):
         # The force of a state that is no equilibrium is not known.
-        accuracy = NEAR if load.force_n is None else _ROUGH
+        accuracy = _ROUGH if load.force_n is not None else _NEARLY
         with suppress(SolverError, LimitPressureError):
             state = descended([*path.wider, path.sheet], goal, accuracy)
             return _continued(path, load, state, report)
