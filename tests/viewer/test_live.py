@@ -1,6 +1,7 @@
 """`twin view` in a browser: moving the thickness slider changes the camera's picture."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -40,6 +41,9 @@ def tab(tmp_path_factory) -> Iterator[Browser]:
         yield started
 
 
+@pytest.mark.skipif(
+    "TWIN_BROWSER_3D" not in os.environ, reason="WebGL by software takes minutes on two cores"
+)
 def test_the_thickness_slider_changes_the_picture(address, tab):
     """Arrow keys on the slider, as a person without a mouse would."""
     tab.open(address)
