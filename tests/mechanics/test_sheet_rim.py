@@ -81,7 +81,7 @@ def test_an_inflated_strip_pulls_its_rim_in() -> None:
     sheet = _strip_on_springs(h, c)
     start = mounted(sheet.grid)
     result, _ = advance(sheet, start, start, Loads(0.0, pressure_kpa), EXACT)
-    place = sheet.grid.evaluate(result.control_mm, np.array([0.0, b]), np.zeros(1))[0][0]
+    place = sheet.grid.evaluate(result.control_mm, np.array([0.0, b]), np.zeros(1))[0][:, 0]
     assert drawn_in(angle) > 0.1
     assert place[1, 0] == pytest.approx(chord, abs=2e-3)
     assert -place[0, 2] == pytest.approx(chord * np.tan(angle / 2), rel=1e-3)

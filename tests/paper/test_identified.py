@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twin.config import load_experiment
+from twin.config.quantities import value_at
 from twin.output import RESULT_FILE, write_json
 from twin.paper.claims import claims_of
 from twin.paper.identified import (
@@ -19,7 +20,6 @@ from twin.paper.identified import (
 )
 from twin.paper.plan import BALLS, FIT, RODS, identified
 from twin.paper.trials import REFUSED, Trial, inputs
-from twin.study.cases import field_of
 from twin.study.trials import draw
 
 
@@ -30,7 +30,7 @@ def test_every_scene_has_the_identified_values(name):
     for field in fields.values():
         shared = of_sheet or field["path"] in ("press.depth_mm", "score.roi_radius_mm")
         if shared and (name in RODS or not field["path"].startswith("specimen.")):
-            assert field_of(experiment, field["path"]) == pytest.approx(field["value"])
+            assert value_at(experiment, field["path"]) == pytest.approx(field["value"])
     if of_sheet:
         origin = experiment.provenance["elastomer.thickness_mm"]
         assert origin.source == fields["thickness_mm"]["source"]

@@ -113,7 +113,7 @@ def _guess(case, travel_mm, nodes_mm):
     """Return the sheet's displacement: where Newton's method starts, not where it ends."""
     sheet, result = wrapped(case, travel_mm, 0.1)
     x, y, z = (np.unique(along) for along in nodes_mm.T)
-    place, along_x, along_y = sheet.grid.evaluate(result.control_mm, x, y)
+    place, along_x, along_y = np.moveaxis(sheet.grid.evaluate(result.control_mm, x, y), 2, 0)
     across = np.cross(along_x, along_y)
     up = across / (across**2).sum(axis=-1)[..., None]
     offset = z - case.thickness_mm / 2
