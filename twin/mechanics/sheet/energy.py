@@ -19,7 +19,6 @@ from twin.mechanics.sheet.kernel import (
     SLOTS,
     Assembled,
     assemble_rows,
-    curvature_rows,
     scratch,
     surface_rows,
 )
@@ -281,12 +280,6 @@ class Sheet:
         """
         gap: FloatArray = touch.distance_mm - self.laws.thickness_mm / 2 * thinning_of(surface)
         return gap
-
-    def curvature_squared(self, control_mm: FloatArray) -> FloatArray:
-        """Return the mean of the two squared principal curvatures, (row, col, 4), 1/mm^2."""
-        square = np.zeros(self.grid.rest.area_mm2.shape)
-        curvature_rows(0, self.grid.y.cells, control_mm, self.grid.rest, square)
-        return square
 
     def regripped(self, state: SheetState) -> SheetState:
         """Return the state with updated anchors; the update does not increase the energy.

@@ -179,25 +179,20 @@ def _surface_rows(
                 _place(N, c, j_row, i_col, out[j_row, i_col, q])
 
 
-def curvature_rows(first: int, end: int, c: FloatArray, rest: Rest, out: FloatArray) -> None:
-    """Write the mean of the two squared principal curvatures, 1/mm^2, to `out` (row, col, 4).
+def curvature_squared(c: FloatArray, rest: Rest) -> FloatArray:
+    """Return the mean of the two squared principal curvatures at the Gauss points, 1/mm^2.
 
-    Parameters
-    ----------
-    first, end : index of the first row of cells, and of the row after the last one
-    c : (row + 2, col + 2, 3) control points, mm
-    rest : undeformed sheet
+    The shape is (row, col, 4). `c` are the control points (row + 2, col + 2, xyz), mm.
     """
+    square = np.zeros(rest.area_mm2.shape)
     N, v, across = np.zeros((9, 6)), np.zeros((6, 3)), np.zeros(3)
-    _curvature_rows(
-        first, end, np.ascontiguousarray(c), _contiguous(rest), N, np.zeros(5), v, across, out
-    )
+    plain = np.zeros(5)
+    _curvature_squared(np.ascontiguousarray(c), _contiguous(rest), N, plain, v, across, square)
+    return square
 
 
 @kernel
-def _curvature_rows(
-    first: int,
-    end: int,
+def _curvature_squared(
     c: FloatArray,
     rest: Rest,
     N: FloatArray,
@@ -206,7 +201,7 @@ def _curvature_rows(
     across: FloatArray,
     out: FloatArray,
 ) -> None:
-    for j_row in range(first, end):
+    for j_row in range(rest.area_mm2.shape[0]):
         for i_col in range(rest.area_mm2.shape[1]):
             for q in range(4):
                 _functions((j_row, i_col, q), rest, N, plain)

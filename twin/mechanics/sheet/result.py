@@ -11,6 +11,7 @@ from twin.mechanics.sheet.case import SheetCase
 from twin.mechanics.sheet.energy import Sheet, SheetState
 from twin.mechanics.sheet.faces import height_map, sample
 from twin.mechanics.sheet.grid import normal_of
+from twin.mechanics.sheet.kernel import curvature_squared
 from twin.mechanics.sheet.pressure import pressure_on_cells
 from twin.mechanics.validity import assess_sheet, margin_mm
 
@@ -122,7 +123,7 @@ def _contact_bend(sheet: Sheet, state: SheetState) -> float:
     touching = (sheet.gap_mm(surface, touch) < 0).any(axis=0)
     if not touching.any():
         return 0.0
-    square = sheet.curvature_squared(state.control_mm)[touching]
+    square = curvature_squared(state.control_mm, sheet.grid.rest)[touching]
     weight = sheet.grid.rest.area_mm2[touching]
     return float(np.sqrt((square * weight).sum() / weight.sum()))
 
