@@ -129,8 +129,8 @@ class CompensatedSheet(PresentedObject):
         Each entry is (row, col), one standard uncertainty, in the same sense at all points of a
         part. The entries are for the sheet's thickness, its thinning, and its squeeze by the
         contact pressure, of which modulus and air pressure are uncertain. For a sheet that sticks,
-        a further entry varies over a part: from the negative second entry at the edge to the positive
-        one in the middle.
+        a further entry varies over a part: from the negative second entry at the edge to the
+        positive one in the middle.
         """
         layer = self.layer
         of_stretch = layer.thickness_mm * self.sigma_thinning
