@@ -18,6 +18,7 @@ from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding._decode import Maps, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
 from reconstruction.decoding._micro import decode_micro_rows
+from reconstruction.decoding.gains import estimate_gains, widen
 from reconstruction.decoding.general import unwrap_maps
 from reconstruction.decoding.micro import micro_periods
 from reconstruction.decoding.plan import (
@@ -77,9 +78,11 @@ def decode(
     rule = patterns.kind.rule if unwrap is None else Rule.OWN
     # For displaced patterns the kernels decode x + displacement; numpy functions get phases at x.
     displacement = 0.0 if rule is Rule.OWN else patterns.kind.displacement
+    gains = estimate_gains(frames, patterns, sensor, options, scale)
     plan = make_plan(
-        frames, patterns, sensor, options, scale, ripple=ripple, displacement=displacement
-    )
+        frames, patterns, sensor, options, scale,
+        ripple=ripple, displacement=displacement, gains=gains,
+    )  # fmt: skip
     maps = blank_maps(stack.shape[1], stack.shape[2])
     if rule is Rule.OWN:
         unwrap_maps(frames, patterns, plan, maps, unwrap)
@@ -93,12 +96,14 @@ def decode(
         place_displaced(maps, patterns)
     smoothed = _smoothed(maps, options, patterns)
     units = units_of(sensor, scale)
+    if gains is not None:
+        smoothed = widen(smoothed, maps, patterns, gains, units[:2])
     if plan.has_ripple:
         smoothed = _with_ripple(smoothed, maps, ripple, patterns)
     column, row = (
         _axis(maps, smoothed, k, units, patterns.period_along(axis)) for k, axis in enumerate(AXES)
     )
-    return Decoded(column, row, smoothed.reason, patterns.axes)
+    return Decoded(column, row, smoothed.reason, patterns.axes, gains)
 
 
 def _check(
