@@ -71,13 +71,13 @@ class FrameGains:
     ripple_rad : (axis, set), phase error, RMS, that the levels had before they were divided by
         `relative`; 0 for sets without a significant difference
     variances : (axis, 2) of the sums E_1 and E_2 of the measuring period's light, see `gains`
-    dark_dn : level without light of the projector, DN
+    dark_dn : (axis, set), level without light of the projector, DN, which was not divided
     """
 
     relative: FloatArray
     ripple_rad: FloatArray
     variances: FloatArray
-    dark_dn: float
+    dark_dn: FloatArray
 
 
 @dataclass(frozen=True, eq=False)

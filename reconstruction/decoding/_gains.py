@@ -79,9 +79,10 @@ def _describe(sample: SampledSet, pixel: PixelScratch) -> Any:
     features[0], features[1], features[2] = a, p, q
     length = max(np.sqrt(power), TINY)
     c, s = p / length, q / length
-    for k in range(3, features.size, 2):
+    for k in range(3, features.size - 1, 2):
         p, q = p * c - q * s, p * s + q * c
         features[k], features[k + 1] = p, q
+    features[features.size - 1] = sample.limits[1]
     return 1.0 / variance, (square - steps * (a * a + 0.5 * power)) / variance
 
 

@@ -47,7 +47,7 @@ ComplexArray = NDArray[np.complex128]
 # Three steps always fit A, B and phi: there are no residuals. More than 64 take too long.
 STEPS = 4, 64
 # Every STRIDE-th row and column is sampled, more of images with less than SAMPLE_PIXELS of them.
-STRIDE, SAMPLE_PIXELS, LEAST_PIXELS = 12, 2500, 400
+STRIDE, SAMPLE_PIXELS, LEAST_PIXELS = 15, 2500, 400
 # Number of tiles along each image axis, and least number of those that have pixels.
 TILES, LEAST_TILES = 4, 4
 HARMONICS = (2, 3)
@@ -57,6 +57,8 @@ LEAST_RIPPLE_RAD, LEAST_SIGMAS = 5e-5, 5.0
 LARGEST_GAIN = 0.25
 # Pixels with larger residuals, in sigmas of the median pixel, are excluded from the last step.
 OUTLIER_SIGMAS = 4.0
+# Least number of steps from which the level without the projector's light is estimated.
+DARK_STEPS = 5
 # Share of the mean diagonal that is added to the diagonal: the equations are never singular.
 RIDGE = 1e-9
 
@@ -65,12 +67,13 @@ class _Model(NamedTuple):
     """Linear equations of one fringe set, which follow from its phase shifts.
 
     The features of a pixel are A, B cos(phi) and B sin(phi), then real and imaginary part of
-    B exp(i h phi) for each harmonic h.
+    B exp(i h phi) for each harmonic h, then a constant, the full scale of the camera in DN. The
+    unknowns are e_n, two for each harmonic, and the level b as a share of the full scale.
     """
 
     basis: FloatArray  # (step, 3), from the first three features to levels
     unexplained: FloatArray  # (step, step), from levels to the residuals of their fit
-    harmonics: FloatArray  # (unknown, step, feature), residuals by one unit of each harmonic
+    others: FloatArray  # (unknown, step, feature), residuals by one unit of all unknowns but e_n
     waves: ComplexArray  # (2, step), exp(i t_n) and exp(2 i t_n)
 
 
@@ -78,9 +81,19 @@ class _Solution(NamedTuple):
     """Estimates of one fringe set."""
 
     error: FloatArray  # (step,), e_n, with mean 0
+    dark_share: float  # level without light minus the assumed level, as a share of the full scale
     variances: FloatArray  # (2,), of E_1 and E_2
     ripple_rad: float  # RMS over the phases, at the mean of (A / B)^2
     sigma_rad: float  # standard uncertainty of ripple_rad
+
+
+class _SetLight(NamedTuple):
+    """Light of one fringe set, see `FrameGains`."""
+
+    relative: FloatArray  # (step,)
+    ripple_rad: float
+    variances: FloatArray  # (2,)
+    dark_dn: float
 
 
 def estimate_gains(
@@ -104,7 +117,8 @@ def estimate_gains(
     is_possible = STEPS[0] <= patterns.steps <= STEPS[1] and sample[0].size >= LEAST_PIXELS
     if not (options.frame_gains and is_possible):
         return None
-    dark_dn = _dark_dn(sample, patterns, sensor)
+    dark_dn = np.full((2, patterns.sets), sensor.black_level_dn)
+    black_dn = _black_dn(sample, patterns, sensor)
     some_scale = np.ones(sample.shape[1:]) if scale is None else scale[::stride, ::stride]
     some_scale = np.ascontiguousarray(some_scale, np.float32)
     relative = np.ones((2, patterns.sets, patterns.steps))
@@ -114,11 +128,12 @@ def estimate_gains(
         for j, frames in enumerate(patterns.step_sets(axis)):
             model = _model(np.array(patterns.shifts(axis, j)))
             levels = np.ascontiguousarray(sample[frames], np.float32)
-            pixels = _sampled(levels, some_scale, dark_dn, model, (sensor, options))
-            light = _light_of(pixels, model)
+            pixels = _sampled(levels, some_scale, model, (sensor, options))
+            light = _light_of(pixels, model, black_dn)
             if light is not None:
-                relative[k, j], ripple_rad[k, j] = light[0], light[1].ripple_rad
-                variances[k] = light[1].variances if j == 0 else variances[k]
+                relative[k, j], dark_dn[k, j] = light.relative, light.dark_dn
+                ripple_rad[k, j] = light.ripple_rad
+                variances[k] = light.variances if j == 0 else variances[k]
     return FrameGains(relative, ripple_rad, variances, dark_dn) if ripple_rad.any() else None
 
 
@@ -150,7 +165,7 @@ def widen(
             sigma[k], share[k], maps.mean[k], maps.modulation[k],
             first_px2=np.float32(scale * first),
             second_px2=np.float32(0.25 * scale * second),
-            dark_dn=np.float32(gains.dark_dn),
+            dark_dn=np.float32(gains.dark_dn[k, 0]),
             per_sigma=np.float32(sigma_unit / BIAS),
             per_level=np.float32(level_unit / BIAS),
             pack=np.float32(BIAS / sigma_unit),
@@ -159,10 +174,13 @@ def widen(
     return smoothed._replace(sigma=sigma, bias_share=share)
 
 
-def _dark_dn(sample: Stack, patterns: PatternSet, sensor: SensorNoise) -> float:
-    """Return the level without the projector's light: median of the black frame, if shown, DN."""
+def _black_dn(sample: Stack, patterns: PatternSet, sensor: SensorNoise) -> float:
+    """Return the largest level without the projector's light, DN: the median of the black frame.
+
+    Without a black frame it is the middle of the camera's range.
+    """
     if not patterns.uniform:
-        return sensor.black_level_dn
+        return 0.5 * (sensor.black_level_dn + sensor.clipped_from_dn)
     black = sample[patterns.index("black")][:, ::2, ::2]
     black = black[np.isfinite(black)]
     return max(sensor.black_level_dn, float(np.median(black)) if black.size else 0.0)
@@ -175,55 +193,69 @@ def _model(shifts: FloatArray) -> _Model:
     unexplained = np.eye(steps) - basis * np.array([1.0, 2.0, 2.0]) @ basis.T / steps
     # Other harmonics are not distinguished from A and B exp(i phi).
     orders = [h for h in HARMONICS if h % steps not in (0, 1, steps - 1)]
-    harmonics = np.zeros((2 * len(orders), steps, 3 + 2 * len(orders)))
-    for unknown, h in zip(range(0, len(harmonics), 2), orders, strict=True):
+    others = np.zeros((2 * len(orders) + 1, steps, 2 * len(orders) + 4))
+    for unknown, h in zip(range(0, 2 * len(orders), 2), orders, strict=True):
         cosine, sine = np.cos(h * turns), np.sin(h * turns)
         parts = slice(3 + unknown, 5 + unknown)
-        harmonics[unknown, :, parts] = np.stack([cosine, -sine], axis=1)
-        harmonics[unknown + 1, :, parts] = np.stack([sine, cosine], axis=1)
+        others[unknown, :, parts] = np.stack([cosine, -sine], axis=1)
+        others[unknown + 1, :, parts] = np.stack([sine, cosine], axis=1)
     waves = np.exp(1j * np.outer([1.0, 2.0], turns))
-    return _Model(basis, unexplained, harmonics, waves)
+    return _Model(basis, unexplained, others, waves)
 
 
 def _sampled(
     levels: FloatImage,
     scale: FloatImage,
-    dark_dn: float,
     model: _Model,
     limits: tuple[SensorNoise, DecodeOptions],
 ) -> SampledSet:
     """Return the levels (step, row, col) of one fringe set for the kernel."""
     (sensor, options), steps = limits, len(levels)
-    black_dn = sensor.black_level_dn
+    black_dn = float(sensor.black_level_dn)
     lowest_dn = 0.0 if black_dn > 0.0 else -np.inf
     dark_variance_dn2 = float(sensor.variance_dn2(black_dn))
     return SampledSet(
-        levels, scale, float(dark_dn), np.ones(steps), model.basis, TILES,
-        limits=(float(black_dn), float(sensor.clipped_from_dn), lowest_dn),
+        levels, scale, black_dn, np.ones(steps), model.basis, TILES,
+        limits=(black_dn, float(sensor.clipped_from_dn), lowest_dn),
         noise=(float(sensor.gain_dn_per_e), dark_variance_dn2),
         most_variance=0.5 * steps * options.max_phase_sigma_rad**2,
         most_misfit=np.inf,
     )  # fmt: skip
 
 
-def _light_of(sample: SampledSet, model: _Model) -> tuple[FloatArray, _Solution] | None:
-    """Return the relative light of a set (step,) and its uncertainty; None: it is not significant.
+def _light_of(sample: SampledSet, model: _Model, black_dn: float) -> _SetLight | None:
+    """Return the light of a fringe set and its uncertainty; None: it is not significant.
 
-    Further steps also exclude pixels with too large residuals: moved, or lit by other surfaces.
+    Further steps exclude pixels with too large residuals, which moved or are lit by other surfaces,
+    and estimate the level without the projector's light: levels divided by the light contain it
+    divided by the light. Four steps do not distinguish it from the light.
+
+    Parameters
+    ----------
+    black_dn : largest level without the projector's light
     """
-    misfit = np.zeros(sample.levels.shape[1:])
+    misfit, least_dn = np.zeros(sample.levels.shape[1:]), sample.limits[0]
     first = _solve(sample, misfit, model)
     if first is None or np.abs(first.error).max() > LARGEST_GAIN:
         return None
     if first.ripple_rad < max(LEAST_RIPPLE_RAD, LEAST_SIGMAS * first.sigma_rad):
         return None
     relative, solution = 1.0 + first.error, first
+    is_dark_known = len(relative) < DARK_STEPS
+    sample = sample._replace(dark_dn=black_dn if is_dark_known else sample.dark_dn)
     for _ in range(2):
-        solution = _solve(sample._replace(factors=1.0 / relative), misfit, model) or solution
+        if not is_dark_known:
+            model.others[-1, :, -1] = model.unexplained @ (1.0 - relative)
+        sample = sample._replace(factors=1.0 / relative)
+        solution = _solve(sample, misfit, model) or solution
         relative *= 1.0 + solution.error
-        typical = np.median(misfit[misfit >= 0.0])
-        sample = sample._replace(most_misfit=OUTLIER_SIGMAS**2 * float(typical))
-    return relative / relative.mean(), solution._replace(ripple_rad=first.ripple_rad)
+        dark_dn = sample.dark_dn + solution.dark_share * sample.limits[1]
+        typical = float(np.median(misfit[misfit >= 0.0]))
+        sample = sample._replace(
+            dark_dn=min(max(dark_dn, least_dn), black_dn), most_misfit=OUTLIER_SIGMAS**2 * typical
+        )
+    relative /= relative.mean()
+    return _SetLight(relative, first.ripple_rad, solution.variances, sample.dark_dn)
 
 
 def _solve(sample: SampledSet, misfit: FloatArray, model: _Model) -> _Solution | None:
@@ -236,7 +268,7 @@ def _solve(sample: SampledSet, misfit: FloatArray, model: _Model) -> _Solution |
     misfit : (row, col), read and written, see `TileSums`
     """
     steps = len(model.basis)
-    features = model.harmonics.shape[2]
+    features = model.others.shape[2]
     sums = TileSums(
         np.zeros((TILES**2, features, features)),
         np.zeros((TILES**2, features, steps)),
@@ -252,7 +284,8 @@ def _solve(sample: SampledSet, misfit: FloatArray, model: _Model) -> _Solution |
     size = np.trace(whole) / len(whole)
     whole += size * RIDGE * np.eye(len(whole))
     whole[:steps, :steps] += size  # the mean of e_n is 0
-    error = np.linalg.solve(whole, side)[:steps]
+    solved = np.linalg.solve(whole, side)
+    error, dark_share = solved[:steps], float(solved[-1])
     parts = np.linalg.solve(whole - matrices[used], (side - sides[used])[..., None])[:, :steps, 0]
     around = (parts - parts.mean(axis=0)) @ model.waves.T
     variances = (1.0 - 1.0 / len(used)) * np.square(np.abs(around)).sum(axis=0)
@@ -260,22 +293,23 @@ def _solve(sample: SampledSet, misfit: FloatArray, model: _Model) -> _Solution |
     contrast2 = squares[0] / (squares[1] + squares[2])
     shares = 2.0 / steps**2 * np.array([contrast2, 0.25])
     ripple_rad = math.sqrt(shares @ np.square(np.abs(model.waves @ error)))
-    return _Solution(error - error.mean(), variances, ripple_rad, math.sqrt(shares @ variances))
+    sigma_rad = math.sqrt(shares @ variances)
+    return _Solution(error - error.mean(), dark_share, variances, ripple_rad, sigma_rad)
 
 
 def _equations(sums: TileSums, model: _Model) -> tuple[FloatArray, FloatArray]:
     """Return matrix (tile, unknown, unknown) and right side (tile, unknown)."""
     steps, fitted = len(model.basis), sums.pairs[:, :3]
-    unknowns = steps + len(model.harmonics)
+    unknowns = steps + len(model.others)
     matrices = np.zeros((len(fitted), unknowns, unknowns))
     light = np.einsum("ni,tij,mj->tnm", model.basis, fitted[:, :, :3], model.basis)
     matrices[:, :steps, :steps] = model.unexplained * light
-    by_harmonic = np.einsum("tfg,jng->tjnf", sums.pairs, model.harmonics)
-    crossed = np.einsum("ni,tjni->tnj", model.basis, by_harmonic[..., :3])
+    moved = np.einsum("tfg,jng->tjnf", sums.pairs, model.others)
+    crossed = np.einsum("ni,tjni->tnj", model.basis, moved[..., :3])
     matrices[:, :steps, steps:] = crossed
     matrices[:, steps:, :steps] = crossed.transpose(0, 2, 1)
-    matrices[:, steps:, steps:] = np.einsum("jnf,tknf->tjk", model.harmonics, by_harmonic)
+    matrices[:, steps:, steps:] = np.einsum("jnf,tknf->tjk", model.others, moved)
     rest = sums.products - np.einsum("tif,ni->tfn", fitted, model.basis)
     of_light = np.einsum("ni,tin->tn", model.basis, rest[:, :3])
-    of_harmonics = np.einsum("jnf,tfn->tj", model.harmonics, rest)
-    return matrices, np.concatenate([of_light, of_harmonics], axis=1)
+    of_others = np.einsum("jnf,tfn->tj", model.others, rest)
+    return matrices, np.concatenate([of_light, of_others], axis=1)

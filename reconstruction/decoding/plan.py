@@ -90,7 +90,7 @@ def _layout(patterns: PatternSet, displacement: float, gains: FrameGains | None)
     column, row = AXES
     turns = _shifts(patterns) - 2.0 * np.pi * displacement
     factors = np.ones(turns.shape) if gains is None else 1.0 / gains.relative
-    offsets = np.zeros(turns.shape) if gains is None else gains.dark_dn * (1.0 - factors)
+    offsets = np.zeros(turns.shape) if gains is None else gains.dark_dn[..., None] * (1.0 - factors)
     uniform = len(patterns.frames) - 2 if patterns.uniform else -1
     return Layout(
         first_axis=AXES.index(patterns.axes[0]),
