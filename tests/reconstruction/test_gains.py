@@ -54,7 +54,7 @@ def test_ripple_of_a_linear_drift_is_that_of_the_closed_form(synthesise, cover, 
     """Ripple of N steps by a light that changes by d from the first to the last, neglected.
 
     sum n exp(i k t_n) = N / (exp(2 pi i k / N) - 1), so |E_k| = d N / (2 (N - 1) sin(pi k / N)).
-    With RMS^2 = 2 / N^2 (|E_1|^2 (A / B)^2 + |E_2|^2 / 4): 5.3 mrad for d = 2 % and 18 steps.
+    With RMS^2 = 2 / N^2 (|E_1|^2 (A / B)^2 + |E_2|^2 / 4): 5.2 mrad for d = 2 % and 18 steps.
     """
     patterns, drift = patterns_of(steps), 0.02
     stack = stack_of(patterns, synthesise, cover, drifting(patterns, drift), sensor=QUIET)
