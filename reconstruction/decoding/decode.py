@@ -6,6 +6,7 @@ of Surrel, Appl. Opt. 36, 271 (1997). `PatternSet`, `_order` and `_chain` descri
 fringe orders are determined at the edges of stripes.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -88,22 +89,24 @@ def decode(
         unwrap_maps(frames, patterns, plan, maps, unwrap)
     elif rule is Rule.SINGLE_IMAGES:
         periods = micro_periods(frames, patterns, sensor, scale)
-        arguments = (frames, plan, periods, maps)
-        run_over_rows(decode_micro_rows, len(maps.reason), *arguments, band_rows=BAND_ROWS)
+        _run(decode_micro_rows, frames, plan, periods, maps)
     else:
-        run_over_rows(decode_rows, len(maps.reason), frames, plan, maps, band_rows=BAND_ROWS)
+        _run(decode_rows, frames, plan, maps)
     if displacement:
         place_displaced(maps, patterns)
-    smoothed = _smoothed(maps, options, patterns)
     units = units_of(sensor, scale)
+    smoothed = _smoothed(maps, options, patterns)
     if gains is not None:
         smoothed = widen(smoothed, maps, patterns, gains, units[:2])
     if plan.has_ripple:
         smoothed = _with_ripple(smoothed, maps, ripple, patterns)
-    column, row = (
-        _axis(maps, smoothed, k, units, patterns.period_along(axis)) for k, axis in enumerate(AXES)
-    )
-    return Decoded(column, row, smoothed.reason, patterns.axes, gains)
+    axes = [_axis(maps, smoothed, k, units, patterns.period_along(a)) for k, a in enumerate(AXES)]
+    return Decoded(*axes, smoothed.reason, patterns.axes, gains)
+
+
+def _run(kernel: Callable[..., None], frames: Stack, *arguments: Any) -> None:
+    """Run a kernel over all rows of the frames."""
+    run_over_rows(kernel, frames.shape[1], frames, *arguments, band_rows=BAND_ROWS)
 
 
 def _check(

@@ -100,7 +100,7 @@ def _interpolated(cells: FloatImage, size: int, axis: int) -> FloatImage:
     place = np.clip((np.arange(size) + 0.5) * count / size - 0.5, 0.0, count - 1.0)
     low = np.minimum(place.astype(int), max(count - 2, 0))
     share = np.expand_dims((place - low).astype(np.float32), 1 - axis)
-    image = cells.take(np.minimum(low + 1, count - 1), axis)
+    image: FloatImage = cells.take(np.minimum(low + 1, count - 1), axis)
     first = cells.take(low, axis)
     image -= first
     image *= share

@@ -221,7 +221,7 @@ def dithering_error(levels: Levels, projector: Projector, frames: Sequence[int])
     codes = np.rint(255.0 * relative).astype(np.int64)
     start = np.array(frames) * periods
     bits = np.arange(7, -1, -1)
-    lengths = 2.0**bits / 255.0
+    lengths = np.asarray(2.0**bits / 255.0, np.float64)
     on = _time_on(start + periods, lengths) - _time_on(start, lengths)
     error = (on / periods - lengths[:, None])[:, None] * (codes >> bits[:, None, None] & 1)
     return np.asarray((1.0 - 1.0 / projector.contrast) * error.sum(axis=0))
