@@ -31,7 +31,7 @@ from reconstruction.decoding.plan import (
 )
 from reconstruction.decoding.ripple import NODES, Ripple, ripple_of
 from reconstruction.errors import InputError
-from reconstruction.patterns import AXES, PatternSet
+from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
@@ -63,8 +63,7 @@ def decode(
         multiplied, see `merge_exposures`; None: 1 everywhere
     response : projector response. The phase error by its harmonics is subtracted; the uncertainty
         of this error is part of sigma and of the probability of a wrong order. None: linear
-    unwrap : function of the caller that numbers the fringes of one axis, see `codes.Unwrap`; None:
-        the rule of the pattern code
+    unwrap : function that numbers the fringes of one axis, see `codes.Unwrap`; None: the code's
 
     Raises
     ------
@@ -100,8 +99,8 @@ def decode(
         smoothed = widen(smoothed, maps, patterns, gains, units[:2])
     if plan.has_ripple:
         smoothed = _with_ripple(smoothed, maps, ripple, patterns)
-    axes = [_axis(maps, smoothed, k, units, patterns.period_along(a)) for k, a in enumerate(AXES)]
-    return Decoded(*axes, smoothed.reason, patterns.axes, gains)
+    column, row = (_axis(maps, smoothed, axis, units, patterns) for axis in AXES)
+    return Decoded(column, row, smoothed.reason, patterns.axes, gains)
 
 
 def _run(kernel: Callable[..., None], frames: Stack, *arguments: Any) -> None:
@@ -187,18 +186,23 @@ def _with_ripple(smoothed: Smoothed, maps: Maps, ripple: Ripple, patterns: Patte
 
 
 def _axis(
-    maps: Maps, smoothed: Smoothed, axis: int, units: tuple[float, float, float], period_px: float
+    maps: Maps,
+    smoothed: Smoothed,
+    axis: Axis,
+    units: tuple[float, float, float],
+    patterns: PatternSet,
 ) -> AxisDecode:
+    k, period_px = AXES.index(axis), float(patterns.period_along(axis))
     level_dn, sigma_px, chance = units
-    coordinate_px, turns = smoothed.coordinate_px[axis], Turns(maps.turns[axis])
+    coordinate_px, turns = smoothed.coordinate_px[k], Turns(maps.turns[k])
     compact: dict[str, Any] = {
         "phase_rad": turns,
-        "order": Orders(coordinate_px, turns, float(period_px)),
-        "mean_dn": Half(maps.mean[axis], level_dn),
-        "modulation_dn": Half(maps.modulation[axis], level_dn),
-        "sigma_px": Half(smoothed.sigma[axis], sigma_px),
-        "bias_share": Share(smoothed.bias_share[axis]),
-        "residual_dn": Half(maps.residual[axis], level_dn),
-        "order_error": Half(maps.order_error[axis], chance),
+        "order": Orders(coordinate_px, turns, period_px),
+        "mean_dn": Half(maps.mean[k], level_dn),
+        "modulation_dn": Half(maps.modulation[k], level_dn),
+        "sigma_px": Half(smoothed.sigma[k], sigma_px),
+        "bias_share": Share(smoothed.bias_share[k]),
+        "residual_dn": Half(maps.residual[k], level_dn),
+        "order_error": Half(maps.order_error[k], chance),
     }
     return AxisDecode(coordinate_px, **compact)
