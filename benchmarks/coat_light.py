@@ -54,12 +54,12 @@ def drift_left_um(
     for name, lamp, trial in _lamps(experiment, len(radiance.frames)):
         if trial not in steady:
             steady[trial] = _measured(experiment, pressed, radiance, trial)
-        for corrected, found in errors.items():
+        for corrected, differences in errors.items():
             changed = vary(experiment, {**lamp, "decode.frame_gains": corrected})
             result = _measured(changed, pressed, radiance, trial)
-            found.append(_difference_um(result, steady[trial]))
+            differences.append(_difference_um(result, steady[trial]))
             label = "estimated" if corrected else "neglected"
-            print(f"{name}, light {label}: z {found[-1][0]:.3f} um, radius {found[-1][1]:.2f} um")
+            print(f"{name}, light {label}: z {differences[-1][0]:.3f} um, radius {differences[-1][1]:.2f} um")
     left, whole = (np.max(errors[corrected], axis=0) for corrected in (True, False))
     return {
         "drift_left_um": float(left[0]),
@@ -93,13 +93,13 @@ def _measured(
     return points, dict(evaluate(experiment, pressed, recording, points).metrics)
 
 
-def _difference_um(found: Measured, expected: Measured) -> tuple[float, float]:
+def _difference_um(result: Measured, expected: Measured) -> tuple[float, float]:
     """Return the RMS difference of z over all pixels, and the largest of the balls' radii."""
-    maps = found[0].point_map, expected[0].point_map
+    maps = result[0].point_map, expected[0].point_map
     both = maps[0].valid & maps[1].valid
     z_mm = [points.points_world_mm[..., 2].astype(np.float64)[both] for points in maps]
     radii = [name for name in expected[1] if name.endswith("_radius_mm")]
-    moved = [abs(found[1][name] - expected[1][name]) for name in radii]
+    moved = [abs(result[1][name] - expected[1][name]) for name in radii]
     return 1e3 * float(np.sqrt(np.mean((z_mm[0] - z_mm[1]) ** 2))), 1e3 * max(moved)
 
 

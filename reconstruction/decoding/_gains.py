@@ -83,7 +83,7 @@ def _describe(sample: SampledSet, pixel: PixelScratch) -> Any:
         p, q = p * c - q * s, p * s + q * c
         features[k], features[k + 1] = p, q
     features[features.size - 1] = sample.limits[1]
-    return 1.0 / variance, (square - steps * (a * a + 0.5 * power)) / variance
+    return 1.0 / variance, max(square - steps * (a * a + 0.5 * power), 0.0) / variance
 
 
 @compiled

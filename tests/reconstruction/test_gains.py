@@ -183,10 +183,10 @@ def test_bytes_do_not_depend_on_the_number_of_threads(synthesise, cover, monkeyp
     stack = stack_of(patterns, synthesise, cover, drifting(patterns, 0.01))
     expected = decode(stack, patterns, SENSOR)
     monkeypatch.setattr(compiling, "threads", lambda: threads)
-    found = decode(stack, patterns, SENSOR)
-    np.testing.assert_array_equal(found.gains.relative, expected.gains.relative)
-    np.testing.assert_array_equal(found.column.coordinate_px, expected.column.coordinate_px)
-    np.testing.assert_array_equal(found.row.sigma_px, expected.row.sigma_px)
+    result = decode(stack, patterns, SENSOR)
+    np.testing.assert_array_equal(result.gains.relative, expected.gains.relative)
+    np.testing.assert_array_equal(result.column.coordinate_px, expected.column.coordinate_px)
+    np.testing.assert_array_equal(result.row.sigma_px, expected.row.sigma_px)
 
 
 def test_a_frame_of_another_pattern_is_no_light(synthesise, cover):
