@@ -44,6 +44,8 @@ def test_a_telecentric_lens_has_its_own_distance_and_no_baseline():
     data = shipped_lenses()["scenes/lenses/falenses_btl_0_72x"].model_dump()
     figures = layout_figures(example(optics__lens=data))
     assert figures["working_distance_mm"] == 72.0
+    nearer = layout_figures(example(optics__lens=data, optics__working_distance_mm=70.5))
+    assert nearer["working_distance_mm"] == 70.5  # within the tolerance of the lens
     assert figures["depth_of_field_mm"] == pytest.approx(2 * 9.8 * 0.0045 / 0.72**2, rel=1e-3)
     assert "baseline_mm" not in figures
 

@@ -146,7 +146,7 @@ def _camera_figures(experiment: Experiment) -> dict[str, float]:
 def _working_distance_mm(experiment: Experiment) -> float:
     lens, standoff_mm = experiment.optics.lens, experiment.camera.pose.standoff_mm
     if isinstance(lens, Telecentric):
-        return lens.working_distance_mm
+        return experiment.optics.working_distance_mm or lens.working_distance_mm
     return standoff_mm - (lens.principal_plane_mm if isinstance(lens, FixedFocal) else 0.0)
 
 
