@@ -1,8 +1,11 @@
 """Figures and warnings of the rig's layout, and the duration of a sequence, in closed form."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from twin.cli.start import layout
 from twin.config import load_experiment, vary
 from twin.config.rig import shipped_lenses
 from twin.optics.rig import true_calibration
@@ -83,6 +86,17 @@ def test_an_axis_without_depth_is_reported(changes, remedy):
     assert [remedy in warning for warning in warnings] == [True] * bool(remedy)
 
 
+def test_the_command_prints_warnings_without_a_measurement(capsys):
+    layout(Path(BASE), settings=["decode.use=row", "camera.exposure_ms=1"])
+    warnings = capsys.readouterr().err.splitlines()
+    assert len(warnings) == 2
+    assert warnings[0].startswith("twin: warning: the depth is computed from projector rows")
+    assert warnings[1].startswith("twin: warning: exposure of 1 ms, shorter than the 2.78 ms")
+    layout(Path(BASE))
+    layout(Path("examples/gelsight_ball"), settings=["decode.use=row", "camera.exposure_ms=1"])
+    assert "twin: warning" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("changes", "exposure_ms", "expected_ms"),
     [
@@ -113,7 +127,10 @@ def test_a_sequence_takes_the_slowest_of_exposure_camera_and_pattern(
 
 def test_an_exposure_of_a_part_of_a_pattern_is_reported():
     experiment = load_experiment(BASE, SHORT)
-    assert "a real camera records a part of its levels" in sequence_warnings(experiment, 2.0)[0]
+    (warning,) = sequence_warnings(experiment, 2.0)
+    assert "a real camera records a part of its levels; dim the projector" in warning
+    (warning,) = sequence_warnings(vary(experiment, {"camera.exposure_ms": 2.0}), 2.0)
+    assert warning.endswith("set camera.exposure_ms to at least 2.78")
     assert sequence_warnings(experiment, 1e3 / 360) == []
     words = {"patterns.code": "gray", "patterns.steps": 0}
     assert sequence_warnings(vary(experiment, words), 2.0) == []

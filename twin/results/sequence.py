@@ -54,8 +54,13 @@ def sequence_warnings(experiment: Experiment, exposure_ms: float) -> list[str]:
     rate_hz, (_, levelled) = experiment.projector.pattern_rate_8bit_hz, _counts(experiment)
     if not levelled or rate_hz is None or exposure_ms >= (1.0 - 1e-9) * 1e3 / rate_hz:
         return []
+    remedy = (
+        "dim the projector (flux_mw) or raise camera.f_number"
+        if experiment.camera.exposure_ms == "auto"
+        else f"set camera.exposure_ms to at least {1e3 / rate_hz:.3g}"
+    )
     return [
         f"exposure of {exposure_ms:.3g} ms, shorter than the {1e3 / rate_hz:.3g} ms in which the "
         "projector shows an 8-bit pattern (projector.pattern_rate_8bit_hz): a real camera records "
-        "a part of its levels; dim the projector (flux_mw) or raise camera.f_number"
+        f"a part of its levels; {remedy}"
     ]
