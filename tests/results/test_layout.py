@@ -129,8 +129,16 @@ def test_an_exposure_of_a_part_of_a_pattern_is_reported():
     experiment = load_experiment(BASE, SHORT)
     (warning,) = sequence_warnings(experiment, 2.0)
     assert "a real camera records a part of its levels; dim the projector" in warning
-    (warning,) = sequence_warnings(vary(experiment, {"camera.exposure_ms": 2.0}), 2.0)
-    assert warning.endswith("set camera.exposure_ms to at least 2.78")
     assert sequence_warnings(experiment, 1e3 / 360) == []
     words = {"patterns.code": "gray", "patterns.steps": 0}
     assert sequence_warnings(vary(experiment, words), 2.0) == []
+
+
+@pytest.mark.parametrize(("rate_hz", "least_ms"), [(360.0, "2.78"), (1440.0, "0.7"), (200.0, "5")])
+def test_the_remedy_of_a_stated_exposure_is_sufficient(rate_hz, least_ms):
+    """1 / 1440 Hz = 0.6944 ms: the printed exposure is rounded up."""
+    stated = {"projector.pattern_rate_8bit_hz": rate_hz, "camera.exposure_ms": 0.5}
+    (warning,) = sequence_warnings(load_experiment(BASE, SHORT | stated), 0.5)
+    assert warning.endswith(f"set camera.exposure_ms to at least {least_ms}")
+    remedied = load_experiment(BASE, SHORT | stated | {"camera.exposure_ms": float(least_ms)})
+    assert sequence_warnings(remedied, float(least_ms)) == []

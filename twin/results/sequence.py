@@ -10,6 +10,8 @@ The exposure of a global shutter overlaps with the readout of the frame before. 
 which its mirrors are on: only an exposure of the whole pattern period records it.
 """
 
+import math
+
 from twin.config.models import Experiment
 from twin.optics.light import pattern_set
 
@@ -57,7 +59,7 @@ def sequence_warnings(experiment: Experiment, exposure_ms: float) -> list[str]:
     remedy = (
         "dim the projector (flux_mw) or raise camera.f_number"
         if experiment.camera.exposure_ms == "auto"
-        else f"set camera.exposure_ms to at least {1e3 / rate_hz:.3g}"
+        else f"set camera.exposure_ms to at least {math.ceil(1e5 / rate_hz) / 100.0:g}"
     )
     return [
         f"exposure of {exposure_ms:.3g} ms, shorter than the {1e3 / rate_hz:.3g} ms in which the "
