@@ -41,9 +41,12 @@ class PeerTask:
     error_of: Callable[[Arrays, Arrays], tuple[float, str]]
 
     def results_in(self, result: Arrays) -> int:
-        """Return the number of results that a timed action gave: images, else 1."""
+        """Return the number of results that a timed action computed: images of presses, else 1.
+
+        The first image of each mirror is without contact; it is computed before the action.
+        """
         images = result.get("images")
-        return 1 if images is None else images.shape[0] * images.shape[1]
+        return 1 if images is None else images.shape[0] * (images.shape[1] - 1)
 
 
 # ---- decode --------------------------------------------------------------------------------------

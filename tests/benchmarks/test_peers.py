@@ -68,8 +68,21 @@ def test_a_mirror_image_and_another_colour_order_are_no_error() -> None:
     assert work.tactile_error(inputs, {"images": turned})[0] == pytest.approx(error)
 
 
+def task_of(name: str) -> work.PeerTask:
+    (task,) = (task for task in work.WORKS if task.name == name)
+    return task
+
+
+def test_the_time_is_divided_by_the_number_of_images_that_the_action_computes() -> None:
+    """Expected: seven presses are seven results; the image without contact is none."""
+    for mirrors in (1, 4):
+        result = {"images": np.zeros((mirrors, 1 + 7, 2, 2, 3))}
+        assert task_of("tactile").results_in(result) == 7 * mirrors
+    assert task_of("decode").results_in({"px": np.zeros((2, 2, 2))}) == 1
+
+
 def test_a_child_process_gives_a_row_and_a_missing_library_gives_its_reason(tmp_path: Path) -> None:
-    press, frame = work.WORKS[2], work.WORKS[0]
+    decode, press = (task_of(name) for name in ("decode", "press"))
     inputs = press.inputs(tmp_path, True) | {"cells": np.array(64)}
     np.savez(tmp_path / "inputs.npz", **inputs)
     row = peers.row_of(press, CONTESTANTS[0], inputs, tmp_path, 1)
@@ -77,7 +90,7 @@ def test_a_child_process_gives_a_row_and_a_missing_library_gives_its_reason(tmp_
     assert 0.0 < row.seconds < 60.0
     assert row.figures()["press_twin_error"] < 2.0  # 0.03 with 256 cells
     absent = Contestant("absent", "absent", Environment("twin"), {"decode": "no sigma"})
-    row = peers.row_of(frame, absent, inputs, tmp_path, 1)
+    row = peers.row_of(decode, absent, inputs, tmp_path, 1)
     assert "No module named" in row.cells()[-1]
     assert row.figures() == dict.fromkeys(
         ("decode_absent_s", "decode_absent_mib", "decode_absent_error")
