@@ -106,13 +106,28 @@ def test_pip_states_the_reason_in_one_line(tmp_path: Path, monkeypatch: pytest.M
         NOWHERE.python(tmp_path)
 
 
+def test_a_folder_that_is_no_environment_is_not_emptied(tmp_path: Path) -> None:
+    mine = tmp_path / "nowhere" / "mine.txt"
+    mine.parent.mkdir()
+    mine.write_text("own data", encoding="utf-8")
+    with pytest.raises(PeerError, match="is not empty and no virtual environment"):
+        NOWHERE.python(tmp_path)
+    assert mine.read_text(encoding="utf-8") == "own data"
+
+
+def test_an_environment_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "nowhere").write_text("a file", encoding="utf-8")
+    with pytest.raises(PeerError, match=r"^no virtual environment in [^\n]*nowhere[^\n]*$"):
+        NOWHERE.python(tmp_path)
+
+
 def test_an_environment_is_made_once_per_set_of_packages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = []
 
-    def make(self: Environment, place: Path) -> None:
-        place.mkdir(exist_ok=True)
+    def make(self: Environment, folder: Path) -> None:
+        folder.mkdir(exist_ok=True)
         made.append(self.packages)
 
     monkeypatch.setattr(Environment, "_make", make)
