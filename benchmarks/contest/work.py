@@ -108,9 +108,9 @@ def decode_error(inputs: Arrays, result: Arrays) -> tuple[float, str]:
     return rms_px, "; ".join(remarks)
 
 
-def _decoded(found_px: np.ndarray, truth_px: np.ndarray) -> tuple[float, float, float]:
+def _decoded(decoded_px: np.ndarray, truth_px: np.ndarray) -> tuple[float, float, float]:
     """Return RMS error without gross errors, share of decoded pixels, and of gross errors."""
-    error_px = found_px - truth_px
+    error_px = decoded_px - truth_px
     valid = np.isfinite(error_px).all(axis=-1)
     gross = (np.abs(error_px) > GROSS_PX).any(axis=-1) & valid
     fine = error_px[valid & ~gross]
