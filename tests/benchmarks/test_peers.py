@@ -1,5 +1,6 @@
 """The comparison with other programs: its inputs, its judgement, and rows without a result."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from benchmarks.contest import environments, work
 from benchmarks.contest.contestants import CONTESTANTS, Contestant
 from benchmarks.contest.environments import STAMP, Environment, PeerError
 from benchmarks.regression.tables import BEGIN, END
+from twin.optics.backend import CHOICE_VARIABLE, LIBRARY_VARIABLE, Backend
 
 NOWHERE = Environment("nowhere", ("fringe-twin-test-of-a-missing-package==0.0",))
 
@@ -135,6 +137,33 @@ def test_an_environment_is_made_once_per_set_of_packages(
         Environment("peer", packages).python(tmp_path)
     assert made == [("one==1",), ("one==2",)]
     assert (tmp_path / "peer" / STAMP).read_text(encoding="utf-8").endswith("one==2")
+
+
+@pytest.mark.parametrize("part", [["--only", "fringes"], ["--work", "press"], ["--quick"]])
+def test_a_part_of_the_comparison_does_not_replace_the_table(
+    part: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        peers.parsed(["--update", *part])
+    assert "--update writes the whole table" in capsys.readouterr().err
+    assert peers.parsed(["--update"]).update
+    assert not peers.parsed(part).update
+
+
+def test_all_programs_render_with_the_same_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Expected: LLVM is selected before the search, so that a GPU is not used."""
+    monkeypatch.setenv(CHOICE_VARIABLE, "cuda")
+    monkeypatch.setenv(LIBRARY_VARIABLE, "")
+    searched = []
+
+    def search() -> Backend:
+        searched.append(os.environ[CHOICE_VARIABLE])
+        return Backend("llvm_ad_mono", "libLLVM.so.19", "19")
+
+    monkeypatch.setattr(peers, "find_backend", search)
+    peers.use_llvm()
+    assert searched == [os.environ[CHOICE_VARIABLE]] == ["llvm"]
+    assert os.environ[LIBRARY_VARIABLE] == "libLLVM.so.19"
 
 
 def test_the_page_has_a_row_for_every_program_and_work() -> None:
