@@ -4,6 +4,7 @@ The best designs are the Pareto front of the objectives: designs that no other d
 """
 
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -260,18 +261,22 @@ def _why_none(rows: Sequence[Row], names: Sequence[str]) -> str:
 
 
 def nearest_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
-    """Return the finished rows that have all objectives, the nearest to all limits first.
+    """Return the rows that have all objectives, the nearest to all limits first.
 
     Use this for a study without a feasible case. The distance is the sum of all distances beyond
-    limits, each divided by the size of the limit; of repeats the largest counts. Rows with equal
-    distances are sorted by the number of missed conditions, then by the first objective.
+    limits, each divided by the size of the limit; of repeats the largest counts, and
+    it is infinite if a repeat failed or lacks an objective. Rows with equal distances are sorted by
+    the number of missed conditions, then by the first objective.
     """
-    some = [
-        row for row in rows if all(is_number(row.get(objective.metric)) for objective in objectives)
-    ]
-    worst: dict[str, float] = {}
-    for row in some:
-        worst[row[DESIGN]] = max(shortfall(row), worst.get(row[DESIGN], 0.0))
+    names = [objective.metric for objective in objectives]
+    some, worst = [], dict[str, float]()
+    for row in rows:
+        if row["state"] == "missing":
+            continue
+        has_all = all(is_number(row.get(name)) for name in names)
+        distance = shortfall(row) if has_all else math.inf
+        worst[row[DESIGN]] = max(distance, worst.get(row[DESIGN], 0.0))
+        some += [row] if has_all else []
 
     def order(row: Row) -> tuple[float, int, float]:
         return worst[row[DESIGN]], len(row[UNMET]), cost_of(row, objectives[0])
