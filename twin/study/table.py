@@ -24,6 +24,7 @@ from twin.results.rows import is_number
 from twin.study.cases import Case
 from twin.study.derived import DERIVED, with_derived
 from twin.study.feasibility import (
+    DESIGN,
     RESERVES,
     TOLERANCES,
     UNMET,
@@ -40,8 +41,6 @@ from twin.study.remarks import Remark, remarks_of
 from twin.study.store import Store
 
 _HEAD = ("case", "state", "reason", "feasible")
-DESIGN = "design"
-"""Key of a table row under which the settings of the case without its seed are stored, as text."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +82,7 @@ class StudyTable:
         return [row for row in self.rows if row["state"] == "done"]
 
 
-def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTable:
+def read_table(folder: Path, derived: Iterable[str] = DERIVED) -> StudyTable:
     """Read the table of the study that was run last into a store.
 
     Parameters
@@ -105,7 +104,7 @@ def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTa
     bounds = record.study.constraint
     rows = [_row(case, entries.get(case.digest), bounds, derived) for case in cases]
     if record.study.repeats > 1:
-        spread_over_repeats(rows, cases)
+        spread_over_repeats(rows)
     known = [entries[case.digest] for case in cases if case.digest in entries]
     done = {entry.digest: entry.figures for entry in known if entry.state == "done"}
     remarks = remarks_of(done, cases)

@@ -14,10 +14,9 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from twin.config.study import Objective
 from twin.results.rows import is_number
-from twin.study.feasibility import RESERVES, Reserve
+from twin.study.feasibility import DESIGN, RESERVES, Reserve
 from twin.study.sensitivity import Effect, adjusted_shares, effects_on, group_labels, groups_of
 from twin.study.table import (
-    DESIGN,
     Row,
     StudyTable,
     best_rows,
