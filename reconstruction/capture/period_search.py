@@ -60,15 +60,9 @@ def best_period(capture: Capture) -> str:
     if best.share >= MUCH_MORE:
         return f"with {best.change} {best.share:.0%} of the lit pixels give points"
     return (
-        f"tried without result: exchanged axes, and period_px from {trials_range(capture)} px; so "
-        "the calibration is probably that of another rig"
+        f"tried without result: exchanged axes, and period_px up to {_FACTOR:g} times larger or "
+        "smaller; so the calibration is probably that of another rig"
     )
-
-
-def trials_range(capture: Capture) -> str:
-    """Return the range of the tried periods, px, as text."""
-    periods = _periods(capture.patterns.period_along("column"))
-    return f"{periods[0]:g} to {periods[-1]:g}"
 
 
 def _periods(stated_px: float) -> list[float]:
@@ -88,7 +82,7 @@ def _changes(decoded: Decoded, sample: Sample) -> Iterator[tuple[str, Decoded]]:
         for period_px in _periods(stated[axes[0]]):
             ratio = period_px / stated[axes[0]]
             text = f"period_px = {period_px:g} along {' and '.join(axes)}"
-            yield f"{text} (found {stated[axes[0]]:g})", _scaled(decoded, axes, ratio)
+            yield f"{text} (stated {stated[axes[0]]:g})", _scaled(decoded, axes, ratio)
 
 
 def _scaled(decoded: Decoded, axes: tuple[Axis, ...], ratio: float) -> Decoded:

@@ -163,7 +163,8 @@ def likely_kink(section: CoatSection, smooth: Arc, tail_mm: float) -> Kink | Non
     at, gain = _best_place(smooth, np.linspace(low, high, _PLACES_OF_KINKS + 1), tail_mm)
     if gain <= 0:
         return None
-    at, _ = _best_place(smooth, at + step * np.linspace(-1, 1, _PLACES_OF_KINKS + 1), tail_mm)
+    near = np.clip(at + step * np.linspace(-1, 1, _PLACES_OF_KINKS + 1), low, high)
+    at, _ = _best_place(smooth, near, tail_mm)
     c, s = np.cos(smooth.angle_rad), np.sin(smooth.angle_rad)
     height = float(smooth.parameters[0] + _rise(np.array([at]), smooth.curvature_per_mm)[0][0])
     return Kink(float(at * c + height * s), float(height * c - at * s), tail_mm)

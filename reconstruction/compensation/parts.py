@@ -232,8 +232,7 @@ def _rod(points_mm: FloatArray, axis: FloatArray) -> FittedDimension:
 def _noise_mm(core: BoolArray, estimate: FittedDimension) -> float:
     """Return the standard uncertainty, mm, of a radius from noise and texture of the coat.
 
-    The variance of the residuals along the normal is used as the variance along z. The two are
-    equal at gentle slopes.
+    It is a lower limit for a contact of few patches of the texture, see `FitNoise.is_known`.
     """
     return noise_of_fit(estimate, np.flatnonzero(core), core.shape).sigma_mm
 

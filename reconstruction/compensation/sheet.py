@@ -126,11 +126,11 @@ class CompensatedSheet(PresentedObject):
     def layer_moves_mm(self) -> list[FloatArray]:
         """Shifts of the object's points along the normals, mm, by uncertain values of the layer.
 
-        Each entry is (row, col), one standard uncertainty, and common to all points of a part. The
-        entries are for the sheet's thickness, its thinning, and its squeeze by the contact
-        pressure, of which modulus and air pressure are uncertain. For a sheet that sticks, a
-        further entry varies over a part: from the negative second entry at the edge to the positive
-        one in the middle.
+        Each entry is (row, col), one standard uncertainty, in the same sense at all points of a
+        part. The entries are for the sheet's thickness, its thinning, and its squeeze by the
+        contact pressure, of which modulus and air pressure are uncertain. For a sheet that sticks,
+        a further entry varies over a part: from the negative second entry at the edge to the
+        positive one in the middle.
         """
         layer = self.layer
         of_stretch = layer.thickness_mm * self.sigma_thinning
@@ -241,7 +241,7 @@ class CompensatedSheet(PresentedObject):
             (
                 sigma_n,
                 _FORCE_METHOD * force_n,
-                of_air * layer.sigma_back_pressure_kpa / max(layer.back_pressure_kpa, 1e-9),
+                1e-3 * pressed_mm2 * layer.sigma_back_pressure_kpa,
             )
         )
         of_thickness = layer.sigma_thickness_mm / layer.thickness_mm

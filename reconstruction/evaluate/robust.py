@@ -119,11 +119,12 @@ def soft_sphere(points: FloatArray, start: FloatArray) -> FloatArray:
 
 
 def _soft_newton(points: FloatArray, start: FloatArray, scale_mm: float) -> FloatArray | None:
-    """Return centre and radius, (4,), as `soft_sphere` for one scale, by Newton's method.
+    """Return centre and radius, (4,), as `soft_sphere` for one scale.
 
     The soft-L1 loss of a residual f is 2 (sqrt(1 + z) - 1) with z = (f / scale)^2: its slope by f
-    is proportional to f / sqrt(1 + z), and the derivative of the slope to (1 + z)^(-3/2). Returns
-    None if the steps do not decrease.
+    is proportional to f / sqrt(1 + z), and the derivative of the slope to (1 + z)^(-3/2). The
+    steps are those of Newton's method without the curvature of the distance itself. Returns None
+    without convergence.
     """
     axes, sphere, before = np.ascontiguousarray(points.T), start, np.inf
     for _ in range(_MOST_NEWTON_STEPS):

@@ -4,7 +4,8 @@ A tangent along image rows and a tangent along image columns each join the neigh
 of a pixel, or the pixel and its only neighbour. Their cross product is the normal. A difference
 that is longer than `LONGEST_OVER_TYPICAL` times the median one crosses a jump in height and is
 left out. With a pitch p of the points and a standard deviation s of their heights, the standard
-deviation of a slope is s / (sqrt(2) p), as far as the errors of the neighbours are independent.
+deviation of a slope is s / (sqrt(2) p) between two neighbours and sqrt(2) s / p with one, as far as
+the errors of these points are independent.
 """
 
 from typing import Any
@@ -31,7 +32,8 @@ def surface_normals(points_mm: Floats, valid: BoolImage) -> FloatImage:
 
     Returns
     -------
-    (0, 0, 0) where a pixel has no point, or no valid neighbour along its row or along its column
+    (0, 0, 0) where a pixel has no point, or no valid neighbour without a jump in height to it along
+    its row or along its column
     """
     rows = len(valid)
     normals = np.zeros((*valid.shape, 3), np.float32)
@@ -39,8 +41,8 @@ def surface_normals(points_mm: Floats, valid: BoolImage) -> FloatImage:
     for first in range(0, rows, _BAND_ROWS):
         above, last = max(first - 1, 0), min(first + _BAND_ROWS, rows)
         band = np.s_[above : min(last + 1, rows)]
-        found = _normals_of_band(points_mm[band], valid[band], longest_mm)
-        normals[first:last] = found[first - above :][: last - first]
+        normal = _normals_of_band(points_mm[band], valid[band], longest_mm)
+        normals[first:last] = normal[first - above :][: last - first]
     return normals
 
 

@@ -106,7 +106,7 @@ def test_automatic_exposure_reaches_its_level():
 
 
 def test_automatic_exposure_in_the_dark_is_an_error():
-    with pytest.raises(ValueError, match="white frame is black"):
+    with pytest.raises(ValueError, match="brightest frame is black"):
         expose(load_experiment("examples/slab_balls"), [np.zeros(SHAPE, np.float32)], 0)
 
 

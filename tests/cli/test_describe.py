@@ -153,10 +153,11 @@ def test_an_encoding_that_is_not_recognised_is_named_by_the_test(tmp_path, capsy
     assert np.mean(error > 2.0) < 0.01
 
 
-@pytest.mark.parametrize(("gain", "word"), [(1.0, "tested"), (4.0, "unsure")])
-def test_the_assumed_noise_is_compared_with_the_images(tmp_path, capsys, gain, word):
-    """Setup: noise of 1 DN as in the other sets, which is 0.5 of the assumed one, and of 4 DN."""
-    patterns = PatternSet(**SIZE, period_px=20, steps=6, code="gray", **COLUMN)
+@pytest.mark.parametrize("steps", [4, 6])
+@pytest.mark.parametrize(("gain", "word"), [(2.0, "tested"), (8.0, "unsure")])
+def test_the_assumed_noise_is_compared_with_the_images(tmp_path, capsys, gain, word, steps):
+    """Setup: noise of `gain` DN; assumed at 70 DN: sqrt(1 + 70 * 255 / 10,000 + 1/12) = 1.7 DN."""
+    patterns = PatternSet(**SIZE, period_px=20, steps=steps, code="gray", **COLUMN)
     folder = tmp_path / "set"
     folder.mkdir()
     rng = np.random.default_rng(3)
@@ -169,7 +170,8 @@ def test_the_assumed_noise_is_compared_with_the_images(tmp_path, capsys, gain, w
         r"^(\w+): \[sensor\]: the phase frames scatter by ([\d.]+)", capsys.readouterr().out, re.M
     )
     ((state, ratio),) = found
-    assert (state, float(ratio) > 1.5) == (word, gain > 1.0)
+    assert state == word
+    assert float(ratio) == pytest.approx(gain / 1.7, rel=0.1)
 
 
 def test_contradicting_names_and_other_sizes_are_reported(tmp_path, capsys):

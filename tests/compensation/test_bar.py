@@ -148,7 +148,8 @@ def test_no_width_if_the_plate_carries_the_span() -> None:
 def test_a_span_that_is_no_arc_is_less_certain() -> None:
     """Setup: a cubic of 1 um/mm^3 from the wall outwards, 43 um at the end of the fitted span.
 
-    Expected: the width by the half spans differs, and the true width remains within U.
+    Expected: the width by the half spans differs, and the true width remains within U. The share of
+    the span increases above its empirical minimum.
     """
     sheet = pressed_bar(1.0)
     points = sheet.relief.points_mm.copy()
@@ -157,7 +158,7 @@ def test_a_span_that_is_no_arc_is_less_certain() -> None:
     arc, cubic = (bar_under_sheet(coat, BAR) for coat in (sheet, bent))
     assert arc.span_mm < 11e-3
     assert cubic.span_mm > 1.3 * arc.span_mm
-    assert abs(cubic.width_mm - arc.width_mm) < 2 * cubic.sigma_mm
+    assert abs(cubic.width_mm - WIDTH_MM) < 2 * cubic.sigma_mm
 
 
 def test_a_thicker_sheet_has_a_larger_uncertainty() -> None:

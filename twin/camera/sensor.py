@@ -87,8 +87,7 @@ def expose(
     """
     camera = experiment.camera
     _check_noise(camera, noise)
-    white = reduce(np.maximum, radiance) if white_frame is None else radiance[white_frame]
-    exposure_ms = choose_exposure_ms(experiment, white)
+    exposure_ms = choose_exposure_ms(experiment, _brightest(camera, radiance, white_frame))
     per_radiance = exposure_ms * electrons_per_ms(camera, experiment.projector.wavelength_nm)
     dark_e = camera.dark_current_e_per_s * camera.binning**2 * exposure_ms * 1e-3
     shape = radiance[0].shape
@@ -143,27 +142,39 @@ def _drawn_by(camera: Camera, noise: NoiseFunction | None) -> NoiseFunction | No
     return electrons
 
 
-def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
+def _brightest(
+    camera: Camera, radiance: Sequence[FloatImage], white_frame: int | None
+) -> FloatImage:
+    """Return the radiance by which the automatic exposure is set, see `expose`."""
+    if white_frame is not None:
+        return radiance[white_frame]
+    return reduce(np.maximum, radiance) if camera.exposure_ms == "auto" else radiance[0]
+
+
+def choose_exposure_ms(experiment: Experiment, brightest: FloatImage) -> float:
     """Return the configured exposure time, ms, or that of the automatic exposure.
 
-    The automatic exposure puts the 99.5th percentile of the white frame at `auto_level` times the
-    full well.
+    The automatic exposure puts the 99.5th percentile of the brightest frame at `auto_level` times
+    the full well.
 
     Parameters
     ----------
-    white : (row, col) float32, mW / (mm^2 sr); radiance of the white frame
+    brightest : (row, col) float32, mW / (mm^2 sr); radiance of the white frame, or the largest of
+        each pixel
 
     Raises
     ------
-    InputError : the white frame has no light, or the automatic exposure is outside the range of
+    InputError : this frame has no light, or the automatic exposure is outside the range of
         exposure times
     """
     camera = experiment.camera
     if camera.exposure_ms != "auto":
         return camera.exposure_ms
-    bright = float(np.percentile(white, EXPOSURE_PERCENTILE))
+    bright = float(np.percentile(brightest, EXPOSURE_PERCENTILE))
     if bright <= 0.0:
-        raise InputError("camera.exposure_ms = 'auto': the white frame is black; aim the projector")
+        raise InputError(
+            "camera.exposure_ms = 'auto': the brightest frame is black; aim the projector"
+        )
     rate = bright * electrons_per_ms(camera, experiment.projector.wavelength_nm)
     exposure_ms = camera.auto_level * full_well_e(camera) / rate if rate > 0.0 else math.inf
     shortest_ms, longest_ms = EXPOSURE_RANGE_MS
@@ -173,7 +184,7 @@ def choose_exposure_ms(experiment: Experiment, white: FloatImage) -> float:
             "more light (projector.flux_mw, camera.quantum_efficiency, a lower camera.f_number)"
         )
         raise InputError(
-            f"camera.exposure_ms = 'auto': the white frame needs {exposure_ms:.3g} ms, allowed "
+            f"camera.exposure_ms = 'auto': the brightest frame needs {exposure_ms:.3g} ms, allowed "
             f"{shortest_ms:g} to {longest_ms:g}, as for a number; use "
             + (remedy if dark else "less light (projector.flux_mw, a higher camera.f_number)")
         )

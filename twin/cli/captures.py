@@ -136,8 +136,8 @@ def describe(
     """
     from reconstruction.capture.description import DESCRIPTION_FILE
     from reconstruction.capture.guess import guess
+    from reconstruction.capture.guess_check import checks_of
     from reconstruction.capture.guess_file import require_groups, written
-    from reconstruction.capture.guess_test import tests_of
     from reconstruction.writing import write_text
     from twin.files import creating
 
@@ -152,14 +152,14 @@ def describe(
         with creating(target) as part:
             write_text(part, text)
         watch("decode", 0.0)
-        tests = tests_of(text, folder)
+        checks = checks_of(target, folder)
         watch("decode", 1.0)
     for group in guessed.groups:
         along = f" along {group.axis}" if group.axis else ""
         say(f"{group.kind}{along}: {counted(len(group.files), 'image')}, {group.files[0]} ...")
     for text in guessed.unsure:
         say(f"unsure: {text}")
-    for text in tests:
+    for text in checks:
         say(text)
     say("unsure: the values that the file marks, such as periods in projector pixels and [sensor]")
     say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")

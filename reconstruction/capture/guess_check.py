@@ -1,18 +1,18 @@
-"""Test a guessed capture.toml against its images: decode them, and try likely other values.
+"""Check a guessed capture.toml against its images: decode them, and try likely other values.
 
 A correct description decodes most lit pixels, and the projector coordinate is continuous from pixel
 to pixel. If it does not, other encodings and orders of the bits are tried. The assumed noise of the
-camera is compared with the scatter of the phase frames around their sinusoids.
+camera is compared with the scatter of the phase frames around their sinusoids, which includes
+harmonics of a projector with gamma, and flicker between frames.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
+from scipy.stats import chi2
 
-from reconstruction.capture.description import DESCRIPTION_FILE
 from reconstruction.capture.folder import read_frames
 from reconstruction.capture.frame_list import ListedSet, read_listed
 from reconstruction.capture.frame_order import ENOUGH, LEAST_LIT, sample_of
@@ -23,7 +23,6 @@ from reconstruction.errors import CaptureError
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.words import WORDS
-from reconstruction.writing import write_text
 
 # Measured over assumed noise within these limits needs no message.
 _NOISE_RATIO = 0.5, 2.0
@@ -31,7 +30,7 @@ _LEAST_STEPS = 4
 
 
 @dataclass(frozen=True)
-class DecodingTest:
+class DecodingCheck:
     """Result of decoding the images by one description.
 
     Attributes
@@ -61,18 +60,18 @@ class DecodingTest:
         )
 
 
-def tests_of(text: str, folder: Path) -> list[str]:
+def checks_of(file: Path, folder: Path) -> list[str]:
     """Return lines of text on the test of a capture.toml: passed, or unsure and what would pass.
 
     Parameters
     ----------
-    text : content of the guessed capture.toml
+    file : the guessed capture.toml
     folder : folder of the images
     """
     try:
-        listed = _read(text)
+        listed = read_listed(file)
     except CaptureError as error:
-        return [f"unsure: {DecodingTest(why=str(error)).in_words()}"]
+        return [f"unsure: {DecodingCheck(why=str(error)).in_words()}"]
     guessed = _tested(listed, folder)
     lines = [f"{'tested' if guessed.passes else 'unsure'}: {guessed.in_words()}"]
     if not guessed.passes:
@@ -92,15 +91,10 @@ def _noise_line(ratio: float) -> str:
     )
 
 
-def _read(text: str) -> ListedSet:
-    with TemporaryDirectory() as temporary:
-        file = Path(temporary) / DESCRIPTION_FILE
-        write_text(file, text)
-        return read_listed(file)
-
-
 def _others(listed: ListedSet) -> Iterator[tuple[str, ListedSet]]:
     """Yield other descriptions: another encoding of the bits, and their opposite order."""
+    if not any(entry.kind in ("gray", "inverse") for entry in listed.frames):
+        return
     for word in WORDS.names():
         if word != listed.word:
             yield f'word = "{word}"', replace(listed, word=word)
@@ -112,16 +106,16 @@ def _others(listed: ListedSet) -> Iterator[tuple[str, ListedSet]]:
         yield 'bits = "fine_first"', replace(listed, frames=reverse)
 
 
-def _tested(listed: ListedSet, folder: Path) -> DecodingTest:
+def _tested(listed: ListedSet, folder: Path) -> DecodingCheck:
     try:
         recorded = listed.recorded(folder)
         stack, _ = read_frames(recorded)
     except CaptureError as error:
-        return DecodingTest(why=str(error).removeprefix(f"{folder}: "))
+        return DecodingCheck(why=str(error).removeprefix(f"{folder}: "))
     patterns, sensor = recorded.patterns, recorded.sensor
     sample = sample_of(stack, patterns, sensor, None)
     if np.count_nonzero(sample.is_lit) < LEAST_LIT:
-        return DecodingTest(why="too few pixels are lit")
+        return DecodingCheck(why="too few pixels are lit")
     decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0))
     valid = decoded.valid[:: sample.stride, :: sample.stride][sample.is_lit]
     jumps = [
@@ -134,7 +128,7 @@ def _tested(listed: ListedSet, folder: Path) -> DecodingTest:
         for axis in patterns.axes
     ]
     ratio = _noise_ratio(sample.stack[:, sample.is_lit].astype(np.float64), patterns, sensor)
-    return DecodingTest(float(np.mean(valid)), max(jumps), ratio)
+    return DecodingCheck(float(np.mean(valid)), max(jumps), ratio)
 
 
 def _noise_ratio(
@@ -158,6 +152,6 @@ def _noise_ratio(
             mean = values.mean(axis=0)
             amplitude = 2.0 / patterns.steps * phase.conj() @ values
             fitted = mean + np.real(phase[:, np.newaxis] * amplitude)
-            square = ((values - fitted) ** 2).sum(axis=0) / (patterns.steps - 3)
-            ratios.append(np.sqrt(np.median(square / sensor.variance_dn2(mean))))
+            square = ((values - fitted) ** 2).sum(axis=0) / sensor.variance_dn2(mean)
+            ratios.append(np.sqrt(np.median(square) / chi2.median(patterns.steps - 3)))
     return float(np.median(ratios))
