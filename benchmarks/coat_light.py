@@ -57,9 +57,10 @@ def drift_left_um(
         for corrected, differences in errors.items():
             changed = vary(experiment, {**lamp, "decode.frame_gains": corrected})
             result = _measured(changed, pressed, radiance, trial)
-            differences.append(_difference_um(result, steady[trial]))
+            z_um, radius_um = _difference_um(result, steady[trial])
+            differences.append((z_um, radius_um))
             label = "estimated" if corrected else "neglected"
-            print(f"{name}, light {label}: z {differences[-1][0]:.3f} um, radius {differences[-1][1]:.2f} um")
+            print(f"{name}, light {label}: z {z_um:.3f} um, radius {radius_um:.2f} um")
     left, whole = (np.max(errors[corrected], axis=0) for corrected in (True, False))
     return {
         "drift_left_um": float(left[0]),

@@ -3,15 +3,14 @@
 A curved coat is projected exactly through a camera and an off-axis projector with distortion; the
 53 noisy frames are 16-bit. Timed: decoding with filter, masks, order, sigma, residual and order
 error, plus triangulation. In turns with it, so that all use the same machine: a copy of the stack,
-a plain OpenCV phase of the phase frames (accumulate, cartToPolar), and the `fringes` package if it
-is installed (phase frames only). The last line of the output is one JSON object.
+and a plain OpenCV phase of the phase frames (accumulate, cartToPolar). `peers` compares it with
+other decoders. The last line of the output is one JSON object.
 
 peak_over_stack: most resident memory while decoding and triangulating, less that before the stack
 was loaded, over the bytes of the stack, which itself counts as 1. Linux only, otherwise null.
 """
 
 import argparse
-import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -111,19 +110,6 @@ def opencv_phase(stack: np.ndarray, patterns: PatternSet) -> list[np.ndarray]:
     return results
 
 
-def fringes_decoder(stack: np.ndarray, patterns: PatternSet) -> Callable[[], object] | None:
-    """Return the peer's decoding of the same phase frames (it has no Gray code), or None."""
-    if importlib.util.find_spec("fringes") is None:
-        return None
-    from fringes import Fringes
-
-    peer = Fringes()
-    peer.X, peer.Y = patterns.width_px, patterns.height_px
-    peer.K, peer.N, peer.v = 1, patterns.steps, 1.0
-    frames = stack[: 2 * patterns.steps, :, :, np.newaxis]
-    return lambda: peer.decode(frames)
-
-
 def ideal_rms_px(seed: int = 3) -> dict[str, float]:
     """Return the error of noise-free frames at random coordinates, float and 8-bit, unfiltered."""
     patterns, rng = PatternSet(1280, 720), np.random.default_rng(seed)
@@ -187,8 +173,6 @@ def measure(rows: int, cols: int) -> dict[str, object]:
         "memcpy_s": lambda: np.copyto(target, stack),
         "opencv_phase_s": lambda: opencv_phase(stack, patterns),
     }
-    peer = fringes_decoder(stack, patterns)
-    actions |= {"fringes_s": peer} if peer else {}
     # The least times, since other programs only add time.
     turns = in_turns(actions, REPEATS)
     best = {name: min(turn[name] for turn in turns) for name in actions}
@@ -203,7 +187,6 @@ def measure(rows: int, cols: int) -> dict[str, object]:
         **ideal_rms_px(),
         "peak_over_stack": peak_over_stack(stack),
         **{"frames": len(patterns.frames), "rows": rows, "cols": cols, "cpu_s": cpu_s},
-        "fringes_s": best.get("fringes_s"),
         "first_call_s": first_s,
         "valid": float(points.valid.mean()),
         "z_rms_um": float(np.sqrt(np.mean(error_um**2))),

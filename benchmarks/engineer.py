@@ -7,12 +7,14 @@ sentence of the study's page must name the design that the exhaustive check sele
 combination is measured by `twin.measure` outside the study, and judged by its own figures.
 
 Last line: {"commands": n, "designs": n, "within_tolerance": n, "confirmed": true or false,
-"margin_um": um of the named design, "margin_full_size_um": um at full size, "sequence_ms": ms}.
+"margin_um": um of the best design of the check, "margin_full_size_um": um of the named design at
+full size, "sequence_ms": ms}. "margin_um" is null if no design meets all conditions.
 """
 
 import contextlib
 import html
 import io
+import math
 import re
 import sys
 import tempfile
@@ -138,7 +140,7 @@ def main() -> None:
             "designs": len(margins),
             "within_tolerance": sum(margin >= 0 for margin in margins.values()),
             "confirmed": last.startswith(f"Build this: {best}, because "),
-            "margin_um": margins[best],
+            "margin_um": margins[best] if math.isfinite(margins[best]) else None,
             "margin_full_size_um": built["least_margin_um"],
             "sequence_ms": built["sequence_ms"],
         }

@@ -17,15 +17,17 @@ memory the peak of the whole process. A program that cannot be installed or fail
 reason.
 
 `--only NAME` compares one other program, repeatable, `--work NAME` one kind of work; `--update`
-writes the table of docs/peers.md. Last line: {"decode_twin_s", "decode_twin_mib",
-"decode_twin_error", ...}, null where a program has no result.
+writes the table of docs/peers.md, with all programs and works. Last line: {"decode_twin_s",
+"decode_twin_mib", "decode_twin_error", ...}, null where a program has no result.
 """
 
+import argparse
 import json
 import os
 import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -38,6 +40,7 @@ from benchmarks.contest.contestants import CONTESTANTS, HERE, Contestant
 from benchmarks.contest.environments import PeerError
 from benchmarks.contest.work import WORKS, PeerTask
 from benchmarks.regression.tables import with_table
+from twin.optics.backend import CHOICE_VARIABLE, LIBRARY_VARIABLE, MissingBackend, find_backend
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "peers.md"
@@ -80,13 +83,29 @@ class PeerResult:
         return {f"{before}_{name}": value for name, value in values.items()}
 
 
-def main() -> None:
+def parsed(words: list[str] | None = None) -> argparse.Namespace:
+    """Return the options of a command line, by default that of this process."""
     parser = quick_parser(__doc__, "smaller images and grids, fewer presses, one repeat")
     others = [one.name for one in CONTESTANTS if one.environment is not HERE]
     parser.add_argument("--only", action="append", choices=others, help="repeatable")
     parser.add_argument("--work", choices=[work.name for work in WORKS], help="this work only")
     parser.add_argument("--update", action="store_true", help="write the table of docs/peers.md")
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(words)
+    if chosen.update and (chosen.only or chosen.work or chosen.quick):
+        parser.error("--update writes the whole table: omit --only, --work and --quick")
+    return chosen
+
+
+def use_llvm() -> None:
+    """Select LLVM, on the processor, for the renderers of this process and of the programs."""
+    os.environ[CHOICE_VARIABLE] = "llvm"
+    with suppress(MissingBackend):  # a work without images needs no renderer
+        os.environ[LIBRARY_VARIABLE] = find_backend().library or ""
+
+
+def main() -> None:
+    chosen = parsed()
+    use_llvm()
     compared = [
         one
         for one in CONTESTANTS
@@ -107,13 +126,13 @@ def compare(
 ) -> Iterator[PeerResult]:
     """Do each piece of work that another program does, by all of them; yield the rows."""
     for work in works:
-        able = [one for one in contestants if work.name in one.scope]
-        if len(able) < 2:
+        capable = [program for program in contestants if work.name in program.scope]
+        if len(capable) < 2:
             continue
         with tempfile.TemporaryDirectory() as folder:
             inputs = work.inputs(Path(folder), quick)
             np.savez(Path(folder) / "inputs.npz", **inputs)
-            for contestant in able:
+            for contestant in capable:
                 yield row_of(work, contestant, inputs, Path(folder), 1 if quick else REPEATS)
 
 

@@ -7,9 +7,9 @@
   two balls for regions of 1.0 to 2.5 mm; bars fully wrapped by 10 kPa, both faces;
 - the same pair on cells of half the size: change of the coat, and of its radius;
 - seconds of two balls, nut (3 kPa) and fingerprint on this machine, which should be idle, median of
-  three after a first press that compiles, and processor seconds, waiting threads included; the
-  latter with one thread, over those of one analysis, factorisation and solution on its finest cells
-  (`balls_over_limit` and so on);
+  three after a first press that compiles, and processor seconds, waiting threads included;
+- `..._over_limit`: processor time of a press with one thread, divided by that of one analysis,
+  factorisation and solution on its finest cells;
 - random presses (`random_presses`).
 
 `--press SEED` repeats a random press, `--presses N --workers 2 --kept FILE` runs many, two at the

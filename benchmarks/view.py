@@ -3,16 +3,17 @@
     ./run bench view
     ./run bench view --experiment examples/wrapped_nut
 
-Each slider is moved by 1 and by 20 % of its value, from the experiment's values. The update is the
-press on coarse cells, the camera image, and the coat and section of the scene; the figures follow
-when the sliders rest. The last line has the largest times of the updates, and that of the figures.
+Each slider is moved by 1 and by 20 % of its value (of its range if the value is 0), from the
+experiment's values. The update is the press on coarse cells, the camera image, and the coat and
+section of the scene; the figures follow when the sliders rest. An update that is not possible has
+no time. The last line has the largest times of the updates, and that of the figures.
 """
 
 import argparse
 import resource
+from collections.abc import Iterable
 
-import _harness
-
+from benchmarks._harness import print_figures, processor_s
 from reconstruction.errors import InputError
 from twin.config import load_experiment
 from twin.viewer.preview import Preview
@@ -35,30 +36,43 @@ def main() -> None:
     sliders = [s for s in slider_ranges(experiment) if s.group in MECHANICAL]
     updates = [(s, share, _update_s(preview, s, share)) for share in SHARES for s in sliders]
     for slider, share, seconds in updates:
-        print(f"{slider.key} {100 * share:+.0f} %: {seconds:.2f} s")
-    start = _harness.processor_s(resource.RUSAGE_SELF)
+        if seconds is not None:
+            print(f"{slider.key} {100 * share:+.0f} %: {seconds:.2f} s")
+    start = processor_s(resource.RUSAGE_SELF)
     preview.measure({})
-    figures_s = _harness.processor_s(resource.RUSAGE_SELF) - start
-    small, large = (max(s for _, at, s in updates if at == share) for share in SHARES)
-    _harness.print_figures(
-        {"first_s": first_s, "step_s": small, "jump_s": large, "figures_s": figures_s}, 2
-    )
+    figures_s = processor_s(resource.RUSAGE_SELF) - start
+    small, large = (largest(s for _, at, s in updates if at == share) for share in SHARES)
+    print_figures({"first_s": first_s, "step_s": small, "jump_s": large, "figures_s": figures_s}, 2)
 
 
-def _update_s(preview: Preview, slider: SliderRange, share: float) -> float:
+def largest(times: Iterable[float | None]) -> float | None:
+    """Return the largest time, without those of updates that are not possible."""
+    return max((time for time in times if time is not None), default=None)
+
+
+def moved(slider: SliderRange, share: float) -> float:
+    """Return the value moved by a share, of the range if it is 0; downwards from the upper end."""
+    step = share * (abs(slider.value) or slider.high - slider.low)
+    upwards = slider.value + step <= slider.high
+    return slider.value + step if upwards else max(slider.value - step, slider.low)
+
+
+def _update_s(preview: Preview, slider: SliderRange, share: float) -> float | None:
     _spent(preview, {})
-    return _spent(preview, {slider.key: min(slider.value * (1 + share), slider.high)})
+    return _spent(preview, {slider.key: moved(slider, share)})
 
 
-def _spent(preview: Preview, changes: dict[str, float]) -> float:
-    start = _harness.processor_s(resource.RUSAGE_SELF)
+def _spent(preview: Preview, changes: dict[str, float]) -> float | None:
+    """Return the processor time of an update, s; None if it is not possible."""
+    start = processor_s(resource.RUSAGE_SELF)
     try:
         shown = preview.show(changes)
         coat_surface(shown.pressed)
         section_of(shown.experiment, shown.pressed)
     except InputError as error:
         print(f"{changes}: {error}")
-    return _harness.processor_s(resource.RUSAGE_SELF) - start
+        return None
+    return processor_s(resource.RUSAGE_SELF) - start
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ an action without arguments, whose set-up is not timed. After a first call, whic
 action is called REPEATS times. The output file has the arrays that the action returns; the last
 line of the output is {"seconds": median processor time, "memory_bytes": peak of the process}.
 
-Only NumPy and the standard library are used: an environment of another program has no more.
+Only NumPy and the standard library are used: an environment of another program has no more. The
+process is bound to one core before NumPy is imported, because libraries count the cores on import.
 """
 
 import importlib
@@ -17,17 +18,14 @@ import sys
 import time
 from collections.abc import Callable
 
+if __name__ == "__main__" and hasattr(os, "sched_setaffinity"):  # of Linux
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
 import numpy as np
 
 from benchmarks._harness import resident_bytes
 
 Arrays = dict[str, np.ndarray]
-
-
-def use_one_core() -> None:
-    """Limit this process to one core, before a library counts the cores."""
-    if hasattr(os, "sched_setaffinity"):  # of Linux
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
 def timed(action: Callable[[], Arrays], repeats: int) -> tuple[Arrays, float]:
@@ -42,7 +40,6 @@ def timed(action: Callable[[], Arrays], repeats: int) -> tuple[Arrays, float]:
 
 def main(contestant: str, work: str, source: str, target: str, repeats: str) -> None:
     """Do the work; the arguments are those of the command line."""
-    use_one_core()
     module = importlib.import_module(f"benchmarks.contest.with_{contestant}")
     with np.load(source) as file:
         inputs = dict(file)

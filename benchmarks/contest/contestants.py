@@ -47,7 +47,7 @@ CONTESTANTS = (
         "opencv",
         "OpenCV structured_light",
         Environment("opencv", ("opencv-contrib-python-headless==5.0.0.93",)),
-        {"decode": "44 frames, 8 bit; whole pixels, one call per pixel; no sigma"},
+        {"decode": "42 frames, 8 bit; whole pixels, one call per pixel; no sigma"},
     ),
     Contestant(
         "gsoup",

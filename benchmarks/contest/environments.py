@@ -33,27 +33,27 @@ class Environment:
         """Version of the program, that of its first package; "" without packages."""
         return self.packages[0].partition("==")[2] if self.packages else ""
 
-    def python(self, folder: Path = FOLDER) -> Path:
+    def python(self, parent: Path = FOLDER) -> Path:
         """Return the interpreter of the environment, which is made if it is missing.
 
         Raises
         ------
-        PeerError : pip cannot install a package
+        PeerError : the folder has other content, or a package cannot be installed
         """
         if not self.packages:
             return Path(sys.executable)
-        place = folder / self.name
-        stamp, wanted = place / STAMP, "\n".join((sys.version, *self.packages))
-        if not stamp.is_file() or stamp.read_text(encoding="utf-8") != wanted:
-            self._make(place)
-            stamp.write_text(wanted, encoding="utf-8")
-        return _interpreter(place)
+        folder = parent / self.name
+        stamp, required = folder / STAMP, "\n".join((sys.version, *self.packages))
+        if not stamp.is_file() or stamp.read_text(encoding="utf-8") != required:
+            self._make(folder)
+            stamp.write_text(required, encoding="utf-8")
+        return _interpreter(folder)
 
-    def _make(self, place: Path) -> None:
-        print(f"installing {' '.join(self.packages)} in {place}", flush=True)
-        venv.create(place, clear=True, with_pip=True)
+    def _make(self, folder: Path) -> None:
+        print(f"installing {' '.join(self.packages)} in {folder}", flush=True)
+        _make_empty(folder)
         pip = [
-            str(_interpreter(place)),
+            str(_interpreter(folder)),
             "-m",
             "pip",
             "install",
@@ -72,9 +72,19 @@ class Environment:
             raise PeerError(f"pip cannot install {self.packages[0]}: {_reason(done.stderr)}")
 
 
-def _interpreter(place: Path) -> Path:
-    windows = place / "Scripts" / "python.exe"
-    return windows if windows.exists() else place / "bin" / "python"
+def _make_empty(folder: Path) -> None:
+    """Make a virtual environment with pip only; replace an earlier one, but no other folder."""
+    try:
+        if folder.is_dir() and any(folder.iterdir()) and not (folder / "pyvenv.cfg").is_file():
+            raise PeerError(f"{folder} is not empty and no virtual environment: move its content")
+        venv.create(folder, clear=True, with_pip=True)
+    except (OSError, ValueError, subprocess.CalledProcessError) as error:
+        raise PeerError(f"no virtual environment in {folder}: {error}") from None
+
+
+def _interpreter(folder: Path) -> Path:
+    windows = folder / "Scripts" / "python.exe"
+    return windows if windows.exists() else folder / "bin" / "python"
 
 
 def _reason(output: str) -> str:

@@ -20,8 +20,8 @@ def decode(inputs: Arrays) -> Callable[[], Arrays]:
     captures = np.concatenate((codes, inverse, white, black))[..., np.newaxis]
 
     def action() -> Arrays:
-        found, foreground = GrayCode().decode(captures, (1280, 1280), mode="xy")
-        return {"px": np.where(foreground[..., np.newaxis], found, np.nan)}
+        decoded_px, foreground = GrayCode().decode(captures, (1280, 1280), mode="xy")
+        return {"px": np.where(foreground[..., np.newaxis], decoded_px, np.nan)}
 
     return action
 

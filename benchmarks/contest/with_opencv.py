@@ -16,12 +16,12 @@ def decode(inputs: Arrays) -> Callable[[], Arrays]:
     rows, cols = images[0].shape
 
     def action() -> Arrays:
-        found = np.full((rows, cols, 2), np.nan)
+        decoded_px = np.full((rows, cols, 2), np.nan)
         for row in range(rows):
             for col in range(cols):
-                wrong, place = peer.getProjPixel(images, col, row)
+                wrong, projector_px = peer.getProjPixel(images, col, row)
                 if not wrong:
-                    found[row, col] = place
-        return {"px": found}
+                    decoded_px[row, col] = projector_px
+        return {"px": decoded_px}
 
     return action

@@ -19,8 +19,8 @@ def decode(inputs: Arrays) -> Callable[[], Arrays]:
     def decoded_px(options: DecodeOptions) -> np.ndarray:
         decoded = decode_stack(stack, patterns, SENSOR, options)
         both = decoded.column, decoded.row
-        found_px = np.stack([axis.coordinate_px for axis in both], axis=-1)
-        return np.where(decoded.valid[..., None], found_px, np.nan)
+        coordinates_px = np.stack([axis.coordinate_px for axis in both], axis=-1)
+        return np.where(decoded.valid[..., None], coordinates_px, np.nan)
 
     unfiltered_px = decoded_px(DecodeOptions(filter_taps=0))
     return lambda: {"px": decoded_px(DecodeOptions()), "unfiltered_px": unfiltered_px}

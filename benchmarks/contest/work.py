@@ -41,9 +41,12 @@ class PeerTask:
     error_of: Callable[[Arrays, Arrays], tuple[float, str]]
 
     def results_in(self, result: Arrays) -> int:
-        """Return the number of results that a timed action gave: images, else 1."""
+        """Return the number of results that a timed action computed: images of presses, else 1.
+
+        The first image of each mirror is without contact; it is computed before the action.
+        """
         images = result.get("images")
-        return 1 if images is None else images.shape[0] * images.shape[1]
+        return 1 if images is None else images.shape[0] * (images.shape[1] - 1)
 
 
 # ---- decode --------------------------------------------------------------------------------------
@@ -105,9 +108,9 @@ def decode_error(inputs: Arrays, result: Arrays) -> tuple[float, str]:
     return rms_px, "; ".join(remarks)
 
 
-def _decoded(found_px: np.ndarray, truth_px: np.ndarray) -> tuple[float, float, float]:
+def _decoded(decoded_px: np.ndarray, truth_px: np.ndarray) -> tuple[float, float, float]:
     """Return RMS error without gross errors, share of decoded pixels, and of gross errors."""
-    error_px = found_px - truth_px
+    error_px = decoded_px - truth_px
     valid = np.isfinite(error_px).all(axis=-1)
     gross = (np.abs(error_px) > GROSS_PX).any(axis=-1) & valid
     fine = error_px[valid & ~gross]

@@ -1,4 +1,4 @@
-"""The tables of measured figures in README and docs/benchmarks.md, made from the baselines."""
+"""The tables of measured figures in README and docs, made from the baselines."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -56,8 +56,8 @@ def with_table(page: str, made: str) -> str:
     """
     if page.count(BEGIN) != 1 or page.count(END) != 1 or page.find(END) < page.find(BEGIN):
         raise InputError(
-            f"README.md or docs/benchmarks.md: found no single pair of {BEGIN} and {END}; put them "
-            "back"
+            f"README.md, docs/benchmarks.md or docs/peers.md: found no single pair of {BEGIN} and "
+            f"{END}; put them back"
         )
     before, _, rest = page.partition(BEGIN)
     return f"{before}{BEGIN}\n{made}\n{END}{rest.partition(END)[2]}"

@@ -15,7 +15,7 @@ _ERROR = re.compile(r"(\w+) : (.*)")
 def read(_app: Sphinx, _what: str, _name: str, _of: Any, _how: Any, lines: list[str]) -> None:
     """Turn one docstring, in place, into what reStructuredText means."""
     lines[:] = [line for text in lines if not _RULE.fullmatch(text.strip()) for line in row(text)]
-    lines[:] = list(errors_apart(lines))
+    lines[:] = list(split_error_lines(lines))
     lines[:] = [_NAME.sub(r"``\1``", line).replace("|", r"\|") for line in lines]
 
 
@@ -28,7 +28,7 @@ def row(line: str) -> list[str]:
     return [f"- {first}: {'; '.join(rest)}"]
 
 
-def errors_apart(lines: list[str]) -> Iterator[str]:
+def split_error_lines(lines: list[str]) -> Iterator[str]:
     """Yield lines; in a section Raises the condition of an error follows on a line of its own.
 
     Napoleon reads a whole line of this section as the name of an error.

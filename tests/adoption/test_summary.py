@@ -18,7 +18,9 @@ def adopted(estimates, notes):
     assumed = {
         "f_number": quantity(8.0, f"assumed: as in rigs/slab{NEEDS}a calibrated light source"),
         "prnu_percent": quantity(0.5, f"assumed: as in rigs/slab{NEEDS}flat frames (--flat)"),
-        "flux_mw": quantity(1.0, f"assumed: as in rigs/slab{NEEDS}a calibrated light source"),
+        "flux_mw": quantity(
+            1.0, f"assumed: as in rigs/slab{NEEDS}a calibrated light source: it shows"
+        ),
         "gap_mm": quantity(1.0, "assumed: as in rigs/slab"),
     }
     tables = {"camera": measured | assumed, "render": {"x": quantity(1.0, "assumed: y")}}

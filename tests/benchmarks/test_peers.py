@@ -1,5 +1,6 @@
 """The comparison with other programs: its inputs, its judgement, and rows without a result."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from benchmarks.contest import environments, work
 from benchmarks.contest.contestants import CONTESTANTS, Contestant
 from benchmarks.contest.environments import STAMP, Environment, PeerError
 from benchmarks.regression.tables import BEGIN, END
+from twin.optics.backend import CHOICE_VARIABLE, LIBRARY_VARIABLE, Backend
 
 NOWHERE = Environment("nowhere", ("fringe-twin-test-of-a-missing-package==0.0",))
 
@@ -68,8 +70,21 @@ def test_a_mirror_image_and_another_colour_order_are_no_error() -> None:
     assert work.tactile_error(inputs, {"images": turned})[0] == pytest.approx(error)
 
 
+def task_of(name: str) -> work.PeerTask:
+    (task,) = (task for task in work.WORKS if task.name == name)
+    return task
+
+
+def test_the_time_is_divided_by_the_number_of_images_that_the_action_computes() -> None:
+    """Expected: seven presses are seven results; the image without contact is none."""
+    for mirrors in (1, 4):
+        result = {"images": np.zeros((mirrors, 1 + 7, 2, 2, 3))}
+        assert task_of("tactile").results_in(result) == 7 * mirrors
+    assert task_of("decode").results_in({"px": np.zeros((2, 2, 2))}) == 1
+
+
 def test_a_child_process_gives_a_row_and_a_missing_library_gives_its_reason(tmp_path: Path) -> None:
-    press, frame = work.WORKS[2], work.WORKS[0]
+    decode, press = (task_of(name) for name in ("decode", "press"))
     inputs = press.inputs(tmp_path, True) | {"cells": np.array(64)}
     np.savez(tmp_path / "inputs.npz", **inputs)
     row = peers.row_of(press, CONTESTANTS[0], inputs, tmp_path, 1)
@@ -77,7 +92,7 @@ def test_a_child_process_gives_a_row_and_a_missing_library_gives_its_reason(tmp_
     assert 0.0 < row.seconds < 60.0
     assert row.figures()["press_twin_error"] < 2.0  # 0.03 with 256 cells
     absent = Contestant("absent", "absent", Environment("twin"), {"decode": "no sigma"})
-    row = peers.row_of(frame, absent, inputs, tmp_path, 1)
+    row = peers.row_of(decode, absent, inputs, tmp_path, 1)
     assert "No module named" in row.cells()[-1]
     assert row.figures() == dict.fromkeys(
         ("decode_absent_s", "decode_absent_mib", "decode_absent_error")
@@ -93,13 +108,28 @@ def test_pip_states_the_reason_in_one_line(tmp_path: Path, monkeypatch: pytest.M
         NOWHERE.python(tmp_path)
 
 
+def test_a_folder_that_is_no_environment_is_not_emptied(tmp_path: Path) -> None:
+    mine = tmp_path / "nowhere" / "mine.txt"
+    mine.parent.mkdir()
+    mine.write_text("own data", encoding="utf-8")
+    with pytest.raises(PeerError, match="is not empty and no virtual environment"):
+        NOWHERE.python(tmp_path)
+    assert mine.read_text(encoding="utf-8") == "own data"
+
+
+def test_an_environment_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "nowhere").write_text("a file", encoding="utf-8")
+    with pytest.raises(PeerError, match=r"^no virtual environment in [^\n]*nowhere[^\n]*$"):
+        NOWHERE.python(tmp_path)
+
+
 def test_an_environment_is_made_once_per_set_of_packages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = []
 
-    def make(self: Environment, place: Path) -> None:
-        place.mkdir(exist_ok=True)
+    def make(self: Environment, folder: Path) -> None:
+        folder.mkdir(exist_ok=True)
         made.append(self.packages)
 
     monkeypatch.setattr(Environment, "_make", make)
@@ -107,6 +137,33 @@ def test_an_environment_is_made_once_per_set_of_packages(
         Environment("peer", packages).python(tmp_path)
     assert made == [("one==1",), ("one==2",)]
     assert (tmp_path / "peer" / STAMP).read_text(encoding="utf-8").endswith("one==2")
+
+
+@pytest.mark.parametrize("part", [["--only", "fringes"], ["--work", "press"], ["--quick"]])
+def test_a_part_of_the_comparison_does_not_replace_the_table(
+    part: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        peers.parsed(["--update", *part])
+    assert "--update writes the whole table" in capsys.readouterr().err
+    assert peers.parsed(["--update"]).update
+    assert not peers.parsed(part).update
+
+
+def test_all_programs_render_with_the_same_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Expected: LLVM is selected before the search, so that a GPU is not used."""
+    monkeypatch.setenv(CHOICE_VARIABLE, "cuda")
+    monkeypatch.setenv(LIBRARY_VARIABLE, "")
+    searched = []
+
+    def search() -> Backend:
+        searched.append(os.environ[CHOICE_VARIABLE])
+        return Backend("llvm_ad_mono", "libLLVM.so.19", "19")
+
+    monkeypatch.setattr(peers, "find_backend", search)
+    peers.use_llvm()
+    assert searched == [os.environ[CHOICE_VARIABLE]] == ["llvm"]
+    assert os.environ[LIBRARY_VARIABLE] == "libLLVM.so.19"
 
 
 def test_the_page_has_a_row_for_every_program_and_work() -> None:

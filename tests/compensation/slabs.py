@@ -5,7 +5,8 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from twin.config.elastomer import Elastomer
 from twin.config.models import AnySpecimen, Press
-from twin.config.sensor_layer import LayerSigma, MeasuredLoad, SensorLayer
+from twin.config.sensor_layer import MeasuredLoad, SensorLayer
+from twin.config.sigma import LayerSigma
 from twin.mechanics.slab_tangent import SolvedSlab, solve_slab
 
 MODULUS_KPA = 400.0

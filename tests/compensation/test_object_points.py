@@ -18,7 +18,8 @@ from reconstruction.triangulation import PointMap
 from tests.compensation.test_command import coat_map
 from twin.config.coatings import Texture
 from twin.config.elastomer import Elastomer, Mechanics, Press
-from twin.config.sensor_layer import LayerSigma, MeasuredLoad, SensorLayer
+from twin.config.sensor_layer import MeasuredLoad, SensorLayer
+from twin.config.sigma import LayerSigma
 from twin.config.specimen_base import Specimen
 from twin.mechanics import PressedElastomer
 from twin.mechanics.choice import press_with

@@ -73,12 +73,26 @@ def test_depth_sets_the_aperture_and_the_near_end_is_blurred_by_one_pixel():
     assert spread_mm * rig.camera.fx_px == pytest.approx(1.0, rel=1e-9)  # px
 
 
-def test_an_inclined_camera_needs_more_depth():
-    """Over its field of 28.6 mm the coat is 28.6 tan(10 deg) deep."""
-    upright = requested(depth_mm=1.0).camera.f_number
-    inclined = requested(depth_mm=1.0, camera__pose__polar_deg=10.0).camera.f_number
-    deep = 1.0 * np.cos(np.deg2rad(10)) + 28.5754 * np.tan(np.deg2rad(10))
-    assert inclined / upright == pytest.approx(deep, rel=2e-2)  # 214 mm / (214 mm - half of it)
+@pytest.mark.parametrize(("azimuth", "roll"), [(0.0, 0.0), (90.0, 0.0), (150.0, 70.0)])
+def test_an_inclined_camera_blurs_the_worst_corner_by_one_pixel(azimuth, roll):
+    """At both ends of the height range, the largest blur at a corner of the image is 1 px."""
+    pose = {"polar_deg": 35.0, "azimuth_deg": azimuth, "roll_deg": roll}
+    experiment = requested(
+        depth_mm=1.2,
+        camera__depth_of_field=True,
+        camera__width_px=484,
+        camera__height_px=366,
+        **{f"camera__pose__{key}": value for key, value in pose.items()},
+    )
+    rig = true_calibration(experiment)
+    pose_matrix = rig.T_world_from_cam
+    pupil = ThinLens.of(experiment.camera, pose_matrix)
+    corners = np.array([[x, y] for x in (-0.5, 483.5) for y in (-0.5, 365.5)])
+    rays = np.column_stack([rig.camera.unproject(corners), np.ones(4)])  # length 1 along the axis
+    heights_mm = np.array([[-0.6], [0.6]])
+    axial_mm = (heights_mm - pose_matrix[2, 3]) / (rays @ pose_matrix[:3, :3].T)[:, 2]
+    spread_mm = 2 * pupil.radius_mm * np.abs(1.0 / axial_mm - 1.0 / pupil.focus_mm)
+    assert spread_mm.max() * rig.camera.fx_px == pytest.approx(1.0, rel=1e-9)  # px
 
 
 def test_a_telecentric_lens_has_its_magnification_and_aperture_at_the_object():
@@ -114,6 +128,15 @@ UNMET = {
     "wide open": ({"lens": HF50, "camera__f_number": 2.0}, "f-numbers 2.4 to 16"),
     "depth": ({"depth_mm": 20}, "depth_mm: found 20, allowed up to 7.94 at f/64"),
     "depth of a lens": ({"depth_mm": 4, "lens": HF50}, "allowed up to 2.01 at f/16"),
+    "no distance": (
+        {"depth_mm": 1, "lens": TELE, "camera__pose__standoff_mm": "absent"},
+        "allowed up to 0.17 at working f/9.8",
+    ),
+    "ring without lens": ({"extension_mm": 5}, "optics.extension_mm: found 5 without a lens"),
+    "camera in the lens": (
+        {"angle_deg": 20, "camera__pose__standoff_mm": 40},
+        "standoff_mm: found 40, allowed more than focal_length_mm, 50",
+    ),
     "inclined": ({"depth_mm": 1, "camera__pose__polar_deg": 45}, "mm along the tilted axis"),
     "telecentric field": ({"field_mm": [13, 9], "lens": TELE}, "images 12.1 x 9.15 mm on this"),
     "telecentric distance": ({"working_distance_mm": 90, "lens": TELE}, "in focus at 72 mm only"),

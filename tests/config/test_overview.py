@@ -11,7 +11,7 @@ EVERY_TABLE = {
     "links": {"press.depth_mm": "elastomer.thickness_mm"},
     "stage.albedo": 0.2,
     "mechanics.tetrahedra": 5000,
-    "optics.extension_mm": 1.0,
+    "optics.angle_deg": 25.0,
     "render.samples": 9,
     "decode.use": "both",
     "sigma.thickness_mm": 0.01,
@@ -55,7 +55,7 @@ def test_at_most_twenty_lines(name):
         try:
             experiment = vary(experiment, {key: value})
         except ConfigError:
-            assert key in ("layers.window", "optics.extension_mm")  # direct FPP has no layers
+            assert key == "layers.window"  # direct FPP has no layers
     lines = repr(experiment).splitlines()
     assert 15 < len(lines) <= MOST_LINES
     assert max(map(len, lines)) <= WIDTH

@@ -28,14 +28,34 @@ from twin.config.sensor_layer import load_sensor_layer
 
 _COMMANDS = "test_blocks.py::test_each_command_is_accepted"
 _TUTORIAL = "test_tutorials.py::test_a_tutorial_runs_with_the_printed_output"
+_OWN = "test_bring_your_own.py"
+_OWN_KIND = f"{_OWN}::test_another_kind_by_a_dotted_key"
+_OWN_RELIEF = f"{_OWN}::test_a_height_map_is_the_same_in_each_format"
+_OWN_DECODER = f"{_OWN}::test_own_decoder_own_calibration_and_normals"
+_OWN_TABLES = "../plugins/test_own_settings.py::test_the_table_of_a_model_is_used_and_written"
+_DEMO = "../paper/test_demo.py::test_the_folder_has_all_measurements_and_their_page"
+_VIEW = "../viewer/test_server.py::test_object_devices_and_section_are_in_the_scene"
+_SETUP = "../packaging/test_run.py::test_first_call_sets_up_then_runs_where_the_user_is"
+_RIG_FILE = "../cli/test_real_rig.py::test_listed_columns_only_give_the_heights_of_the_example"
+_MINIMAL = "test_first_examples.py::test_the_minimal_experiment_of_the_readme_reads_its_ball"
 _GAUGES = "../cli/test_evaluation_document.py::test_figures_of_the_document"
 JUDGES = {
-    "README.md: ./run demo": "../paper/test_demo.py::test_the_folder_has_all_measurements",
-    "README.md: name =": "test_first_examples.py::test_the_minimal_experiment_of_the_readme",
+    "README.md: ./run demo": _DEMO,
+    "README.md: name =": _MINIMAL,
     "README.md: twin init": "test_blocks.py::test_first_commands_of_the_readme",
     "README.md: import twin": "test_blocks.py::test_python_example_of_the_readme",
-    "CONTRIBUTING.md: ./run setup": "../packaging/test_run.py::test_",
-    "docs/bring_your_own.md: ": "test_bring_your_own.py::test_",
+    "CONTRIBUTING.md: ./run setup": _SETUP,
+    "docs/bring_your_own.md: import imageio": _OWN_RELIEF,
+    "docs/bring_your_own.md: name =": _OWN_RELIEF,
+    "docs/bring_your_own.md: twin press my.toml": _OWN_RELIEF,
+    "docs/bring_your_own.md: twin press examples": _OWN_KIND,
+    "docs/bring_your_own.md: import twin": _OWN_KIND,
+    "docs/bring_your_own.md: [coating]": f"{_OWN}::test_a_measured_coat_of_the_page",
+    "docs/bring_your_own.md: def shot": f"{_OWN}::test_own_noise_is_in_the_images",
+    "docs/bring_your_own.md: import numpy": _OWN_DECODER,
+    "docs/bring_your_own.md: import cv2": _OWN_DECODER,
+    "docs/bring_your_own.md: twin import-calibration": _OWN_DECODER,
+    "docs/bring_your_own.md: normals": _OWN_DECODER,
     "docs/coatings.md: [coating]": "test_blocks.py::test_a_measured_coat",
     "docs/coatings.md: [coating.texture]": "test_blocks.py::test_the_texture_of_a_coat",
     "docs/compensation.md: # layer.toml": "test_blocks.py::test_layer_file",
@@ -44,24 +64,24 @@ JUDGES = {
     "docs/evaluation.md: import h5netcdf": _GAUGES,
     "docs/evaluation.md: from reconstruction.evaluate": _GAUGES,
     "docs/extend.md: [project.entry-points": "test_blocks.py::test_entry_point",
-    "docs/extend.md: [mechanics]": "../plugins/test_own_settings.py::test_the_table_of_a_model",
-    "docs/extend.md: [camera.noise_model]": "../plugins/test_own_settings.py::test_",
+    "docs/extend.md: [mechanics]": _OWN_TABLES,
+    "docs/extend.md: [camera.noise_model]": _OWN_TABLES,
     "docs/extend.md: def shot_and_row_noise": "test_blocks.py::test_own_noise_function",
-    "docs/getting_started.md: ./run demo": "../paper/test_demo.py::test_the_folder_has_all",
+    "docs/getting_started.md: ./run demo": _DEMO,
     "docs/getting_started.md: name =": _TUTORIAL,
     "docs/getting_started.md: twin measure": _TUTORIAL,
     "docs/getting_started.md: import twin": _TUTORIAL,
-    "docs/getting_started.md: twin view": "../viewer/test_server.py::test_",
-    "docs/install.md: ./run demo": "../paper/test_demo.py::test_the_folder_has_all",
+    "docs/getting_started.md: twin view": _VIEW,
+    "docs/install.md: ./run demo": _DEMO,
     "docs/install.md: python3.11": "test_blocks.py::test_extras_of_an_installation",
     "docs/optics.md: ": "test_tutorials.py::test_the_page_on_field_lens_and_distance_runs",
     "docs/paper.md: twin paper": _COMMANDS,
-    "docs/real_rig.md: format =": "../cli/test_real_rig.py::test_listed_columns_only_give",
+    "docs/real_rig.md: format =": _RIG_FILE,
     "docs/sheet.md: [elastomer]": "test_blocks.py::test_tables_of_a_thin_sheet",
     "docs/troubleshooting.md: twin doctor": _COMMANDS,
     "docs/tutorial_design.md: ": _TUTORIAL,
 }
-"""Test of each block: file and first characters of its name, by page and first characters."""
+"""Test of each block, file and name, by page and first characters of the block."""
 
 
 def one(page: str, start: str) -> Block:
@@ -87,7 +107,7 @@ def test_every_block_has_a_judge():
 def test_each_judge_exists(judge):
     file, _, test = judge.partition("::")
     text = (Path(__file__).parent / file).read_text(encoding="utf-8")
-    assert f"\ndef {test}" in text
+    assert f"\ndef {test}(" in text
 
 
 def words_of(command: list[str]) -> list[str]:

@@ -45,12 +45,14 @@ def said(text: str) -> list[str]:
 
 PRINTED = {
     "getting_started.md": (
-        (r"    object: radius 1: ([\d.]+) mm", "object_radius_1_mm", 2e-4),
-        (r"apparent in the coat: ([\d.]+) mm", "object_radius_1_coat_mm", 1e-3),
-        (r"deviation of its points ([\d.]+) um RMS", "object_rms_um", 0.15),
+        (r"    object: radius 1: ([\d.]+) mm", "object_radius_1_mm", 1.0, 2e-4),
+        (r"    object: radius 1: .* mm \+- ([\d.]+) um", "object_radius_1_expanded_um", 1.0, 0.15),
+        (r"apparent in the coat: ([\d.]+) mm", "object_radius_1_coat_mm", 1.0, 1e-3),
+        (r"deviation of its points ([\d.]+) um RMS", "object_rms_um", 1.0, 0.15),
+        (r"um RMS on the ([\d.]+) % of it", "object_coverage_share", 0.01, 0.01),
     )
 }
-"""Numbers that a page prints as the output of its command: text, figure, tolerance."""
+"""Numbers that a page prints as the output of its command: text, figure, unit, tolerance."""
 
 
 @pytest.mark.parametrize("page", ["getting_started.md", "tutorial_design.md"])
@@ -58,10 +60,10 @@ def test_a_tutorial_runs_with_the_printed_output(mi, tmp_path, monkeypatch, page
     monkeypatch.chdir(tmp_path)
     follow(page)
     assert (tmp_path / "out" / "report.html").is_file()
-    for text, figure, digits in PRINTED.get(page, ()):
+    for text, figure, unit, digits in PRINTED.get(page, ()):
         (number,) = re.findall(text, (DOCS / page).read_text(encoding="utf-8"))
         metrics = read_json(tmp_path / "out" / "result.json")["metrics"]
-        assert metrics[figure] == pytest.approx(float(number), abs=digits), figure
+        assert metrics[figure] == pytest.approx(unit * float(number), abs=digits), figure
 
 
 def test_the_page_on_field_lens_and_distance_runs(tmp_path, monkeypatch, capsys):

@@ -30,7 +30,7 @@ def test_one_table_and_one_figure(tmp_path, capsys):
     ("arguments", "message"),
     [
         (["--only", "tabel"], "--only tabel: found no such table or figure, allowed identified"),
-        (["--only", "tables/rodz"], "did you mean tables/rods?"),
+        (["--only", "tables/rodz"], "found no such table or figure; did you mean tables/rods? ("),
         (["-j", "0"], "--workers 0: allowed 1 or more"),
         (["--trials", "1"], "--trials 1: allowed 2 to 10000"),
     ],

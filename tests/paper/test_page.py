@@ -59,7 +59,11 @@ def test_a_missed_target_is_reported_in_words(page):
 
 def test_the_badge_states_how_many_figures_were_fitted(page):
     text = page.read_text(encoding="utf-8")
-    assert re.search(r"\d+ of \d+ figures meet their targets, \d+ of them fitted", text)
+    met = re.search(r"(\d+) of \d+ figures meet their targets, (.*) limits from pictures", text)
+    assert met is not None
+    assert met[2].startswith("1 of them fitted and ")
+    reasons = re.findall(r"<li>(\d+) of \d+ (?:compared|limits)", text)
+    assert int(met[1]) == sum(map(int, reasons))
     assert "<li>1 of 2 compared with rows from which the sensor was identified (fitted)" in text
 
 

@@ -6,7 +6,8 @@ import pytest
 from reconstruction.errors import InputError
 from tests.pipeline.conftest import CENTRE
 from twin.config import load_experiment, vary
-from twin.config.sensor_layer import LayerSigma, sensor_layer_of
+from twin.config.sensor_layer import sensor_layer_of
+from twin.config.sigma import LayerSigma
 from twin.mechanics import face_mesh
 from twin.optics.session import activate
 from twin.pipeline import Memory, measure

@@ -1,10 +1,12 @@
 """Remedies of a thin sheet that touches too little: the smallest value that is sufficient."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from reconstruction.errors import InputError
+from twin.cli import forward
 from twin.config import load_experiment
 from twin.pipeline import contact_remedies as module
 from twin.pipeline.contact_remedies import (
@@ -103,3 +105,14 @@ def test_an_object_is_measured_within_its_limits(lengths, measured):
 def test_an_object_without_lengths_needs_contact():
     score = SimpleNamespace(quantities=[], figures={"object_rms_um": None})
     assert not is_measured(score, 50.0)
+
+
+def test_the_printed_command_has_the_settings_of_the_measurement(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(forward, "_measure", lambda loaded, *_: SimpleNamespace(experiment=loaded))
+    monkeypatch.setattr("twin.report.object.is_touched_too_little", lambda _: True)
+    deeper = ContactRemedy("press.depth_mm", 1.5, 0.4, ())
+    monkeypatch.setattr(module, "first_remedy", lambda _: deeper)
+    settings = ["press.depth_mm=0.5", "description=two balls"]
+    forward.measure(Path("examples/wrapped_balls"), out=tmp_path, settings=settings)
+    command = "measure examples/wrapped_balls -s press.depth_mm=0.5 -s 'description=two balls' -o"
+    assert command in capsys.readouterr().out

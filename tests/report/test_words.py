@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 import twin.config
 from twin.config import load_experiment
-from twin.report.words import label_of, phrase, printed_sentence, split_unit
+from twin.report.words import in_ascii, label_of, phrase, printed_sentence, split_unit
 from twin.results.names import figure_names
 from twin.study.derived import DERIVED
 
@@ -95,3 +95,15 @@ def test_a_sentence_of_the_terminal_keeps_its_abbreviations_on_a_page():
     assert printed_sentence(line) == (
         "Object: deviation 180.7 µm RMS on the 44 % of it; 3 µm ± 2 µm (k = 2)"
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("3.0001\N{NO-BREAK SPACE}mm ± 2.7 µm, −0.3 µm", "3.0001 mm +- 2.7 um, -0.3 um"),
+        ("µm/°", "um/ deg"),
+        ("0.1–0.2 mm², mm³", "0.1-0.2 mm2, mm3"),
+    ],
+)
+def test_the_terminal_shows_ascii(text, plain):
+    assert in_ascii(text) == plain

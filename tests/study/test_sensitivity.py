@@ -5,7 +5,12 @@ import pytest
 
 from twin.config.study import Study
 from twin.study.cases import shares_of
-from twin.study.sensitivity import correlation_ratio, morris_effects, saltelli_effects
+from twin.study.sensitivity import (
+    adjusted_shares,
+    correlation_ratio,
+    morris_effects,
+    saltelli_effects,
+)
 
 AXES = ("a", "b", "c")
 
@@ -55,3 +60,14 @@ def test_shares_of_a_grid():
     i, j = np.divmod(np.arange(16), 4)
     assert correlation_ratio(3.0 * i + j, list(map(str, i))) == pytest.approx(0.9)
     assert correlation_ratio(3.0 * i + j, list(map(str, j))) == pytest.approx(0.1)
+
+
+def test_adjusted_shares_of_noise_are_small():
+    """Setup: 24 random values in six groups, in 200 draws; the plain share is 5 / 23 on average."""
+    rng, labels = np.random.default_rng(0), [str(n % 6) for n in range(24)]
+    draws = [rng.normal(size=24) for _ in range(200)]
+    plain = np.mean([correlation_ratio(values, labels) for values in draws])
+    assert plain == pytest.approx(5 / 23, abs=0.02)
+    adjusted = [adjusted_shares(values, {"a": labels})[0].value for values in draws]
+    assert np.mean(adjusted) < 0.1
+    assert adjusted_shares(np.arange(8.0), {"a": list(map(str, range(8)))}) == []

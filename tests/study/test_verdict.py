@@ -5,8 +5,9 @@ import re
 
 import pytest
 
+from reconstruction.errors import InputError
 from reconstruction.evaluate.conformity import CANNOT_TELL, WITHIN
-from tests.study.synthetic import Fake
+from tests.study.synthetic import Bowl, Fake
 from twin.cli import run
 from twin.config import vary
 from twin.config.study import Constraint, Objective
@@ -55,9 +56,9 @@ def judged(base):
 
 @pytest.fixture
 def swept(study_of, judged, tmp_path):
-    def make(*axes, **keys):
+    def make(*axes, measurer=Traded, **keys):
         record = StudyRecord(study_of(*axes, **({"objectives": (ERROR,)} | keys)), judged)
-        sweep(record, tmp_path / "out", local_workers(1), make_measurer=Traded)
+        sweep(record, tmp_path / "out", local_workers(1), make_measurer=measurer)
         return read_table(tmp_path / "out")
 
     return make
@@ -160,6 +161,60 @@ def test_a_best_design_at_the_end_of_an_axis_is_noted(swept):
         "Albedo has the largest effect (100 % of the variance), and the design is at an end of "
         "this axis: try values below 0.55."
     )
+
+
+def test_a_design_at_the_end_of_a_sampled_axis_is_noted(swept):
+    """Expected: the value of the design, which is in the first of six parts of the axis."""
+    albedo = {"path": "coating.base_albedo", "name": "albedo", "low": 0.55, "high": 0.75}
+    table = swept(albedo, sampling={"method": "latin_hypercube", "count": 16})
+    verdict = verdict_of(table)
+    assert verdict.advice is not None
+    assert verdict.advice.side == "below"
+    assert verdict.advice.level == verdict.row["albedo"] == min(r["albedo"] for r in table.rows)
+
+
+def test_no_other_axis_is_named_if_the_design_is_within_that_of_the_largest_effect(swept):
+    """The bowl is lowest at the inner albedo 0.4; the roughness is at its end, with less effect."""
+    albedo = ALBEDO | {"values": [0.2, 0.4, 0.6]}
+    rough = {"path": "coating.flake_roughness", "name": "rough", "values": [0.55, 0.58]}
+    objectives = (Objective(metric="bowl"),)
+    verdict = verdict_of(swept(albedo, rough, measurer=Bowl, objectives=objectives))
+    assert verdict.feasible
+    assert (verdict.row["albedo"], verdict.row["rough"]) == (0.4, 0.58)
+    assert verdict.advice is None
+
+
+def test_a_sample_without_two_points_per_group_names_no_axis(swept):
+    """Why: with one point per level every axis explains the whole variance."""
+    albedo = {"path": "coating.base_albedo", "name": "albedo", "low": 0.1, "high": 0.15}
+    slab = {"path": "elastomer.thickness_mm", "name": "slab", "low": 2.0, "high": 5.0}
+    table = swept(albedo, slab, sampling={"method": "latin_hypercube", "count": 8})
+    assert verdict_of(table).advice is None
+    assert "help most" not in sentence_of(table)
+
+
+def test_an_axis_of_lists_has_a_verdict_and_a_page(swept, tmp_path):
+    fields = {"path": "optics.field_mm", "name": "field", "values": [[20, 15], [12, 9]]}
+    table = swept(fields, SLAB | {"values": [2.0, 4.0]}, ALBEDO | {"values": [0.2]})
+    assert sentence_of(table).startswith("Build none of these designs: the nearest, field ")
+    assert "slab would help most (100 % of the variance)" in sentence_of(table)
+    write_study(tmp_path / "out")
+
+
+class Unlucky(Traded):
+    """Fails for seed 8 at an albedo of 0.3."""
+
+    def __call__(self, experiment, conditions=NOMINAL_CONDITIONS):
+        if experiment.seed == 8 and experiment.coating.base_albedo == 0.3:
+            raise InputError("no equilibrium")
+        return super().__call__(experiment, conditions)
+
+
+def test_a_design_with_a_failed_repeat_is_not_the_nearest(swept):
+    """Albedo 0.3 misses by less than 0.2, but one of its repeats failed."""
+    axes = ALBEDO | {"values": [0.2, 0.3]}, SLAB | {"values": [2.0]}
+    table = swept(*axes, measurer=Unlucky, repeats=2)
+    assert verdict_of(table).row["albedo"] == 0.2
 
 
 def test_headings_have_units_and_warnings_a_remedy(swept, tmp_path):

@@ -78,6 +78,8 @@ def test_the_measurement_is_that_of_twin_measure_with_binned_pixels(preview):
     done = preview.measure(changes)
     alone = measure(load_experiment("examples/slab_balls", {**changes, "camera.binning": 4}))
     assert done.metrics == alone.metrics
+    exposure_ms = preview.show(changes).exposure_ms
+    assert exposure_ms == pytest.approx(alone.figures["exposure_ms"], rel=0.05)
     np.testing.assert_array_equal(
         preview.show(changes).pressed.face_z_mm, thinned(alone.press).face_z_mm
     )

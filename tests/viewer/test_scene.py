@@ -1,6 +1,7 @@
 """Content of the live view's scene, without a browser: surfaces, section, devices, viewpoints."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -114,7 +115,17 @@ def test_the_section_is_drawn_to_scale(section):
     assert np.corrcoef(y, section.coat_mm)[0, 1] == pytest.approx(-1, abs=1e-3)
 
 
+def test_a_gap_of_the_section_is_not_bridged(section):
+    specimen_mm = section.specimen_mm.copy()
+    inside = np.flatnonzero(specimen_mm > section.touched_mm.min())
+    before = section_drawing(section).count("<polyline")
+    specimen_mm[inside[len(inside) // 4]] = np.nan
+    cut = replace(section, specimen_mm=specimen_mm)
+    assert section_drawing(cut).count("<polyline") == before + 1
+
+
 def test_the_command_states_the_changed_values():
-    text = command_line("my.toml", {"press.depth_mm": 0.8, "coating.base_albedo": 0.25})
+    text = command_line("my.toml", {"press.depth_mm": 0.8, "coating.base_albedo": 0.25}, 4)
     assert "twin measure my.toml" in text
     assert text.index("-s coating.base_albedo=0.25") < text.index("-s press.depth_mm=0.8")
+    assert text.endswith("figures: camera.binning = 4")

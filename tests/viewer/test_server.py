@@ -21,11 +21,6 @@ def view(mi) -> Iterator[LiveView]:
     shown.close()
 
 
-def handle(view, label):
-    gui = view.server.gui._gui_input_handle_from_uuid.values()
-    return next(part for part in gui if getattr(part, "label", None) == label)
-
-
 def test_object_devices_and_section_are_in_the_scene(view):
     names = (
         "/surfaces/coat", "/surfaces/specimen", "/section/coat", "/section_line", "/near/camera",
@@ -62,9 +57,8 @@ def test_figures_and_error_map_are_those_of_the_measurement(view):
 
 def test_a_slider_changes_picture_command_and_figures(view):
     before, figures = view._results._fringes.image, view._results._figures.content
-    slider, moved = view._sliders["elastomer.thickness_mm"]
+    _, moved = view._sliders["elastomer.thickness_mm"]
     moved.value = 2.5
-    view._changes[slider.key] = 2.5
     view.update()
     assert (view._results._fringes.image != before).mean() > 0.05
     assert "-s elastomer.thickness_mm=2.5" in view._command.content

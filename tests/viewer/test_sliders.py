@@ -2,9 +2,10 @@
 
 import pytest
 
-from twin.config import load_experiment
+from twin.config import load_experiment, vary
 from twin.viewer.sliders import slider_ranges
 
+KEY = "elastomer.thickness_mm"
 DESIGNED = {
     "coating.base_albedo",
     "coating.flake_fraction",
@@ -57,6 +58,13 @@ def test_a_thin_sheet_has_fine_steps_although_its_source_allows_slabs():
     assert thickness.high == pytest.approx(4 * thickness.value)
     assert thickness.step < 0.01
     assert 1 < sliders["patterns.period_px"].low < sliders["patterns.period_px"].high < 100
+
+
+def test_a_value_beyond_the_range_of_its_source_is_shown():
+    changes = {"elastomer.thickness_mm": {"value": 2.0, "range": [2.0, 4.0], "source": "test"}}
+    experiment = vary(load_experiment("examples/slab_balls", changes), {KEY: 1.5})
+    (slider,) = (slider for slider in slider_ranges(experiment) if slider.key == KEY)
+    assert (slider.low, slider.value, slider.high) == (1.5, 1.5, 4.0)
 
 
 def test_a_share_has_no_value_above_1():

@@ -29,8 +29,10 @@ COVERAGE = 2.0
 ASSUMED, NEEDS = "assumed", "; needs "
 """Start of the source of an assumed field, and text before the data that would determine it."""
 
+DEVICES = ("camera", "projector", "coating", "elastomer")
+"""Tables of a rig file whose fields have a source."""
+
 _DIGITS = 7
-_TABLES = ("camera", "projector", "coating", "elastomer")
 # Experiment that provides specimen and press to validate the rig.
 _TRIED_WITH = "examples/slab_ball"
 _NEEDS = {
@@ -135,7 +137,7 @@ def rig_tables(model: ModelRig, fields: Mapping[str, RigField]) -> dict[str, Any
     for name, node in model.tables.items():
         if name == "description":
             continue
-        tables[name] = _assumed(node, name, model) if name in _TABLES else node
+        tables[name] = _assumed(node, name, model) if name in DEVICES else node
     if any(path.startswith("elastomer.") for path in fields):
         tables["elastomer"] = {}  # all its fields are given: stated or measured
     for field in fields.values():

@@ -6,12 +6,11 @@ from typing import Any
 
 from reconstruction.errors import counted
 from twin.adoption.adopt import Adopted
-from twin.adoption.findings import ASSUMED, NEEDS, rows_of
+from twin.adoption.findings import ASSUMED, DEVICES, NEEDS, rows_of
 
 MOST_LINES = 9
 """Most lines of a summary; all fields and remarks are in the files of the rig."""
 _MOST_REMARKS, _MOST_DATA = 2, 4
-_DEVICES = ("camera", "projector", "coating", "elastomer")
 Field = tuple[str, Any, Any, str]
 
 
@@ -20,7 +19,7 @@ def summary_of(adopted: Adopted) -> list[str]:
 
     The line on assumed fields names the captures that would determine them.
     """
-    fields = [row for row in rows_of(adopted.tables) if row[0].split(".")[0] in _DEVICES]
+    fields = [row for row in rows_of(adopted.tables) if row[0].split(".")[0] in DEVICES]
     remarks = [f"note: {note}" for note in adopted.notes[:_MOST_REMARKS]]
     more = len(adopted.notes) - len(remarks)
     remarks += [f"{counted(more, 'more note')} in result.json"] if more else []
@@ -50,13 +49,14 @@ def _by_source(fields: Iterable[Field]) -> Iterator[str]:
 def _further(fields: Iterable[Field]) -> Iterator[str]:
     """Yield one line with the captures that would determine assumed fields, the most useful first.
 
-    The most useful capture is the one that determines most fields.
+    The most useful capture is the one that determines most fields. Text after a colon, which is a
+    remark on one of the fields, is left out.
     """
-    wanted = Counter(
-        source.partition(NEEDS)[2]
+    needed = Counter(
+        source.partition(NEEDS)[2].partition(":")[0]
         for *_, source in fields
         if source.startswith(ASSUMED) and NEEDS in source
     )
-    ranked = [f"{data} ({counted(n, 'field')})" for data, n in wanted.most_common(_MOST_DATA)]
+    ranked = [f"{data} ({counted(n, 'field')})" for data, n in needed.most_common(_MOST_DATA)]
     if ranked:
         yield f"to determine more: {'; '.join(ranked)}"

@@ -1,5 +1,6 @@
 """Commands of the forward model: from an experiment to images and points."""
 
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -200,12 +201,17 @@ def measure(
 
     loaded = load(experiment, settings, warn=False)  # the result lists its warnings
     done = _measure(loaded, out, "measure", [experiment], report)
-    _print_contact_remedies(done, experiment, thorough=remedies)
+    changes = [word for text in settings or () for word in ("-s", text)]
+    again = shlex.join([str(experiment), *changes])
+    _print_contact_remedies(done, again, thorough=remedies)
     say(f"wrote {out / (REPORT_FILE if report else RESULT_FILE)}")
 
 
-def _print_contact_remedies(done: "Measurement", file: Path, thorough: bool) -> None:
-    """Print the loads with which a thin sheet touches enough of the object, if it does not."""
+def _print_contact_remedies(done: "Measurement", measured: str, thorough: bool) -> None:
+    """Print the loads with which a thin sheet touches enough of the object, if it does not.
+
+    `measured` are file and settings of the command, as the user enters them.
+    """
     from twin.report.object import is_touched_too_little
 
     if not is_touched_too_little(done):
@@ -222,11 +228,14 @@ def _print_contact_remedies(done: "Measurement", file: Path, thorough: bool) -> 
     if not remedies:
         say("remedy: none of the tried air pressures, loads and tacks is sufficient by itself")
         return
-    say("remedy: each of these lines, for the table in its comment; computed by presses")
+    say(
+        "remedy: add one of these lines to the table named in its comment "
+        "(each was computed by a press)"
+    )
     for remedy in remedies:
         say(f"    {remedy.toml}")
     if not thorough:
-        say(f"smallest air pressure, load and tack: twin measure {file} -o OUT --remedies")
+        say(f"smallest air pressure, load and tack: twin measure {measured} -o OUT --remedies")
 
 
 @app.command

@@ -115,13 +115,15 @@ def layout(experiment: ExperimentFile, /, *, settings: Settings = None) -> None:
     meet it; see docs/optics.md.
     """
     from twin.config.rig import derived_keys, lenses_meeting
-    from twin.results.layout import layout_figures
+    from twin.results.layout import known_warnings, layout_figures
 
     loaded = load(experiment, settings)
     print_metrics(dict(layout_figures(loaded)))
     values = loaded.model_dump()
     for path, key in derived_keys(values, loaded.name).items():
         say(f"{path} = {key.value:.6g}  # {key.source}")
+    for line in known_warnings(loaded):
+        sys.stderr.write(f"twin: warning: {line}\n")
     if loaded.optics.is_stated:
         say(f"lenses that meet [optics]: {', '.join(lenses_meeting(values)) or 'none shipped'}")
 

@@ -185,6 +185,7 @@ def best(
         the objectives of the study.
     """
     from twin.report.study_words import verdict_sentence
+    from twin.report.words import in_ascii
     from twin.study.feasibility import feasibility_in_words
     from twin.study.table import best_rows, nearest_rows, objective_of, read_table, usable_rows
     from twin.study.verdict import verdict_of
@@ -206,23 +207,17 @@ def best(
     cells = ([cell(row.get(n), 5) for n in columns] for row in rows)
     headings = [_heading(table, name) for name in columns]
     print_table(headings, cells, width=None if sys.stdout.isatty() else 200)
-    say(_in_ascii(verdict_sentence(table, verdict_of(table, chosen))))
+    say(in_ascii(verdict_sentence(table, verdict_of(table, chosen))))
     return 0 if some else FAILURE
 
 
 def _heading(table: "StudyTable", name: str) -> str:
     """Return the name of a column; the unit is appended unless it is part of the name."""
     from twin.report.study_words import axis_headings
-    from twin.report.words import split_unit
+    from twin.report.words import in_ascii, split_unit
 
     unit = axis_headings(table).get(name, ("", ""))[1]
-    return f"{name} ({_in_ascii(unit)})" if unit and not split_unit(name)[1] else name
-
-
-def _in_ascii(text: str) -> str:
-    for sign, plain in (("µ", "u"), ("°", " deg"), ("²", "2"), ("³", "3"), ("–", "-")):
-        text = text.replace(sign, plain)
-    return text
+    return f"{name} ({in_ascii(unit)})" if unit and not split_unit(name)[1] else name
 
 
 @sweep_app.command
@@ -244,6 +239,7 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
     from twin.report.study import write_study
     from twin.report.study_words import verdict_sentence
     from twin.report.uncertainty import write_uncertainty_page
+    from twin.report.words import in_ascii
     from twin.study.pictures import picture_best
     from twin.study.table import objective_of, read_table
     from twin.study.verdict import verdict_of
@@ -259,7 +255,7 @@ def report(folder: Path, /, *, objective: Objectives = None) -> None:
             write_study(folder, watch, chosen, drawn, failed)
             verdict = verdict_sentence(table, verdict_of(table, chosen))
     if verdict:
-        say(_in_ascii(verdict))
+        say(in_ascii(verdict))
     say(f"wrote {folder / REPORT_FILE}")
 
 

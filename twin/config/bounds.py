@@ -37,7 +37,8 @@ def zero_or_at_least(least: float) -> Callable[[float], float]:
 # ---- lengths -----------------------------------------------------------------------------------
 
 _LENGTHS = Because("0.1 um, below which light is no ray, to 1 m, more than any tactile sensor")
-Length = Annotated[float, Field(ge=1e-4, le=1000), _LENGTHS]
+LENGTH_RANGE_MM = (1e-4, 1000.0)
+Length = Annotated[float, Field(ge=LENGTH_RANGE_MM[0], le=LENGTH_RANGE_MM[1]), _LENGTHS]
 Place = Annotated[float, Field(ge=-1000, le=1000), Because("within 1 m of the sensor's centre")]
 Rounding = Annotated[float, Field(ge=0, le=1000), _LENGTHS]
 #: length of a part of a specimen, mm
@@ -179,8 +180,9 @@ Exposure = Annotated[
     Field(ge=EXPOSURE_RANGE_MS[0], le=EXPOSURE_RANGE_MS[1]),
     Because("100 ns, an electronic shutter, to 1000 s, the longest of a cooled camera"),
 ]
+F_NUMBER_RANGE = (0.7, 64.0)
 #: focal length over diameter of the pupil
-FNumber = Annotated[float, Field(ge=0.7, le=64)]
+FNumber = Annotated[float, Field(ge=F_NUMBER_RANGE[0], le=F_NUMBER_RANGE[1])]
 Magnification = Annotated[
     float, Field(ge=1e-3, le=100), Because("0.001, a photograph, to 100, a microscope objective")
 ]

@@ -18,13 +18,13 @@ from typing import Any
 
 from twin.config import imaging
 from twin.config.base import ConfigError
+from twin.config.bounds import F_NUMBER_RANGE, LENGTH_RANGE_MM
 from twin.config.imaging import SensorArea
 from twin.config.optics import FixedFocal, Optics, Telecentric
 from twin.config.quantities import value_at
 
 REMOTE_MM = 1000.0
-_FARTHEST_MM, _LARGEST_F_NUMBER = 1000.0, 64.0
-# Makers of telecentric lenses allow 3 % of the working distance.
+# Assumed tolerance of the working distance of a telecentric lens: 3 %.
 _CLOSE, _DISTANCE_TOLERANCE = 1e-9, 0.03
 
 Values = Mapping[str, Any]
@@ -78,6 +78,11 @@ class _Imaging:
         return imaging.magnification_at(self.focal_mm, self.distance_mm)
 
     @property
+    def is_in_range(self) -> bool:
+        """Whether a lens images from this distance, and no pinhole is farther than allowed."""
+        return self.focal_mm < self.distance_mm <= LENGTH_RANGE_MM[1]
+
+    @property
     def name(self) -> str:
         return f"a lens of {self.focal_mm:.4g} mm" if self.lens is None else self.lens.model
 
@@ -90,14 +95,18 @@ def camera_keys(optics: Optics, sensor: SensorArea, values: Values) -> dict[str,
     UnmetError : a request cannot be met; the message starts with the key in [optics]
     """
     _require_image_circle(optics, sensor)
+    if optics.extension_mm and optics.lens is None:
+        raise UnmetError(
+            f"extension_mm: found {optics.extension_mm:g} without a lens, whose limits it changes; "
+            "state [optics.lens] or remove it"
+        )
     if isinstance(optics.lens, Telecentric):
         return _telecentric_keys(optics, optics.lens, sensor, values)
     keys: dict[str, Derived] = {}
-    setting = _imaging_of(optics, sensor, values)
-    if setting is None:
-        return keys
+    setting, request = _imaging_of(optics, sensor, values), _request(optics)
+    if setting is None or (optics.lens is None and not request and not setting.is_in_range):
+        return keys  # the validation of the camera reports its own numbers
     _require_in_reach(optics, setting, sensor)
-    request = _request(optics)
     if optics.lens is not None or (optics.field_mm and optics.working_distance_mm):
         source = optics.lens.model if optics.lens else request
         keys["camera.focal_length_mm"] = Derived(setting.focal_mm, f"derived: {source}")
@@ -161,10 +170,10 @@ def _require_in_reach(optics: Optics, setting: _Imaging, sensor: SensorArea) -> 
             f"{key}: found {distance_mm:.4g} mm, allowed more than the focal length, "
             f"{setting.focal_mm:.4g} mm; use a larger distance or a shorter lens"
         )
-    if distance_mm > _FARTHEST_MM:
+    if distance_mm > LENGTH_RANGE_MM[1]:
         raise LensError(
             f"{key}: {request} needs {distance_mm:.4g} mm with {setting.name}, allowed up to "
-            f"{_FARTHEST_MM:g} mm; use a shorter lens or a smaller field"
+            f"{LENGTH_RANGE_MM[1]:g} mm; use a shorter lens or a smaller field"
         )
     if isinstance(setting.lens, FixedFocal):
         _require_focus(setting.lens, setting, optics.extension_mm, sensor, key)
@@ -197,7 +206,7 @@ def _aperture_keys(
 ) -> dict[str, Derived]:
     """Return the f-number for the requested depth; check the f-number against the lens."""
     lens = setting.lens if isinstance(setting.lens, FixedFocal) else None
-    widest, smallest = lens.f_numbers if lens else (0.7, _LARGEST_F_NUMBER)
+    widest, smallest = lens.f_numbers if lens else F_NUMBER_RANGE
     if optics.depth_mm is None:
         stated = number_at(values, "camera.f_number")
         if lens is not None and stated is not None and not widest <= stated <= smallest:
@@ -206,7 +215,7 @@ def _aperture_keys(
                 f"{stated:g}; change it, or state optics.depth_mm"
             )
         return {}
-    depth_mm = _axial_depth(optics.depth_mm, setting.magnification, sensor, values)
+    depth_mm = _axial_depth(optics.depth_mm, setting, sensor, values)
     at = setting.distance_mm, sensor.pixel_mm
     needed = imaging.f_number_for(setting.focal_mm, depth_mm, *at)
     if needed > smallest:
@@ -224,18 +233,34 @@ def _too_deep(depth_mm: float, axial_mm: float, aperture: str, allowed_mm: float
     )
 
 
-def _axial_depth(
-    depth_mm: float, magnification: float, sensor: SensorArea, values: Values
-) -> float:
+def _axial_depth(depth_mm: float, setting: _Imaging, sensor: SensorArea, values: Values) -> float:
     """Return the depth along the camera's axis that contains a height range over the whole field.
 
-    The coat is inclined to the plane of focus by the polar angle of the camera.
+    The coat is inclined to the plane of focus by the polar angle p of the camera. A point of height
+    z in the image of position x (in the plane of focus, along the tilt) is in front of this plane
+    by a = (z + x sin p) / (cos p + x sin p / u), with the distance u of the camera. At the near end
+    z = depth / 2 and x is half the extent of the field; there the blur is largest. The depth is
+    2 a.
     """
     polar = math.radians(number_at(values, "camera.pose.polar_deg", 0.0) or 0.0)
+    half_mm = _extent_along_tilt(setting.magnification, sensor, values, polar) / 2.0
+    inclined_mm = half_mm * math.sin(polar)
+    return (depth_mm + 2.0 * inclined_mm) / (math.cos(polar) + inclined_mm / setting.distance_mm)
+
+
+def _extent_along_tilt(
+    magnification: float, sensor: SensorArea, values: Values, polar: float
+) -> float:
+    """Return the extent of the field, mm, in the plane of focus along the tilt of the camera.
+
+    In the image of a camera as in `twin.optics.rig.world_from_device`, the direction of the tilt is
+    at the angle atan2(cos(polar) sin(azimuth), cos(azimuth)) + roll to the rows.
+    """
     azimuth = math.radians(number_at(values, "camera.pose.azimuth_deg", 0.0) or 0.0)
+    roll = math.radians(number_at(values, "camera.pose.roll_deg", 0.0) or 0.0)
+    angle = math.atan2(math.cos(polar) * math.sin(azimuth), math.cos(azimuth)) + roll
     width_mm, height_mm = sensor.field_at(magnification)
-    extent_mm = width_mm * abs(math.cos(azimuth)) + height_mm * abs(math.sin(azimuth))
-    return depth_mm * math.cos(polar) + extent_mm * math.tan(polar)
+    return width_mm * abs(math.cos(angle)) + height_mm * abs(math.sin(angle))
 
 
 def _telecentric_keys(
@@ -264,7 +289,8 @@ def _telecentric_keys(
     if optics.extension_mm:
         raise LensError(f"extension_mm: {lens.model} is telecentric and takes no ring; remove it")
     if optics.depth_mm is not None:
-        depth_mm = _axial_depth(optics.depth_mm, lens.magnification, sensor, values)
+        setting = _Imaging(focal_mm, REMOTE_MM, lens)
+        depth_mm = _axial_depth(optics.depth_mm, setting, sensor, values)
         allowed_mm = imaging.depth_for(focal_mm, f_number, REMOTE_MM, sensor.pixel_mm)
         if depth_mm > allowed_mm:
             aperture = f"working f/{lens.working_f_number:g}"

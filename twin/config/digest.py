@@ -13,8 +13,9 @@ from reconstruction.reading import read_bytes
 from twin.assets import mesh_path
 from twin.config.models import Experiment
 
-# Fields that do not change any result: names, descriptions, sources of numbers, and keys from which
-# others were computed.
+# Fields that do not change any measured value: names, descriptions, sources of numbers, and keys
+# from which others were computed. With and without [optics], only the layout differs: the figures
+# `working_distance_mm` and `baseline_mm`, and the warning about the lit field.
 _NOT_CONTENT = {"name", "description", "provenance", "links", "optics"}
 
 

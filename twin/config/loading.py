@@ -88,10 +88,10 @@ def validate_experiment(
     if "optics" in linked:
         linked = _with_derived_keys(linked, where, {} if stated is None else stated)
     values, origins = split_quantities(convert_units(linked))
-    stated = values.pop("provenance", {})
-    if not isinstance(stated, dict):
+    sources = values.pop("provenance", {})
+    if not isinstance(sources, dict):
         raise ConfigError(f"{where}: provenance: found a value, allowed a table")
-    values["provenance"] = stated | {key: origin.model_dump() for key, origin in origins.items()}
+    values["provenance"] = sources | {key: origin.model_dump() for key, origin in origins.items()}
     return validated(Experiment, values, f"{where}: ")
 
 

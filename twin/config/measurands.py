@@ -93,7 +93,8 @@ class ObjectMeasurand(Model):
     calibration_um: Micrometres | None = Field(
         default=None,
         description="standard uncertainty from the sensor's calibration; absent: of a length "
-        "2.7e-5 of it, as with a calibration on a dot board, else 0",
+        "2.7e-5 of it, as with a calibration on a dot board (not known for "
+        "photometric_stereo), else 0",
     )
     coverage_factor: Annotated[float, Field(ge=1, le=4)] = Field(
         default=2.0, description="k: expanded uncertainty U = k u; 2 covers about 95 %"
@@ -127,11 +128,16 @@ class ObjectMeasurand(Model):
         """Unit of the value, which is also the suffix of the figure's name."""
         return MEASURANDS[self.quantity].unit
 
-    def sigma_of_calibration_um(self, value: float) -> float:
-        """Return the standard uncertainty, um, of a value in its unit, from the calibration."""
+    def sigma_of_calibration_um(self, value: float, fringes: bool) -> float | None:
+        """Return the standard uncertainty, um, of a value in its unit, from the calibration.
+
+        None if it is not known: a length by a method without fringes, unless the user states it.
+        """
         if self.calibration_um is not None:
             return self.calibration_um
-        return 1e3 * CALIBRATION_SHARE * abs(value) if self.unit == "mm" else 0.0
+        if self.unit != "mm":
+            return 0.0
+        return 1e3 * CALIBRATION_SHARE * abs(value) if fringes else None
 
     @property
     def hidden(self) -> bool:

@@ -11,21 +11,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from reconstruction.codes import CODES
 from reconstruction.decoding import DecodeOptions
-from reconstruction.patterns import (
-    LEAST_STRIPE_PX,
-    MOST_FURTHER_PERIODS,
-    PERIOD_RANGE_PX,
-    STEPS_RANGE,
-    Axis,
-    PatternSet,
-)
-from reconstruction.words import WORDS
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import (
     EXPOSURE_PERCENTILE,
-    AirPressure,
     BlackLevel,
     Contrast,
     DarkCurrent,
@@ -41,21 +30,18 @@ from twin.config.bounds import (
     GlareWidth,
     Length,
     LightDrift,
-    ModulusSigma,
     Photons,
     PixelPitch,
     Rate,
     ReadNoise,
     ResponseSpread,
-    RimCompliance,
-    Rounding,
     ScatteredShare,
     ThrowRatio,
     Tolerance,
 )
 from twin.config.coatings import COATINGS, AnyCoating, Coating, Texture
 from twin.config.elastomer import Elastomer, Film, Mechanics, PadFile, Press
-from twin.config.kinds import NameOf, follows
+from twin.config.kinds import follows
 from twin.config.lamps import Lamp, Photometric, check_lamps
 from twin.config.layers import Layer, Layers, check_rig
 from twin.config.materials import MATERIALS, Material
@@ -64,6 +50,8 @@ from twin.config.methods import TRAITS, Method, MethodTraits
 from twin.config.noise_models import NOISE_MODELS, AnyNoise, NoiseModel
 from twin.config.optics import Optics
 from twin.config.overview import overview
+from twin.config.patterns import Patterns
+from twin.config.sigma import AssumedSigma
 from twin.config.specimen_base import SPECIMENS, AnySpecimen, Specimen, Stage
 
 __all__ = [
@@ -285,67 +273,6 @@ class Camera(Model):
 _DIRECT_BOUNCES = 3
 
 
-PeriodPx = Annotated[float, Field(ge=LEAST_STRIPE_PX, le=PERIOD_RANGE_PX[1])]
-Periods = Annotated[tuple[PeriodPx, ...], Field(max_length=MOST_FURTHER_PERIODS + 1)]
-Shift = Annotated[float, Field(ge=-360.0, le=360.0)]
-Level = Annotated[int, Field(ge=0, le=255)]
-
-
-def _of_set(name: str, description: str) -> Any:
-    """Return a field with the default of `PatternSet`; at this default, digests exclude it."""
-    default = getattr(PatternSet, name)
-    return Field(
-        default=default, exclude_if=lambda value: value == default, description=description
-    )
-
-
-class Patterns(Model):
-    """Projected patterns: the fields of `PatternSet` that do not follow from the projector."""
-
-    period_px: PeriodPx
-    steps: Annotated[int, Field(ge=0, le=STEPS_RANGE[1])] = Field(
-        description="phase steps, 3 or more; 0: code words only, each period_px wide, code 'gray'"
-    )
-    code: Annotated[str, NameOf(CODES)] = Field(
-        default=PatternSet.code, description="code of the fringe order"
-    )
-    further_periods_px: Annotated[Periods, Field(max_length=MOST_FURTHER_PERIODS)] = Field(
-        default=PatternSet.further_periods_px,
-        description="additional periods of a code that needs them",
-    )
-    row_periods_px: Periods = _of_set(
-        "row_periods_px", "all periods along rows; empty: those along columns"
-    )
-    axes: tuple[Axis, ...] = _of_set("axes", "axes along which patterns are shown")
-    word: Annotated[str, NameOf(WORDS)] = _of_set(
-        "word", "how words are shown as bits; code 'gray'"
-    )
-    inverse: bool = _of_set("inverse", "show the inverse of every Gray frame")
-    uniform: bool = _of_set("uniform", "show a white and a black frame")
-    first_shifts_deg: tuple[Shift, ...] = _of_set(
-        "first_shifts_deg", "phase of step 0 at pixel 0, of every period along every axis; empty: 0"
-    )
-    low_level: Level = _of_set("low_level", "8-bit projector level of black")
-    high_level: Level = _of_set("high_level", "8-bit projector level of white")
-
-    @classmethod
-    def of(cls, shown: PatternSet) -> "Patterns":
-        """Return the settings of a pattern sequence without those of its projector."""
-        return cls(**{name: getattr(shown, name) for name in cls.model_fields})
-
-    @field_validator("steps")
-    @classmethod
-    def _steps_fit_the_period(cls, steps: int, info: ValidationInfo) -> int:
-        if 0 < steps < STEPS_RANGE[0]:
-            raise ValueError(f"allowed >= {STEPS_RANGE[0]}, <= {STEPS_RANGE[1]}, or 0: words only")
-        period_px = info.data.get("period_px", PERIOD_RANGE_PX[0])
-        if steps and period_px < PERIOD_RANGE_PX[0]:
-            raise ValueError(
-                f"allowed 0 with period_px {period_px:g}; fringes need >= {PERIOD_RANGE_PX[0]:g}"
-            )
-        return steps
-
-
 class Render(Model):
     """Settings of rendering: engine, samples, and reflections between surfaces."""
 
@@ -409,23 +336,6 @@ class ScoreSettings(Model):
     )
     good_within_um: Tolerance = Field(
         default=50.0, description="largest height error of a point that counts as good"
-    )
-
-
-class AssumedSigma(Model):
-    """Standard uncertainties of elastomer and load, for the uncertainty of the object's lengths."""
-
-    thickness_mm: Rounding | None = Field(
-        default=None, description="absent: under a thin sheet that of inputs/handling, else 0"
-    )
-    young_modulus_kpa: ModulusSigma | None = Field(
-        default=None,
-        description="absent: 0 for a measured modulus, else that of the conversion from hardness",
-    )
-    pre_stretch: Fraction | None = Field(default=None, description="absent: 0")
-    rim_compliance_mm2_per_n: RimCompliance | None = Field(default=None, description="absent: 0")
-    back_pressure_kpa: AirPressure | None = Field(
-        default=None, description="absent: under a thin sheet that of inputs/handling, else 0"
     )
 
 

@@ -151,6 +151,8 @@ def _lenses_for(optics: Optics, sensor: SensorArea, values: Values) -> list[str]
             keys = camera_keys(optics.model_copy(update={"lens": lens}), sensor, values)
         except UnmetError:
             continue
+        if "camera.focal_length_mm" not in keys:
+            continue  # no distance is known
         focal_mm = keys["camera.focal_length_mm"].value
         derived = keys.get("camera.pose.standoff_mm")
         at_mm = derived.value if derived else number_at(values, "camera.pose.standoff_mm")

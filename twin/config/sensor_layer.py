@@ -5,18 +5,15 @@ experiment. docs/compensation.md explains every key.
 """
 
 from pathlib import Path
-from typing import Annotated
 
 import tomli_w
 from pydantic import ConfigDict, Field
 
-from twin.config.base import Angle, Fraction, Model
+from twin.config.base import Angle, Model
 from twin.config.bounds import (
     AirPressure,
     Force,
-    ForceSigma,
     Length,
-    ModulusSigma,
     Place,
     Rounding,
     Travel,
@@ -26,9 +23,10 @@ from twin.config.inputs import usual_inputs
 from twin.config.kinds import follows
 from twin.config.loading import read_toml, resolve_uses
 from twin.config.materials import MATERIALS
-from twin.config.models import AssumedSigma, Experiment, Provenance
+from twin.config.models import Experiment, Provenance
 from twin.config.quantities import convert_units, split_quantities
 from twin.config.schema import validated
+from twin.config.sigma import AssumedSigma, LayerSigma
 from twin.config.specimen_base import SPECIMENS, AnySpecimen
 
 
@@ -40,34 +38,6 @@ class MeasuredLoad(Model):
         default=None, description="travel after first touch, if the stage measures it"
     )
     force_n: Force | None = Field(default=None, description="if a gauge measures it")
-
-
-class LayerSigma(Model):
-    """Standard uncertainties of the elastomer and of the measured load."""
-
-    thickness_mm: Rounding = 0.0
-    young_modulus_kpa: ModulusSigma | None = Field(
-        default=None,
-        description="absent: 0 for a measured modulus, else that of the conversion from hardness",
-    )
-    pre_stretch: Fraction = 0.0
-    rim_compliance_mm2_per_n: Annotated[float, Field(ge=0, le=100)] = Field(
-        default=0.0, description="above 0: a press of a known ball fits the compliance"
-    )
-    back_pressure_kpa: AirPressure = 0.0
-    depth_mm: Rounding | None = Field(
-        default=None, description="of the travel; absent: a given travel is treated as unknown"
-    )
-    force_n: ForceSigma = 0.0
-    texture_mm: Rounding | None = Field(
-        default=None,
-        description="RMS height of the coat's texture; absent: the scatter of the points in "
-        "contact",
-    )
-    plane_mm: Rounding = Field(
-        default=0.0,
-        description="of z = 0 against the undeformed coat, and of each tilt as height at the rim",
-    )
 
 
 class PressedBar(Model):

@@ -68,7 +68,7 @@ class Validity:
 
 
 def remedy_of(warning: str) -> str:
-    """Return the remedy for a warning of a press; empty if the warning does."""
+    """Return the remedy for a warning of a press; empty if the warning states it itself."""
     return next((remedy for words, remedy in _REMEDIES.items() if words in warning), "")
 
 

@@ -1,6 +1,6 @@
 """HTML page of the reproduction with every table and figure, self-contained and printable."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -154,11 +154,15 @@ def _verdicts(tables: Mapping[str, Table]) -> list[Verdict]:
         Verdict(
             question="Does the twin reproduce the paper?",
             headline=f"{len(met)} of {len(rows)} figures meet their targets, "
-            f"{sum(row['use'] in (FITTED, LIMIT) for row in met)} of them fitted",
+            f"{_count(met, FITTED)} of them fitted and {_count(met, LIMIT)} limits from pictures",
             grade=grade,
             reasons=(*_uses(rows), *(missed or ["every target is met"])),
         )
     ]
+
+
+def _count(rows: Iterable[Mapping[str, Cell]], use: str) -> int:
+    return sum(row["use"] == use for row in rows)
 
 
 def _uses(rows: Sequence[Mapping[str, Cell]]) -> Iterator[str]:

@@ -175,11 +175,10 @@ class Request:
         unknown = [name for name in self.only if name not in names_allowed()]
         if unknown:
             close = get_close_matches(unknown[0], names_allowed(), n=1)
-            hint = f"; did you mean {close[0]}?" if close else ""
-            raise InputError(
-                f"--only {unknown[0]}: found no such table or figure, allowed "
-                f"{', '.join(names_allowed())}{hint}"
-            )
+            hint = f", allowed {', '.join(names_allowed())}"
+            if close:
+                hint = f"; did you mean {close[0]}? (twin paper --help lists all)"
+            raise InputError(f"--only {unknown[0]}: found no such table or figure{hint}")
 
     @property
     def tables(self) -> list[str]:

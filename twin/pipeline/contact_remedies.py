@@ -21,14 +21,14 @@ from twin.mechanics.hardness import young_modulus
 from twin.optics.stack import Truth
 from twin.pipeline.press import press_smooth
 from twin.results.object_score import MeasuredQuantity, ObjectScore, score_object
-from twin.results.under_sheet import WRAPPING_STRAIN_PER_MM, sheet_compensation
+from twin.results.under_sheet import sheet_compensation, wrapping_pressure_kpa
 
 # Coarse presses: the contact differs by a few per cent from that on the finest cells.
 _CELL_MM, _PITCH_MM = 0.3, 0.05
 # Values that are tried, in units of the typical air pressure or of the present load, ascending.
 _SHARES_OF_AIR, _TYPICAL_SHARE = (0.125, 0.25, 0.5, 1.0, 1.5), 1.0
 _TIMES_THE_LOAD, _TYPICAL_TIMES = (1.5, 2.0, 3.0, 4.0, 6.0), 3.0
-# From weakly to strongly adhesive silicone, J/m2.
+# Assumed: from weakly to strongly adhesive silicone, J/m2.
 _TACKS_J_M2, _TYPICAL_TACK = (0.01, 0.02, 0.05, 0.1, 0.2), 0.2
 # Standard deviation of the coat's heights that the evaluation assumes.
 _SIGMA_MM = 5e-4
@@ -113,8 +113,7 @@ def _coarse(experiment: Experiment) -> Experiment:
 
 def _numbers(experiment: Experiment) -> Iterator[_Number]:
     press, elastomer = experiment.press, experiment.elastomer
-    modulus_kpa = young_modulus(elastomer).best_kpa
-    air_kpa = WRAPPING_STRAIN_PER_MM * modulus_kpa * elastomer.thickness_mm
+    air_kpa = wrapping_pressure_kpa(young_modulus(elastomer).best_kpa, elastomer.thickness_mm)
     airs = tuple(share * air_kpa for share in _SHARES_OF_AIR)
     pressure_kpa, tack_j_m2 = press.back_pressure_kpa, elastomer.tack_j_m2
     yield _number("press.back_pressure_kpa", pressure_kpa, airs, _TYPICAL_SHARE * air_kpa)
@@ -136,7 +135,10 @@ def _two_digits(value: float) -> float:
 
 
 def _smallest(experiment: Experiment, number: _Number) -> ContactRemedy | None:
-    """Return the remedy with the smallest sufficient value of a number, by bisection."""
+    """Return the remedy with the smallest sufficient value of a number, by bisection.
+
+    It assumes that every larger value with an equilibrium is sufficient, too.
+    """
     low, high, smallest = 0, len(number.values), None
     while low < high:
         middle = (low + high) // 2

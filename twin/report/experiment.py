@@ -30,6 +30,9 @@ from twin.results.layout import layout_figures
 from twin.results.record import Measurement
 from twin.specimens import shape_of
 
+# Shortest duration that is written in seconds.
+_LEAST_IN_SECONDS_MS = 1e4
+
 
 def glance(measured: Measurement) -> Table:
     """Return the table that summarises the experiment, one row per part.
@@ -65,7 +68,7 @@ def _layout(measured: Measurement) -> str:
     return (
         f"field {figures['field_width_mm']:.3g} × {figures['field_height_mm']:.3g} mm from "
         f"{figures['working_distance_mm']:.3g} mm, magnification {figures['magnification']:.3g}"
-        + (f", depth of field {depth_mm:.2g} mm" if depth_mm else "")
+        + (f", depth of field {depth_mm:.3g} mm" if depth_mm else "")
         + f", Airy radius {figures['diffraction_um']:.2g} µm"
         + (f"; baseline {baseline_mm:.3g} mm" if baseline_mm else "")
     )
@@ -76,7 +79,11 @@ def _exposure(measured: Measurement) -> str:
     text = f"{figures['exposure_ms']:.3g} ms per frame"
     # Results of earlier versions have no duration.
     duration_ms = figures.get("sequence_ms")
-    return text if duration_ms is None else f"{text}, {duration_ms:.4g} ms for all frames"
+    if duration_ms is None:
+        return text
+    is_long = duration_ms >= _LEAST_IN_SECONDS_MS
+    duration = f"{1e-3 * duration_ms:.4g} s" if is_long else f"{duration_ms:.4g} ms"
+    return f"{text}, {duration} for all frames"
 
 
 def _colours(measured: Measurement) -> list[tuple[str, str]]:

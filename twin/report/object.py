@@ -18,7 +18,7 @@ from twin.report.page import (
     target,
 )
 from twin.report.table import Column, Row, Table
-from twin.report.words import NONE, number, percent, signed
+from twin.report.words import NONE, in_ascii, number, percent, signed
 from twin.results.object_points import is_covered
 from twin.results.object_score import MeasuredQuantity
 from twin.results.record import Measurement
@@ -168,8 +168,8 @@ def object_lines(measured: Measurement) -> list[str]:
     score, figures = measured.object, measured.figures
     toleranced = [quantity for quantity in score.quantities if quantity.tolerance is not None]
     if toleranced:
-        return [_ascii(measurand_in_words(quantity)) for quantity in toleranced]
-    lines = [_ascii(measurand_in_words(quantity)) for quantity in _lengths(measured)]
+        return [in_ascii(measurand_in_words(quantity)) for quantity in toleranced]
+    lines = [in_ascii(measurand_in_words(quantity)) for quantity in _lengths(measured)]
     rms_um = figures.get("object_rms_um")
     if rms_um is None:
         lines.append(_NO_POINT)
@@ -219,12 +219,6 @@ def _is_lost(quantity: MeasuredQuantity) -> bool:
     return (
         quantity.nominal is not None and abs(float(quantity.error or 0.0)) > 1e3 * quantity.nominal
     )
-
-
-def _ascii(text: str) -> str:
-    for sign, plain in (("µ", "u"), ("±", "+-"), ("−", "-"), ("\N{NO-BREAK SPACE}", " ")):
-        text = text.replace(sign, plain)
-    return text
 
 
 def _headline(toleranced: list[MeasuredQuantity]) -> str:

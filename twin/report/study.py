@@ -210,7 +210,7 @@ def _nearest(shown: Shown) -> list[Block]:
     """Return a note that no case is feasible, and the cases nearest to the limits."""
     words = feasibility_in_words(shown.table.rows)
     note = Note(f"No case is feasible: {words}.", "failure")
-    some = nearest_rows(shown.table.done(), shown.objectives)[:_MOST_BEST]
+    some = nearest_rows(shown.table.rows, shown.objectives)[:_MOST_BEST]
     if not some:
         return [note]
     columns = [*shown.table.axes, *shown.metrics]

@@ -253,18 +253,18 @@ def draw_trade(
 
 def _draw_column(place: Axes, rows: Sequence[Row], chosen: Row, name: str, objective: str) -> None:
     labels, groups = _labelled_groups(rows, name)
-    ordered = not all(is_number(row[name]) for row in rows)
+    is_categorical = not all(is_number(row[name]) for row in rows)
     at = {id(row): number for number, group in enumerate(groups) for row in group}
     kinds = (("not feasible", False, "x", FAINT), ("feasible", True, "o", MEASURED))
     for label, feasible, marker, colour in kinds:
         some = [row for row in rows if bool(row["feasible"]) == feasible]
-        x = [at[id(row)] for row in some] if ordered else numbers(some, name)
+        x = [at[id(row)] for row in some] if is_categorical else numbers(some, name)
         place.plot(x, numbers(some, objective), marker, color=colour, markersize=4, label=label)
-    x_chosen = at[id(chosen)] if ordered else float(chosen[name])
+    x_chosen = at[id(chosen)] if is_categorical else float(chosen[name])
     place.plot(
         [x_chosen], [float(chosen[objective])], "*", color=FIT, markersize=13, label="this design"
     )
-    if ordered:
+    if is_categorical:
         place.set_xticks(range(len(labels)), labels, rotation=30, ha="right")
     place.set_ylim(*_limits(numbers(rows, objective)))
     plain_spines(place)

@@ -12,7 +12,7 @@ from twin.report.study_words import (
     advice_text,
     settings_text,
     titles_of,
-    verdict_reason,
+    verdict_reasons,
     verdict_sentence,
 )
 from twin.results.rows import is_number
@@ -37,7 +37,7 @@ def verdict_card(table: StudyTable, verdict: StudyVerdict) -> Verdict:
 
 
 def _sentences(table: StudyTable, verdict: StudyVerdict) -> tuple[str, ...]:
-    return tuple(part[:1].upper() + part[1:] for part in verdict_reason(table, verdict).split("; "))
+    return tuple(part[:1].upper() + part[1:] for part in verdict_reasons(table, verdict))
 
 
 def verdict_blocks(table: StudyTable, verdict: StudyVerdict) -> Iterator[Block]:

@@ -14,10 +14,10 @@ from twin.study.table import Row, StudyTable
 from twin.study.verdict import Advice, StudyVerdict
 
 _SIDES = {
-    "above": "try values above it",
-    "below": "try values below it",
-    "near": "try values near it",
-    "at": "choose it",
+    "above": "try values above {}",
+    "below": "try values below {}",
+    "near": "try values near {}",
+    "at": "choose {}",
 }
 
 
@@ -75,15 +75,15 @@ def verdict_sentence(table: StudyTable, verdict: StudyVerdict) -> str:
         return f"Build none of these designs: no case has a value of {names}."
     settings = settings_text(table, verdict.row, verdict.axes)
     if verdict.feasible:
-        return f"Build this: {settings}, because {verdict_reason(table, verdict)}."
+        return f"Build this: {settings}, because {'; '.join(verdict_reasons(table, verdict))}."
     missed = " and ".join(_missed(name, reserve) for name, reserve in verdict.missed.items())
     missed = missed or "its conditions in one of its repeats"
     tail = f"; {advice_text(table, verdict)}" if verdict.advice else ""
     return f"Build none of these designs: the nearest, {settings}, misses {missed}{tail}."
 
 
-def verdict_reason(table: StudyTable, verdict: StudyVerdict) -> str:
-    """Return why the feasible design is the one to build, as parts separated by semicolons."""
+def verdict_reasons(table: StudyTable, verdict: StudyVerdict) -> list[str]:
+    """Return why the feasible design is the one to build: one or more parts of a sentence."""
     values = _values_text(verdict.values)
     of = counted(verdict.designs, "measured design")
     conditions = " that satisfies all conditions" if table.conditions else ""
@@ -99,7 +99,7 @@ def verdict_reason(table: StudyTable, verdict: StudyVerdict) -> str:
         label, value = _name_of(verdict.objectives[0].metric), amount(*_first(verdict.values))
         parts = [f"its {label} is the {least} of {verdict.met} {kind} designs, {value}"]
         parts += _next(table, verdict)
-    return "; ".join([*parts, *_reserve(verdict)])
+    return [*parts, *_reserve(verdict)]
 
 
 def _first(values: Mapping[str, float]) -> tuple[float, str]:
@@ -166,14 +166,14 @@ def advice_text(table: StudyTable, verdict: StudyVerdict) -> str:
         axis = label[:1].upper() + label[1:]
         return (
             f"{axis} has the largest effect{_share(advice)}, and the design is at an end "
-            f"of this axis: {_SIDES[advice.side].replace('it', level)}."
+            f"of this axis: {_SIDES[advice.side].format(level)}."
         )
     least = verdict.least
     of = split_unit(least[1].figure)[1] if least else ""
     mean = amount(advice.mean, of)
     return (
         f"{label} would help most{_share(advice)}: the mean reserve is largest, {mean}, at {level}"
-        f", {_SIDES[advice.side]}"
+        f", {_SIDES[advice.side].format('it')}"
     )
 
 

@@ -113,6 +113,19 @@ def printed_sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+_ASCII = (
+    ("µ", "u"), ("°", " deg"), ("²", "2"), ("³", "3"), ("–", "-"), ("−", "-"), ("±", "+-"),
+    ("\N{NO-BREAK SPACE}", " "),
+)  # fmt: skip
+
+
+def in_ascii(text: str) -> str:
+    """Return a text of a page for the terminal: um instead of µm, +- instead of ±."""
+    for sign, plain in _ASCII:
+        text = text.replace(sign, plain)
+    return text
+
+
 def percent(share: float | None) -> str:
     """Return a share (0 to 1) in percent; a dash for None.
 

@@ -29,7 +29,7 @@ from twin.config.imaging import SensorArea, depth_limits_mm, magnification_at
 from twin.config.models import Experiment
 from twin.config.optics import FixedFocal, Telecentric
 from twin.optics.rig import true_calibration
-from twin.results.sequence import frame_count, sequence_ms
+from twin.results.sequence import frame_count, sequence_ms, sequence_warnings
 
 # First zero of the Airy pattern, in wavelengths times the working f-number.
 _AIRY = 1.22
@@ -69,6 +69,18 @@ def layout_warnings(experiment: Experiment) -> list[str]:
         f"the projector lights {lit_share:.0%} of the camera's field; move it away "
         "(projector.pose.standoff_mm), or use a smaller field",
     ]
+
+
+def known_warnings(experiment: Experiment) -> list[str]:
+    """Return the warnings about layout and sequence that are known without a measurement.
+
+    Methods without fringes have none. With an automatic exposure, the sequence has none.
+    """
+    if not experiment.method.fringes:
+        return []
+    exposure_ms = experiment.camera.exposure_ms
+    sequence = [] if exposure_ms == "auto" else sequence_warnings(experiment, exposure_ms)
+    return layout_warnings(experiment) + sequence
 
 
 def _depth_axis_warnings(experiment: Experiment) -> list[str]:
@@ -146,7 +158,7 @@ def _camera_figures(experiment: Experiment) -> dict[str, float]:
 def _working_distance_mm(experiment: Experiment) -> float:
     lens, standoff_mm = experiment.optics.lens, experiment.camera.pose.standoff_mm
     if isinstance(lens, Telecentric):
-        return lens.working_distance_mm
+        return experiment.optics.working_distance_mm or lens.working_distance_mm
     return standoff_mm - (lens.principal_plane_mm if isinstance(lens, FixedFocal) else 0.0)
 
 

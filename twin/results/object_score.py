@@ -39,6 +39,12 @@ from twin.results.under_sheet import SheetCompensation
 NOTHING_FOUND = "no points of the object were measured"
 _ALIGNED_NAMES = {"none": "", "offset": "offset_", "offset_tilt": "offset_tilt_", "rigid": "rigid_"}
 
+NO_CALIBRATION = (
+    "U is a lower limit: it does not contain the uncertainty of the calibration, which for "
+    "photometric stereo is not known; state calibration_um"
+)
+"""Condition of a length by a method without fringes whose measurand has no `calibration_um`."""
+
 
 @dataclass(frozen=True, eq=False)
 class MeasuredQuantity:
@@ -177,7 +183,9 @@ def score_object(
     observed = seen_object(experiment, points, truth, pressed, under)
     without = why_not_compensated(experiment, compensation)
     quantities = tuple(
-        _quantity(quantity, feature_of(features, quantity), observed, without)
+        _quantity(
+            quantity, feature_of(features, quantity), observed, without, experiment.method.fringes
+        )
         for quantity in requests
     )
     measured = _aligned(observed, observed.measured) if observed else {}
@@ -248,11 +256,18 @@ def why_not_compensated(
 
 
 def _quantity(
-    request: ObjectMeasurand, feature: Feature, observed: ObjectView | None, without: str
+    request: ObjectMeasurand,
+    feature: Feature,
+    observed: ObjectView | None,
+    without: str,
+    fringes: bool,
 ) -> MeasuredQuantity:
     """Return the result of one measurand.
 
-    `without` is the reason why a covered object has no lengths; empty if it has lengths.
+    Parameters
+    ----------
+    without : reason why a covered object has no lengths; empty if it has lengths
+    fringes : whether the method projects fringes: its calibration is that on a dot board
     """
     value, coat, true_value, why = None, None, None, NOTHING_FOUND
     covered = observed is not None and observed.covered
@@ -266,6 +281,9 @@ def _quantity(
             coat, _ = _attempt(request, feature, observed, _whole(request, observed.coat))
         true_face = _whole(request, observed.true_face) if hidden else observed.true_face
         true_value, _ = _attempt(request, feature, observed, true_face)
+    calibration_um: float | None = 0.0
+    if value is not None:
+        calibration_um = request.sigma_of_calibration_um(_in_unit(request, value.value), fringes)
     return MeasuredQuantity(
         measurand=request,
         nominal=nominal_mm(feature, request),
@@ -274,9 +292,7 @@ def _quantity(
         uncertainty=CombinedUncertainty(
             noise=0.0 if value is None else 1e3 * value.noise_mm,
             repeatability=request.repeatability_um,
-            calibration=0.0
-            if value is None
-            else request.sigma_of_calibration_um(_in_unit(request, value.value)),
+            calibration=calibration_um or 0.0,
             coverage_factor=request.coverage_factor,
             elastomer=0.0
             if value is None
@@ -287,12 +303,21 @@ def _quantity(
         why=why,
         coat=None if coat is None else _in_unit(request, coat.value),
         covered=covered and request.hidden,
-        condition="" if value is None else condition_of(value),
+        condition="" if value is None else condition_of(value, calibration_um is not None),
     )
 
 
-def condition_of(value: FittedValue) -> str:
+def condition_of(value: FittedValue, calibrated: bool = True) -> str:
     """Return the condition under which the uncertainty of a fitted value is valid; empty: none.
+
+    `calibrated`: whether the uncertainty includes that of the sensor's calibration.
+    """
+    without = "" if calibrated else NO_CALIBRATION
+    return "; ".join(filter(None, (without, _condition_of_patches(value))))
+
+
+def _condition_of_patches(value: FittedValue) -> str:
+    """Return the condition for a contact of a few patches of the coat's texture; empty: none.
 
     The scatter of a coat's texture is estimated from the residuals of the fit. Over a contact of
     only a few patches of the texture, the fit follows the texture, and one press does not show it.

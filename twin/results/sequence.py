@@ -10,6 +10,8 @@ The exposure of a global shutter overlaps with the readout of the frame before. 
 which its mirrors are on: only an exposure of the whole pattern period records it.
 """
 
+import math
+
 from twin.config.models import Experiment
 from twin.optics.light import pattern_set
 
@@ -54,8 +56,13 @@ def sequence_warnings(experiment: Experiment, exposure_ms: float) -> list[str]:
     rate_hz, (_, levelled) = experiment.projector.pattern_rate_8bit_hz, _counts(experiment)
     if not levelled or rate_hz is None or exposure_ms >= (1.0 - 1e-9) * 1e3 / rate_hz:
         return []
+    remedy = (
+        "dim the projector (flux_mw) or raise camera.f_number"
+        if experiment.camera.exposure_ms == "auto"
+        else f"set camera.exposure_ms to at least {math.ceil(1e5 / rate_hz) / 100.0:g}"
+    )
     return [
         f"exposure of {exposure_ms:.3g} ms, shorter than the {1e3 / rate_hz:.3g} ms in which the "
         "projector shows an 8-bit pattern (projector.pattern_rate_8bit_hz): a real camera records "
-        "a part of its levels; dim the projector (flux_mw) or raise camera.f_number"
+        f"a part of its levels; {remedy}"
     ]

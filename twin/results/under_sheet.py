@@ -32,7 +32,7 @@ from twin.mechanics.hardness import young_modulus
 
 # Air pressure / (modulus x thickness) that wraps a sheet round objects of a few mm. It is 50 % of
 # the limit beyond which a wrapped sheet thins without bound, see docs/sheet.md.
-WRAPPING_STRAIN_PER_MM = 0.03
+_WRAPPING_STRAIN_PER_MM = 0.03
 _MUCH_LESS = 0.7
 
 
@@ -142,12 +142,17 @@ def sheet_compensation(
     return SheetCompensation(experiment, points, layer)
 
 
+def wrapping_pressure_kpa(modulus_kpa: float, thickness_mm: float) -> float:
+    """Return the air pressure that wraps a sheet round objects of a few mm."""
+    return _WRAPPING_STRAIN_PER_MM * modulus_kpa * thickness_mm
+
+
 def more_contact(under: ObjectUnderSheet | None) -> str:
     """Return advice as text: how to make a thin sheet touch more of an object."""
     if under is None:
         return "press deeper"
     layer = under.sheet.layer
-    air_kpa = WRAPPING_STRAIN_PER_MM * layer.young_modulus_kpa * layer.thickness_mm
+    air_kpa = wrapping_pressure_kpa(layer.young_modulus_kpa, layer.thickness_mm)
     deeper, sticking = "press deeper", "let it stick (elastomer.tack_j_m2)"
     ways = [deeper] if layer.sticks else [deeper, sticking]
     if layer.back_pressure_kpa < _MUCH_LESS * air_kpa:

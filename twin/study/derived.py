@@ -90,11 +90,7 @@ def _radius_bias_mm(experiment: Experiment, metrics: Metrics) -> float:
     return _number(metrics, "sphere_1_true_face_radius_mm") - nominal
 
 
-def _of_the_layout(name: str) -> Callable[[Experiment, Metrics], float]:
-    return lambda experiment, _: layout_figures(experiment)[name]
-
-
-DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
+_DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
     "half_contrast_pitch_mm": _kept_pitch(0.5),
     "tenth_contrast_pitch_mm": _kept_pitch(0.1),
     "groove_contrast_kept": _groove_contrast,
@@ -102,24 +98,28 @@ DERIVED: dict[str, Callable[[Experiment, Metrics], float]] = {
     "radius_bias_mm": _radius_bias_mm,
     "depth_over_thickness": lambda e, m: _number(m, "depth_mm") / e.elastomer.thickness_mm,
     "force_per_depth_n_per_mm": lambda _, m: _number(m, "force_n") / _number(m, "depth_mm"),
-    **{name: _of_the_layout(name) for name in LAYOUT},
 }
+
+DERIVED = (*_DERIVED, *LAYOUT)
+"""Names of the derived figures."""
 
 OF_A_MEASUREMENT = ("groove_over_error", "radius_bias_mm")
 """Names of the derived figures that need a measurement in addition to the press."""
 
 
 def with_derived(
-    experiment: Experiment, metrics: Metrics, wanted: Iterable[str] = tuple(DERIVED)
+    experiment: Experiment, metrics: Metrics, wanted: Iterable[str] = DERIVED
 ) -> dict[str, Metric]:
     """Return the figures of a case together with the derived figures named in `wanted`.
 
     A derived figure is left out if any figure that it needs is missing or None.
     """
-    figures = dict(metrics)
-    for name in wanted:
+    names, figures = list(wanted), dict(metrics)
+    layout = layout_figures(experiment) if set(names) & set(LAYOUT) else {}
+    for name in names:
         try:
-            figures[name] = DERIVED[name](experiment, metrics)
+            compute = _DERIVED.get(name)
+            figures[name] = compute(experiment, metrics) if compute else layout[name]
         except (KeyError, StopIteration, ZeroDivisionError):
             continue  # no such ball or groove, no press, or no measured point
     return figures

@@ -21,6 +21,8 @@ from twin.study.cases import Case, quantity
 
 Row = Mapping[str, Any]
 
+DESIGN = "design"
+"""Key of a table row under which the settings of the case without its seed are stored, as text."""
 UNMET = "unmet"
 """Key of a table row under which the conditions that the case does not meet are stored."""
 RESERVES = "reserves"
@@ -38,7 +40,8 @@ class Reserve:
     ----------
     figure : name of the limited number; its suffix is the unit of `amount`
     amount : the distance; for a tolerance minus U; None if the case lacks the number
-    scale : size of the limit, for a tolerance the width from the middle to a limit
+    scale : size of the limit; of two limits of a constraint the smaller size, of two limits of a
+        tolerance the larger; 1 if it is 0
     """
 
     figure: str
@@ -72,32 +75,32 @@ def reserves(
     case: Case, figures: Mapping[str, Any], bounds: Iterable[Constraint]
 ) -> dict[str, Reserve]:
     """Return the reserve of a measured case to every condition, met or not, by its title."""
-    found: dict[str, Reserve] = {}
+    by_title: dict[str, Reserve] = {}
     for bound in bounds:
         number = quantity(case.experiment, figures, bound)
         amount = None if number is None else -bound.excess(number)
         name = bound.value if bound.per is None else f"{bound.value} / {bound.per}"
         limits = [limit for limit in (bound.at_least, bound.at_most) if limit]
-        found[bound.title] = Reserve(name, amount, min(map(abs, limits), default=1.0))
+        by_title[bound.title] = Reserve(name, amount, min(map(abs, limits), default=1.0))
     judged = _judged(figures)
-    widths = _tolerance_widths(case.experiment) if judged else {}
+    sizes = _tolerance_sizes(case.experiment) if judged else {}
     for name in judged:
         amount, unit = _margin(figures, name) or (None, "um")
-        width = widths.get(name, 1.0) * (_PERCENT if unit == "%" else 1.0)
+        size = sizes.get(name, 1.0) * (_PERCENT if unit == "%" else 1.0)
         shown = f"{name}_margin_{'percent' if unit == '%' else 'um'}"
-        found[_tolerance_title(name)] = Reserve(shown, amount, width)
-    return found
+        by_title[_tolerance_title(name)] = Reserve(shown, amount, size)
+    return by_title
 
 
-def _tolerance_widths(experiment: Experiment) -> dict[str, float]:
+def _tolerance_sizes(experiment: Experiment) -> dict[str, float]:
     """Return the size of the largest finite limit of each tolerance; 1 if it is 0."""
-    widths = {}
+    by_figure = {}
     for measurand in measurands_of(experiment):
         tolerance = tolerance_of(measurand)
         limits = () if tolerance is None else (tolerance.lower, tolerance.upper)
         sizes = [abs(limit) for limit in limits if math.isfinite(limit)]
-        widths[f"object_{measurand.name}"] = max(sizes, default=1.0) or 1.0
-    return widths
+        by_figure[f"object_{measurand.name}"] = max(sizes, default=1.0) or 1.0
+    return by_figure
 
 
 def shortfall(row: Row) -> float:
@@ -147,15 +150,14 @@ def beyond_tolerances(figures: Mapping[str, Any]) -> float:
     return total
 
 
-def spread_over_repeats(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> None:
+def spread_over_repeats(rows: Sequence[dict[str, Any]]) -> None:
     """Mark all repeats of a design as infeasible if one repeat is infeasible or failed.
 
-    `rows`, in the order of `cases`, are changed in place.
+    The rows are changed in place.
     """
     designs: dict[str, list[dict[str, Any]]] = {}
-    for row, case in zip(rows, cases, strict=True):
-        settings = {name: value for name, value in case.settings.items() if name != "seed"}
-        designs.setdefault(repr(settings), []).append(row)
+    for row in rows:
+        designs.setdefault(row[DESIGN], []).append(row)
     for repeats in designs.values():
         missed = sum(row["state"] == "failed" or row["feasible"] is False for row in repeats)
         for row in repeats if missed else ():

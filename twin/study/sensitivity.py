@@ -109,6 +109,25 @@ def variance_shares(values: Sequence[float], labels: Mapping[str, Sequence[str]]
     return [Effect(axis, share, share, share) for axis, share in shares.items()]
 
 
+def adjusted_shares(values: Sequence[float], labels: Mapping[str, Sequence[str]]) -> list[Effect]:
+    """Return the shares of `variance_shares` without the part that chance explains.
+
+    Use this for points that are no grid, because even random labels in k groups explain a share of
+    (k - 1) / (n - 1) of the variance of n values on average. The adjusted share is
+    1 - (1 - share) (n - 1) / (n - k), at least 0: Ezekiel's correction, as of adjusted R2. The
+    list is empty if an axis has fewer than two values per group.
+    """
+    count, groups = len(values), {axis: len(set(of_axis)) for axis, of_axis in labels.items()}
+    if count < 2 * max(groups.values(), default=0):
+        return []
+    plain = {effect.axis: effect.value for effect in variance_shares(values, labels)}
+    shares = {
+        axis: max(0.0, 1.0 - (1.0 - share) * (count - 1) / (count - groups[axis]))
+        for axis, share in plain.items()
+    }
+    return [Effect(axis, share, share, share) for axis, share in shares.items()]
+
+
 def group_labels(rows: Sequence[Row], axis: str) -> list[str]:
     """Return for each row the label of its group, see `groups_of`."""
     labels = {id(row): str(level) for level, group in groups_of(rows, axis) for row in group}
@@ -121,9 +140,10 @@ def groups_of(rows: Sequence[Row], axis: str) -> list[tuple[Any, list[Row]]]:
     An axis with more than nine numbers is divided into six equal parts of its range, each with the
     number in its middle.
     """
-    levels = list(dict.fromkeys(row[axis] for row in rows))
-    if not all(is_number(level) for level in levels):
-        return [(level, [row for row in rows if row[axis] == level]) for level in levels]
+    by_label = {str(row[axis]): row[axis] for row in rows}  # a level may be a list
+    if not all(is_number(level) for level in by_label.values()):
+        return [(level, [row for row in rows if row[axis] == level]) for level in by_label.values()]
+    levels = set(by_label.values())
     if len(levels) <= _MOST_LEVELS:
         return [(level, [row for row in rows if row[axis] == level]) for level in sorted(levels)]
     edges = np.linspace(min(levels), max(levels), _PARTS + 1)

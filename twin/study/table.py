@@ -4,6 +4,7 @@ The best designs are the Pareto front of the objectives: designs that no other d
 """
 
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from twin.results.rows import is_number
 from twin.study.cases import Case
 from twin.study.derived import DERIVED, with_derived
 from twin.study.feasibility import (
+    DESIGN,
     RESERVES,
     TOLERANCES,
     UNMET,
@@ -39,8 +41,6 @@ from twin.study.remarks import Remark, remarks_of
 from twin.study.store import Store
 
 _HEAD = ("case", "state", "reason", "feasible")
-DESIGN = "design"
-"""Key of a table row under which the settings of the case without its seed are stored, as text."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class StudyTable:
         return [row for row in self.rows if row["state"] == "done"]
 
 
-def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTable:
+def read_table(folder: Path, derived: Iterable[str] = DERIVED) -> StudyTable:
     """Read the table of the study that was run last into a store.
 
     Parameters
@@ -104,7 +104,7 @@ def read_table(folder: Path, derived: Iterable[str] = tuple(DERIVED)) -> StudyTa
     bounds = record.study.constraint
     rows = [_row(case, entries.get(case.digest), bounds, derived) for case in cases]
     if record.study.repeats > 1:
-        spread_over_repeats(rows, cases)
+        spread_over_repeats(rows)
     known = [entries[case.digest] for case in cases if case.digest in entries]
     done = {entry.digest: entry.figures for entry in known if entry.state == "done"}
     remarks = remarks_of(done, cases)
@@ -260,18 +260,22 @@ def _why_none(rows: Sequence[Row], names: Sequence[str]) -> str:
 
 
 def nearest_rows(rows: Sequence[Row], objectives: Sequence[Objective]) -> list[Row]:
-    """Return the finished rows that have all objectives, the nearest to all limits first.
+    """Return the rows that have all objectives, the nearest to all limits first.
 
     Use this for a study without a feasible case. The distance is the sum of all distances beyond
-    limits, each divided by the size of the limit; of repeats the largest counts. Rows with equal
-    distances are sorted by the number of missed conditions, then by the first objective.
+    limits, each divided by the size of the limit; of repeats the largest counts, and
+    it is infinite if a repeat failed or lacks an objective. Rows with equal distances are sorted by
+    the number of missed conditions, then by the first objective.
     """
-    some = [
-        row for row in rows if all(is_number(row.get(objective.metric)) for objective in objectives)
-    ]
-    worst: dict[str, float] = {}
-    for row in some:
-        worst[row[DESIGN]] = max(shortfall(row), worst.get(row[DESIGN], 0.0))
+    names = [objective.metric for objective in objectives]
+    some, worst = [], dict[str, float]()
+    for row in rows:
+        if row["state"] == "missing":
+            continue
+        has_all = all(is_number(row.get(name)) for name in names)
+        distance = shortfall(row) if has_all else math.inf
+        worst[row[DESIGN]] = max(distance, worst.get(row[DESIGN], 0.0))
+        some += [row] if has_all else []
 
     def order(row: Row) -> tuple[float, int, float]:
         return worst[row[DESIGN]], len(row[UNMET]), cost_of(row, objectives[0])

@@ -6,17 +6,17 @@ each objective, on scales from 0 (best of the front) to 1 (worst of the front).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from reconstruction.arrays import FloatArray
 from twin.config.study import Objective
 from twin.results.rows import is_number
-from twin.study.feasibility import RESERVES, Reserve
-from twin.study.sensitivity import effects_on, group_labels, groups_of, variance_shares
+from twin.study.feasibility import DESIGN, RESERVES, Reserve
+from twin.study.sensitivity import Effect, adjusted_shares, effects_on, group_labels, groups_of
 from twin.study.table import (
-    DESIGN,
     Row,
     StudyTable,
     best_rows,
@@ -35,7 +35,8 @@ class Advice:
     ----------
     axis : heading of the axis
     share : share of the variance of the reserve that the axis explains, 0 to 1; None: not known
-    level : level of the axis with the largest mean reserve, over all other axes
+    level : level of the axis with the largest mean reserve, over all other axes; for a feasible
+        design its own value
     mean : this mean reserve
     side : "above" or "below" if the level is at an end of the axis; "near": it is between; "at":
         the axis has no order
@@ -64,8 +65,8 @@ class StudyVerdict:
     next_values : values of the objectives of that design
     designs, met : number of measured designs, and number of feasible designs
     front : number of designs on the Pareto front
-    advice : axis that would help most; for a feasible design only an axis with the design at its
-        end
+    advice : axis that would help most; for a feasible design the axis with the largest effect, only
+        if the design is at its end
     """
 
     feasible: bool
@@ -105,7 +106,7 @@ def verdict_of(table: StudyTable, requested: Sequence[Objective] = ()) -> StudyV
     usable = usable_rows(done, goals)
     if usable:
         return _feasible(table, goals, usable)
-    nearest = nearest_rows(done, goals)
+    nearest = nearest_rows(table.rows, goals)
     row = nearest[0] if nearest else None
     held = {} if row is None else _reserves(done, row)
     worst = min(held.items(), key=lambda item: item[1].relative, default=None)
@@ -158,7 +159,7 @@ def _one_each(rows: Sequence[Row]) -> list[Row]:
     return list({row[DESIGN]: row for row in reversed(rows)}.values())[::-1]
 
 
-def _nearest_to_ideal(costs: np.ndarray[Any, np.dtype[np.float64]]) -> int:
+def _nearest_to_ideal(costs: FloatArray) -> int:
     """Return the row of costs (design, objective) nearest to the best value of each objective."""
     span = np.ptp(costs, axis=0)
     scaled = (costs - costs.min(axis=0)) / np.where(span > 0, span, 1.0)
@@ -187,45 +188,51 @@ def _helpful(table: StudyTable, condition: str, nearest: Row) -> Advice | None:
     amounts = {id(row): row[RESERVES][condition].amount for row in rows}
     known = [row for row in rows if amounts[id(row)] is not None]
     values = [float(amounts[id(row)]) for row in known]
-    return _ranked(table, known, values, nearest)
-
-
-def _ranked(
-    table: StudyTable, rows: Sequence[Row], values: Sequence[float], at: Row
-) -> Advice | None:
-    """Return the advice on the axis with the largest effect that a design has not at its best."""
-    by_row = {id(row): value for row, value in zip(rows, values, strict=True)}
-    cells = [by_row.get(id(row)) for row in table.rows]
-    labels = {axis: group_labels(rows, axis) for axis in _axes(table)}
-    effects = effects_on(table, cells) or variance_shares(values, labels)
-    of_variance = table.record.study.sampling.method != "morris"
-    for effect in sorted(effects, key=lambda effect: -effect.value):
-        level, mean, side = _best_level(rows, by_row, effect.axis)
-        if side in ("above", "below") or level != at[effect.axis]:
-            return Advice(effect.axis, effect.value if of_variance else None, level, mean, side)
+    for effect in _ranked(table, known, values):
+        advice, is_best = _advice(table, effect, known, values, nearest)
+        if advice.side in ("above", "below") or not is_best:
+            return advice
     return None
 
 
-def _best_level(
-    rows: Sequence[Row], values: Mapping[int, float], axis: str
-) -> tuple[Any, float, str]:
-    """Return the level of an axis with the largest mean value, this mean, and its place."""
-    groups = groups_of(rows, axis)
-    means = [float(np.mean([values[id(row)] for row in group])) for _, group in groups]
-    best = int(np.argmax(means))
-    level = groups[best][0]
-    if not is_number(level):
-        return level, means[best], "at"
-    ends = {0: "below", len(groups) - 1: "above"}
-    return level, means[best], ends.get(best, "near") if len(groups) > 1 else "at"
+def _ranked(table: StudyTable, rows: Sequence[Row], values: Sequence[float]) -> list[Effect]:
+    """Return the effects of the axes on a value of rows, the largest first; empty: not known."""
+    by_row = {id(row): value for row, value in zip(rows, values, strict=True)}
+    cells = [by_row.get(id(row)) for row in table.rows]
+    labels = {axis: group_labels(rows, axis) for axis in _axes(table)}
+    effects = effects_on(table, cells) or adjusted_shares(values, labels)
+    return sorted(effects, key=lambda effect: -effect.value)
+
+
+def _advice(
+    table: StudyTable, effect: Effect, rows: Sequence[Row], values: Sequence[float], design: Row
+) -> tuple[Advice, bool]:
+    """Return the advice on an axis, and whether a design is in the group with the best level."""
+    by_row = {id(row): value for row, value in zip(rows, values, strict=True)}
+    groups = [
+        (level, group, [by_row[id(row)] for row in group if id(row) in by_row])
+        for level, group in groups_of(table.done(), effect.axis)
+    ]
+    means = [(level, group, float(np.mean(known))) for level, group, known in groups if known]
+    best = max(range(len(means)), key=lambda place: means[place][2])
+    level, group, mean = means[best]
+    ends = {0: "below", len(means) - 1: "above"}
+    side = ends.get(best, "near") if is_number(level) and len(means) > 1 else "at"
+    of_variance = table.record.study.sampling.method != "morris"
+    share = effect.value if of_variance else None
+    return Advice(effect.axis, share, level, mean, side), any(row is design for row in group)
 
 
 def _at_an_end(table: StudyTable, goal: Objective, chosen: Row) -> Advice | None:
-    """Return the axis with the largest effect on an objective if the design is at its end."""
+    """Return the axis with the largest effect on an objective if the design is at its end.
+
+    The end of an axis with more than nine numbers is the outermost of its parts.
+    """
     rows = [row for row in table.done() if is_number(row.get(goal.metric))]
     sign = 1.0 if goal.goal == "maximise" else -1.0
     values = [sign * float(row[goal.metric]) for row in rows]
-    advice = _ranked(table, rows, values, chosen)
-    if advice is None or advice.side not in ("above", "below"):
-        return None
-    return advice if advice.level == chosen[advice.axis] else None
+    for effect in _ranked(table, rows, values)[:1]:
+        advice, is_best = _advice(table, effect, rows, values, chosen)
+        if is_best and advice.side in ("above", "below"):
+            return replace(advice, level=chosen[effect.axis])
+    return None

@@ -1,5 +1,7 @@
 """Draw the section of the live view as SVG: z (mm) over the position s (mm) along the section."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
@@ -24,9 +26,9 @@ def section_drawing(section: SectionProfiles) -> str:
     low, high = _range_mm(section)
     axes = _Axes(float(section.s_mm[0]), float(section.s_mm[-1]), low, high)
     curves = "".join(
-        f'<polyline points="{axes.points(section.s_mm, getattr(section, name))}" fill="none" '
-        f'stroke="{colour}" stroke-width="{width}"/>'
+        f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="{width}"/>'
         for _, name, colour, width in _LINES
+        for points in axes.curves(section.s_mm, getattr(section, name))
     )
     legend = " ".join(
         f'<span style="color:{colour}">&#9644; {label}</span>' for label, _, colour, _ in _LINES
@@ -40,7 +42,7 @@ def section_drawing(section: SectionProfiles) -> str:
 
 
 class _Axes:
-    """Axes of the drawing: s along x, z along y, with ticks and a frame."""
+    """Axes of the drawing: s along x, z along y, with ticks."""
 
     def __init__(self, left: float, right: float, low: float, high: float) -> None:
         self._s, self._z = (left, right), (low, high)
@@ -52,13 +54,15 @@ class _Axes:
         """Scale of z over that of s."""
         return self._per_z / self._per_s
 
-    def points(self, s_mm: FloatArray, z_mm: FloatArray) -> str:
-        """Return the points of a curve for SVG, without those outside the axes."""
+    def curves(self, s_mm: FloatArray, z_mm: FloatArray) -> Iterator[str]:
+        """Yield the points, for SVG, of each part of a curve that is within the axes."""
         inside = np.isfinite(z_mm) & (z_mm >= self._z[0]) & (z_mm <= self._z[1])
-        return " ".join(
-            f"{self._x(s):.1f},{self._y(z):.1f}"
-            for s, z in zip(s_mm[inside], z_mm[inside], strict=True)
-        )
+        ends = np.flatnonzero(np.diff(inside, prepend=False, append=False))
+        for start, stop in ends.reshape(-1, 2):
+            yield " ".join(
+                f"{self._x(s):.1f},{self._y(z):.1f}"
+                for s, z in zip(s_mm[start:stop], z_mm[start:stop], strict=True)
+            )
 
     def ticks(self) -> str:
         """Return the ticks of both axes with their numbers, as SVG."""

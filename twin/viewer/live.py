@@ -4,7 +4,6 @@ The package viser displays the view. Its threads only store the latest slider va
 thread computes the images, so that a signal ends the command.
 """
 
-import gc
 import io
 import threading
 import time
@@ -13,9 +12,6 @@ from contextlib import redirect_stdout
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-
-from reconstruction.arrays import Levels
 from reconstruction.errors import InputError
 from reconstruction.evaluate.surface import surface_mesh
 from twin.config import Experiment
@@ -25,7 +21,7 @@ from twin.results.folder import deviation_of
 from twin.results.record import Measurement
 from twin.viewer.picture import VIEWS, ScenePicture
 from twin.viewer.preview import Preview, PreviewPicture
-from twin.viewer.results import ResultPanel
+from twin.viewer.results import ResultPanel, rgb
 from twin.viewer.scene import section_of
 from twin.viewer.sliders import EXPOSURE, GROUPS, SliderRange, slider_ranges
 from twin.viewer.texts import command_line, deviation_scale, height_scale, press_line
@@ -84,7 +80,7 @@ class LiveView:
         self._folders = {group: gui.add_folder(group) for group in GROUPS}
         self._add_sliders(slider_ranges(experiment))
         gui.add_button("reset").on_click(self._reset)
-        self._command = gui.add_markdown(command_line(self._source, {}))
+        self._command = gui.add_markdown(self._command_line({}))
         self._results = ResultPanel(self._server)
         gui.main_panel.dock_left()
         gui.main_panel.set_width(_PANEL_PX)
@@ -111,10 +107,6 @@ class LiveView:
                 at_rest = False
             elif not at_rest:
                 at_rest = self.measure()
-                # Objects that exist now are excluded from later collections, which the renderer
-                # runs before each picture and which take 50 % of its time.
-                gc.collect()
-                gc.freeze()
 
     def close(self) -> None:
         """Stop the server of the view."""
@@ -124,7 +116,7 @@ class LiveView:
         """Show the latest slider values at reduced size."""
         self._moved.clear()
         changes, start = dict(self._changes), time.perf_counter()
-        self._command.content = command_line(self._source, changes)
+        self._command.content = self._command_line(changes)
         try:
             shown = self._preview.show(changes)
         except InputError as error:
@@ -159,6 +151,9 @@ class LiveView:
         self._status.content = press_line(shown.pressed)
         return True
 
+    def _command_line(self, changes: dict[str, float]) -> str:
+        return command_line(self._source, changes, self._preview.measured_binning)
+
     def _watch(self, stage: str, fraction: float, /) -> None:
         if self._moved.is_set():
             raise _SliderMovedError
@@ -169,7 +164,7 @@ class LiveView:
         self._heights.content = height_scale(shown.pressed)
         self._results.picture(shown, section)
         self._picture.draw_press(shown.experiment, shown.pressed, section)
-        self._picture.draw_rig(shown.experiment, _rgb(shown.fringes))
+        self._picture.draw_rig(shown.experiment, rgb(shown.fringes))
 
     def _add_views(self) -> None:
         buttons = self._server.gui.add_button_group("view", VIEWS)
@@ -227,7 +222,3 @@ class LiveView:
             handle.visible = box.value
 
         box.on_update(show)
-
-
-def _rgb(levels: Levels) -> Levels:
-    return np.repeat(levels[..., np.newaxis], 3, axis=-1)

@@ -73,6 +73,11 @@ class Preview:
         self._sheet: SettledPress | None = None
         self._known: tuple[object, PressedElastomer] | None = None
 
+    @property
+    def measured_binning(self) -> int:
+        """Camera binning of the measurements."""
+        return self._measured.camera.binning
+
     def show(self, changes: Mapping[str, Any]) -> PreviewPicture:
         """Return the picture of the experiment with some values changed, at reduced size.
 
@@ -85,9 +90,9 @@ class Preview:
         InputError : a value is not allowed, or the press or the renderer rejects it
         MissingBackend : no usable Dr.Jit backend
         """
-        full, share = vary(self._full, changes), self._merged**2
+        full, pixels_per_pixel = vary(self._full, changes), self._merged**2
         exposure_ms = full.camera.exposure_ms
-        exposed = {} if exposure_ms == "auto" else {EXPOSURE: exposure_ms / share}
+        exposed = {} if exposure_ms == "auto" else {EXPOSURE: exposure_ms / pixels_per_pixel}
         experiment = vary(self._quick, {**changes, **exposed})
         pressed = self._pressed(full, experiment)
         recording = record(experiment, pressed, memory=self._memory)
@@ -100,7 +105,8 @@ class Preview:
                 patterns.index("white").start,
             )
         )
-        return PreviewPicture(full, fringes, white, pressed, recording.exposure_ms * share)
+        exposure_ms = recording.exposure_ms * pixels_per_pixel
+        return PreviewPicture(full, fringes, white, pressed, exposure_ms)
 
     def measure(
         self, changes: Mapping[str, Any], watch: ProgressCallback = no_progress

@@ -35,7 +35,7 @@ class ResultPanel:
 
     def picture(self, shown: PreviewPicture, section: SectionProfiles) -> None:
         """Show images and section of a preview."""
-        self._fringes.image, self._white.image = _rgb(shown.fringes), _rgb(shown.white)
+        self._fringes.image, self._white.image = rgb(shown.fringes), rgb(shown.white)
         self._section.content = section_drawing(section)
 
     def begin(self) -> None:
@@ -64,5 +64,6 @@ def _of_width(image: Levels, width_px: int) -> Levels:
     return np.ascontiguousarray(image[::step, ::step])
 
 
-def _rgb(levels: Levels) -> Levels:
+def rgb(levels: Levels) -> Levels:
+    """Return grey levels (row, col) as an image (row, col, 3)."""
     return np.repeat(levels[..., np.newaxis], 3, axis=-1)

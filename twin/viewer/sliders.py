@@ -75,7 +75,7 @@ def slider_ranges(experiment: Experiment, exposure_ms: float | None = None) -> l
 
     The range of a slider is that of the value's stated source, limited to 4 times the current value
     of a load, of the fringe period or of a property of the elastomer. Without a source it is an
-    interval round the value.
+    interval round the value. The range always includes the value.
 
     Parameters
     ----------
@@ -99,8 +99,10 @@ def _slider(
     if not is_number or key in experiment.links:
         return None
     low, high = (_rounded(end) for end in _ends(experiment, key, float(value), reach))
-    shown = min(max(float(f"{value:.6g}"), low), high)
-    return SliderRange(group, key, label, low, high, shown) if high > low else None
+    shown = float(f"{value:.6g}")
+    if high <= low:
+        return None
+    return SliderRange(group, key, label, min(low, shown), max(high, shown), shown)
 
 
 def _rounded(value: float) -> float:

@@ -53,10 +53,17 @@ def deviation_scale(deviation: Deviation) -> str:
     return _scale("error of z (um), grey: no point", _DEVIATION_COLOURS, ends)
 
 
-def command_line(experiment: str, changes: Mapping[str, float]) -> str:
-    """Return, as Markdown, the command that measures the experiment with the changed values."""
+def command_line(experiment: str, changes: Mapping[str, float], binning: int) -> str:
+    """Return, as Markdown, the command that measures the experiment with the changed values.
+
+    Parameters
+    ----------
+    binning : camera binning with which the live view measures, stated under the command
+    """
     changed = "".join(f" \\\n  -s {key}={value:.6g}" for key, value in sorted(changes.items()))
-    return f"```\ntwin measure {experiment} -o out{changed}\n```"
+    return (
+        f"```\ntwin measure {experiment} -o out{changed}\n```\nfigures: camera.binning = {binning}"
+    )
 
 
 def _scale(title: str, colours: Sequence[str], labels: Sequence[str]) -> str:

@@ -50,8 +50,9 @@ from twin.mechanics.validity import THINNEST
 _WIDEST_RATIO, _WIDEST_RATIO_THIN = 3.0, 1.9
 # A slack sheet of 0.05 mm needs a hundred steps and more, and a path with half steps is no shorter.
 _ROUGH = Accuracy(step_mm=1e-3, residual_kpa=0.1, most_steps=300)
-# The finest cells follow from the coarse state, which need not be an equilibrium.
-_NEARLY = replace(_ROUGH, most_steps=20, strict=False)
+# The finest cells follow from the coarse state, which need not be an equilibrium: the finest cells
+# change it by far more than further steps on coarse cells.
+_NEARLY = replace(NEAR, most_steps=8)
 _BETWEEN = Accuracy(step_mm=5e-3, residual_kpa=1.0, most_steps=40, strict=False)
 # On intermediate cells a sheet that sticks has its full contact stiffness: if it is not in
 # equilibrium there, the finest cells start inside the specimen.
