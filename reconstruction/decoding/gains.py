@@ -118,7 +118,7 @@ def estimate_gains(
     if not (options.frame_gains and is_possible):
         return None
     dark_dn = np.full((2, patterns.sets), sensor.black_level_dn)
-    black_dn = _black_dn(sample, patterns, sensor)
+    black_dn = _black_dn(sample, patterns)
     some_scale = np.ones(sample.shape[1:]) if scale is None else scale[::stride, ::stride]
     some_scale = np.ascontiguousarray(some_scale, np.float32)
     relative = np.ones((2, patterns.sets, patterns.steps))
@@ -174,16 +174,13 @@ def widen(
     return smoothed._replace(sigma=sigma, bias_share=share)
 
 
-def _black_dn(sample: Stack, patterns: PatternSet, sensor: SensorNoise) -> float:
-    """Return the largest level without the projector's light, DN: the median of the black frame.
-
-    Without a black frame it is the middle of the camera's range.
-    """
+def _black_dn(sample: Stack, patterns: PatternSet) -> float | None:
+    """Return the median of the black frame, DN; None: there is none, or it is damaged."""
     if not patterns.uniform:
-        return 0.5 * (sensor.black_level_dn + sensor.clipped_from_dn)
+        return None
     black = sample[patterns.index("black")][:, ::2, ::2]
     black = black[np.isfinite(black)]
-    return max(sensor.black_level_dn, float(np.median(black)) if black.size else 0.0)
+    return float(np.median(black)) if black.size else None
 
 
 def _model(shifts: FloatArray) -> _Model:
@@ -223,39 +220,48 @@ def _sampled(
     )  # fmt: skip
 
 
-def _light_of(sample: SampledSet, model: _Model, black_dn: float) -> _SetLight | None:
+def _light_of(sample: SampledSet, model: _Model, black_dn: float | None) -> _SetLight | None:
     """Return the light of a fringe set and its uncertainty; None: it is not significant.
 
     Further steps exclude pixels with too large residuals, which moved or are lit by other surfaces,
     and estimate the level without the projector's light: levels divided by the light contain it
-    divided by the light. Four steps do not distinguish it from the light.
+    divided by the light. It is at most the level of the black frame, which also contains light of
+    the projector. Four steps do not distinguish it from the light: it is that of the black frame.
 
     Parameters
     ----------
-    black_dn : largest level without the projector's light
+    black_dn : level of the black frame; None: not known
     """
-    misfit, least_dn = np.zeros(sample.levels.shape[1:]), sample.limits[0]
+    misfit, (least_dn, clipped_dn, _) = np.zeros(sample.levels.shape[1:]), sample.limits
     first = _solve(sample, misfit, model)
     if first is None or np.abs(first.error).max() > LARGEST_GAIN:
         return None
     if first.ripple_rad < max(LEAST_RIPPLE_RAD, LEAST_SIGMAS * first.sigma_rad):
         return None
     relative, solution = 1.0 + first.error, first
-    is_dark_known = len(relative) < DARK_STEPS
-    sample = sample._replace(dark_dn=black_dn if is_dark_known else sample.dark_dn)
+    most_dn = max(0.5 * (least_dn + clipped_dn) if black_dn is None else black_dn, least_dn)
+    is_estimated = len(relative) >= DARK_STEPS
+    if black_dn is not None and not is_estimated:
+        sample = sample._replace(dark_dn=most_dn)
     for _ in range(2):
-        if not is_dark_known:
-            model.others[-1, :, -1] = model.unexplained @ (1.0 - relative)
         sample = sample._replace(factors=1.0 / relative)
-        solution = _solve(sample, misfit, model) or solution
-        relative *= 1.0 + solution.error
-        dark_dn = sample.dark_dn + solution.dark_share * sample.limits[1]
-        typical = float(np.median(misfit[misfit >= 0.0]))
-        sample = sample._replace(
-            dark_dn=min(max(dark_dn, least_dn), black_dn), most_misfit=OUTLIER_SIGMAS**2 * typical
-        )
+        next_model = _with_dark(model, relative) if is_estimated else model
+        refined = _solve(sample, misfit, next_model)
+        if refined is None:
+            break
+        solution, relative = refined, relative * (1.0 + refined.error)
+        dark_dn = min(max(sample.dark_dn + refined.dark_share * clipped_dn, least_dn), most_dn)
+        most_misfit = OUTLIER_SIGMAS**2 * float(np.median(misfit[misfit >= 0.0]))
+        sample = sample._replace(dark_dn=dark_dn, most_misfit=most_misfit)
     relative /= relative.mean()
     return _SetLight(relative, first.ripple_rad, solution.variances, sample.dark_dn)
+
+
+def _with_dark(model: _Model, relative: FloatArray) -> _Model:
+    """Return the equations with the residuals by a level without light, divided by the light."""
+    others = model.others.copy()
+    others[-1, :, -1] = model.unexplained @ (1.0 - relative)
+    return model._replace(others=others)
 
 
 def _solve(sample: SampledSet, misfit: FloatArray, model: _Model) -> _Solution | None:

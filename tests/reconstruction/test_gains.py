@@ -154,6 +154,16 @@ def test_light_of_the_room_is_not_scaled(synthesise, cover):
         assert 2.0 * np.pi / 20.0 * error_px.std() < 5e-4
 
 
+@pytest.mark.parametrize("steps", [4, 5])
+def test_light_without_a_black_frame(synthesise, cover, steps):
+    patterns = patterns_of(steps, uniform=False)
+    light = drifting(patterns, 0.02)
+    stack = stack_of(patterns, synthesise, cover, light, sensor=QUIET)
+    gains = decode(stack, patterns, QUIET, UNFILTERED).gains
+    np.testing.assert_allclose(gains.relative[:, 0], [light[:steps]] * 2, atol=2e-4)
+    np.testing.assert_allclose(gains.dark_dn, 16.0, atol=5.0)
+
+
 def test_clipped_and_lost_frames_are_fitted_with_the_light(synthesise, cover):
     """Setup: 2 % of the pixels have one clipped frame. Expected: their ripple is removed, too."""
     patterns = patterns_of(8)
