@@ -24,11 +24,13 @@ metric = "radius_mm"
 value = 4.9
 sd = 0.01
 held_out = true
+steered = "far was added after this row"
 [limits.deep]
 experiment = "ball"
 metric = "product_mm2"
 at_least = 0.01
 sd = 0.01
+compare_at = [0.4]
 source = "a picture"
 [worth.depth]
 experiment = "ball"
@@ -97,9 +99,22 @@ def test_the_summary_holds_rows_worth_and_joint_draws(folder):
 def test_the_page_lists_unexplained_rows_and_useful_measurements(folder):
     text = (folder / "report.html").read_text()
     assert "held: unexplained, +" in text
+    assert "held out, steered a choice" in text
+    assert "held: far was added after this row" in text
     assert "Expected gain of one more measurement" in text
     assert 'id="corner"' in text
     assert (folder / "figures" / "corner.png").stat().st_size > 0
+
+
+def test_the_influence_of_a_limits_bound_is_listed(folder):
+    """The row of the product, 0.32 mm2 with SD 0.005, is known better than bounds up to 0.4."""
+    bounds = tomllib.loads((folder / "identified.toml").read_text())["bounds"]
+    assert [compared.get("bound") for compared in bounds] == [None, 0.01, 0.4]
+    without, stated, higher = (compared["fields"]["depth"]["mean"] for compared in bounds)
+    assert stated == pytest.approx(without, abs=0.02)
+    assert higher > stated + 0.01
+    assert bounds[2]["log_evidence"] < bounds[0]["log_evidence"] - 5.0
+    assert "Influence of the bounds" in (folder / "report.html").read_text()
 
 
 def test_a_folder_with_foreign_files_is_an_error(folder, tmp_path, capsys):

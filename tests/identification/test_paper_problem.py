@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
+from reconstruction.integration_schemes import schemes_in_order
 from twin.config import vary
 from twin.config.problem import load_problem
+from twin.config.rows import Row
 from twin.identification.simulations import record_of, summary, variants_of
 from twin.paper.plan import COARSE, rows_of
 from twin.pipeline.press import press_smooth
@@ -51,6 +54,88 @@ def test_values_are_those_of_the_papers_tables(loaded):
         for ours, theirs in (("single", "radius"), ("mae", "mae"), ("p95", "p95")):
             assert rows[f"{kind}{ours}_{row['sphere']}{tail}"].value == row[theirs]
         assert rows[f"{kind}rmse_{row['sphere']}{tail}"].value == row["rmse"]
+
+
+def _two_balls_sd(figure, method):
+    """68 % half width of Student's t with one degree of freedom, times the SD of two values."""
+    first, second = (row[figure] for row in rows_of("sphere_fit") if row["method"] == method)
+    return t.ppf(0.5 + 0.6827 / 2, 1) * abs(first - second) / np.sqrt(2)
+
+
+@pytest.mark.parametrize("name", ["identify", "identify_next"])
+def test_residual_rows_have_the_sd_of_the_papers_two_balls(name):
+    rows = load_problem(f"paper/{name}")[0].rows
+    judged = {n: row for n, row in rows.items() if {"rmse", "mae", "p95"} & set(n.split("_"))}
+    assert len(judged) in (12, 14)
+    for row_name, row in judged.items():
+        figure = next(f for f in ("rmse", "mae", "p95") if f in row_name)
+        method = "GelSight" if row_name.startswith("gelsight") else "contact-FPP"
+        if name == "identify" and row.use == "fitted":  # as when the stored solution was computed
+            assert figure == "rmse"
+            continue
+        assert row.sd == pytest.approx(_two_balls_sd(figure, method), rel=0.03)
+
+
+def test_rows_that_steered_a_choice_are_no_predictions(loaded):
+    rows = loaded[0].rows
+    steered = {name for name, row in rows.items() if row.use == "steered"}
+    footprint = {f"gelsight_{f}_{b}_footprint" for f in ("rmse", "mae", "p95") for b in (1, 2)}
+    assert steered == {"rod_b"} | footprint
+    with pytest.raises(ValueError, match="steered: needs held_out = true"):
+        Row.model_validate(rows["rod_b"].model_dump() | {"held_out": False})
+
+
+@pytest.fixture(scope="module")
+def following():
+    return load_problem("paper/identify_next")
+
+
+def test_the_next_problem_holds_out_the_row_of_the_stated_rule(loaded, following):
+    """Of the fitted rows that were not held out in turn: the smallest relative SD."""
+    problem = loaded[0]
+    candidates = {n: r.sd / r.value for n, r in problem.fitted.items() if n not in problem.rotate}
+    assert set(candidates) == {"radius_1", "radius_2", "rmse_2"}
+    held_out = min(candidates, key=candidates.__getitem__)
+    rows = following[0].rows
+    assert rows[held_out].use == "predicted"
+    assert rows["rod_b"].use == "fitted"
+    gelsight = {f"gelsight_rmse_{ball}" for ball in (1, 2)}
+    assert set(following[0].fitted) == {*problem.fitted, "rod_b", *gelsight} - {held_out}
+
+
+def test_gelsight_may_be_evaluated_as_contact_fpp(following):
+    problem, kinds = following[0], {"fit": set(), "as_gelsight": set()}
+    for choices in problem.combinations():
+        ours, theirs = (
+            problem.metric_of(n, problem.rows[n], choices) for n in ("rmse_1", "gelsight_rmse_1")
+        )
+        assert (ours == theirs) == (choices["gelsight_region"] == "same")
+        kinds["fit"].add(ours)
+        kinds["as_gelsight"].add(theirs)
+    assert len(kinds["fit"]) == 2
+    assert len(kinds["as_gelsight"]) == 4
+    same = {c["gelsight_region"]: problem.weight(c) for c in problem.combinations()}
+    assert same["same"] == pytest.approx(3 * same["footprint"])
+
+
+def test_the_next_problem_simulates_every_scheme_of_gelsight(following):
+    problem, experiments = following
+    of = [v for v in variants_of(problem) if v.experiment == "gelsight"]
+    schemes = set()
+    for variant in of:
+        case = record_of(problem, experiments["gelsight"], variant).cases().run[0]
+        assert case.experiment.photometric.colour_map == "table"
+        schemes.add(case.experiment.photometric.integration)
+    assert schemes == {scheme.name for scheme in schemes_in_order()}
+
+
+def test_the_balls_nuisance_is_the_papers_reference_uncertainty(following):
+    (u_ref,) = {row["u_ref"] for row in rows_of("uncertainty")}
+    problem = following[0]
+    radii = {n: r.nuisance["ball"] for n, r in problem.rows.items() if "ball" in r.nuisance}
+    assert set(radii.values()) == {1.0}
+    assert len(radii) == 8
+    assert problem.nuisance["ball"].sd == u_ref
 
 
 def test_the_round_form_measures_the_rows_on_round_rods(loaded):

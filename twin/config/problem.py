@@ -18,7 +18,7 @@ from reconstruction.reading import is_regular
 from twin.assets import scene_file
 from twin.config.base import Model
 from twin.config.bounds import Figure, FigureSigma
-from twin.config.loading import load_experiment, read_toml, resolve_uses, vary
+from twin.config.loading import ABSENT, load_experiment, read_toml, resolve_uses, vary
 from twin.config.models import Experiment
 from twin.config.rows import Limit, Metric, Name, Row
 from twin.config.schema import validated
@@ -116,6 +116,9 @@ class SensorChoice(Model):
     metrics: dict[Name, Metric] = Field(
         default={}, description="metric by row, instead of the row's own"
     )
+    parts: dict[Name, str] = Field(
+        default={}, description="text that replaces {NAME} in the metrics of all rows, by NAME"
+    )
     instead: dict[Name, Name] = Field(
         default={}, description="replaced experiment = replacement, for the rows measured in it"
     )
@@ -137,6 +140,14 @@ class Alternative(Model):
         default=(), description="experiments to which `set` applies; absent: all"
     )
     source: str | None = None
+
+    @model_validator(mode="after")
+    def _each_choice_has_the_same_parts(self) -> "Alternative":
+        first, *others = ((label, {*choice.parts}) for label, choice in self.choices.items())
+        for label, parts in others:
+            if parts != first[1]:
+                raise ValueError(f"{label}.parts: the names must be those of {first[0]}.parts")
+        return self
 
 
 class Nuisance(Model):
@@ -294,11 +305,12 @@ class SensorProblem(Model):
 
     def metric_of(self, name: str, row: Row | Limit, combination: Mapping[str, str]) -> Metric:
         """Return the name or names of a row's figure, under given choices."""
-        for alternative, choice in combination.items():
-            metric = self.alternatives[alternative].choices[choice].metrics.get(name)
-            if metric is not None:
-                return metric
-        return row.metric
+        chosen = [self.alternatives[a].choices[c] for a, c in combination.items()]
+        metric = next((c.metrics[name] for c in chosen if name in c.metrics), row.metric)
+        parts = {key: text for choice in chosen for key, text in choice.parts.items()}
+        if isinstance(metric, str):
+            return _with_parts(metric, parts)
+        return tuple(_with_parts(part, parts) for part in metric)
 
     def free_in(self, experiment: str) -> list[str]:
         """Return the names of the free fields that an experiment has."""
@@ -307,6 +319,13 @@ class SensorProblem(Model):
     def simulated_in(self, experiment: str) -> list[str]:
         """Return the names of the free fields that the simulations of an experiment vary."""
         return [name for name in self.free_in(experiment) if self.free[name].among is None]
+
+
+def _with_parts(metric: str, parts: Mapping[str, str]) -> str:
+    """Return a metric's name with every {NAME} of `parts` replaced by its text."""
+    for name, text in parts.items():
+        metric = metric.replace(f"{{{name}}}", text)
+    return metric
 
 
 _Counted = TypeVar("_Counted", Setup, Design)
@@ -350,6 +369,9 @@ def _each_name_once(tables: Mapping[str, Mapping[str, Any]]) -> None:
 def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]]:
     """Load a problem, and its experiments by their names in the problem.
 
+    A problem may `use` another one: its keys override those of the used problem, and the value
+    "absent" removes a row, a choice or another entry.
+
     Parameters
     ----------
     path : a TOML file, or the name of a shipped problem
@@ -359,9 +381,22 @@ def load_problem(path: str | Path) -> tuple[SensorProblem, dict[str, Experiment]
     ConfigError : with one line per problem: key, found, allowed, remedy
     """
     file = scene_file(path)
-    problem = validated(SensorProblem, read_toml(file), f"{path}: ")
+    problem = validated(SensorProblem, _with_used_problem(read_toml(file), file), f"{path}: ")
     experiments = {name: _experiment(setup, file) for name, setup in problem.experiments.items()}
     return _with_files(problem, file), experiments
+
+
+def _with_used_problem(tree: dict[str, Any], file: Path) -> dict[str, Any]:
+    return _without_removed(resolve_uses(tree, (file,))) if "use" in tree else tree
+
+
+def _without_removed(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return tables without the keys set to "absent"; not in `set`, where it is a value."""
+    return {
+        key: _without_removed(node) if isinstance(node, dict) and key != "set" else node
+        for key, node in tree.items()
+        if node != ABSENT
+    }
 
 
 def _experiment(setup: Setup, file: Path) -> Experiment:

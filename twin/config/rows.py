@@ -12,6 +12,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=48)]
 Metric = str | tuple[str, ...]
 Statistic = Literal["mean", "sd"]
 LearnedAs = Literal["value", "log", "reciprocal"]
+Use = Literal["fitted", "steered", "predicted"]
 
 
 class Row(Model):
@@ -55,6 +56,11 @@ class Row(Model):
         default={}, description="change of the figure for a nuisance of 1, by name"
     )
     held_out: bool = Field(default=False, description="predicted, not fitted")
+    steered: str | None = Field(
+        default=None,
+        description="choice of model or evaluation that was made after a comparison with this "
+        "held-out row: its prediction is then no independent test",
+    )
     source: str | None = None
 
     @model_validator(mode="after")
@@ -68,6 +74,19 @@ class Row(Model):
         if self.statistic == "sd" and self.coat is not None:
             raise ValueError("coat: not allowed with statistic = 'sd'")
         return self
+
+    @model_validator(mode="after")
+    def _a_steering_row_is_held_out(self) -> "Row":
+        if self.steered is not None and not self.held_out:
+            raise ValueError("steered: needs held_out = true; a fitted row is no test in any case")
+        return self
+
+    @property
+    def use(self) -> Use:
+        """Use of the row: fitted, predicted, or steered if it influenced a choice."""
+        if not self.held_out:
+            return "fitted"
+        return "predicted" if self.steered is None else "steered"
 
     @property
     def scatter_share(self) -> float:
@@ -104,6 +123,11 @@ class Limit(Model):
     at_least: Figure | None = None
     at_most: Figure | None = None
     sd: FigureSigma = Field(description="standard uncertainty of the bound")
+    compare_at: tuple[Figure, ...] = Field(
+        default=(),
+        description="other values of the bound for which the posterior is sampled, too, as it is "
+        "without the limit, to show the influence of the bound",
+    )
     source: str | None = None
 
     @model_validator(mode="after")
@@ -132,6 +156,10 @@ class Limit(Model):
     def words(self) -> str:
         """The bound as text, for example "at least 5"."""
         return f"at {'least' if self.side > 0 else 'most'} {self.value:g}"
+
+    def at(self, bound: float) -> "Limit":
+        """Return this limit with another value of its bound."""
+        return self.model_copy(update={"at_least" if self.side > 0 else "at_most": bound})
 
     def allows(self, figure: float) -> bool:
         """Return True if a figure is on the allowed side of the bound, or equal to it."""

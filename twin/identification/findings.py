@@ -132,6 +132,31 @@ def limits_met(posterior: Posterior, seed: int) -> list[LimitMet]:
     return limits
 
 
+@dataclass(frozen=True)
+class BoundCompared:
+    """Posterior with one value of a limit's bound, or without the limit.
+
+    Attributes
+    ----------
+    limit : name of the limit
+    bound : value of the bound; None: without the limit
+    fields : mean, standard deviation and intervals of each field by name
+    log_evidence : natural logarithm of the evidence of rows and limits
+    """
+
+    limit: str
+    bound: float | None
+    fields: Mapping[str, Marginal]
+    log_evidence: float
+
+
+def bound_compared(limit: str, bound: float | None, posterior: Posterior) -> BoundCompared:
+    """Return the fields' intervals from a posterior that was sampled with a value of a bound."""
+    columns = zip(posterior.likelihood.free, posterior.values.T, strict=True)
+    fields = {name: interval_of(values) for name, values in columns}
+    return BoundCompared(limit, bound, fields, posterior.log_evidence)
+
+
 def draw_rows(posterior: Posterior, rows: Likelihood, seed: int) -> FloatArray:
     """Draw the figures (sample, row) of rows given the fitted rows, without the noise of `rows`.
 

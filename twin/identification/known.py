@@ -12,6 +12,7 @@ from reconstruction.errors import counted
 from twin.config.problem import SensorProblem
 from twin.identification.emulator import Emulator
 from twin.identification.findings import (
+    BoundCompared,
     LimitMet,
     Marginal,
     Prediction,
@@ -50,6 +51,8 @@ class SensorModel:
     predictions : prediction of every row, fitted or held out
     rotated : by name of the row, its prediction when this row is held out and the other rows are
         fitted; empty except in the most probable model
+    bounds : the fields with other bounds of the limits (`compare_at`), without each limit, and
+        as stated; empty except in the most probable model
     """
 
     combination: Mapping[str, str]
@@ -60,6 +63,7 @@ class SensorModel:
     posterior: Posterior
     predictions: tuple[Prediction, ...]
     rotated: Mapping[str, Prediction]
+    bounds: tuple[BoundCompared, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

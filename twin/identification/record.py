@@ -100,6 +100,7 @@ def figures_of(identified: Identified) -> dict[str, Any]:
         },
         "rows": {row.row: asdict(row) for row in identified.best.predictions},
         "limits": {limit.limit: asdict(limit) for limit in identified.limits()},
+        "bounds": [asdict(compared) for compared in identified.best.bounds],
         "rotated": {name: asdict(row) for name, row in identified.best.rotated.items()},
         "models": [
             {

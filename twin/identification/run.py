@@ -1,6 +1,6 @@
 """Identification of a sensor: simulate, fit emulators, sample the posterior, refine near it."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -15,7 +15,12 @@ from twin.config import Experiment
 from twin.config.problem import SensorProblem
 from twin.config.rows import LearnedAs, Limit, Metric, Row, Statistic
 from twin.identification.emulator import Emulator
-from twin.identification.findings import Prediction, predict_rows
+from twin.identification.findings import (
+    BoundCompared,
+    Prediction,
+    bound_compared,
+    predict_rows,
+)
 from twin.identification.known import Identified, SensorModel
 from twin.identification.posterior import likelihood_of, probabilities, sample
 from twin.identification.simulations import (
@@ -162,7 +167,10 @@ def _infer(
     best, *rest = sorted(weighted, key=lambda m: -m.probability)
     watch("posterior", len(models) / (len(models) + len(problem.rotate)))
     rotated = each(partial(_rotated, problem, best, longest), problem.rotate)
-    best = replace(best, rotated=dict(zip(problem.rotate, rotated, strict=True)))
+    compared = list(_bounds(problem))
+    bounds = each(partial(_at_bound, problem, best, longest), compared)
+    by_row = dict(zip(problem.rotate, rotated, strict=True))
+    best = replace(best, rotated=by_row, bounds=tuple(bounds))
     watch("posterior", 1.0)
     return Identified(problem, (best, *rest), problem.design.seed)
 
@@ -224,3 +232,26 @@ def _rotated(problem: SensorProblem, best: SensorModel, longest: int, held: str)
     likelihood = likelihood_of(problem, rows, best.emulators, best.scatters)
     predictions = predict_rows(sample(likelihood, seed, longest), every, seed)
     return next(prediction for prediction in predictions if prediction.row == held)
+
+
+def _bounds(problem: SensorProblem) -> Iterator[tuple[str, float | None]]:
+    """Yield name and bound of each limit with `compare_at`: without it, then bounds in order."""
+    for name, limit in problem.limits.items():
+        if limit.compare_at:
+            yield name, None
+            for bound in sorted({limit.value, *limit.compare_at}):
+                yield name, bound
+
+
+def _at_bound(
+    problem: SensorProblem, best: SensorModel, longest: int, compared: tuple[str, float | None]
+) -> BoundCompared:
+    """Sample the posterior of the most probable model with another bound of a limit, or without."""
+    name, bound = compared
+    stated = problem.limits[name]
+    if bound == stated.value:
+        return bound_compared(name, bound, best.posterior)
+    others = {n: limit for n, limit in problem.limits.items() if n != name}
+    limits = others if bound is None else others | {name: stated.at(bound)}
+    likelihood = replace(best.posterior.likelihood, limits=limits)
+    return bound_compared(name, bound, sample(likelihood, problem.design.seed, longest))

@@ -5,6 +5,7 @@
 | fields.NAME | path, value, intervals, and whether the variance is over 50 % of the prior's |
 | rows.NAME | measured and predicted, fitted or held out, and the twin's figure behind it |
 | limits.NAME | a bound from one side, the twin's figure, and the probability that it is met |
+| bounds | intervals of the fields with other bounds of a limit; no `bound`: without the limit |
 | models | choices with their probabilities, the most probable first |
 | ridges | combinations of fields that cannot be separated, by components |
 | worth.NAME | remaining share of each field's variance if this were measured |
@@ -20,7 +21,7 @@ import tomli_w
 
 from reconstruction.arrays import FloatArray
 from reconstruction.writing import write_text
-from twin.identification.findings import LimitMet, Prediction
+from twin.identification.findings import BoundCompared, LimitMet, Prediction
 from twin.identification.known import Identified
 from twin.identification.record import identified_values
 
@@ -50,6 +51,7 @@ def summary_of(identified: Identified) -> dict[str, Any]:
         "fields": fields,
         "rows": {row.row: _row(identified, row) for row in identified.best.predictions},
         "limits": {limit.limit: _limit(identified, limit) for limit in identified.limits()},
+        "bounds": [_bound(compared) for compared in identified.best.bounds],
         "models": [
             {"probability": model.probability, "choices": dict(model.combination)}
             for model in identified.models
@@ -95,6 +97,12 @@ def _limit(identified: Identified, predicted: LimitMet) -> dict[str, Any]:
         "probability_before": predicted.before,
         "probability": predicted.probability,
     }
+
+
+def _bound(compared: BoundCompared) -> dict[str, Any]:
+    content = {"limit": compared.limit, "log_evidence": compared.log_evidence}
+    fields = {"fields": {name: asdict(field) for name, field in compared.fields.items()}}
+    return content | ({} if compared.bound is None else {"bound": compared.bound}) | fields
 
 
 def _draws(

@@ -28,6 +28,7 @@ from twin.report.table import Column, Row, Table
 from twin.report.words import split_unit
 
 _DISAGREES = 3.0
+_USE = {"fitted": "fitted", "steered": "held out, steered a choice", "predicted": "held out"}
 
 
 def write_identified(
@@ -226,7 +227,7 @@ def _rows(identified: Identified) -> list[Block]:
     rows = [
         {
             "row": prediction.row,
-            "use": "fitted" if prediction.fitted else "held out",
+            "use": _USE[problem.rows[prediction.row].use],
             "measured": prediction.measured,
             "measured_sd": prediction.sd,
             "twin": prediction.twin.mean,
@@ -240,6 +241,7 @@ def _rows(identified: Identified) -> list[Block]:
         for prediction in identified.best.predictions
     ]
     sources = [f"{n}: {row.source}" for n, row in problem.rows.items() if row.source]
+    sources += [f"{n}: {row.steered}" for n, row in problem.rows.items() if row.steered]
     figure = Figure(
         "rows",
         "",
@@ -285,7 +287,26 @@ def _limits(identified: Identified) -> list[Block]:
     words = (
         "Figures for which only a lower or an upper limit is known; they are fitted like the rows."
     )
-    return [words, Table("limits", "", "", columns, tuple(rows), sources)]
+    return [words, Table("limits", "", "", columns, tuple(rows), sources), *_bounds(identified)]
+
+
+def _bounds(identified: Identified) -> list[Block]:
+    """Return the table of the fields' 95 % intervals with other bounds of the limits."""
+    free = identified.problem.free
+    columns = (
+        Column("limit", "limit"),
+        Column("bound", "bound"),
+        *(Column(name, field_words(name, field)) for name, field in free.items()),
+        Column("evidence", "log evidence", 2),
+    )
+    rows: list[Row] = [
+        {"limit": compared.limit, "evidence": compared.log_evidence}
+        | {"bound": "without" if compared.bound is None else f"{compared.bound:g}"}
+        | {n: f"{m.low_95:.3g} to {m.high_95:.3g}" for n, m in compared.fields.items()}
+        for compared in identified.best.bounds
+    ]
+    words = "Influence of the bounds: 95 % intervals of the fields, for the most probable choices."
+    return [words, Table("bounds", "", "", columns, tuple(rows))] if rows else []
 
 
 def _models(identified: Identified) -> list[Block]:
