@@ -13,6 +13,7 @@ from tests.browser import assert_readable
 from tests.paper.test_tables import colour_trials, fringe_trials
 from twin.config import load_experiment
 from twin.paper.claims import claims_of, claims_table
+from twin.paper.identified import fields_table
 from twin.paper.page import SECTIONS, Contents, write_paper_page
 from twin.paper.plan import CONTACT_FPP, GELSIGHT
 from twin.paper.rod_table import hardness_table
@@ -30,6 +31,7 @@ def page(tmp_path_factory) -> Path:
     makers = (sphere_fit_table, repeated_fit_table, uncertainty_table)
     tables = {table.name: table for table in (*(make(trials) for make in makers), hardness_table())}
     tables["claims"] = claims_table(claims_of(tables))
+    tables["identified_fields"] = fields_table()
     (folder / "figures").mkdir()
     picture = folder / "figures" / "hardness.png"
     imwrite(picture, np.full((40, 60, 3), 200, np.uint8))
@@ -62,9 +64,10 @@ def test_the_badge_states_how_many_figures_were_fitted(page):
     met = re.search(r"(\d+) of \d+ figures meet their targets, (.*) limits from pictures", text)
     assert met is not None
     assert met[2].startswith("1 of them fitted and ")
+    assert "limits from pictures, 0 steered a choice" in text
     reasons = re.findall(r"<li>(\d+) of \d+ (?:compared|limits)", text)
     assert int(met[1]) == sum(map(int, reasons))
-    assert "<li>1 of 2 compared with rows from which the sensor was identified (fitted)" in text
+    assert "<li>1 of 5 compared with rows from which the sensor was identified (fitted)" in text
 
 
 def test_assumptions_are_marked_with_their_source(page):
@@ -73,6 +76,14 @@ def test_assumptions_are_marked_with_their_source(page):
     assert "identified: paper, from the rows" in text
     assert " joint samples, " in text
     assert "placed by hand against a mark on the stage" in text
+
+
+def test_values_that_were_chosen_for_one_table_are_named(page):
+    """Pose of the camera, GelSight's region; and the problem that is not solved yet."""
+    text = page.read_text(encoding="utf-8")
+    assert "Two of its values were chosen for one table each" in text
+    assert "chosen so that the bare nut fails as the text states (280)" in text
+    assert "twin identify paper/identify_next -o DIR" in text
 
 
 def test_every_table_has_one_section():

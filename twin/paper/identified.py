@@ -1,8 +1,10 @@
 """Tables and figure on the identification of the paper's sensor.
 
 Fields are properties of the sensor that the paper does not state. They were estimated from the rows
-of the paper's tables by `twin identify paper/identify`. The summary of this identification is
-stored in scenes/paper/identified.toml.
+of the paper's tables by `twin identify`. The summary of this identification is stored in
+scenes/paper/identified.toml; its `name` selects the problem that it belongs to. Values and SDs of
+the rows are those of the problem, predictions those of the summary: rows that were not fitted have
+no influence on the predictions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,15 +18,17 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.reading import read_json
 from twin.config.problem import Free, SensorProblem, load_problem
+from twin.config.rows import Row
 from twin.output import RESULT_FILE
-from twin.paper.plan import identified
+from twin.paper.plan import BALLS, experiment_of, identified
 from twin.paper.statistics import spread_of, values_of
 from twin.paper.trials import REFUSED, Trial
 from twin.report.canvas import FIT, MEASURED, axes_at, plain_spines, printing
 from twin.report.identified_figures import field_words, mark
 from twin.report.table import Cell, Column, Table
 
-PROBLEM = "paper/identify"
+PROBLEMS = {"paper": "paper/identify", "paper_next": "paper/identify_next"}
+"""Problem file by the name of the problem, the latest last."""
 # Part of a figure's name for a fit region. Experiments at the identified values are scored over the
 # identified region, so that their figures' names do not have it.
 _REGION = "within_{region_mm}_"
@@ -36,7 +40,20 @@ _METHOD = "contact_fpp"
 @lru_cache
 def problem() -> SensorProblem:
     """Return the identification problem of the paper's sensor: fields, rows, alternatives."""
-    return load_problem(PROBLEM)[0]
+    return load_problem(PROBLEMS[identified()["name"]])[0]
+
+
+def pending() -> str:
+    """Return the note on a problem that is newer than the stored solution; empty if none is."""
+    *_, latest = PROBLEMS
+    if identified()["name"] == latest:
+        return ""
+    file = PROBLEMS[latest]
+    return (
+        f"Stored solution: {PROBLEMS[identified()['name']]}. The problem {file}, which holds out "
+        "another row and has GelSight's region and integration as choices, has not been solved "
+        f"yet: `twin identify {file} -o DIR` solves it."
+    )
 
 
 def cases_of_pictures() -> tuple[tuple[str, str], ...]:
@@ -60,6 +77,7 @@ def fields_table() -> Table:
                 "known": "hardly" if known["hardly_narrowed"] else "yes",
             }
         )
+    rows.append(_assumed_pose())
     columns = (
         Column("field", "field"),
         Column("prior", "prior"),
@@ -72,21 +90,36 @@ def fields_table() -> Table:
     return Table("identified_fields", title, "", columns, tuple(rows))
 
 
+def _assumed_pose() -> dict[str, Cell]:
+    """Return the row of the camera's pose, which is assumed and in no identification free."""
+    experiment = experiment_of(BALLS)
+    origin = experiment.provenance["camera.pose.polar_deg"]
+    low, high = origin.range or (None, None)
+    return {
+        "field": "camera and projector from the vertical (deg)",
+        "prior": f"{low:g} to {high:g}",
+        "value": experiment.camera.pose.polar_deg,
+        "known": origin.source,
+    }
+
+
 def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
     """Return the table of all rows: the paper's value, the identified prediction and the trials."""
     rows: list[dict[str, Cell]] = []
     for name, known in identified()["rows"].items():
-        near = abs(known["steps"])
+        row = problem().rows[name]
+        judged = judged_difference(row, known)
+        near = abs(judged)
         cells: dict[str, Cell] = {
             "row": name,
-            "use": "fitted" if known["fitted"] else "predicted",
-            "paper": known["measured"],
-            "scatter": known["scatter"],
+            "use": row.use,
+            "paper": row.value,
+            "scatter": row.scatter,
             "twin": known["twin"],
             "twin_sd": known["twin_sd"],
             "any_coat": known["any_coat"],
             "any_coat_sd": known["any_coat_sd"],
-            "steps": known["steps"],
+            "judged": judged,
             "within": "1 SD" if near <= 1.0 else "2 SD" if near <= 2.0 else "unexplained",
         }
         rows.append(cells | _of_trials(known, trials.get(known["experiment"], ())))
@@ -99,8 +132,8 @@ def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
         Column("twin_sd", "SD", 4),
         Column("any_coat", "with any coat", 4),
         Column("any_coat_sd", "SD", 4),
-        Column("steps", "paper minus twin, in the paper's SD", 2),
-        Column("within", "within the paper's"),
+        Column("judged", "paper minus twin, in SD", 2),
+        Column("within", "within"),
         Column("trials_mean", "trials: mean", 4),
         Column("trials_sd", "SD", 4),
         Column("refused", "refused"),
@@ -109,11 +142,29 @@ def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
         "Identified: prediction conditioned on the fitted rows, including correlated errors of "
         "scale and of the coat common to a ball's trials. With any coat: prediction for another "
         "sensor with the same fields. SD: from unknown fields, scale errors, coat and emulator. "
-        "Predicted rows were not used to identify the fields.",
+        "Predicted rows were not used to identify the fields; steered: not fitted either, but a "
+        "choice of model or evaluation was made after a comparison with the row.",
+        "Paper minus twin: of predicted and steered rows in the paper's SD of one measurement. Of "
+        "fitted rows, whose prediction given themselves cannot fail: paper minus prediction with "
+        "any coat, without the row itself where it was held out in turn, in SD of the difference.",
+        *(f"{n}: {row.steered}." for n, row in problem().rows.items() if row.steered),
         "Refused: trials without a stable equilibrium of the drawn sheet at the drawn pressure; "
         "they are omitted.",
     )
     return Table("identified", "Every row of the paper's tables", "", columns, tuple(rows), notes)
+
+
+def judged_difference(row: Row, known: Mapping[str, Any]) -> float:
+    """Return the difference of the paper's value from the stored prediction, in SD.
+
+    A row that was not fitted: from the prediction given the fitted rows, in the paper's SD of one
+    measurement. A fitted row: from the prediction with any coat, in SD of the difference; if the
+    row was held out in turn, from the prediction by the other rows.
+    """
+    if row.use != "fitted":
+        return float((row.value - known["twin"]) / row.scatter)
+    given_itself = (row.value - known["any_coat"]) / np.hypot(known["any_coat_sd"], row.sd)
+    return float(known.get("deviation_when_held_out", given_itself))
 
 
 def _of_trials(known: Mapping[str, Any], trials: Sequence[Trial]) -> dict[str, Cell]:
@@ -170,6 +221,37 @@ def pictures_table(cases: Path) -> Table:
         Column("source", "source"),
     )
     return Table("pictures", "Limits from the paper's pictures", "", columns, tuple(rows))
+
+
+def bounds_table() -> Table:
+    """Return the table of the fields' 95 % intervals with other bounds of the limits.
+
+    The stored bound is always in the table; others are if the summary contains them.
+    """
+    free, summary = problem().free, identified()
+    stored = {(b["limit"], b.get("bound")): b["fields"] for b in summary.get("bounds", ())}
+    rows: list[dict[str, Cell]] = []
+    missing = False
+    for name, limit in problem().limits.items():
+        stored.setdefault((name, limit.value), summary["fields"])
+        for bound in (None, *sorted({limit.value, *limit.compare_at})):
+            fields = stored.get((name, bound), {})
+            missing = missing or not fields
+            words = "without" if bound is None else limit.at(bound).words
+            intervals = {n: f"{f['low_95']:.3g} to {f['high_95']:.3g}" for n, f in fields.items()}
+            rows.append({"limit": name.replace("_", " "), "bound": words} | intervals)
+    columns = (
+        Column("limit", "limit"),
+        Column("bound", "bound"),
+        *(Column(name, field_words(name, field)) for name, field in free.items()),
+    )
+    note = (
+        "Empty rows are not in the stored solution: `twin identify "
+        f"{PROBLEMS[summary['name']]} -o DIR` computes them. Lowest pressure at which the nominal "
+        "sheet has the share: docs/paper.md."
+    )
+    title = "Influence of a limit's bound: 95 % intervals of the fields"
+    return Table("identified_bounds", title, "", columns, tuple(rows), (note,) if missing else ())
 
 
 def choices_table() -> Table:

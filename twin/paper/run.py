@@ -39,6 +39,7 @@ from twin.paper.explanations import (
 )
 from twin.paper.figures import FIGURES, draw_figure
 from twin.paper.identified import (
+    bounds_table,
     cases_of_pictures,
     choices_table,
     fields_table,
@@ -118,6 +119,7 @@ _TRIALS = (*TRIALS_OF_BALLS, *TRIALS_OF_RODS)
 TABLES: Mapping[str, PaperTable] = {
     "identified_fields": PaperTable("identified", lambda _: fields_table()),
     "identified": PaperTable("identified", _identified_rows, _TRIALS),
+    "identified_bounds": PaperTable("identified", lambda _: bounds_table()),
     "identified_choices": PaperTable("identified", lambda _: choices_table()),
     "identified_worth": PaperTable("identified", lambda _: worth_table()),
     "hardness": PaperTable("hardness", lambda _: hardness_table()),
