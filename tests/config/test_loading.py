@@ -187,6 +187,7 @@ EXPERIMENTS = [
         "templates/study",
         "paper/identified",
         "paper/identify",
+        "paper/identify_next",
         "paper/targets",
         "paper/trials",
     )

@@ -6,7 +6,7 @@ from scipy.stats import t
 
 from reconstruction.integration_schemes import schemes_in_order
 from twin.config import vary
-from twin.config.problem import load_problem
+from twin.config.problem import Alternative, load_problem
 from twin.config.rows import Row
 from twin.identification.simulations import record_of, summary, variants_of
 from twin.paper.plan import COARSE, rows_of
@@ -127,6 +127,30 @@ def test_the_next_problem_simulates_every_scheme_of_gelsight(following):
         assert case.experiment.photometric.colour_map == "table"
         schemes.add(case.experiment.photometric.integration)
     assert schemes == {scheme.name for scheme in schemes_in_order()}
+
+
+def test_choices_of_an_alternative_have_the_same_parts(following):
+    alternative = following[0].alternatives["gelsight_region"].model_dump()
+    del alternative["choices"]["same"]["parts"]["gelsight_region"]
+    with pytest.raises(ValueError, match=r"footprint\.parts: the names must be those of same"):
+        Alternative.model_validate(alternative)
+
+
+def test_a_problem_overrides_and_removes_entries_of_the_one_that_it_uses(tmp_path):
+    """In `set`, "absent" is a value: it removes a key of the experiment."""
+    first = 'name = "a"\n[experiments.balls]\nbase = "paper/two_balls"\n'
+    for name, value in (("one", 1), ("two", 2)):
+        first += f'[rows.{name}]\nexperiment = "balls"\nmetric = "m"\nvalue = {value}\nsd = 1\n'
+    first += '[free.depth]\npath = "press.depth_mm"\nlow = 0.3\nhigh = 0.5\n'
+    (tmp_path / "first.toml").write_text(first)
+    (tmp_path / "second.toml").write_text(
+        'use = "./first.toml"\nname = "b"\nrows.two = "absent"\n[rows.one]\nvalue = 3\nsd = 2\n'
+        '[experiments.balls.set.coating]\ntexture = "absent"\n'
+    )
+    problem, experiments = load_problem(tmp_path / "second.toml")
+    assert problem.name == "b"
+    assert {name: row.value for name, row in problem.rows.items()} == {"one": 3.0}
+    assert experiments["balls"].coating.texture is None
 
 
 def test_the_balls_nuisance_is_the_papers_reference_uncertainty(following):

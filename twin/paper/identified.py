@@ -238,8 +238,9 @@ def bounds_table() -> Table:
             fields = stored.get((name, bound), {})
             missing = missing or not fields
             words = "without" if bound is None else limit.at(bound).words
-            intervals = {n: f"{f['low_95']:.3g} to {f['high_95']:.3g}" for n, f in fields.items()}
-            rows.append({"limit": name.replace("_", " "), "bound": words} | intervals)
+            row: dict[str, Cell] = {"limit": name.replace("_", " "), "bound": words}
+            row |= {n: f"{f['low_95']:.3g} to {f['high_95']:.3g}" for n, f in fields.items()}
+            rows.append(row)
     columns = (
         Column("limit", "limit"),
         Column("bound", "bound"),

@@ -300,9 +300,12 @@ def _bounds(identified: Identified) -> list[Block]:
         Column("evidence", "log evidence", 2),
     )
     rows: list[Row] = [
-        {"limit": compared.limit, "evidence": compared.log_evidence}
-        | {"bound": "without" if compared.bound is None else f"{compared.bound:g}"}
-        | {n: f"{m.low_95:.3g} to {m.high_95:.3g}" for n, m in compared.fields.items()}
+        {
+            "limit": compared.limit,
+            "bound": "without" if compared.bound is None else f"{compared.bound:g}",
+            "evidence": compared.log_evidence,
+            **{n: f"{m.low_95:.3g} to {m.high_95:.3g}" for n, m in compared.fields.items()},
+        }
         for compared in identified.best.bounds
     ]
     words = "Influence of the bounds: 95 % intervals of the fields, for the most probable choices."
