@@ -68,7 +68,10 @@ def test_rows_have_the_mean_and_sd_of_their_trials():
     for row in table.rows:
         assert abs(row["judged"]) <= within[row["within"]]
     assert table.row(row="rod_b")["use"] == "steered"
-    assert any(note.startswith("rod_b: ") for note in table.notes)
+    assert [note.partition(":")[0] for note in table.notes if " was added after " in note] == [
+        "rod_b",
+        ", ".join(f"gelsight_{f}_{b}_footprint" for b in (1, 2) for f in ("rmse", "mae", "p95")),
+    ]
 
 
 def test_a_fitted_row_is_not_judged_by_its_own_value():

@@ -61,10 +61,10 @@ def test_a_missed_target_is_reported_in_words(page):
 
 def test_the_badge_states_how_many_figures_were_fitted(page):
     text = page.read_text(encoding="utf-8")
-    met = re.search(r"(\d+) of \d+ figures meet their targets, (.*) limits from pictures", text)
+    met = re.search(r"(\d+) of \d+ figures meet their targets, (.*) assumed limits", text)
     assert met is not None
     assert met[2].startswith("1 of them fitted and ")
-    assert "limits from pictures, 0 steered a choice" in text
+    assert "assumed limits, 0 steered a choice" in text
     reasons = re.findall(r"<li>(\d+) of \d+ (?:compared|limits)", text)
     assert int(met[1]) == sum(map(int, reasons))
     assert "<li>1 of 5 compared with rows from which the sensor was identified (fitted)" in text

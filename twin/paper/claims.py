@@ -35,7 +35,7 @@ class Claim:
     value : value of the twin; None if it was not measured
     met : True if the value is within the target range
     use : use of the compared rows of the paper in the identification of the sensor: fitted,
-        limit (a limit read from a picture), steered (a choice of model, evaluation or pose was
+        limit (assumed from the paper's text), steered (a choice of model, evaluation or pose was
         made after a comparison with the row), predicted, or "" if it is compared with no row
     why : reason if the target is missed; else empty
     """
@@ -88,9 +88,9 @@ def claims_table(claims: Sequence[Claim]) -> Table:
         Column("why", "reason where it is not met"),
     )
     note = (
-        "Paper's row: fitted (the sensor was identified from this row), limit (read from a "
-        "picture, also used in the identification), steered (a choice of model, evaluation or "
-        "pose was made after a comparison with it), or predicted (not used)."
+        "Paper's row: fitted (the sensor was identified from this row), limit (assumed "
+        "from the paper's text, also used in the identification), steered (a choice of model, "
+        "evaluation or pose was made after a comparison with it), or predicted (not used)."
     )
     return Table("claims", "Targets of this reproduction", "", heads, rows, (note,))
 
@@ -278,7 +278,7 @@ def _picture_claims(table: Table) -> list[Claim]:
     for row in table.rows:
         figure, met = row["measured"], row["met"] == "yes"
         measured = float(figure) if isinstance(figure, (int, float)) else None
-        name = f"{row['figure']}: as in the paper's picture"
+        name = f"{row['figure']}: limit assumed from the paper's text"
         why = "" if met else _WHY_PICTURE
         claims.append(Claim(name, str(row["known"]), measured, met, why, LIMIT))
     return claims

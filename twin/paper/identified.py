@@ -33,7 +33,7 @@ PROBLEMS = {"paper": "paper/identify", "paper_next": "paper/identify_next"}
 # identified region, so that their figures' names do not have it.
 _REGION = "within_{region_mm}_"
 _RIDGE_PANELS = 3
-# Method of the cases that correspond to the paper's pictures of the coat.
+# Method of the cases that correspond to the limits, which are on the coat.
 _METHOD = "contact_fpp"
 
 
@@ -57,7 +57,7 @@ def pending() -> str:
 
 
 def cases_of_pictures() -> tuple[tuple[str, str], ...]:
-    """Return specimen and method of every case that the table of limits from pictures needs."""
+    """Return specimen and method of every case that the table of limits needs."""
     experiments = [problem().experiments[limit.experiment] for limit in problem().limits.values()]
     return tuple((of.base.rsplit("/", 1)[-1], _METHOD) for of in experiments)
 
@@ -147,11 +147,20 @@ def identified_rows_table(trials: Mapping[str, Sequence[Trial]]) -> Table:
         "Paper minus twin: of predicted and steered rows in the paper's SD of one measurement. Of "
         "fitted rows, whose prediction given themselves cannot fail: paper minus prediction with "
         "any coat, without the row itself where it was held out in turn, in SD of the difference.",
-        *(f"{n}: {row.steered}." for n, row in problem().rows.items() if row.steered),
+        *_steered_notes(),
         "Refused: trials without a stable equilibrium of the drawn sheet at the drawn pressure; "
         "they are omitted.",
     )
     return Table("identified", "Every row of the paper's tables", "", columns, tuple(rows), notes)
+
+
+def _steered_notes() -> list[str]:
+    """Return one note for each choice that rows steered, with the names of these rows."""
+    by_choice: dict[str, list[str]] = {}
+    for name, row in problem().rows.items():
+        if row.steered:
+            by_choice.setdefault(row.steered, []).append(name)
+    return [f"{', '.join(names)}: {choice}." for choice, names in by_choice.items()]
 
 
 def judged_difference(row: Row, known: Mapping[str, Any]) -> float:
@@ -183,7 +192,7 @@ def _of_trials(known: Mapping[str, Any], trials: Sequence[Trial]) -> dict[str, C
 
 
 def pictures_table(cases: Path) -> Table:
-    """Return the table of limits read from the paper's pictures, with the values measured here.
+    """Return the table of limits assumed from the paper's text, with the values measured here.
 
     Parameters
     ----------
@@ -210,7 +219,7 @@ def pictures_table(cases: Path) -> Table:
         )
     columns = (
         Column("figure", "figure"),
-        Column("known", "paper's picture"),
+        Column("known", "assumed limit"),
         Column("sd", "± (1 sd)", 2),
         Column("twin", "twin, identified", 2),
         Column("twin_sd", "SD", 2),
@@ -220,7 +229,7 @@ def pictures_table(cases: Path) -> Table:
         Column("met", "met by the whole chain"),
         Column("source", "source"),
     )
-    return Table("pictures", "Limits from the paper's pictures", "", columns, tuple(rows))
+    return Table("pictures", "Limits assumed from the paper's text", "", columns, tuple(rows))
 
 
 def bounds_table() -> Table:

@@ -160,7 +160,7 @@ def _verdicts(tables: Mapping[str, Table]) -> list[Verdict]:
         Verdict(
             question="Does the twin reproduce the paper?",
             headline=f"{len(met)} of {len(rows)} figures meet their targets, "
-            f"{_count(met, FITTED)} of them fitted and {_count(met, LIMIT)} limits from pictures, "
+            f"{_count(met, FITTED)} of them fitted and {_count(met, LIMIT)} assumed limits, "
             f"{_count(met, STEERED)} steered a choice",
             grade=grade,
             reasons=(*_uses(rows), *(missed or ["every target is met"])),
@@ -176,7 +176,7 @@ def _uses(rows: Sequence[Mapping[str, Cell]]) -> Iterator[str]:
     """Yield, for each use of the paper's rows, the number of targets met and the figures."""
     kinds = {
         FITTED: "compared with rows from which the sensor was identified (fitted)",
-        LIMIT: "limits from pictures, also used in the identification",
+        LIMIT: "limits assumed from the text, also used in the identification",
         STEERED: "compared with rows after which a model, evaluation or pose was chosen (steered)",
         PREDICTED: "compared with rows that the identification did not use (predicted)",
         "": "compared with no row of the paper",
