@@ -123,7 +123,9 @@ def options_of(decode: Decode) -> ReconstructOptions:
     """Return the options of the reconstruction for the table [decode] of an experiment."""
     return ReconstructOptions(
         decode=DecodeOptions(
-            filter_taps=decode.filter_taps, filter_sigma_px=decode.filter_sigma_px
+            filter_taps=decode.filter_taps,
+            filter_sigma_px=decode.filter_sigma_px,
+            weights=decode.weights,
         ),
         use=decode.use,
         through_layers=decode.through_layers,
