@@ -48,7 +48,7 @@ class GlintScale(NamedTuple):
     sigma_factor: np.float32  # factor for `pack_row` of sigmas
 
 
-class Lines(NamedTuple):
+class GlintLines(NamedTuple):
     """Buffers: three image rows, with a margin of one pixel on either side, and results."""
 
     modulation: Any  # (3, col + 2)
@@ -56,8 +56,8 @@ class Lines(NamedTuple):
     parts: Any  # (7, col): var u along columns and along rows, sigma, and scratch lines
 
 
-def make_lines(axes: int, width: int) -> Lines:
-    return Lines(
+def make_lines(axes: int, width: int) -> GlintLines:
+    return GlintLines(
         np.zeros((3, width + 2), np.float32),
         np.full((axes, 3, width + 2), NOWHERE, np.float32),
         np.zeros((7, width), np.float32),
@@ -106,7 +106,7 @@ def _place(x: Any, reason: Any, out: Any) -> None:
 
 
 @merged
-def _load(row: int, maps: Speckled, lines: Lines) -> None:
+def _load(row: int, maps: Speckled, lines: GlintLines) -> None:
     """Load an image row to its lines.
 
     Outside the image there is no coordinate, and the modulation is that of the nearest pixel.
@@ -132,7 +132,7 @@ def _around(lines: Any) -> Any:
 
 @compiled
 def _add_glints(
-    first_row: int, end_row: int, maps: Speckled, scale: GlintScale, lines: Lines
+    first_row: int, end_row: int, maps: Speckled, scale: GlintScale, lines: GlintLines
 ) -> None:
     _load(first_row - 1, maps, lines)
     _load(first_row, maps, lines)

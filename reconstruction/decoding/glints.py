@@ -98,7 +98,7 @@ def _bend_sums(
     parts = np.s_[:, : -2 * step], np.s_[:, step:-step], np.s_[:, 2 * step :]
     (a, b, c), (u, v, w) = ([image[part] for part in parts] for image in (modulation, noise))
     is_whole = np.logical_and.reduce([usable[part] for part in parts])
-    largest = np.maximum(np.maximum(a, b), np.maximum(c, np.float32(1e-30)))
+    largest = np.maximum(np.maximum(a, b), np.maximum(c, np.float32(1e-12)))
     weight = is_whole / np.square(largest)
     bends = np.vdot(weight, np.square((a - b) + (c - b)))
     return np.array([is_whole.sum(), bends, np.vdot(weight, u + 4.0 * v + w)], np.float64)
