@@ -9,9 +9,9 @@ g = exp(-1 / (4 s^2)), so that
 
     D(2) / D(1) = (6 - 8 g^4 + 2 g^16) / (6 - 8 g + 2 g^4)
 
-determines s. Second differences are used because those of smooth shading are small. If D(1) is
-below three times the camera's noise, glints add at most a few per cent to the variance, and sigma
-is not changed.
+determines s. Second differences are used because those of smooth shading are small. Sigma is not
+changed if D(1) is below three times the camera's noise, because glints then add at most a few per
+cent to the variance, or if the modulation is smooth.
 """
 
 import numpy as np
@@ -30,7 +30,8 @@ BAND_ROWS = 128
 SAMPLED = 24
 # Speckle below this multiple of the camera's noise is neglected.
 LEAST_OVER_NOISE = 3.0
-# A larger ratio D(2) / D(1) is smooth shading, not speckle: D(2) / D(1) is 16 for a parabola.
+# A larger ratio D(2) / D(1) is not speckle, but smooth shading (16 for a parabola) or the ripple of
+# the modulation by a projector response that is not linear. Both hardly move the centroid.
 LARGEST_RATIO = 5.5
 CORRELATION = np.linspace(0.0, 0.8, 801)
 RATIO = (6.0 - 8.0 * CORRELATION**4 + 2.0 * CORRELATION**16) / (
@@ -112,10 +113,8 @@ def factor_of(near: FloatArray, far: FloatArray) -> float:
     if near[0] == 0 or far[0] == 0:
         return 0.0
     close, wide = ((square - noise) / count for count, square, noise in (near, far))
-    if close <= LEAST_OVER_NOISE * near[2] / near[0]:
+    if close <= LEAST_OVER_NOISE * near[2] / near[0] or wide > LARGEST_RATIO * close:
         return 0.0
-    if wide > LARGEST_RATIO * close:
-        return BOX_FACTOR
     correlation = float(np.interp(wide / close, RATIO, CORRELATION))
     if correlation <= 0.0:
         return BOX_FACTOR
