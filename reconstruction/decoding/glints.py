@@ -10,8 +10,8 @@ g = exp(-1 / (4 s^2)), so that
     D(2) / D(1) = (6 - 8 g^4 + 2 g^16) / (6 - 8 g + 2 g^4)
 
 determines s. Second differences are used because those of smooth shading are small. Sigma is not
-changed if D(1) is below three times the camera's noise, because glints then add at most a few per
-cent to the variance, or if the modulation is smooth.
+changed if D(1) is below three times the camera's noise or that of a contrast of 1 %, because glints
+then add little to the variance, or if the modulation is smooth.
 """
 
 import numpy as np
@@ -28,11 +28,13 @@ from reconstruction.patterns import AXES, PatternSet
 BAND_ROWS = 128
 # Rows and columns of the image from which the width of the footprint is estimated, at most.
 SAMPLED = 24
-# Speckle below this multiple of the camera's noise is neglected.
-LEAST_OVER_NOISE = 3.0
-# A larger ratio D(2) / D(1) is not speckle, but smooth shading (16 for a parabola) or the ripple of
-# the modulation by a projector response that is not linear. Both hardly move the centroid.
-LARGEST_RATIO = 5.5
+# Speckle below this multiple of the camera's noise is neglected, and a contrast below 1 %, which
+# differences of the pixels' response have.
+LEAST_OVER_NOISE, LEAST_BEND = 3.0, 6.0 * 0.01**2
+# A larger ratio D(2) / D(1) is not speckle, but shading by the relief (5 for the texture of a
+# sprayed coat at 2.5 px per correlation length, 16 for a parabola) or the ripple of the modulation
+# by a projector response that is not linear. Both hardly move the centroid. 4: s = 0.8 px.
+LARGEST_RATIO = 4.0
 CORRELATION = np.linspace(0.0, 0.8, 801)
 RATIO = (6.0 - 8.0 * CORRELATION**4 + 2.0 * CORRELATION**16) / (
     6.0 - 8.0 * CORRELATION + 2.0 * CORRELATION**4
@@ -113,7 +115,8 @@ def factor_of(near: FloatArray, far: FloatArray) -> float:
     if near[0] == 0 or far[0] == 0:
         return 0.0
     close, wide = ((square - noise) / count for count, square, noise in (near, far))
-    if close <= LEAST_OVER_NOISE * near[2] / near[0] or wide > LARGEST_RATIO * close:
+    least = max(LEAST_BEND, LEAST_OVER_NOISE * near[2] / near[0])
+    if close <= least or wide > LARGEST_RATIO * close:
         return 0.0
     correlation = float(np.interp(wide / close, RATIO, CORRELATION))
     if correlation <= 0.0:
