@@ -56,9 +56,10 @@ def add_glints(maps: Maps, patterns: PatternSet) -> None:
         return
     first, last = AXES.index(patterns.axes[0]), AXES.index(patterns.axes[-1])
     periods_px = [float(patterns.period_along(axis)) for axis in patterns.axes]
+    # With fewer than 8 pixels per period the pixels have other bodies or wrong orders.
     scale = GlintScale(
         np.float32(factor),
-        0.5 * np.array(periods_px, np.float32),
+        np.array(periods_px, np.float32) / 8.0,
         np.float32(SIGMA_UNIT_PX / BIAS),
         np.float32(BIAS / SIGMA_UNIT_PX),
     )
