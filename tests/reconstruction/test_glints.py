@@ -194,7 +194,7 @@ def test_bands_leave_no_trace(glinting, monkeypatch):
 
 
 def test_variance_is_propagated_with_the_weights():
-    """300 draws of phase noise on glints. Expected: mean spread over sigma 1 +- 0.03."""
+    """200 draws of phase noise on glints. Expected: mean spread over sigma 1 +- 0.03."""
     rng, shape = np.random.default_rng(4), (24, 32)
     modulation = np.where(rng.random(shape) < 0.1, 8.0, 1.0).astype(np.float32)
     sigma = (0.02 / np.sqrt(modulation)).astype(np.float32)
@@ -202,7 +202,7 @@ def test_variance_is_propagated_with_the_weights():
     usable, weights = np.ones(shape, bool), gaussian_weights(8, 1.5)
     usable[10:13, 12:15] = False
     lit, draws = modulation * usable, []
-    for _ in range(300):
+    for _ in range(200):
         noisy = phase + sigma * rng.standard_normal(shape).astype(np.float32)
         change, noise, _ = filter_phase(noisy, lit, sigma, usable, weights)
         draws.append((noisy + change)[usable])
