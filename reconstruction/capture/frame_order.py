@@ -146,7 +146,9 @@ def _check_sequence(sample: Sample) -> None:
 
 def _share_of_points(sample: Sample, take: list[int] | None) -> float:
     stack = sample.stack if take is None else np.ascontiguousarray(sample.stack[take])
-    decoded = decode(stack, sample.patterns, sample.sensor, DecodeOptions(filter_taps=0))
+    decoded = decode(
+        stack, sample.patterns, sample.sensor, DecodeOptions(filter_taps=0, frame_gains=False)
+    )
     valid = decoded.valid
     if sample.calibration is not None and sample.patterns.axes == AXES:
         valid = triangulate(decoded, sample.calibration, "both").valid

@@ -116,7 +116,7 @@ def _tested(listed: ListedSet, folder: Path) -> DecodingCheck:
     sample = sample_of(stack, patterns, sensor, None)
     if np.count_nonzero(sample.is_lit) < LEAST_LIT:
         return DecodingCheck(why="too few pixels are lit")
-    decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0))
+    decoded = decode(stack, patterns, sensor, DecodeOptions(filter_taps=0, frame_gains=False))
     valid = decoded.valid[:: sample.stride, :: sample.stride][sample.is_lit]
     jumps = [
         jump_share(

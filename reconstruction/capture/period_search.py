@@ -43,7 +43,7 @@ def period_trials(capture: Capture) -> list[PeriodTrial]:
     if capture.patterns.axes != AXES:
         return []
     sample = sample_of(capture.stack, capture.patterns, capture.sensor, capture.calibration)
-    options = DecodeOptions(filter_taps=0)
+    options = DecodeOptions(filter_taps=0, frame_gains=False)
     decoded = decode(sample.stack, sample.patterns, sample.sensor, options)
     trials = [
         PeriodTrial(text, _share(sample, changed)) for text, changed in _changes(decoded, sample)

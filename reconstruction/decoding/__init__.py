@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from reconstruction.arrays import BoolImage, FloatImage, OrderImage, Reason, ReasonImage
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, OrderImage, Reason, ReasonImage
 from reconstruction.compact import keeps_compact
 from reconstruction.errors import InputError, require_integer, require_number
 from reconstruction.patterns import AXES, Axis
@@ -68,18 +68,38 @@ class AxisDecode:
 
 
 @dataclass(frozen=True, eq=False)
+class FrameGains:
+    """Light of the phase frames relative to the mean of their fringe set, see `gains`.
+
+    relative : (axis, set, step), 1 for sets without a significant difference
+    ripple_rad : (axis, set), phase error, RMS, that the levels had before they were divided by
+        `relative`; 0 for sets without a significant difference
+    variances : (axis, 2) of the sums E_1 and E_2 of the measuring period's light, see `gains`
+    dark_dn : (axis, set), level without light of the projector, DN, which was not divided
+    """
+
+    relative: FloatArray
+    ripple_rad: FloatArray
+    variances: FloatArray
+    dark_dn: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Decoded:
     """Both projector coordinates of every camera pixel, and the reason why a pixel has none.
 
     column, row : maps of the projector columns and of the projector rows
     mask_reason : (row, col) reason code of each pixel, `Reason.VALID` for a valid one
     axes : axes along which patterns were projected; all fields of a missing axis are 0
+    gains : relative light of the phase frames, by which their levels were divided; None: they were
+        not divided
     """
 
     column: AxisDecode
     row: AxisDecode
     mask_reason: ReasonImage
     axes: tuple[Axis, ...] = AXES
+    gains: FrameGains | None = None
 
     @property
     def valid(self) -> BoolImage:
@@ -116,6 +136,8 @@ class DecodeOptions:
         larger condition number of the remaining frames is masked. With all frames it is 1
     max_order_error : a pixel with a larger probability of a wrong fringe order is masked; pixels
         with the probability 1 are always masked
+    frame_gains : estimate the relative light of the phase frames from the frames, and divide their
+        levels by it if it differs from 1 significantly; needs four steps or more
     """
 
     filter_taps: int = 8
@@ -127,6 +149,7 @@ class DecodeOptions:
     gray_sigmas: float = 4.0
     max_condition: float = 100.0
     max_order_error: float = 0.01
+    frame_gains: bool = True
 
     def __post_init__(self) -> None:
         require_integer("filter_taps", self.filter_taps, 0, 63)
@@ -140,3 +163,5 @@ class DecodeOptions:
         require_number("gray_sigmas", self.gray_sigmas, 0.0)
         require_number("max_condition", self.max_condition, 1.0)
         require_number("max_order_error", self.max_order_error, 0.0, 1.0)
+        if not isinstance(self.frame_gains, bool):
+            raise InputError(f"frame_gains is {self.frame_gains!r}; give true or false")

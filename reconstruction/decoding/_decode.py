@@ -56,6 +56,7 @@ from reconstruction.decoding._sum import (
     mark_dark,
     mark_faint,
     mark_low_modulation,
+    shifts_of,
 )
 
 # Lines of `Work.answers` for the axes column and row.
@@ -212,7 +213,7 @@ def fit_row(
             first = layout.phase_first[axis] + j * layout.steps
             fit = Fit(mean, work.modulations[axis, j], variance, work.fit[3])
             frames = RowFrames(stack, first, row)
-            shifts = Shifts(layout.cosines[axis, j], layout.sines[axis, j])
+            shifts = shifts_of(layout, axis, j)
             share = threshold_above_mean(axis, plan) if j == 0 else NO_THRESHOLD
             if _fit_set(frames, shifts, plan, scale, share, work, sums, fit, reason):
                 _add_largest(work.fit[3], work.excess[axis])

@@ -36,7 +36,7 @@ from reconstruction.decoding._decode import (
 )
 from reconstruction.decoding._order import TURN, Numbered
 from reconstruction.decoding._phase import keep_usable
-from reconstruction.decoding._sum import Limits, RowFrames, Shifts, noise_dn2
+from reconstruction.decoding._sum import Limits, RowFrames, Shifts, noise_dn2, shifts_of
 
 # Coordinate of the left edge of the projector's image.
 FIRST_PX = -0.5
@@ -259,7 +259,7 @@ def _decode_band(
             phase = work.phases[axis, 0]
             keep_usable(work.usable, phase)
             single = RowFrames(stack, periods[axis].first_image, row)
-            shifts = Shifts(layout.cosines[axis, 0], layout.sines[axis, 0])
+            shifts = shifts_of(layout, axis, 0)
             fitted = FittedRow(
                 work.mean[axis], work.modulations[axis, 0], phase, work.excess[axis], work.usable
             )

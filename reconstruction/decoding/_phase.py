@@ -193,6 +193,7 @@ def _normal_sums(frames: RowFrames, col: int, shifts: Shifts, lowest: Any, limit
         level = np.float64(frames.stack[frames.first + step, frames.row, col])
         if _is_good(level, lowest, limit):
             g1, g2 = ROOT * shifts.cosines[step], -ROOT * shifts.sines[step]
+            level = level * shifts.factors[step] + shifts.offsets[step]
             n += 1
             s1, s2, s11, s12, s22 = s1 + g1, s2 + g2, s11 + g1 * g1, s12 + g1 * g2, s22 + g2 * g2
             y, y1, y2 = y + level, y1 + g1 * level, y2 + g2 * level
@@ -228,6 +229,7 @@ def _square_residuals(
     for step in range(shifts.cosines.size):
         level = np.float64(frames.stack[frames.first + step, frames.row, col])
         if _is_good(level, lowest, limit):
+            level = level * shifts.factors[step] + shifts.offsets[step]
             p, q = cosine[1] * shifts.cosines[step], cosine[2] * shifts.sines[step]
             model = cosine[0] + ROOT * (p - q)
             total += (level - model) ** 2

@@ -38,13 +38,27 @@ class Layout(NamedTuple):
     sets: int  # fringe sets per axis
     cosines: Any  # (axis, set, step) float32, cosines of the phase shifts
     sines: Any
+    factors: Any  # (axis, set, step) float32, see `Shifts`
+    offsets: Any
 
 
 class Shifts(NamedTuple):
-    """Cosine and sine of the phase shift of every step of one fringe set, (step,) float32."""
+    """Phase shift and light of every step of one fringe set; every field is (step,) float32.
+
+    `level * factor + offset` is the level, DN, under the mean light of the set, see `gains`.
+    """
 
     cosines: Any
     sines: Any
+    factors: Any
+    offsets: Any
+
+
+@inlined
+def shifts_of(layout: Layout, axis: int, fringes: int) -> Shifts:
+    """Return the steps of one fringe set."""
+    cosines, sines = layout.cosines[axis, fringes], layout.sines[axis, fringes]
+    return Shifts(cosines, sines, layout.factors[axis, fringes], layout.offsets[axis, fringes])
 
 
 class RowFrames(NamedTuple):
@@ -109,58 +123,78 @@ def noise_dn2(mean: Any, scale: Any, limits: Limits) -> Any:
     return scale * (scale * read + shot)
 
 
+@inlined
+def _steps(shifts: Shifts, first: int, end: int) -> Shifts:
+    cosines, sines, factors, offsets = shifts
+    return Shifts(cosines[first:end], sines[first:end], factors[first:end], offsets[first:end])
+
+
 @nested
-def _add_six(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
+def _add_six(lines: Any, shifts: Shifts, sums: Sums) -> None:
     a, b, c, d, e, f = lines
     total, real, imag, square, high, low = sums
+    cosines, sines, factors, offsets = shifts
     # Six frames in one loop, because access to the accumulators dominates the run time.
     g0, g1, g2, g3, g4, g5 = cosines[0], cosines[1], cosines[2], cosines[3], cosines[4], cosines[5]
     h0, h1, h2, h3, h4, h5 = sines[0], sines[1], sines[2], sines[3], sines[4], sines[5]
+    f0, f1, f2, f3, f4, f5 = factors[0], factors[1], factors[2], factors[3], factors[4], factors[5]
+    o0, o1, o2, o3, o4, o5 = offsets[0], offsets[1], offsets[2], offsets[3], offsets[4], offsets[5]
     for col in range(a.size):
         # Read before the first write: a store of `old if .. else new` right after reading `old`
         # is compiled to a masked store, which takes more time than all other instructions.
         top, bottom = high[col], low[col]
         u, v, w = np.float32(a[col]), np.float32(b[col]), np.float32(c[col])
         x, y, z = np.float32(d[col]), np.float32(e[col]), np.float32(f[col])
+        largest = larger(larger(larger(u, v), larger(w, x)), larger(y, z))
+        smallest = smaller(smaller(smaller(u, v), smaller(w, x)), smaller(y, z))
+        u, v, w = u * f0 + o0, v * f1 + o1, w * f2 + o2
+        x, y, z = x * f3 + o3, y * f4 + o4, z * f5 + o5
         total[col] += (u + v + w) + (x + y + z)
         real[col] += (g0 * u + g1 * v + g2 * w) + (g3 * x + g4 * y + g5 * z)
         imag[col] -= (h0 * u + h1 * v + h2 * w) + (h3 * x + h4 * y + h5 * z)
         square[col] += (u * u + v * v + w * w) + (x * x + y * y + z * z)
-        largest = larger(larger(larger(u, v), larger(w, x)), larger(y, z))
-        smallest = smaller(smaller(smaller(u, v), smaller(w, x)), smaller(y, z))
         high[col] = larger(largest, top)
         low[col] = smaller(smallest, bottom)
 
 
 @nested
-def _add_three(lines: Any, cosines: Any, sines: Any, sums: Sums) -> None:
+def _add_three(lines: Any, shifts: Shifts, sums: Sums) -> None:
     a, b, c = lines
     total, real, imag, square, high, low = sums
+    cosines, sines, factors, offsets = shifts
     p, q, r = cosines[0], cosines[1], cosines[2]
     s, t, u = sines[0], sines[1], sines[2]
+    f0, f1, f2 = factors[0], factors[1], factors[2]
+    o0, o1, o2 = offsets[0], offsets[1], offsets[2]
     for col in range(a.size):
         top, bottom = high[col], low[col]
         x, y, z = np.float32(a[col]), np.float32(b[col]), np.float32(c[col])
+        largest, smallest = larger(larger(x, y), z), smaller(smaller(x, y), z)
+        x, y, z = x * f0 + o0, y * f1 + o1, z * f2 + o2
         total[col] += x + y + z
         real[col] += p * x + q * y + r * z
         imag[col] -= s * x + t * y + u * z
         square[col] += x * x + y * y + z * z
-        high[col] = larger(larger(larger(x, y), z), top)
-        low[col] = smaller(smaller(smaller(x, y), z), bottom)
+        high[col] = larger(largest, top)
+        low[col] = smaller(smallest, bottom)
 
 
 @nested
-def _add_one(a: Any, cosine: Any, sine: Any, sums: Sums) -> None:
+def _add_one(a: Any, shifts: Shifts, sums: Sums) -> None:
     total, real, imag, square, high, low = sums
+    cosine, sine = shifts.cosines[0], shifts.sines[0]
+    factor, offset = shifts.factors[0], shifts.offsets[0]
     for col in range(a.size):
         top, bottom = high[col], low[col]
         x = np.float32(a[col])
+        largest, smallest = larger(x, top), smaller(x, bottom)
+        x = x * factor + offset
         total[col] += x
         real[col] += cosine * x
         imag[col] -= sine * x
         square[col] += x * x
-        high[col] = larger(x, top)
-        low[col] = smaller(x, bottom)
+        high[col] = largest
+        low[col] = smallest
 
 
 @nested
@@ -171,7 +205,6 @@ def add_frames(frames: RowFrames, steps: int, shifts: Shifts, sums: Sums) -> Non
     for col in range(total.size):
         total[col], real[col], imag[col], square[col] = ZERO, ZERO, ZERO, ZERO
         high[col], low[col] = -INFINITE, INFINITE
-    cosines, sines = shifts
     sixes, threes = steps // 6 * 6, steps // 3 * 3
     for n in range(0, sixes, 6):
         k = first + n
@@ -179,13 +212,13 @@ def add_frames(frames: RowFrames, steps: int, shifts: Shifts, sums: Sums) -> Non
             stack[k, row], stack[k + 1, row], stack[k + 2, row],
             stack[k + 3, row], stack[k + 4, row], stack[k + 5, row],
         )  # fmt: skip
-        _add_six(lines, cosines[n : n + 6], sines[n : n + 6], sums)
+        _add_six(lines, _steps(shifts, n, n + 6), sums)
     for n in range(sixes, threes, 3):
         k = first + n
         three = (stack[k, row], stack[k + 1, row], stack[k + 2, row])
-        _add_three(three, cosines[n : n + 3], sines[n : n + 3], sums)
+        _add_three(three, _steps(shifts, n, n + 3), sums)
     for n in range(threes, steps):
-        _add_one(stack[first + n, row], cosines[n], sines[n], sums)
+        _add_one(stack[first + n, row], _steps(shifts, n, n + 1), sums)
 
 
 @nested

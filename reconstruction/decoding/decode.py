@@ -6,6 +6,7 @@ of Surrel, Appl. Opt. 36, 271 (1997). `PatternSet`, `_order` and `_chain` descri
 fringe orders are determined at the edges of stripes.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from reconstruction.decoding._decode import Maps, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
 from reconstruction.decoding._micro import decode_micro_rows
 from reconstruction.decoding.by_modulation import filter_by_modulation
+from reconstruction.decoding.gains import estimate_gains, widen
 from reconstruction.decoding.general import unwrap_maps
 from reconstruction.decoding.glints import add_glints
 from reconstruction.decoding.micro import micro_periods
@@ -31,7 +33,7 @@ from reconstruction.decoding.plan import (
 )
 from reconstruction.decoding.ripple import NODES, Ripple, ripple_of
 from reconstruction.errors import InputError
-from reconstruction.patterns import AXES, PatternSet
+from reconstruction.patterns import AXES, Axis, PatternSet
 from reconstruction.rig.projected_light import ProjectorResponse
 from reconstruction.rig.sensor import SensorNoise
 
@@ -63,8 +65,7 @@ def decode(
         multiplied, see `merge_exposures`; None: 1 everywhere
     response : projector response. The phase error by its harmonics is subtracted; the uncertainty
         of this error is part of sigma and of the probability of a wrong order. None: linear
-    unwrap : function of the caller that numbers the fringes of one axis, see `codes.Unwrap`; None:
-        the rule of the pattern code
+    unwrap : function that numbers the fringes of one axis, see `codes.Unwrap`; None: the code's
 
     Raises
     ------
@@ -79,28 +80,34 @@ def decode(
     rule = patterns.kind.rule if unwrap is None else Rule.OWN
     # For displaced patterns the kernels decode x + displacement; numpy functions get phases at x.
     displacement = 0.0 if rule is Rule.OWN else patterns.kind.displacement
+    gains = estimate_gains(frames, patterns, sensor, options, scale)
     plan = make_plan(
-        frames, patterns, sensor, options, scale, ripple=ripple, displacement=displacement
-    )
+        frames, patterns, sensor, options, scale,
+        ripple=ripple, displacement=displacement, gains=gains,
+    )  # fmt: skip
     maps = blank_maps(stack.shape[1], stack.shape[2])
     if rule is Rule.OWN:
         unwrap_maps(frames, patterns, plan, maps, unwrap)
     elif rule is Rule.SINGLE_IMAGES:
         periods = micro_periods(frames, patterns, sensor, scale)
-        arguments = (frames, plan, periods, maps)
-        run_over_rows(decode_micro_rows, len(maps.reason), *arguments, band_rows=BAND_ROWS)
+        _run(decode_micro_rows, frames, plan, periods, maps)
     else:
-        run_over_rows(decode_rows, len(maps.reason), frames, plan, maps, band_rows=BAND_ROWS)
+        _run(decode_rows, frames, plan, maps)
     if displacement:
         place_displaced(maps, patterns)
-    smoothed = _smoothed(maps, options, patterns)
     units = units_of(sensor, scale)
+    smoothed = _smoothed(maps, options, patterns)
+    if gains is not None:
+        smoothed = widen(smoothed, maps, patterns, gains, units[:2])
     if plan.has_ripple:
         smoothed = _with_ripple(smoothed, maps, ripple, patterns)
-    column, row = (
-        _axis(maps, smoothed, k, units, patterns.period_along(axis)) for k, axis in enumerate(AXES)
-    )
-    return Decoded(column, row, smoothed.reason, patterns.axes)
+    column, row = (_axis(maps, smoothed, axis, units, patterns) for axis in AXES)
+    return Decoded(column, row, smoothed.reason, patterns.axes, gains)
+
+
+def _run(kernel: Callable[..., None], frames: Stack, *arguments: Any) -> None:
+    """Run a kernel over all rows of the frames."""
+    run_over_rows(kernel, frames.shape[1], frames, *arguments, band_rows=BAND_ROWS)
 
 
 def _check(
@@ -184,18 +191,23 @@ def _with_ripple(smoothed: Smoothed, maps: Maps, ripple: Ripple, patterns: Patte
 
 
 def _axis(
-    maps: Maps, smoothed: Smoothed, axis: int, units: tuple[float, float, float], period_px: float
+    maps: Maps,
+    smoothed: Smoothed,
+    axis: Axis,
+    units: tuple[float, float, float],
+    patterns: PatternSet,
 ) -> AxisDecode:
+    k, period_px = AXES.index(axis), float(patterns.period_along(axis))
     level_dn, sigma_px, chance = units
-    coordinate_px, turns = smoothed.coordinate_px[axis], Turns(maps.turns[axis])
+    coordinate_px, turns = smoothed.coordinate_px[k], Turns(maps.turns[k])
     compact: dict[str, Any] = {
         "phase_rad": turns,
-        "order": Orders(coordinate_px, turns, float(period_px)),
-        "mean_dn": Half(maps.mean[axis], level_dn),
-        "modulation_dn": Half(maps.modulation[axis], level_dn),
-        "sigma_px": Half(smoothed.sigma[axis], sigma_px),
-        "bias_share": Share(smoothed.bias_share[axis]),
-        "residual_dn": Half(maps.residual[axis], level_dn),
-        "order_error": Half(maps.order_error[axis], chance),
+        "order": Orders(coordinate_px, turns, period_px),
+        "mean_dn": Half(maps.mean[k], level_dn),
+        "modulation_dn": Half(maps.modulation[k], level_dn),
+        "sigma_px": Half(smoothed.sigma[k], sigma_px),
+        "bias_share": Share(smoothed.bias_share[k]),
+        "residual_dn": Half(maps.residual[k], level_dn),
+        "order_error": Half(maps.order_error[k], chance),
     }
     return AxisDecode(coordinate_px, **compact)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import FloatArray, FloatImage, Reason, Stack
 from reconstruction.codes import Rule
 from reconstruction.compact import TURN_STEPS
-from reconstruction.decoding import DecodeOptions
+from reconstruction.decoding import DecodeOptions, FrameGains
 from reconstruction.decoding._chain import Unwrapping
 from reconstruction.decoding._decode import Maps, Plan, Units
 from reconstruction.decoding._order import COMPLEMENTARY, PLAIN, SHIFTED, Code
@@ -44,6 +44,7 @@ def make_plan(
     *,
     ripple: Ripple | None = None,
     displacement: float = 0.0,
+    gains: FrameGains | None = None,
 ) -> Plan:
     """Return the parameters of the kernels for decoding one stack of frames.
 
@@ -53,11 +54,12 @@ def make_plan(
     ripple : tables of the projector's response; None: the response is linear
     displacement : share of the period; the kernels decode x + displacement * period, see
         `place_displaced`
+    gains : relative light of the phase frames, by which their levels are divided; None: 1
     """
     tables = turned(ripple or ripple_of(patterns, None), displacement)
     column, row = AXES
     return Plan(
-        layout=_layout(patterns, displacement),
+        layout=_layout(patterns, displacement, gains),
         limits=_limits(stack, patterns, sensor, options),
         codes=(_code(patterns, column, displacement), _code(patterns, row, displacement)),
         units=Units(*(np.float32(BIAS / unit) for unit in units_of(sensor, scale))),
@@ -84,9 +86,11 @@ def _threshold_noise(patterns: PatternSet) -> float:
     return math.sqrt(1.0 + 1.0 / (patterns.steps or 2))
 
 
-def _layout(patterns: PatternSet, displacement: float) -> Layout:
+def _layout(patterns: PatternSet, displacement: float, gains: FrameGains | None) -> Layout:
     column, row = AXES
     turns = _shifts(patterns) - 2.0 * np.pi * displacement
+    factors = np.ones(turns.shape) if gains is None else 1.0 / gains.relative
+    offsets = np.zeros(turns.shape) if gains is None else gains.dark_dn[..., None] * (1.0 - factors)
     uniform = len(patterns.frames) - 2 if patterns.uniform else -1
     return Layout(
         first_axis=AXES.index(patterns.axes[0]),
@@ -101,6 +105,8 @@ def _layout(patterns: PatternSet, displacement: float) -> Layout:
         sets=patterns.sets,
         cosines=np.cos(turns).astype(np.float32),
         sines=np.sin(turns).astype(np.float32),
+        factors=factors.astype(np.float32),
+        offsets=offsets.astype(np.float32),
     )
 
 

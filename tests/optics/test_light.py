@@ -6,7 +6,13 @@ from scipy.ndimage import gaussian_filter1d
 
 from reconstruction.rig.projected_light import blurred
 from twin.config import ConfigError, load_experiment, to_toml, vary
-from twin.optics.light import OVERSAMPLING, light_tables, pattern_set, response
+from twin.optics.light import (
+    OVERSAMPLING,
+    dithering_error,
+    light_tables,
+    pattern_set,
+    response,
+)
 
 
 @pytest.fixture(scope="module")
@@ -138,3 +144,32 @@ def test_a_response_survives_writing_and_reading(experiment, tmp_path):
     file = tmp_path / "experiment.toml"
     file.write_text(to_toml(curved), encoding="utf-8")
     assert load_experiment(file) == curved
+
+
+@pytest.mark.parametrize("periods", [0.4, 1.3, 7.6])
+def test_dithering_is_the_mean_of_the_mirrors_over_the_exposure(experiment, periods):
+    """Setup: mirrors sampled at 2550 times per period, highest bit first. Expected: their mean."""
+    projector = experiment.projector.model_copy(update={"dither_periods": periods})
+    codes = np.array([0, 1, 77, 128, 200, 255], np.uint8)
+    light = response(codes, projector)[:, None] + dithering_error(
+        np.repeat(codes[:, None], 5, axis=1), projector, range(5)
+    )
+    order = np.repeat(np.arange(7, -1, -1), 10 * 2 ** np.arange(7, -1, -1))
+    black = 1.0 / projector.contrast
+    for frame in range(5):
+        time = (np.arange(100_000) + 0.5) / 100_000 * periods + frame * periods
+        bit = order[(time % 1.0 * order.size).astype(int)]
+        shown = np.array([(code >> bit & 1).mean() for code in codes])
+        np.testing.assert_allclose(light[:, frame], black + (1.0 - black) * shown, atol=2e-3)
+
+
+def test_dithering_over_whole_periods_has_exact_levels(experiment):
+    levels = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 9, axis=1)
+    synchronised = experiment.projector.model_copy(update={"dither_periods": 12.0})
+    np.testing.assert_allclose(dithering_error(levels, synchronised, range(9)), 0.0, atol=1e-12)
+    changed = vary(experiment, {"projector.dither_periods": 12.4})
+    patterns = pattern_set(changed.projector, changed.patterns)
+    tables = [light_tables(e.projector, patterns)["row"].profiles for e in (experiment, changed)]
+    kinds = [frame.kind for frame in patterns.frames if frame.axis == "row"]
+    same = [np.allclose(*(table[:, k] for table in tables), atol=1e-6) for k in range(len(kinds))]
+    assert same == [kind != "phase" for kind in kinds]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.coat_light import drift_left_um
 from reconstruction.evaluate.fit import fit_sphere
 from reconstruction.pipeline import reconstruct
 from twin.camera import expose
@@ -158,3 +159,14 @@ def test_stock_engine_gives_the_same_measurement(mi, emitter):
     figures = measure(experiment).figures
     assert figures["wrong_order_pixels"] == 0
     assert figures["z_rmse_um"] < 9.0  # 6.7 measured; a projector pixel is 0.65 mm here
+
+
+def test_light_that_drifts_and_flickers_is_divided_out(default, pressed):
+    """Drift of 1 % per fringe set, warm-up of 1 %, flicker of 0.5 %, on the rendered stack.
+
+    Expected: at most 0.3 um RMS of z is left, of 2 um and more.
+    """
+    experiment, recording = default
+    figures = drift_left_um(experiment, pressed, recording.radiance)
+    assert figures["drift_uncorrected_um"] > 2.0
+    assert figures["drift_left_um"] <= 0.3

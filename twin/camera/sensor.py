@@ -1,8 +1,9 @@
 """Camera model by EMVA 1288 (release 4): from radiance to digital numbers.
 
-The order of the steps is that of a sensor. Photons and dark current are one Poisson process, then
-the pixel saturates at its full well. After this, read noise, gain, quantisation and the limits of
-the converter are applied.
+Drift and flicker of the lamp and light that the lens scatters (`frame_light`) change the radiance.
+The order of the further steps is that of a sensor. Photons and dark current are one Poisson
+process, then the pixel saturates at its full well. After this, read noise, gain, quantisation and
+the limits of the converter are applied.
 
 Binning sums b x b pixels: full well and dark current are b^2 times those of a pixel, read noise and
 the spread of dark offsets b times. The gain is divided by b^2, so that the full scale in DN is
@@ -24,6 +25,7 @@ from reconstruction.arrays import FloatImage
 from reconstruction.errors import InputError
 from reconstruction.machine import threads
 from reconstruction.rig.sensor import SensorNoise
+from twin.camera.frame_light import lamp_gains, scattered
 from twin.camera.noise import Key, Sensor, record_frame
 from twin.camera.noise_function import NoiseFunction, noisy_electrons
 from twin.config import Experiment, seed_sequence
@@ -87,7 +89,9 @@ def expose(
     """
     camera = experiment.camera
     _check_noise(camera, noise)
-    exposure_ms = choose_exposure_ms(experiment, _brightest(camera, radiance, white_frame))
+    brightest = scattered(camera, _brightest(camera, radiance, white_frame))
+    exposure_ms = choose_exposure_ms(experiment, brightest)
+    gains = lamp_gains(experiment, len(radiance), trial)
     per_radiance = exposure_ms * electrons_per_ms(camera, experiment.projector.wavelength_nm)
     dark_e = camera.dark_current_e_per_s * camera.binning**2 * exposure_ms * 1e-3
     shape = radiance[0].shape
@@ -98,19 +102,19 @@ def expose(
     draw = _drawn_by(camera, noise)
 
     def record(frame: int) -> None:
+        light = scattered(camera, radiance[frame])
+        light = light if gains is None else light * gains[frame]
         if draw is not None:
-            light_e = radiance[frame] * np.float32(per_radiance) * pixels.response
+            light_e = light * np.float32(per_radiance) * pixels.response
             rng = np.random.default_rng(seed_sequence(experiment, "noise", trial, frame))
             mean_e = np.maximum(light_e + np.float32(dark_e), np.float32(0))
             electrons = noisy_electrons(draw, mean_e, rng)
             stack[frame] = _digitised(camera, electrons, pixels.offset_e)
         elif camera.noise:
             place = key, frame
-            record_frame(
-                radiance[frame], pixels.response, pixels.offset_e, sensor, place, stack[frame]
-            )
+            record_frame(light, pixels.response, pixels.offset_e, sensor, place, stack[frame])
         else:
-            mean_e = radiance[frame] * np.float32(per_radiance) + np.float32(dark_e)
+            mean_e = light * np.float32(per_radiance) + np.float32(dark_e)
             stack[frame] = _expected_dn(camera, mean_e)
 
     # With a function of the user, which may have a state, frames are recorded one after the other.

@@ -138,6 +138,18 @@ ThrowRatio = Annotated[
 Contrast = Annotated[
     float, Field(gt=1, le=1e9), Because("above 1e9 black is darker than any camera measures")
 ]
+LightDrift = Annotated[
+    float, Field(ge=-50, le=50), Because("a lamp that loses more than half of its light is broken")
+]
+DriftFrames = Annotated[
+    float, Field(ge=0.1, le=1e5), Because("0.1 frames is over before the second, 1e5 is linear")
+]
+Flicker = Annotated[
+    float, Field(ge=0, le=10), Because("at 10 % some frames have light less by a third")
+]
+DitherPeriods = Annotated[
+    float, Field(ge=0.05, le=1e5), Because("the light of a few mirror states, to a steady level")
+]
 # OpenCV's coefficients, for x = image height / focal length: up to 1.7 for 120 deg of view, and
 # 0.05 for a telephoto lens, for which k3 x^6 exceeds one pixel from about k3 = 1e4.
 DistortionCoefficient = Annotated[
@@ -188,6 +200,14 @@ DarkCurrent = Annotated[
 BlackLevel = Annotated[float, Field(ge=0, lt=2**16 - 1), Because("the largest code of 16 bits")]
 ResponseSpread = Annotated[
     float, Field(ge=0, le=25), Because("above 25 % some pixels would respond to light negatively")
+]
+ScatteredShare = Annotated[
+    float, Field(ge=0, le=40), Because("a lens that scatters 40 % is fogged, not a camera's")
+]
+GlareWidth = Annotated[
+    float,
+    Field(ge=1, le=100),
+    Because("below 1 % of the image width it is blur of the lens, above 100 % stray light"),
 ]
 FilterWidth = Annotated[
     float, Field(ge=0.1, le=100), Because("0.1 px is no filter, 100 px is wider than any object")

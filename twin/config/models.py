@@ -19,17 +19,23 @@ from twin.config.bounds import (
     Contrast,
     DarkCurrent,
     Distortion,
+    DitherPeriods,
+    DriftFrames,
     Exposure,
     FilterWidth,
+    Flicker,
     Flux,
     FNumber,
     FullWell,
+    GlareWidth,
     Length,
+    LightDrift,
     Photons,
     PixelPitch,
     Rate,
     ReadNoise,
     ResponseSpread,
+    ScatteredShare,
     ThrowRatio,
     Tolerance,
 )
@@ -102,6 +108,11 @@ def _optional(description: str) -> Any:
     return Field(default=None, exclude_if=lambda value: value is None, description=description)
 
 
+def _off(description: str) -> Any:
+    """Return a field that is 0, without effect, by default; digests exclude this default."""
+    return Field(default=0.0, exclude_if=lambda value: value == 0.0, description=description)
+
+
 class Projector(Model):
     """DLP projector: an inverse camera with radiometry."""
 
@@ -143,6 +154,17 @@ class Projector(Model):
         default=None,
         description="axial distance of best focus; absent: that of the world origin",
     )
+    drift_percent: LightDrift = _off(
+        "change of the lamp's light from the first to the last frame of a sequence"
+    )
+    drift_frames: DriftFrames | None = _optional(
+        "time constant of a drift that decreases exponentially, frames; absent: a linear drift"
+    )
+    flicker_percent: Flicker = _off("SD of the lamp's light from frame to frame")
+    dither_periods: DitherPeriods | None = _optional(
+        "exposure over the period in which the DMD shows a level by the time of its mirrors, with "
+        "exposures one after the other; absent or a whole number: exact levels"
+    )
 
     @field_validator("response")
     @classmethod
@@ -158,6 +180,9 @@ class Projector(Model):
         if any(higher < lower for lower, higher in pairwise(response)):
             raise ValueError("allowed numbers that never decrease with the level; smooth the curve")
         return response
+
+
+GLARE_WIDTH_PERCENT = 10.0
 
 
 @follows(NOISE_MODELS)
@@ -193,6 +218,17 @@ class Camera(Model):
     )
     quantum_efficiency: Fraction
     lens_transmission: Fraction
+    stray_percent: ScatteredShare = _off(
+        "share of a frame's light that is scattered evenly over the image"
+    )
+    glare_percent: ScatteredShare = _off(
+        "share of a frame's light that the lens scatters by a wide Gaussian"
+    )
+    glare_width_percent: GlareWidth = Field(
+        default=GLARE_WIDTH_PERCENT,
+        exclude_if=lambda width: width == GLARE_WIDTH_PERCENT,
+        description="standard deviation of this Gaussian, percent of the image width",
+    )
     full_well_e: FullWell = Field(description="saturation capacity")
     read_noise_e: ReadNoise = Field(description="temporal dark noise")
     dark_current_e_per_s: DarkCurrent = 0.0
@@ -279,6 +315,12 @@ class Decode(Model):
         exclude_if=lambda weights: weights == DecodeOptions.weights,
     )
     use: Literal["column", "row", "both"] = "column"
+    frame_gains: bool = Field(
+        default=DecodeOptions.frame_gains,
+        exclude_if=lambda estimated: estimated,
+        description="estimate the light of every phase frame from the frames, and divide by it if "
+        "it differs significantly; needs 4 steps or more",
+    )
     through_layers: bool = Field(
         default=True,
         description="bend the rays at the plane layers; false: triangulate as in air",

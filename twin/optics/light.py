@@ -18,6 +18,7 @@ spatial frequency. f is that of the undistorted image. Irradiance and shadows ar
 pupil's centre: shadows have no penumbra.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -178,7 +179,8 @@ def _table(
     levels = np.zeros((length, len(chosen)), np.uint8)
     for column, k in enumerate(chosen):
         levels[:, column] = patterns.profile(patterns.frames[k])
-    light = np.concatenate([response(levels, projector), np.ones((length, 1))], axis=1)
+    shown = response(levels, projector) + dithering_error(levels, projector, chosen)
+    light = np.concatenate([shown, np.ones((length, 1))], axis=1)
     first_px = -0.5 - MARGIN_PX
     nodes_px = np.arange(first_px, length - 0.5 + MARGIN_PX, 1.0 / OVERSAMPLING)
     table = LightTable(
@@ -203,3 +205,35 @@ def response(levels: Levels | FloatArray, projector: Projector) -> FloatArray:
     black = 1.0 / projector.contrast
     relative = relative_light(levels, projector.gamma, projector.response or ())
     return np.asarray(black + (1.0 - black) * relative)
+
+
+def dithering_error(levels: Levels, projector: Projector, frames: Sequence[int]) -> FloatArray:
+    """Return the light of levels (pixel, frame), relative to white, minus that of whole periods.
+
+    Parameters
+    ----------
+    frames : number of each frame in the sequence, which determines the start of its exposure
+    """
+    periods = projector.dither_periods
+    if periods is None:
+        return np.zeros(levels.shape)
+    relative = relative_light(levels, projector.gamma, projector.response or ())
+    codes = np.rint(255.0 * relative).astype(np.int64)
+    start = np.array(frames) * periods
+    bits = np.arange(7, -1, -1)
+    lengths = np.asarray(2.0**bits / 255.0, np.float64)
+    on = _time_on(start + periods, lengths) - _time_on(start, lengths)
+    error = (on / periods - lengths[:, None])[:, None] * (codes >> bits[:, None, None] & 1)
+    return np.asarray((1.0 - 1.0 / projector.contrast) * error.sum(axis=0))
+
+
+def _time_on(until: FloatArray, lengths: FloatArray) -> FloatArray:
+    """Return for how many periods each bit was shown from 0 to `until` periods, (bit, frame).
+
+    Parameters
+    ----------
+    lengths : (bit,) share of the period, in the order of the bits
+    """
+    first = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])[:, None]
+    within = np.clip(until % 1.0 - first, 0.0, lengths[:, None])
+    return np.asarray(np.floor(until) * lengths[:, None] + within)

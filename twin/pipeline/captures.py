@@ -57,6 +57,7 @@ def reconstruct_capture(
         axes = result.decoded.axes
         figures = reconstruction_metrics(result, decode.use if len(axes) == 2 else axes[0])
         figures |= continuity_metrics(result.decoded, capture.patterns)
+        figures |= light_metrics(result.decoded)
         maps = folder / "reconstruction.nc", result.decoded, result.point_map
         intensity = Intensity(result.decoded.intensity_dn, result.point_map.valid)
         digests: list[str] = []
@@ -126,6 +127,7 @@ def options_of(decode: Decode) -> ReconstructOptions:
             filter_taps=decode.filter_taps,
             filter_sigma_px=decode.filter_sigma_px,
             weights=decode.weights,
+            frame_gains=decode.frame_gains,
         ),
         use=decode.use,
         through_layers=decode.through_layers,
@@ -184,6 +186,7 @@ def decode_capture(
         require_points(capture_folder, result.mask_reason)
         watch("decode", 1.0)
         figures = decoding_metrics(result) | continuity_metrics(result, capture.patterns)
+        figures |= light_metrics(result)
         write_decoded(folder / "decoded.nc", result)
         draw_decoded(folder / "decoded.png", result)
         settings = tomli_w.dumps({"decode": decode.model_dump(mode="json")})
@@ -221,6 +224,16 @@ def continuity_metrics(decoded: Decoded, patterns: PatternSet) -> dict[str, floa
         )
         for name in decoded.axes
     }
+
+
+def light_metrics(decoded: Decoded) -> dict[str, float]:
+    """Return the range of the light of the phase frames of one period, percent, the largest.
+
+    It is 0 if the decoder has not divided the levels by the light.
+    """
+    gains = decoded.gains
+    ranges = 0.0 if gains is None else np.ptp(gains.relative, axis=-1)
+    return {"phase_light_range_percent": 100.0 * float(np.max(ranges))}
 
 
 def order_doubts(figures: Mapping[str, Any]) -> list[str]:
