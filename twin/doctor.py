@@ -255,6 +255,7 @@ def _warm_sheets() -> None:
     import numpy as np
 
     from reconstruction.decoding._filter import Unfiltered, smooth
+    from reconstruction.decoding._glints import GlintScale, Speckled, add_glint_rows
     from twin.camera import expose
     from twin.config import load_experiment
     from twin.pipeline.press import press_specimen
@@ -265,7 +266,11 @@ def _warm_sheets() -> None:
     # Kernels that the other process needs last: of the camera's noise and of the decoder's filter.
     expose(experiment, [np.full((16, 16), 1e-3, np.float32)], white_frame=0)
     maps, mask = np.zeros((2, 16, 16)), np.zeros((16, 16), np.uint8)
-    smooth(Unfiltered(maps.astype(np.float32), maps.astype(np.uint16), mask), 5, 1.0, 9.0, 1e-3)
+    coordinate_px, sigma = maps.astype(np.float32), maps.astype(np.uint16)
+    smooth(Unfiltered(coordinate_px, sigma, mask), 5, 1.0, 9.0, 1e-3)
+    one = np.float32(1.0)
+    scale = GlintScale(one, np.ones(2, np.float32), one, one)
+    add_glint_rows(0, 16, Speckled(coordinate_px, sigma, mask, sigma[0]), scale)
     press_specimen(experiment)
 
 

@@ -4,6 +4,7 @@ Importing this module compiles no code. `sigma` is a predicted standard deviatio
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, OrderImage,
 from reconstruction.compact import keeps_compact
 from reconstruction.errors import InputError, require_integer, require_number
 from reconstruction.patterns import AXES, Axis
+
+Weights = Literal["equal", "modulation"]
+WEIGHTS: tuple[Weights, ...] = ("equal", "modulation")
 
 
 @keeps_compact(
@@ -118,6 +122,9 @@ class DecodeOptions:
         averaged over both anchors (one tap more), so that the result is not shifted by half a
         pixel. The relief that the Gaussian removes is restored, see `_filter`
     filter_sigma_px : standard deviation of the Gaussian; the paper states only 8 x 8 taps
+    weights : weights of the pixels in the Gaussian. "equal": glints cannot move the result, and the
+        relief that the Gaussian removes is restored; "modulation": Gaussian on the complex phasor,
+        as in published decoders
     min_modulation_dn : a pixel with a smaller modulation is masked; None: only max_phase_sigma_rad
         limits the modulation
     max_phase_sigma_rad : a pixel with a larger predicted sigma of its own phase is masked
@@ -135,6 +142,7 @@ class DecodeOptions:
 
     filter_taps: int = 8
     filter_sigma_px: float = 1.5
+    weights: Weights = "equal"
     min_modulation_dn: float | None = None
     max_phase_sigma_rad: float = 0.1
     dark_sigmas: float = 3.0
@@ -146,6 +154,8 @@ class DecodeOptions:
     def __post_init__(self) -> None:
         require_integer("filter_taps", self.filter_taps, 0, 63)
         require_number("filter_sigma_px", self.filter_sigma_px, 0.0, open_low=True)
+        if self.weights not in WEIGHTS:
+            raise InputError(f"weights is {self.weights!r}; allowed are {', '.join(WEIGHTS)}")
         if self.min_modulation_dn is not None:
             require_number("min_modulation_dn", self.min_modulation_dn, 0.0)
         require_number("max_phase_sigma_rad", self.max_phase_sigma_rad, 0.0, open_low=True)

@@ -61,6 +61,7 @@ from reconstruction.decoding._sum import (
 
 # Lines of `Work.answers` for the axes column and row.
 COORDINATE, SIGMA = (0, 1), (2, 3)
+NO_THRESHOLD = np.float32(-np.inf)
 
 
 class Units(NamedTuple):
@@ -151,10 +152,13 @@ def make_work(width: int, sets: int) -> Work:
 
 @nested
 def _fit_set(
-    frames: RowFrames, shifts: Shifts, plan: Plan, scale: Any, work: Work, sums: Sums, fit: Fit,
-    reason: Any,
+    frames: RowFrames, shifts: Shifts, plan: Plan, scale: Any, share: Any, work: Work, sums: Sums,
+    fit: Fit, reason: Any,
 ) -> Any:  # fmt: skip
-    """Fit one fringe set over one row; return the number of pixels with damaged frames."""
+    """Fit one fringe set over one row; return the number of pixels with damaged frames.
+
+    share : see `threshold_above_mean`
+    """
     steps, limits = plan.layout.steps, plan.limits
     noise = work.fit[2]
     add_frames(frames, steps, shifts, sums)
@@ -162,7 +166,7 @@ def _fit_set(
     count = find_damaged(sums, scale, limits, work.damaged)
     if count:
         fill(fit.excess, np.float32(0.0))
-        refit_row(frames, shifts, limits, scale, work.damaged, sums, fit, reason)
+        refit_row(frames, shifts, limits, scale, share, work.damaged, sums, fit, reason)
     find_noise(fit.mean, scale, limits, noise)
     if count:
         grow_sigma(fit.excess, noise)
@@ -183,6 +187,17 @@ def _root_of_mean(sets: int, variance: Any, out: Any) -> None:
         out[col] = np.sqrt(variance[col] * share)
 
 
+@inlined
+def threshold_above_mean(axis: int, plan: Plan) -> Any:
+    """Return the threshold of the Gray bits minus the mean of the fringe, in modulations.
+
+    -inf without Gray bits, and if each bit is compared with its inverse frame.
+    """
+    layout = plan.layout
+    has_threshold = layout.gray_bits[axis] > 0 and layout.inverse_first[axis] < 0
+    return np.float32(plan.threshold_share[axis]) if has_threshold else NO_THRESHOLD
+
+
 @merged
 def fit_row(
     row: int, stack: Any, plan: Plan, scale: Any, work: Work, maps: Maps, reason: Any
@@ -199,7 +214,8 @@ def fit_row(
             fit = Fit(mean, work.modulations[axis, j], variance, work.fit[3])
             frames = RowFrames(stack, first, row)
             shifts = shifts_of(layout, axis, j)
-            if _fit_set(frames, shifts, plan, scale, work, sums, fit, reason):
+            share = threshold_above_mean(axis, plan) if j == 0 else NO_THRESHOLD
+            if _fit_set(frames, shifts, plan, scale, share, work, sums, fit, reason):
                 _add_largest(work.fit[3], work.excess[axis])
             if j > 0:
                 add(variance, work.fit[4])

@@ -238,13 +238,15 @@ def _square_residuals(
 
 @nested
 def refit_row(
-    frames: RowFrames, shifts: Shifts, limits: Limits, scale: Any, damaged: Any, sums: Sums,
-    fit: Fit, reason: Any,
+    frames: RowFrames, shifts: Shifts, limits: Limits, scale: Any, share: Any, damaged: Any,
+    sums: Sums, fit: Fit, reason: Any,
 ) -> None:  # fmt: skip
     """Fit pixels with damaged frames again without these frames, or mark them as `SATURATED`.
 
-    A pixel is marked if fewer than three frames remain or if the condition number of the remaining
-    frames is too large.
+    A pixel is marked if fewer than three frames remain, if the condition number of the remaining
+    frames is too large, or if the threshold of its Gray bits is clipped, so that no bit exceeds it.
+
+    share : see `threshold_above_mean`
     """
     mean, modulation, variance, excess = fit
     steps, lowest, black = shifts.cosines.size, limits.lowest_dn, limits.black_level_dn
@@ -269,6 +271,8 @@ def refit_row(
             c[3] * along_p * along_p + 2.0 * c[4] * along_p * along_q + c[5] * along_q * along_q
         )
         mean[col], modulation[col] = level, ROOT * length
+        if level + share * ROOT * length >= limit and reason[col] == 0:
+            reason[col] = SATURATED
         sums.real[col], sums.imag[col] = steps * p / ROOT, steps * q / ROOT
         variance[col] = rest / (n - 3) if n > 3 else 0.0
         excess[col] = growth - 1.0

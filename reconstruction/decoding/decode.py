@@ -19,8 +19,10 @@ from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
 from reconstruction.decoding._decode import Maps, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
 from reconstruction.decoding._micro import decode_micro_rows
+from reconstruction.decoding.by_modulation import filter_by_modulation
 from reconstruction.decoding.gains import estimate_gains, widen
 from reconstruction.decoding.general import unwrap_maps
+from reconstruction.decoding.glints import add_glints
 from reconstruction.decoding.micro import micro_periods
 from reconstruction.decoding.plan import (
     SIGMA_UNIT_PX,
@@ -144,6 +146,9 @@ def _smoothed(maps: Maps, options: DecodeOptions, patterns: PatternSet) -> Smoot
         no_bias = np.zeros(source.sigma.shape, np.uint8)
         return Smoothed(source.coordinate_px, source.sigma, no_bias, source.reason)
     taps, sigma_px = options.filter_taps, options.filter_sigma_px
+    if options.weights == "modulation":
+        return filter_by_modulation(maps, patterns, taps, sigma_px)
+    add_glints(maps, patterns)
     if patterns.axes == AXES and not patterns.row_periods_px:
         return smooth(source, taps, sigma_px, 0.5 * float(patterns.period_px), SIGMA_UNIT_PX)
     no_bias = np.zeros(maps.sigma.shape, np.uint8)

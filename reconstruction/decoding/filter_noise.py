@@ -195,6 +195,7 @@ def filter_noise(
     taps: int,
     sigma_px: float,
     limit_px: float,
+    restores: bool = True,
 ) -> FilterNoise:
     """Return the effect of the filter on the noise of the coordinate, for a given relief.
 
@@ -206,6 +207,8 @@ def filter_noise(
     taps, sigma_px : width and standard deviation of the Gaussian; taps 0: no filter
     limit_px : a pair of pixels is excluded if its mean differs by more than half of this value from
         the pixel in its middle
+    restores : False if the filter does not restore relief, as with `weights` "modulation". The
+        modulation is assumed equal over the window
     """
     value = np.where(usable, coordinate_px, 0.0).astype(np.float64)
     variance = np.where(usable, single_px2, 0.0).astype(np.float64)
@@ -216,7 +219,7 @@ def filter_noise(
     support = usable / np.maximum(_smoothed(usable.astype(np.float64), gauss), 1e-30)
     lift = _lift(value, along, across)
     coarse = support * _smoothed(lift, gauss)
-    blocks = _block_values(lift, coarse, variance, usable, smoothing)
+    blocks = _block_values(lift, coarse, variance, usable, smoothing, restores=restores)
     of_lift, of_coarse, own, neighbours, edge, bias = (_per_pixel(b, value.shape) for b in blocks)
     gain = across.gain(along.gain(usable.astype(np.float64)))
     excess = np.maximum(gain - float(smoothing.noise[0, 0]), 0.0)
@@ -240,7 +243,7 @@ def _smoothed(image: FloatArray, gauss: FloatArray) -> FloatArray:
 
 def _block_values(
     lift: FloatArray, coarse: FloatArray, variance: FloatArray, usable: BoolImage,
-    smoothing: Smoothing,
+    smoothing: Smoothing, *, restores: bool,
 ) -> Maps:  # fmt: skip
     """Return six maps (block row, block col) of the values that `_relief` computes for each block.
 
@@ -254,7 +257,8 @@ def _block_values(
         np.asarray(sums, np.float32).ravel() for sums in (large, small, noise, count)
     )
     c, f, own, bias, neighbours, edge = np.zeros((6, large.size), np.float32)
-    find_shares(of_coarse, of_fine, of_noise, smoothing.noise, c, f)
+    if restores:
+        find_shares(of_coarse, of_fine, of_noise, smoothing.noise, c, f)
     weigh_own(c, f, smoothing.centre, own)
     predict_bias(of_coarse, of_fine, c, f, number, bias)
     weigh_neighbours(c, f, own, of_noise, number, np.zeros_like(bias), smoothing.noise, neighbours)

@@ -55,7 +55,8 @@ def test_sigma_of_clipped_fringes_is_their_spread(synthesise, taps):
     Why: fewer frames, all on one side of the circle, give a worse phase.
     """
     patterns = PatternSet(1280, 720)
-    sensor = SensorNoise(1.0, 2.0, 0.0, 255.0)
+    # Read noise of 2 DN; levels from 254.5 DN count as clipped.
+    sensor = SensorNoise(1e-4, 2e4, 0.0, 267.0)
     row, col = np.mgrid[0:300, 0:500].astype(float)
     column, lines = 20.0 + 0.13 * col + 0.01 * row, 30.0 + 0.14 * row
     stack = synthesise(patterns, column, lines, mean_dn=191.0, amplitude_dn=191.0)
@@ -64,11 +65,10 @@ def test_sigma_of_clipped_fringes_is_their_spread(synthesise, taps):
     phase = slice(0, 2 * patterns.steps)
     clean = synthesise(patterns, column, lines, mean_dn=191.0, amplitude_dn=191.0)[phase]
     stack[phase][clean > 245.0] = 255.0
-    shotless = SensorNoise(0.0, 0.0, 0.0, 255.0)
-    decoded = decode(stack.astype(np.float32), patterns, shotless, DecodeOptions(filter_taps=taps))
-    predicted = 2.0 / np.sqrt(shotless.variance_dn2(0.0)) * decoded.column.sigma_px
+    decoded = decode(stack.astype(np.float32), patterns, sensor, DecodeOptions(filter_taps=taps))
+    predicted = 2.0 / np.sqrt(sensor.variance_dn2(191.0)) * decoded.column.sigma_px
     spread = np.std((decoded.column.coordinate_px - column)[decoded.valid])
-    assert sensor.read_noise_e == 2.0
+    assert sensor.clipped_from_dn == 254.5
     assert decoded.valid.mean() > 0.9
     assert rms(predicted[decoded.valid]) == pytest.approx(spread, rel=0.02)
 

@@ -37,6 +37,7 @@ def reconstruct(
     use: Literal["column", "row", "both"] = "column",
     filter_taps: int | None = None,
     filter_sigma_px: float | None = None,
+    weights: Literal["equal", "modulation"] | None = None,
     photometric: bool = False,
 ) -> None:
     """Decode and triangulate a capture, rendered or real; needs no renderer.
@@ -52,6 +53,8 @@ def reconstruct(
         off; default: see twin keys.
     filter_sigma_px
         Standard deviation of that filter, camera px; default: see twin keys.
+    weights
+        Weights of the pixels in that filter; default: see twin keys.
     photometric
         CAPTURE is a TOML file that describes one or many presses seen by a photometric-stereo
         sensor; see docs/photometric.md.
@@ -63,7 +66,8 @@ def reconstruct(
     from twin.pipeline.captures import reconstruct_capture
 
     end_exchange(capture)
-    settings = {"use": use, "filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
+    settings: dict[str, Any] = {"use": use, "weights": weights}
+    settings |= {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
     _decode_by(reconstruct_capture, capture, out, settings)
 
 
@@ -75,6 +79,7 @@ def decode(
     out: Out,
     filter_taps: int | None = None,
     filter_sigma_px: float | None = None,
+    weights: Literal["equal", "modulation"] | None = None,
 ) -> None:
     """Turn the frames of a capture into projector coordinates; needs no calibration.
 
@@ -87,10 +92,12 @@ def decode(
         off; default: see twin keys.
     filter_sigma_px
         Standard deviation of that filter, camera px; default: see twin keys.
+    weights
+        Weights of the pixels in that filter; default: see twin keys.
     """
     from twin.pipeline.captures import decode_capture
 
-    settings = {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
+    settings = {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px, "weights": weights}
     _decode_by(decode_capture, capture, out, settings)
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from reconstruction.decoding import DecodeOptions
+from reconstruction.decoding import DecodeOptions, Weights
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import (
     EXPOSURE_PERCENTILE,
@@ -307,6 +307,13 @@ class Decode(Model):
         description="Gaussian on the projector coordinate; 0 switches it off",
     )
     filter_sigma_px: FilterWidth = DecodeOptions.filter_sigma_px
+    # Excluded if it is the default, so that digests of experiments do not change.
+    weights: Weights = Field(
+        default=DecodeOptions.weights,
+        description="weights of the pixels in the filter; equal: glints do not move the result, "
+        "and relief is restored; modulation: Gaussian on the complex phasor, as published decoders",
+        exclude_if=lambda weights: weights == DecodeOptions.weights,
+    )
     use: Literal["column", "row", "both"] = "column"
     frame_gains: bool = Field(
         default=DecodeOptions.frame_gains,

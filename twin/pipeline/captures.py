@@ -126,6 +126,7 @@ def options_of(decode: Decode) -> ReconstructOptions:
         decode=DecodeOptions(
             filter_taps=decode.filter_taps,
             filter_sigma_px=decode.filter_sigma_px,
+            weights=decode.weights,
             frame_gains=decode.frame_gains,
         ),
         use=decode.use,

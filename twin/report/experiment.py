@@ -17,6 +17,7 @@ from scipy.spatial import ConvexHull
 
 from reconstruction.arrays import FloatArray
 from reconstruction.codes import code_of
+from reconstruction.decoding import Weights
 from reconstruction.patterns import AXES
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.models import Experiment, NoiseModel, Provenance, Specimen
@@ -195,11 +196,17 @@ def _patterns(measured: Measurement) -> str:
     return f"{', '.join(shown)}: {in_words(measured.figures.get('frames'))} frames"
 
 
+_FILTERED: dict[Weights, str] = {
+    "equal": "on the coordinate",
+    "modulation": "on the phase, weighted by modulation",
+}
+
+
 def _decoding(measured: Measurement) -> str:
     decode = measured.experiment.decode
     smoothed = (
         f"Gaussian of {decode.filter_taps} × {decode.filter_taps} px, σ {decode.filter_sigma_px:g} "
-        "px, on the coordinate"
+        f"px, {_FILTERED[decode.weights]}"
         if decode.filter_taps
         else "no filter"
     )

@@ -169,7 +169,8 @@ def clipping(
     """Return the factor (row, col) by which clipped frames increase sigma.
 
     The decoder fits the phase by least squares to the frames below the limit, see
-    `_phase.refit_row`. Pixels with too few such frames are marked in `reason` as saturated.
+    `_phase.refit_row`. Pixels with too few such frames, or with a clipped mean, are marked in
+    `reason` as saturated.
     """
     sensor, growth = noise_model(experiment.camera), np.ones(reason.shape)
     limit = sensor.clipped_from_dn - sensor.black_level_dn
@@ -188,6 +189,8 @@ def clipping(
     inverse = np.linalg.inv(matrix)
     size = np.linalg.norm(matrix, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2)) / 3.0
     lost = (good.sum(axis=1) < 3) | (size > DecodeOptions.max_condition)
+    if patterns.word_bits(axis) and not patterns.inverse:
+        lost |= levels.light_dn[at] >= limit  # the mean is the threshold of the bits
     turned = np.stack([np.zeros_like(phase), -np.sin(phase), np.cos(phase)], axis=1)
     spread = patterns.steps * np.einsum("pa,pab,pb->p", turned, inverse, turned)
     growth[at] = np.where(lost, 1.0, np.sqrt(np.maximum(spread, 1.0)))

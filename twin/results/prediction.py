@@ -252,6 +252,7 @@ def _placed(
             taps=decode.filter_taps,
             sigma_px=decode.filter_sigma_px,
             limit_px=0.5 * experiment.patterns.period_px,
+            restores=decode.weights == "equal",
         )
         axes.append(AxisPrediction(sigma[axis], share * by_px[axis], filtered))
     points = alone[used[0]]

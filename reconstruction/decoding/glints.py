@@ -1,0 +1,129 @@
+"""Uncertainty of coordinates by flakes that glint, from the speckle of the modulation.
+
+`_glints` has the formula for a pixel. The width of the footprint, i.e. the area from which a pixel
+collects light, is estimated from the speckle: the wider the footprint, the more alike are the
+modulations of neighbouring pixels. Let D(k) be the mean square of B(-k) - 2 B + B(+k), relative to
+the largest of the three modulations, without the camera's noise. For a Gaussian footprint of
+standard deviation s px the modulations at a distance of k px have the correlation g^(k^2), with
+g = exp(-1 / (4 s^2)), so that
+
+    D(2) / D(1) = (6 - 8 g^4 + 2 g^16) / (6 - 8 g + 2 g^4)
+
+determines s. Second differences are used because those of smooth shading are small. Sigma is not
+changed if D(1) is below three times the camera's noise or that of a contrast of 1 %, because glints
+then add little to the variance, or if the modulation is smooth.
+"""
+
+import numpy as np
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason
+from reconstruction.compact import Half
+from reconstruction.compiling import run_over_rows
+from reconstruction.decoding._decode import Maps
+from reconstruction.decoding._glints import GlintScale, Speckled, add_glint_rows
+from reconstruction.decoding._rows import BIAS
+from reconstruction.decoding.plan import SIGMA_UNIT_PX
+from reconstruction.patterns import AXES, PatternSet
+
+BAND_ROWS = 128
+# Rows and columns of the image from which the width of the footprint is estimated, at most.
+SAMPLED = 24
+# Speckle below this multiple of the camera's noise is neglected, and a contrast below 1 %, which
+# differences of the pixels' response have.
+LEAST_OVER_NOISE, LEAST_BEND = 3.0, 6.0 * 0.01**2
+# A larger ratio D(2) / D(1) is not speckle, but shading by the relief (5 for the texture of a
+# sprayed coat at 2.5 px per correlation length, 16 for a parabola) or the ripple of the modulation
+# by a projector response that is not linear. Both hardly move the centroid. 4: s = 0.8 px.
+LARGEST_RATIO = 4.0
+CORRELATION = np.linspace(0.0, 0.8, 801)
+RATIO = (6.0 - 8.0 * CORRELATION**4 + 2.0 * CORRELATION**16) / (
+    6.0 - 8.0 * CORRELATION + 2.0 * CORRELATION**4
+)
+BOX_FACTOR = 1.0 / 24.0
+# The largest of three modulations, by which `_glints` divides, exceeds that of the pixel itself. In
+# a footprint wider than a pixel this makes the variance too small, by 1.2 to 1.8 on simulated
+# flakes of contrast 0.2 to 1.
+DENOMINATOR = 1.5
+
+
+def add_glints(maps: Maps, patterns: PatternSet) -> None:
+    """Add the phase error by glints to the sigmas of single pixels, in place.
+
+    maps : decoded pixels of patterns with fringes
+    """
+    factor = _factor(maps, patterns)
+    if factor == 0.0:
+        return
+    first, last = AXES.index(patterns.axes[0]), AXES.index(patterns.axes[-1])
+    periods_px = [float(patterns.period_along(axis)) for axis in patterns.axes]
+    # With fewer than 8 pixels per period the pixels have other bodies or wrong orders.
+    scale = GlintScale(
+        np.float32(factor),
+        np.array(periods_px, np.float32) / 8.0,
+        np.float32(SIGMA_UNIT_PX / BIAS),
+        np.float32(BIAS / SIGMA_UNIT_PX),
+    )
+    at = slice(first, last + 1)
+    speckled = Speckled(maps.coordinate_px[at], maps.sigma[at], maps.reason, maps.modulation[first])
+    run_over_rows(add_glint_rows, len(maps.reason), speckled, scale, band_rows=BAND_ROWS)
+
+
+def _factor(maps: Maps, patterns: PatternSet) -> float:
+    """Return `GlintScale.factor` of a decoded image, 0: no speckle."""
+    axis, (rows, cols) = AXES.index(patterns.axes[0]), maps.reason.shape
+    per_px = 2.0 * np.pi / float(patterns.period_along(patterns.axes[0]))
+    images = (maps.modulation[axis], maps.sigma[axis], maps.residual[axis], maps.reason)
+    near, far = np.zeros(3), np.zeros(3)
+    for image_lines in (
+        [image[:: max(1, rows // SAMPLED)] for image in images],
+        [image.T[:: max(1, cols // SAMPLED)] for image in images],
+    ):
+        modulation, sigma, residual = (
+            Half(np.ascontiguousarray(lines), unit).expand()
+            for lines, unit in zip(image_lines[:3], (1.0, SIGMA_UNIT_PX * per_px, 1.0), strict=True)
+        )
+        # The residual also contains noise that the stated sensor does not have.
+        measured = np.float32(2.0 / patterns.steps) * np.square(residual)
+        noise = np.maximum(np.square(sigma * modulation), measured)
+        usable = image_lines[3] == Reason.VALID
+        near += _bend_sums(modulation, noise, usable, 1)
+        far += _bend_sums(modulation, noise, usable, 2)
+    return factor_of(near, far)
+
+
+def _bend_sums(
+    modulation: FloatImage, noise: FloatImage, usable: BoolImage, step: int
+) -> FloatArray:
+    """Return sums along rows: number of second differences, their squares, expected noise.
+
+    noise : (row, col) variance of the modulation by noise
+    step : distance of the pixels, px
+    """
+    parts = np.s_[:, : -2 * step], np.s_[:, step:-step], np.s_[:, 2 * step :]
+    (a, b, c), (u, v, w) = ([image[part] for part in parts] for image in (modulation, noise))
+    is_whole = np.logical_and.reduce([usable[part] for part in parts])
+    largest = np.maximum(np.maximum(a, b), np.maximum(c, np.float32(1e-12)))
+    weight = is_whole / np.square(largest)
+    bends = np.vdot(weight, np.square((a - b) + (c - b)))
+    return np.array([is_whole.sum(), bends, np.vdot(weight, u + 4.0 * v + w)], np.float64)
+
+
+def factor_of(near: FloatArray, far: FloatArray) -> float:
+    """Return the factor of `_glints` from two results of `_bend_sums`, of distance 1 and 2 px.
+
+    The factor is 0 if the modulation has no speckle above the camera's noise.
+    """
+    if near[0] == 0 or far[0] == 0:
+        return 0.0
+    close, wide = ((square - noise) / count for count, square, noise in (near, far))
+    least = max(LEAST_BEND, LEAST_OVER_NOISE * near[2] / near[0])
+    if close <= least or wide > LARGEST_RATIO * close:
+        return 0.0
+    correlation = float(np.interp(wide / close, RATIO, CORRELATION))
+    if correlation <= 0.0:
+        return BOX_FACTOR
+    square_px2 = -0.25 / np.log(correlation)
+    # Along a direction the centroid has the variance s^2 / 2 C^2, and the differences of the
+    # modulation over 2 px have the mean square 2 (1 - g^4) C^2, with the contrast C.
+    wide_factor = DENOMINATOR * 0.25 * square_px2 / (1.0 - correlation**4)
+    return max(BOX_FACTOR, float(wide_factor))
