@@ -11,6 +11,7 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.compensation.line_loads import PressureMap, line_loads
 from reconstruction.compensation.relief import Relief
 from reconstruction.compensation.sheet_layer import SheetLayer
 from reconstruction.evaluate.fit import spread
@@ -24,7 +25,7 @@ _SIGMAS_OF_CONTACT = 2.0
 _SIGMAS_AT_FINE_SCALE = 4.0
 _FINE_SIGMAS_MM = (0.1, 0.14, 0.2, 0.28)
 _LEAST_FREE = 50
-# Reach of an edge, in widths of the total blur: within it a bent sheet lifts off the object.
+# Reach of an uneven curvature, in widths of the total blur.
 _NEAR_WIDTHS = 2.0
 # Half width at half maximum of a Gaussian, over its standard deviation.
 _HALF_WIDTH = float(np.sqrt(2 * np.log(2)))
@@ -42,6 +43,11 @@ class StretchedCoat:
 
     thinning: FloatArray
     tension_kpa_mm: FloatArray
+
+    def mean_tension_kpa_mm(self, shape: "CoatShape") -> FloatArray:
+        """Return the mean of the two principal line tensions on a surface, (row, col)."""
+        parts = self.tension_kpa_mm * shape.metric
+        return np.asarray((parts[..., 0] + 2 * parts[..., 1] + parts[..., 2]) / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,17 +72,23 @@ class ContactBalance:
 
 @dataclass(frozen=True, eq=False)
 class Footing:
-    """Cells that are certainly in contact, and the local range of the curvature; (row, col) each.
+    """Contact at the finest scale that noise and texture of the coat allow; (row, col) each.
 
     Attributes
     ----------
-    sure : bool, contact cells without those that the curvature's filter may have blurred
+    sure : bool, cells that are certainly in contact: without those that the curvature's filter may
+        have blurred, and without the bands next to edges in which the sheet may have lifted off
+    enclosed : bool, cells with edges on all four sides
     uneven_per_mm : largest minus smallest curvature (sum of the two principal curvatures) of the
         contact cells near each cell; 0 if no contact cell is near
+    pressure_kpa : pressure of the object on the clear face, at the contact's cells at least 0; 0 in
+        the other cells
     """
 
     sure: BoolArray
+    enclosed: BoolArray
     uneven_per_mm: FloatArray
+    pressure_kpa: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +157,20 @@ class CoatShape:
         )
 
 
+class CoatShapes:
+    """Fundamental forms of a relief after simple Gaussian filters, each computed once."""
+
+    def __init__(self, relief: Relief) -> None:
+        self._relief = relief
+        self._shapes: dict[float, CoatShape] = {}
+
+    def blurred(self, sigma_mm: float) -> CoatShape:
+        """Return the fundamental forms after a filter of the given standard deviation."""
+        if sigma_mm not in self._shapes:
+            self._shapes[sigma_mm] = CoatShape.of(self._relief, self._relief.blurred(sigma_mm))
+        return self._shapes[sigma_mm]
+
+
 def balanced(
     relief: Relief, layer: SheetLayer, shape: CoatShape, stretched: StretchedCoat
 ) -> ContactBalance:
@@ -168,26 +194,41 @@ def balanced(
 
 
 def footing_of(
-    relief: Relief, layer: SheetLayer, stretched: StretchedCoat, balance: ContactBalance
+    relief: Relief,
+    layer: SheetLayer,
+    shapes: "CoatShapes",
+    stretched: StretchedCoat,
+    balance: ContactBalance,
 ) -> Footing:
-    """Return the cells that are certainly in contact, and the curvature range near each cell.
+    """Return the contact at the finest scale, and the cells that are certainly in contact.
 
     The contact pressure of an edge is a line load, which the curvature's filter spreads over the
     neighbouring free span. The pressure is therefore computed again with the narrowest filter that
     noise and texture of the coat allow. A cell is certainly in contact only if that pressure
     exceeds `balance.least_kpa`. The width of filter, cell and sheet bending is then removed from
-    the contact's border, which also removes line contacts.
+    the contact's border, which also removes line contacts. Last, the bands next to edges are
+    removed in which the sheet may have lifted off (`line_loads`).
     """
-    sigma_mm, shape = _narrowest(relief, layer, stretched, balance)
+    sigma_mm, shape, noise_kpa = _narrowest(relief, layer, shapes, stretched, balance)
     pressure = _pressure(relief, layer, shape, stretched)
     width_mm = float(np.hypot(sigma_mm, layer.thickness_mm))
     carried = (pressure > balance.least_kpa) & relief.measured & off_the_rim(relief)
     pressed = _up_to_half(carried, pressure, relief, width_mm)
     edge_distance_mm = ndimage.distance_transform_edt(pressed, sampling=relief.pitch_mm[::-1])
     off_edges = edge_distance_mm > _HALF_WIDTH * width_mm + min(relief.pitch_mm)
+    pressed_map = PressureMap(
+        pressure_kpa=np.where(carried, pressure, 0.0),
+        noise_kpa=noise_kpa,
+        blur_mm=width_mm,
+        tension_kpa_mm=stretched.mean_tension_kpa_mm(shape),
+        local_mm=layer.thickness_mm * stretched.thinning,
+    )
+    loads = line_loads(pressed_map, relief, layer)
     # A contact that is now only one or two cells wide was a line contact.
-    sure = np.asarray(ndimage.binary_opening(off_edges, np.ones((3, 3))))
-    return Footing(sure, _unevenness(shape.bend_per_mm, pressed, relief, _NEAR_WIDTHS * width_mm))
+    sure = np.asarray(ndimage.binary_opening(off_edges & ~loads.lifted(), np.ones((3, 3))))
+    in_contact = np.where(balance.contact, np.maximum(pressure, 0.0), 0.0)
+    uneven = _unevenness(shape.bend_per_mm, pressed, relief, _NEAR_WIDTHS * width_mm)
+    return Footing(sure, loads.enclosed(), uneven, in_contact)
 
 
 def _unevenness(
@@ -205,22 +246,26 @@ def _unevenness(
 
 
 def _narrowest(
-    relief: Relief, layer: SheetLayer, stretched: StretchedCoat, balance: ContactBalance
-) -> tuple[float, CoatShape]:
-    """Return the standard deviation, mm, of the narrowest usable filter, and the filtered shape.
+    relief: Relief,
+    layer: SheetLayer,
+    shapes: "CoatShapes",
+    stretched: StretchedCoat,
+    balance: ContactBalance,
+) -> tuple[float, CoatShape, float]:
+    """Return the narrowest usable filter: standard deviation, mm, filtered shape, noise, kPa.
 
     A filter is usable if the pressure's noise is below 1/4 of the least contact pressure. The noise
     is measured on the free span, because the contact pressure is zero there.
     """
-    free = free_span(relief, balance.contact)
-    for sigma_mm in _FINE_SIGMAS_MM:
-        shape = CoatShape.of(relief, relief.blurred(sigma_mm))
-        if free.sum() < _LEAST_FREE:
-            continue
+    free, noise_kpa = free_span(relief, balance.contact), balance.sigma_kpa
+    sigmas = (*_FINE_SIGMAS_MM, CURVATURE_SIGMA_MM)
+    for sigma_mm in sigmas if free.sum() >= _LEAST_FREE else ():
+        shape = shapes.blurred(sigma_mm)
         off_kpa = _pressure(relief, layer, shape, stretched)[free] - balance.pressure_kpa[free]
+        noise_kpa = float(np.hypot(spread(off_kpa), balance.sigma_kpa))
         if spread(off_kpa) < balance.least_kpa / _SIGMAS_AT_FINE_SCALE:
-            return sigma_mm, shape
-    return CURVATURE_SIGMA_MM, CoatShape.of(relief, relief.blurred(CURVATURE_SIGMA_MM))
+            return sigma_mm, shape, noise_kpa
+    return CURVATURE_SIGMA_MM, shapes.blurred(CURVATURE_SIGMA_MM), noise_kpa
 
 
 def free_span(relief: Relief, contact: BoolArray) -> BoolArray:

@@ -85,11 +85,8 @@ class CompensatedGel(PresentedObject):
         return without_blurred_edge(self.contact, self.relief, self.blur_mm)
 
     @property
-    def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty, mm, of each object point by edges near it, (row, col): zero.
-
-        A gel does not bend over an edge.
-        """
+    def theory_sigma_mm(self) -> FloatArray:
+        """Standard uncertainty, mm, of each point by the model's errors, (row, col): 0."""
         return np.zeros(self.contact.shape)
 
     @property

@@ -57,8 +57,8 @@ class Compensated(Protocol):
         ...
 
     @property
-    def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty, mm, of each object point along the normal by edges near it."""
+    def theory_sigma_mm(self) -> FloatArray:
+        """Standard uncertainty, mm, of each object point along the normal by the model's errors."""
         ...
 
     @property

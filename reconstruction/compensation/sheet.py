@@ -30,6 +30,7 @@ from reconstruction.compensation.balance import (
     CURVATURE_SIGMA_MM,
     NORMAL_SIGMA_MM,
     CoatShape,
+    CoatShapes,
     ContactBalance,
     Footing,
     StretchedCoat,
@@ -53,10 +54,12 @@ _TURNS = 3
 SHEET_THEORY = 0.07
 """Ratio of the thin-sheet model's error of a height, mm, to h^2 / R, by comparison with solid
 elements."""
-EDGE_THEORY, _EDGE_POWER = 0.25, 1.5
-"""Factor and exponent of the RMS error of points near edges: the error over h is the factor times
-(h times the range of the curvature) to the power of the exponent. Both are empirical, from balls,
-ellipsoids, rods, nut, stud and stairs under sheets of 0.15 and 0.25 mm (docs/compensation.md)."""
+# Factor and exponent of the RMS error of points where the curvature varies: the error over h is the
+# factor times (h times the range of the curvature) to the power of the exponent. Then the relative
+# standard uncertainties of the squeeze, and of the local thickness between edges on all sides. All
+# are empirical, from balls, ellipsoids, rods and stairs under sheets of 0.1 to 0.3 mm.
+_EDGE_THEORY, _EDGE_POWER = 0.25, 1.5
+_SQUEEZE_THEORY, _ENCLOSED_THEORY = 0.07, 0.005
 # Relative error of the force for sheets of up to 0.3 mm, by comparison with the one-dimensional
 # solver: tests/compensation.
 _FORCE_METHOD = 0.03
@@ -76,7 +79,7 @@ class CompensatedSheet(PresentedObject):
     sigma_thinning : (row, col) standard uncertainty of `thinning`
     normal : (row, col, xyz) unit normal of the coat, upwards
     balance : contact pressure and the cells in contact
-    footing : cells that are certainly in contact, and the local range of the curvature
+    footing : contact at the finest scale, and the cells that are certainly in contact
     layer : values of sheet and load used in the computation
     """
 
@@ -99,13 +102,17 @@ class CompensatedSheet(PresentedObject):
         return self.footing.sure
 
     @property
-    def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty, mm, of each object point along the normal by edges near it.
+    def theory_sigma_mm(self) -> FloatArray:
+        """Standard uncertainty, mm, of each object point along the normal by the model's errors.
 
-        Near an edge neither the thin-sheet model nor the parallel surface is exact.
+        They are those next to an uneven curvature, of the squeeze, and of the local thickness of a
+        face between edges on all sides.
         """
-        bent = self.layer.thickness_mm * self.footing.uneven_per_mm
-        return np.asarray(EDGE_THEORY * self.layer.thickness_mm * bent**_EDGE_POWER)
+        layer, local_mm = self.layer, self.layer.thickness_mm * self.thinning
+        bent = layer.thickness_mm * self.footing.uneven_per_mm
+        of_bend = _EDGE_THEORY * layer.thickness_mm * bent**_EDGE_POWER
+        of_face = np.where(self.footing.enclosed, _ENCLOSED_THEORY * local_mm, 0.0)
+        return np.linalg.norm([of_bend, _SQUEEZE_THEORY * self.squeeze_mm, of_face], axis=0)
 
     @property
     def pressure_kpa(self) -> FloatArray:
@@ -171,7 +178,7 @@ class CompensatedSheet(PresentedObject):
     @property
     def squeeze_mm(self) -> FloatArray:
         """Indentation of the clear face by the contact pressure, mm, (row, col)."""
-        per_made_kpa = np.where(self.contact, self.pressure_kpa, 0.0) / self.thinning
+        per_made_kpa = self.footing.pressure_kpa / self.thinning
         return np.asarray(self.layer.squeeze_mm_per_kpa * per_made_kpa)
 
     @property
@@ -302,6 +309,7 @@ def compensate_sheet(
         CoatShape.of(relief, relief.smoothed(sigma))
         for sigma in (NORMAL_SIGMA_MM, CURVATURE_SIGMA_MM)
     )
+    shapes = CoatShapes(relief)
     thinning = np.full(relief.measured.shape, layer.pre_stretch**-2)
     carried_kpa = np.zeros_like(thinning)
     spread_out: MaterialMap | None = None
@@ -313,7 +321,8 @@ def compensate_sheet(
         stretched = _stretched(relief, layer, spread_out)
         thinning = stretched.thinning
         balance = balanced(relief, layer, wide, stretched)
-        carried_kpa = np.where(balance.contact, balance.pressure_kpa, 0.0)
+        footing = footing_of(relief, layer, shapes, stretched, balance)
+        carried_kpa = footing.pressure_kpa
     thinning, sigma_thinning = _with_sticking(
         layer, thinning, _open_of_rim(surface, relief, layer, spread_out)
     )
@@ -323,7 +332,7 @@ def compensate_sheet(
         sigma_thinning=sigma_thinning,
         normal=fine.normal,
         balance=balance,
-        footing=footing_of(relief, layer, stretched, balance),
+        footing=footing,
         layer=layer,
     )
 

@@ -184,10 +184,10 @@ class CompensatedSlab(PresentedObject):
         return self.contact
 
     @property
-    def edge_sigma_mm(self) -> FloatArray:
-        """Standard uncertainty, mm, of each object point by edges near it, (row, col): zero.
+    def theory_sigma_mm(self) -> FloatArray:
+        """Standard uncertainty, mm, of each point by the model's errors, (row, col): 0.
 
-        A slab does not bend over an edge.
+        The covariance of the fitted parameters includes them.
         """
         return np.zeros(self.contact.shape)
 

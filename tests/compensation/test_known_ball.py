@@ -49,7 +49,7 @@ MISTAKES = {
     "10 % of the pressure": (
         layer_of(0.2, 0.2),
         4.0,
-        r"modulus of 28\.5 kPa, allowed 100 to 900; check .*back_pressure_kpa = 0\.2",
+        r"modulus of 28\.6 kPa, allowed 100 to 900; check .*back_pressure_kpa = 0\.2",
     ),
     "another ball": (layer_of(0.2, 2.0), 3.75, r"sheet of .* mm, allowed 0\.1 to 0\.4; check"),
 }

@@ -19,7 +19,8 @@ from reconstruction.compensation import (
     bar_under_sheet,
     parts_of,
 )
-from reconstruction.compensation.relief import Relief
+from reconstruction.compensation.balance import free_span
+from reconstruction.compensation.texture import smoothed_variance
 from reconstruction.errors import FitError
 from reconstruction.evaluate.fit import spread
 from reconstruction.triangulation import PointMap
@@ -28,6 +29,8 @@ from twin.shape import Sphere
 
 _UM = 1e3
 _TEXTURE_SIGMA_MM = 0.2
+# Distance from the contact's border over which the smooth coat deviates from the true one.
+_OFF_EDGES_MM = 0.3
 
 
 def object_figures(
@@ -185,12 +188,13 @@ def object_points(
 ) -> PointMap:
     """Return the points of the object's surface at the pixels that are certainly in contact.
 
-    Other pixels have no point; among them are those on the blurred edge of the contact.
+    Other pixels have no point; among them are those on the blurred edge of the contact, and those
+    next to an edge of the object, where a sheet may span freely.
 
     Each measured point is moved inwards along its normal by the local thickness of the layer. Its
     sigma combines that of the coat's point with three contributions along the normal: the texture
-    of the coat, which the object does not have, the uncertain parameters of the layer, and nearby
-    edges.
+    of the coat, which the object does not have, the uncertain parameters of the layer, and the
+    errors of the layer's model.
 
     Parameters
     ----------
@@ -213,9 +217,9 @@ def object_points(
     )
     normal = np.stack([_at(compensated.normal[..., axis], at) for axis in range(3)], axis=-1)
     moves = compensated.layer_moves_mm or [np.zeros(compensated.contact.shape)]
-    open_mm = _at(np.linalg.norm([*moves, compensated.edge_sigma_mm], axis=0), at)
+    open_mm = _at(np.linalg.norm([*moves, compensated.theory_sigma_mm], axis=0), at)
     if texture_mm is None:
-        texture_mm = _scatter_mm(coat, relief, touching, at)
+        texture_mm = _scatter_mm(coat, compensated, touching, at)
     along = np.abs(normal) * np.hypot(open_mm, texture_mm)[..., None]
     sigma = np.hypot(coat.sigma_xyz_mm, along)
     moved = np.where(touching[..., None], world - behind[..., None] * normal, 0.0)
@@ -229,21 +233,29 @@ def object_points(
     )
 
 
-def _scatter_mm(coat: PointMap, relief: Relief, touching: BoolArray, at: list[FloatArray]) -> float:
+def _scatter_mm(
+    coat: PointMap, compensated: Compensated, touching: BoolArray, at: list[FloatArray]
+) -> float:
     """Return the RMS roughness, mm, of the coat's points in contact in excess of their noise.
 
-    The reference is the coat smoothed over 0.2 mm. Texture of a longer wavelength is not included.
-    Finer detail of the object counts as texture, because the points do not distinguish both.
+    The reference is the coat smoothed over 0.2 mm. The part of the texture that this smoothing
+    passes is estimated from the autocovariance of the rest, and added. Finer detail of the object
+    counts as texture, because the points do not distinguish both.
     """
     if not touching.any():
         return 0.0
+    relief = compensated.relief
     # Cubic interpolation, because the smooth coat is curved between cells.
     smooth = ndimage.map_coordinates(
         relief.smoothed(_TEXTURE_SIGMA_MM), at, order=3, mode="nearest"
     )
     away_mm = (coat.points_world_mm[..., 2] - smooth)[touching]
     noise_mm = float(np.median(coat.sigma_xyz_mm[..., 2][touching]))
-    return float(np.sqrt(max(spread(away_mm) ** 2 - noise_mm**2, 0.0)))
+    rough = max(spread(away_mm) ** 2 - noise_mm**2, 0.0)
+    reach = int(np.ceil(_OFF_EDGES_MM / min(relief.pitch_mm)))
+    inner = ndimage.binary_erosion(compensated.sure & relief.measured, iterations=reach)
+    used = inner | free_span(relief, compensated.contact)
+    return float(np.sqrt(rough + smoothed_variance(relief, used, _TEXTURE_SIGMA_MM)))
 
 
 def _at(values: FloatArray, at: list[FloatArray]) -> FloatArray:
