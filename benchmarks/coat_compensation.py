@@ -188,7 +188,7 @@ def main() -> None:
                 over = np.abs(np.concatenate([of.normalised for of in objects]))
                 wrong.append(over > WRONG_SIGMAS)
                 ratios += [of.pressure_over_force for of in objects]
-                print(f"stairs: {len(over)} points, wrong {np.mean(wrong[-1]):.4%}", flush=True)
+                print(f"stairs: {len(over)} points, {wrong[-1].sum()} of them wrong", flush=True)
     print_figures(
         {
             "compensated_normalised": farthest_from_1(normalised),

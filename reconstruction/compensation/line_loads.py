@@ -96,11 +96,12 @@ def line_loads(pressed: PressureMap, relief: Relief, layer: SheetLayer) -> LineL
     reach_mm = _WINDOW_WIDTHS * pressed.blur_mm
     window = [2 * int(np.ceil(reach_mm / step)) + 1 for step in relief.pitch_mm[::-1]]
     of_faces = ndimage.grey_opening(np.maximum(pressed.pressure_kpa, 0.0), window)
-    held = np.maximum(
-        ndimage.maximum_filter(of_faces, window), max(layer.back_pressure_kpa, _LEAST_KPA)
-    )
-    excess = pressed.pressure_kpa - held
+    of_faces = ndimage.maximum_filter(of_faces, window)
+    # The blurred line itself is wider than the window: there it has the share `tail` of its peak.
+    tail = np.exp(-(_WINDOW_WIDTHS**2) / 2)
+    excess = (pressed.pressure_kpa - of_faces) / (1 - tail)
     excess = np.where(excess > _SIGMAS_OF_LOAD * pressed.noise_kpa, excess, 0.0)
+    held = np.maximum(of_faces - tail * excess, max(layer.back_pressure_kpa, _LEAST_KPA))
     load = np.sqrt(2 * np.pi) * pressed.blur_mm * excess
     tension = np.maximum(pressed.tension_kpa_mm, _LEAST_KPA_MM)
     moment = load * _bending_mm(tension, pressed.local_mm, layer)

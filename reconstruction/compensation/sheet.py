@@ -59,7 +59,7 @@ elements."""
 # standard uncertainties of the squeeze, and of the local thickness between edges on all sides. All
 # are empirical, from balls, ellipsoids, rods and stairs under sheets of 0.1 to 0.3 mm.
 _EDGE_THEORY, _EDGE_POWER = 0.25, 1.5
-_SQUEEZE_THEORY, _ENCLOSED_THEORY = 0.07, 0.005
+_SQUEEZE_THEORY, _ENCLOSED_THEORY = 0.07, 0.008
 # Relative error of the force for sheets of up to 0.3 mm, by comparison with the one-dimensional
 # solver: tests/compensation.
 _FORCE_METHOD = 0.03
@@ -112,7 +112,8 @@ class CompensatedSheet(PresentedObject):
         bent = layer.thickness_mm * self.footing.uneven_per_mm
         of_bend = _EDGE_THEORY * layer.thickness_mm * bent**_EDGE_POWER
         of_face = np.where(self.footing.enclosed, _ENCLOSED_THEORY * local_mm, 0.0)
-        return np.linalg.norm([of_bend, _SQUEEZE_THEORY * self.squeeze_mm, of_face], axis=0)
+        errors = [of_bend, _SQUEEZE_THEORY * self.squeeze_mm, of_face]
+        return np.asarray(np.linalg.norm(errors, axis=0))
 
     @property
     def pressure_kpa(self) -> FloatArray:

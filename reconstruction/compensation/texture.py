@@ -74,9 +74,11 @@ def _covariance(rest: FloatArray, used: BoolArray) -> FloatArray | None:
     """
     values, covariance = np.where(used, rest, 0.0), np.zeros(_LAGS)
     for lag in range(1, _LAGS + 1):
-        pairs = [(np.s_[lag:], np.s_[:-lag]), (np.s_[:, lag:], np.s_[:, :-lag])]
-        count = sum(int((used[a] & used[b]).sum()) for a, b in pairs)
+        total, count = 0.0, 0
+        for along, both in ((values, used), (values.T, used.T)):
+            total += float(np.sum(along[lag:] * along[:-lag]))
+            count += int(np.sum(both[lag:] & both[:-lag]))
         if count < _LEAST_PAIRS:
             return None
-        covariance[lag - 1] = sum(float((values[a] * values[b]).sum()) for a, b in pairs) / count
+        covariance[lag - 1] = total / count
     return covariance

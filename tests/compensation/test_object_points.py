@@ -70,11 +70,15 @@ def coat_of(load: Press, pressing: PressedElastomer, texture: Texture | None) ->
 
 
 def errors_mm(
-    specimen: Specimen, travel_mm: float, texture: Texture | None
+    specimen: Specimen, travel_mm: float, texture: Texture | None, stated: bool = True
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the distance of the object's points from the true object, and their sigma."""
+    """Return the distance of the object's points from the true object, and their sigma.
+
+    If the texture is not stated, it is estimated from the coat.
+    """
     load, pressing = pressed(specimen, travel_mm)
-    coat, rms_mm = coat_of(load, pressing, texture), 1e-3 * texture.rms_um if texture else 0.0
+    coat = coat_of(load, pressing, texture)
+    rms_mm = (1e-3 * texture.rms_um if texture else 0.0) if stated else None
     layer = SensorLayer(
         elastomer=SHEET,
         press=MeasuredLoad(back_pressure_kpa=AIR_KPA),
@@ -150,22 +154,22 @@ def test_a_smooth_ellipsoid_agrees_with_its_sigma(ellipsoid: MeshFile) -> None:
     assert 0.85 < rms(error / sigma) < 1.15
 
 
-@pytest.mark.parametrize("texture", [None, TEXTURE])
-def test_spans_next_to_steps_are_no_object(stairs: MeshFile, texture: Texture | None) -> None:
-    """The sheet spans free from edge to edge, up to 200 um above the treads."""
-    error, _ = errors_mm(stairs, 0.5, texture)
+@pytest.mark.parametrize(("texture", "largest_mm"), [(None, 4e-3), (TEXTURE, 0.02)])
+def test_spans_next_to_steps_are_no_object(
+    stairs: MeshFile, texture: Texture | None, largest_mm: float
+) -> None:
+    """The sheet spans free from edge to edge, and lifts off by up to 20 um behind an edge."""
+    error, sigma = errors_mm(stairs, 0.5, texture)
     assert len(error) > 100  # of the highest tread, which carries the sheet
-    assert np.abs(error).max() < 0.03
+    assert np.abs(error).max() < largest_mm
+    assert np.mean(np.abs(error) > 4 * sigma) < 0.005
 
 
 def test_unknown_texture_is_taken_from_the_coat() -> None:
     """A coat with 5 um of scatter of unknown cause gives points of that uncertainty."""
-    load, pressing = pressed(CYLINDER, 0.4)
-    coat = coat_of(load, pressing, TEXTURE)
-    layer = SensorLayer(elastomer=SHEET, press=MeasuredLoad(back_pressure_kpa=AIR_KPA))
-    points = object_points(coat, compensate_points(coat, layer))
-    sigma = np.linalg.norm(points.sigma_xyz_mm[points.valid], axis=-1)
-    assert np.median(sigma) == pytest.approx(5e-3, rel=0.25)
+    error, sigma = errors_mm(CYLINDER, 0.4, TEXTURE, stated=False)
+    assert np.median(sigma) == pytest.approx(5e-3, rel=0.12)
+    assert 0.85 < rms(error / sigma) < 1.15
 
 
 def test_a_ball_of_the_one_dimensional_oracle() -> None:

@@ -43,7 +43,7 @@ class LayerSigma(AssumedSigma):
     force_n: ForceSigma = 0.0
     texture_mm: Rounding | None = Field(
         default=None,
-        description="RMS height of the coat's texture; absent: the scatter of the points in "
+        description="RMS height of the coat's texture; absent: estimated from the points in "
         "contact",
     )
     plane_mm: Rounding = Field(
