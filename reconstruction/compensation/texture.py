@@ -44,8 +44,8 @@ def smoothed_variance(relief: Relief, used: BoolArray, sigma_mm: float) -> float
     covariance = _covariance(rest, used)
     if covariance is None or covariance[0] <= 0:
         return 0.0
-    lags_mm = (1 + np.arange(_LAGS)) * float(np.mean(relief.pitch_mm))
-    lengths = _LENGTHS * sigma_mm
+    lags_mm = np.asarray((1 + np.arange(_LAGS)) * np.mean(relief.pitch_mm), np.float64)
+    lengths = np.asarray(_LENGTHS * sigma_mm, np.float64)
     shapes = np.stack([_shape(lags_mm, length, sigma_mm, relief) for length in lengths])
     variances = np.maximum(shapes @ covariance / np.sum(shapes**2, axis=1), 0.0)
     misfit = np.sum((covariance - variances[:, None] * shapes) ** 2, axis=1)
