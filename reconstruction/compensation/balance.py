@@ -171,6 +171,28 @@ class CoatShapes:
         return self._shapes[sigma_mm]
 
 
+@dataclass(frozen=True, eq=False)
+class FinestPressure:
+    """Contact pressure at the finest scale that noise and texture of the coat allow.
+
+    Attributes
+    ----------
+    pressure_kpa : (row, col)
+    shape : fundamental forms of the coat after the filter
+    sigma_mm : standard deviation of the filter
+    noise_kpa : standard deviation of the noise of `pressure_kpa`
+    """
+
+    pressure_kpa: FloatArray
+    shape: CoatShape
+    sigma_mm: float
+    noise_kpa: float
+
+    def in_contact_kpa(self, contact: BoolArray) -> FloatArray:
+        """Return the pressure in the cells in contact, at least 0, and 0 in other cells."""
+        return np.where(contact, np.maximum(self.pressure_kpa, 0.0), 0.0)
+
+
 def balanced(
     relief: Relief, layer: SheetLayer, shape: CoatShape, stretched: StretchedCoat
 ) -> ContactBalance:
@@ -196,29 +218,28 @@ def balanced(
 def footing_of(
     relief: Relief,
     layer: SheetLayer,
-    shapes: "CoatShapes",
     stretched: StretchedCoat,
     balance: ContactBalance,
+    finest: FinestPressure,
 ) -> Footing:
     """Return the contact at the finest scale, and the cells that are certainly in contact.
 
     The contact pressure of an edge is a line load, which the curvature's filter spreads over the
-    neighbouring free span. The pressure is therefore computed again with the narrowest filter that
-    noise and texture of the coat allow. A cell is certainly in contact only if that pressure
-    exceeds `balance.least_kpa`. The width of filter, cell and sheet bending is then removed from
+    neighbouring free span. The pressure is therefore that of the narrowest filter that noise and
+    texture of the coat allow, `finest_pressure`. A cell is certainly in contact only if it exceeds
+    `balance.least_kpa`. The width of filter, cell and sheet bending is then removed from
     the contact's border, which also removes line contacts. Last, the bands next to edges are
     removed in which the sheet may have lifted off (`line_loads`).
     """
-    sigma_mm, shape, noise_kpa = _narrowest(relief, layer, shapes, stretched, balance)
-    pressure = _pressure(relief, layer, shape, stretched)
-    width_mm = float(np.hypot(sigma_mm, layer.thickness_mm))
+    pressure, shape = finest.pressure_kpa, finest.shape
+    width_mm = float(np.hypot(finest.sigma_mm, layer.thickness_mm))
     carried = (pressure > balance.least_kpa) & relief.measured & off_the_rim(relief)
     pressed = _up_to_half(carried, pressure, relief, width_mm)
     edge_distance_mm = ndimage.distance_transform_edt(pressed, sampling=relief.pitch_mm[::-1])
     off_edges = edge_distance_mm > _HALF_WIDTH * width_mm + min(relief.pitch_mm)
     pressed_map = PressureMap(
         pressure_kpa=np.where(carried, pressure, 0.0),
-        noise_kpa=noise_kpa,
+        noise_kpa=finest.noise_kpa,
         blur_mm=width_mm,
         tension_kpa_mm=stretched.mean_tension_kpa_mm(shape),
         local_mm=layer.thickness_mm * stretched.thinning,
@@ -226,9 +247,8 @@ def footing_of(
     loads = line_loads(pressed_map, relief, layer)
     # A contact that is now only one or two cells wide was a line contact.
     sure = np.asarray(ndimage.binary_opening(off_edges & ~loads.lifted(), np.ones((3, 3))))
-    in_contact = np.where(balance.contact, np.maximum(pressure, 0.0), 0.0)
     uneven = _unevenness(shape.bend_per_mm, pressed, relief, _NEAR_WIDTHS * width_mm)
-    return Footing(sure, loads.enclosed(), uneven, in_contact)
+    return Footing(sure, loads.enclosed(), uneven, finest.in_contact_kpa(balance.contact))
 
 
 def _unevenness(
@@ -245,27 +265,27 @@ def _unevenness(
     return np.asarray(np.subtract(most, least, out=np.zeros_like(bend_per_mm), where=near))
 
 
-def _narrowest(
+def finest_pressure(
     relief: Relief,
     layer: SheetLayer,
     shapes: "CoatShapes",
     stretched: StretchedCoat,
     balance: ContactBalance,
-) -> tuple[float, CoatShape, float]:
-    """Return the narrowest usable filter: standard deviation, mm, filtered shape, noise, kPa.
+) -> FinestPressure:
+    """Return the contact pressure after the narrowest usable filter.
 
     A filter is usable if the pressure's noise is below 1/4 of the least contact pressure. The noise
     is measured on the free span, because the contact pressure is zero there.
     """
-    free, noise_kpa = free_span(relief, balance.contact), balance.sigma_kpa
-    sigmas = (*_FINE_SIGMAS_MM, CURVATURE_SIGMA_MM)
-    for sigma_mm in sigmas if free.sum() >= _LEAST_FREE else ():
+    free, sigmas = free_span(relief, balance.contact), (*_FINE_SIGMAS_MM, CURVATURE_SIGMA_MM)
+    for sigma_mm in sigmas if free.sum() >= _LEAST_FREE else sigmas[-1:]:
         shape = shapes.blurred(sigma_mm)
-        off_kpa = _pressure(relief, layer, shape, stretched)[free] - balance.pressure_kpa[free]
-        noise_kpa = float(np.hypot(spread(off_kpa), balance.sigma_kpa))
-        if spread(off_kpa) < balance.least_kpa / _SIGMAS_AT_FINE_SCALE:
-            return sigma_mm, shape, noise_kpa
-    return CURVATURE_SIGMA_MM, shapes.blurred(CURVATURE_SIGMA_MM), noise_kpa
+        pressure = _pressure(relief, layer, shape, stretched)
+        off_kpa = (pressure - balance.pressure_kpa)[free]
+        noise_kpa = spread(off_kpa) if len(off_kpa) >= _LEAST_FREE else 0.0
+        if noise_kpa < balance.least_kpa / _SIGMAS_AT_FINE_SCALE:
+            break
+    return FinestPressure(pressure, shape, sigma_mm, float(np.hypot(noise_kpa, balance.sigma_kpa)))
 
 
 def free_span(relief: Relief, contact: BoolArray) -> BoolArray:

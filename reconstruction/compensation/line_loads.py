@@ -11,6 +11,7 @@ of the sheet behind the edge.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import ndimage
@@ -24,6 +25,8 @@ _LEAST_LIFT_MM = 1e-3
 # Half width of the window that separates faces from lines, in widths of the blur.
 _WINDOW_WIDTHS = 2.0
 _LONGEST_MM = 3.0
+# The lengths are rounded up to so many levels.
+_LEVELS = 8
 # Ratio of a line load's largest pressure to the pressure's noise. The largest of the noise over a
 # contact exceeds 4 standard deviations.
 _SIGMAS_OF_LOAD = 6.0
@@ -46,12 +49,13 @@ class LineLoads:
 
     def lifted(self) -> BoolArray:
         """Return the cells in which the sheet may have lifted off the object, (row, col) bool."""
-        step, longest = min(self.pitch_mm), float(self.reach_mm.max())
+        levels = np.linspace(0.0, float(self.reach_mm.max()), _LEVELS + 1)
         lifted = np.zeros(self.reach_mm.shape, bool)
-        for number in range(1, int(np.ceil(longest / step)) + 1):
-            loaded = self.reach_mm > (number - 1) * step
-            away_mm = ndimage.distance_transform_edt(~loaded, sampling=self.pitch_mm[::-1])
-            lifted |= away_mm <= min(number * step, longest)
+        for above, up_to in pairwise(levels.tolist() if levels[-1] > 0 else ()):
+            away_mm = ndimage.distance_transform_edt(
+                self.reach_mm <= above, sampling=self.pitch_mm[::-1]
+            )
+            lifted |= away_mm <= up_to
         return lifted
 
     def enclosed(self) -> BoolArray:

@@ -35,6 +35,7 @@ from reconstruction.compensation.balance import (
     Footing,
     StretchedCoat,
     balanced,
+    finest_pressure,
     footing_of,
     free_span,
 )
@@ -322,8 +323,8 @@ def compensate_sheet(
         stretched = _stretched(relief, layer, spread_out)
         thinning = stretched.thinning
         balance = balanced(relief, layer, wide, stretched)
-        footing = footing_of(relief, layer, shapes, stretched, balance)
-        carried_kpa = footing.pressure_kpa
+        finest = finest_pressure(relief, layer, shapes, stretched, balance)
+        carried_kpa = finest.in_contact_kpa(balance.contact)
     thinning, sigma_thinning = _with_sticking(
         layer, thinning, _open_of_rim(surface, relief, layer, spread_out)
     )
@@ -333,7 +334,7 @@ def compensate_sheet(
         sigma_thinning=sigma_thinning,
         normal=fine.normal,
         balance=balance,
-        footing=footing,
+        footing=footing_of(relief, layer, stretched, balance, finest),
         layer=layer,
     )
 
