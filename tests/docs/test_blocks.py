@@ -57,6 +57,7 @@ JUDGES = {
     "docs/bring_your_own.md: twin import-calibration": _OWN_DECODER,
     "docs/bring_your_own.md: normals": _OWN_DECODER,
     "docs/coatings.md: [coating]": "test_blocks.py::test_a_measured_coat",
+    "docs/coatings.md: [coating.glints]": "test_blocks.py::test_the_glints_of_a_coat",
     "docs/coatings.md: [coating.texture]": "test_blocks.py::test_the_texture_of_a_coat",
     "docs/compensation.md: # layer.toml": "test_blocks.py::test_layer_file",
     "docs/compensation.md: fitted =": "test_blocks.py::test_layer_file",
@@ -200,6 +201,15 @@ def test_the_texture_of_a_coat(tmp_path):
     assert figures["texture_correlation_mm"] == pytest.approx(0.15, rel=0.1)
     shipped = load_experiment("examples/airbrushed").coating.texture
     assert experiment.coating.texture.skewness == shipped.skewness == 0.0
+
+
+def test_the_glints_of_a_coat(tmp_path):
+    """Expected: the numbers of the shipped coat, and flakes over its share of the area."""
+    text = one("docs/coatings.md", "[coating.glints]").text
+    stated = experiment_with(tmp_path, "slab_ball", text).coating
+    use = '[coating]\nuse = "materials/coatings/glinting_flake"\n'
+    assert stated == experiment_with(tmp_path, "slab_ball", use).coating
+    assert stated.facets().share == stated.flake_fraction
 
 
 def test_layer_file(tmp_path):

@@ -6,6 +6,7 @@ overrides `bsdf`. It is defined in one file of `twin.optics.coatings`, of an ins
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import cbrt, sqrt
 from typing import Annotated, Any, ClassVar, Self
 
@@ -56,6 +57,38 @@ def _least_excess_kurtosis(skewness: float) -> float:
     return 1.01 * (w**4 + 2 * w**3 + 3 * w**2 - 6)
 
 
+class Glints(Model):
+    """Flakes as discrete flat facets at random places of the coat, each with its own normal."""
+
+    diameter_um: Annotated[float, Field(ge=2, le=200)] = Field(
+        description="median diameter of the flakes, weighted by their area; seen along the normal"
+    )
+    diameter_spread: Annotated[float, Field(ge=0, le=0.8)] = Field(
+        description="standard deviation of ln(diameter); log-normal, cut at 3 standard deviations"
+    )
+    facet_roughness: Annotated[float, Field(ge=0.002, le=0.2)] = Field(
+        description="standard deviation of the slopes within one flake, along one axis"
+    )
+
+
+@dataclass(frozen=True)
+class DiscreteFacets:
+    """Discrete facets of a coat, which replace the smooth lobe of their normals.
+
+    Attributes
+    ----------
+    glints : sizes and roughness of the facets
+    share : sum of the facets' areas over the area of the coat
+    alpha : GGX alpha of the facets' normals
+    bsdf : BSDF of a coat with only facets, for `mi.load_dict`
+    """
+
+    glints: Glints
+    share: float
+    alpha: float
+    bsdf: dict[str, Any]
+
+
 class Coating(Model):
     """Base class of all kinds of coat: texture, and reflection, which each kind defines."""
 
@@ -91,6 +124,10 @@ class Coating(Model):
     def bsdf_with_ink(self, albedo: dict[str, Any]) -> dict[str, Any]:
         """Return the BSDF with a texture instead of the albedo of the ink, see `albedo_over`."""
         raise NotImplementedError(f"{type(self).__name__}.bsdf_with_ink")
+
+    def facets(self) -> DiscreteFacets | None:
+        """Return the discrete facets of the coat; None if its reflection is smooth."""
+        return None
 
     def albedo_over(self, reflectance: float) -> float | None:
         """Return the albedo of the ink in front of an object; None if the coat is opaque.

@@ -21,6 +21,7 @@ from twin.mechanics.storage import read_press, write_in_plane, write_mesh, write
 from twin.mechanics.texture import (
     Field,
     in_plane_displacement,
+    material_points,
     texture_field,
     texture_figures,
     textured,
@@ -46,6 +47,7 @@ __all__ = [
     "face_normals",
     "fields_at",
     "in_plane_displacement",
+    "material_points",
     "opposite_transfer",
     "press",
     "press_with",

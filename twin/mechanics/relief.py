@@ -24,6 +24,10 @@ def _compiled(function: Function) -> Function:
     return compile_and_keep(function, _OPTIONS, _SOURCE_DIGEST)
 
 
+MATERIAL_MM = "material_mm"
+"""Attribute of a face's vertices, (vertex, 2) float64: material coordinates X and Y, mm."""
+
+
 @dataclass(frozen=True, eq=False)
 class FaceGrid:
     """Coated face for the renderer: the arrays of `face_mesh`, in single precision.

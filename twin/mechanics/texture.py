@@ -251,7 +251,7 @@ def textured(
     node's position minus its displacement in the plane. The spectral model and the sheet compute
     this displacement; in the other models it is neglected, so that the texture is not stretched.
     """
-    X_mm, Y_mm = _material_points(pressed, elastomer, load)
+    X_mm, Y_mm = material_points(pressed, elastomer, load)
     extent = (float(X_mm.min()), float(X_mm.max()), float(Y_mm.min()), float(Y_mm.max()))
     height_mm = texture_field(texture, seed, extent).height_mm(X_mm, Y_mm)
     added = height_mm / face_normals(pressed)[..., 2]
@@ -280,9 +280,14 @@ def texture_figures(pressed: PressedElastomer) -> dict[str, float]:
     }
 
 
-def _material_points(
+def material_points(
     pressed: PressedElastomer, elastomer: Elastomer, load: Press
 ) -> tuple[FloatArray, FloatArray]:
+    """Return the material coordinates X and Y at the nodes of the coated face, (row, col) mm.
+
+    They are the positions of the material in the flat, unloaded elastomer. Models that compute no
+    displacement in the plane of the coat return the positions of the nodes.
+    """
     X_mm, Y_mm = np.meshgrid(pressed.face_x_mm, pressed.face_y_mm)
     if pressed.sheet is not None:
         return pressed.sheet.material_x_mm, pressed.sheet.material_y_mm

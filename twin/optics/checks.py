@@ -76,7 +76,7 @@ def check_coat(experiment: Experiment) -> None:
 
 
 def check_stock(experiment: Experiment) -> None:
-    """Raise InputError for lens distortion or projector defocus, which stock Mitsuba lacks."""
+    """Raise InputError for lens distortion, defocus or glints, which stock Mitsuba lacks."""
     if any(experiment.camera.distortion):
         raise InputError(
             "camera.distortion: stock Mitsuba cannot express it;"
@@ -86,6 +86,11 @@ def check_stock(experiment: Experiment) -> None:
         raise InputError(
             "projector.aperture_mm: stock Mitsuba cannot express blur that depends on distance;"
             " set it to zero or use render.engine = 'one_trace'"
+        )
+    if experiment.coating.facets() is not None:
+        raise InputError(
+            "coating.glints: stock Mitsuba cannot express discrete flakes; remove the table or use "
+            "render.engine = 'one_trace'"
         )
 
 

@@ -133,6 +133,13 @@ def _arrive(rig: Rig, point_mm: Any) -> Arrival:
     )
 
 
+def direction_to(rig: Rig, device: Device, point_mm: Any) -> Any:
+    """Return the unit vectors from points to a device, in the medium around the points."""
+    if rig.layers is not None:
+        return rig.layers.arrive(device, 1.0, point_mm).direction
+    return dr.normalize(device.position_mm - point_mm)
+
+
 def on_image(rig: Rig, column_px: Any, row_px: Any, margin_px: float) -> Any:
     """Return True for coordinates on the projector's image, or at most `margin_px` outside it."""
     pinhole, low = rig.projector.pinhole, -0.5 - margin_px

@@ -121,11 +121,12 @@ def trace_tangent(
 
     Raises
     ------
-    InputError : the experiment has layers or depth of field, which are not differentiated
+    InputError : the experiment has layers, depth of field or glints, which are not differentiated
     """
-    if rig.layers is not None or rig.camera.lens is not None:
+    glints = experiment.coating.facets() is not None
+    if rig.layers is not None or rig.camera.lens is not None or glints:
         raise InputError(
-            "gradient: found layers or camera.depth_of_field, which are not "
+            "gradient: found layers, camera.depth_of_field or coating.glints, which are not "
             "differentiated; remove them, or search by sampling.method = 'optimise'"
         )
     amount = mi.Float(0.0)

@@ -12,7 +12,7 @@ through clear objects.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import drjit as dr
@@ -39,12 +39,30 @@ the fringe amplitude."""
 
 
 @dataclass(frozen=True)
+class GlintLight:
+    """Light of discrete flakes, which replaces a share of the light of each pixel's samples.
+
+    Attributes
+    ----------
+    kept : share of each sample's weight that remains
+    light : light of the flakes, as one connection per pixel
+    """
+
+    kept: Any
+    light: Connection
+
+    def remaining(self, path: Connection) -> Connection:
+        """Return one sample of each pixel without the light that the flakes replace."""
+        return replace(path, weight=path.weight * self.kept)
+
+
+@dataclass(frozen=True)
 class Patches:
     """Sums over all samples of each camera pixel: weight and weighted projector position.
 
     `lowest` and `highest` are the extreme projector positions of the lit samples. All values depend
     on geometry, rig and coat, but not on the patterns. An evaluated trace can therefore be used for
-    any number of pattern sequences.
+    any number of pattern sequences. The sums include `glints`; None: the coat is smooth.
     """
 
     samples: int
@@ -54,10 +72,14 @@ class Patches:
     weighted_axial_mm: Any
     lowest: Any
     highest: Any
+    glints: GlintLight | None = None
 
     def evaluate(self) -> "Patches":
         """Run the recorded trace, store its result and return the patches."""
-        dr.eval(*(getattr(self, field.name) for field in fields(self) if field.name != "samples"))
+        no_sums = ("samples", "glints")
+        dr.eval(*(getattr(self, field.name) for field in fields(self) if field.name not in no_sums))
+        if self.glints is not None:
+            dr.eval(self.glints.kept, *vars(self.glints.light).values())
         return self
 
     @property
@@ -153,12 +175,16 @@ def frames_of_patches(
     grid = SubPixels.of_image(width, height, patches.samples)
     smooth = patches.spread_px <= smooth_within_px
     frames = light.values(patches.mean_connection(smooth))
-    return _add_samples(
-        lambda sample: light.values(see(scene, rig, grid.ray(rig.camera, sample))[1]),
-        grid,
-        ~smooth,
-        frames,
-    )
+    glints = patches.glints
+    if glints is not None:
+        apart = light.values(replace(glints.light, lit=glints.light.lit & ~smooth))
+        frames = [mean + glint for mean, glint in zip(frames, apart, strict=True)]
+
+    def sample_values(sample: Any) -> list[Any]:
+        path = see(scene, rig, grid.ray(rig.camera, sample))[1]
+        return light.values(path if glints is None else glints.remaining(path))
+
+    return _add_samples(sample_values, grid, ~smooth, frames)
 
 
 def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
@@ -186,8 +212,10 @@ def trace_patches(scene: Any, rig: Rig, samples: int) -> Patches:
 
     zero = dr.zeros(mi.Float, dr.width(grid.x_px))
     start = (mi.UInt32(0), *[zero] * 4, mi.Point2f(dr.inf), mi.Point2f(-dr.inf))
-    end = dr.while_loop(start, lambda sample, *_: sample < grid.samples, add_sample)
-    return Patches(samples, *end[1:])
+    sums: tuple[Any, ...] = dr.while_loop(
+        start, lambda sample, *_: sample < grid.samples, add_sample
+    )
+    return Patches(samples, *sums[1:])
 
 
 def _add_samples(

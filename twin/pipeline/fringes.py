@@ -20,10 +20,11 @@ from reconstruction.pipeline import Reconstruction, reconstruct
 from twin.camera import NoiseFunction, expose
 from twin.camera.noise_function import name_of
 from twin.config import digest, require_experiment
+from twin.config.digest import content_digest
 from twin.config.models import Experiment
 from twin.config.sensor_layer import SensorLayer
 from twin.mechanics import PressedElastomer
-from twin.mechanics.relief import face_grid
+from twin.mechanics.relief import MATERIAL_MM, face_grid
 from twin.optics.checks import check_direct_engine, check_stack_size
 from twin.optics.light import pattern_set
 from twin.optics.rig import true_calibration
@@ -32,7 +33,7 @@ from twin.optics.stack import RadianceStack
 from twin.output import versions
 from twin.pipeline.captures import options_of
 from twin.pipeline.memory import CachedResult, Memory
-from twin.pipeline.press import PressedFace, press
+from twin.pipeline.press import PressedFace, glinting_material_mm, press
 from twin.pipeline.progress import Stopwatch
 from twin.results.figures import Metrics
 from twin.results.layout import layout_warnings
@@ -375,11 +376,15 @@ def loaded(
 
     if pressed is None:
         return memory.recall("geometry", experiment, (), trace.load_bare)
+    material_mm = glinting_material_mm(experiment, pressed.pressed)
+    attributes = {} if material_mm is None else {MATERIAL_MM: material_mm}
     return memory.recall(
         "geometry",
         experiment,
-        pressed.face_digest,
-        lambda watched: trace.load_face(watched, face_grid(pressed.pressed)),
+        (pressed.face_digest, content_digest(*attributes.values())),
+        lambda watched: trace.load_face(
+            watched, replace(face_grid(pressed.pressed), vertex_attributes=attributes)
+        ),
     )
 
 

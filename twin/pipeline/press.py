@@ -4,12 +4,16 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
+from reconstruction.arrays import FloatArray
 from twin.config import require_experiment
 from twin.config.models import Experiment
 from twin.mechanics import (
     ContactTransfer,
     PressedElastomer,
     contact_transfer,
+    material_points,
     press_with,
     ridge_height_mm,
     ridge_transfer,
@@ -99,6 +103,17 @@ def with_texture(experiment: Experiment, smooth: PressedElastomer) -> PressedEla
     if texture is None:
         return smooth
     return textured(smooth, experiment.elastomer, experiment.press, texture, experiment.seed)
+
+
+def glinting_material_mm(experiment: Experiment, pressed: PressedElastomer) -> FloatArray | None:
+    """Return the material coordinates of the face's vertices, (vertex, 2) mm, for its flakes.
+
+    None for a coat without discrete flakes.
+    """
+    if experiment.coating.facets() is None:
+        return None
+    X_mm, Y_mm = material_points(pressed, experiment.elastomer, experiment.press)
+    return np.stack((X_mm.ravel(), Y_mm.ravel()), axis=-1)
 
 
 def _smooth(

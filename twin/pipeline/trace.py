@@ -18,6 +18,7 @@ from twin.optics.bounces import Bounces
 from twin.optics.checks import check_focus, check_stock
 from twin.optics.connection import Rig, axial_range_mm
 from twin.optics.direct import direct_scene
+from twin.optics.glinting import with_glints
 from twin.optics.light import LightTable, light_tables, pattern_set
 from twin.optics.materials import coated_mesh
 from twin.optics.one_trace import Patches, maps_of, trace_patches, trace_stack, trace_truth
@@ -125,9 +126,15 @@ def view_of(experiment: Experiment, geometry: Geometry) -> View:
 
 @renderer_session()
 def patches_of(experiment: Experiment, geometry: Geometry, view: View) -> Patches:
-    """Return the traced rays of all camera pixels, which are independent of the patterns."""
+    """Return the traced rays of all camera pixels, which are independent of the patterns.
+
+    They include the glints of the coat.
+    """
     dress(experiment, geometry)
-    return trace_patches(geometry.scene, view.rig, experiment.render.samples).evaluate()
+    rays = trace_patches(geometry.scene, view.rig, experiment.render.samples).evaluate()
+    if geometry.face is None:
+        return rays
+    return with_glints(experiment, geometry.face, view.rig, view.truth, rays)
 
 
 @renderer_session()

@@ -172,10 +172,10 @@ def phrase(values: Mapping[str, Any], model: type[BaseModel] | None = None) -> s
 
 
 def coating_phrase(coating: Coating) -> str:
-    """Return kind, values and texture (if any) of a coating as one phrase."""
+    """Return kind, values and tables (texture, glints) of a coating as one phrase."""
     numbers = coating.model_dump()
     kind = f"{numbers.pop('kind')}: " if "kind" in numbers else ""
-    written = kind + phrase(numbers, type(coating))
-    if coating.texture is None:
-        return written
-    return f"{written}; texture: {phrase(coating.texture.model_dump())}"
+    tables = [
+        f"{name}: {phrase(table)}" for name, table in numbers.items() if isinstance(table, dict)
+    ]
+    return "; ".join([kind + phrase(numbers, type(coating)), *tables])

@@ -27,7 +27,7 @@ from pydantic import Field, model_validator
 from reconstruction.errors import InputError
 from twin.config.base import Fraction
 from twin.config.bounds import Extinction, MetalIndex
-from twin.config.coatings import COATINGS, Coating
+from twin.config.coatings import COATINGS, Coating, DiscreteFacets, Glints
 from twin.optics.bsdfs import level, microfacets
 
 
@@ -72,6 +72,13 @@ class Flakes(Coating):
         "that the contact is brighter (contact_face, photometric_stereo)",
     )
 
+    # Excluded if absent: the digests of smooth coats do not change.
+    glints: Glints | None = Field(
+        default=None,
+        exclude_if=lambda glints: glints is None,
+        description="flakes as discrete facets (fringes only); absent: their mean, without glints",
+    )
+
     differentiable = ("base_albedo", "flake_fraction", "flake_roughness")
     albedo_field = "base_albedo"
     determined_by: ClassVar[Mapping[str, str]] = {
@@ -89,6 +96,16 @@ class Flakes(Coating):
             )
         return self
 
+    @model_validator(mode="after")
+    def _flakes_are_smoother_than_the_coat(self) -> Self:
+        if self.glints is None or self.glints.facet_roughness <= self.flake_roughness / 2:
+            return self
+        raise ValueError(
+            f"glints.facet_roughness: found {self.glints.facet_roughness:g}, allowed at most "
+            f"{self.flake_roughness / 2:g}, 0.5 x flake_roughness; lower it, or raise "
+            "flake_roughness"
+        )
+
     def bsdf(self) -> dict[str, Any]:
         """Return the BSDF, a blend of ink and flakes, as a dictionary for `mi.load_dict`."""
         return self.bsdf_with_ink(level(self.base_albedo))
@@ -99,13 +116,24 @@ class Flakes(Coating):
             "type": "blendbsdf",
             "weight": self.flake_fraction,
             "bsdf_0": self._ink(albedo),
-            "bsdf_1": microfacets(
-                "conductor",
-                self.flake_roughness,
-                eta=level(self.flake_ior),
-                k=level(self.flake_extinction),
-            ),
+            "bsdf_1": self._flakes(),
         }
+
+    def facets(self) -> DiscreteFacets | None:
+        """Return the flakes as discrete facets; None without `glints`, or without flakes."""
+        if self.glints is None or self.flake_fraction == 0.0:
+            return None
+        return DiscreteFacets(
+            self.glints, self.flake_fraction, self.flake_roughness, self._flakes()
+        )
+
+    def _flakes(self) -> dict[str, Any]:
+        return microfacets(
+            "conductor",
+            self.flake_roughness,
+            eta=level(self.flake_ior),
+            k=level(self.flake_extinction),
+        )
 
     def _ink(self, albedo: dict[str, Any]) -> dict[str, Any]:
         if self.binder_ior == 1.0:
@@ -151,6 +179,11 @@ class Flakes(Coating):
             "binder_ior": max(self.binder_ior / ior, 1.0),
         }
         return self.model_copy(update=relative)
+
+    @property
+    def export_gap(self) -> str:
+        """Reason why a coat with glints cannot be exported; empty without glints."""
+        return "" if self.facets() is None else "coating.glints has no form in stock Mitsuba"
 
     @property
     def is_matte(self) -> bool:
