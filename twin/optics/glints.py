@@ -32,7 +32,6 @@ from twin.optics.pupil_cone import Cone
 # Points of equal area by which a flake is divided between pixels: the pixels' errors are 1.5 % of
 # the contrast for flakes of 15 um and pixels of 50 um.
 _POINTS = 128
-_BAND_ROWS = 64
 
 
 # Parts of `PixelMaps.fields`.
@@ -114,7 +113,7 @@ def glint_maps(process: FlakeProcess, share: float, cone: Cone, maps: PixelMaps)
         flakes = process.within((x_low, x_high, y_low, y_high))
         _fill_ratios(first, maps, steps, (flakes, optics), result)
 
-    run_over_rows(fill, shape[0], band_rows=_BAND_ROWS)
+    run_over_rows(fill, shape[0])
     return result
 
 
