@@ -151,6 +151,7 @@ def glinting(
     aperture_mm: float,
     pixels: int = 400,
     field_mm: float = 20.0,
+    polar_deg: float = 25.0,
     **glints: float,
 ) -> Experiment:
     """Return an experiment that images a square field of a coat with glints."""
@@ -164,6 +165,7 @@ def glinting(
             "camera.pixel_pitch_um": 4.5 / 0.01476 * field_mm / pixels,
             "camera.f_number": f_number,
             "projector.aperture_mm": aperture_mm,
+            "projector.pose.polar_deg": polar_deg,
             **{f"coating.glints.{name}": value for name, value in settings.items()},
         },
     )
@@ -281,21 +283,19 @@ class BruteForce:
         places = self.maps.fields[::step, ::step, 7:10].reshape(-1, 3).astype(np.float64)
         sums, count = np.zeros(len(places)), 1000
         for half in self._half_vectors(places, count):
-            slopes = -half[:, :2] / half[:, 2:]
-            # Slopes of the facets are those of the half vector minus their own: both add.
-            own = self.facets.glints.facet_roughness * self.rng.normal(size=slopes.shape)
-            facet = unit(np.concatenate([-slopes, np.ones((len(slopes), 1))], axis=1))
-            facet = unit(facet + across(facet, own))
-            sums += ggx(facet[:, 2], self.facets.alpha)
+            own = self.facets.glints.facet_roughness * self.rng.normal(size=(len(half), 2))
+            facet = unit(half + across(half, own))
+            # The area of a flake is seen from the half vector: its density has 1 / cosine.
+            sums += ggx(facet[:, 2], self.facets.alpha) / np.sum(half * facet, axis=1)
         grid = (sums / count).reshape(len(range(0, rows, step)), -1)
         at = np.mgrid[:rows, :cols] / step
         return self.facets.share * ndimage.map_coordinates(grid, at, order=1, mode="nearest")
 
 
-def across(facet: Floats, slopes: Floats) -> Floats:
-    """Return vectors perpendicular to the facets' normals, of the given two components."""
-    first = unit(np.cross(facet, [0.0, 1.0, 0.0]))
-    return slopes[:, :1] * first + slopes[:, 1:] * np.cross(facet, first)
+def across(normal: Floats, slopes: Floats) -> Floats:
+    """Return vectors perpendicular to unit vectors, of the given two components."""
+    first = unit(np.cross(normal, [0.0, 1.0, 0.0]))
+    return slopes[:, :1] * first + slopes[:, 1:] * np.cross(normal, first)
 
 
 def unit(vectors: Floats) -> Floats:

@@ -77,11 +77,11 @@ class EvenTilts(FlakeProcess):
 
 
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("facet_roughness", [0.04, 0.15])
+@pytest.mark.parametrize("facet_roughness", [0.04, 0.15, 0.2])
 def test_the_mean_over_coats_is_that_of_the_smooth_coat(tilt_rad, facet_roughness):
-    """Flakes whose tilts fill the distribution evenly, so that the mean has no random error: 0.3 %.
+    """Flakes whose tilts fill the distribution evenly, so that the mean has no random error: 0.2 %.
 
-    3e-3: of the mean over the cone by 24 directions. Random flakes: `./run bench coat`.
+    2e-3: of the mean over the cone by 40 directions. Random flakes: `./run bench coat`.
     """
     facets = glint_facets(facet_roughness=facet_roughness)
     coat = FlatCoat(facets, tilt_rad=tilt_rad)
@@ -90,7 +90,7 @@ def test_the_mean_over_coats_is_that_of_the_smooth_coat(tilt_rad, facet_roughnes
     cone = Cone.of(coat.camera, coat.projector, coat.scatter)
     light = glint_maps(process, facets.share, cone, coat.maps(0.1, 99))
     assert light.valid.all()
-    assert np.mean(light.ratio) == pytest.approx(1.0, abs=3e-3)
+    assert np.mean(light.ratio) == pytest.approx(1.0, abs=2e-3)
 
 
 @pytest.mark.parametrize(("pitch_mm", "pixels"), [(0.01, 700), (0.03, 400), (0.09, 200)])
@@ -111,15 +111,18 @@ def test_the_contrast_falls_with_the_apertures():
     assert contrasts[0] > 1.3 * contrasts[1] > 1.3**2 * contrasts[2]
 
 
-@pytest.mark.parametrize("aperture", [(16.0, 0.0), (8.0, 4.0), (2.8, 10.0)])
+@pytest.mark.parametrize(
+    ("aperture", "polar_deg"),
+    [((16.0, 0.0), 25.0), ((8.0, 4.0), 25.0), ((2.8, 10.0), 25.0), ((8.0, 4.0), 70.0)],
+)
 @pytest.mark.usefixtures("mi")
-def test_every_pixel_equals_explicit_facets(aperture):
+def test_every_pixel_equals_explicit_facets(aperture, polar_deg):
     """Random points on pupils and flakes; the deviation is the random error of this geometry.
 
     0.15: the error is estimated from two halves, of which few bright flakes decide.
     """
-    case = glinting(*aperture, pixels=150, field_mm=7.5, facet_roughness=0.08)
-    assert BruteForce(case, samples=8).rms_over_noise() == pytest.approx(1.0, abs=0.15)
+    case = glinting(*aperture, 150, 7.5, polar_deg, facet_roughness=0.08)
+    assert BruteForce(case, samples=40).rms_over_noise() == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize("radii", [(0.02, 0.0), (0.05, 0.03), (0.1, 0.1)])

@@ -1,19 +1,20 @@
 """Light that the flakes in the footprint of each camera pixel reflect, over that of the mean coat.
 
-A flake is a flat facet with one normal m. It reflects the pupil of the projector into directions
-around r, the mirror image of the direction to the projector, wi. The pixel receives the part of
-this light that enters the pupil of the camera, in the direction wo. The share of it per solid
-angle is a function k of the distance between r and wo: the convolution of the two pupils, seen
-from the coat as discs, with the normal distribution of the flake's own roughness. With the share
-a / A of the footprint that a flake covers, the distribution of normals in the microfacet BRDF is
+A flake is a flat facet with the normal m. Its light enters the camera if m is near the half vector
+h of the directions to camera and projector. The density k of this light is a function of the
+slopes s of m relative to h, in units of the reflected direction: 2 s in the plane of incidence,
+2 cos(theta) s across it, with the angle of incidence theta on h. k is the convolution of the two
+pupils, seen from the coat as discs, with the normal distribution of the flake's own slopes. With
+the share a / A of the footprint that a flake covers, the distribution of normals in the microfacet
+BRDF is
 
-    D_pixel = sum over the flakes of (a / A) 4 (wi . m) k(|r - wo|) / (n . m)
+    D_pixel = sum over the flakes of (a / A) 4 cos(theta) k / ((n . m) (h . m)^4)
 
 in place of the smooth D of GGX (Jakob et al., Discrete stochastic microfacet models, ACM Trans.
-Graph. 33, 115 (2014); footprints of a pixel: Yan et al., same volume, 116). The mean of D_pixel
-over all coats is the mean of D over k, because reflection maps solid angles by 4 (wi . m). The
-result is the ratio of the two; its mean is 1. Fresnel's factor and masking are those of the smooth
-coat. Distances between unit vectors are chords: areas of discs of chords are solid angles.
+Graph. 33, 115 (2014); footprints of a pixel: Yan et al., same volume, 116). For point pupils the
+term of a flake is its Beckmann distribution. The mean of D_pixel over all coats is the mean of
+D / (h . m) over k. The result is the ratio of the two; its mean is 1. Fresnel's factor and masking
+are those of the smooth coat.
 
 The footprint is the parallelogram of the pixel in material coordinates, from the neighbouring
 pixels. A flake on the border of footprints is divided between them by points of equal area.
@@ -224,59 +225,59 @@ def _overlap(centre: Any, radius: Any, inverse: Any, points: Any) -> Any:
 
 @nested
 def _reflected(frame: Any, slopes: Any, view: Any, optics: Any) -> Any:
-    """Return 4 (wi . m) k / (n . m) of a flake; 0 if no light enters the camera.
+    """Return 4 cos(theta) k / ((n . m) (h . m)^4) of a flake; 0 if no light enters the camera.
 
     Parameters
     ----------
     frame : normal of the coat, and the direction of X on the coat, not normalised
-    view : unit vectors to the camera and to the projector; widths of the cone along `_axes`; these
+    view : result of `_view`
     """
-    normal, (to_eye, to_light, widths, axes) = _unit(frame[0]), view
+    normal, (half, cosine, widths, axes) = _unit(frame[0]), view
     along_x = _unit(_sum(frame[1], -_dot(frame[1], normal), normal))
     along_y = _cross(normal, along_x)
     facet = _sum(_sum(normal, -slopes[0], along_x), -slopes[1], along_y)
     steepness = math.sqrt(1.0 + slopes[0] * slopes[0] + slopes[1] * slopes[1])
-    cosine = _dot(facet, to_light) / steepness
-    if cosine <= 0.0:
+    near = _dot(half, facet) / steepness
+    if near <= 0.5:
         return 0.0
-    mirrored = _sum((-to_light[0], -to_light[1], -to_light[2]), 2.0 * cosine / steepness, facet)
-    gap = _sum(mirrored, -1.0, to_eye)
-    across = _dot(gap, axes[1])
-    along_square = max(_dot(gap, gap) - across * across, 0.0) / (widths[0] * widths[0])
-    chord = math.sqrt(along_square + across * across / (widths[1] * widths[1]))
-    node = chord / optics.reach * (optics.density.size - 1)
+    gap = _sum((-half[0], -half[1], -half[2]), 1.0 / (steepness * near), facet)
+    x, y = 2.0 * _dot(gap, axes[0]) / widths[0], 2.0 * cosine * _dot(gap, axes[1]) / widths[1]
+    node = math.sqrt(x * x + y * y) / optics.reach * (optics.density.size - 1)
     if node >= optics.density.size - 1:
         return 0.0
     low = int(node)
     density = optics.density[low] + (node - low) * (optics.density[low + 1] - optics.density[low])
-    return 4.0 * cosine * density * steepness / (widths[0] * widths[1])
+    return 4.0 * cosine * density * steepness / (widths[0] * widths[1] * near**4)
 
 
 @nested
-def _axes(to_eye: Any, to_light: Any) -> Any:
-    """Return two unit vectors across the line of sight, the first in the plane of incidence."""
-    across = _cross(to_eye, to_light)
+def _view(to_eye: Any, to_light: Any, widths: Any) -> Any:
+    """Return half vector, cosine of the angle of incidence on it, widths of the cone, and its axes.
+
+    The axes are perpendicular to the half vector; the first is in the plane of incidence.
+    """
+    half = _unit(_sum(to_eye, 1.0, to_light))
+    across = _cross(to_light, to_eye)
     if _dot(across, across) < 1e-9:
-        across = _cross(to_eye, (0.0, 1.0, 0.0) if abs(to_eye[1]) < 0.9 else (1.0, 0.0, 0.0))
+        across = _cross((0.0, 1.0, 0.0) if abs(half[1]) < 0.9 else (1.0, 0.0, 0.0), half)
     across = _unit(across)
-    return _cross(across, to_eye), across
+    return half, _dot(half, to_light), widths, (_cross(across, half), across)
 
 
 @nested
 def _smooth(normal: Any, view: Any, optics: Any) -> Any:
     """Return the mean of the GGX distribution of normals over the cone, 1/sr."""
-    (to_eye, to_light, widths, axes), square = view, optics.alpha * optics.alpha
+    (half, incidence, widths, axes), square = view, optics.alpha * optics.alpha
     total = 0.0
     for k in range(optics.samples.shape[0]):
-        x, y = widths[0] * optics.samples[k, 0], widths[1] * optics.samples[k, 1]
-        square_chord = x * x + y * y
-        across = math.sqrt(1.0 - 0.25 * square_chord)
-        way = _sum(to_eye, -0.5 * square_chord, to_eye)
-        way = _sum(_sum(way, across * x, axes[0]), across * y, axes[1])
-        cosine = _dot(_unit(_sum(way, 1.0, to_light)), normal)
+        x = 0.5 * widths[0] * optics.samples[k, 0]
+        y = 0.5 * widths[1] * optics.samples[k, 1] / incidence
+        facet = _sum(_sum(half, x, axes[0]), y, axes[1])
+        far = math.sqrt(1.0 + x * x + y * y)
+        cosine = _dot(facet, normal) / far
         if cosine > 0.0:
             slope = cosine * cosine * (square - 1.0) + 1.0
-            total += optics.samples[k, 2] * square / (math.pi * slope * slope)
+            total += optics.samples[k, 2] * far * square / (math.pi * slope * slope)
     return total
 
 
@@ -287,7 +288,7 @@ def _light_of_pixel(here: Any, step: Any, view: Any, flakes: Any, optics: Any) -
     Parameters
     ----------
     here, step : fields of the pixel, and their steps from row to row and from column to column
-    view : unit vectors to the camera and to the projector; widths of the cone along `_axes`; these
+    view : result of `_view`
     """
     xu, xv, yu, yv = step[1, _X], step[0, _X], step[1, _Y], step[0, _Y]
     area = xu * yv - xv * yu
@@ -342,7 +343,7 @@ def _fill_ratios(first: Any, maps: Any, steps: Any, lit: Any, result: Any) -> No
                 _vector(maps.to_light[row, col], 0),
             )
             widths = (float(maps.widening[row, col, 0]), float(maps.widening[row, col, 1]))
-            view = (to_eye, to_light, widths, _axes(to_eye, to_light))
+            view = _view(to_eye, to_light, widths)
             smooth = _smooth(_vector(here, _NORMAL), view, optics)
             light, u, v = _light_of_pixel(here, step, view, flakes, optics)
             if smooth > 0.0:

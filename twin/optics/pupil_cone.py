@@ -11,7 +11,7 @@ from scipy import integrate, special
 from reconstruction.arrays import FloatArray
 
 # Circles, and directions on each of them, by which a mean over the cone is computed.
-_RINGS, _AZIMUTHS = 4, 6
+_RINGS, _AZIMUTHS = 5, 8
 _NODES = 512
 # Half-width of the table beyond the pupils, and largest wave number times the scatter.
 _TAIL, _CUTOFF = 5.0, 6.5
@@ -57,7 +57,7 @@ class Cone:
 def _samples(variance: float) -> FloatArray:
     """Return chords and weights (sample, x y weight) for the mean of a function over the cone.
 
-    Exact for polynomials of degree 5 if the cone is a normal distribution (Gauss-Laguerre).
+    Exact for polynomials of degree 7 if the cone is a normal distribution (Gauss-Laguerre).
     """
     halves, weights = np.polynomial.laguerre.laggauss(_RINGS)
     radius = np.repeat(np.sqrt(2.0 * variance * halves), _AZIMUTHS)
