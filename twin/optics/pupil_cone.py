@@ -1,6 +1,7 @@
 """Directions into which a rough flake reflects the pupil of the projector into that of the camera.
 
-Distances between unit vectors are chords: the area of a disc of chords is a solid angle.
+Directions are plane coordinates around the direction to the camera, rad; `glints` computes them
+from slopes, so that areas of the plane are solid angles.
 """
 
 from dataclasses import dataclass
@@ -23,9 +24,9 @@ class Cone:
 
     Attributes
     ----------
-    density : share of the light per solid angle, 1/sr, at equally spaced chords from 0
-    reach : chord at which the table ends
-    samples : (sample, 3); chords x and y of directions, and their shares of the light
+    density : share of the light per solid angle, 1/sr, at equally spaced distances from 0
+    reach : distance at which the table ends, rad
+    samples : (sample, 3); x and y of directions, and their shares of the light
     """
 
     density: FloatArray
@@ -42,20 +43,22 @@ class Cone:
         scatter : standard deviation of the reflected directions along one axis, rad; above 0
         """
         reach = camera + projector + _TAIL * scatter
-        chords, step = np.linspace(0.0, reach, _NODES, retstep=True)
+        distances, step = np.linspace(0.0, reach, _NODES, retstep=True)
         count = max(128, int(2.0 * reach * _CUTOFF / scatter))  # at most 0.25 rad per step
         waves = np.linspace(0.0, _CUTOFF / scatter, 2 * count + 1)
         spectrum = np.exp(-0.5 * (waves * scatter) ** 2) * _disc(waves * camera)
         spectrum *= waves * _disc(waves * projector)
-        density = integrate.simpson(special.j0(np.outer(chords, waves)) * spectrum, waves, axis=1)
+        density = integrate.simpson(
+            special.j0(np.outer(distances, waves)) * spectrum, waves, axis=1
+        )
         density = np.maximum(density, 0.0)
-        density /= 2.0 * np.pi * step * np.sum(density * chords)
+        density /= 2.0 * np.pi * step * np.sum(density * distances)
         variance = scatter**2 + 0.25 * (camera**2 + projector**2)
         return cls(density, float(reach), _samples(variance))
 
 
 def _samples(variance: float) -> FloatArray:
-    """Return chords and weights (sample, x y weight) for the mean of a function over the cone.
+    """Return directions and weights (sample, x y weight) for means of functions over the cone.
 
     Exact for polynomials of degree 7 if the cone is a normal distribution (Gauss-Laguerre).
     """
