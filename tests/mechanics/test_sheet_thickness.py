@@ -15,6 +15,7 @@ from tests.mechanics.sheets import EXACT, NOTHING, ball, build_sheet, laws, line
 from twin import vary
 from twin.config import digest, load_experiment
 from twin.config.models import Elastomer, Mechanics, Press
+from twin.config.sensor_layer import SensorLayer, sensor_layer_of
 from twin.mechanics.errors import PressError
 from twin.mechanics.models import MODELS, PressInput
 from twin.mechanics.press import PressedElastomer
@@ -263,3 +264,14 @@ def test_a_compliant_rim_is_in_equilibrium_with_the_local_tension() -> None:
     unit = 100.0 * (1 - 1.1**-6) * 11.0
     assert -west.tension[:, 0].sum() == pytest.approx(0.25 * unit, rel=1e-9)
     assert east.tension[:, 0].sum() == pytest.approx(0.35 * unit, rel=1e-9)
+
+
+# ---- the compensation ------------------------------------------------------------------------
+
+
+def test_the_compensation_assumes_a_uniform_sheet() -> None:
+    cast = vary(load_experiment("examples/wrapped_balls"), {"elastomer.thickness_field.seed": 2})
+    layer = sensor_layer_of(cast)
+    assert layer.elastomer.thickness_field is None
+    with pytest.raises(ValueError, match="assumes a uniform sheet; remove"):
+        SensorLayer(elastomer=cast.elastomer)
