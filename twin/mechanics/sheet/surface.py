@@ -116,15 +116,16 @@ class Faces(NamedTuple):
     stretch: FloatArray
 
 
-def faces_of(surface: FloatArray, thickness_mm: FloatArray) -> Faces:
+def faces_of(surface: FloatArray, thickness_mm: FloatArray | float) -> Faces:
     """Return the faces of a sheet from `surface` (row, col, 3, xyz), see `surface_at`.
 
-    `thickness_mm` (row, col) is the undeformed thickness.
+    `thickness_mm` (row, col), or one number, is the undeformed thickness.
     """
     rows, cols = surface.shape[:2]
     shapes = ((rows, cols, 3), (rows, cols, 3), (rows, cols), (rows, cols, 2))
     faces = Faces(*(np.zeros(shape) for shape in shapes))
-    _faces_of(surface, np.ascontiguousarray(thickness_mm), np.zeros(3), faces)
+    undeformed_mm = np.full((rows, cols), thickness_mm)
+    _faces_of(surface, undeformed_mm, np.zeros(3), faces)
     return faces
 
 
