@@ -79,6 +79,7 @@ JUDGES = {
     "docs/paper.md: twin paper": _COMMANDS,
     "docs/real_rig.md: format =": _RIG_FILE,
     "docs/sheet.md: [elastomer]": "test_blocks.py::test_tables_of_a_thin_sheet",
+    "docs/sheet.md: [elastomer.thickness_field]": "test_blocks.py::test_the_thickness_of_a_sheet",
     "docs/troubleshooting.md: twin doctor": _COMMANDS,
     "docs/tutorial_design.md: ": _TUTORIAL,
 }
@@ -285,6 +286,22 @@ def test_extras_of_an_installation():
     least = project["project"]["requires-python"].removeprefix(">=")
     assert f"python{least} -m venv" in text
     assert sys.version_info >= tuple(map(int, least.split(".")))
+
+
+def test_the_thickness_of_a_sheet(tmp_path, monkeypatch):
+    """Expected: the sum of waves, a wedge that gets thicker along y, and the map."""
+    from twin.mechanics.sheet.thickness import sheet_thickness
+
+    monkeypatch.chdir(tmp_path)
+    X, Y = np.meshgrid((np.arange(300) - 149.5) * 0.1, (np.arange(250) - 124.5) * 0.1)
+    np.save("thickness.npy", 0.2 + 1e-3 * X)
+    text = one("docs/sheet.md", "[elastomer.thickness_field]").text
+    elastomer = experiment_with(tmp_path, "wrapped_balls", text).elastomer
+    on_sheet = (abs(X) <= elastomer.length_x_mm / 2) & (abs(Y) <= elastomer.length_y_mm / 2)
+    field_um = 1e3 * sheet_thickness(elastomer).deviation_mm(X[on_sheet], Y[on_sheet])
+    waves_um = field_um - X[on_sheet] - 0.5 * Y[on_sheet]
+    assert waves_um.std() == pytest.approx(2.0, rel=0.02)
+    assert field_um.mean() == pytest.approx(0.0, abs=0.05)
 
 
 def test_tables_of_a_thin_sheet(tmp_path):

@@ -42,6 +42,7 @@ from twin.mechanics.sheet.kernel import SLOTS
 from twin.mechanics.sheet.laws import Grip
 from twin.mechanics.sheet.path import Loads, advance, follow, mounted
 from twin.mechanics.sheet.result import contact_force_n
+from twin.mechanics.sheet.thickness import SheetThickness
 from twin.shape import SignedDistance
 from twin.specimens.kinds.ball import Ball
 
@@ -51,10 +52,16 @@ SOLIDS = json.loads((Path(__file__).parent / "reference/solid_sheets.json").read
 # ---- derivatives -----------------------------------------------------------------------------
 
 
-def everything_at_once(**frame: float) -> tuple[Sheet, SheetState]:
-    """A round, pre-stretched, heavy sheet under pressure on a tacky ball, half of it stuck."""
+def everything_at_once(wedge: float = 0.0, **frame: float) -> tuple[Sheet, SheetState]:
+    """A round, pre-stretched, heavy sheet under pressure on a tacky ball, half of it stuck.
+
+    With `wedge`, mm per mm, its thickness increases along x.
+    """
     law = laws(0.3, tack=0.2, tack_range_mm=0.3, weight_kpa=0.05)
     sheet = round_sheet(law, ball(), line(5.0, 1.5, 0.5), pre_stretch=1.1, **frame)
+    sheet.grid = sheet.grid.with_thickness(
+        SheetThickness(None, (wedge, 0.0), None) if wedge else None
+    )
     result = follow(sheet, Loads(0.6, 1.0), EXACT)
     random = np.random.default_rng(3)
     points = sheet.grid.rest.area_mm2.shape
@@ -81,9 +88,11 @@ def times_tangent(sheet: Sheet, along: np.ndarray) -> np.ndarray:
     return product[2:-2, 2:-2]
 
 
-@pytest.mark.parametrize("rim_compliance", [0.0, 4.0])
-def test_forces_and_tangent_are_the_energys_derivatives(rim_compliance: float) -> None:
-    sheet, state = everything_at_once(rim_compliance_mm2_per_n=rim_compliance)
+@pytest.mark.parametrize(("rim_compliance", "wedge"), [(0.0, 0.0), (4.0, 0.02)])
+def test_forces_and_tangent_are_the_energys_derivatives(
+    rim_compliance: float, wedge: float
+) -> None:
+    sheet, state = everything_at_once(wedge, rim_compliance_mm2_per_n=rim_compliance)
     random = np.random.default_rng(4)
     off, way = random.normal(scale=1e-3, size=(2, *state.control_mm.shape)) * sheet.grid.free
 

@@ -27,6 +27,7 @@ from twin.config.elastomer_models import (
     settings_models,
 )
 from twin.config.kinds import NameOf, TablesOf
+from twin.config.thickness_field import ThicknessField
 
 SHEET_THICKNESS_MM = (0.05, 1.0)
 """Range of the thickness of a thin sheet, mm."""
@@ -87,6 +88,12 @@ class Elastomer(Model):
         default="auto",
         description="between clear face and specimen; stick: no slip after contact; auto: stick "
         "where there is tack (sheet model)",
+    )
+    # Excluded if None, so that digests of experiments with a uniform sheet do not change.
+    thickness_field: ThicknessField | None = Field(
+        default=None,
+        exclude_if=lambda field: field is None,
+        description="deviation from thickness_mm, the mean; absent: uniform (sheet model)",
     )
 
     @model_validator(mode="after")

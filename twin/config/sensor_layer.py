@@ -7,7 +7,7 @@ experiment. docs/compensation.md explains every key.
 from pathlib import Path
 
 import tomli_w
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from twin.config.base import Angle, Model
 from twin.config.bounds import (
@@ -79,6 +79,15 @@ class SensorLayer(Model):
         default_factory=dict, description="source and valid range by dotted path"
     )
 
+    @model_validator(mode="after")
+    def _sheet_is_uniform(self) -> "SensorLayer":
+        if self.elastomer.thickness_field is not None:
+            raise ValueError(
+                "elastomer.thickness_field: the compensation assumes a uniform sheet; remove the "
+                "table, and state its effect in sigma.thickness_mm"
+            )
+        return self
+
 
 _IN_SIGMA = tuple(AssumedSigma.model_fields)
 
@@ -100,7 +109,8 @@ def sensor_layer_of(experiment: Experiment) -> SensorLayer:
     """Return elastomer and load of an experiment, with the standard uncertainties of its [sigma].
 
     For a thin sheet, an uncertainty that [sigma] lacks is that of the same key in
-    `inputs/handling`. All other uncertainties that it lacks are 0.
+    `inputs/handling`. All other uncertainties that it lacks are 0. The layer is uniform, also if
+    the elastomer has a thickness field.
     """
     press = experiment.press
     load = MeasuredLoad(
@@ -112,7 +122,10 @@ def sensor_layer_of(experiment: Experiment) -> SensorLayer:
         texture_mm=0.0 if texture is None else 1e-3 * texture.rms_um,
         **_usual_sigma(experiment) | experiment.sigma.model_dump(exclude_none=True),
     )
-    return SensorLayer(elastomer=experiment.elastomer, press=load, sigma=sigma)
+    elastomer = experiment.elastomer
+    if elastomer.thickness_field is not None:
+        elastomer = elastomer.model_copy(update={"thickness_field": None})
+    return SensorLayer(elastomer=elastomer, press=load, sigma=sigma)
 
 
 def _usual_sigma(experiment: Experiment) -> dict[str, float]:

@@ -43,6 +43,8 @@ from twin.mechanics.press import PressedElastomer
 from twin.mechanics.relief import face_normals
 
 Extent = tuple[float, float, float, float]
+Stream = tuple[str, int]
+"""Name of a random quantity, and its seed."""
 
 # Lattice cells per L0: between the lattice's points the variance of Z is 3e-4 below 1 at most.
 _CELLS_PER_LENGTH = 4
@@ -101,6 +103,9 @@ class Johnson:
     def _spread(self) -> float:
         w = self._w
         return float(np.sqrt((w - 1) * (w * np.cosh(2 * self.b) + 1) / 2))
+
+
+_NORMAL = Johnson()
 
 
 def johnson_of(skewness: float, excess_kurtosis: float) -> Johnson:
@@ -208,26 +213,45 @@ def texture_field(texture: Texture, seed: int, extent_mm: Extent) -> Field:
     """
     distribution = johnson_of(texture.skewness, texture.excess_kurtosis)
     at_length = distribution.correlation_of_normals(exp(-1))
-    pitch_mm = texture.correlation_mm / np.sqrt(-np.log(at_length)) / _CELLS_PER_LENGTH
+    length_mm = texture.correlation_mm / np.sqrt(-np.log(at_length))
+    rms_mm = 1e-3 * texture.rms_um
+    return random_field(("texture", seed), length_mm, extent_mm, rms_mm, distribution)
+
+
+def random_field(
+    stream: Stream,
+    length_mm: float,
+    extent_mm: Extent,
+    rms_mm: float = 1.0,
+    distribution: Johnson = _NORMAL,
+) -> Field:
+    """Return a random field whose Z has the autocorrelation exp(-(lag / length)^2).
+
+    Parameters
+    ----------
+    stream : name of the quantity and seed; fields of different streams are independent
+    """
+    pitch_mm = length_mm / _CELLS_PER_LENGTH
     cols, rows = (_lattice(*ends, pitch_mm) for ends in (extent_mm[:2], extent_mm[2:]))
     ends = (int(rows[0]), int(rows[-1])), (int(cols[0]), int(cols[-1]))
     return Field(
-        rms_mm=1e-3 * texture.rms_um,
+        rms_mm=rms_mm,
         distribution=distribution,
         pitch_mm=float(pitch_mm),
         first=(int(rows[_REACH]), int(cols[_REACH])),
-        coefficients=_blurred_noise(seed, *ends),
+        coefficients=_blurred_noise(stream, *ends),
     )
 
 
-@lru_cache(maxsize=1)  # one coat is pressed repeatedly, mostly with the same lattice
-def _blurred_noise(seed: int, rows: tuple[int, int], cols: tuple[int, int]) -> FloatArray:
+@lru_cache(maxsize=2)  # one coat is pressed repeatedly, mostly with the same lattice
+def _blurred_noise(stream: Stream, rows: tuple[int, int], cols: tuple[int, int]) -> FloatArray:
     """Return blurred noise (row, col); `rows` and `cols` are first and last index of a lattice.
 
     The outermost `_REACH` rows and columns are cut off: the blur needs them as a margin. The array
     is read-only, because the cache returns the same array again.
     """
-    blurred = _white_noise(seed, *(np.arange(first, last + 1) for first, last in (rows, cols)))
+    lattice = (np.arange(first, last + 1) for first, last in (rows, cols))
+    blurred = _white_noise(stream, *lattice)
     for axis in (0, 1):
         blurred = ndimage.convolve1d(blurred, _taps(), axis=axis)
     inner = blurred[_REACH:-_REACH, _REACH:-_REACH].copy()
@@ -305,17 +329,18 @@ def _lattice(low_mm: float, high_mm: float, pitch_mm: float) -> IntArray:
     return np.arange(first, last + 1)
 
 
-def _white_noise(seed: int, rows: IntArray, cols: IntArray) -> FloatArray:
+def _white_noise(stream: Stream, rows: IntArray, cols: IntArray) -> FloatArray:
     """Return standard normal random numbers (row, col) at the points of a lattice.
 
     Each row has its own stream of numbers, which is assigned from column 0 outwards. The number at
     a lattice point therefore depends only on seed, row and column.
     """
+    name, seed = stream
     streams, places = _outwards(rows), _outwards(cols)
     count = int(places.max()) + 1
     noise = np.zeros((rows.size, cols.size))
-    for row, stream in enumerate(streams.tolist()):
-        rng = np.random.default_rng(keyed_sequence(seed, "texture", stream))
+    for row, number in enumerate(streams.tolist()):
+        rng = np.random.default_rng(keyed_sequence(seed, name, number))
         noise[row] = rng.standard_normal(count)[places]
     return noise
 

@@ -216,6 +216,7 @@ def sheet_keys(elastomer: Elastomer) -> list[str]:
         "rim_compliance_mm2_per_n": elastomer.rim_compliance_mm2_per_n > 0,
         "tack_j_m2": elastomer.tack_j_m2 > 0,
         "friction": elastomer.friction == "stick",
+        "thickness_field": elastomer.thickness_field is not None,
     }
     return [key for key, is_given in given.items() if is_given]
 
@@ -231,6 +232,12 @@ def refuse_sheet_keys(elastomer: Elastomer, model: str) -> None:
     if keys:
         low, high = SHEET_THICKNESS_MM
         raise PressError(
-            f"elastomer.{keys[0]}: found {getattr(elastomer, keys[0])!r}, which the {model} model "
+            f"elastomer.{keys[0]}: found {_shown(elastomer, keys[0])}, which the {model} model "
             f"lacks; use the sheet model (opposite_face, no film, {low:g} to {high:g} mm)"
         )
+
+
+def _shown(elastomer: Elastomer, key: str) -> str:
+    """Return the value of a key for a message; a table as its name in brackets."""
+    value = getattr(elastomer, key)
+    return f"the table [elastomer.{key}]" if isinstance(value, Model) else repr(value)

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 from twin.config.models import Elastomer, Mechanics, PadFile
 from twin.mechanics.errors import PressError
-from twin.mechanics.models import MODELS, ElastomerModel, PressInput, Progress
+from twin.mechanics.models import (
+    MODELS,
+    ElastomerModel,
+    PressInput,
+    Progress,
+    refuse_sheet_keys,
+)
 from twin.mechanics.press import PressedElastomer
 from twin.specimens.mesh_files import read_body_mm
 
@@ -27,10 +33,12 @@ class FemModel(ElastomerModel):
     refuses_sheet_keys = False  # the keys of a sheet do not describe a pad from CAD
 
     def check(self, case: PressInput) -> None:
-        """Raise an error for a film, an unsuitable support, or a pad that cannot be read."""
+        """Raise an error for a film, a thickness field, an unsuitable support or a faulty pad."""
         from twin.mechanics.reference.fem import check_fem
 
         check_fem(case.elastomer, case.mechanics.support)
+        if case.elastomer.thickness_field is not None:
+            refuse_sheet_keys(case.elastomer, self.name)
         _pad(case.mechanics, case.elastomer)
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:

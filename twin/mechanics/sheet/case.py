@@ -20,6 +20,7 @@ from twin.mechanics.sheet.energy import Bodies, Sheet
 from twin.mechanics.sheet.grid import Frame, sheet_grid, span_mm
 from twin.mechanics.sheet.laws import Laws
 from twin.mechanics.sheet.splines import SplineLine, Widths, graded_line
+from twin.mechanics.sheet.thickness import SheetThickness, sheet_thickness
 from twin.mechanics.size import check_face_nodes
 from twin.mechanics.validity import THINNEST
 from twin.shape import Shape, SignedDistance
@@ -67,17 +68,22 @@ class SheetCase:
     is_cell_specified: bool
     #: pitch of the specimen's finest grooves, None without grooves
     ridge_pitch_mm: float | None
+    #: None: uniform
+    thickness: SheetThickness | None = None
 
     def sheet(self, cells: Cells) -> Sheet:
         """Return the sheet on a grid with the given widths of cells."""
         # With a cohesive range below half a cell the sheet would jump from point to point.
         laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * cells.pitch_mm))
-        grid = sheet_grid(self.frame, *self.lines(cells))
+        grid = sheet_grid(self.frame, *self.lines(cells)).with_thickness(self.thickness)
         return Sheet(grid, laws, self.bodies, self.touched_z_mm, self.sticks, cells.pitch_mm)
 
     @property
     def touched_z_mm(self) -> float:
-        """Height z of the mounted sheet's lower face in the solver's frame, mm."""
+        """Height z of the mounted sheet's lower face in the solver's frame, mm.
+
+        It is that of a sheet of the mean thickness.
+        """
         return -self.laws.thickness_mm / self.frame.pre_stretch**2 / 2
 
     def lines(self, cells: Cells) -> tuple[SplineLine, SplineLine]:
@@ -124,6 +130,7 @@ def sheet_case(
         cell_mm=finest_cell_mm(elastomer, load),
         is_cell_specified=load.cell_mm is not None,
         ridge_pitch_mm=specimen.finest_pitch_mm,
+        thickness=sheet_thickness(elastomer),
     )
 
 

@@ -177,7 +177,8 @@ def _sampled(sheet: Sheet, state: SheetState, x: FloatArray, y: FloatArray) -> F
     """
     surface = sheet.grid.evaluate(state.control_mm, x, y)[:, :, None]
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
-    gaps = np.moveaxis(sheet.gap_mm(surface, touch)[..., 0], 0, -1)
+    # Waves of the thickness, some um in some mm, do not change the widths of the cells.
+    gaps = np.moveaxis(sheet.gap_mm(surface, touch, 1.0)[..., 0], 0, -1)
     near = sheet.reach_mm * np.tanh(gaps / sheet.reach_mm)
     return np.concatenate((surface[:, :, 0, 0], near), axis=-1)
 

@@ -185,10 +185,19 @@ class Sheet:
     def reach_mm(self) -> float:
         """Distance, mm, of the middle surface from a body beyond which the body has no effect.
 
-        It is 0.75 x the undeformed thickness plus the range of the tack. The factor is 0.5 x 1.5,
-        because the sheet may be up to 1.5 times as thick where it is compressed.
+        It is 0.75 x the largest undeformed thickness plus the range of the tack. The factor is
+        0.5 x 1.5, because the sheet may be up to 1.5 times as thick where it is compressed.
         """
-        return 0.75 * self.laws.thickness_mm + self.laws.tack_range_mm
+        thickest_mm = self.laws.thickness_mm + self.grid.rest.deviation_mm.max(initial=0.0)
+        return float(0.75 * thickest_mm + self.laws.tack_range_mm)
+
+    @property
+    def thickness_ratio(self) -> FloatArray:
+        """Local over mean undeformed thickness at the Gauss points, (row, col, 4)."""
+        rest = self.grid.rest
+        if not rest.deviation_mm.size:
+            return np.ones(rest.area_mm2.shape)
+        return 1.0 + rest.deviation_mm / self.laws.thickness_mm
 
     def touch(self, place_mm: FloatArray, travel_mm: float) -> Touch:
         """Return the moving bodies' distances at positions `place_mm` (row, col, 4, xyz)."""
@@ -268,7 +277,9 @@ class Sheet:
         held: FloatArray = self._forces[~self.grid.free[..., 2], 2]
         return held
 
-    def gap_mm(self, surface: FloatArray, touch: Touch) -> FloatArray:
+    def gap_mm(
+        self, surface: FloatArray, touch: Touch, ratio: FloatArray | float | None = None
+    ) -> FloatArray:
         """Return the distance of the lower face from each body, (body, row, col, 4), mm.
 
         It is the distance of the middle surface minus half the local thickness.
@@ -277,8 +288,10 @@ class Sheet:
         ----------
         surface : (row, col, 4, 3, xyz), as `Sheet.surface` returns it
         touch : distances of the bodies at these points
+        ratio : local over mean undeformed thickness there; None: at the Gauss points
         """
-        gap: FloatArray = touch.distance_mm - self.laws.thickness_mm / 2 * thinning_of(surface)
+        half_mm = self.laws.thickness_mm / 2 * (self.thickness_ratio if ratio is None else ratio)
+        gap: FloatArray = touch.distance_mm - half_mm * thinning_of(surface)
         return gap
 
     def regripped(self, state: SheetState) -> SheetState:

@@ -52,9 +52,10 @@ def sample(sheet: Sheet, state: SheetState, pitch_mm: float) -> Sampled:
     grid = sheet.grid
     x, y = _places(grid, pitch_mm)
     surface = grid.evaluate(state.control_mm, x, y)
-    faces = faces_of(surface, sheet.laws.thickness_mm)
+    material_mm = grid.evaluate(grid.mounted_mm, x, y)[..., 0, :2]
+    faces = faces_of(surface, sheet.laws.thickness_mm + grid.deviation_mm(material_mm))
     sampled = Sampled(
-        material_mm=grid.evaluate(grid.mounted_mm, x, y)[..., 0, :2],
+        material_mm=material_mm,
         middle_mm=surface[..., 0, :],
         **faces._asdict(),
     )

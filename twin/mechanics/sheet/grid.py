@@ -6,7 +6,7 @@ round sheet the parameters cover a square that is mapped to the disc, so that th
 line.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,9 +16,11 @@ from reconstruction.arrays import FloatArray
 from twin.mechanics.sheet.laws import Rest
 from twin.mechanics.sheet.splines import SplineLine
 from twin.mechanics.sheet.surface import points_on, surface_at
+from twin.mechanics.sheet.thickness import SheetThickness
 
 Outline = Literal["rectangular", "round"]
 Rim = Literal["clamped", "simple"]
+_NO_DEVIATION = np.zeros((0, 0, 0))
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,31 @@ class SheetGrid:
     mounted_mm: FloatArray
     #: (row + 2, col + 2, xyz) components of the control points that may move
     free: npt.NDArray[np.bool_]
+    #: thickness field of the undeformed sheet; None: uniform
+    thickness: SheetThickness | None = None
+
+    def with_thickness(self, field: SheetThickness | None) -> "SheetGrid":
+        """Return this grid with another thickness field; None: uniform."""
+        if field is None:
+            rest = self.rest._replace(deviation_mm=_NO_DEVIATION)
+            return replace(self, rest=rest, thickness=None)
+        x, y = self.x.points.ravel(), self.y.points.ravel()
+        along = replace(self, thickness=field)
+        deviation = along.deviation_mm(self.evaluate(self.mounted_mm, x, y)[..., 0, :2])
+        rows, cols = self.y.cells, self.x.cells
+        by_point = deviation.reshape(rows, 2, cols, 2).transpose(0, 2, 1, 3)
+        rest = self.rest._replace(deviation_mm=by_point.reshape(rows, cols, 4))
+        return replace(along, rest=rest)
+
+    def deviation_mm(self, material_mm: FloatArray) -> FloatArray:
+        """Return local minus mean undeformed thickness, mm; 0 for a uniform sheet.
+
+        `material_mm` (..., xy) are positions on the mounted sheet.
+        """
+        if self.thickness is None:
+            return np.zeros(material_mm.shape[:-1])
+        X, Y = np.moveaxis(material_mm / self.frame.pre_stretch, -1, 0)
+        return self.thickness.deviation_mm(X, Y)
 
     def evaluate(self, control_mm: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return position, mm, and derivatives along the undeformed sheet, (y, x, 3, xyz).
@@ -182,9 +209,9 @@ def _rest(frame: Frame, x: SplineLine, y: SplineLine, control: FloatArray) -> Re
     shape = (y.cells, x.cells, 4)
     area = np.einsum("jq,ip->jiqp", y.weights, x.weights).reshape(shape)
     if frame.outline == "rectangular":
-        return Rest(x.table, y.table, np.zeros((0, 0, 0, 0, 0)), area)
+        return Rest(x.table, y.table, np.zeros((0, 0, 0, 0, 0)), area, _NO_DEVIATION)
     turned, det = _along_the_sheet(_products(x.table, y.table), control)
-    return Rest(x.table, y.table, turned, area * det)
+    return Rest(x.table, y.table, turned, area * det, _NO_DEVIATION)
 
 
 def _along_the_sheet(functions: FloatArray, control: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reconstruction.arrays import FloatArray
-from twin.mechanics.sheet.laws import Grip, Rest, inlined, kernel
+from twin.mechanics.sheet.laws import Grip, Rest, inlined, kernel, local_laws
 from twin.mechanics.sheet.point import (
     At,
     ContactState,
@@ -119,7 +119,11 @@ def _assemble_rows(
                 weight = rest.area_mm2[j_row, i_col, q]
                 _functions((j_row, i_col, q), rest, N, plain)
                 _place(N, c, j_row, i_col, point.v)
-                total += weight * potentials((j_row, i_col, q), state, options, point)
+                laws = state.laws
+                if rest.deviation_mm.shape[0] > 0:
+                    laws = local_laws(laws, rest.deviation_mm[j_row, i_col, q])
+                here = ContactState(laws, state.touch, state.grip)
+                total += weight * potentials((j_row, i_col, q), here, options, point)
                 for j in range(9):
                     for k in range(3):
                         x = 0.0

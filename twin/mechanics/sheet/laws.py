@@ -53,6 +53,8 @@ class Rest(NamedTuple):
     turned: FloatArray
     #: (row, col, 4) area of each Gauss point, mm^2
     area_mm2: FloatArray
+    #: (row, col, 4) local minus mean thickness, mm; empty: uniform
+    deviation_mm: FloatArray
 
 
 class Touch(NamedTuple):
@@ -98,6 +100,23 @@ class Laws(NamedTuple):
     pressure_kpa: float
     #: weight per area along -z, kPa
     weight_kpa: float
+
+
+@inlined
+def local_laws(laws: Laws, deviation_mm: float) -> Laws:
+    """Return the constants at a point whose undeformed thickness deviates from the mean."""
+    h = laws.thickness_mm + deviation_mm
+    ratio = h / laws.thickness_mm
+    return Laws(
+        h,
+        laws.shear_modulus_kpa,
+        laws.contact_stiffness / ratio,
+        laws.stick_stiffness / ratio,
+        laws.tack,
+        laws.tack_range_mm,
+        laws.pressure_kpa,
+        laws.weight_kpa * ratio,
+    )
 
 
 class Material(NamedTuple):

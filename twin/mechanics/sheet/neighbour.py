@@ -87,6 +87,7 @@ class Neighbourhood:
         range_mm = sheet.laws.tack_range_mm  # of the cells
         sheet.laws, sheet.bodies = case.laws._replace(tack_range_mm=range_mm), case.bodies
         sheet.touched_z_mm = case.touched_z_mm
+        sheet.grid = sheet.grid.with_thickness(case.thickness)
         travel_mm = self.rest.state.travel_mm if load.depth_mm is None else load.depth_mm
         state = self._stepped(sheet, travel_mm, load.back_pressure_kpa)
         if load.force_n is not None:

@@ -75,20 +75,24 @@ def lift_kpa(sheet: Sheet, state: SheetState) -> FloatArray:
     """Return the upward force of specimen and plate per undeformed area, (row, col, 4), kPa."""
     surface = sheet.surface(state.control_mm)
     touch = sheet.touch(surface[..., 0, :], state.travel_mm)
-    slope = _contact_slope(sheet.gap_mm(surface, touch), sheet.laws)
+    ratio = sheet.thickness_ratio
+    slope = _contact_slope(sheet.gap_mm(surface, touch), sheet.laws, ratio)
     lifted = -(slope * touch.gradient[..., 2]).sum(axis=0)
     if not sheet.sticks:
         return np.asarray(lifted)
     grip = state.grip
     away = surface[..., 0, :] - grip.anchor_mm - np.array([0.0, 0.0, state.travel_mm])
     along = (away * grip.normal).sum(axis=-1)
-    pulled = sheet.laws.stick_stiffness * (away[..., 2] - along * grip.normal[..., 2])
+    pulled = sheet.laws.stick_stiffness / ratio * (away[..., 2] - along * grip.normal[..., 2])
     return np.asarray(lifted - np.where(grip.held > 0, pulled, 0.0))
 
 
-def _contact_slope(gap_mm: FloatArray, laws: Laws) -> FloatArray:
-    """Return the derivative, kPa, of the contact's potential by the gap, see `laws.contact_law`."""
-    repelled = laws.contact_stiffness * np.minimum(gap_mm, 0.0)
+def _contact_slope(gap_mm: FloatArray, laws: Laws, ratio: FloatArray) -> FloatArray:
+    """Return the derivative, kPa, of the contact's potential by the gap, see `laws.contact_law`.
+
+    `ratio` is the local over the mean undeformed thickness.
+    """
+    repelled = laws.contact_stiffness / ratio * np.minimum(gap_mm, 0.0)
     share = np.clip(gap_mm / laws.tack_range_mm, 0.0, 1.0)
     return np.asarray(repelled + 6 * laws.tack / laws.tack_range_mm * share * (1 - share))
 

@@ -28,7 +28,8 @@ def contact_force_n(sheet: Sheet, state: SheetState) -> float:
     surface = sheet.surface(state.control_mm)
     plan = np.cross(surface[..., 1, :], surface[..., 2, :])[..., 2]
     pressed = state.pressure_kpa * float((plan * sheet.grid.rest.area_mm2).sum())
-    weight = sheet.laws.weight_kpa * float(sheet.grid.rest.area_mm2.sum())
+    weighed_mm2 = sheet.thickness_ratio * sheet.grid.rest.area_mm2
+    weight = sheet.laws.weight_kpa * float(weighed_mm2.sum())
     # kPa mm^2 = mN
     return 1e-3 * (pressed + weight - held)
 

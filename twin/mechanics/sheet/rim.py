@@ -88,11 +88,27 @@ def rim_springs(
     if not compliance:
         return ()
     # kPa mm = mN/mm
-    unit = laws.shear_modulus_kpa * laws.thickness_mm * (1 - grid.frame.pre_stretch**-6)
-    return tuple(_spring(grid, edge, _MILLI / compliance, unit) for edge in edges)
+    strain = 1 - grid.frame.pre_stretch**-6
+    tensions = (laws.shear_modulus_kpa * _thickness_mm(grid, laws, edge) * strain for edge in edges)
+    return tuple(
+        _spring(grid, edge, _MILLI / compliance, tension)
+        for edge, tension in zip(edges, tensions, strict=True)
+    )
 
 
-def _spring(grid: SheetGrid, edge: tuple[int, int], stiffness: float, tension: float) -> RimSpring:
+def _thickness_mm(grid: SheetGrid, laws: Laws, edge: tuple[int, int]) -> FloatArray:
+    """Return the undeformed thickness at the Gauss points of an edge, (cell, 2)."""
+    line = grid.x if edge[0] == 0 else grid.y
+    along, across = line.points.ravel(), (grid.y if edge[0] == 0 else grid.x).edges[[edge[1]]]
+    places = (along, across) if edge[0] == 0 else (across, along)
+    material_mm = grid.evaluate(grid.mounted_mm, *places)[..., 0, :2]
+    local_mm = laws.thickness_mm + grid.deviation_mm(material_mm)
+    return np.asarray(local_mm.reshape(line.cells, 2))
+
+
+def _spring(
+    grid: SheetGrid, edge: tuple[int, int], stiffness: float, tension: FloatArray
+) -> RimSpring:
     axis, end = edge
     line = grid.x if axis == 0 else grid.y
     mounted = (grid.mounted_mm[end] if axis == 0 else grid.mounted_mm[:, end])[:, :2]

@@ -116,23 +116,26 @@ class Faces(NamedTuple):
     stretch: FloatArray
 
 
-def faces_of(surface: FloatArray, thickness_mm: float) -> Faces:
+def faces_of(surface: FloatArray, thickness_mm: FloatArray | float) -> Faces:
     """Return the faces of a sheet from `surface` (row, col, 3, xyz), see `surface_at`.
 
-    `thickness_mm` is the undeformed thickness.
+    `thickness_mm` (row, col), or one number, is the undeformed thickness.
     """
     rows, cols = surface.shape[:2]
     shapes = ((rows, cols, 3), (rows, cols, 3), (rows, cols), (rows, cols, 2))
     faces = Faces(*(np.zeros(shape) for shape in shapes))
-    _faces_of(surface, thickness_mm, np.zeros(3), faces)
+    undeformed_mm = np.full((rows, cols), thickness_mm)
+    _faces_of(surface, undeformed_mm, np.zeros(3), faces)
     return faces
 
 
 @kernel
-def _faces_of(surface: FloatArray, thickness_mm: float, across: FloatArray, faces: Faces) -> None:
+def _faces_of(
+    surface: FloatArray, undeformed_mm: FloatArray, across: FloatArray, faces: Faces
+) -> None:
     for j in range(surface.shape[0]):
         for i in range(surface.shape[1]):
-            v = surface[j, i]
+            v, thickness_mm = surface[j, i], undeformed_mm[j, i]
             area2 = normal_times_area(v, across)
             trace = 0.0
             for k in range(3):
