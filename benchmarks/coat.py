@@ -1,4 +1,4 @@
-"""Coats: discrete flakes that glint, against closed forms and explicit geometry.
+"""Coats: flakes that glint, weights of the decoder, light that changes, points of the object.
 
     ./run bench coat [--quick]
 
@@ -10,7 +10,12 @@
 - `brute_force_rms`: RMS deviation from every flake of 20 x 20 mm as explicit geometry, over the
   random error of that geometry; the largest of three apertures. Target: at most 1.1.
 
-Last line: {"energy_rel", "glint_contrast_rel", "brute_force_rms"}.
+The figures of `coat_decoder`, `coat_light` and `coat_compensation` follow; their docstrings define
+them. Each can also be run alone, for example `./run bench coat_light`.
+
+Last line: {"energy_rel", "glint_contrast_rel", "brute_force_rms", "glint_error_um_weighted",
+"glint_error_um_robust", "mae_over_rmse", "drift_left_um", "compensated_normalised",
+"span_share_wrong", "pressure_over_force", ...}.
 """
 
 from collections.abc import Callable
@@ -19,6 +24,9 @@ import numpy as np
 
 from benchmarks._glints import BruteForce, FlatCoat, glint_facets, glinting, mean_over_smooth
 from benchmarks._harness import print_figures, quick_parser
+from benchmarks.coat_compensation import coat_compensation
+from benchmarks.coat_decoder import coat_decoder
+from benchmarks.coat_light import coat_light
 from twin.optics.session import activate
 
 FOOTPRINTS_MM = {0.01: 1200, 0.03: 800, 0.09: 400}
@@ -58,7 +66,14 @@ def brute_force(quick: bool) -> dict[str, float]:
     return {"brute_force_rms": largest}
 
 
-PARTS: tuple[Callable[[bool], dict[str, float]], ...] = (energy, contrast, brute_force)
+PARTS: tuple[Callable[[bool], dict[str, float]], ...] = (
+    energy,
+    contrast,
+    brute_force,
+    coat_decoder,
+    coat_light,
+    coat_compensation,
+)
 
 
 def main() -> None:

@@ -167,35 +167,47 @@ def farthest_from_1(values: list[float]) -> float:
     return max(values, key=lambda value: abs(value - 1))
 
 
-def main() -> None:
-    seeds = QUICK_SEEDS if quick_parser(__doc__ or "", "2 seeds").parse_args().quick else SEEDS
-    normalised, ratios, wrong = [], [], []
-    with tempfile.TemporaryDirectory() as folder:
-        cases = {
-            f"{name}, {'texture' if texture else 'smooth'}": (settings, texture)
-            for name, settings in bodies(Path(folder)).items()
-            for texture in ({}, TEXTURE)
-        }
-        for name, case in cases.items():
-            objects = list(measured_objects(*case, seeds))
+def normalised_of_bodies(folder: Path, seeds: int) -> tuple[list[float], list[float]]:
+    """Return the normalised RMS of each body and coat, and pressure over force of each press."""
+    normalised, ratios = [], []
+    for name, settings in bodies(folder).items():
+        for coat, texture in {"smooth": {}, "texture": TEXTURE}.items():
+            objects = list(measured_objects(settings, texture, seeds))
             each = [rms(of.normalised) for of in objects]
             normalised.append(rms(np.concatenate([of.normalised for of in objects])))
             ratios += [of.pressure_over_force for of in objects]
-            print(f"{name}: {normalised[-1]:.3f}, seeds {np.round(each, 2)}", flush=True)
-        for load in STAIRS:
-            for texture in ({}, TEXTURE):
-                objects = list(measured_objects(stairs(Path(folder)) | load, texture, seeds))
-                over = np.abs(np.concatenate([of.normalised for of in objects]))
-                wrong.append(over > WRONG_SIGMAS)
-                ratios += [of.pressure_over_force for of in objects]
-                print(f"stairs: {len(over)} points, {wrong[-1].sum()} of them wrong", flush=True)
-    print_figures(
-        {
-            "compensated_normalised": farthest_from_1(normalised),
-            "span_share_wrong": float(np.concatenate(wrong).mean()),
-            "pressure_over_force": farthest_from_1(ratios),
-        }
-    )
+            print(f"{name}, {coat}: {normalised[-1]:.3f}, seeds {np.round(each, 2)}", flush=True)
+    return normalised, ratios
+
+
+def wrong_on_stairs(folder: Path, seeds: int) -> tuple[float, list[float]]:
+    """Return the share of wrong points on stairs, and pressure over force of each press."""
+    wrong, ratios = [], []
+    for load in STAIRS:
+        for texture in ({}, TEXTURE):
+            objects = list(measured_objects(stairs(folder) | load, texture, seeds))
+            over = np.abs(np.concatenate([of.normalised for of in objects]))
+            wrong.append(over > WRONG_SIGMAS)
+            ratios += [of.pressure_over_force for of in objects]
+            print(f"stairs: {len(over)} points, {wrong[-1].sum()} of them wrong", flush=True)
+    return float(np.concatenate(wrong).mean()), ratios
+
+
+def coat_compensation(quick: bool) -> dict[str, float]:
+    """Return the figures of the module docstring."""
+    seeds = QUICK_SEEDS if quick else SEEDS
+    with tempfile.TemporaryDirectory() as folder:
+        normalised, of_bodies = normalised_of_bodies(Path(folder), seeds)
+        wrong, of_stairs = wrong_on_stairs(Path(folder), seeds)
+    return {
+        "compensated_normalised": farthest_from_1(normalised),
+        "span_share_wrong": wrong,
+        "pressure_over_force": farthest_from_1(of_bodies + of_stairs),
+    }
+
+
+def main() -> None:
+    print_figures(coat_compensation(quick_parser(__doc__ or "", "2 seeds").parse_args().quick))
 
 
 if __name__ == "__main__":

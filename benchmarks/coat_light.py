@@ -33,11 +33,16 @@ STEPS_PERCENT = 1.0
 def main() -> None:
     """Print the errors of z of every lamp, and one JSON line."""
     parser = quick_parser(__doc__, "484 x 366 instead of 968 x 732")
-    binning = 4 if parser.parse_args().quick else 2
+    print_figures(coat_light(parser.parse_args().quick))
+
+
+def coat_light(quick: bool) -> dict[str, float]:
+    """Return the errors of two balls under light that changes, see the module docstring."""
+    binning = 4 if quick else 2
     experiment = load_experiment("examples/slab_balls", {"camera.binning": binning})
     pressed = press_specimen(experiment)
     recording = record(experiment, pressed)
-    print_figures(drift_left_um(experiment, pressed, recording.radiance))
+    return drift_left_um(experiment, pressed, recording.radiance)
 
 
 def drift_left_um(
