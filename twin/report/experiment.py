@@ -21,6 +21,7 @@ from reconstruction.decoding import Weights
 from reconstruction.patterns import AXES
 from reconstruction.rig.pinhole import Pinhole
 from twin.config.models import Experiment, NoiseModel, Provenance, Specimen
+from twin.config.quantities import value_at
 from twin.optics.rig import true_calibration
 from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
 from twin.report.page import Block, CollapsedSection, Figure, Grade, Section, TwoColumns
@@ -342,8 +343,16 @@ def _settings_table(name: str, settings: Sequence[Setting]) -> Table:
 
 
 def settings_of(experiment: Experiment) -> list[Setting]:
-    """Return the settings that the experiment's method reads, in the order of the experiment."""
+    """Return the settings that the experiment's method reads, in the order of the experiment.
+
+    They include values with a source that are at their default and that digests exclude.
+    """
     tree = experiment.model_dump(mode="json", exclude={*_HEAD, *_without_meaning(experiment)})
+    for path in experiment.provenance:
+        parent, _, name = path.rpartition(".")
+        node = tree if not parent else value_at(tree, parent)
+        if isinstance(node, dict) and name not in node:
+            node[name] = value_at(experiment, path)
     return [_setting(path, value, experiment.provenance.get(path)) for path, value in _leaves(tree)]
 
 
