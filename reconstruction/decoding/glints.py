@@ -28,6 +28,8 @@ from reconstruction.patterns import AXES, PatternSet
 BAND_ROWS = 128
 # Rows and columns of the image from which the width of the footprint is estimated, at most.
 SAMPLED = 24
+# Length of the parts of these rows and columns of which the median is used.
+PART_PX = 48
 # Speckle below this multiple of the camera's noise is neglected, and a contrast below 1 %, which
 # differences of the pixels' response have.
 LEAST_OVER_NOISE, LEAST_BEND = 3.0, 6.0 * 0.01**2
@@ -69,11 +71,15 @@ def add_glints(maps: Maps, patterns: PatternSet) -> None:
 
 
 def _factor(maps: Maps, patterns: PatternSet) -> float:
-    """Return `GlintScale.factor` of a decoded image, 0: no speckle."""
+    """Return `GlintScale.factor` of a decoded image, 0: no speckle.
+
+    Glints are alike along rows and along columns. Steep shading, of grooves for example, may look
+    like speckle along one of them only.
+    """
     axis, (rows, cols) = AXES.index(patterns.axes[0]), maps.reason.shape
     per_px = 2.0 * np.pi / float(patterns.period_along(patterns.axes[0]))
     images = (maps.modulation[axis], maps.sigma[axis], maps.residual[axis], maps.reason)
-    near, far = np.zeros(3), np.zeros(3)
+    directions = []
     for image_lines in (
         [image[:: max(1, rows // SAMPLED)] for image in images],
         [image.T[:: max(1, cols // SAMPLED)] for image in images],
@@ -86,16 +92,20 @@ def _factor(maps: Maps, patterns: PatternSet) -> float:
         measured = np.float32(2.0 / patterns.steps) * np.square(residual)
         noise = np.maximum(np.square(sigma * modulation), measured)
         usable = image_lines[3] == Reason.VALID
-        near += _bend_sums(modulation, noise, usable, 1)
-        far += _bend_sums(modulation, noise, usable, 2)
+        directions.append([_bends(modulation, noise, usable, step) for step in (1, 2)])
+    if any(factor_of(*sums) == 0.0 for sums in directions):
+        return 0.0
+    near, far = np.mean(directions, axis=0)
     return factor_of(near, far)
 
 
-def _bend_sums(
-    modulation: FloatImage, noise: FloatImage, usable: BoolImage, step: int
-) -> FloatArray:
-    """Return sums along rows: number of second differences, their squares, expected noise.
+def _bends(modulation: FloatImage, noise: FloatImage, usable: BoolImage, step: int) -> FloatArray:
+    """Return medians over parts of rows: 1, mean squared second difference, expected noise.
 
+    A few edges within the image do not change them. They are 0 without usable pixels.
+
+    Parameters
+    ----------
     noise : (row, col) variance of the modulation by noise
     step : distance of the pixels, px
     """
@@ -104,12 +114,18 @@ def _bend_sums(
     is_whole = np.logical_and.reduce([usable[part] for part in parts])
     largest = np.maximum(np.maximum(a, b), np.maximum(c, np.float32(1e-12)))
     weight = is_whole / np.square(largest)
-    bends = np.vdot(weight, np.square((a - b) + (c - b)))
-    return np.array([is_whole.sum(), bends, np.vdot(weight, u + 4.0 * v + w)], np.float64)
+    sums = [is_whole, weight * np.square((a - b) + (c - b)), weight * (u + 4.0 * v + w)]
+    starts = np.arange(0, is_whole.shape[1], PART_PX)
+    count, bends, expected = (np.add.reduceat(of, starts, axis=1, dtype=np.float64) for of in sums)
+    is_used = count > 0.5 * min(PART_PX, is_whole.shape[1])
+    if not is_used.any():
+        return np.zeros(3)
+    means = [np.median(of[is_used] / count[is_used]) for of in (bends, expected)]
+    return np.array([1.0, *means])
 
 
 def factor_of(near: FloatArray, far: FloatArray) -> float:
-    """Return the factor of `_glints` from two results of `_bend_sums`, of distance 1 and 2 px.
+    """Return the factor of `_glints` from two results of `_bends`, of distance 1 and 2 px.
 
     The factor is 0 if the modulation has no speckle above the camera's noise.
     """

@@ -119,7 +119,7 @@ def speckle(s_px, contrast=0.1, fine=5):
 
 def factor(modulation, noise):
     usable = np.ones(modulation.shape, bool)
-    return glints.factor_of(*(glints._bend_sums(modulation, noise, usable, k) for k in (1, 2)))
+    return glints.factor_of(*(glints._bends(modulation, noise, usable, k) for k in (1, 2)))
 
 
 @pytest.mark.parametrize("s_px", [0.5, 0.65, 0.75])
@@ -128,6 +128,14 @@ def test_footprint_is_estimated_from_the_speckle(s_px):
     share = 1.0 - np.exp(-1.0 / s_px**2)
     expected = glints.DENOMINATOR * 0.25 * s_px**2 / share
     assert factor(*speckle(s_px)) == pytest.approx(expected, rel=0.15)
+
+
+def test_a_few_edges_are_no_speckle():
+    """Setup: steps of 30 % at two columns of a smooth image. Expected: no glints."""
+    modulation, noise = speckle(0.0, contrast=1e-6)
+    modulation[:, 100:] *= 1.3
+    modulation[:, 203:] *= 0.7
+    assert factor(modulation, noise) == 0.0
 
 
 def test_noise_and_shading_are_no_speckle():
