@@ -3,7 +3,8 @@
 `_glints` has the formula for a pixel. The width of the footprint, i.e. the area from which a pixel
 collects light, is estimated from the speckle: the wider the footprint, the more alike are the
 modulations of neighbouring pixels. Let D(k) be the mean square of B(-k) - 2 B + B(+k), relative to
-the largest of the three modulations, without the camera's noise. For a Gaussian footprint of
+the largest of the three modulations, without the camera's noise; its median over parts of image
+rows and columns is used, so that a few edges do not matter. For a Gaussian footprint of
 standard deviation s px the modulations at a distance of k px have the correlation g^(k^2), with
 g = exp(-1 / (4 s^2)), so that
 
@@ -100,9 +101,9 @@ def _factor(maps: Maps, patterns: PatternSet) -> float:
 
 
 def _bends(modulation: FloatImage, noise: FloatImage, usable: BoolImage, step: int) -> FloatArray:
-    """Return medians over parts of rows: 1, mean squared second difference, expected noise.
+    """Return medians over parts of rows: mean squared second difference, and its part by noise.
 
-    A few edges within the image do not change them. They are 0 without usable pixels.
+    They are 0 without usable pixels.
 
     Parameters
     ----------
@@ -119,9 +120,8 @@ def _bends(modulation: FloatImage, noise: FloatImage, usable: BoolImage, step: i
     count, bends, expected = (np.add.reduceat(of, starts, axis=1, dtype=np.float64) for of in sums)
     is_used = count > 0.5 * min(PART_PX, is_whole.shape[1])
     if not is_used.any():
-        return np.zeros(3)
-    means = [np.median(of[is_used] / count[is_used]) for of in (bends, expected)]
-    return np.array([1.0, *means])
+        return np.zeros(2)
+    return np.array([np.median(of[is_used] / count[is_used]) for of in (bends, expected)])
 
 
 def factor_of(near: FloatArray, far: FloatArray) -> float:
@@ -129,10 +129,8 @@ def factor_of(near: FloatArray, far: FloatArray) -> float:
 
     The factor is 0 if the modulation has no speckle above the camera's noise.
     """
-    if near[0] == 0 or far[0] == 0:
-        return 0.0
-    close, wide = ((square - noise) / count for count, square, noise in (near, far))
-    least = max(LEAST_BEND, LEAST_OVER_NOISE * near[2] / near[0])
+    close, wide = near[0] - near[1], far[0] - far[1]
+    least = max(LEAST_BEND, LEAST_OVER_NOISE * near[1])
     if close <= least or wide > LARGEST_RATIO * close:
         return 0.0
     correlation = float(np.interp(wide / close, RATIO, CORRELATION))

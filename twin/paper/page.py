@@ -11,8 +11,8 @@ from twin.paper.claims import FITTED, LIMIT, PREDICTED, STEERED
 from twin.paper.figures import FIGURES
 from twin.paper.identified import pending
 from twin.paper.plan import BALLS
-from twin.report.experiment import settings_blocks
 from twin.report.page import REPORT_FILE, Figure, Grade, Note, Page, Section, Verdict, write_page
+from twin.report.settings import settings_blocks
 from twin.report.table import Cell, Column, Table
 from twin.report.words import shown
 

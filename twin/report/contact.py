@@ -7,9 +7,10 @@ from twin.mechanics import opposite_transfer
 from twin.mechanics.models import model_of
 from twin.report.bound import bound_section
 from twin.report.camera_images import recorded_section
-from twin.report.experiment import glance, rig_figure
+from twin.report.experiment import glance
 from twin.report.page import JudgedTarget, Section, TwoColumns, Verdict, judged, target
 from twin.report.press import judge_press, press_figure
+from twin.report.rig_view import rig_figure
 from twin.report.spheres import ball_sections, fit_tables
 from twin.report.surfaces import error_figure, height_map_figure, relief_figure
 from twin.report.words import number, signed

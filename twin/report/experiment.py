@@ -1,36 +1,20 @@
-"""The experiment in a report: summary, side view of the rig, and every setting with its source.
+"""The experiment in a report: summary, result in words, and the appendix."""
 
-The side view is projected onto the vertical plane through camera and projector. Its horizontal
-coordinate s, mm, is 0 at the world origin.
-"""
-
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from markupsafe import Markup
-from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Polygon
-from scipy.spatial import ConvexHull
-
-from reconstruction.arrays import FloatArray
 from reconstruction.codes import code_of
 from reconstruction.decoding import Weights
 from reconstruction.patterns import AXES
-from reconstruction.rig.pinhole import Pinhole
-from twin.config.models import Experiment, NoiseModel, Provenance, Specimen
-from twin.config.quantities import value_at
+from twin.config.models import NoiseModel, Specimen
 from twin.optics.rig import true_calibration
-from twin.report.canvas import FIT, INK, MEASURED, NOMINAL, axes_at, chart, drawing
-from twin.report.page import Block, CollapsedSection, Figure, Grade, Section, TwoColumns
-from twin.report.table import Column, Table, pairs, parts
-from twin.report.words import coating_phrase, in_words, label_of, percent, phrase, split_unit
+from twin.report.page import CollapsedSection, Grade, Section, TwoColumns
+from twin.report.settings import settings_blocks
+from twin.report.table import Table, pairs, parts
+from twin.report.words import coating_phrase, in_words, label_of, percent, phrase
 from twin.results.decoders import decoder_name
 from twin.results.layout import layout_figures
 from twin.results.record import Measurement
-from twin.specimens import shape_of
 
 # Shortest duration that is written in seconds.
 _LEAST_IN_SECONDS_MS = 1e4
@@ -214,35 +198,6 @@ def _decoding(measured: Measurement) -> str:
     return f"{smoothed}; depth from {decode.use}"
 
 
-_HEAD = ("schema_version", "name", "description", "provenance", "links")
-_OF_COATS = {"elastomer", "coating", "press", "mechanics", "layers"}
-_OF_FRINGES = {"projector", "patterns", "decode"}
-_OF_LAMPS = {"lamps", "photometric"}
-_NO_SOURCE = "set in the experiment, or default"
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One value of the experiment with its source.
-
-    Attributes
-    ----------
-    section : first part of `path`, for example "camera"
-    path : key for `--set`
-    source : source of the value; empty if none is stated
-    range : valid range as text; empty if none is stated
-    assumed : True if the source states that the value is assumed
-    """
-
-    section: str
-    path: str
-    value: str
-    unit: str
-    source: str
-    range: str
-    assumed: bool
-
-
 GOOD_SHARE, POOR_SHARE = 0.95, 0.5
 
 
@@ -293,76 +248,6 @@ def appendix(measured: Measurement) -> Section:
     )
 
 
-def settings_blocks(experiment: Experiment) -> tuple[Block, ...]:
-    """Return the tables of the settings that the experiment's method reads.
-
-    Settings without a stated source are in a collapsed section. The file `experiment.toml` contains
-    all settings, including those for other methods.
-    """
-    settings = settings_of(experiment)
-    sourced = [setting for setting in settings if setting.source]
-    plain = [replace(setting, source=_NO_SOURCE) for setting in settings if not setting.source]
-    folded = CollapsedSection(
-        f"{len(plain)} settings without a stated source (set in the experiment, or defaults)",
-        (_settings_table("plain_settings", plain),),
-    )
-    return (_settings_table("settings", sourced), folded)
-
-
-def _settings_table(name: str, settings: Sequence[Setting]) -> Table:
-    return Table(
-        name,
-        "",
-        "",
-        (
-            Column("path", "setting (as --set takes it)", kind="code"),
-            Column("value", "value", kind="number"),
-            Column("unit", "unit", kind="unit"),
-            Column("source", "source"),
-            Column("range", "valid range", kind="range"),
-        ),
-        tuple(
-            {
-                "path": setting.path,
-                "value": setting.value,
-                "unit": setting.unit,
-                "source": _marked(setting),
-                "range": setting.range,
-                "section": setting.section,
-            }
-            for setting in settings
-        ),
-        (
-            "Shaded values are assumed: no source states them. Replace them by measured values "
-            "before you rely on results that depend on them.",
-        ),
-        kinds=tuple("assumed" if setting.assumed else "" for setting in settings),
-        group="section",
-        look="settings",
-    )
-
-
-def settings_of(experiment: Experiment) -> list[Setting]:
-    """Return the settings that the experiment's method reads, in the order of the experiment.
-
-    They include values with a source that are at their default and that digests exclude.
-    """
-    tree = experiment.model_dump(mode="json", exclude={*_HEAD, *_without_meaning(experiment)})
-    for path in experiment.provenance:
-        parent, _, name = path.rpartition(".")
-        node = tree if not parent else value_at(tree, parent)
-        if isinstance(node, dict) and name not in node:
-            node[name] = value_at(experiment, path)
-    return [_setting(path, value, experiment.provenance.get(path)) for path, value in _leaves(tree)]
-
-
-def _without_meaning(experiment: Experiment) -> set[str]:
-    """Return the names of the sections that the experiment's method does not read."""
-    method = experiment.method
-    pressed = {"stage"} if method.presses else _OF_COATS
-    return pressed | (_OF_LAMPS if method.fringes else _OF_FRINGES)
-
-
 def _metrics(figures: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return label, value and unit of each metric in result.json, except the warnings.
 
@@ -374,128 +259,3 @@ def _metrics(figures: Mapping[str, Any]) -> list[tuple[str, str, str]]:
             label, unit = label_of(name)
             rows.append((label, in_words(value), unit))
     return rows
-
-
-def _marked(setting: Setting) -> str:
-    if not setting.assumed:
-        return setting.source
-    source = setting.source.removeprefix("assumed").removeprefix(":")
-    return Markup('<span class="tag">assumed</span> {}').format(source)
-
-
-def _leaves(node: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in node.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{key}.")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            for setting in value:
-                yield from _leaves(setting, f"{prefix}{key}.{setting.get('name', '')}.")
-        elif value is not None:
-            yield f"{prefix}{key}", value
-
-
-def _setting(path: str, value: Any, origin: Provenance | None) -> Setting:
-    _, unit = split_unit(path)
-    allowed = f"{origin.range[0]:g} to {origin.range[1]:g}" if origin and origin.range else ""
-    return Setting(
-        section=path.split(".")[0] if "." in path else "experiment",
-        path=path,
-        value=in_words(value),
-        unit=unit,
-        source=origin.source if origin else "",
-        range=allowed,
-        assumed=origin is not None and origin.source.startswith("assumed"),
-    )
-
-
-def rig_figure(measured: Measurement) -> Figure:
-    """Return the figure with the side view of the rig."""
-    return Figure(
-        "rig",
-        "Side view of the rig",
-        "Camera, projector and their fields of view, projected onto the vertical plane through "
-        "both devices; lengths in mm, to scale. The elastomer should be inside both fields.",
-        "side view of camera, projector and elastomer",
-        lambda path: draw_rig(path, measured.experiment),
-    )
-
-
-def draw_rig(path: Path, experiment: Experiment) -> None:
-    """Draw the side view of the rig as PNG."""
-    rig = true_calibration(experiment)
-    camera, projector = rig.T_world_from_cam[:3, 3], rig.T_world_from_proj[:3, 3]
-    across = _horizontal(projector - camera)
-    with drawing(path, 5.0, 4.8) as figure:
-        axes = axes_at(figure, 0.6, 0.35, 4.1, 3.9)
-        for name, device, pose, colour in (
-            ("camera", rig.camera, rig.T_world_from_cam, MEASURED),
-            ("projector", rig.projector, rig.T_world_from_proj, FIT),
-        ):
-            _fan(axes, device, pose, across, colour)
-            _device(axes, name, pose[:3, 3], across, colour)
-        _slab_and_specimen(axes, experiment, across)
-        angle_deg = rig.triangulation_angle_deg
-        chart(
-            axes,
-            f"Side view to scale; {angle_deg:.1f}° between the devices",
-            "along the baseline (mm)",
-            "z (mm)",
-            aspect="equal",
-        )
-        axes.margins(x=0.09, y=0.16)
-
-
-def _horizontal(baseline_mm: FloatArray) -> FloatArray:
-    length = float(np.hypot(*baseline_mm[:2]))
-    return np.array([*baseline_mm[:2] / length, 0.0]) if length > 1e-9 else np.array([1.0, 0, 0])
-
-
-def _flat(points_world_mm: FloatArray, across: FloatArray) -> FloatArray:
-    """Return the coordinates (n, 2) in the side view, s and z, of world points (n, xyz), mm."""
-    return np.stack([points_world_mm @ across, points_world_mm[:, 2]], axis=1)
-
-
-def _fan(axes: Axes, device: Pinhole, pose: FloatArray, across: FloatArray, colour: str) -> None:
-    """Draw a device's field of view as an area from its pinhole to the undeformed face z = 0."""
-    rays = np.column_stack([device.seen_corners(), np.ones(4)]) @ pose[:3, :3].T
-    # A grazing ray intersects the plane far away; the drawing ends at 2 x the standoff.
-    reach = np.where(rays[:, 2] < 0, pose[2, 3] / np.maximum(-rays[:, 2], 1e-9), np.inf)
-    reach = np.minimum(reach, 2 * float(np.linalg.norm(pose[:3, 3])))
-    ends = pose[:3, 3] + reach[:, None] * rays
-    outline = _flat(np.vstack([pose[:3, 3], ends]), across)
-    hull: Any = ConvexHull(outline)
-    axes.add_patch(Polygon(outline[hull.vertices], facecolor=colour, alpha=0.13, edgecolor="none"))
-    centre = _flat(np.stack([pose[:3, 3], np.zeros(3)]), across)
-    axes.plot(centre[:, 0], centre[:, 1], color=colour, lw=0.9, ls="--")
-
-
-def _device(axes: Axes, name: str, centre_mm: FloatArray, across: FloatArray, colour: str) -> None:
-    s, z = _flat(centre_mm[None], across)[0]
-    axes.plot([s], [z], marker="s", ms=9, color=colour)
-    axes.annotate(
-        f"{name}\ndistance {np.linalg.norm(centre_mm):.0f} mm",
-        (s, z),
-        xytext=(0, 9),
-        textcoords="offset points",
-        ha="center",
-        va="bottom",
-        color=colour,
-    )
-
-
-def _slab_and_specimen(axes: Axes, experiment: Experiment, across: FloatArray) -> None:
-    slab = experiment.elastomer
-    half = (abs(across[0]) * slab.length_x_mm + abs(across[1]) * slab.length_y_mm) / 2
-    corners = [(-half, -slab.thickness_mm), (half, -slab.thickness_mm), (half, 0), (-half, 0)]
-    axes.add_patch(Polygon(corners, facecolor="#9cc4de", edgecolor=INK, lw=0.7))
-    for ball in shape_of(experiment.specimen).spheres():
-        s, z = _flat(np.array([[ball.x_mm, ball.y_mm, ball.z_mm]]), across)[0]
-        centre = (s, z - slab.thickness_mm)
-        axes.add_patch(Circle(centre, ball.radius_mm, facecolor="#d9cdb8", edgecolor=NOMINAL))
-    axes.annotate(
-        "elastomer over specimen",
-        (half, -slab.thickness_mm / 2),
-        xytext=(8, -4),
-        textcoords="offset points",
-        va="top",
-    )
