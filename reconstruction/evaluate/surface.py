@@ -75,14 +75,18 @@ def height_map(points: PointMap, pitch_mm: float | None = None) -> HeightGrid:
     world = at_pixels(points.points_world_mm, points.valid).astype(np.float64)
     if not len(world):
         raise InputError("height map: no valid point; look at the mask's reasons")
-    pitch_mm = pitch_mm or 1.5 * _typical_distance_mm(points)
-    cells = SquareCells.of(world, pitch_mm).means(world[:, 2])
+    return grid_heights(world, pitch_mm or 1.5 * typical_distance_mm(points))
+
+
+def grid_heights(points_mm: FloatArray, pitch_mm: float) -> HeightGrid:
+    """Return the height map of points (point, xyz), averaged over square cells of `pitch_mm`."""
+    cells = SquareCells.of(points_mm, pitch_mm).means(points_mm[:, 2])
     return HeightGrid(
         cells.x_mm, cells.y_mm, cells.mean.astype(np.float32), cells.valid, cells.pitch_mm
     )
 
 
-def _typical_distance_mm(points: PointMap) -> float:
+def typical_distance_mm(points: PointMap) -> float:
     """Return the median x-y distance, mm, of valid points at adjacent pixels of an image row."""
     world, both = points.points_world_mm, points.valid[:, 1:] & points.valid[:, :-1]
     if not both.any():
@@ -260,12 +264,13 @@ def write_surface(
         rgb = None if colours is None else at_pixels(colours.rgb, points.valid)
         jobs += [
             lambda: write_mesh_ply(folder / "surface.ply", surface_mesh(points), rgb),
-            lambda: _write_heights(folder, height_map(points)),
+            lambda: write_heights(folder, height_map(points)),
         ]
     run_side_by_side(jobs)
 
 
-def _write_heights(folder: Path, heights: HeightGrid) -> None:
+def write_heights(folder: Path, heights: HeightGrid) -> None:
+    """Write height_map.nc, height_map.png with height_map.png.json, and height_map.exr."""
     write_height_netcdf(folder / "height_map.nc", heights)
     write_height_png(folder / "height_map.png", heights)
     write_height_exr(folder / "height_map.exr", heights)

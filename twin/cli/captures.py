@@ -72,6 +72,33 @@ def reconstruct(
 
 
 @app.command
+def merge(
+    *captures: Path,
+    out: Out,
+    use: Literal["column", "row", "both"] = "column",
+    weights: Literal["equal", "modulation"] | None = None,
+) -> None:
+    """Reconstruct captures of one scene by several cameras with one projector; merge the points.
+
+    Parameters
+    ----------
+    captures
+        Folders with capture.toml, one per camera, each with the calibration of its camera and the
+        projector. The points are in the world of the first one.
+    use
+        Projector coordinate that gives the depth.
+    weights
+        Weights of the pixels in the filter; default: see twin keys.
+    """
+    from twin.output import end_exchange
+    from twin.pipeline.merging import merge_captures, merging_doubts
+
+    for capture in captures:
+        end_exchange(capture)
+    _decode_by(merge_captures, captures, out, {"use": use, "weights": weights}, merging_doubts)
+
+
+@app.command
 def decode(
     capture: Path,
     /,
@@ -102,16 +129,26 @@ def decode(
 
 
 def _decode_by(
-    compute: "Callable[..., dict[str, Any]]", capture: Path, out: Path, settings: dict[str, Any]
+    compute: "Callable[..., dict[str, Any]]",
+    source: Any,
+    out: Path,
+    settings: dict[str, Any],
+    doubts_of: "Callable[[dict[str, Any]], Iterable[str]] | None" = None,
 ) -> None:
-    """Write the result of a capture and print its figures; settings that are None keep defaults."""
+    """Write the result of captures and print its figures; settings that are None keep defaults.
+
+    Parameters
+    ----------
+    source : folder, or folders, of `compute`
+    doubts_of : returns warnings for the figures; None: those of the fringe orders
+    """
     from twin.config import decode_settings
     from twin.pipeline.captures import order_doubts
 
     chosen = {key: value for key, value in settings.items() if value is not None}
     with progress_bars() as watch:
-        figures = compute(capture, out, decode_settings(**chosen), watch)
-    _print_figures(figures, order_doubts(figures), out)
+        figures = compute(source, out, decode_settings(**chosen), watch)
+    _print_figures(figures, (doubts_of or order_doubts)(figures), out)
 
 
 def _print_figures(figures: dict[str, Any], doubts: "Iterable[str]", out: Path) -> None:

@@ -1,0 +1,317 @@
+"""Merge the points of several cameras that see the same fringes of one projector.
+
+Every camera is calibrated with the projector and triangulated with it. The frame of the merged
+points is the world of the first view; the other views are moved into it by the projector's pose,
+which all of them share: T_1_from_j = T_1_from_proj T_j_from_proj^-1.
+
+A point p of camera i is compared with the surface of camera j at the pixel of j on which p is
+projected, interpolated bilinearly between four points without a jump in height. The distance of
+that surface from p along the normal n of the surface is s = n . (q - p). Both errors are along
+their own camera rays, with standard deviations sigma_i and sigma_j along n.
+
+- |s| <= 5 b sqrt(sigma_i^2 + sigma_j^2): both cameras see the same place. The point moves along its
+  own ray to the mean of both surfaces with weights 1 / sigma^2.
+- Otherwise, if q is nearer to camera j than p: p is hidden from j.
+- Otherwise camera j sees through p, which contradicts its own point: p is left out.
+
+b is the Birge ratio (Birge, Phys. Rev. 40, 207, 1932): 1.4826 times the median of |s| over its
+standard deviation, at least 1. It exceeds 1 if the calibrations of the two cameras differ by more
+than the noise, and enlarges the standard deviations of the merged points by this factor.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from reconstruction.arrays import BoolImage, FloatArray, FloatImage, at_pixels
+from reconstruction.errors import InputError
+from reconstruction.rig.calibration import Calibration
+from reconstruction.triangulation import PointMap
+from reconstruction.triangulation.normals import LONGEST_OVER_TYPICAL
+
+GATE = 5.0
+"""Largest distance of two surfaces that are taken for the same, in standard deviations."""
+LEAST_COSINE = 0.05
+"""Least cosine between ray and normal, 87 degrees, at which a point is moved along the ray."""
+MEDIAN_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """Points of one camera, and the rig that consists of this camera and the projector."""
+
+    points: PointMap
+    calibration: Calibration
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """How the surfaces of two or more cameras agree where several of them see the same place.
+
+    Parameters
+    ----------
+    offset_median_mm : median of |s|, the distance of two surfaces along the normal
+    birge_ratio : b, see the module; 1 if the distances are as large as their sigma predicts
+    shared_points : number of points that were compared and agree
+    hidden_points : number of points that no other camera sees
+    contradicted_points : number of points that were left out, because another camera sees
+        through them
+    """
+
+    offset_median_mm: float
+    birge_ratio: float
+    shared_points: int
+    hidden_points: int
+    contradicted_points: int
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """Merged points of several cameras, in the world of the first one.
+
+    Parameters
+    ----------
+    maps : points of each camera; pixels of points that another camera contradicts are not `kept`
+    kept : (row, col) bool of each camera: the pixel's point is part of the merged points
+    repeated : (row, col) bool of each camera: an earlier camera has a point at the same place
+    agreement : comparison of the cameras
+    """
+
+    maps: tuple[PointMap, ...]
+    kept: tuple[BoolImage, ...]
+    repeated: tuple[BoolImage, ...]
+    agreement: Agreement
+
+    def of_all(self, images: Sequence[FloatImage]) -> FloatImage:
+        """Return the values (n, ...) of one image (row, col, ...) per camera at the merged points.
+
+        A place that several cameras see occurs once, at the pixel of the first of them.
+        """
+        chosen = [kept & ~again for kept, again in zip(self.kept, self.repeated, strict=True)]
+        return np.concatenate([at_pixels(i, c) for i, c in zip(images, chosen, strict=True)])
+
+    @property
+    def points_mm(self) -> FloatImage:
+        """Merged points, (n, xyz) float32, world frame of the first view."""
+        return self.of_all([view.points_world_mm for view in self.maps])
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """What camera j sees along its rays through the points of camera i, all (row, col).
+
+    Parameters
+    ----------
+    seen : camera j has a surface there
+    offset_mm : s, distance of this surface from the point along the normal of the point
+    spread_mm : sigma_j along this normal
+    is_nearer : the surface is nearer to camera j than the point
+    """
+
+    seen: BoolImage
+    offset_mm: FloatArray
+    spread_mm: FloatArray
+    is_nearer: BoolImage
+
+
+def merge(views: Sequence[CameraView]) -> Merged:
+    """Merge the points of two or more cameras.
+
+    Raises
+    ------
+    InputError : there are fewer than two views, or no two cameras see the same place
+    """
+    if len(views) < 2:
+        raise InputError(f"merge: found {len(views)} view; give two or more captures")
+    moved = [_in_frame_of(views[0].calibration, view) for view in views]
+    sights = [[_sight(a, b) for b in moved if b is not a] for a in moved]
+    birge = _birge_ratio(moved, sights)
+    agreed = [_agreed(view, row, birge) for view, row in zip(moved, sights, strict=True)]
+    through = [_through(view, row, birge) for view, row in zip(moved, sights, strict=True)]
+    maps = tuple(
+        _fused(view, row, same, birge)
+        for view, row, same in zip(moved, sights, agreed, strict=True)
+    )
+    kept = tuple(view.points.valid & ~gone for view, gone in zip(moved, through, strict=True))
+    repeated = tuple(_any(same[:number], moved[number]) for number, same in enumerate(agreed))
+    compared = _agreement(moved, sights, agreed, through, birge)
+    return Merged(maps, kept, repeated, compared)
+
+
+def _in_frame_of(first: Calibration, view: CameraView) -> CameraView:
+    """Move points and camera of a view into the world of `first`, by the projector of both."""
+    T = first.T_world_from_proj @ np.linalg.inv(view.calibration.T_world_from_proj)
+    errors = _errors_mm(view.points) @ T[:3, :3].T
+    points = view.points.points_world_mm @ T[:3, :3].T + T[:3, 3]
+    valid = view.points.valid[..., np.newaxis]
+    moved = PointMap(
+        np.where(valid, points, 0.0).astype(np.float32),
+        np.abs(errors).astype(np.float32),
+        view.points.mask_reason,
+        T @ view.points.T_world_from_cam,
+    )
+    return CameraView(moved, view.calibration)
+
+
+def _errors_mm(points: PointMap) -> FloatArray:
+    """Return the error of one standard deviation of each point, along its ray, (row, col, xyz)."""
+    along = points.points_world_mm - points.T_world_from_cam[:3, 3]
+    return np.copysign(points.sigma_xyz_mm, along).astype(np.float64)
+
+
+def _sight(of: CameraView, by: CameraView) -> _Sight:
+    """Compare the points of one view with the surface that the camera of another one sees."""
+    points_mm, normals = of.points.points_world_mm, of.points.normals_world
+    T = np.linalg.inv(by.points.T_world_from_cam)
+    depth_mm = points_mm @ T[2, :3] + T[2, 3]
+    usable = of.points.valid & np.any(normals != 0.0, axis=-1) & (depth_mm > 0.0)
+    at_px = np.full((*usable.shape, 2), -1.0, np.float32)
+    at_px[usable] = by.calibration.camera.project(points_mm[usable] @ T[:3, :3].T + T[:3, 3])
+    surface_mm = _bilinear(by.points.points_world_mm, at_px)
+    seen = usable & (_bilinear((~_without_jump(by.points)).astype(np.float32), at_px) == 0.0)
+    error_mm = _bilinear(_errors_mm(by.points).astype(np.float32), at_px)
+    return _Sight(
+        seen,
+        _dot(normals, surface_mm - points_mm),
+        np.abs(_dot(normals, error_mm)),
+        surface_mm @ T[2, :3] + T[2, 3] < depth_mm,
+    )
+
+
+def _bilinear(image: FloatImage, at_px: FloatImage) -> FloatImage:
+    """Interpolate (row, col, ...) at positions (row, col, column and row); outside: 1."""
+    border = (1.0,) * 4
+    x, y = at_px[..., 0], at_px[..., 1]
+    return np.asarray(
+        cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=border)
+    )
+
+
+def _without_jump(points: PointMap) -> BoolImage:
+    """Return the pixels, (row, col), that have a point and no jump in height to a neighbour."""
+    valid, whole = points.valid, points.valid.copy()
+    for axis in (0, 1):
+        steps = np.linalg.norm(np.diff(points.points_world_mm, axis=axis), axis=-1)
+        both = np.logical_and(*_pair(valid, axis))
+        longest_mm = LONGEST_OVER_TYPICAL * float(np.median(steps[both])) if both.any() else 0.0
+        jump = both & (steps > longest_mm)
+        for side in _pair(whole, axis):
+            side &= ~jump
+    return whole
+
+
+def _pair(image: BoolImage, axis: int) -> tuple[BoolImage, BoolImage]:
+    """Return the two views of an image that contain the neighbours along an axis."""
+    turned = np.moveaxis(image, axis, 0)
+    first, second = np.moveaxis(turned[:-1], 0, axis), np.moveaxis(turned[1:], 0, axis)
+    return first, second
+
+
+def _own_spread_mm(view: CameraView) -> FloatArray:
+    """Return sigma_i of the points along their normals, (row, col)."""
+    normals = view.points.normals_world
+    return np.abs(_dot(normals, _errors_mm(view.points)))
+
+
+def _dot(a: FloatArray | FloatImage, b: FloatArray | FloatImage) -> FloatArray:
+    """Return the scalar products (row, col) of vectors (row, col, xyz)."""
+    return np.asarray(np.einsum("rcx,rcx->rc", a, b, dtype=np.float64))
+
+
+def _over_sigma(view: CameraView, sight: _Sight) -> FloatArray:
+    """Return |s| over its standard deviation, (row, col); 0 where the camera sees nothing."""
+    spread_mm = np.hypot(_own_spread_mm(view), sight.spread_mm)
+    ratio = np.zeros_like(spread_mm)
+    np.divide(np.abs(sight.offset_mm), spread_mm, out=ratio, where=sight.seen & (spread_mm > 0.0))
+    return ratio
+
+
+def _birge_ratio(views: Sequence[CameraView], sights: Sequence[Sequence[_Sight]]) -> float:
+    ratios = [
+        _over_sigma(view, sight)[sight.seen]
+        for view, row in zip(views, sights, strict=True)
+        for sight in row
+    ]
+    over_sigma = np.concatenate(ratios)
+    if not len(over_sigma):
+        raise InputError(
+            "merge: no two cameras see the same place; give captures of one scene with one "
+            "projector, each with the calibration of its camera and this projector"
+        )
+    return max(1.0, MEDIAN_TO_SIGMA * float(np.median(over_sigma)))
+
+
+def _agreed(view: CameraView, row: Sequence[_Sight], birge: float) -> list[BoolImage]:
+    """Return for each other camera where it sees the same place, (row, col)."""
+    return [sight.seen & (_over_sigma(view, sight) <= GATE * birge) for sight in row]
+
+
+def _through(view: CameraView, row: Sequence[_Sight], birge: float) -> BoolImage:
+    """Return the points, (row, col), through which another camera sees."""
+    against = [
+        sight.seen & ~sight.is_nearer & ~same
+        for sight, same in zip(row, _agreed(view, row, birge), strict=True)
+    ]
+    return _any(against, view)
+
+
+def _any(masks: Sequence[BoolImage], view: CameraView) -> BoolImage:
+    return np.asarray(np.any([np.zeros_like(view.points.valid), *masks], axis=0))
+
+
+def _fused(
+    view: CameraView, row: Sequence[_Sight], agreed: Sequence[BoolImage], birge: float
+) -> PointMap:
+    """Move the points along their rays to the weighted mean of the surfaces that agree."""
+    own = _weight(_own_spread_mm(view), view.points.valid)
+    others = [_weight(sight.spread_mm, same) for sight, same in zip(row, agreed, strict=True)]
+    shifts_mm = [w * sight.offset_mm for w, sight in zip(others, row, strict=True)]
+    total, shift_mm = np.sum([own, *others], axis=0), np.sum(shifts_mm, axis=0)
+    rays = view.points.points_world_mm - view.points.T_world_from_cam[:3, 3]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    cosine = _dot(rays, view.points.normals_world)
+    moves = (np.abs(cosine) > LEAST_COSINE) & (total > own)
+    along_mm, scale = np.zeros_like(own), np.full_like(own, birge)
+    np.divide(shift_mm, total * cosine, out=along_mm, where=moves)
+    scale[moves] *= np.sqrt(own[moves] / total[moves])
+    return PointMap(
+        (view.points.points_world_mm + rays * along_mm[..., np.newaxis]).astype(np.float32),
+        (view.points.sigma_xyz_mm * scale[..., np.newaxis]).astype(np.float32),
+        view.points.mask_reason,
+        view.points.T_world_from_cam,
+    )
+
+
+def _weight(spread_mm: FloatArray, where: BoolImage) -> FloatArray:
+    """Return 1 / sigma^2, (row, col) mm^-2; 0 outside `where`."""
+    weight = np.zeros_like(spread_mm)
+    np.divide(1.0, spread_mm**2, out=weight, where=where & (spread_mm > 0.0))
+    return weight
+
+
+def _agreement(
+    views: Sequence[CameraView],
+    sights: Sequence[Sequence[_Sight]],
+    agreed: Sequence[Sequence[BoolImage]],
+    through: Sequence[BoolImage],
+    birge: float,
+) -> Agreement:
+    offsets = [
+        np.abs(sight.offset_mm[same])
+        for row, masks in zip(sights, agreed, strict=True)
+        for sight, same in zip(row, masks, strict=True)
+    ]
+    shared = [_any(masks, view) for masks, view in zip(agreed, views, strict=True)]
+    alone = [
+        view.points.valid & ~same & ~gone
+        for view, same, gone in zip(views, shared, through, strict=True)
+    ]
+    return Agreement(
+        offset_median_mm=float(np.median(np.concatenate(offsets))),
+        birge_ratio=birge,
+        shared_points=sum(int(same.sum()) for same in shared),
+        hidden_points=sum(int(left.sum()) for left in alone),
+        contradicted_points=sum(int(gone.sum()) for gone in through),
+    )
