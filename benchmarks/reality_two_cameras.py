@@ -45,7 +45,16 @@ def main() -> None:
 
 def reality_two_cameras(quick: bool) -> dict[str, float]:
     """Render, decode and merge both cameras, and compare with each of them alone."""
-    measured = [_measured(azimuth, 4 if quick else 2) for azimuth in CAMERAS_DEG]
+    return compared(measured_by_both(4 if quick else 2))
+
+
+def measured_by_both(binning: int) -> list[Measurement]:
+    """Render and decode the stack of each camera."""
+    return [_measured(azimuth, binning) for azimuth in CAMERAS_DEG]
+
+
+def compared(measured: list[Measurement]) -> dict[str, float]:
+    """Merge the points of both cameras, and compare them with those of each camera."""
     views = [CameraView(done.images.reconstruction.point_map, _rig(done)) for done in measured]
     merged = merge(views)
     print(merged.agreement)

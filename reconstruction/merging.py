@@ -12,7 +12,7 @@ their own camera rays, with standard deviations sigma_i and sigma_j along n.
 - |s| <= 5 b sqrt(sigma_i^2 + sigma_j^2): both cameras see the same place. The point moves along its
   own ray to the mean of both surfaces with weights 1 / sigma^2.
 - Otherwise, if q is nearer to camera j than p: p is hidden from j.
-- Otherwise camera j sees through p, which contradicts its own point: p is left out.
+- Otherwise p is in front of a surface that camera j observes, which is impossible: p is left out.
 
 b is the Birge ratio (Birge, Phys. Rev. 40, 207, 1932): 1.4826 times the median of |s| over its
 standard deviation, at least 1. It exceeds 1 if the calibrations of the two cameras differ by more
@@ -48,16 +48,16 @@ class CameraView:
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """How the surfaces of two or more cameras agree where several of them see the same place.
+    """Comparison of the surfaces of two or more cameras where several of them see the same place.
 
     Parameters
     ----------
     offset_median_mm : median of |s|, the distance of two surfaces along the normal
     birge_ratio : b, see the module; 1 if the distances are as large as their sigma predicts
     shared_points : number of points that were compared and agree
-    hidden_points : number of points that no other camera sees
-    contradicted_points : number of points that were left out, because another camera sees
-        through them
+    hidden_points : number of points hidden from all other cameras
+    contradicted_points : number of points that were left out, because another camera observes a
+        surface behind them
     """
 
     offset_median_mm: float
@@ -100,7 +100,7 @@ class Merged:
 
 @dataclass(frozen=True, eq=False)
 class _Sight:
-    """What camera j sees along its rays through the points of camera i, all (row, col).
+    """Surface observed by camera j along its rays through the points of camera i, all (row, col).
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def _errors_mm(points: PointMap) -> FloatArray:
 
 
 def _sight(of: CameraView, by: CameraView) -> _Sight:
-    """Compare the points of one view with the surface that the camera of another one sees."""
+    """Compare the points of one view with the surface observed by the camera of another one."""
     points_mm, normals = of.points.points_world_mm, of.points.normals_world
     T = np.linalg.inv(by.points.T_world_from_cam)
     depth_mm = points_mm @ T[2, :3] + T[2, 3]
@@ -221,7 +221,7 @@ def _dot(a: FloatArray | FloatImage, b: FloatArray | FloatImage) -> FloatArray:
 
 
 def _over_sigma(view: CameraView, sight: _Sight) -> FloatArray:
-    """Return |s| over its standard deviation, (row, col); 0 where the camera sees nothing."""
+    """Return |s| over its standard deviation, (row, col); 0 where the camera has no surface."""
     spread_mm = np.hypot(_own_spread_mm(view), sight.spread_mm)
     ratio = np.zeros_like(spread_mm)
     np.divide(np.abs(sight.offset_mm), spread_mm, out=ratio, where=sight.seen & (spread_mm > 0.0))
@@ -244,12 +244,12 @@ def _birge_ratio(views: Sequence[CameraView], sights: Sequence[Sequence[_Sight]]
 
 
 def _agreed(view: CameraView, row: Sequence[_Sight], birge: float) -> list[BoolImage]:
-    """Return for each other camera where it sees the same place, (row, col)."""
+    """Return for each other camera where it observes the same place, (row, col)."""
     return [sight.seen & (_over_sigma(view, sight) <= GATE * birge) for sight in row]
 
 
 def _through(view: CameraView, row: Sequence[_Sight], birge: float) -> BoolImage:
-    """Return the points, (row, col), through which another camera sees."""
+    """Return the points, (row, col), behind which another camera observes a surface."""
     against = [
         sight.seen & ~sight.is_nearer & ~same
         for sight, same in zip(row, _agreed(view, row, birge), strict=True)

@@ -75,6 +75,7 @@ def reconstruct(
 def merge(
     *captures: Path,
     out: Out,
+    baseline: Literal["projector", "cameras"] = "projector",
     use: Literal["column", "row", "both"] = "column",
     weights: Literal["equal", "modulation"] | None = None,
 ) -> None:
@@ -85,17 +86,22 @@ def merge(
     captures
         Folders with capture.toml, one per camera, each with the calibration of its camera and the
         projector. The points are in the world of the first one.
+    baseline
+        Partner of the cameras. projector: each camera is triangulated with the projector, and the
+        points are merged. cameras: the first of two cameras is triangulated with the second one,
+        and the projector only marks the surface; needs fringes along both axes.
     use
         Projector coordinate that gives the depth.
     weights
         Weights of the pixels in the filter; default: see twin keys.
     """
     from twin.output import end_exchange
-    from twin.pipeline.merging import merge_captures, merging_doubts
+    from twin.pipeline.merging import merge_captures, merging_doubts, triangulate_captures
 
     for capture in captures:
         end_exchange(capture)
-    _decode_by(merge_captures, captures, out, {"use": use, "weights": weights}, merging_doubts)
+    compute = merge_captures if baseline == "projector" else triangulate_captures
+    _decode_by(compute, captures, out, {"use": use, "weights": weights}, merging_doubts)
 
 
 @app.command

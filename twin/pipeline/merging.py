@@ -1,6 +1,7 @@
-"""Reconstruct captures of one scene by several cameras with one projector, and merge the points."""
+"""Points from captures of one scene by several cameras with one projector."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,24 @@ from reconstruction.capture.period_search import best_period
 from reconstruction.colouring import Intensity
 from reconstruction.drawing import Drawing, draw_cells, gridded
 from reconstruction.errors import InputError
-from reconstruction.evaluate.surface import grid_heights, typical_distance_mm, write_heights
+from reconstruction.evaluate.surface import (
+    grid_heights,
+    typical_distance_mm,
+    write_heights,
+    write_surface,
+)
 from reconstruction.merging import CameraView, Merged, merge
 from reconstruction.netcdf import PIXELS, LabelledArrays, write_arrays
-from reconstruction.pipeline import Reconstruction, reconstruct, reconstruction_arrays, write_ply
+from reconstruction.pipeline import (
+    Reconstruction,
+    reconstruct,
+    reconstruction_arrays,
+    write_ply,
+    write_reconstruction,
+)
+from reconstruction.rig.calibration import Calibration
+from reconstruction.stereo import DecodedView, triangulate_cameras
+from reconstruction.triangulation import PointMap
 from reconstruction.writing import write_bytes, write_text
 from twin.config.digest import content_digest
 from twin.config.models import Decode
@@ -26,6 +41,15 @@ from twin.pipeline.progress import ProgressCallback, no_progress
 
 LARGE_BIRGE_RATIO = 3.0
 """Ratio above which the calibrations, not the noise, determine the error of the merged points."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Points of one camera, the rig that gave them, and the digest of the capture."""
+
+    result: Reconstruction
+    rig: Calibration
+    digest: str
 
 
 def merge_captures(
@@ -44,29 +68,88 @@ def merge_captures(
     if len(captures) < 2:
         raise InputError(f"merge: found {len(captures)} capture; give two or more, one per camera")
     with output_folder(out, captures) as folder:
-        views, results, digests = [], [], []
-        for number, path in enumerate(captures):
-            watch("reconstruct", number / len(captures))
-            capture = read_capture(path)
-            result = reconstruct(capture, options_of(decode))
-            explain = partial(best_period, capture)
-            require_points(path, result.point_map.mask_reason, explain)
-            views.append(CameraView(result.point_map, capture.calibration))
-            results.append(result)
-            digests.append(content_digest(decode, capture))
-        watch("reconstruct", 1.0)
+        seen = _reconstructed(captures, decode, watch)
         watch("merge", 0.0)
-        merged = merge(views)
-        _write(folder, merged, results)
-        watch("merge", 1.0)
+        merged = merge([CameraView(camera.result.point_map, camera.rig) for camera in seen])
+        _write(folder, merged, [camera.result for camera in seen])
         figures = merged_metrics(merged)
-        settings = {
-            "decode": decode.model_dump(mode="json"),
-            "captures": [str(c) for c in captures],
-        }
-        write_text(folder / EXPERIMENT_FILE, tomli_w.dumps(settings))
-        write_outcome(folder, "merge", figures, digest=" ".join(digests))
+        _write_settings(folder, captures, decode, "projector")
+        write_outcome(folder, "merge", figures, digest=_digest(seen))
+        watch("merge", 1.0)
     return figures
+
+
+def triangulate_captures(
+    captures: Sequence[Path], out: Path, decode: Decode, watch: ProgressCallback = no_progress
+) -> dict[str, Any]:
+    """Triangulate the first camera with the second one, and write the result folder `out`.
+
+    Returns the figures of result.json. The files of `out` are those of `reconstruct_capture`.
+
+    Raises
+    ------
+    InputError : there are not two captures, a capture is incomplete or damaged, has one axis only
+        or clear layers, no pixel gives a point, or `out` cannot be written
+    """
+    if len(captures) != 2:
+        raise InputError(f"merge --baseline cameras: found {len(captures)} captures; give two")
+    with output_folder(out, captures) as folder:
+        first, second = _reconstructed(captures, decode, watch)
+        watch("triangulate", 0.0)
+        alone, decoded = first.result.point_map, first.result.decoded
+        partner = DecodedView(second.result.decoded, second.rig)
+        points = triangulate_cameras(DecodedView(decoded, first.rig), partner, alone)
+        require_points(captures[0], points.mask_reason)
+        write_reconstruction(folder / "reconstruction.nc", decoded, points)
+        write_surface(folder, points, intensity=Intensity(decoded.intensity_dn, points.valid))
+        figures = _stereo_metrics(points, alone)
+        _write_settings(folder, captures, decode, "cameras")
+        write_outcome(folder, "merge", figures, digest=_digest([first, second]))
+        watch("triangulate", 1.0)
+    return figures
+
+
+def _reconstructed(
+    captures: Sequence[Path], decode: Decode, watch: ProgressCallback
+) -> list[_Seen]:
+    seen = []
+    for number, path in enumerate(captures):
+        watch("reconstruct", number / len(captures))
+        capture = read_capture(path)
+        result = reconstruct(capture, options_of(decode))
+        require_points(path, result.point_map.mask_reason, partial(best_period, capture))
+        seen.append(_Seen(result, capture.calibration, content_digest(decode, capture)))
+    watch("reconstruct", 1.0)
+    return seen
+
+
+def _digest(seen: Sequence[_Seen]) -> str:
+    return " ".join(camera.digest for camera in seen)
+
+
+def _write_settings(folder: Path, captures: Sequence[Path], decode: Decode, baseline: str) -> None:
+    tables = {
+        "baseline": baseline,
+        "captures": [str(capture) for capture in captures],
+        "decode": decode.model_dump(mode="json"),
+    }
+    write_text(folder / EXPERIMENT_FILE, tomli_w.dumps(tables))
+
+
+def _stereo_metrics(points: PointMap, by_projector: PointMap) -> dict[str, Any]:
+    """Return figures of the points by two cameras and their distance from those by the projector.
+
+    The distance is along the ray of the first camera.
+    """
+    both = points.valid & by_projector.valid
+    difference_mm = (points.points_world_mm - by_projector.points_world_mm)[both]
+    distance_mm = np.linalg.norm(difference_mm, axis=-1)
+    return {
+        "points": int(points.valid.sum()),
+        "valid_share": float(points.valid.mean()),
+        "sigma_z_median_um": float(1e3 * np.median(points.sigma_z_mm[points.valid])),
+        "projector_offset_median_um": float(1e3 * np.median(distance_mm)),
+    }
 
 
 def merged_metrics(merged: Merged) -> dict[str, Any]:
@@ -90,7 +173,7 @@ def merged_metrics(merged: Merged) -> dict[str, Any]:
 
 def merging_doubts(figures: dict[str, Any]) -> list[str]:
     """Return a warning if the surfaces of the cameras differ by more than their noise."""
-    ratio = figures["birge_ratio"]
+    ratio = figures.get("birge_ratio", 1.0)
     if ratio <= LARGE_BIRGE_RATIO:
         return []
     return [
