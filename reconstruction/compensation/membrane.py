@@ -184,8 +184,10 @@ class _Elements:
     def gradients(self, place: FloatArray) -> FloatArray:
         """Return B at the Gauss points, (point, element, 4): B_xx, B_xy, B_yx, B_yy."""
         corners = place.reshape(-1, 2)[self.nodes]
-        b = np.einsum("pdn,eni->peid", self.slopes, corners)
-        return np.asarray(b.reshape(*b.shape[:2], 4))
+        slopes = self.slopes.reshape(-1, 4)
+        b = slopes @ np.moveaxis(corners, 1, 0).reshape(4, -1)
+        b = b.reshape(len(self.slopes), 2, len(corners), 2)
+        return np.asarray(np.moveaxis(b, 1, 3).reshape(*b.shape[::2], 4))
 
     def determinants(self, place: FloatArray) -> FloatArray:
         """Return det B at the Gauss points, (point, element)."""
@@ -193,12 +195,14 @@ class _Elements:
         return np.asarray(b[..., 0] * b[..., 3] - b[..., 1] * b[..., 2])
 
     def value(self, place: FloatArray) -> float:
-        b = self.gradients(place)
+        return self._value(place, self.gradients(place))
+
+    def _value(self, place: FloatArray, b: FloatArray) -> float:
         d = b[..., 0] * b[..., 3] - b[..., 1] * b[..., 2]
         if float(d.min()) <= 0:
             return np.inf
         g = self.metric[:, 0] * self.metric[:, 2] - self.metric[:, 1] ** 2
-        q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
+        q = _dot(b, self._by_quadratic(b))
         of_rim = self.rim.energy(place) if self.rim else 0.0
         return float(np.sum(self.weight * (q / d + d**3 / g + self.linear * d))) + of_rim
 
@@ -208,11 +212,13 @@ class _Elements:
         The energy is in units of mu h / 2.
         """
         b = self.gradients(place)
-        d, to_d, pull, _g = self._parts(b)
-        q_slope = 2 * np.einsum("eij,pej->pei", self.quadratic, b)
-        by_b = q_slope / d[..., None] + pull[..., None] * to_d
-        by_node = np.einsum("peid,pdn,e->eni", by_b.reshape(*b.shape[:2], 2, 2), self.slopes,
-                            self.weight)  # fmt: skip
+        d, to_d, pull, _g, _q, q_slope = self._parts(b)
+        by_b = self.weight[:, None] * (q_slope / d[..., None] + pull[..., None] * to_d)
+        by_node = sum(
+            np.matmul(by_b_i.reshape(-1, 2, 2), slopes)
+            for by_b_i, slopes in zip(by_b, self.slopes, strict=True)
+        )
+        by_node = np.swapaxes(by_node, 1, 2)
         gradient = np.zeros(2 * self.count)
         for axis in range(2):
             gradient[axis::2] = np.bincount(
@@ -220,7 +226,7 @@ class _Elements:
             )
         if self.rim:
             gradient += self.rim.gradient(place)
-        return self.value(place), gradient, b
+        return self._value(place, b), gradient, b
 
     def tangent(self, b: FloatArray, *, whole: bool) -> sparse.csc_matrix:
         """Return the second derivative of the energy, square with 2 unknowns per node.
@@ -230,14 +236,12 @@ class _Elements:
         b : (point, element, 4) B at the Gauss points
         whole : True to include the part that may be indefinite
         """
-        d, to_d, pull, g = self._parts(b)
-        q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
-        q_slope = 2 * np.einsum("eij,pej->pei", self.quadratic, b)
-        outer = np.einsum("pei,pej->peij", q_slope, to_d)
+        d, to_d, pull, g, q, q_slope = self._parts(b)
+        outer = q_slope[..., :, None] * to_d[..., None, :]
         second = 2 * self.quadratic[None] / d[..., None, None]
         second = second - (outer + np.swapaxes(outer, -1, -2)) / d[..., None, None] ** 2
         both = (2 * q / d**3 + 6 * d / g)[..., None, None]
-        second = second + both * np.einsum("pei,pej->peij", to_d, to_d)
+        second = second + both * (to_d[..., :, None] * to_d[..., None, :])
         if whole:
             second = second + pull[..., None, None] * _HESSIAN_OF_D
         points, count = b.shape[:2]
@@ -250,13 +254,21 @@ class _Elements:
         inner = sparse.csc_matrix((values, (rows, cols)), shape=(2 * self.count,) * 2)
         return inner + sparse.diags(self.rim.stiffness, format="csc") if self.rim else inner
 
-    def _parts(self, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return D, the derivative of D by B, the derivative of the energy by D, and det G."""
+    def _by_quadratic(self, b: FloatArray) -> FloatArray:
+        """Return Q b, (point, element, 4), with the components of Q as in `_quadratic`."""
+        xx, xy, yy = self.metric.T
+        rows = [yy * b[..., 0] - xy * b[..., 1], xx * b[..., 1] - xy * b[..., 0],
+                yy * b[..., 2] - xy * b[..., 3], xx * b[..., 3] - xy * b[..., 2]]  # fmt: skip
+        return np.stack(rows, axis=-1)
+
+    def _parts(self, b: FloatArray) -> tuple[FloatArray, ...]:
+        """Return D, dD/dB, the derivative of the energy by D, det G, b^T Q b and 2 Q b."""
         d = b[..., 0] * b[..., 3] - b[..., 1] * b[..., 2]
         to_d = np.stack((b[..., 3], -b[..., 2], -b[..., 1], b[..., 0]), axis=-1)
         g = self.metric[:, 0] * self.metric[:, 2] - self.metric[:, 1] ** 2
-        q = np.einsum("pei,eij,pej->pe", b, self.quadratic, b)
-        return d, to_d, -q / d**2 + 3 * d**2 / g + self.linear, g
+        by_q = self._by_quadratic(b)
+        q = _dot(b, by_q)
+        return d, to_d, -q / d**2 + 3 * d**2 / g + self.linear, g, q, 2 * by_q
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +292,11 @@ class _Springs:
 
     def gradient(self, place: FloatArray) -> FloatArray:
         return np.asarray(self.stiffness * (place.ravel() - self.mounted) - self.pulled)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the scalar products (point, element) of vectors (point, element, 4)."""
+    return np.asarray((a * b).sum(axis=-1))
 
 
 def _slopes(point: FloatArray, step: tuple[float, float]) -> FloatArray:
