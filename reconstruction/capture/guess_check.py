@@ -1,11 +1,13 @@
 """Check a guessed capture.toml against its images: decode them, and try likely other values.
 
 A correct description decodes most lit pixels, and the projector coordinate is continuous from pixel
-to pixel. If it does not, other encodings and orders of the bits are tried. The assumed noise of the
+to pixel. If it does not, other encodings and orders of the bits are tried, and an encoding is taken
+over if it is the only one that passes. The assumed noise of the
 camera is compared with the scatter of the phase frames around their sinusoids, which includes
 harmonics of a projector with gamma, and flicker between frames.
 """
 
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,9 +15,12 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
+from reconstruction.capture.description import DESCRIPTION_FILE
 from reconstruction.capture.folder import read_frames
 from reconstruction.capture.frame_list import ListedSet, read_listed
 from reconstruction.capture.frame_order import ENOUGH, LEAST_LIT, sample_of
+from reconstruction.capture.guess import Guess
+from reconstruction.capture.guess_file import written
 from reconstruction.decoding import DecodeOptions
 from reconstruction.decoding.continuity import DOUBTFUL_SHARE, jump_share
 from reconstruction.decoding.decode import decode
@@ -23,6 +28,7 @@ from reconstruction.errors import CaptureError
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 from reconstruction.words import WORDS
+from reconstruction.writing import write_text
 
 # Measured over assumed noise within these limits needs no message.
 _NOISE_RATIO = 0.5, 2.0
@@ -60,26 +66,65 @@ class DecodingCheck:
         )
 
 
-def checks_of(file: Path, folder: Path) -> list[str]:
-    """Return lines of text on the test of a capture.toml: passed, or unsure and what would pass.
+@dataclass(frozen=True)
+class Description:
+    """Text of a capture.toml that was tested on its images.
+
+    Attributes
+    ----------
+    guess : the guessed patterns, with the encoding that the test confirmed
+    text : text of the file
+    lines : one line for each test: passed, or unsure and the change that would pass
+    """
+
+    guess: Guess
+    text: str
+    lines: tuple[str, ...]
+
+
+def describe_and_test(
+    guessed: Guess, folder: Path, size: tuple[int, int], *, is_known: bool = True
+) -> Description:
+    """Write the description of guessed patterns, and test it on the images.
+
+    If it fails, and it passes with one other encoding of the bits only, that encoding is written,
+    with a mark.
 
     Parameters
     ----------
-    file : the guessed capture.toml
     folder : folder of the images
+    size, is_known : as in `written`
     """
-    try:
-        listed = read_listed(file)
-    except CaptureError as error:
-        return [f"unsure: {DecodingCheck(why=str(error)).in_words()}"]
-    guessed = _tested(listed, folder)
-    lines = [f"{'tested' if guessed.passes else 'unsure'}: {guessed.in_words()}"]
-    if not guessed.passes:
-        others = [(change, _tested(other, folder)) for change, other in _others(listed)]
-        lines += [f"with {change}: {of.in_words()}" for change, of in others if of.passes]
-    if guessed.noise_ratio is not None:
-        lines.append(_noise_line(guessed.noise_ratio))
-    return lines
+    text = written(guessed, size, is_known=is_known)
+    listed = _listed(text)
+    if isinstance(listed, str):
+        return Description(guessed, text, (f"unsure: {DecodingCheck(why=listed).in_words()}",))
+    check = _tested(listed, folder)
+    others = {} if check.passes else {
+        change: (other, _tested(other, folder)) for change, other in _others(listed)
+    }  # fmt: skip
+    passing = {change: item for change, item in others.items() if item[1].passes}
+    words = [other.word for other, _ in passing.values() if other.word != guessed.word]
+    if len(passing) == len(words) == 1:
+        doubt = f'word = "{words[0]}" follows from the test; with "{guessed.word}" '
+        better = replace(guessed, word=words[0], unsure=(*guessed.unsure, doubt + check.in_words()))
+        return describe_and_test(better, folder, size, is_known=is_known)
+    lines = [f"{'tested' if check.passes else 'unsure'}: {check.in_words()}"]
+    lines += [f"with {change}: {tested.in_words()}" for change, (_, tested) in passing.items()]
+    if check.noise_ratio is not None:
+        lines.append(_noise_line(check.noise_ratio))
+    return Description(guessed, text, tuple(lines))
+
+
+def _listed(text: str) -> ListedSet | str:
+    """Return the list of frames of a capture.toml, or why `twin decode` would reject it."""
+    with tempfile.TemporaryDirectory() as place:
+        file = Path(place) / DESCRIPTION_FILE
+        write_text(file, text)
+        try:
+            return read_listed(file)
+        except CaptureError as error:
+            return str(error).removeprefix(f"{file}: ")
 
 
 def _noise_line(ratio: float) -> str:

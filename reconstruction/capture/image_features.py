@@ -24,7 +24,7 @@ from reconstruction.capture.recorded import Channel, natural_key
 from reconstruction.errors import CaptureError
 from reconstruction.patterns import Axis
 
-SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".exr", ".pgm", ".npy")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".exr", ".pgm", ".npy")
 LINES = 64
 # A pixel is used if it changes by at least this share of the change of well-lit pixels.
 LIT_SHARE = 0.3

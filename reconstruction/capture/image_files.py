@@ -1,10 +1,10 @@
 """Read the frames of a real camera from image files into one checked stack.
 
-PNG, TIFF and BMP files are read by imageio, EXR by OpenEXR, PGM and NPY by `raw_images`. EXR files
-have DN as floating-point numbers. Of a colour image the channel is read that capture.toml names. A
-dark frame D is subtracted from each image I as I - D + black level. This change is constant for a
-pixel and does not change the phase. It changes merged exposures, and thresholds from white and
-black.
+PNG, JPEG, TIFF and BMP files are read by imageio, EXR by OpenEXR, PGM and NPY by `raw_images`. EXR
+files have DN as floating-point numbers. Of a colour image the channel is read that capture.toml
+names. A dark frame D is subtracted from each image I as I - D + black level. This change is
+constant for a pixel and does not change the phase. It changes merged exposures, and thresholds from
+white and black.
 
 A pattern sequence that was recorded with several exposures is merged into one stack before
 decoding. For each pixel the longest exposure without a saturated frame is used (Zhang and Yau, Opt.
@@ -105,7 +105,8 @@ def read_image(path: Path, channel: Channel = "") -> Image:
         raise CaptureError(f"the image {error}") from None
     if channel and image.ndim == 3 and image.shape[2] in (3, 4):
         image = np.ascontiguousarray(image[..., CHANNELS.index(channel) - 1])
-    if image.ndim == 3 and np.all(image[..., :3] == image[..., :1]):
+    has_alpha_only = image.ndim == 3 and image.shape[2] == 2
+    if has_alpha_only or (image.ndim == 3 and np.all(image[..., :3] == image[..., :1])):
         image = np.ascontiguousarray(image[..., 0])
     if image.ndim != 2 or image.dtype.name not in TYPES:
         raise CaptureError(

@@ -249,7 +249,10 @@ def test_values_beyond_the_bit_depth_tell_left_aligned_bits(write_folder, frames
 @pytest.mark.parametrize(
     ("head", "message"),
     [
-        (b"P2\n3 2\n255\n", "no header of a binary PGM"),
+        (b"P3\n3 2\n255\n", "no header of a PGM"),
+        (b"P2\n3 2\n255\n1 2 3 4 5 #", "5 numbers, 3 x 2 px with values up to 255 need 6"),
+        (b"P2\n3 2\n9\n1 2 3 4 5 10 #", "a value is not within 0 to 9"),
+        (b"P2\n3 1\n9\n1 x 3 #", "invalid literal"),
         (b"P5\n# made by hand\n3 2\n65536\n", "values up to 65536"),
         (b"P5\n30 2\n255\n", "need 72"),
     ],
@@ -273,3 +276,18 @@ def test_grey_maps_and_arrays_have_the_stored_values(tmp_path):
         np.save(tmp_path / "image.npy", refused, allow_pickle=True)
         with pytest.raises(CaptureError, match="no complete image"):
             read_image(tmp_path / "image.npy")
+
+
+@pytest.mark.parametrize(("largest", "kind"), [(255, np.uint8), (4095, np.uint16)])
+def test_text_pgm_holds_its_numbers(tmp_path, largest, kind):
+    path = tmp_path / "a.pgm"
+    path.write_bytes(b"P2 # by hand\n3 2\n%d\n0 1 2 # a row\n3 4 %d\n" % (largest, largest))
+    image = read_image(path)
+    assert image.dtype == kind
+    assert image.tolist() == [[0, 1, 2], [3, 4, largest]]
+
+
+def test_transparency_of_a_grey_image_is_ignored(tmp_path):
+    grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    imageio.imwrite(tmp_path / "a.png", np.stack([grey, np.full_like(grey, 128)], axis=-1))
+    assert np.array_equal(read_image(tmp_path / "a.png"), grey)

@@ -186,8 +186,8 @@ def describe(
     """
     from reconstruction.capture.description import DESCRIPTION_FILE
     from reconstruction.capture.guess import guess
-    from reconstruction.capture.guess_check import checks_of
-    from reconstruction.capture.guess_file import require_groups, written
+    from reconstruction.capture.guess_check import describe_and_test
+    from reconstruction.capture.guess_file import require_groups
     from reconstruction.writing import write_text
     from twin.files import creating
 
@@ -198,18 +198,17 @@ def describe(
         watch("describe", 1.0)
         require_groups(guessed, folder)
         target = out or folder / DESCRIPTION_FILE
-        text = written(guessed, size, is_known=projector is not None)
         with creating(target) as part:
-            write_text(part, text)
-        watch("decode", 0.0)
-        checks = checks_of(target, folder)
-        watch("decode", 1.0)
+            watch("decode", 0.0)
+            described = describe_and_test(guessed, folder, size, is_known=projector is not None)
+            watch("decode", 1.0)
+            write_text(part, described.text)
     for group in guessed.groups:
         along = f" along {group.axis}" if group.axis else ""
         say(f"{group.kind}{along}: {counted(len(group.files), 'image')}, {group.files[0]} ...")
-    for text in guessed.unsure:
+    for text in described.guess.unsure:
         say(f"unsure: {text}")
-    for text in checks:
+    for text in described.lines:
         say(text)
     say("unsure: the values that the file marks, such as periods in projector pixels and [sensor]")
     say(f"wrote {target}; correct it, then: twin decode {folder} -o decoded")

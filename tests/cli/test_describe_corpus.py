@@ -1,0 +1,32 @@
+"""`twin describe` on generated folders: other codes, names, formats, parts of the image."""
+
+import pytest
+
+from benchmarks.reality_captures import verdict_of
+from tests.corpus.captures import write_captured_set
+from twin.cli import run
+
+# Of each code one set; 2: words that only decode as binary, 5: rows, 15: JPEG of a small object.
+SEEDS = 2, 3, 5, 6, 15
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_described_sets_decode_to_their_coordinates(tmp_path, seed):
+    captured = write_captured_set(tmp_path / "set", seed)
+    assert verdict_of(captured) == "right", captured.text
+
+
+@pytest.mark.parametrize("seed", [4, 10])
+def test_small_objects_under_names_without_order_are_unsure(tmp_path, seed):
+    captured = write_captured_set(tmp_path / "set", seed)
+    assert verdict_of(captured) == "unsure", captured.text
+
+
+def test_an_encoding_that_only_decodes_is_written_with_a_mark(tmp_path, capsys):
+    captured = write_captured_set(tmp_path / "set", 2)
+    assert captured.patterns.word == "binary"
+    assert run(["describe", str(captured.folder), "--projector", "320", "240"]) == 0
+    text = (captured.folder / "capture.toml").read_text()
+    assert 'word = "binary"\n' in text
+    assert '# unsure: word = "binary" follows from the test; with "reflected" ' in text
+    assert "tested: " in capsys.readouterr().out

@@ -1,0 +1,1 @@
+"""Generators of files and folders as other programs write them."""
