@@ -36,7 +36,7 @@ PERIOD_RANGE_PX = (4.0, 65536.0)
 STEPS_RANGE = (3, 1000)
 # Least width of a code word without phase frames, which needs no margin for the phase.
 LEAST_STRIPE_PX = 1.0
-MOST_FURTHER_PERIODS = 7
+MOST_FURTHER_PERIODS = 31
 
 
 @dataclass(frozen=True)

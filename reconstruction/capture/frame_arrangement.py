@@ -194,7 +194,8 @@ class Arrangement:
             )
         raise CaptureError(
             f"along {axis} there is one period of {periods_px[-1]:g} px, "
-            "without a word or period that numbers its fringes; list Gray frames or further periods"
+            "without a word or period that numbers its fringes; list Gray frames or further "
+            "periods, or state code = 'spatial' for a continuous surface"
         )
 
     def _patterns(self, phases: dict[Axis, Any], words: dict[Axis, Any]) -> PatternSet:

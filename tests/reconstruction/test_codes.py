@@ -25,6 +25,8 @@ ALL_CODES = [
     HETERODYNE,
     {"code": "heterodyne", "period_px": 36.0, "further_periods_px": (37.0,)},
     MICRO,
+    MICRO | {"further_periods_px": (*MICRO["further_periods_px"], 14.6, 17.1, 19.2, 21.9, 22.5)},
+    HIERARCHICAL | {"further_periods_px": (1300.0, *(1300.0 * 0.62**n for n in range(1, 9)))},
 ]
 
 
