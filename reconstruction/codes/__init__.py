@@ -84,15 +84,18 @@ class CodeWord:
     ----------
     bits : number of bits and frames, the most significant bit first
     at : function that returns the integers (n,) int64 at projector pixels (n,) int64
+    brightness : function that returns the brightness (frame, n) of `bits` frames in [0, 1] from the
+        integers (n,), for codes with several grey levels; None: one bit per frame
     """
 
     bits: int
     at: Callable[[IntArray], IntArray]
+    brightness: Callable[[IntArray], FloatArray] | None = None
 
     def count(self, length_px: int) -> int:
         """Return the number of different integers along an axis of `length_px` pixels."""
         last = int(self.at(np.array([length_px - 1]))[0])
-        return int(min(last + 1, 2**self.bits))
+        return int(last + 1 if self.brightness else min(last + 1, 2**self.bits))
 
 
 def period_word(
@@ -157,6 +160,8 @@ class Wrapped:
     words : the decoded integers (row, col) int64 of each code word
     nearest_sigmas : (row, col) float32, smallest distance of a bit from its threshold, divided by
         the standard deviation of that distance; infinite without code words
+    levels, level_sigmas : (frame, row, col) float32, brightness of the frames of code words with
+        several grey levels, 0 for black and 1 for white, and its standard deviation; empty without
     expected : coordinates that are known otherwise, for codes with relative orders; None: none
     """
 
@@ -166,6 +171,8 @@ class Wrapped:
     usable: BoolImage
     words: tuple[IntArray, ...]
     nearest_sigmas: FloatImage
+    levels: FloatImage
+    level_sigmas: FloatImage
     expected: "Expected | None" = None
 
     @property
@@ -246,6 +253,10 @@ class PatternCode:
     takes_response: bool = True
     has_closed_form: bool = True
     numbers_pixels: bool = True
+
+    def has_levels(self, fringes: AxisFringes) -> bool:
+        """Return True if a code word is shown by several grey levels."""
+        return any(word.brightness is not None for word in self.words(fringes))
 
     def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
         """Return the code words along the axis that `fringes` describes; () if there are none."""

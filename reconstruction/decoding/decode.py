@@ -103,8 +103,8 @@ def decode(
         smoothed = widen(smoothed, maps, patterns, gains, units[:2])
     if plan.has_ripple:
         smoothed = _with_ripple(smoothed, maps, ripple, patterns)
-    both = (_axis(maps, smoothed, axis, units, patterns) for axis in AXES)
-    return Decoded(*both, smoothed.reason, patterns.axes, gains, islands)
+    column, row = (_axis(maps, smoothed, axis, units, patterns) for axis in AXES)
+    return Decoded(column, row, smoothed.reason, patterns.axes, gains, islands)
 
 
 def _decode_compiled(

@@ -16,6 +16,7 @@ from reconstruction.compiling import run_over_rows
 from reconstruction.decoding import Expect, IslandImages
 from reconstruction.decoding._decode import Maps, Plan
 from reconstruction.decoding._wrapped import OrderedMaps, WrappedMaps, place_rows, wrap_rows
+from reconstruction.decoding.grey_levels import read_levels
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, Axis, PatternSet
 
@@ -109,6 +110,7 @@ def _wrapped(
 ) -> Wrapped:
     k = AXES.index(axis)
     words, nearest_sigmas = _read_words(stack, patterns, plan, fitted, axis)
+    levels, level_sigmas = read_levels(stack, patterns, plan, fitted, axis)
     return Wrapped(
         fringes=AxisFringes(patterns.length_px(axis), patterns.periods_along(axis)),
         phase_rad=fitted.phases[k],
@@ -116,6 +118,8 @@ def _wrapped(
         usable=fitted.usable > 0.0,
         words=words,
         nearest_sigmas=nearest_sigmas,
+        levels=levels,
+        level_sigmas=level_sigmas,
     )
 
 

@@ -27,6 +27,7 @@ SMALL = {
     [
         {"patterns.code": "shifted_gray"},
         {"patterns.code": "hierarchical", "patterns.further_periods_px": [1500.0, 150.0]},
+        {"patterns.code": "quaternary_gray"},
         {"patterns.code": "spatial", "patterns.period_px": 36.0},
         {
             "patterns.code": "micro",

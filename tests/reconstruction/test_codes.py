@@ -21,6 +21,7 @@ ALL_CODES = [
     {"code": "gray"},
     {"code": "complementary_gray"},
     {"code": "shifted_gray"},
+    {"code": "quaternary_gray"},
     HIERARCHICAL,
     HETERODYNE,
     {"code": "heterodyne", "period_px": 36.0, "further_periods_px": (37.0,)},
