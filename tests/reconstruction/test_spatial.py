@@ -1,6 +1,7 @@
 """Spatial unwrapping of one period: orders, islands and references with known truth."""
 
 import json
+from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
@@ -21,6 +22,7 @@ from twin.cli.captures import decode as decode_command
 PATTERNS = PatternSet(400, 300, period_px=18.0, steps=4, code="spatial", uniform=False)
 NOISE = SensorNoise(1e-6, 2e6, 0.0, 400.0)
 ROWS, COLS = 120, 160
+SKULL = Path(__file__).parents[3] / "shared/cases/03_slstudio_skull_2x3"
 
 
 def scene(step_px=0.0):
@@ -164,3 +166,20 @@ def test_a_described_capture_is_decoded_by_the_command(tmp_path, synthesise, cap
     assert figures["column_islands"] == 2
     assert figures["column_islands_masked_share"] == pytest.approx(is_raised().mean(), abs=0.01)
     assert "2 islands separated by jumps" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not SKULL.is_dir(), reason="needs ../shared/cases")
+def test_orders_of_a_real_skull_are_those_of_temporal_unwrapping():
+    """Setup: three steps of 16 fringes, three of one fringe (SLStudio). Expected: 99 % agree."""
+    frames = [imageio.imread(SKULL / f"frameSeq_0{n}.png").astype(float) for n in range(6)]
+    images = np.stack([frame.mean(axis=-1) if frame.ndim == 3 else frame for frame in frames])
+    steps = np.exp(-2j * np.pi * np.arange(3) / 3.0)
+    fine, coarse = (np.tensordot(steps, part, axes=1) for part in (images[:3], images[3:]))
+    turns, whole = (np.angle(z) / (2.0 * np.pi) % 1.0 for z in (fine, coarse))
+    usable = np.minimum(np.abs(fine), np.abs(coarse)) > 12.0
+    sigma = 0.3 / np.maximum(np.abs(fine), 1.0)
+    result = unwrap_spatially(turns, sigma, usable)
+    main = (result.islands == 1) & result.consistent
+    assert main.sum() > 0.95 * usable.sum()
+    offset = np.rint(16.0 * whole - turns) - result.orders
+    assert np.mean(offset[main] == np.median(offset[main])) > 0.99

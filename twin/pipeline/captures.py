@@ -84,7 +84,7 @@ LIKELY_CAUSES = {
     " images are phase steps, and the noise in [sensor]",
     Reason.SATURATED: "phase frames are clipped or lost: shorten the exposure, check saturation_dn",
     Reason.ORDER_UNCERTAIN: "the fringe orders contradict the phase or are uncertain: check order"
-    " and axis of the Gray frames, period_px, shift_deg, sign",
+    " and axis of the Gray frames, period_px, shift_deg, sign; with code 'spatial' the reference",
     Reason.OUTSIDE_PROJECTOR: "coordinates are outside the projector: check its width_px and"
     " height_px, period_px and the number of bits",
     Reason.EDGE: "all pixels are next to one without light: check the exposure",
