@@ -129,23 +129,23 @@ class PhaseReference:
 
     Parameters
     ----------
-    pixels : marked pixels, each camera column, camera row, projector column and projector row, px;
-        NaN for an unknown projector coordinate
+    pixels : marked pixels, each camera column, camera row, projector column and, if it is known,
+        projector row, px
     z_mm : world z of the surface; it needs a calibration; None: unknown
     sigma_mm : standard deviation of z_mm, including the relief of the surface
     islands : islands that are numbered, see `Expected`
     """
 
-    pixels: tuple[tuple[float, float, float, float], ...] = ()
+    pixels: tuple[tuple[float, ...], ...] = ()
     z_mm: float | None = None
     sigma_mm: float = 0.2
     islands: Islands = "mask"
 
     def __post_init__(self) -> None:
-        if any(len(pixel) != 4 for pixel in self.pixels):
+        if any(len(pixel) not in (3, 4) for pixel in self.pixels):
             raise InputError(
-                f"reference_pixels is {self.pixels}; give camera column and row, and projector"
-                " column and row, of each"
+                f"reference_pixels is {self.pixels}; give camera column, camera row, projector"
+                " column and, if it is known, projector row of each pixel"
             )
         if self.z_mm is not None:
             require_number("reference_z_mm", self.z_mm, -1e6, 1e6)

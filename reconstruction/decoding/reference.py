@@ -36,7 +36,7 @@ def expect_at_pixels(reference: PhaseReference | None, shape: tuple[int, ...]) -
             )
 
     def expect(axis: Axis, known: Mapping[Axis, FloatArray]) -> Expected | None:
-        places = [p for p in reference.pixels if np.isfinite(p[2 + AXES.index(axis)])]
+        places = [pixel for pixel in reference.pixels if len(pixel) > 2 + AXES.index(axis)]
         if not places:
             return None
         coordinate_px = np.full((rows, cols), np.nan)

@@ -129,7 +129,7 @@ def test_points_with_a_plane_or_one_known_column(capture, calibration, project, 
     column = project(calibration, points_mm)[45, 20, 0]
     references = {
         "plane": PhaseReference(z_mm=0.0),
-        "epipolar": PhaseReference(((20.0, 45.0, column, np.nan),)),
+        "epipolar": PhaseReference(((20.0, 45.0, column),)),
     }
     options = DecodeOptions(filter_taps=0, reference=references[kind])
     result = reconstruct(taken, ReconstructOptions(options, use="both")).point_map

@@ -3,6 +3,7 @@
 import shutil
 import sys
 from functools import partial
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
     from twin.pipeline.compensation import CompensationResult
 
+Pixel = tuple[float, float, float, float]
+
 
 @app.command
 def reconstruct(
@@ -38,7 +41,7 @@ def reconstruct(
     filter_taps: int | None = None,
     filter_sigma_px: float | None = None,
     weights: Literal["equal", "modulation"] | None = None,
-    reference_pixels: tuple[tuple[float, float, float, float], ...] | None = None,
+    reference_pixels: tuple[Pixel, ...] | None = None,
     reference_z_mm: float | None = None,
     reference_sigma_mm: float | None = None,
     islands: Literal["mask", "join", "all"] | None = None,
@@ -61,7 +64,7 @@ def reconstruct(
         Weights of the pixels in that filter; default: see twin keys.
     reference_pixels
         Code spatial: camera column and row, and projector column and row, of pixels with a known
-        projector coordinate; nan: unknown.
+        projector coordinate; nan: unknown row.
     reference_z_mm
         Code spatial: world z of the largest continuous surface.
     reference_sigma_mm
@@ -81,7 +84,7 @@ def reconstruct(
     end_exchange(capture)
     settings: dict[str, Any] = {"use": use, "weights": weights}
     settings |= {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
-    settings |= {"reference_pixels": reference_pixels, "reference_z_mm": reference_z_mm}
+    settings |= {"reference_pixels": _known_of(reference_pixels), "reference_z_mm": reference_z_mm}
     settings |= {"reference_sigma_mm": reference_sigma_mm, "islands": islands}
     _decode_by(reconstruct_capture, capture, out, settings)
 
@@ -128,7 +131,7 @@ def decode(
     filter_taps: int | None = None,
     filter_sigma_px: float | None = None,
     weights: Literal["equal", "modulation"] | None = None,
-    reference_pixels: tuple[tuple[float, float, float, float], ...] | None = None,
+    reference_pixels: tuple[Pixel, ...] | None = None,
     islands: Literal["mask", "join", "all"] | None = None,
 ) -> None:
     """Turn the frames of a capture into projector coordinates; needs no calibration.
@@ -146,7 +149,7 @@ def decode(
         Weights of the pixels in that filter; default: see twin keys.
     reference_pixels
         Code spatial: camera column and row, and projector column and row, of pixels with a known
-        projector coordinate; nan: unknown.
+        projector coordinate; nan: unknown row.
     islands
         Code spatial: mask islands without a reference, join them, or number all by reference_z_mm.
     """
@@ -157,8 +160,15 @@ def decode(
         "filter_sigma_px": filter_sigma_px,
         "weights": weights,
     }
-    settings |= {"reference_pixels": reference_pixels, "islands": islands}
+    settings |= {"reference_pixels": _known_of(reference_pixels), "islands": islands}
     _decode_by(decode_capture, capture, out, settings)
+
+
+def _known_of(pixels: tuple[Pixel, ...] | None) -> list[tuple[float, ...]] | None:
+    """Return marked pixels without their projector row where it is unknown."""
+    if pixels is None:
+        return None
+    return [pixel[:3] if isnan(pixel[3]) else pixel for pixel in pixels]
 
 
 def _decode_by(

@@ -322,13 +322,13 @@ class Decode(Model):
         description="estimate the light of every phase frame from the frames, and divide by it if "
         "it differs significantly; needs 4 steps or more",
     )
-    reference_pixels: tuple[tuple[float, float, float, float], ...] = Field(
+    reference_pixels: tuple[tuple[float, ...], ...] = Field(
         default=(),
         exclude_if=lambda pixels: not pixels,
-        description="code 'spatial': camera column and row, and projector column and row, of pixels"
-        " with a known coordinate; nan: unknown",
+        description="code 'spatial': camera column and row, projector column and, if known, row of"
+        " pixels with a known coordinate",
     )
-    reference_z_mm: float | None = Field(
+    reference_z_mm: Annotated[float, Field(ge=-1e3, le=1e3)] | None = Field(
         default=None,
         exclude_if=lambda z_mm: z_mm is None,
         description="code 'spatial': world z of the largest continuous surface",
