@@ -51,14 +51,15 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
     Raises
     ------
     CaptureError : a file is missing, damaged or does not fit the others; the frames are clearly in
-        another order than described; or there are no fringes along an axis
+        another order than described; or there are no patterns along an axis
 
     Notes
     -----
-    White and black frames are not needed: the image of the board is the mean of the phase frames.
+    White and black frames are not needed with fringes: the image of the board is the mean of the
+    phase frames.
     """
     found = read_uncalibrated(folder)
-    if found.patterns.axes != AXES or not found.patterns.steps:
+    if found.patterns.axes != AXES:
         raise CaptureError(f"{folder}: a board needs fringes along both axes; record them as well")
     return found
 

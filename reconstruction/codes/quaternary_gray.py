@@ -23,6 +23,8 @@ _LEAST_SAMPLES, _LEAST_DISTANCE = 1000, 0.04
 _MOST_OFF = 0.2
 # Distance of a word's middle from the coordinate, periods: a quarter, more at blurred edges.
 _CONTRADICTION = 0.42
+# Logarithm of the odds, below which the probability of another digit is neglected.
+_MOST_FURTHER = 20.0
 
 
 class QuaternaryGrayCode(PatternCode):
@@ -47,20 +49,29 @@ class QuaternaryGrayCode(PatternCode):
         """Return coordinates and the probability of a wrong order."""
         means = measured_levels(wrapped.levels[:, wrapped.usable])
         digits = np.searchsorted(0.5 * (means[1:] + means[:-1]), wrapped.levels)
-        order, off = _order(digits, wrapped)
-        error = np.zeros(order.shape)
-        for number, level in enumerate(wrapped.levels):
-            digit, variance = digits[number].copy(), np.square(wrapped.level_sigmas[number])
-            for change in (-1, 1):
-                digits[number] = np.clip(digit + change, 0, BASE - 1)
-                other, is_other = _order(digits, wrapped)
-                is_possible = (other != order) & (is_other < _CONTRADICTION)
-                squares = [np.square(level - means[which]) for which in (digits[number], digit)]
-                error += is_possible * expit(0.5 * (squares[1] - squares[0]) / variance)
-            digits[number] = digit
+        order, off = _order(digits, wrapped.turns[0])
+        error = _order_error(digits, order, means, wrapped)
         coordinate_px = wrapped.coordinate_px(np.where(off < _CONTRADICTION, order, np.nan))
-        none = np.zeros(order.shape, np.uint16)
-        return Ordered(coordinate_px, np.minimum(error, 1.0), none)
+        return Ordered(coordinate_px, error, np.zeros(order.shape, np.uint16))
+
+
+def _order_error(
+    digits: IntArray, order: FloatArray, means: FloatArray, wrapped: Wrapped
+) -> FloatArray:
+    """Return the probability that a neighbour of a digit is correct, and the order another one."""
+    error = np.zeros(order.shape)
+    for number, level in enumerate(wrapped.levels):
+        variance = np.square(wrapped.level_sigmas[number])
+        distance = np.square(level - means[digits[number]])
+        for change in (-1, 1):
+            changed = np.clip(digits[number] + change, 0, BASE - 1)
+            further = 0.5 * (np.square(level - means[changed]) - distance) / variance
+            near = (changed != digits[number]) & (further < _MOST_FURTHER)
+            some = digits[:, near]
+            some[number] = changed[near]
+            other, off = _order(some, wrapped.turns[0][near])
+            error[near] += (other != order[near]) * (off < _CONTRADICTION) * expit(-further[near])
+    return np.minimum(error, 1.0)
 
 
 def gray_digits(words: IntArray, digits: int) -> IntArray:
@@ -79,12 +90,12 @@ def words_of(digits: IntArray) -> IntArray:
     return word
 
 
-def _order(digits: IntArray, wrapped: Wrapped) -> tuple[FloatArray, FloatArray]:
+def _order(digits: IntArray, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the fringe order, and the distance of the word's middle from the coordinate, periods.
 
     A word that is one half period off, at a blurred edge, gives the same order.
     """
-    middle = 0.5 * (words_of(digits) + 0.5) - wrapped.turns[0]
+    middle = 0.5 * (words_of(digits) + 0.5) - turns
     order = np.rint(middle)
     return order, np.abs(middle - order)
 
