@@ -101,6 +101,22 @@ def test_noisy_pixels_are_left_out_or_right(synthesise):
     assert wrong.size == 1
 
 
+def test_a_vortex_of_the_phase_is_masked_where_two_paths_differ():
+    """Setup: the phase is the angle about a point. Expected: one cut from the point outwards."""
+    row, col = np.mgrid[0:60, 0:60] - 29.5
+    turns = np.arctan2(row, col) / (2.0 * np.pi) % 1.0
+    result = unwrap_spatially(turns, np.full(turns.shape, 0.01), np.hypot(row, col) > 4.0)
+    assert result.islands.max() == 1
+    assert 20 < np.count_nonzero(~result.consistent) < 200
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (3, 3)])
+def test_small_and_dark_images_have_no_island(shape):
+    turns = np.random.default_rng(0).random(shape)
+    for usable in (np.zeros(shape, np.bool_), turns > 0.5):
+        assert not unwrap_spatially(turns, np.full(shape, 0.01), usable).islands.any()
+
+
 def test_a_reference_that_cannot_be_used_is_one_line(synthesise):
     for reference, message in (
         (None, "reference_pixels, or reference_z_mm"),
