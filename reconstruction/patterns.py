@@ -36,7 +36,7 @@ PERIOD_RANGE_PX = (4.0, 65536.0)
 STEPS_RANGE = (3, 1000)
 # Least width of a code word without phase frames, which needs no margin for the phase.
 LEAST_STRIPE_PX = 1.0
-MOST_FURTHER_PERIODS = 7
+MOST_FURTHER_PERIODS = 31
 
 
 @dataclass(frozen=True)
@@ -226,6 +226,15 @@ class PatternSet:
         rows = [self._bits_of(word, x_px) for word in self.words(axis)]
         return np.concatenate(rows) if rows else np.zeros((0, x_px.size), np.bool_)
 
+    def shown(self, axis: Axis) -> FloatArray:
+        """Return the brightness of all Gray frames along `axis`, (frame, projector pixel)."""
+        x_px = np.arange(self.length_px(axis))
+        rows = [
+            word.brightness(word.at(x_px)) if word.brightness else self._bits_of(word, x_px)
+            for word in self.words(axis)
+        ]
+        return np.concatenate(rows).astype(np.float64)
+
     def binary(self, bits: BoolArray) -> BoolArray:
         """Return the binary digits of a code word from its projected bits, both (bit, ...) bool."""
         return self.encoding.binary(bits)
@@ -280,8 +289,8 @@ class PatternSet:
         if frame.kind == "phase":
             period_px, shift = self.phase_of(frame)
             return 0.5 + 0.5 * np.cos(2.0 * np.pi * (x_px / period_px + shift))
-        bit = self.bits(frame.axis)[frame.index].astype(np.float64)
-        return np.asarray(1.0 - bit if frame.kind == "inverse" else bit)
+        bright = self.shown(frame.axis)[frame.index]
+        return np.asarray(1.0 - bright if frame.kind == "inverse" else bright)
 
     def _period_range_px(self) -> tuple[float, float]:
         return (PERIOD_RANGE_PX[0] if self.steps else LEAST_STRIPE_PX), PERIOD_RANGE_PX[1]

@@ -26,6 +26,7 @@ from reconstruction.netcdf import (
 )
 from reconstruction.patterns import AXES
 from reconstruction.triangulation import EpipolarTolerance, PointMap, Use, triangulate
+from reconstruction.triangulation.reference import expect_by_rig
 from reconstruction.writing import write_bytes
 
 
@@ -127,6 +128,7 @@ def reconstruct(
         of another shape
     """
     chosen = options or ReconstructOptions()
+    rig = capture.calibration
     decoded = decode(
         capture.stack,
         capture.patterns,
@@ -135,8 +137,8 @@ def reconstruct(
         capture.scale,
         response=capture.response,
         unwrap=unwrap,
+        expect=expect_by_rig(chosen.decode.reference, rig),
     )
-    rig = capture.calibration
     model = rig if chosen.through_layers else replace(rig, layers=None)
     use: Use = chosen.use if len(decoded.axes) == 2 else decoded.axes[0]
     point_map = triangulate(decoded, model, use, chosen.tolerance)
@@ -204,6 +206,7 @@ _LONG_NAMES = {
     "order_error_row": "probability that the fringe order of the row is wrong",
     "order_column": "fringe order of the column",
     "order_row": "fringe order of the row",
+    "islands": "number of the island of continuous phase, 1 for the largest; 0: none",
     "mean": "mean pixel value over the phase frames",
     "modulation": "amplitude of the fringes",
     "residual": "residual of the phase fit",
@@ -370,6 +373,8 @@ def _decoded_variables(decoded: Decoded) -> Maps:
     for axis in decoded.axes:
         data = decoded.row if axis == "row" else decoded.column
         maps |= {name: getattr(data, field) for field, name in _axis_names(axis).items()}
+        if decoded.islands is not None:
+            maps[f"islands_{axis}"] = decoded.islands[AXES.index(axis)]
     return maps
 
 

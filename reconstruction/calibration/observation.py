@@ -51,12 +51,16 @@ def read_board_capture(folder: Path | str) -> BoardCapture:
     Raises
     ------
     CaptureError : a file is missing, damaged or does not fit the others; the frames are clearly in
-        another order than described; or there are no fringes along an axis, no white or no black
+        another order than described; or there are no patterns along an axis
+
+    Notes
+    -----
+    White and black frames are not needed with fringes: the image of the board is the mean of the
+    phase frames.
     """
     found = read_uncalibrated(folder)
-    if found.patterns.axes != AXES or not found.patterns.uniform:
-        missing = "white and black" if found.patterns.axes == AXES else "fringes along both axes"
-        raise CaptureError(f"{folder}: a board needs {missing}; record them as well")
+    if found.patterns.axes != AXES:
+        raise CaptureError(f"{folder}: a board needs fringes along both axes; record them as well")
     return found
 
 

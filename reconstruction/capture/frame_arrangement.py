@@ -155,6 +155,10 @@ class Arrangement:
                 "period that the words number"
             )
         fringe_px = phases[0][0].period_px if phases else None
+        if self._stated is not None and fringe_px is not None:
+            fringes = AxisFringes(self._length(axis), (fringe_px,))
+            if self._stated.has_levels(fringes):
+                return self._levels(axis, self._stated, fringes)
         bits = _WordBits(first, fringe_px, self._length(axis), bool(second), self._word)
         widths = ((bits.width_periods, is_displaced), *[(1.0, True)][: len(second)])
         code = self._code(axis, phases, widths)
@@ -166,6 +170,19 @@ class Arrangement:
             raise CaptureError(
                 f"along {axis} there are {len(gray)} Gray frames and {len(inverse)} inverse ones "
                 "of other bits; every Gray frame needs its inverse, or none"
+            )
+        return code.name, gray, inverse
+
+    def _levels(
+        self, axis: Axis, code: PatternCode, fringes: AxisFringes
+    ) -> tuple[str, list[ListedFrame], list[ListedFrame]]:
+        """Return the name of a code with several grey levels, its Gray and its inverse frames."""
+        gray, inverse = self._of("gray", axis), self._of("inverse", axis)
+        needed = sum(word.bits for word in code.words(fringes))
+        if len(gray) != needed or len(inverse) not in (0, needed):
+            raise CaptureError(
+                f"along {axis} there are {len(gray)} Gray frames and {len(inverse)} inverse ones;"
+                f" code {code.name!r} with fringes of {fringes.period_px:g} px has {needed}"
             )
         return code.name, gray, inverse
 
@@ -194,7 +211,8 @@ class Arrangement:
             )
         raise CaptureError(
             f"along {axis} there is one period of {periods_px[-1]:g} px, "
-            "without a word or period that numbers its fringes; list Gray frames or further periods"
+            "without a word or period that numbers its fringes; list Gray frames or further "
+            "periods, or state code = 'spatial' for a continuous surface"
         )
 
     def _patterns(self, phases: dict[Axis, Any], words: dict[Axis, Any]) -> PatternSet:

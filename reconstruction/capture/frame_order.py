@@ -130,6 +130,8 @@ def _thinned(calibration: Calibration, stride: int, shape: tuple[int, ...]) -> C
 
 
 def _check_sequence(sample: Sample) -> None:
+    if not sample.patterns.kind.numbers_pixels:
+        return
     stated = _share_of_points(sample, None)
     if stated >= ENOUGH:
         return

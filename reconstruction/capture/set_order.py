@@ -328,7 +328,8 @@ def check_words(stack: Stack, patterns: PatternSet, sensor: SensorNoise) -> None
     CaptureError : two Gray frames of an axis are clearly exchanged
     """
     is_checked = patterns.encoding.is_order_checked
-    if not any(patterns.word_bits(axis) for axis in patterns.axes) or not is_checked:
+    has_levels = any(patterns.kind.has_levels(patterns.fringes(axis)) for axis in patterns.axes)
+    if has_levels or not is_checked or not any(map(patterns.word_bits, patterns.axes)):
         return
     if min(stack.shape[1:]) < 2:
         return

@@ -28,6 +28,7 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray
 from reconstruction.errors import InputError
 from reconstruction.registry import Registry
 from reconstruction.several_periods import Chain
+from reconstruction.spatial_unwrapping import Islands, Labels
 
 
 class Rule(Enum):
@@ -83,15 +84,18 @@ class CodeWord:
     ----------
     bits : number of bits and frames, the most significant bit first
     at : function that returns the integers (n,) int64 at projector pixels (n,) int64
+    brightness : function that returns the brightness (frame, n) of `bits` frames in [0, 1] from the
+        integers (n,), for codes with several grey levels; None: one bit per frame
     """
 
     bits: int
     at: Callable[[IntArray], IntArray]
+    brightness: Callable[[IntArray], FloatArray] | None = None
 
     def count(self, length_px: int) -> int:
         """Return the number of different integers along an axis of `length_px` pixels."""
         last = int(self.at(np.array([length_px - 1]))[0])
-        return int(min(last + 1, 2**self.bits))
+        return int(last + 1 if self.brightness else min(last + 1, 2**self.bits))
 
 
 def period_word(
@@ -103,6 +107,43 @@ def period_word(
         return np.floor(x_px / fringes.period_px + displacement).astype(np.int64)
 
     return CodeWord(fringes.bits if bits is None else bits, at)
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """Coordinates along one projector axis that are known without the fringe order.
+
+    Parameters
+    ----------
+    coordinate_px : (row, col) float, projector px; NaN where unknown
+    sigma_px : (row, col) float, standard deviation; its error is common to all pixels
+    islands : islands of continuous phase that may be numbered by it: "mask" the largest one, others
+        are masked; "all" each one with known coordinates; "join" one island, connected where the
+        jumps are least doubtful
+    is_exact : whether two coordinates of one island must agree, as those of marked pixels
+    """
+
+    coordinate_px: FloatArray
+    sigma_px: FloatArray
+    islands: Islands = "mask"
+    is_exact: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Ordered:
+    """Coordinates along one projector axis with further results of the unwrapping.
+
+    Parameters
+    ----------
+    coordinate_px : (row, col) float, px; NaN where the fringe order is unknown
+    error : (row, col) float, probability of a wrong fringe order
+    islands : (row, col) uint16, number of the island of continuous phase, 1 for the largest; 0:
+        none
+    """
+
+    coordinate_px: FloatArray
+    error: FloatArray
+    islands: Labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +160,9 @@ class Wrapped:
     words : the decoded integers (row, col) int64 of each code word
     nearest_sigmas : (row, col) float32, smallest distance of a bit from its threshold, divided by
         the standard deviation of that distance; infinite without code words
+    levels, level_sigmas : (frame, row, col) float32, brightness of the frames of code words with
+        several grey levels, 0 for black and 1 for white, and its standard deviation; empty without
+    expected : coordinates that are known otherwise, for codes with relative orders; None: none
     """
 
     fringes: AxisFringes
@@ -127,6 +171,9 @@ class Wrapped:
     usable: BoolImage
     words: tuple[IntArray, ...]
     nearest_sigmas: FloatImage
+    levels: FloatImage
+    level_sigmas: FloatImage
+    expected: "Expected | None" = None
 
     @property
     def turns(self) -> FloatArray:
@@ -138,7 +185,7 @@ class Wrapped:
         return np.asarray(self.fringes.period_px * (order + self.turns[0]))
 
 
-Unwrap = Callable[[Wrapped], FloatArray]
+Unwrap = Callable[[Wrapped], FloatArray | Ordered]
 """Function that returns absolute coordinates, (row, col) float, px, from the wrapped phases.
 
 It is called once for each projector axis. NaN marks pixels of unknown fringe order. Values of
@@ -193,6 +240,7 @@ class PatternCode:
     displacement : displacement of the code word in periods, in [0, 1); only for WORD_PER_PERIOD
     takes_response : whether the decoder can correct the response of the projector
     has_closed_form : whether the standard deviation of a coordinate follows from its phase only
+    numbers_pixels : whether the fringe order of a pixel follows from its own frames
     """
 
     name: str
@@ -204,6 +252,11 @@ class PatternCode:
     displacement: float = 0.0
     takes_response: bool = True
     has_closed_form: bool = True
+    numbers_pixels: bool = True
+
+    def has_levels(self, fringes: AxisFringes) -> bool:
+        """Return True if a code word is shown by several grey levels."""
+        return any(word.brightness is not None for word in self.words(fringes))
 
     def words(self, fringes: AxisFringes) -> tuple[CodeWord, ...]:
         """Return the code words along the axis that `fringes` describes; () if there are none."""
@@ -223,7 +276,7 @@ class PatternCode:
         """Return the levels of temporal phase unwrapping for fringes; only for Rule.CHAIN."""
         raise NotImplementedError(f"pattern code {self.name!r} has no chain of periods")
 
-    def unwrap(self, wrapped: Wrapped) -> FloatArray:
+    def unwrap(self, wrapped: Wrapped) -> FloatArray | Ordered:
         """Return the absolute coordinates, (row, col) px; only for Rule.OWN, see `Unwrap`."""
         raise NotImplementedError(f"pattern code {self.name!r} has no function unwrap")
 

@@ -3,15 +3,23 @@
 Importing this module compiles no code. `sigma` is a predicted standard deviation everywhere.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, OrderImage, Reason, ReasonImage
+from reconstruction.codes import Expected
 from reconstruction.compact import keeps_compact
 from reconstruction.errors import InputError, require_integer, require_number
 from reconstruction.patterns import AXES, Axis
+from reconstruction.spatial_unwrapping import ISLANDS, Islands
+
+IslandImages = NDArray[np.uint16]
+Expect = Callable[[Axis, Mapping[Axis, FloatArray]], Expected | None]
+"""Function of an axis, and of the coordinates, px, along axes that are already known."""
 
 Weights = Literal["equal", "modulation"]
 WEIGHTS: tuple[Weights, ...] = ("equal", "modulation")
@@ -93,6 +101,8 @@ class Decoded:
     axes : axes along which patterns were projected; all fields of a missing axis are 0
     gains : relative light of the phase frames, by which their levels were divided; None: they were
         not divided
+    islands : (axis, row, col) uint16, number of the island of continuous phase, 1 for the largest;
+        0: none. None: the pattern code has no islands
     """
 
     column: AxisDecode
@@ -100,6 +110,7 @@ class Decoded:
     mask_reason: ReasonImage
     axes: tuple[Axis, ...] = AXES
     gains: FrameGains | None = None
+    islands: IslandImages | None = None
 
     @property
     def valid(self) -> BoolImage:
@@ -110,6 +121,37 @@ class Decoded:
     def intensity_dn(self) -> FloatImage:
         """Mean pixel value over the phase frames of the first of `axes`, (row, col), DN."""
         return self.row.mean_dn if self.axes == ("row",) else self.column.mean_dn
+
+
+@dataclass(frozen=True)
+class PhaseReference:
+    """Knowledge by which relative fringe orders become absolute, see the code `spatial`.
+
+    Parameters
+    ----------
+    pixels : marked pixels, each camera column, camera row, projector column and, if it is known,
+        projector row, px
+    z_mm : world z of the surface; it needs a calibration; None: unknown
+    sigma_mm : standard deviation of z_mm, including the relief of the surface
+    islands : islands that are numbered, see `Expected`
+    """
+
+    pixels: tuple[tuple[float, ...], ...] = ()
+    z_mm: float | None = None
+    sigma_mm: float = 0.2
+    islands: Islands = "mask"
+
+    def __post_init__(self) -> None:
+        if any(len(pixel) not in (3, 4) for pixel in self.pixels):
+            raise InputError(
+                f"reference_pixels is {self.pixels}; give camera column, camera row, projector"
+                " column and, if it is known, projector row of each pixel"
+            )
+        if self.z_mm is not None:
+            require_number("reference_z_mm", self.z_mm, -1e6, 1e6)
+        require_number("reference_sigma_mm", self.sigma_mm, 0.0, open_low=True)
+        if self.islands not in ISLANDS:
+            raise InputError(f"islands is {self.islands!r}; allowed are {', '.join(ISLANDS)}")
 
 
 @dataclass(frozen=True)
@@ -138,6 +180,7 @@ class DecodeOptions:
         with the probability 1 are always masked
     frame_gains : estimate the relative light of the phase frames from the frames, and divide their
         levels by it if it differs from 1 significantly; needs four steps or more
+    reference : source of absolute fringe orders for a code with relative ones; None: none
     """
 
     filter_taps: int = 8
@@ -150,6 +193,7 @@ class DecodeOptions:
     max_condition: float = 100.0
     max_order_error: float = 0.01
     frame_gains: bool = True
+    reference: PhaseReference | None = None
 
     def __post_init__(self) -> None:
         require_integer("filter_taps", self.filter_taps, 0, 63)

@@ -7,6 +7,7 @@ fringe orders are determined at the edges of stripes.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,13 @@ from reconstruction.arrays import FloatImage, Reason, Stack
 from reconstruction.codes import Rule, Unwrap
 from reconstruction.compact import TURN_STEPS, Half, Orders, Share, Turns
 from reconstruction.compiling import run_over_rows
-from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions
-from reconstruction.decoding._decode import Maps, decode_rows
+from reconstruction.decoding import AxisDecode, Decoded, DecodeOptions, Expect
+from reconstruction.decoding._decode import Maps, Plan, decode_rows
 from reconstruction.decoding._filter import Smoothed, Unfiltered, smooth
 from reconstruction.decoding._micro import decode_micro_rows
 from reconstruction.decoding.by_modulation import filter_by_modulation
 from reconstruction.decoding.gains import estimate_gains, widen
-from reconstruction.decoding.general import unwrap_maps
+from reconstruction.decoding.general import Numbering, unwrap_maps
 from reconstruction.decoding.glints import add_glints
 from reconstruction.decoding.micro import micro_periods
 from reconstruction.decoding.plan import (
@@ -31,6 +32,7 @@ from reconstruction.decoding.plan import (
     place_displaced,
     units_of,
 )
+from reconstruction.decoding.reference import expect_at_pixels
 from reconstruction.decoding.ripple import NODES, Ripple, ripple_of
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, Axis, PatternSet
@@ -52,6 +54,7 @@ def decode(
     *,
     response: ProjectorResponse | None = None,
     unwrap: Unwrap | None = None,
+    expect: Expect | None = None,
 ) -> Decoded:
     """Return the projector coordinates of every camera pixel from a stack of frames.
 
@@ -66,6 +69,7 @@ def decode(
     response : projector response. The phase error by its harmonics is subtracted; the uncertainty
         of this error is part of sigma and of the probability of a wrong order. None: linear
     unwrap : function that numbers the fringes of one axis, see `codes.Unwrap`; None: the code's
+    expect : coordinates that are known otherwise; None: marked pixels in `options.reference`
 
     Raises
     ------
@@ -86,15 +90,13 @@ def decode(
         ripple=ripple, displacement=displacement, gains=gains,
     )  # fmt: skip
     maps = blank_maps(stack.shape[1], stack.shape[2])
+    islands = None
     if rule is Rule.OWN:
-        unwrap_maps(frames, patterns, plan, maps, unwrap)
-    elif rule is Rule.SINGLE_IMAGES:
-        periods = micro_periods(frames, patterns, sensor, scale)
-        _run(decode_micro_rows, frames, plan, periods, maps)
+        known = expect or expect_at_pixels(options.reference, stack.shape[1:])
+        islands = unwrap_maps(frames, patterns, plan, maps, Numbering(unwrap, known))
     else:
-        _run(decode_rows, frames, plan, maps)
-    if displacement:
-        place_displaced(maps, patterns)
+        periods = partial(micro_periods, frames, patterns, sensor, scale)
+        _decode_compiled(frames, patterns, plan, periods, maps)
     units = units_of(sensor, scale)
     smoothed = _smoothed(maps, options, patterns)
     if gains is not None:
@@ -102,7 +104,18 @@ def decode(
     if plan.has_ripple:
         smoothed = _with_ripple(smoothed, maps, ripple, patterns)
     column, row = (_axis(maps, smoothed, axis, units, patterns) for axis in AXES)
-    return Decoded(column, row, smoothed.reason, patterns.axes, gains)
+    return Decoded(column, row, smoothed.reason, patterns.axes, gains, islands)
+
+
+def _decode_compiled(
+    frames: Stack, patterns: PatternSet, plan: Plan, periods: Callable[[], Any], maps: Maps
+) -> None:
+    if patterns.kind.rule is Rule.SINGLE_IMAGES:
+        _run(decode_micro_rows, frames, plan, periods(), maps)
+    else:
+        _run(decode_rows, frames, plan, maps)
+    if patterns.kind.displacement:
+        place_displaced(maps, patterns)
 
 
 def _run(kernel: Callable[..., None], frames: Stack, *arguments: Any) -> None:

@@ -4,25 +4,48 @@ The compiled kernels compute phases, their noise and the masks. The function num
 one axis. The kernels then mask and store the result, as they do for compiled codes.
 """
 
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from reconstruction.arrays import BoolImage, FloatArray, FloatImage, IntArray, Stack
-from reconstruction.codes import AxisFringes, Unwrap, Wrapped
+from reconstruction.codes import AxisFringes, Ordered, Unwrap, Wrapped
 from reconstruction.compiling import run_over_rows
+from reconstruction.decoding import Expect, IslandImages
 from reconstruction.decoding._decode import Maps, Plan
 from reconstruction.decoding._wrapped import OrderedMaps, WrappedMaps, place_rows, wrap_rows
+from reconstruction.decoding.grey_levels import read_levels
 from reconstruction.errors import InputError
 from reconstruction.patterns import AXES, Axis, PatternSet
 
 
-def unwrap_maps(
-    stack: Stack, patterns: PatternSet, plan: Plan, maps: Maps, unwrap: Unwrap | None
-) -> None:
-    """Write `maps` from coordinates that `unwrap` returns, or the pattern code's own function.
+class Numbering(NamedTuple):
+    """Functions that number the fringes of one axis.
 
     unwrap : see `codes.Unwrap`; None: the function of the pattern code
+    expect : see `codes.Expect`; None: no coordinate is known otherwise
+    """
+
+    unwrap: Unwrap | None
+    expect: Expect | None
+
+
+def unwrap_maps(
+    stack: Stack,
+    patterns: PatternSet,
+    plan: Plan,
+    maps: Maps,
+    numbering: Numbering,
+) -> IslandImages | None:
+    """Write `maps` from coordinates that numpy functions return.
+
+    numbering : functions that number the fringes
+
+    Returns
+    -------
+    (axis, row, col) numbers of the islands; None if the function returns none
 
     Raises
     ------
@@ -36,11 +59,21 @@ def unwrap_maps(
     fitted = _blank(plan.layout.sets, rows, cols)
     run_over_rows(wrap_rows, rows, stack, plan, maps, fitted)
     ordered = OrderedMaps(*(np.zeros((2, rows, cols), np.float32) for _ in range(2)))
+    islands = np.zeros((2, rows, cols), np.uint16)
+    known: dict[Axis, FloatArray] = {}
     for axis in patterns.axes:
         k = AXES.index(axis)
         wrapped = _wrapped(stack, patterns, plan, fitted, axis)
-        ordered.coordinate[k], ordered.error[k] = _ordered(wrapped, patterns, unwrap)
+        if numbering.expect is not None:
+            wrapped = replace(wrapped, expected=numbering.expect(axis, known))
+        result = _ordered(wrapped, patterns, numbering.unwrap)
+        known[axis] = result.coordinate_px
+        is_known = np.isfinite(result.coordinate_px)
+        ordered.coordinate[k] = np.where(is_known, result.coordinate_px, 0.0)
+        ordered.error[k] = np.where(is_known, result.error, 1.0)
+        islands[k] = result.islands
     run_over_rows(place_rows, rows, plan, fitted, ordered, maps)
+    return islands if islands.any() else None
 
 
 def _blank(sets: int, rows: int, cols: int) -> WrappedMaps:
@@ -50,19 +83,17 @@ def _blank(sets: int, rows: int, cols: int) -> WrappedMaps:
     return WrappedMaps(phases, sigmas, mean, modulation, noise, zeros((rows, cols)))
 
 
-def _ordered(
-    wrapped: Wrapped, patterns: PatternSet, unwrap: Unwrap | None
-) -> tuple[FloatArray, FloatArray]:
-    """Return coordinates, px, and the probability of a wrong order, both (row, col).
-
-    Where the function returns no finite coordinate, the coordinate is 0 and the probability 1. For
-    a function of the caller, the probability is 0 elsewhere.
+def _ordered(wrapped: Wrapped, patterns: PatternSet, unwrap: Unwrap | None) -> Ordered:
+    """Return the result of the function; the probability of a caller's coordinates is 0.
 
     Raises
     ------
     InputError : the coordinates have a wrong shape
     """
-    coordinate_px = np.asarray((unwrap or patterns.kind.unwrap)(wrapped), np.float64)
+    result = (unwrap or patterns.kind.unwrap)(wrapped)
+    if isinstance(result, Ordered):
+        return result
+    coordinate_px = np.asarray(result, np.float64)
     if coordinate_px.shape != wrapped.usable.shape:
         raise InputError(
             f"unwrap returned coordinates of shape {coordinate_px.shape}; "
@@ -71,8 +102,7 @@ def _ordered(
     error = np.zeros(coordinate_px.shape)
     if unwrap is None:
         error = np.clip(patterns.kind.order_error(wrapped, coordinate_px), 0.0, 1.0)
-    is_known = np.isfinite(coordinate_px)
-    return np.where(is_known, coordinate_px, 0.0), np.where(is_known, error, 1.0)
+    return Ordered(coordinate_px, error, np.zeros(coordinate_px.shape, np.uint16))
 
 
 def _wrapped(
@@ -80,6 +110,7 @@ def _wrapped(
 ) -> Wrapped:
     k = AXES.index(axis)
     words, nearest_sigmas = _read_words(stack, patterns, plan, fitted, axis)
+    levels, level_sigmas = read_levels(stack, patterns, plan, fitted, axis)
     return Wrapped(
         fringes=AxisFringes(patterns.length_px(axis), patterns.periods_along(axis)),
         phase_rad=fitted.phases[k],
@@ -87,6 +118,8 @@ def _wrapped(
         usable=fitted.usable > 0.0,
         words=words,
         nearest_sigmas=nearest_sigmas,
+        levels=levels,
+        level_sigmas=level_sigmas,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from reconstruction.codes import CODES
+from reconstruction.decoding import PhaseReference
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
@@ -46,7 +47,7 @@ def fitting(code, extra):
     """Return an extra field for all periods of a code; None if the code has no such field."""
     periods = FRINGES.get(code, {"period_px": 16.0})
     count = 1 + len(periods.get("further_periods_px", []))
-    if "inverse" in extra and count > 1:
+    if "inverse" in extra and (count > 1 or code == "spatial"):
         return None
     if "row_periods_px" in extra and count > 1:
         every = [periods["period_px"], *periods["further_periods_px"]]
@@ -91,7 +92,8 @@ def test_projected_codes_are_decoded(projector, case):
     patterns = pattern_set(projector, validated(Patterns, table))
     column_px, row_px = np.linspace(1.2, 158.1, 500), np.linspace(1.3, 98.2, 300)
     stack = frames_at(patterns, projector, column_px, row_px)
-    options = DecodeOptions(filter_taps=0, max_order_error=0.5)
+    marked = PhaseReference(((0.0, 0.0, column_px[0], row_px[0]),))
+    options = DecodeOptions(filter_taps=0, max_order_error=0.5, reference=marked)
     decoded = decode(stack, patterns, SensorNoise(0.01, 0.0, 0.0, 255.0), options)
     # A word displaced by half a period in as few bits as possible has undecided ends.
     assert decoded.valid.mean() > 0.8

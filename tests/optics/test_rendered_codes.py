@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from reconstruction.decoding import PhaseReference
 from reconstruction.decoding.decode import DecodeOptions, decode
 from reconstruction.rig.sensor import SensorNoise
 from twin.config import load_experiment
@@ -26,6 +27,8 @@ SMALL = {
     [
         {"patterns.code": "shifted_gray"},
         {"patterns.code": "hierarchical", "patterns.further_periods_px": [1500.0, 150.0]},
+        {"patterns.code": "quaternary_gray"},
+        {"patterns.code": "spatial", "patterns.period_px": 36.0},
         {
             "patterns.code": "micro",
             "patterns.period_px": 18.0,
@@ -49,7 +52,10 @@ def test_rendered_code_gives_the_true_projector_coordinate(mi, plane, change):
     frames = np.stack(list(stack.frames))
     frames = (200.0 / frames.max() * frames).astype(np.float32)
     sensor = SensorNoise(0.0, 0.0, 0.0, 255.0)
-    decoded = decode(frames, patterns, sensor, DecodeOptions(filter_taps=0))
+    middle = projector_px[46 // 2, 60 // 2]
+    reference = PhaseReference(((30.0, 23.0, *middle),)) if patterns.code == "spatial" else None
+    options = DecodeOptions(filter_taps=0, reference=reference)
+    decoded = decode(frames, patterns, sensor, options)
     assert decoded.valid.mean() > 0.9
     error = (decoded.column.coordinate_px - projector_px[..., 0])[decoded.valid]
     assert np.max(np.abs(error)) < 0.1

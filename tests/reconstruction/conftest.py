@@ -55,7 +55,8 @@ def _signal(patterns, frame, column_px, row_px, blur_px):
         period_px, shift = patterns.phase_of(frame)
         contrast = np.exp(-0.5 * (2.0 * np.pi * blur_px / period_px) ** 2)
         return contrast * np.cos(2.0 * np.pi * (x_px / period_px + shift))
-    levels = 2.0 * (patterns.profile(frame) > 127) - 1.0
+    span = patterns.high_level - patterns.low_level
+    levels = 2.0 * (patterns.profile(frame) - float(patterns.low_level)) / span - 1.0
     if blur_px == 0.0:
         return levels[np.clip(np.rint(x_px).astype(int), 0, levels.size - 1)]
     fine = gaussian_filter1d(np.repeat(levels, FINE), blur_px * FINE, mode="nearest")

@@ -7,6 +7,7 @@ from reconstruction.calibration.boards import DotBoard
 from reconstruction.calibration.features import find_dots, label_dots, refine_centres
 from reconstruction.calibration.observation import (
     ink_threshold,
+    observe,
     relative_brightness,
     white_print,
 )
@@ -16,12 +17,15 @@ from reconstruction.calibration.plane_images import (
     ellipse_centres,
     fit_homography,
 )
+from reconstruction.capture.folder import UncalibratedCapture
 from reconstruction.errors import InputError
+from reconstruction.patterns import PatternSet
 from reconstruction.rig.pinhole import Pinhole
 
 BOARD = DotBoard(9, 7, 2.0, 0.8, 1.2)
 CAMERA = Pinhole(360, 280, 2800.0, 2800.0, 179.5, 139.5)
 FINE = 3
+HIERARCHICAL = {"code": "hierarchical", "further_periods_px": (600.0, 90.0)}
 
 
 def motion(tilt_deg=0.0, spin_deg=0.0, distance_mm=180.0):
@@ -168,3 +172,24 @@ def test_homography_is_recovered_and_needs_four_points():
         fit_homography(points[:3], points[:3])
     with pytest.raises(InputError, match="line"):
         fit_homography(points[:, :1] * [1.0, 2.0], points)
+
+
+@pytest.mark.parametrize("code", [{}, HIERARCHICAL])
+def test_a_board_needs_no_white_and_no_black(quiet_sensor, synthesise, code):
+    """Setup: phase frames and their numbering only. Expected: the pixels that the frames show.
+
+    Why: the mean of the phase frames is the image of the board.
+    """
+    to_projector = np.array([[0.9, 0.03, 80.0], [-0.02, 0.85, 60.0], [2e-5, -3e-5, 1.0]])
+    image = photograph(motion(20.0, 10.0))
+    pixels = np.stack(np.meshgrid(*map(np.arange, image.shape[::-1])), axis=-1).reshape(-1, 2)
+    there = apply_homography(to_projector, pixels.astype(float)).reshape(*image.shape, 2)
+    patterns = PatternSet(560, 420, steps=4, uniform=False, **code)
+    stack = synthesise(patterns, there[..., 0], there[..., 1]) * image
+    capture = UncalibratedCapture(stack.astype(np.float32), patterns, quiet_sensor)
+    seen = observe(capture, BOARD)
+    assert len(seen.ids) > 40
+    centres = imaged_centres(motion(20.0, 10.0), seen.ids)
+    assert np.sqrt(np.mean((seen.camera_px - centres) ** 2)) < 0.01
+    expected = apply_homography(to_projector, seen.camera_px)
+    np.testing.assert_allclose(seen.projector_px, expected, atol=2e-3)

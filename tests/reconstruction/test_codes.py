@@ -21,10 +21,13 @@ ALL_CODES = [
     {"code": "gray"},
     {"code": "complementary_gray"},
     {"code": "shifted_gray"},
+    {"code": "quaternary_gray"},
     HIERARCHICAL,
     HETERODYNE,
     {"code": "heterodyne", "period_px": 36.0, "further_periods_px": (37.0,)},
     MICRO,
+    MICRO | {"further_periods_px": (*MICRO["further_periods_px"], 14.6, 17.1, 19.2, 21.9, 22.5)},
+    HIERARCHICAL | {"further_periods_px": (1300.0, *(1300.0 * 0.62**n for n in range(1, 9)))},
 ]
 
 

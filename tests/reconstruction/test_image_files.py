@@ -1,6 +1,6 @@
 """Frames in image files: PNG, TIFF, EXR, dark frame, several exposures, and their errors."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import imageio.v3 as imageio
 import numpy as np
@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 
 from reconstruction.calibration.observation import pose_folders, read_board_capture
-from reconstruction.capture.description import write_patterns, write_toml
+from reconstruction.capture.description import write_manifest, write_patterns, write_toml
 from reconstruction.capture.folder import read_capture, write_capture
 from reconstruction.capture.frame_set import FrameSet
 from reconstruction.capture.image_files import read_image, subtract_dark
@@ -105,6 +105,17 @@ def test_calibration_reads_the_same_folders(write_folder, frames):
     result = read_board_capture(folder)
     np.testing.assert_array_equal(result.stack, frames)
     assert (result.patterns, result.sensor, result.scale) == (PATTERNS, SENSOR, None)
+
+
+def test_a_board_pose_without_white_and_black_is_read(write_folder, frames):
+    """Expected: the same frames without the last two; along one axis only, one line of error."""
+    folder = write_folder(files="{name}.png")
+    save(folder, frames, "{name}.png")
+    write_manifest(folder / "patterns.toml", replace(PATTERNS, uniform=False))
+    np.testing.assert_array_equal(read_board_capture(folder).stack, frames[:-2])
+    write_manifest(folder / "patterns.toml", replace(PATTERNS, axes=("column",)))
+    with pytest.raises(CaptureError, match="fringes along both axes"):
+        read_board_capture(folder)
 
 
 def test_dark_frame_is_taken_off(write_folder, frames):

@@ -3,6 +3,7 @@
 import shutil
 import sys
 from functools import partial
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
     from twin.pipeline.compensation import CompensationResult
 
+Pixel = tuple[float, float, float, float]
+
 
 @app.command
 def reconstruct(
@@ -38,6 +41,10 @@ def reconstruct(
     filter_taps: int | None = None,
     filter_sigma_px: float | None = None,
     weights: Literal["equal", "modulation"] | None = None,
+    reference_pixels: tuple[Pixel, ...] | None = None,
+    reference_z_mm: float | None = None,
+    reference_sigma_mm: float | None = None,
+    islands: Literal["mask", "join", "all"] | None = None,
     photometric: bool = False,
 ) -> None:
     """Decode and triangulate a capture, rendered or real; needs no renderer.
@@ -55,6 +62,15 @@ def reconstruct(
         Standard deviation of that filter, camera px; default: see twin keys.
     weights
         Weights of the pixels in that filter; default: see twin keys.
+    reference_pixels
+        Code spatial: camera column and row, and projector column and row, of pixels with a known
+        projector coordinate; nan: unknown row.
+    reference_z_mm
+        Code spatial: world z of the largest continuous surface.
+    reference_sigma_mm
+        Standard deviation of reference_z_mm, including the relief of the surface.
+    islands
+        Code spatial: mask islands without a reference, join them, or number all by reference_z_mm.
     photometric
         CAPTURE is a TOML file that describes one or many presses seen by a photometric-stereo
         sensor; see docs/photometric.md.
@@ -68,6 +84,8 @@ def reconstruct(
     end_exchange(capture)
     settings: dict[str, Any] = {"use": use, "weights": weights}
     settings |= {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px}
+    settings |= {"reference_pixels": _known_of(reference_pixels), "reference_z_mm": reference_z_mm}
+    settings |= {"reference_sigma_mm": reference_sigma_mm, "islands": islands}
     _decode_by(reconstruct_capture, capture, out, settings)
 
 
@@ -113,6 +131,8 @@ def decode(
     filter_taps: int | None = None,
     filter_sigma_px: float | None = None,
     weights: Literal["equal", "modulation"] | None = None,
+    reference_pixels: tuple[Pixel, ...] | None = None,
+    islands: Literal["mask", "join", "all"] | None = None,
 ) -> None:
     """Turn the frames of a capture into projector coordinates; needs no calibration.
 
@@ -127,11 +147,28 @@ def decode(
         Standard deviation of that filter, camera px; default: see twin keys.
     weights
         Weights of the pixels in that filter; default: see twin keys.
+    reference_pixels
+        Code spatial: camera column and row, and projector column and row, of pixels with a known
+        projector coordinate; nan: unknown row.
+    islands
+        Code spatial: mask islands without a reference, join them, or number all by reference_z_mm.
     """
     from twin.pipeline.captures import decode_capture
 
-    settings = {"filter_taps": filter_taps, "filter_sigma_px": filter_sigma_px, "weights": weights}
+    settings: dict[str, Any] = {
+        "filter_taps": filter_taps,
+        "filter_sigma_px": filter_sigma_px,
+        "weights": weights,
+    }
+    settings |= {"reference_pixels": _known_of(reference_pixels), "islands": islands}
     _decode_by(decode_capture, capture, out, settings)
+
+
+def _known_of(pixels: tuple[Pixel, ...] | None) -> list[tuple[float, ...]] | None:
+    """Return marked pixels without their projector row where it is unknown."""
+    if pixels is None:
+        return None
+    return [pixel[:3] if isnan(pixel[3]) else pixel for pixel in pixels]
 
 
 def _decode_by(

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from reconstruction.decoding import DecodeOptions, Weights
+from reconstruction.decoding import DecodeOptions, PhaseReference, Weights
+from reconstruction.spatial_unwrapping import Islands
 from twin.config.base import Angle, Fraction, Model
 from twin.config.bounds import (
     EXPOSURE_PERCENTILE,
@@ -320,6 +321,28 @@ class Decode(Model):
         exclude_if=lambda estimated: estimated,
         description="estimate the light of every phase frame from the frames, and divide by it if "
         "it differs significantly; needs 4 steps or more",
+    )
+    reference_pixels: tuple[tuple[float, ...], ...] = Field(
+        default=(),
+        exclude_if=lambda pixels: not pixels,
+        description="code 'spatial': camera column and row, projector column and, if known, row of"
+        " pixels with a known coordinate",
+    )
+    reference_z_mm: Annotated[float, Field(ge=-1e3, le=1e3)] | None = Field(
+        default=None,
+        exclude_if=lambda z_mm: z_mm is None,
+        description="code 'spatial': world z of the largest continuous surface",
+    )
+    reference_sigma_mm: Annotated[float, Field(gt=0, le=1e3)] = Field(
+        default=PhaseReference.sigma_mm,
+        exclude_if=lambda sigma_mm: sigma_mm == PhaseReference.sigma_mm,
+        description="standard deviation of reference_z_mm, including the relief of the surface",
+    )
+    islands: Islands = Field(
+        default=PhaseReference.islands,
+        exclude_if=lambda islands: islands == PhaseReference.islands,
+        description="code 'spatial': mask islands behind jumps of the phase without a reference;"
+        " all: number each one by reference_z_mm; join: the jumps are less than half a period",
     )
     through_layers: bool = Field(
         default=True,

@@ -13,6 +13,7 @@ from reconstruction.arrays import ReasonImage
 from reconstruction.capture.folder import read_capture, read_uncalibrated
 from reconstruction.capture.period_search import best_period
 from reconstruction.colouring import Intensity
+from reconstruction.decoding import PhaseReference
 from reconstruction.decoding.continuity import DOUBTFUL_SHARE, jump_share
 from reconstruction.decoding.decode import Decoded, DecodeOptions, Reason
 from reconstruction.decoding.decode import decode as decode_stack
@@ -75,6 +76,7 @@ def reconstruct_capture(
 
 
 JUMPS = "_jump_share"
+ISLANDS = "_islands"
 LIKELY_CAUSES = {
     Reason.DARK: "white and black do not differ: check the projector's light, which images are"
     " white and black, and the noise in [sensor]",
@@ -82,7 +84,7 @@ LIKELY_CAUSES = {
     " images are phase steps, and the noise in [sensor]",
     Reason.SATURATED: "phase frames are clipped or lost: shorten the exposure, check saturation_dn",
     Reason.ORDER_UNCERTAIN: "the fringe orders contradict the phase or are uncertain: check order"
-    " and axis of the Gray frames, period_px, shift_deg, sign",
+    " and axis of the Gray frames, period_px, shift_deg, sign; with code 'spatial' the reference",
     Reason.OUTSIDE_PROJECTOR: "coordinates are outside the projector: check its width_px and"
     " height_px, period_px and the number of bits",
     Reason.EDGE: "all pixels are next to one without light: check the exposure",
@@ -128,9 +130,18 @@ def options_of(decode: Decode) -> ReconstructOptions:
             filter_sigma_px=decode.filter_sigma_px,
             weights=decode.weights,
             frame_gains=decode.frame_gains,
+            reference=_reference_of(decode),
         ),
         use=decode.use,
         through_layers=decode.through_layers,
+    )
+
+
+def _reference_of(decode: Decode) -> PhaseReference | None:
+    if not decode.reference_pixels and decode.reference_z_mm is None:
+        return None
+    return PhaseReference(
+        decode.reference_pixels, decode.reference_z_mm, decode.reference_sigma_mm, decode.islands
     )
 
 
@@ -223,7 +234,21 @@ def continuity_metrics(decoded: Decoded, patterns: PatternSet) -> dict[str, floa
             is_word=patterns.steps == 0,
         )
         for name in decoded.axes
-    }
+    } | _island_metrics(decoded)
+
+
+def _island_metrics(decoded: Decoded) -> dict[str, float]:
+    """Return number and masked share of the islands along each axis; {} without islands."""
+    if decoded.islands is None:
+        return {}
+    figures: dict[str, float] = {}
+    for name in decoded.axes:
+        islands = decoded.islands[AXES.index(name)]
+        inside = islands > 0
+        shown = decoded.mask_reason == Reason.ORDER_UNCERTAIN
+        figures[f"{name}{ISLANDS}"] = int(islands.max())
+        figures[f"{name}{ISLANDS}_masked_share"] = float(np.mean(shown[inside]))
+    return figures
 
 
 def light_metrics(decoded: Decoded) -> dict[str, float]:
@@ -250,6 +275,16 @@ def order_doubts(figures: Mapping[str, Any]) -> list[str]:
         f" the Gray frames along {axis}, period_px and shift_deg"
         for axis, share in shares.items()
         if share > DOUBTFUL_SHARE
+    ] + _island_doubts(figures)
+
+
+def _island_doubts(figures: Mapping[str, Any]) -> list[str]:
+    return [
+        f"the {axis} phase has {figures[f'{axis}{ISLANDS}']} islands separated by jumps;"
+        f" {figures[f'{axis}{ISLANDS}_masked_share']:.0%} of their pixels have no known fringe"
+        " order and are masked: give reference_pixels in each, or state islands"
+        for axis in AXES
+        if figures.get(f"{axis}{ISLANDS}", 0) > 1
     ]
 
 
