@@ -11,7 +11,7 @@ a file can use. Neither converts a text to a number; this module does.
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -88,17 +88,66 @@ def numbers_in(path: Path) -> dict[str, FloatArray]:
     ------
     CaptureError : as `read_storage`
     """
-    return dict(_numbers(read_storage(path, (YAML, XML)), ""))
+    return numbers_of_tree(read_storage(path, (YAML, XML)))
+
+
+def read_yaml(path: Path, is_first: bool = False) -> dict[str, Any]:
+    """Return the content of a YAML file without OpenCV's first line: maps, lists, numbers, texts.
+
+    Parameters
+    ----------
+    is_first : read only the first document of several, as a recorded ROS topic has them
+
+    Raises
+    ------
+    CaptureError : the file is missing, is no YAML map, or is longer or more deeply nested than
+        allowed; for a fault in YAML the message has the line number
+    """
+    try:
+        text = read_text(path)
+        if is_first:
+            text = re.split(r"(?m)^---[ \t]*$", text.removeprefix("---"), maxsplit=1)[0]
+        return parse_storage(f"{YAML}\n{text}")
+    except InputError as error:
+        where = "" if str(error).startswith(shown(path)) else f"{shown(path)}: "
+        raise CaptureError(f"{where}{error}") from None
+
+
+def numbers_of_tree(tree: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """Return every number, matrix and list of numbers in nested maps by its path, e.g. `a/b`.
+
+    A map with the keys rows, cols and data is a matrix; so are lists of equally long lists.
+    """
+    return dict(_numbers(tree, ""))
 
 
 def _numbers(node: Any, path: str) -> Iterator[tuple[str, FloatArray]]:
-    if isinstance(node, dict):
+    matrix = _stored_matrix(node)
+    if matrix is not None:
+        yield path, matrix
+    elif isinstance(node, dict):
         for key, inner in node.items():
             yield from _numbers(inner, f"{path}/{key}" if path else key)
     elif isinstance(node, np.ndarray) or _is_number(node):
         yield path, np.asarray(node, np.float64)
     elif isinstance(node, list) and node and all(map(_is_number, node)):
         yield path, np.array(node, np.float64)
+
+
+def _stored_matrix(node: Any) -> FloatArray | None:
+    """Return the matrix of a map with rows, cols and data, or of a list of rows; else None."""
+    if isinstance(node, dict) and {"rows", "cols", "data"} <= node.keys():
+        data, shape = node["data"], (node["rows"], node["cols"])
+        is_list = isinstance(data, list) and all(map(_is_number, data))
+        whole = all(isinstance(length, int) for length in shape)
+        if is_list and whole and shape[0] * shape[1] == len(data):
+            return np.array(data, np.float64).reshape(shape)
+    is_rows = isinstance(node, list) and node and all(isinstance(row, list) for row in node)
+    if is_rows and len({len(row) for row in node}) == 1:
+        numbers = [number for row in node for number in row]
+        if numbers and all(map(_is_number, numbers)):
+            return np.array(node, np.float64)
+    return None
 
 
 def _of_yaml(text: str) -> Any:
