@@ -12,11 +12,16 @@ class PairOfDevices(Protocol):
     """Camera, projector, and the transform between their frames, (4, 4)."""
 
     @property
-    def camera(self) -> Pinhole: ...
+    def camera(self) -> Pinhole:
+        """Intrinsics of the camera."""
+
     @property
-    def projector(self) -> Pinhole: ...
+    def projector(self) -> Pinhole:
+        """Intrinsics of the projector."""
+
     @property
-    def T_proj_from_cam(self) -> FloatArray: ...  # noqa: N802 - the frame names of the symbols
+    def T_proj_from_cam(self) -> FloatArray:  # noqa: N802 - the frame names of the symbols
+        """Transform from the camera's to the projector's frame, (4, 4), translation in mm."""
 
 
 def epipolar_residuals_px(rig: PairOfDevices, measured_px: FloatArray) -> FloatArray:

@@ -57,7 +57,8 @@ class ImportedLens:
         if size is None:
             raise InputError(f"the {name}'s image size is not in the file; give --{name}-size")
         k = self.matrix
-        ideal = Pinhole(size[0], size[1], k[0, 0], k[1, 1], k[0, 2], k[1, 2])
+        fx, fy, cx, cy = (float(k[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        ideal = Pinhole(size[0], size[1], fx, fy, cx, cy)
         if k[0, 1] == 0.0 and self.distortion.size <= 5:
             five = np.zeros(5)
             five[: self.distortion.size] = self.distortion

@@ -24,7 +24,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.rig.calibration import Calibration
-from reconstruction.rig.imported_lens import ImportedLens, read_lens
+from reconstruction.rig.imported_lens import read_lens
 from reconstruction.rig.importers import importer_of
 from reconstruction.rig.named_numbers import DEVICE_NAMES, DEVICES, MATRIX, NamedNumbers, plain
 from reconstruction.rig.plausibility import Check, require_plausible, rig_checks

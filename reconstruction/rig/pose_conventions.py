@@ -228,43 +228,52 @@ def _listed(misfits: Mapping[Pose, float]) -> str:
 def _misfit_px(
     devices: tuple[Pinhole, Pinhole], motion: FloatArray, measured_px: FloatArray
 ) -> float:
-    """Return the median distance from epipolar lines, px; inf if most points are behind a device."""
+    """Return the median distance from epipolar lines, px; inf if most points are behind."""
     rig = _Candidate(*devices, motion)
     rays = [
         np.column_stack((device.unproject(pixels), np.ones(len(pixels))))
         for device, pixels in zip(devices, (measured_px[:, :2], measured_px[:, 2:]), strict=True)
     ]
-    depths, _ = _closest(rays[0], rays[1], motion)
-    if not np.mean(np.all(depths > 0.0, axis=1)) >= _LEAST_IN_FRONT:
+    in_front = np.all(_depths_mm(rays[0], rays[1], motion) > 0.0, axis=1)
+    if not np.mean(in_front) >= _LEAST_IN_FRONT:
         return float(np.inf)
     return float(np.nanmedian(np.abs(epipolar_residuals_px(rig, measured_px))))
 
 
 def _meet(devices: tuple[Pinhole, Pinhole], motion: FloatArray) -> bool:
-    """Return True if the rays of both image centres approach each other in front of the devices."""
-    rays = []
-    for device in devices:
-        centre = np.array([[(device.width_px - 1) / 2, (device.height_px - 1) / 2]])
-        rays.append(np.append(device.unproject(centre)[0], 1.0)[np.newaxis])
-    depths, sine = _closest(rays[0], rays[1], motion)
-    return bool(sine[0] < LEAST_SINE or np.all(depths > 0.0))
+    """Return True if the rays of both image centres are parallel or meet in front of both devices.
 
-
-def _closest(
-    camera_rays: FloatArray, projector_rays: FloatArray, motion: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the depths (n, 2), mm, at which pairs of rays are closest, and the angle's sine (n,).
-
-    The depths are those along the axes of camera and projector.
+    Both are projected on the plane of the camera's ray and the baseline: an oblique projector's
+    light may pass above the camera's axis.
     """
-    turned = camera_rays @ motion[:3, :3].T
-    T = motion[:3, 3]
+    camera, projector = (_central_ray(device) for device in devices)
+    R = motion[:3, :3]
+    centre, ray = -R.T @ motion[:3, 3], R.T @ projector
+    aside = centre - (centre @ camera) * camera
+    distance = float(np.linalg.norm(aside))
+    towards = -float(ray @ aside) / distance if distance else 0.0
+    if abs(towards) < LEAST_SINE:
+        return True
+    along = distance / towards
+    return along > 0.0 and float(centre @ camera + along * (ray @ camera)) > 0.0
+
+
+def _central_ray(device: Pinhole) -> FloatArray:
+    """Return the unit vector, (3,), from a device to the centre of its image."""
+    centre = np.array([[(device.width_px - 1) / 2, (device.height_px - 1) / 2]])
+    ray = np.append(device.unproject(centre)[0], 1.0)
+    return np.asarray(ray / np.linalg.norm(ray))
+
+
+def _depths_mm(
+    camera_rays: FloatArray, projector_rays: FloatArray, motion: FloatArray
+) -> FloatArray:
+    """Return the depths (n, 2), mm, along both axes, at which pairs of rays are closest."""
+    turned, T = camera_rays @ motion[:3, :3].T, motion[:3, 3]
     aa, bb = np.sum(turned**2, axis=1), np.sum(projector_rays**2, axis=1)
     ab = np.sum(turned * projector_rays, axis=1)
-    # Minimise |s a + T - t b| over s and t.
-    determinant = aa * bb - ab**2
     a_T, b_T = turned @ T, projector_rays @ T
+    # Minimum of |s a + T - t b| over s and t; parallel rays have no finite one.
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = (ab * b_T - bb * a_T) / determinant
-        t = (aa * b_T - ab * a_T) / determinant
-    return np.column_stack((s, t)), np.sqrt(np.maximum(determinant, 0.0) / (aa * bb))
+        s, t = np.array([ab * b_T - bb * a_T, aa * b_T - ab * a_T]) / (aa * bb - ab**2)
+    return np.column_stack((s, t))

@@ -11,7 +11,8 @@ from scipy.io import savemat
 
 from reconstruction.errors import CaptureError
 from reconstruction.rig.calibration import Calibration
-from reconstruction.rig.importing import MOST_REFIT_PX, Importing, import_calibration
+from reconstruction.rig.imported_lens import MOST_REFIT_PX
+from reconstruction.rig.importing import Importing, import_calibration
 from reconstruction.rig.pinhole import Pinhole
 
 CAMERA = Pinhole(640, 480, 1800.0, 1795.0, 321.5, 238.25, (-0.11, 0.07, 4e-4, -3e-4, 0.02))
@@ -246,9 +247,9 @@ def test_the_command_writes_a_calibration_that_a_capture_takes(tmp_path: Path, c
 
 
 def test_an_unknown_format_is_an_error_that_lists_the_known_ones(tmp_path: Path):
-    path = tmp_path / "rig.json"
-    path.write_text("{}")
-    with pytest.raises(CaptureError, match=r"rig\.json: .*matlab: .*\.mat.*; opencv: .*%YAML"):
+    path = tmp_path / "rig.docx"
+    path.write_text("{}"[::-1])
+    with pytest.raises(CaptureError, match=r"rig\.docx: .*matlab: .*\.mat.*; opencv: .*%YAML"):
         import_calibration([path], SIZES)
     with pytest.raises(CaptureError, match=r"missing\.yml: cannot be read"):
         import_calibration([tmp_path / "missing.yml"], SIZES)

@@ -20,6 +20,7 @@ Minimal example:
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import CaptureError, InputError, one_line
@@ -43,7 +44,7 @@ class Importer:
     name: str
     summary: str
     unit: str | None = None
-    keys: Mapping[str, str] = {}
+    keys: Mapping[str, str] = MappingProxyType({})
     is_general: bool = False
 
     def recognises(self, path: Path) -> bool:

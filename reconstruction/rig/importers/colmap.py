@@ -85,9 +85,7 @@ def _lens(where: str, device: str, row: list[str]) -> dict[str, FloatArray]:
         fx, fy, cx, cy = (values[place] for place in focal)
         bent = [0.0 if place is None else values[place] for place in distortion]
     except KeyError:
-        raise CaptureError(
-            f"{where}: model is {row[1]}, allowed {', '.join(_MODELS)}"
-        ) from None
+        raise CaptureError(f"{where}: model is {row[1]}, allowed {', '.join(_MODELS)}") from None
     except (IndexError, ValueError):
         raise CaptureError(
             f"{where}: found {' '.join(row)[:80]}; allowed ID MODEL WIDTH HEIGHT PARAMETERS"

@@ -3,6 +3,8 @@
 The file has the camera's image size, but not the projector's.
 """
 
+from types import MappingProxyType
+
 from reconstruction.rig.importers import IMPORTERS
 from reconstruction.rig.importers.opencv import NamedStorage
 
@@ -12,15 +14,17 @@ class SLMaster(NamedStorage):
 
     name = "slmaster"
     summary = "SLMaster's caliInfo.yml (M1, D1, M4, D4, Rlp, Tlp)"
-    keys = {
-        "camera_matrix": "M1",
-        "camera_distortion": "D1",
-        "camera_size": "S",
-        "projector_matrix": "M4",
-        "projector_distortion": "D4",
-        "rotation": "Rlp",
-        "translation": "Tlp",
-    }
+    keys = MappingProxyType(
+        {
+            "camera_matrix": "M1",
+            "camera_distortion": "D1",
+            "camera_size": "S",
+            "projector_matrix": "M4",
+            "projector_distortion": "D4",
+            "rotation": "Rlp",
+            "translation": "Tlp",
+        }
+    )
 
 
 IMPORTERS.register(SLMaster())

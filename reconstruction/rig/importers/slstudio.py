@@ -3,6 +3,8 @@
 The names of camera matrix and distortion differ by case only.
 """
 
+from types import MappingProxyType
+
 from reconstruction.rig.importers import IMPORTERS
 from reconstruction.rig.importers.opencv import NamedStorage
 
@@ -12,18 +14,20 @@ class SLStudio(NamedStorage):
 
     name = "slstudio"
     summary = "SLStudio's calibration.xml (Kc, kc, Kp, kp, Rp, Tp)"
-    keys = {
-        "camera_matrix": "Kc",
-        "camera_distortion": "kc",
-        "camera_width": "frameWidth",
-        "camera_height": "frameHeight",
-        "projector_matrix": "Kp",
-        "projector_distortion": "kp",
-        "projector_width": "screenResX",
-        "projector_height": "screenResY",
-        "rotation": "Rp",
-        "translation": "Tp",
-    }
+    keys = MappingProxyType(
+        {
+            "camera_matrix": "Kc",
+            "camera_distortion": "kc",
+            "camera_width": "frameWidth",
+            "camera_height": "frameHeight",
+            "projector_matrix": "Kp",
+            "projector_distortion": "kp",
+            "projector_width": "screenResX",
+            "projector_height": "screenResY",
+            "rotation": "Rp",
+            "translation": "Tp",
+        }
+    )
 
 
 IMPORTERS.register(SLStudio())
