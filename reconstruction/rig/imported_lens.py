@@ -59,9 +59,9 @@ class ImportedLens:
         k = self.matrix
         fx, fy, cx, cy = (float(k[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
         ideal = Pinhole(size[0], size[1], fx, fy, cx, cy)
-        if k[0, 1] == 0.0 and self.distortion.size <= 5:
+        if k[0, 1] == 0.0 and not np.any(self.distortion[5:]):
             five = np.zeros(5)
-            five[: self.distortion.size] = self.distortion
+            five[: self.distortion.size] = self.distortion[:5]
             return replace(ideal, distortion=_five(five)), 0.0
         return _refitted(name, ideal, self)
 

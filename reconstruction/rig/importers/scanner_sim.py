@@ -14,9 +14,9 @@ from reconstruction.errors import CaptureError
 from reconstruction.rig.importers import IMPORTERS, head_of
 from reconstruction.rig.importers.json_file import Json
 
-_POSE = {"origin", "basis"}
 _WIDTH, _HEIGHT = "image_width, pixels", "image_height, pixels"
-_SIZES = {"mtx": (3, 3), "origin": (3,), "basis": (3, 3)}
+_LENS: dict[str, tuple[int, ...]] = {"mtx": (3, 3), "dist": (5,), _WIDTH: (), _HEIGHT: ()}
+_POSE: dict[str, tuple[int, ...]] = {"origin": (3,), "basis": (3, 3)}
 
 
 class ScannerSim(Json):
@@ -35,22 +35,20 @@ class ScannerSim(Json):
     def read(self, path: Path) -> dict[str, FloatArray]:
         """Return the numbers by name after that of the device, and the pose as R and T."""
         numbers = super().read(path)
-        for name, shape in _SIZES.items():
-            if name in numbers and numbers[name].shape != shape:
-                raise CaptureError(
-                    f"{path}: {name} has shape {numbers[name].shape}, allowed {shape}"
-                )
-        is_projector = numbers.keys() >= _POSE
-        device = "projector" if is_projector else "camera"
-        first_px = 0.5 if is_projector else 0.0
+        is_projector = numbers.keys() >= _POSE.keys()
+        for name, shape in (_LENS | _POSE if is_projector else _LENS).items():
+            found = numbers[name].shape if name in numbers else "none"
+            if found != shape:
+                raise CaptureError(f"{path}: {name}: found shape {found}, allowed {shape}")
+        device, first_px = ("projector", 0.5) if is_projector else ("camera", 0.0)
+        from_corner = np.array([[0.0, 0.0, first_px], [0.0, 0.0, first_px], [0.0, 0.0, 0.0]])
         result = {
-            f"{device}/matrix": numbers["mtx"] - first_px * np.eye(3, k=2)[[0, 0, 2]] * [0, 0, 1],
-            f"{device}/distortion": numbers.get("dist", np.zeros(5)),
+            f"{device}/matrix": numbers["mtx"] - from_corner,
+            f"{device}/distortion": numbers["dist"],
             f"{device}/size": np.array([numbers[_WIDTH], numbers[_HEIGHT]]),
         }
         if is_projector:
-            result["R"] = numbers["basis"]
-            result["T"] = -numbers["basis"] @ numbers["origin"]
+            result |= {"R": numbers["basis"], "T": -numbers["basis"] @ numbers["origin"]}
         return result
 
 
