@@ -69,16 +69,20 @@ def parse_storage(text: str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]
         raise InputError(
             f"is no OpenCV calibration; the first line must begin with {' or '.join(heads)}"
         )
-    longest = max(map(len, text.splitlines()))
+    _require_small(text)
+    content = _of_yaml(text) if text.startswith(YAML) else _of_xml(text)
+    if not isinstance(content, dict):
+        raise InputError("is no calibration: found no key")
+    return content
+
+
+def _require_small(text: str) -> None:
+    longest = max(map(len, text.splitlines()), default=0)
     if len(text) > MOST_BYTES or longest > MOST_LINE:
         raise InputError(
             f"is no calibration: found {len(text)} characters in lines of up to {longest}, "
             f"allowed {MOST_BYTES} and {MOST_LINE}"
         )
-    content = _of_yaml(text) if text.startswith(YAML) else _of_xml(text)
-    if not isinstance(content, dict):
-        raise InputError("is no calibration: found no key")
-    return content
 
 
 def numbers_in(path: Path) -> dict[str, FloatArray]:
@@ -107,10 +111,16 @@ def read_yaml(path: Path, is_first: bool = False) -> dict[str, Any]:
         text = read_text(path)
         if is_first:
             text = re.split(r"(?m)^---[ \t]*$", text.removeprefix("---"), maxsplit=1)[0]
-        return parse_storage(f"{YAML}\n{text}")
     except InputError as error:
-        where = "" if str(error).startswith(shown(path)) else f"{shown(path)}: "
-        raise CaptureError(f"{where}{error}") from None
+        raise CaptureError(str(error)) from None
+    try:
+        _require_small(text)
+        content = _yaml_tree(text)
+        if not isinstance(content, dict):
+            raise InputError("is no calibration: found no key")
+        return content
+    except InputError as error:
+        raise CaptureError(f"{shown(path)}: {error}") from None
 
 
 def numbers_of_tree(tree: Mapping[str, Any]) -> dict[str, FloatArray]:
@@ -153,9 +163,12 @@ def _stored_matrix(node: Any) -> FloatArray | None:
 def _of_yaml(text: str) -> Any:
     # Forms of OpenCV that no YAML parser reads: the first line %YAML:1.0, and in brackets no blank
     # between a colon and a bracket or a text.
-    content = _NO_BLANK.sub(": ", "\n".join(["", *text.split("\n")[1:]]))
+    return _yaml_tree(_NO_BLANK.sub(": ", "\n".join(["", *text.split("\n")[1:]])))
+
+
+def _yaml_tree(text: str) -> Any:
     try:
-        return _Nodes(yaml.parse(content, Loader=_LOADER)).document()
+        return _Nodes(yaml.parse(text, Loader=_LOADER)).document()
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise InputError(f"line {line}: is no YAML: {error.problem}") from None

@@ -108,7 +108,7 @@ def _poses(path: Path) -> dict[str, tuple[str, FloatArray]]:
             motion = np.eye(4)
             motion[:3, :3] = Rotation.from_quat([qx, qy, qz, qw]).as_matrix()
             motion[:3, 3] = shift
-            poses.setdefault(words[8], (words[9], motion))
+            poses.setdefault(str(int(words[8])), (words[9], motion))
         except (IndexError, ValueError):
             raise CaptureError(
                 f"{path}: found {line[:80]!r}; allowed ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
