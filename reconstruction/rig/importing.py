@@ -113,7 +113,7 @@ def import_calibration(
     where = ", ".join(path.name for path in paths)
     try:
         keys = {quantity: name for file in files for quantity, name in file.keys.items()}
-        names = NamedNumbers(dict(_merged(files)), keys | options.keys)
+        names = NamedNumbers(dict(_merged(files)), {**keys, **options.keys})
         units = [file.unit for file in files if file.unit] or ["mm"]
         to_mm = TO_MM[options.unit or units[0]]
         formats = tuple(dict.fromkeys(file.format for file in files))

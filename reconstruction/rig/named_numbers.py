@@ -20,13 +20,15 @@ DEVICE_NAMES = {
 }
 """Names of the first and of the second device of a file, in lower case."""
 
-MATRIX = ("cameramatrix", "intrinsicmatrix", "intrinsics", "int", "matrix", "mtx")
-MATRIX += ("kk", "k", "m", "a")
+MATRIX = (
+    *("cameramatrix", "intrinsicmatrix", "intrinsics", "int", "matrix", "mtx"),
+    *("kk", "k", "m", "a"),
+)
 DISTORTION = ("distortioncoefficients", "distcoeffs", "distortion", "dist", "kc", "d", "k")
 WIDTHS, HEIGHTS = ("imagewidth", "width", "w", "nx"), ("imageheight", "height", "h", "ny")
 SIZES, SHAPES = ("imagesize", "size", "resolution"), ("imgshape", "imageshape", "shape")
-ROTATION = ("r", "rotation", "rotationmatrix", "rmat", "rvec", "om", "rstereo", "stereor", "rp")
-TRANSLATION = ("t", "translation", "translationvector", "tvec", "tstereo", "stereot", "tp")
+ROTATION = ("r", "rotation", "rotationmatrix", "rmat", "rvec", "om", "rstereo", "stereor")
+TRANSLATION = ("t", "translation", "translationvector", "tvec", "tstereo", "stereot")
 COEFFICIENTS = (4, 5, 8, 12, 14)
 """Numbers of distortion coefficients of OpenCV's models."""
 

@@ -80,13 +80,20 @@ def stored_motion(names: NamedNumbers) -> FloatArray:
         translation = names.of_rig("", ("translationofcamera2",), {3})
     if rotation is not None and translation is not None:
         return _rigid(rotation, translation)
-    for motion in (_of_two_poses(names), _of_rectified(names)):
+    for motion in (_of_two_poses(names), _of_projector(names), _of_rectified(names)):
         if motion is not None:
             return motion
     key, sizes = ("rotation", {3, 9}) if rotation is None else ("translation", {3})
     raise names.missing(
         "rotation R and translation T from the first device to the second", key, sizes
     )
+
+
+def _of_projector(names: NamedNumbers) -> FloatArray | None:
+    """Return the motion from the only pose in the files, that of the projector (Rp, Tp)."""
+    rotation = names.of_device("projector", "", ROTATION, {3, 9})
+    translation = names.of_device("projector", "", TRANSLATION, {3})
+    return None if rotation is None or translation is None else _rigid(rotation, translation)
 
 
 def _of_two_poses(names: NamedNumbers) -> FloatArray | None:

@@ -30,6 +30,7 @@ MOST_BYTES, MOST_LINE, MOST_NESTED = 1_000_000, 1000, 32
 _WHOLE_TYPES = ("u", "c", "w", "s", "i")
 _TAG = f"tag:yaml.org,2002:{MATRIX}"
 _NO_BLANK = re.compile(r':(?=[\[{]|"[^,\]}\s])')
+_SEVERAL = re.compile(r'"?([2-9])([a-z])"?')
 _WHOLE = re.compile(r"[+-]?\d{1,18}")
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?")
 # Without the C library of PyYAML the same events take 10 x the time.
@@ -145,7 +146,14 @@ def _numbers(node: Any, path: str) -> Iterator[tuple[str, FloatArray]]:
 
 
 def _stored_matrix(node: Any) -> FloatArray | None:
-    """Return the matrix of a map with rows, cols and data, or of a list of rows; else None."""
+    """Return the matrix of a map with rows, cols and data, or of a list of rows; else None.
+
+    A map with sizes and data is a vector or an array of more axes (OpenCV 5, `opencv-nd-matrix`).
+    """
+    if isinstance(node, dict) and {"sizes", "data"} <= node.keys():
+        sizes = node["sizes"] if isinstance(node["sizes"], list) else [node["sizes"]]
+        node = {"rows": math.prod(sizes) if all(isinstance(n, int) for n in sizes) else 0} | node
+        node["cols"] = 1
     if isinstance(node, dict) and {"rows", "cols", "data"} <= node.keys():
         data, shape = node["data"], (node["rows"], node["cols"])
         is_list = isinstance(data, list) and all(map(_is_number, data))
@@ -273,14 +281,23 @@ def _matrix(where: str, entries: Any) -> FloatArray:
     numbers = data if isinstance(data, list) else [data]
     if not all(map(_is_number, numbers)):
         raise InputError(f"{where}: data of a matrix is no list of finite numbers")
-    whole = dt in _WHOLE_TYPES and all(isinstance(number, int) for number in numbers)
-    if dt not in ("d", "f") and not whole:
+    channels, kind = _channels(dt)
+    whole = kind in _WHOLE_TYPES and all(isinstance(number, int) for number in numbers)
+    if kind not in ("d", "f") and not whole:
         raise InputError(f"{where}: a matrix is of dt: {dt}; write d, its numbers are reals")
     if not (isinstance(rows, int) and isinstance(cols, int) and min(rows, cols) > 0):
         raise InputError(f"{where}: a matrix has {rows} rows and {cols} cols")
-    if rows * cols != len(numbers):
+    if rows * cols * channels != len(numbers):
         raise InputError(
-            f"{where}: a matrix of {rows} rows and {cols} cols holds {len(numbers)} numbers"
+            f"{where}: a matrix of {rows} rows and {cols} cols{f' of dt {dt}' * (channels > 1)} "
+            f"holds {len(numbers)} numbers"
         )
-    exact = np.array(numbers, np.float32 if dt == "f" else np.float64)
-    return np.asarray(exact.reshape(rows, cols), np.float64)
+    exact = np.array(numbers, np.float32 if kind == "f" else np.float64)
+    shape = (rows, cols) if channels == 1 else (rows, cols, channels)
+    return np.asarray(exact.reshape(shape), np.float64)
+
+
+def _channels(dt: Any) -> tuple[int, Any]:
+    """Return the numbers per element and the type of a matrix: (2, "f") for "2f", as of points."""
+    match = _SEVERAL.fullmatch(dt) if isinstance(dt, str) else None
+    return (int(match[1]), match[2]) if match else (1, dt)

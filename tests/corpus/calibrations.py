@@ -73,12 +73,12 @@ def matrix(device: Pinhole, skew: float = 0.0) -> np.ndarray:
 
 
 def stored(path: Path, **values: Any) -> Path:
-    """Write as cv2.FileStorage does; XML or YAML by the suffix."""
+    """Write as cv2.FileStorage does; XML or YAML by the suffix, YAML with OpenCV 4's first line."""
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     for name, value in values.items():
         storage.write(name, value)
     storage.release()
-    return path
+    return written(path, path.read_text("utf-8").replace("%YAML 1.2", "%YAML:1.0", 1))
 
 
 def written(path: Path, text: str) -> Path:
@@ -135,6 +135,7 @@ def of_two_calibrations(home: Path, rig: Rig = RIG) -> list[Path]:
             "image_height": device.height_px, "camera_matrix": matrix(device),
             "distortion_coefficients": np.array([device.distortion]).T,
             "avg_reprojection_error": 0.2,
+            "image_points": np.arange(24, dtype=np.float32).reshape(3, 4, 2),
         }  # fmt: skip
         files.append(stored(home / f"{name}_out.xml", **result))
     pose = stored(home / "stereo.yml", R=rig.rotation, T=rig.translation_mm.reshape(3, 1))

@@ -86,6 +86,20 @@ def test_a_capture_contradicts_a_wrong_stated_convention(tmp_path: Path):
         )
 
 
+def test_poses_of_both_devices_are_combined(tmp_path: Path):
+    """Rc, Tc and Rp, Tp map world coordinates to those of camera and projector."""
+    world = RIG.rotation.T[::-1][:, ::-1], np.array([10.0, -20.0, 300.0])
+    R, T = RIG.rotation @ world[0], RIG.rotation @ world[1] + RIG.translation_mm
+    poses = {"Rc": world[0], "Tc": world[1], "Rp": R, "Tp": T}
+    lenses = {
+        "Kc": matrix(RIG.camera), "kc": np.array([RIG.camera.distortion]),
+        "Kp": matrix(RIG.projector), "kp": np.array([RIG.projector.distortion]),
+    }  # fmt: skip
+    path = stored(tmp_path / "rig.yml", **lenses, **poses)
+    result = import_calibration([path], SIZES)
+    np.testing.assert_allclose(result.calibration.T_proj_from_cam, RIG.motion, atol=1e-9)
+
+
 def test_conventions_are_those_of_their_equations():
     R, T, x = RIG.rotation, RIG.translation_mm, np.array([3.0, -5.0, 200.0])
     expected = {
@@ -185,7 +199,7 @@ DAMAGED = [
     (edited(of_ros, "left.yaml", "plumb_bob", "equidistant"), "equidistant, allowed plumb_bob or"),
     (edited(of_ros, "right.yaml", "projection_matrix", "other"), "no rotation R and translation T"),
     (edited(of_zivid, "camera_intrinsics.yml", "K3", "K9"), "K3 is missing in CameraIntrinsics"),
-    (edited(of_colmap, "cameras.txt", "7 FULL", "# FULL"), "found 1 cameras, allowed 2"),
+    (edited(of_colmap, "cameras.txt", "7 FULL", "# FULL"), "found 1 camera, allowed 2"),
     (edited(of_colmap, "cameras.txt", "FULL_OPENCV", "FOV"), "camera 7: model is FOV, allowed"),
     (edited(of_colmap, "cameras.txt", "640 480", "640"), "allowed ID MODEL WIDTH HEIGHT"),
     (edited(of_colmap, "images.txt", " 7 view", " view"), "images.txt: found '1 .*CAMERA_ID NAME"),

@@ -32,7 +32,8 @@ _TAKING_COEFFICIENTS = ("--camera-distortion", "--projector-distortion")
 def with_repeated_options(words: Sequence[str]) -> list[str]:
     """Return the words of a command line with one `--camera-distortion` per coefficient.
 
-    The same is done for `--projector-distortion`: `k1 k2` after the option becomes two options.
+    The same is done for `--projector-distortion`: `k1 k2`, `k1,k2` or `=k1 k2` after the option
+    becomes two options.
 
     Without this, Cyclopts assigns to an option either one word or all following words, including
     the source.
@@ -40,12 +41,15 @@ def with_repeated_options(words: Sequence[str]) -> list[str]:
     written: list[str] = []
     option = ""
     for word in words:
-        if word.startswith("-"):
-            option = word if word in _TAKING_COEFFICIENTS else ""
-        elif option and word in get_args(Coefficient) and written[-1] != option:
-            written.append(option)
-        else:
-            option = option if word in get_args(Coefficient) else ""
+        name, _, assigned = word.partition("=")
+        if name in _TAKING_COEFFICIENTS:
+            option = name
+        coefficients = (assigned if name == option else word).split(",")
+        if option and set(coefficients) <= set(get_args(Coefficient)):
+            for coefficient in coefficients:
+                written += [coefficient] if written[-1:] == [option] else [option, coefficient]
+            continue
+        option = option if word == option else ""
         written.append(word)
     return written
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import FloatArray
-from reconstruction.errors import CaptureError, InputError
+from reconstruction.errors import CaptureError, InputError, counted
 from reconstruction.reading import is_regular, read_text
 from reconstruction.rig.importers import IMPORTERS, Importer, head_of
 
@@ -47,8 +47,8 @@ class Colmap(Importer):
         rows = [line.split() for line in _lines(cameras)]
         if len(rows) != 2:
             raise CaptureError(
-                f"{cameras}: found {len(rows)} cameras, allowed 2: camera and projector; give "
-                "projector images their own camera in COLMAP"
+                f"{cameras}: found {counted(len(rows), 'camera')}, allowed 2: camera and "
+                "projector; give projector images their own camera in COLMAP"
             )
         images = cameras.with_name(_IMAGES)
         poses = _poses(images) if is_regular(images) else {}
