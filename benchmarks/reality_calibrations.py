@@ -24,8 +24,11 @@ from reconstruction.rig.pinhole import Pinhole
 from tests.corpus.calibrations import LAYOUTS, Layout, Rig, misread, random_rig
 
 CASES = Path(__file__).parents[1] / "../shared/cases/07_calibrations"
-# Assumed for the two public files without the projector's size.
+# Assumed for a public file without the projector's size.
 PROJECTOR_SIZE = (1920, 1080)
+# The program's sample capture, with a Gray code in steps of two pixels, has rows up to 767. With this
+# size its points are 2.6 px from the epipolar lines (median).
+KAMINO_PROJECTOR_SIZE = (2048, 1536)
 RIGS, QUICK_RIGS = 10, 1
 
 
@@ -39,7 +42,7 @@ def public_rigs(folder: Path) -> Iterator[tuple[list[Path], Rig, Layout]]:
         (
             "kamino.xml",
             ("cam_int", "cam_dist", "proj_int", "proj_dist", "roration", "translation"),
-            (1280, 1024),
+            (1280, 1024, *KAMINO_PROJECTOR_SIZE),
             needs_size,
         ),
     ):

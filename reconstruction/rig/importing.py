@@ -91,6 +91,14 @@ class Imported:
     pose: ReadPose
     formats: tuple[str, ...]
 
+    def summary(self) -> Iterator[str]:
+        """Yield lines of text: the formats, the name of each quantity, the convention of R and T."""
+        yield f"format: {', '.join(self.formats)}"
+        for quantity, name in self.used.items():
+            yield f"{quantity}: {name}"
+        reason = self.pose.reason or "not checked by a capture; see --check"
+        yield f"R and T: {self.pose.convention} ({reason})"
+
 
 def import_calibration(
     paths: Sequence[Path],

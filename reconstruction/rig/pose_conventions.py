@@ -218,7 +218,8 @@ def _confirmed(
             + (
                 f"use --pose {best}"
                 if misfits[best] <= MOST_EPIPOLAR_PX
-                else "check the image sizes and which device is the first (--projector-first)"
+                else "check binning, the image sizes, the pixels of the patterns, and which device "
+                "is the first (--projector-first)"
             )
         )
     reason = f"median distance from the epipolar lines {_listed(misfits)}"

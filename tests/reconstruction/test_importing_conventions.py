@@ -100,6 +100,20 @@ def test_poses_of_both_devices_are_combined(tmp_path: Path):
     np.testing.assert_allclose(result.calibration.T_proj_from_cam, RIG.motion, atol=1e-9)
 
 
+def test_the_matlab_text_of_slstudio_is_read(tmp_path: Path):
+    """OpenCV prints a matrix over several lines in brackets."""
+    values = {"Kc": matrix(RIG.camera), "kc": np.array([RIG.camera.distortion]).T}
+    values |= {"Kp": matrix(RIG.projector), "kp": np.array([RIG.projector.distortion]).T}
+    values |= {"Rp": RIG.rotation, "Tp": RIG.translation_mm[:, None]}
+    lines = ["%%SLStudio calibration"]
+    for name, array in values.items():
+        rows = (", ".join(map(repr, row)) for row in array.tolist())
+        lines.append(f"{name} = [" + ";\n ".join(rows) + "];")
+    result = import_calibration([written(tmp_path / "cal.m", "\n".join(lines))], SIZES)
+    assert result.calibration.camera.distortion == RIG.camera.distortion
+    np.testing.assert_allclose(result.calibration.T_proj_from_cam, RIG.motion, atol=1e-9)
+
+
 def test_conventions_are_those_of_their_equations():
     R, T, x = RIG.rotation, RIG.translation_mm, np.array([3.0, -5.0, 200.0])
     expected = {

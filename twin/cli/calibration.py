@@ -1,6 +1,7 @@
 """Commands for calibrations: from captures of a board, and from files of other programs."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
@@ -162,24 +163,13 @@ def import_calibration(
     from twin.output import output_folder
     from twin.pipeline.calibration import CALIBRATION_FILE, write_imported
 
-    options = Importing(
-        camera_size,
-        projector_size,
-        unit,
-        projector_first,
-        standoff_mm,
-        parsed_keys(key or ()),
-        pose,
-        baseline_mm,
-    )
+    options = Importing(camera_size, projector_size, unit, projector_first, standoff_mm)
+    options = replace(options, keys=parsed_keys(key or ()), pose=pose, baseline_mm=baseline_mm)
     imported = read(files, options, None if check is None else corresponding_points(check))
     with output_folder(out, files) as folder:
         figures = write_imported(folder, imported)
-    say(f"format: {', '.join(imported.formats)}")
-    for quantity, name in imported.used.items():
-        say(f"{quantity}: {name}")
-    read_as = imported.pose
-    say(f"R and T: {read_as.convention}{f' ({read_as.reason})' if read_as.reason else ''}")
+    for line in imported.summary():
+        say(line)
     print_metrics(figures)
     say(f"wrote {out / CALIBRATION_FILE}")
 
