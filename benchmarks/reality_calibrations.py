@@ -26,8 +26,8 @@ from tests.corpus.calibrations import LAYOUTS, Layout, Rig, misread, random_rig
 CASES = Path(__file__).parents[1] / "../shared/cases/07_calibrations"
 # Assumed for a public file without the projector's size.
 PROJECTOR_SIZE = (1920, 1080)
-# The program's sample capture, with a Gray code in steps of two pixels, has rows up to 767. With this
-# size its points are 2.6 px from the epipolar lines (median).
+# The program's sample capture has Gray code rows up to 767. In steps of two pixels, with this size,
+# the median distance of its points from the epipolar lines is 2.6 px.
 KAMINO_PROJECTOR_SIZE = (2048, 1536)
 RIGS, QUICK_RIGS = 10, 1
 

@@ -92,7 +92,7 @@ class Imported:
     formats: tuple[str, ...]
 
     def summary(self) -> Iterator[str]:
-        """Yield lines of text: the formats, the name of each quantity, the convention of R and T."""
+        """Yield lines of text: formats, name of each quantity, convention of R and T."""
         yield f"format: {', '.join(self.formats)}"
         for quantity, name in self.used.items():
             yield f"{quantity}: {name}"

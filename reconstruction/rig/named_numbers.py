@@ -114,9 +114,13 @@ class NamedNumbers:
         sizes : allowed numbers of elements, which select the names that the message lists
         """
         fitting = [name for name, values in self.numbers.items() if values.size in sizes]
+        device = key.partition("_")[0]
+        is_single = all(name.startswith("camera/") for name in self.numbers)
+        file = f"give the {device}'s file as well, or " if is_single and device in DEVICES else ""
         return InputError(
             f"no {quantity} is found; the file holds {few(sorted(self.numbers)) or '-'}, of the "
-            f"right size {', '.join(sorted(fitting)[:8]) or 'none'}; name it by --key {key}=NAME"
+            f"right size {', '.join(sorted(fitting)[:8]) or 'none'}; {file}name it by --key "
+            f"{key}=NAME"
         )
 
     def _first(self, label: str, forms: Sequence[str], sizes: Collection[int]) -> FloatArray | None:

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.reality_calibrations import CASES, public_rigs
 from reconstruction.errors import CaptureError
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.imported_lens import MOST_REFIT_PX
@@ -28,6 +29,26 @@ def test_each_layout_gives_back_the_rig(name: str, tmp_path: Path):
     result = import_calibration(layout.write(tmp_path, RIG), layout.options(RIG))
     assert result.refit_px == (0.0, 0.0)
     assert misread(result, layout, RIG) == []
+
+
+def test_a_misread_quantity_is_reported(tmp_path: Path):
+    """The oracle of the layouts can fail: each changed quantity is named."""
+    result = import_calibration(of_scanner(tmp_path), SIZES)
+    other = replace(CAMERA, height_px=481, cx_px=322.0)
+    changed = replace(RIG, camera=other, translation_mm=1.001 * TRANSLATION_MM)
+    assert misread(result, LAYOUTS["scan3d"], changed) == [
+        "camera size",
+        "camera matrix",
+        "translation",
+    ]
+
+
+def test_public_files_are_read_right():
+    found = list(public_rigs(CASES))
+    if not found:
+        pytest.skip("needs ../shared/cases")
+    for files, rig, layout in found:
+        assert misread(import_calibration(files, layout.options(rig)), layout, rig) == []
 
 
 def test_the_world_lies_where_the_axes_come_nearest(tmp_path: Path):

@@ -218,6 +218,7 @@ DAMAGED = [
     (edited(of_colmap, "cameras.txt", "640 480", "640"), "allowed ID MODEL WIDTH HEIGHT"),
     (edited(of_colmap, "images.txt", " 7 view", " view"), "images.txt: found '1 .*CAMERA_ID NAME"),
     (edited(of_scanner_sim, "camera_geometry.json", '"dist"', '"d"'), "dist: found shape none"),
+    (lambda home: of_scanner_sim(home)[:1], "matrix of the projector .*; give the projector's file"),
     (text_of("rig.txt", "only words\nand more words\n"), "found no name with numbers"),
     (text_of("rig.json", "{ 1"), "rig.json: cannot be read"),
     (text_of("rig.yaml", "a: [1, 2"), "rig.yaml: line [12]: is no YAML"),
