@@ -44,6 +44,9 @@ QUANTITIES = (
 )
 """Quantities that `--key QUANTITY=NAME` can assign to a name in a file."""
 
+# Largest number of a calibration; squares of it are finite.
+_MOST = 1e100
+
 NO_DISTORTION = "none"
 """Name for `--key camera_distortion=none`: the lens has no distortion."""
 
@@ -130,9 +133,15 @@ class NamedNumbers:
         for form in forms:
             for name in by_name.get(form, ()):
                 if self.numbers[name].size in sizes:
-                    self.used[label] = name
-                    return self.numbers[name]
+                    return self._used(label, name)
         return None
+
+    def _used(self, label: str, name: str) -> FloatArray:
+        values = self.numbers[name]
+        if not bool(np.all(np.abs(values) < _MOST)):
+            raise InputError(f"{name} is {values.tolist()}; allowed are finite numbers")
+        self.used[label] = name
+        return values
 
     def _keyed(self, key: str, label: str, name: str, sizes: Collection[int]) -> FloatArray:
         if name == NO_DISTORTION and key.endswith("distortion"):
@@ -149,8 +158,7 @@ class NamedNumbers:
                 f"--key {key}={name}: found {values.size} numbers, allowed "
                 f"{' or '.join(map(str, sorted(sizes)))}"
             )
-        self.used[label] = name
-        return values
+        return self._used(label, name)
 
 
 def parsed_keys(assignments: Sequence[str]) -> dict[str, str]:

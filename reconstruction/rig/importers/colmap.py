@@ -44,7 +44,7 @@ class Colmap(Importer):
     def read(self, path: Path) -> dict[str, FloatArray]:
         """Return matrix, distortion and size of both devices, and R and T between them."""
         cameras = path.with_name(_CAMERAS) if path.name == _IMAGES else path
-        rows = [line.split() for line in _lines(cameras)]
+        rows = [line.split() for line in _lines(cameras) if line.strip()]
         if len(rows) != 2:
             raise CaptureError(
                 f"{cameras}: found {counted(len(rows), 'camera')}, allowed 2: camera and "

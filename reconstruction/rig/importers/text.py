@@ -15,9 +15,8 @@ from reconstruction.reading import read_text
 from reconstruction.rig.importers import IMPORTERS, Importer
 
 _SUFFIXES = (".txt", ".slcalib", ".m", ".ini", ".cfg", ".dat")
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_NUMBERS = re.compile(rf"[\s,;\[\](){{}}]*(?:{_NUMBER}[\s,;\[\](){{}}]*)*")
-_NAMED = re.compile(r"\s*\[?\s*([A-Za-z_][\w .\-]*?)\s*\]?\s*[:=]?\s*([\s\d+\-.,;\[\](){}eE]*)$")
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_SEPARATORS = str.maketrans(dict.fromkeys(",;:=[](){}", " "))
 MOST_BYTES = 1_000_000
 
 
@@ -43,21 +42,24 @@ class Text(Importer):
         for line in lines:
             if not line.strip() or line.lstrip().startswith(("#", "%", "//")):
                 continue
-            rest = line
-            if not _NUMBERS.fullmatch(line):
-                name, rest = _split(line)
+            words, values = _split(line)
+            if words:
+                name = words if words[0].isalpha() or words[0] == "_" else ""
             if name:
-                numbers.setdefault(name, []).extend(map(float, re.findall(_NUMBER, rest)))
+                numbers.setdefault(name, []).extend(values)
         found = {name: np.array(values) for name, values in numbers.items() if values}
         if not found:
             raise CaptureError(f"{path}: found no name with numbers; write NAME, then its numbers")
         return found
 
 
-def _split(line: str) -> tuple[str, str]:
-    """Return the name and the numbers of a line; two empty texts if the line has another form."""
-    match = _NAMED.fullmatch(line)
-    return (match[1], match[2]) if match else ("", "")
+def _split(line: str) -> tuple[str, list[float]]:
+    """Return the words of a line as a name, "" if there are none, and the numbers that follow."""
+    words = line.translate(_SEPARATORS).split()
+    first = len(words)
+    while first and _NUMBER.fullmatch(words[first - 1]):
+        first -= 1
+    return " ".join(words[:first]), [float(word) for word in words[first:]]
 
 
 IMPORTERS.register(Text())
