@@ -102,6 +102,10 @@ def _refitted(name: str, start: Pinhole, lens: ImportedLens) -> tuple[Pinhole, f
         return missed
 
     begin = np.array([start.fx_px, start.fy_px, start.cx_px, start.cy_px, 0.0, 0.0, 0.0, 0.0, 0.0])
+    if not np.all(np.isfinite(residual_px(begin))):
+        raise InputError(
+            f"the {name}'s lens has no rays in parts of its image; found {lens.distortion.tolist()}"
+        )
     solved: Any = least_squares(residual_px, begin, x_scale="jac", xtol=1e-14, ftol=1e-14)
     largest = float(np.abs(residual_px(solved.x)).max())
     if not largest <= MOST_REFIT_PX:
