@@ -27,6 +27,7 @@ from reconstruction.calibration.plane_images import centre_bias_px
 from reconstruction.calibration.plausibility import adjustment_checks, misfits, pupil_doubt
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.epipolar import epipolar_residuals_px
 from reconstruction.rig.plausibility import Check, implausible, require_plausible
 
 COVERAGE_FACTOR = 2.0
@@ -121,28 +122,6 @@ def pose_residuals(fit: Adjustment, observations: Sequence[Observation]) -> list
             )
         )
     return rows
-
-
-def epipolar_residuals_px(rig: RigEstimate | Calibration, measured_px: FloatArray) -> FloatArray:
-    """Return the signed distances (n,) of projector points from epipolar lines, px.
-
-    The epipolar line of a projector point is that of the corresponding camera point.
-
-    Parameters
-    ----------
-    rig : geometry of both devices
-    measured_px : (n, 4) float, camera x, y, projector column, row
-
-    Notes
-    -----
-    The distance is that in the undistorted projector image, in pixels by the focal lengths.
-    """
-    T = rig.T_proj_from_cam
-    camera_rays = _rays(rig.camera.unproject(measured_px[:, :2]))
-    projector_rays = _rays(rig.projector.unproject(measured_px[:, 2:]))
-    lines = np.cross(T[:3, 3], camera_rays @ T[:3, :3].T)
-    per_px = lines[:, :2] / (rig.projector.fx_px, rig.projector.fy_px)
-    return np.asarray(np.sum(lines * projector_rays, axis=1) / np.linalg.norm(per_px, axis=1))
 
 
 def pupil_diameter_mm(fit: Adjustment) -> float:

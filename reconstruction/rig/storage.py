@@ -11,7 +11,7 @@ a file can use. Neither converts a text to a number; this module does.
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -30,6 +30,7 @@ MOST_BYTES, MOST_LINE, MOST_NESTED = 1_000_000, 1000, 32
 _WHOLE_TYPES = ("u", "c", "w", "s", "i")
 _TAG = f"tag:yaml.org,2002:{MATRIX}"
 _NO_BLANK = re.compile(r':(?=[\[{]|"[^,\]}\s])')
+_SEVERAL = re.compile(r'"?([2-9])([a-z])"?')
 _WHOLE = re.compile(r"[+-]?\d{1,18}")
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?")
 # Without the C library of PyYAML the same events take 10 x the time.
@@ -69,16 +70,20 @@ def parse_storage(text: str, heads: tuple[str, ...] = (YAML,)) -> dict[str, Any]
         raise InputError(
             f"is no OpenCV calibration; the first line must begin with {' or '.join(heads)}"
         )
-    longest = max(map(len, text.splitlines()))
+    _require_small(text)
+    content = _of_yaml(text) if text.startswith(YAML) else _of_xml(text)
+    if not isinstance(content, dict):
+        raise InputError("is no calibration: found no key")
+    return content
+
+
+def _require_small(text: str) -> None:
+    longest = max(map(len, text.splitlines()), default=0)
     if len(text) > MOST_BYTES or longest > MOST_LINE:
         raise InputError(
             f"is no calibration: found {len(text)} characters in lines of up to {longest}, "
             f"allowed {MOST_BYTES} and {MOST_LINE}"
         )
-    content = _of_yaml(text) if text.startswith(YAML) else _of_xml(text)
-    if not isinstance(content, dict):
-        raise InputError("is no calibration: found no key")
-    return content
 
 
 def numbers_in(path: Path) -> dict[str, FloatArray]:
@@ -88,11 +93,50 @@ def numbers_in(path: Path) -> dict[str, FloatArray]:
     ------
     CaptureError : as `read_storage`
     """
-    return dict(_numbers(read_storage(path, (YAML, XML)), ""))
+    return numbers_of_tree(read_storage(path, (YAML, XML)))
+
+
+def read_yaml(path: Path, is_first: bool = False) -> dict[str, Any]:
+    """Return the content of a YAML file without OpenCV's first line: maps, lists, numbers, texts.
+
+    Parameters
+    ----------
+    is_first : read only the first document of several, as a recorded ROS topic has them
+
+    Raises
+    ------
+    CaptureError : the file is missing, is no YAML map, or is longer or more deeply nested than
+        allowed; for a fault in YAML the message has the line number
+    """
+    try:
+        text = read_text(path)
+        if is_first:
+            text = re.split(r"(?m)^---[ \t]*$", text.removeprefix("---"), maxsplit=1)[0]
+    except InputError as error:
+        raise CaptureError(str(error)) from None
+    try:
+        _require_small(text)
+        content = _yaml_tree(text)
+        if not isinstance(content, dict):
+            raise InputError("is no calibration: found no key")
+        return content
+    except InputError as error:
+        raise CaptureError(f"{shown(path)}: {error}") from None
+
+
+def numbers_of_tree(tree: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """Return every number, matrix and list of numbers in nested maps by its path, e.g. `a/b`.
+
+    A map with the keys rows, cols and data is a matrix; so are lists of equally long lists.
+    """
+    return dict(_numbers(tree, ""))
 
 
 def _numbers(node: Any, path: str) -> Iterator[tuple[str, FloatArray]]:
-    if isinstance(node, dict):
+    matrix = _stored_matrix(node)
+    if matrix is not None:
+        yield path, matrix
+    elif isinstance(node, dict):
         for key, inner in node.items():
             yield from _numbers(inner, f"{path}/{key}" if path else key)
     elif isinstance(node, np.ndarray) or _is_number(node):
@@ -101,12 +145,38 @@ def _numbers(node: Any, path: str) -> Iterator[tuple[str, FloatArray]]:
         yield path, np.array(node, np.float64)
 
 
+def _stored_matrix(node: Any) -> FloatArray | None:
+    """Return the matrix of a map with rows, cols and data, or of a list of rows; else None.
+
+    A map with sizes and data is a vector or an array of more axes (OpenCV 5, `opencv-nd-matrix`).
+    """
+    if isinstance(node, dict) and {"sizes", "data"} <= node.keys():
+        sizes = node["sizes"] if isinstance(node["sizes"], list) else [node["sizes"]]
+        node = {"rows": math.prod(sizes) if all(isinstance(n, int) for n in sizes) else 0} | node
+        node["cols"] = 1
+    if isinstance(node, dict) and {"rows", "cols", "data"} <= node.keys():
+        data, shape = node["data"], (node["rows"], node["cols"])
+        is_list = isinstance(data, list) and all(map(_is_number, data))
+        whole = all(isinstance(length, int) for length in shape)
+        if is_list and whole and shape[0] * shape[1] == len(data):
+            return np.array(data, np.float64).reshape(shape)
+    is_rows = isinstance(node, list) and node and all(isinstance(row, list) for row in node)
+    if is_rows and len({len(row) for row in node}) == 1:
+        numbers = [number for row in node for number in row]
+        if numbers and all(map(_is_number, numbers)):
+            return np.array(node, np.float64)
+    return None
+
+
 def _of_yaml(text: str) -> Any:
     # Forms of OpenCV that no YAML parser reads: the first line %YAML:1.0, and in brackets no blank
     # between a colon and a bracket or a text.
-    content = _NO_BLANK.sub(": ", "\n".join(["", *text.split("\n")[1:]]))
+    return _yaml_tree(_NO_BLANK.sub(": ", "\n".join(["", *text.split("\n")[1:]])))
+
+
+def _yaml_tree(text: str) -> Any:
     try:
-        return _Nodes(yaml.parse(content, Loader=_LOADER)).document()
+        return _Nodes(yaml.parse(text, Loader=_LOADER)).document()
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise InputError(f"line {line}: is no YAML: {error.problem}") from None
@@ -211,14 +281,23 @@ def _matrix(where: str, entries: Any) -> FloatArray:
     numbers = data if isinstance(data, list) else [data]
     if not all(map(_is_number, numbers)):
         raise InputError(f"{where}: data of a matrix is no list of finite numbers")
-    whole = dt in _WHOLE_TYPES and all(isinstance(number, int) for number in numbers)
-    if dt not in ("d", "f") and not whole:
+    channels, kind = _channels(dt)
+    whole = kind in _WHOLE_TYPES and all(isinstance(number, int) for number in numbers)
+    if kind not in ("d", "f") and not whole:
         raise InputError(f"{where}: a matrix is of dt: {dt}; write d, its numbers are reals")
     if not (isinstance(rows, int) and isinstance(cols, int) and min(rows, cols) > 0):
         raise InputError(f"{where}: a matrix has {rows} rows and {cols} cols")
-    if rows * cols != len(numbers):
+    if rows * cols * channels != len(numbers):
         raise InputError(
-            f"{where}: a matrix of {rows} rows and {cols} cols holds {len(numbers)} numbers"
+            f"{where}: a matrix of {rows} rows and {cols} cols{f' of dt {dt}' * (channels > 1)} "
+            f"holds {len(numbers)} numbers"
         )
-    exact = np.array(numbers, np.float32 if dt == "f" else np.float64)
-    return np.asarray(exact.reshape(rows, cols), np.float64)
+    exact = np.array(numbers, np.float32 if kind == "f" else np.float64)
+    shape = (rows, cols) if channels == 1 else (rows, cols, channels)
+    return np.asarray(exact.reshape(shape), np.float64)
+
+
+def _channels(dt: Any) -> tuple[int, Any]:
+    """Return the numbers per element and the type of a matrix: (2, "f") for "2f", as of points."""
+    match = _SEVERAL.fullmatch(dt) if isinstance(dt, str) else None
+    return (int(match[1]), match[2]) if match else (1, dt)

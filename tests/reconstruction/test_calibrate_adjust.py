@@ -16,10 +16,11 @@ from reconstruction.calibration import (
     length_errors_mm,
     locate_features,
 )
-from reconstruction.calibration.pipeline import epipolar_residuals_px, parameters_of
+from reconstruction.calibration.pipeline import parameters_of
 from reconstruction.calibration.plane_images import centre_bias_px
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration, read_calibration, write_calibration
+from reconstruction.rig.epipolar import epipolar_residuals_px
 from reconstruction.rig.pinhole import Pinhole
 
 BOARD = DotBoard(9, 7, 3.0, 1.2, 1.8)

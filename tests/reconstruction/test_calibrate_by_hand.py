@@ -11,12 +11,12 @@ from reconstruction.calibration.features import find_dots, refine_centres
 from reconstruction.calibration.observation import relative_brightness, white_print
 from reconstruction.calibration.pipeline import (
     calibration_of,
-    epipolar_residuals_px,
     parameters_of,
     pose_residuals,
     pupil_diameter_mm,
 )
 from reconstruction.rig.calibration import Calibration
+from reconstruction.rig.epipolar import epipolar_residuals_px
 from reconstruction.rig.pinhole import Pinhole
 
 ROW, COL = np.mgrid[:120, :160].astype(float)

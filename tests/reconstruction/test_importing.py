@@ -1,127 +1,54 @@
 """Calibrations of other programs: each layout gives back the rig that it was written from."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from scipy.io import savemat
 
+from benchmarks.reality_calibrations import CASES, public_rigs
 from reconstruction.errors import CaptureError
 from reconstruction.rig.calibration import Calibration
-from reconstruction.rig.importing import MOST_REFIT_PX, Importing, import_calibration
-from reconstruction.rig.pinhole import Pinhole
+from reconstruction.rig.imported_lens import MOST_REFIT_PX
+from reconstruction.rig.importing import Importing, import_calibration
+from tests.corpus.calibrations import LAYOUTS, RIG, matrix, misread, of_opencv, of_scanner, stored
 
-CAMERA = Pinhole(640, 480, 1800.0, 1795.0, 321.5, 238.25, (-0.11, 0.07, 4e-4, -3e-4, 0.02))
-PROJECTOR = Pinhole(912, 1140, 1400.0, 2790.0, 455.0, 1139.5, (0.01, -0.02, 1e-4, 2e-4, 0.0))
-ROTATION = np.asarray(cv2.Rodrigues(np.array([0.05, -0.42, 0.02]))[0])
-TRANSLATION_MM = np.array([98.0, 6.0, 21.0])
+CAMERA, PROJECTOR, ROTATION, TRANSLATION_MM = (
+    RIG.camera,
+    RIG.projector,
+    RIG.rotation,
+    RIG.translation_mm,
+)
 SIZES = Importing(camera_size=(640, 480), projector_size=(912, 1140))
 
 
-def matrix(device: Pinhole, skew: float = 0.0) -> np.ndarray:
-    return np.array(
-        [[device.fx_px, skew, device.cx_px], [0, device.fy_px, device.cy_px], [0, 0, 1.0]]
-    )
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_each_layout_gives_back_the_rig(name: str, tmp_path: Path):
+    layout = LAYOUTS[name]
+    result = import_calibration(layout.write(tmp_path, RIG), layout.options(RIG))
+    assert result.refit_px == (0.0, 0.0)
+    assert misread(result, layout, RIG) == []
 
 
-def stored(path: Path, **values: np.ndarray | int) -> Path:
-    """Write as cv2.FileStorage does; XML or YAML by the suffix."""
-    storage = cv2.FileStorage(str(path), cv2.FileStorage_WRITE)
-    for name, value in values.items():
-        storage.write(name, value)
-    storage.release()
-    return path
-
-
-def of_opencv(home: Path) -> list[Path]:
-    """Two files with the names of OpenCV's sample stereo_calib, rectification among them."""
-    extrinsic = {"R": ROTATION, "T": TRANSLATION_MM.reshape(3, 1), "R1": np.eye(3), "R2": np.eye(3)}
-    more = {"P1": np.eye(3, 4), "P2": np.eye(3, 4), "Q": np.eye(4)}
-    inside = {
-        "M1": matrix(CAMERA), "D1": np.array([CAMERA.distortion]),
-        "M2": matrix(PROJECTOR), "D2": np.array([PROJECTOR.distortion]),
-    }  # fmt: skip
-    return [
-        stored(home / "intrinsics.yml", **inside),
-        stored(home / "extrinsics.yml", **extrinsic, **more),
+def test_a_misread_quantity_is_reported(tmp_path: Path):
+    """The oracle of the layouts can fail: each changed quantity is named."""
+    result = import_calibration(of_scanner(tmp_path), SIZES)
+    other = replace(CAMERA, height_px=481, cx_px=322.0)
+    changed = replace(RIG, camera=other, translation_mm=1.001 * TRANSLATION_MM)
+    assert misread(result, LAYOUTS["scan3d"], changed) == [
+        "camera size",
+        "camera matrix",
+        "translation",
     ]
 
 
-def of_scanner(home: Path, camera: Pinhole = CAMERA) -> list[Path]:
-    """The names of scan3d-capture."""
-    result = {
-        "cam_K": matrix(camera), "cam_kc": np.array([camera.distortion]).T,
-        "proj_K": matrix(PROJECTOR), "proj_kc": np.array([PROJECTOR.distortion]).T,
-        "R": ROTATION, "T": TRANSLATION_MM.reshape(3, 1),
-        "cam_error": np.array([[0.1]]), "proj_error": np.array([[0.2]]),
-    }  # fmt: skip
-    return [stored(home / "calibration.yml", **result)]
-
-
-def of_xml(home: Path) -> list[Path]:
-    """XML with long names, a rotation vector, and sizes."""
-    result = {
-        "camera_matrix_left": matrix(CAMERA), "dist_coeffs_left": np.array([CAMERA.distortion]),
-        "camera_matrix_right": matrix(PROJECTOR),
-        "dist_coeffs_right": np.array([PROJECTOR.distortion]),
-        "rvec": cv2.Rodrigues(ROTATION)[0], "tvec": TRANSLATION_MM.reshape(3, 1),
-        "width_left": 640, "height_left": 480, "width_right": 912, "height_right": 1140,
-    }  # fmt: skip
-    return [stored(home / "stereo.xml", **result)]
-
-
-def of_toolbox(home: Path) -> list[Path]:
-    """Calib_Results_stereo.mat of the Camera Calibration Toolbox for MATLAB."""
-    result: dict[str, object] = {"om": cv2.Rodrigues(ROTATION)[0], "T": TRANSLATION_MM[:, None]}
-    for side, device in (("left", CAMERA), ("right", PROJECTOR)):
-        result |= {
-            f"fc_{side}": np.array([[device.fx_px], [device.fy_px]]),
-            f"cc_{side}": np.array([[device.cx_px], [device.cy_px]]),
-            f"kc_{side}": np.array([device.distortion]).T,
-            f"alpha_c_{side}": 0.0,
-        }
-    savemat(home / "Calib_Results_stereo.mat", result)
-    return [home / "Calib_Results_stereo.mat"]
-
-
-def of_calibrator(home: Path) -> list[Path]:
-    """A structure of MATLAB's stereoParameters: rows times matrices, the first pixel is (1, 1)."""
-    result: dict[str, object] = {
-        "RotationOfCamera2": ROTATION.T,
-        "TranslationOfCamera2": TRANSLATION_MM[None],
-    }
-    for number, device in ((1, CAMERA), (2, PROJECTOR)):
-        k1, k2, p1, p2, k3 = device.distortion
-        from_one = matrix(device) + np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
-        result[f"CameraParameters{number}"] = {
-            "IntrinsicMatrix": from_one.T,
-            "RadialDistortion": np.array([k1, k2, k3]),
-            "TangentialDistortion": np.array([p1, p2]),
-            "ImageSize": np.array([device.height_px, device.width_px]),
-        }
-    savemat(home / "stereo.mat", result)
-    return [home / "stereo.mat"]
-
-
-LAYOUTS = [of_opencv, of_scanner, of_xml, of_toolbox, of_calibrator]
-
-
-@pytest.mark.parametrize("written", LAYOUTS)
-def test_each_layout_gives_back_the_rig(written: Callable[[Path], list[Path]], tmp_path: Path):
-    needs_sizes = written not in (of_xml, of_calibrator)
-    result = import_calibration(written(tmp_path), SIZES if needs_sizes else Importing())
-    assert result.refit_px == (0.0, 0.0)
-    rig = result.calibration
-    for device, expected in ((rig.camera, CAMERA), (rig.projector, PROJECTOR)):
-        values = (device.fx_px, device.fy_px, device.cx_px, device.cy_px, *device.distortion)
-        wanted = (expected.fx_px, expected.fy_px, expected.cx_px, expected.cy_px)
-        np.testing.assert_allclose(values, (*wanted, *expected.distortion), rtol=1e-12, atol=1e-12)
-        assert (device.width_px, device.height_px) == (expected.width_px, expected.height_px)
-    np.testing.assert_allclose(rig.T_proj_from_cam[:3, :3], ROTATION, atol=1e-9)
-    np.testing.assert_allclose(rig.T_proj_from_cam[:3, 3], TRANSLATION_MM, atol=1e-9)
+def test_public_files_are_read_right():
+    found = list(public_rigs(CASES))
+    if not found:
+        pytest.skip("needs ../shared/cases")
+    for files, rig, layout in found:
+        assert misread(import_calibration(files, layout.options(rig)), layout, rig) == []
 
 
 def test_the_world_lies_where_the_axes_come_nearest(tmp_path: Path):
@@ -163,7 +90,7 @@ def test_an_implausible_rig_is_rejected(tmp_path: Path):
         import_calibration(of_scanner(tmp_path), replace(SIZES, unit="m"))
     short = replace(CAMERA, fx_px=12.0, fy_px=12.0)
     with pytest.raises(CaptureError, match="camera_field_of_view_deg is 17"):
-        import_calibration(of_scanner(tmp_path, short), SIZES)
+        import_calibration(of_scanner(tmp_path, replace(RIG, camera=short)), SIZES)
 
 
 @pytest.mark.parametrize("skew", [0.0, 0.02])
@@ -246,9 +173,9 @@ def test_the_command_writes_a_calibration_that_a_capture_takes(tmp_path: Path, c
 
 
 def test_an_unknown_format_is_an_error_that_lists_the_known_ones(tmp_path: Path):
-    path = tmp_path / "rig.json"
-    path.write_text("{}")
-    with pytest.raises(CaptureError, match=r"rig\.json: .*matlab: .*\.mat.*; opencv: .*%YAML"):
+    path = tmp_path / "rig.docx"
+    path.write_text("{}"[::-1])
+    with pytest.raises(CaptureError, match=r"rig\.docx: .*matlab: .*\.mat.*; opencv: .*%YAML"):
         import_calibration([path], SIZES)
     with pytest.raises(CaptureError, match=r"missing\.yml: cannot be read"):
         import_calibration([tmp_path / "missing.yml"], SIZES)

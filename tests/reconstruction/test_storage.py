@@ -13,7 +13,7 @@ from benchmarks.damage import damaged_bytes
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.rig import storage
 from reconstruction.rig.calibration import read_calibration, write_calibration
-from reconstruction.rig.storage import XML, YAML, numbers_in, parse_storage
+from reconstruction.rig.storage import XML, YAML, numbers_in, numbers_of_tree, parse_storage
 
 NUMBERS = st.floats(-1e30, 1e30)
 
@@ -90,7 +90,7 @@ def test_text_that_is_no_storage_is_rejected_with_its_line(content, message, loa
         (("rows: 2", "rows: 3"), "a matrix of 3 rows and 2 cols holds 4 numbers"),
         (("rows: 2", "rows: -2"), "a matrix has -2 rows"),
         (("rows: 2", "rows: 2.5"), "a matrix has 2.5 rows"),
-        (("dt: d", "dt: 3d"), "a matrix is of dt: 3d"),
+        (("dt: d", "dt: 3d"), "a matrix of 2 rows and 2 cols of dt 3d holds 4 numbers"),
         (("dt: d", "dt: u"), "a matrix is of dt: u; write d"),
         (("1., 2.", "1., two"), "data of a matrix is no list of finite numbers"),
         (("1., 2.", "1., .Nan"), "data of a matrix is no list of finite numbers"),
@@ -109,6 +109,18 @@ def test_nested_brackets_of_opencv_are_read():
     """OpenCV writes no blank between the colon and a bracket or number in brackets."""
     text = '%YAML:1.0\n---\na: { x:1, s:[ 1, 2.5 ],\n    q:{ b:-2e-07, c:"x:1" } }\n'
     assert parse_storage(text)["a"] == {"x": 1, "s": [1, 2.5], "q": {"b": -2e-07, "c": "x:1"}}
+
+
+def test_points_and_vectors_are_read():
+    """Points have two numbers per element (dt: 2f); OpenCV 5 stores a vector by its sizes."""
+    points = np.arange(12, dtype=np.float32).reshape(2, 3, 2)
+    for end in (".yml", ".xml"):
+        storage = cv2.FileStorage(end, cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
+        storage.write("points", points)
+        storage.write("t", np.array([1.0, 2.0, 3.0]))
+        tree = parse_storage(storage.releaseAndGetString(), (YAML, XML))
+        np.testing.assert_array_equal(tree["points"], points)
+        np.testing.assert_array_equal(numbers_of_tree(tree)["t"].ravel(), [1.0, 2.0, 3.0])
 
 
 def test_whole_numbers_of_whole_types_are_taken():

@@ -1,8 +1,11 @@
 """Commands for calibrations: from captures of a board, and from files of other programs."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
+
+from cyclopts import Parameter
 
 from twin.cli.app import (
     Out,
@@ -18,13 +21,20 @@ if TYPE_CHECKING:
     from twin.config import Experiment
 
 Coefficient = Literal["k1", "k2", "p1", "p2", "k3"]
+_KEY_HELP = (
+    "QUANTITY=NAME in the file, repeatable, for names that are not known; for example "
+    "camera_matrix=Kc; QUANTITY: camera_matrix, camera_distortion (NAME none: no distortion), "
+    "camera_size, camera_shape, camera_width, camera_height, the same of projector, rotation, "
+    "translation, motion (4 x 4)"
+)
 _TAKING_COEFFICIENTS = ("--camera-distortion", "--projector-distortion")
 
 
 def with_repeated_options(words: Sequence[str]) -> list[str]:
     """Return the words of a command line with one `--camera-distortion` per coefficient.
 
-    The same is done for `--projector-distortion`: `k1 k2` after the option becomes two options.
+    The same is done for `--projector-distortion`: `k1 k2`, `k1,k2` or `=k1 k2` after the option
+    becomes two options.
 
     Without this, Cyclopts assigns to an option either one word or all following words, including
     the source.
@@ -32,12 +42,15 @@ def with_repeated_options(words: Sequence[str]) -> list[str]:
     written: list[str] = []
     option = ""
     for word in words:
-        if word.startswith("-"):
-            option = word if word in _TAKING_COEFFICIENTS else ""
-        elif option and word in get_args(Coefficient) and written[-1] != option:
-            written.append(option)
-        else:
-            option = option if word in get_args(Coefficient) else ""
+        name, _, assigned = word.partition("=")
+        if name in _TAKING_COEFFICIENTS:
+            option = name
+        coefficients = (assigned if name == option else word).split(",")
+        if option and set(coefficients) <= set(get_args(Coefficient)):
+            for coefficient in coefficients:
+                written += [coefficient] if written[-1:] == [option] else [option, coefficient]
+            continue
+        option = option if word == option else ""
         written.append(word)
     return written
 
@@ -111,7 +124,11 @@ def import_calibration(
     out: Out,
     camera_size: tuple[int, int] | None = None,
     projector_size: tuple[int, int] | None = None,
-    unit: Literal["mm", "cm", "m"] = "mm",
+    unit: Literal["mm", "cm", "m"] | None = None,
+    baseline_mm: float | None = None,
+    pose: Literal["forward", "inverse", "transposed", "position"] | None = None,
+    check: Path | None = None,
+    key: Annotated[list[str] | None, Parameter(help=_KEY_HELP)] = None,
     projector_first: bool = False,
     standoff_mm: float | None = None,
 ) -> None:
@@ -120,28 +137,39 @@ def import_calibration(
     Parameters
     ----------
     files
-        YAML, XML or MAT files that together hold both camera matrices, distortions, R and T.
+        Files that together hold both camera matrices, distortions, R and T.
     camera_size, projector_size
         Width and height, px, if no file contains them.
     unit
-        Unit of the lengths in the files.
+        Unit of the lengths in the files. Default: that of the format (ROS, Kalibr: m), else mm.
+    baseline_mm
+        Distance between camera and projector, for files without a scale (COLMAP).
+    pose
+        Convention of R and T. forward: x_projector = R x_camera + T; inverse: x_camera = R
+        x_projector + T; transposed: R^T for R; position: T is the projector's position. Default:
+        forward, or the one that the capture of --check confirms.
+    check
+        Capture of any object, fringes along both axes; its points must be on epipolar lines.
     projector_first
         The first (left) device in the files is the projector.
     standoff_mm
         Distance from the camera to the origin of the world frame. Default: the origin is where the
         optical axes of camera and projector come nearest.
     """
+    from reconstruction.calibration.correspondences import corresponding_points
     from reconstruction.rig.importing import Importing
     from reconstruction.rig.importing import import_calibration as read
+    from reconstruction.rig.named_numbers import parsed_keys
     from twin.output import output_folder
     from twin.pipeline.calibration import CALIBRATION_FILE, write_imported
 
     options = Importing(camera_size, projector_size, unit, projector_first, standoff_mm)
-    imported = read(files, options)
+    options = replace(options, keys=parsed_keys(key or ()), pose=pose, baseline_mm=baseline_mm)
+    imported = read(files, options, None if check is None else corresponding_points(check))
     with output_folder(out, files) as folder:
         figures = write_imported(folder, imported)
-    for wanted, name in imported.used.items():
-        say(f"{wanted}: {name}")
+    for line in imported.summary():
+        say(line)
     print_metrics(figures)
     say(f"wrote {out / CALIBRATION_FILE}")
 

@@ -420,6 +420,8 @@ def write_imported(folder: Path, imported: Imported) -> dict[str, Any]:
         device = getattr(calibration, name)
         figures |= {f"{name}_width_px": device.width_px, f"{name}_height_px": device.height_px}
         figures |= {f"{name}_fx_px": device.fx_px, f"{name}_refit_px": refit_px}
+    if imported.pose.epipolar_px is not None:
+        figures["epipolar_px"] = imported.pose.epipolar_px
     write_calibration(folder / CALIBRATION_FILE, calibration)
     content = (folder / CALIBRATION_FILE).read_bytes()
     named = hashlib.blake2b(content, digest_size=8).hexdigest()

@@ -18,7 +18,9 @@ Minimal example:
     IMPORTERS.register(Plain())
 """
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import CaptureError, InputError, one_line
@@ -33,10 +35,17 @@ class Importer:
     ----------
     name : name of the format
     summary : one line of documentation, which also appears in error messages
+    unit : unit of length that the program always writes; None: that of the user's board
+    keys : name in the file by quantity, see `reconstruction.rig.named_numbers.QUANTITIES`, where
+        the program's names are not the usual ones
+    is_general : whether the format is not that of one program; such an importer is tried last
     """
 
     name: str
     summary: str
+    unit: str | None = None
+    keys: Mapping[str, str] = MappingProxyType({})
+    is_general: bool = False
 
     def recognises(self, path: Path) -> bool:
         """Return True if an existing file has this format, judged by its name or first bytes."""
@@ -58,6 +67,12 @@ IMPORTERS: Registry[Importer] = Registry(
 """All importers by the name of their format."""
 
 
+def head_of(path: Path) -> str:
+    """Return the first 64 kB of a file as text, by which importers recognise formats."""
+    with path.open("rb") as file:
+        return file.read(65536).decode("utf-8", "replace")
+
+
 def importer_of(path: Path) -> Importer:
     """Return the importer that recognises a calibration file.
 
@@ -67,7 +82,7 @@ def importer_of(path: Path) -> Importer:
     """
     try:
         file = regular_file(path)
-        for importer in IMPORTERS:
+        for importer in sorted(IMPORTERS, key=lambda importer: importer.is_general):
             if importer.recognises(file):
                 return importer
     except InputError as error:
