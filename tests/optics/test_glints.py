@@ -158,6 +158,18 @@ def test_flakes_cover_their_share_and_do_not_depend_on_the_region():
     assert {flake.tobytes() for flake in part} <= {flake.tobytes() for flake in flakes}
 
 
+def test_a_region_that_ends_on_the_border_of_a_cell_includes_the_next_cell(coat):
+    """The kernel reads the cell of the end of the region: without it, memory after the list."""
+    process = FlakeProcess.of(coat.facets, 3)
+    for number in range(5, 40):
+        cell_mm = process.within((0.0, 1.0, 0.0, 1.0)).cell_mm
+        end_mm = number * cell_mm - process.largest_mm
+        flakes = process.within((0.0, end_mm, 0.0, end_mm))
+        last = np.floor((end_mm + process.largest_mm) * (1.0 / cell_mm))
+        assert last < flakes.low[0] + flakes.cols
+        assert flakes.first.size > (last - flakes.low[1]) * flakes.cols
+
+
 def test_one_seed_gives_the_same_bytes_with_any_number_of_threads(coat, monkeypatch):
     images = []
     for count in (1, 3):
