@@ -145,6 +145,13 @@ def test_models_of_a_slab_refuse_a_field(model: str) -> None:
         MODELS[model].check(case)
 
 
+def test_a_pad_from_cad_refuses_the_field_but_no_other_key_of_a_sheet() -> None:
+    sheet = build_sheet(thickness_field={"rms_um": 1.0}, friction="stick")
+    case = PressInput(Mechanics(model="fem"), Ball(), sheet, Press(control="depth", depth_mm=0.1))
+    with pytest.raises(PressError, match=r"^elastomer\.thickness_field: found the table"):
+        MODELS["fem"].check(case)
+
+
 def test_only_experiments_with_a_field_have_another_digest() -> None:
     plain = load_experiment("examples/wrapped_balls")
     cast = vary(plain, {"elastomer.thickness_field.rms_um": 2.0})
