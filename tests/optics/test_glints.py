@@ -142,7 +142,10 @@ def test_the_cone_is_the_convolution_of_pupils_and_roughness(radii):
 
 
 def test_flakes_cover_their_share_and_do_not_depend_on_the_region():
-    """Share to 1 %, median by area to 1 %, slopes of GGX; a part of the region has equal flakes."""
+    """Share to 1 %, slopes of GGX; a part of the region has equal flakes.
+
+    The median by area is 1.3 % smaller than stated, by the cut of the diameters: 2 %.
+    """
     facets = glint_facets(diameter_spread=0.5)
     process = FlakeProcess.of(facets, 3)
     flakes = process.within((-10.0, 10.0, -10.0, 10.0)).flakes
@@ -302,9 +305,9 @@ def test_a_smooth_coat_is_traced_without_glints(mi, experiment, bump):
 
 
 def test_pixels_traced_by_samples_have_the_same_glints(mi, experiment, bump):
-    """All pixels by their mean position, and all by their samples: equal white frames, 1e-4.
+    """All pixels by their mean position, and all by their samples: equal white frames, 1e-6.
 
-    The fringes of both agree to 1 % of white: the error of a mean position.
+    The fringes of both agree to 0.1 % of white: the error of a mean position.
     """
     from twin.optics.one_trace import trace_stack
     from twin.pipeline import trace
@@ -320,8 +323,8 @@ def test_pixels_traced_by_samples_have_the_same_glints(mi, experiment, bump):
         for limit in (100.0, -1.0)
     )
     white = means.max(axis=0)
-    np.testing.assert_allclose(samples.max(axis=0), white, rtol=1e-3, atol=1e-3 * white.mean())
-    assert np.abs(samples - means)[:, white > 0].max() < 0.02 * white.max()
+    np.testing.assert_allclose(samples.max(axis=0), white, rtol=1e-6, atol=1e-6 * white.mean())
+    assert np.abs(samples - means)[:, white > 0].max() < 1e-3 * white.max()
 
 
 def test_pupils_shrink_in_a_gel_as_refraction_demands(mi):
