@@ -118,12 +118,38 @@ def test_a_map_smaller_than_the_sheet_is_refused(tmp_path: Path) -> None:
     assert sheet_thickness(cut) is not None
 
 
+def test_every_pixel_of_a_map_counts(tmp_path: Path) -> None:
+    """Setup: pixels of 0.02 mm, finer than other samples; a map of two pixels per side.
+
+    Expected: one pixel of 0.02 mm is an error; stripes of 50 um have the mean 0 on the sheet.
+    """
+
+    def read_um(map_mm: np.ndarray, pixel_mm: float) -> np.ndarray:
+        np.save(tmp_path / "map.npy", map_mm)
+        return sampled_um(file=str(tmp_path / "map.npy"), pixel_mm=pixel_mm)
+
+    stripes = 0.3 + 0.05 * np.cos(2 * np.pi * np.arange(501) / (500 / 128)) * np.ones((501, 1))
+    # 1 % of the amplitude: samples on both edges of the sheet count as whole ones.
+    assert abs(read_um(stripes, 0.02).mean()) < 0.5
+    assert np.ptp(read_um(np.array([[0.3, 0.32], [0.3, 0.32]]), 20.0)) == pytest.approx(10.0)
+    stripes[231, 262] = 0.02
+    with pytest.raises(PressError, match=r"the sheet is 0\.0199 to"):
+        read_um(stripes, 0.02)
+
+
 @pytest.mark.parametrize("model", ["spectral", "neo_hookean", "fem"])
 def test_models_of_a_slab_refuse_a_field(model: str) -> None:
     mechanics, load = Mechanics(model=model), Press(control="depth", depth_mm=0.1)
     case = PressInput(mechanics, Ball(), build_sheet(thickness_field={"rms_um": 1.0}), load)
     with pytest.raises(PressError, match=rf"\[elastomer.thickness_field\], which the {model}"):
         MODELS[model].check(case)
+
+
+def test_a_pad_from_cad_refuses_the_field_but_no_other_key_of_a_sheet() -> None:
+    sheet = build_sheet(thickness_field={"rms_um": 1.0}, friction="stick")
+    case = PressInput(Mechanics(model="fem"), Ball(), sheet, Press(control="depth", depth_mm=0.1))
+    with pytest.raises(PressError, match=r"^elastomer\.thickness_field: found the table"):
+        MODELS["fem"].check(case)
 
 
 def test_only_experiments_with_a_field_have_another_digest() -> None:

@@ -142,7 +142,10 @@ def test_the_cone_is_the_convolution_of_pupils_and_roughness(radii):
 
 
 def test_flakes_cover_their_share_and_do_not_depend_on_the_region():
-    """Share to 1 %, median by area to 1 %, slopes of GGX; a part of the region has equal flakes."""
+    """Share to 1 %, slopes of GGX; a part of the region has equal flakes.
+
+    The median by area is 1.3 % smaller than stated, by the cut of the diameters: 2 %.
+    """
     facets = glint_facets(diameter_spread=0.5)
     process = FlakeProcess.of(facets, 3)
     flakes = process.within((-10.0, 10.0, -10.0, 10.0)).flakes
@@ -156,6 +159,18 @@ def test_flakes_cover_their_share_and_do_not_depend_on_the_region():
     np.testing.assert_allclose(np.mean(slopes < facets.alpha), 0.5, atol=0.005)
     part = process.within((2.0, 3.0, -4.0, -3.5)).flakes
     assert {flake.tobytes() for flake in part} <= {flake.tobytes() for flake in flakes}
+
+
+def test_a_region_that_ends_on_the_border_of_a_cell_includes_the_next_cell(coat):
+    """The kernel reads the cell of the end of the region: without it, memory after the list."""
+    process = FlakeProcess.of(coat.facets, 3)
+    for number in range(5, 40):
+        cell_mm = process.within((0.0, 1.0, 0.0, 1.0)).cell_mm
+        end_mm = number * cell_mm - process.largest_mm
+        flakes = process.within((0.0, end_mm, 0.0, end_mm))
+        last = np.floor((end_mm + process.largest_mm) * (1.0 / cell_mm))
+        assert last < flakes.low[0] + flakes.cols
+        assert flakes.first.size > (last - flakes.low[1]) * flakes.cols
 
 
 def test_one_seed_gives_the_same_bytes_with_any_number_of_threads(coat, monkeypatch):
@@ -290,9 +305,9 @@ def test_a_smooth_coat_is_traced_without_glints(mi, experiment, bump):
 
 
 def test_pixels_traced_by_samples_have_the_same_glints(mi, experiment, bump):
-    """All pixels by their mean position, and all by their samples: equal white frames, 1e-4.
+    """All pixels by their mean position, and all by their samples: equal white frames, 1e-6.
 
-    The fringes of both agree to 1 % of white: the error of a mean position.
+    The fringes of both agree to 0.1 % of white: the error of a mean position.
     """
     from twin.optics.one_trace import trace_stack
     from twin.pipeline import trace
@@ -308,8 +323,8 @@ def test_pixels_traced_by_samples_have_the_same_glints(mi, experiment, bump):
         for limit in (100.0, -1.0)
     )
     white = means.max(axis=0)
-    np.testing.assert_allclose(samples.max(axis=0), white, rtol=1e-3, atol=1e-3 * white.mean())
-    assert np.abs(samples - means)[:, white > 0].max() < 0.02 * white.max()
+    np.testing.assert_allclose(samples.max(axis=0), white, rtol=1e-6, atol=1e-6 * white.mean())
+    assert np.abs(samples - means)[:, white > 0].max() < 1e-3 * white.max()
 
 
 def test_pupils_shrink_in_a_gel_as_refraction_demands(mi):

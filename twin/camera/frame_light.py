@@ -1,6 +1,6 @@
 """Light of a frame before it reaches the sensor: lamp in time, and scattering in the lens.
 
-The lamp's light of frame n of F is, relative to that of the first frame,
+The lamp's light of frame n of F is, relative to the nominal light,
 
     g_n = (1 + d n / (F - 1)) (1 + s x_n)                                       linear drift
     g_n = (1 + d (1 - exp(-n / T)) / (1 - exp(-(F - 1) / T))) (1 + s x_n)       exponential drift

@@ -89,8 +89,7 @@ def expose(
     """
     camera = experiment.camera
     _check_noise(camera, noise)
-    brightest = scattered(camera, _brightest(camera, radiance, white_frame))
-    exposure_ms = choose_exposure_ms(experiment, brightest)
+    exposure_ms = choose_exposure_ms(experiment, _brightest(camera, radiance, white_frame))
     gains = lamp_gains(experiment, len(radiance), trial)
     per_radiance = exposure_ms * electrons_per_ms(camera, experiment.projector.wavelength_nm)
     dark_e = camera.dark_current_e_per_s * camera.binning**2 * exposure_ms * 1e-3
@@ -158,8 +157,8 @@ def _brightest(
 def choose_exposure_ms(experiment: Experiment, brightest: FloatImage) -> float:
     """Return the configured exposure time, ms, or that of the automatic exposure.
 
-    The automatic exposure puts the 99.5th percentile of the brightest frame at `auto_level` times
-    the full well.
+    The automatic exposure puts the 99.5th percentile of the brightest frame, with the light that
+    the lens scatters, at `auto_level` times the full well.
 
     Parameters
     ----------
@@ -174,7 +173,7 @@ def choose_exposure_ms(experiment: Experiment, brightest: FloatImage) -> float:
     camera = experiment.camera
     if camera.exposure_ms != "auto":
         return camera.exposure_ms
-    bright = float(np.percentile(brightest, EXPOSURE_PERCENTILE))
+    bright = float(np.percentile(scattered(camera, brightest), EXPOSURE_PERCENTILE))
     if bright <= 0.0:
         raise InputError(
             "camera.exposure_ms = 'auto': the brightest frame is black; aim the projector"

@@ -61,7 +61,8 @@ class Glints(Model):
     """Flakes as discrete flat facets at random places of the coat, each with its own normal."""
 
     diameter_um: Annotated[float, Field(ge=2, le=200)] = Field(
-        description="median diameter of the flakes, weighted by their area; seen along the normal"
+        description="median diameter of the flakes, weighted by their area, seen along the normal; "
+        "of the log-normal distribution before its cut"
     )
     diameter_spread: Annotated[float, Field(ge=0, le=0.8)] = Field(
         description="standard deviation of ln(diameter); log-normal, cut at 3 standard deviations"

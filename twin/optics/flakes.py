@@ -12,7 +12,7 @@ therefore does not depend on the region that is evaluated or on the number of th
 
 import math
 from dataclasses import dataclass
-from math import ceil, erf, exp, floor, log, pi, sqrt
+from math import erf, exp, floor, log, pi, sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -92,7 +92,9 @@ class FlakeProcess:
 
         Notes
         -----
-        The median by number is smaller than the median by area by the factor exp(-2 spread^2).
+        The median by number is smaller than the median by area by the factor exp(-2 spread^2). This
+        is that of the distribution before the cut, which lowers the median by area by 1 % at a
+        spread of 0.45, and by 8 % at 0.8.
         """
         spread = facets.glints.diameter_spread
         median_mm = 0.5e-3 * facets.glints.diameter_um * exp(-2.0 * spread**2)
@@ -113,13 +115,12 @@ class FlakeProcess:
         extent_mm : (X_low, X_high, Y_low, Y_high), material coordinates
         """
         cell_mm = sqrt(_PER_CELL / self.density_per_mm2)
-        ends = (
-            [floor((low - self.largest_mm) / cell_mm) for low in (extent_mm[0], extent_mm[2])],
-            [ceil((high + self.largest_mm) / cell_mm) for high in (extent_mm[1], extent_mm[3])],
-        )
-        cols, rows = (max(high - low, 1) for low, high in zip(*ends, strict=True))
+        # One more cell on each side: rounding can move a position across the border of a cell.
+        lows = [floor((low - self.largest_mm) / cell_mm) - 1 for low in extent_mm[::2]]
+        highs = [floor((high + self.largest_mm) / cell_mm) + 1 for high in extent_mm[1::2]]
+        cols, rows = (high - low + 1 for low, high in zip(lows, highs, strict=True))
         first = np.zeros(rows * cols + 1, np.int64)
-        cells, key = (ends[0][0], ends[0][1], cols), np.uint64(self.key)
+        cells, key = (lows[0], lows[1], cols), np.uint64(self.key)
         _count(first, cells, key)
         np.cumsum(first, out=first)
         flakes = np.zeros((int(first[-1]), 5))

@@ -13,7 +13,7 @@ World frame, mm: see `twin.mechanics.press`. A module of this package imports it
 first press, not when the module is imported.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Protocol, TypeVar, cast
@@ -221,14 +221,18 @@ def sheet_keys(elastomer: Elastomer) -> list[str]:
     return [key for key, is_given in given.items() if is_given]
 
 
-def refuse_sheet_keys(elastomer: Elastomer, model: str) -> None:
-    """Raise an error if an elastomer has a key of `sheet_keys`.
+def refuse_sheet_keys(elastomer: Elastomer, model: str, keys: Sequence[str] | None = None) -> None:
+    """Raise an error if an elastomer has a key that the model lacks.
+
+    Parameters
+    ----------
+    keys : keys that the elastomer has and the model lacks; None: those of `sheet_keys`
 
     Raises
     ------
     PressError : the message names the first of these keys
     """
-    keys = sheet_keys(elastomer)
+    keys = sheet_keys(elastomer) if keys is None else keys
     if keys:
         low, high = SHEET_THICKNESS_MM
         raise PressError(

@@ -38,7 +38,7 @@ class FemModel(ElastomerModel):
 
         check_fem(case.elastomer, case.mechanics.support)
         if case.elastomer.thickness_field is not None:
-            refuse_sheet_keys(case.elastomer, self.name)
+            refuse_sheet_keys(case.elastomer, self.name, ["thickness_field"])
         _pad(case.mechanics, case.elastomer)
 
     def press(self, case: PressInput, progress: Progress | None = None) -> PressedElastomer:

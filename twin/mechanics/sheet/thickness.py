@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.arrays import BoolArray, FloatArray
+from reconstruction.arrays import FloatArray
 from twin.config.elastomer import Elastomer
 from twin.config.thickness_field import ThicknessField
 from twin.mechanics.errors import PressError
@@ -30,6 +30,8 @@ class MeasuredMap:
     #: (row, col)
     map_mm: FloatArray
     pixel_mm: float
+    #: X (col,) and Y (row,) of the pixels' middles
+    axes_mm: tuple[FloatArray, FloatArray]
 
     def at(self, X_mm: FloatArray, Y_mm: FloatArray) -> FloatArray:
         """Return the thickness, mm, at positions (...)."""
@@ -75,15 +77,22 @@ def sheet_thickness(elastomer: Elastomer) -> SheetThickness | None:
     if table is None:
         return None
     half_mm = _half_mm(elastomer)
-    X, Y, inside = _samples(elastomer, table)
+    X, Y = _samples(elastomer, table)
     angle, slope = np.deg2rad(table.slope_deg), 1e-3 * table.slope_um_per_mm
     field = SheetThickness(
-        waves=_waves(table, half_mm, (X, Y, inside)) if table.rms_um else None,
+        waves=_waves(table, half_mm, (X, Y)) if table.rms_um else None,
         slope=(float(slope * np.cos(angle)), float(slope * np.sin(angle))),
-        measured=None if table.file is None else _measured(table, half_mm),
+        measured=None,
     )
-    field = replace(field, mean_mm=float(field.deviation_mm(X, Y)[inside].mean()))
-    _check_range(field.deviation_mm(X, Y)[inside], elastomer.thickness_mm)
+    field = replace(field, mean_mm=float(field.deviation_mm(X, Y).mean()))
+    if table.file is not None:
+        measured = _measured(table, half_mm)
+        at_pixels = _on_sheet(elastomer, *measured.axes_mm)
+        densest = max((X, Y), at_pixels, key=lambda places: places[0].size)
+        mean_mm = field.mean_mm + float(measured.at(*densest).mean())
+        field = replace(field, measured=measured, mean_mm=mean_mm)
+        X, Y = (np.concatenate(both) for both in zip((X, Y), at_pixels, strict=True))
+    _check_range(field.deviation_mm(X, Y), elastomer.thickness_mm)
     return field
 
 
@@ -93,32 +102,42 @@ def _half_mm(elastomer: Elastomer) -> tuple[float, float]:
     return elastomer.length_x_mm / stretch, elastomer.length_y_mm / stretch
 
 
-def _samples(
-    elastomer: Elastomer, table: ThicknessField
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return X and Y (row, col) of a grid over the sheet, and whether each is on the sheet."""
-    half_mm = _half_mm(elastomer)
+def _samples(elastomer: Elastomer, table: ThicknessField) -> tuple[FloatArray, FloatArray]:
+    """Return X and Y (point,) of a grid that covers the sheet to its edges."""
     fewest, most = _SAMPLES
     per_mm = _PER_LENGTH / table.correlation_mm
-    lines = [
-        half * np.linspace(-1, 1, int(np.clip(2 * half * per_mm, fewest, most))) for half in half_mm
-    ]
-    X, Y = np.meshgrid(*lines)
+    x, y = (
+        half * np.linspace(-1, 1, int(np.clip(2 * half * per_mm, fewest, most)))
+        for half in _half_mm(elastomer)
+    )
+    return _on_sheet(elastomer, x, y)
+
+
+def _on_sheet(
+    elastomer: Elastomer, x_mm: FloatArray, y_mm: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return X and Y (point,) of the nodes of a grid (row, col) that are on the sheet."""
+    X, Y = np.meshgrid(x_mm, y_mm)
+    half_x_mm, half_y_mm = _half_mm(elastomer)
     if elastomer.outline == "round":
-        return X, Y, np.hypot(X, Y) <= half_mm[0]
-    return X, Y, np.ones(X.shape, dtype=bool)
+        inside = np.hypot(X, Y) <= half_x_mm
+    else:
+        inside = np.maximum(np.abs(X) / half_x_mm, np.abs(Y) / half_y_mm) <= 1 + 1e-9
+    return X[inside], Y[inside]
 
 
 def _waves(
-    table: ThicknessField,
-    half_mm: tuple[float, float],
-    samples: tuple[FloatArray, FloatArray, BoolArray],
+    table: ThicknessField, half_mm: tuple[float, float], places_mm: tuple[FloatArray, FloatArray]
 ) -> Field:
-    """Return random waves whose deviation from their mean over the sheet has the table's RMS."""
-    X, Y, inside = samples
+    """Return random waves whose deviation from their mean over the sheet has the table's RMS.
+
+    Parameters
+    ----------
+    places_mm : X and Y (point,) of points on the sheet, evenly distributed
+    """
     extent = (-half_mm[0], half_mm[0], -half_mm[1], half_mm[1])
     unit = random_field(("sheet thickness", table.seed), table.correlation_mm, extent)
-    return replace(unit, rms_mm=1e-3 * table.rms_um / float(unit.height_mm(X, Y)[inside].std()))
+    return replace(unit, rms_mm=1e-3 * table.rms_um / float(unit.height_mm(*places_mm).std()))
 
 
 def _measured(table: ThicknessField, half_mm: tuple[float, float]) -> MeasuredMap:
@@ -140,7 +159,7 @@ def _measured(table: ThicknessField, half_mm: tuple[float, float]) -> MeasuredMa
             f"{covered[1]:.4g} mm, needed {needed[0]:.4g} x {needed[1]:.4g} mm, the undeformed "
             "sheet; enlarge the map, or correct elastomer.thickness_field.pixel_mm"
         )
-    return MeasuredMap(map_mm, table.pixel_mm)
+    return MeasuredMap(map_mm, table.pixel_mm, source.axes_mm(map_mm))
 
 
 def _check_range(deviation_mm: FloatArray, mean_mm: float) -> None:
@@ -150,5 +169,5 @@ def _check_range(deviation_mm: FloatArray, mean_mm: float) -> None:
         raise PressError(
             f"elastomer.thickness_field: the sheet is {low:.4g} to {high:.4g} mm thick, allowed "
             f"{least:.4g} to {most:.4g} mm, {_ALLOWED[0]:g} to {_ALLOWED[1]:g} x thickness_mm; "
-            "lower rms_um or slope_um_per_mm, or correct unit_mm of the map"
+            "lower rms_um or slope_um_per_mm, or correct the map or its unit_mm"
         )
