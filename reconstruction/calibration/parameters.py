@@ -110,6 +110,11 @@ def rigid(rotation: FloatArray, shift: FloatArray) -> FloatArray:
     return matrix
 
 
+def pose_slice(pose: int) -> slice:
+    """Return the place of the motion of a board pose in the parameter vector."""
+    return slice(POSES + 6 * pose, POSES + 6 * pose + 6)
+
+
 def project_pose(
     vector: FloatArray, pose: int, points_mm: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -126,7 +131,7 @@ def project_pose(
     (n, 4) float: camera x, y, projector column, row, px
     (n, 4, parameters) float: the derivatives of these four numbers by all elements of `vector`
     """
-    place = slice(POSES + 6 * pose, POSES + 6 * pose + 6)
+    place = pose_slice(pose)
     motion, stereo = vector[place], vector[STEREO]
     pixels = np.zeros((len(points_mm), 4))
     slopes = np.zeros((len(points_mm), 4, len(vector)))
