@@ -18,11 +18,10 @@ from dataclasses import dataclass
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import Pinhole
+from reconstruction.rig.pixel_shape import PIXEL_RATIOS
 
 FIELDS_OF_VIEW_DEG = (0.1, 170.0)
 MOST_AXIS_OFFSET_DEG = 80.0
-PIXEL_RATIOS = (0.1, 10.0)
-"""Plausible range of fy / fx, the width of a pixel divided by its height."""
 TRIANGULATION_ANGLES_DEG = (0.5, 150.0)
 # Largest number of failed checks in a message: a meaningless calibration fails nearly all checks.
 MOST_NAMED = 3
