@@ -34,7 +34,7 @@ from reconstruction.errors import CaptureError, InputError, few
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.importers import importer_of
 from reconstruction.rig.pinhole import Pinhole
-from reconstruction.rig.plausibility import Check, require_plausible, rig_checks
+from reconstruction.rig.plausibility import BASELINES_MM, Check, require_plausible, rig_checks
 
 MOST_REFIT_PX = 0.05
 """Largest allowed error, px, of the fit of a lens model by k1, k2, p1, p2, k3 without skew."""
@@ -54,8 +54,6 @@ _TO_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 # Grid of points (columns, rows) of the lens fit, and least sine of the angle between the two axes.
 _GRID = (41, 31)
 _LEAST_SINE = 0.02
-# Plausible baselines, from lenses in contact to the size of a hall: detects a wrong unit of length.
-_BASELINES_MM = (1.0, 2e4)
 
 
 @dataclass(frozen=True)
@@ -205,7 +203,7 @@ def _assembled(names: _Names, options: Importing) -> Imported:
     calibration = Calibration(pinholes[0], pinholes[1], T_world_from_cam, T_world_from_proj)
     length_mm = float(np.linalg.norm(T_second_from_first[:3, 3]))
     require_plausible(
-        (Check("baseline_mm", length_mm, *_BASELINES_MM), *rig_checks(calibration)),
+        (Check("baseline_mm", length_mm, *BASELINES_MM), *rig_checks(calibration)),
         "check --unit, the image sizes, and which device is the first (--projector-first)",
     )
     return Imported(calibration, names.used, (deviations[0], deviations[1]))
