@@ -24,7 +24,7 @@ import numpy as np
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, Levels
 from reconstruction.codes import CODES, AxisFringes, CodeWord, PatternCode, Rule, code_of
 from reconstruction.errors import InputError, require_integer, require_number
-from reconstruction.rig.pixel_shape import PixelRatio, require_pixel_ratio
+from reconstruction.pixel_shape import PixelRatio, require_pixel_ratio
 from reconstruction.words import WORDS, WordEncoding
 
 Kind = Literal["phase", "gray", "inverse", "white", "black"]
@@ -85,7 +85,7 @@ class PatternSet:
     first_shifts_deg : phase at x = 0 of the first phase step, degrees, of every period along
         the column axis, then of every period along the row axis; for the shown axes only; (): all 0
     pixel_ratio : width of a projector pixel divided by its height, or "diamond", see
-        `rig.pixel_shape`; the patterns do not depend on it, a calibration does
+        `pixel_shape`; the patterns do not depend on it, a calibration does
     """
 
     width_px: int

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from reconstruction.arrays import FloatArray
+from reconstruction.arrays import FloatArray, IntArray
 from reconstruction.errors import InputError
 
 # Least ratio of singular values. It only guards against rounding errors: weakly determined
@@ -49,12 +49,12 @@ class PoseBlock:
     ----------
     slopes : (residuals of the pose, free) derivatives of the weighted residuals
     residuals : (residuals of the pose,) weighted residuals at the solution
-    own : (6,) columns of `slopes` of the parameters that occur in this pose only
+    own : (6,) int, columns of `slopes` of the parameters that occur in this pose only
     """
 
     slopes: FloatArray
     residuals: FloatArray
-    own: FloatArray
+    own: IntArray
 
 
 def inverse_normal(jacobian: FloatArray) -> FloatArray:
@@ -109,7 +109,7 @@ def robust_covariance(
     return np.asarray(effect * own_part + lever @ half @ half.T @ lever.T)
 
 
-def _without_own(block: PoseBlock, common: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _without_own(block: PoseBlock, common: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return the slopes by the common parameters with the pose's own motion adjusted.
 
     The second array (6, common) is the change of the own parameters by the common ones.
@@ -141,7 +141,7 @@ def _jackknife(shares: FloatArray, scores: FloatArray) -> FloatArray:
 
 
 def _lever(
-    changes: Sequence[FloatArray], blocks: Sequence[PoseBlock], common: FloatArray, size: int
+    changes: Sequence[FloatArray], blocks: Sequence[PoseBlock], common: IntArray, size: int
 ) -> FloatArray:
     """Return the matrix (size, common) from changes of the common parameters to those of all."""
     lever = np.zeros((size, len(common)))

@@ -23,7 +23,7 @@ from reconstruction.capture.folder import UncalibratedCapture, described, read_u
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import AXES
-from reconstruction.rig.pixel_shape import width_over_height
+from reconstruction.pixel_shape import width_over_height
 from reconstruction.rig.sensor import SensorNoise
 
 # Formats of recorded images; a folder with such files but without a description is an error.

@@ -34,8 +34,8 @@ from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError, require_number
+from reconstruction.pixel_shape import PIXEL_RATIOS
 from reconstruction.rig.pinhole import Pinhole
-from reconstruction.rig.pixel_shape import PIXEL_RATIOS
 
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")

@@ -15,7 +15,7 @@ from typing import Any
 from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, code_of
 from reconstruction.errors import CaptureError, require_integer
 from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet
-from reconstruction.rig.pixel_shape import PixelRatio, require_pixel_ratio
+from reconstruction.pixel_shape import PixelRatio, require_pixel_ratio
 from reconstruction.words import WORDS
 
 # Largest deviation of a shift from equal steps, as a share of a step: shifts may be rounded.
@@ -58,7 +58,7 @@ class ListedFrame:
 
 @dataclass(frozen=True)
 class ProjectorSize:
-    """Image size of the projector, px, and shape of its pixels, see `rig.pixel_shape`."""
+    """Image size of the projector, px, and shape of its pixels, see `pixel_shape`."""
 
     width_px: int
     height_px: int

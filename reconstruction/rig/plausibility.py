@@ -17,9 +17,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from reconstruction.errors import InputError
+from reconstruction.pixel_shape import PIXEL_RATIOS
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import Pinhole
-from reconstruction.rig.pixel_shape import PIXEL_RATIOS
 
 FIELDS_OF_VIEW_DEG = (0.1, 170.0)
 MOST_AXIS_OFFSET_DEG = 80.0

@@ -9,7 +9,7 @@ from reconstruction.capture.description import read_manifest, write_manifest
 from reconstruction.capture.frame_arrangement import ProjectorSize
 from reconstruction.errors import InputError
 from reconstruction.patterns import PatternSet
-from reconstruction.rig.pixel_shape import smear_px, width_over_height
+from reconstruction.pixel_shape import smear_px, width_over_height
 from reconstruction.rig.projected_light import blurred
 
 SHOWN = PatternSet(912, 1140, steps=4, pixel_ratio="diamond")

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from reconstruction.rig.pixel_shape import PIXEL_RATIOS
+from reconstruction.pixel_shape import PIXEL_RATIOS
 
 
 @dataclass(frozen=True)

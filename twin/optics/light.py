@@ -29,7 +29,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Levels
 from reconstruction.patterns import PatternFrame, PatternSet
-from reconstruction.rig.pixel_shape import smear_px, width_over_height
+from reconstruction.pixel_shape import smear_px, width_over_height
 from reconstruction.rig.projected_light import blurred, relative_light
 from twin.config.models import Patterns, Projector
 from twin.optics.rig import projector_pinhole, world_from_device

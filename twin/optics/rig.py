@@ -29,9 +29,9 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.errors import InputError
+from reconstruction.pixel_shape import width_over_height
 from reconstruction.rig.calibration import Calibration, Pinhole
 from reconstruction.rig.layers import plane_layers
-from reconstruction.rig.pixel_shape import width_over_height
 from twin.config.layers import media_of
 from twin.config.models import Camera, Experiment, Pose, Projector
 

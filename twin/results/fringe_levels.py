@@ -11,7 +11,7 @@ import numpy as np
 from reconstruction.arrays import FloatArray, FloatImage, Reason, ReasonImage
 from reconstruction.decoding import DecodeOptions
 from reconstruction.patterns import AXES, Axis
-from reconstruction.rig.pixel_shape import smear_px
+from reconstruction.pixel_shape import smear_px
 from reconstruction.rig.sensor import QUANTISATION_DN2
 from twin.camera import electrons_per_ms, noise_model
 from twin.config.models import Experiment
