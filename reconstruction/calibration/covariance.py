@@ -17,7 +17,7 @@ of a target is used (Schaefer and Strimmer 2005), with weights of G - 1 and of `
 The target is the covariance of independent residuals times one factor, the design effect: the mean
 square of all poses' scores over its expectation for independent residuals, at least 1.
 
-Simulated poses with errors of the dots correlated over a third of the board, 3 to 12 poses: from
+Simulated poses with errors of the dots correlated over a third of the board, 3 to 8 poses: from
 disjoint sets of poses 95 to 98 % of all parameters agree within two standard uncertainties. By the
 covariance of independent residuals it is 50 %.
 """
