@@ -24,6 +24,7 @@ import numpy as np
 from reconstruction.arrays import BoolArray, FloatArray, IntArray, Levels
 from reconstruction.codes import CODES, AxisFringes, CodeWord, PatternCode, Rule, code_of
 from reconstruction.errors import InputError, require_integer, require_number
+from reconstruction.pixel_shape import PixelRatio, require_pixel_ratio
 from reconstruction.words import WORDS, WordEncoding
 
 Kind = Literal["phase", "gray", "inverse", "white", "black"]
@@ -83,6 +84,8 @@ class PatternSet:
     uniform : whether a white and a black frame are shown
     first_shifts_deg : phase at x = 0 of the first phase step, degrees, of every period along
         the column axis, then of every period along the row axis; for the shown axes only; (): all 0
+    pixel_ratio : width of a projector pixel divided by its height, or "diamond", see
+        `pixel_shape`; the patterns do not depend on it, a calibration does
     """
 
     width_px: int
@@ -99,6 +102,7 @@ class PatternSet:
     inverse: bool = False
     uniform: bool = True
     first_shifts_deg: tuple[float, ...] = ()
+    pixel_ratio: PixelRatio = 1.0
 
     def __post_init__(self) -> None:
         require_integer("patterns width_px", self.width_px, 1, 65536)
@@ -109,6 +113,7 @@ class PatternSet:
             require_integer("patterns steps", self.steps, *STEPS_RANGE)
         require_integer("patterns low_level", self.low_level, 0, 254)
         require_integer("patterns high_level", self.high_level, self.low_level + 1, 255)
+        require_pixel_ratio("patterns pixel_ratio", self.pixel_ratio)
         code_of(self.code)
         for name in ("further_periods_px", "row_periods_px"):
             allowed_px = (shortest_px, longest_px)

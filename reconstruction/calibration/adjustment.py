@@ -6,8 +6,8 @@ An error d of that position therefore also appears in the projector, as G d with
 d(projector) / d(camera). Independent residuals are those of the camera, and those of the projector
 minus G d. Each kind is weighted by its standard deviation, which is estimated from the residuals.
 
-The covariance of the parameters is s^2 (J^T W J)^-1, with the Jacobian J, the weights W and s^2
-from the residuals (Gauss-Markov; Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000).
+The covariance of the parameters includes the correlation of the errors of neighbouring features
+(module `covariance`). Adjustment: Triggs et al., Bundle Adjustment - A Modern Synthesis, 2000.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from reconstruction.arrays import BoolImage, FloatArray
+from reconstruction.calibration.covariance import PoseBlock, inverse_normal, robust_covariance
 from reconstruction.calibration.observation import Observation
 from reconstruction.calibration.parameters import (
     CAMERA,
@@ -26,6 +27,7 @@ from reconstruction.calibration.parameters import (
     admissible,
     freedom_matrix,
     pack,
+    pose_slice,
     project_pose,
     unpack,
 )
@@ -42,9 +44,6 @@ OUTLIER_SPREADS, MIN_OUTLIER_PX = 6.0, 1e-3
 # Lower limit of the standard deviation: exact data would get infinite weight.
 MIN_SPREAD_PX = 1e-9
 MAD_TO_SIGMA = 1.4826
-# Least ratio of singular values. It only guards against rounding errors: weakly determined
-# parameters are accepted and have a large uncertainty.
-MIN_SINGULAR_RATIO = 1e-9
 DIVERGES = "the adjustment diverges: no camera and projector fit all features of all poses"
 # Coefficients of the camera's defocus, at the end of the vector.
 DEFOCUS = 2
@@ -80,7 +79,9 @@ class Adjustment:
     ----------
     rig : camera, projector and poses
     vector : (p,) float, parameter vector in the layout of module `parameters`
-    covariance : (p, p) float, covariance of `vector`; 0 for fixed parameters
+    covariance : (p, p) float, covariance of `vector` for errors of the features that are correlated
+        within a pose; 0 for fixed parameters
+    independent_covariance : (p, p) float, the covariance if all errors are independent
     pupil_mm2 : mean square of the x coordinate over the camera's pupil, which is a quarter of the
         squared pupil radius; 0 if it is not estimated
     pupil_sigma_mm2 : standard uncertainty of `pupil_mm2`
@@ -98,6 +99,7 @@ class Adjustment:
     rig: RigEstimate
     vector: FloatArray
     covariance: FloatArray
+    independent_covariance: FloatArray
     pupil_mm2: float
     pupil_sigma_mm2: float
     measured_px: tuple[FloatArray, ...]
@@ -304,15 +306,18 @@ class _Problem:
         zeros = np.zeros(self._freedom.shape[1])
         slopes, residuals = self._slopes(vector), self._residuals(zeros, vector)
         degrees = len(residuals) - len(zeros)
-        covariance = _covariance(slopes @ self._freedom) * float(residuals @ residuals) / degrees
-        covariance = self._freedom @ covariance @ self._freedom.T
+        variance = float(residuals @ residuals) / degrees
+        alone = inverse_normal(slopes @ self._freedom) * variance
+        robust = robust_covariance(self._pose_blocks(slopes, residuals), alone, variance)
+        alone, covariance = (self._freedom @ c @ self._freedom.T for c in (alone, robust))
         independent = self._independent(vector)
         return Adjustment(
             rig=self._rig(vector),
             vector=vector[:-DEFOCUS],
             covariance=covariance[:-DEFOCUS, :-DEFOCUS],
+            independent_covariance=alone[:-DEFOCUS, :-DEFOCUS],
             pupil_mm2=float(vector[-DEFOCUS]),
-            pupil_sigma_mm2=float(np.sqrt(covariance[-DEFOCUS, -DEFOCUS])),
+            pupil_sigma_mm2=float(np.sqrt(alone[-DEFOCUS, -DEFOCUS])),
             measured_px=tuple(self._sharp(vector)),
             residuals_px=tuple(self.reprojection(vector)),
             used=tuple(self._used),
@@ -320,6 +325,15 @@ class _Problem:
             degrees_of_freedom=degrees,
             pixel_ratios=_pixel_ratios(vector, slopes, residuals, self._released),
         )
+
+    def _pose_blocks(self, slopes: FloatArray, residuals: FloatArray) -> list[PoseBlock]:
+        """Return the rows of each pose, with the columns of the free parameters."""
+        ends = np.cumsum([4 * int(used.sum()) for used in self._used])[:-1]
+        rows = zip(np.split(slopes @ self._freedom, ends), np.split(residuals, ends), strict=True)
+        return [
+            PoseBlock(block, residual, np.flatnonzero(self._freedom[pose_slice(k)].any(axis=0)))
+            for k, (block, residual) in enumerate(rows)
+        ]
 
 
 def _diverges() -> InputError:
@@ -345,7 +359,7 @@ def _pixel_ratios(
     """Return fy / fx of camera and projector after one Gauss-Newton step with both ratios free."""
     jacobian = slopes @ released
     try:
-        inverse = _covariance(jacobian)
+        inverse = inverse_normal(jacobian)
     except InputError:
         camera, projector = (vector[d.start + 1] / vector[d.start] for d in (CAMERA, PROJECTOR))
         return PixelRatio(float(camera), np.inf), PixelRatio(float(projector), np.inf)
@@ -374,29 +388,6 @@ def _pixel_ratio(
     with np.errstate(over="ignore"):
         ratio = float(fy / fx * np.exp(slope @ change[focal]))
     return PixelRatio(ratio, ratio * float(np.sqrt(slope @ covariance[focal, focal] @ slope)))
-
-
-def _covariance(jacobian: FloatArray) -> FloatArray:
-    """Return the inverse of J^T J for a Jacobian J; raise InputError if J^T J is singular.
-
-    It is computed from the QR decomposition of J, scaled to columns of unit length, and the
-    singular values of R.
-    """
-    scale = np.linalg.norm(jacobian, axis=0)
-    if np.any(scale == 0.0):
-        raise _undetermined()
-    values, vectors = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"))[1:]
-    if values[-1] < MIN_SINGULAR_RATIO * values[0]:
-        raise _undetermined()
-    half = vectors.T / values
-    return np.asarray(half @ half.T / np.outer(scale, scale))
-
-
-def _undetermined() -> InputError:
-    return InputError(
-        "the board poses do not determine every free parameter: tilt the board by 10 to 25 degrees "
-        "in at least three directions, or estimate fewer parameters"
-    )
 
 
 def _spreads(

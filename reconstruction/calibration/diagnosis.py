@@ -140,7 +140,8 @@ def _ratio_remedies(fit: Adjustment, declared: Freedom) -> Iterator[str]:
             f"the projector's pixels are {ratio:.3g} times as wide as high (fy / fx): give "
             f"--projector-pixel-ratio {_simple(ratio):.3g}, or correct its size, "
             f"{projector.width_px} x {projector.height_px} px: of square pixels it is "
-            f"{round(projector.width_px * _simple(ratio))} x {projector.height_px}"
+            f"{round(projector.width_px * _simple(ratio))} x {projector.height_px}; or state "
+            "pixel_ratio in the description of the captures"
         )
     ratio = camera.fy_px / camera.fx_px
     if _differs(ratio, declared.camera_pixel_ratio):

@@ -23,6 +23,7 @@ from reconstruction.capture.folder import UncalibratedCapture, described, read_u
 from reconstruction.decoding.decode import Decoded, DecodeOptions, decode
 from reconstruction.errors import CaptureError, InputError
 from reconstruction.patterns import AXES
+from reconstruction.pixel_shape import width_over_height
 from reconstruction.rig.sensor import SensorNoise
 
 # Formats of recorded images; a folder with such files but without a description is an error.
@@ -106,6 +107,7 @@ class Observation:
     slopes : (n, 2, 2) float, d(projector column, row) / d(camera x, y) at `camera_px`
     ids : (n,) int, ids of the features on the board
     camera_size_px, projector_size_px : image size (width, height)
+    projector_pixel_ratio : width of a projector pixel divided by its height, as the capture states
     """
 
     name: str
@@ -117,6 +119,7 @@ class Observation:
     ids: Indices
     camera_size_px: tuple[int, int]
     projector_size_px: tuple[int, int]
+    projector_pixel_ratio: float = 1.0
 
 
 def observe(capture: BoardCapture, board: Board, name: str = "pose") -> Observation:
@@ -170,6 +173,7 @@ def _observe(capture: BoardCapture, board: Board, name: str) -> Observation:
         ids=ids[located],
         camera_size_px=(cols, rows),
         projector_size_px=(capture.patterns.width_px, capture.patterns.height_px),
+        projector_pixel_ratio=width_over_height(capture.patterns.pixel_ratio),
     )
 
 

@@ -34,8 +34,8 @@ from scipy.spatial.transform import Rotation
 
 from reconstruction.arrays import FloatArray
 from reconstruction.errors import InputError, require_number
+from reconstruction.pixel_shape import PIXEL_RATIOS
 from reconstruction.rig.pinhole import Pinhole
-from reconstruction.rig.plausibility import PIXEL_RATIOS
 
 INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 MOTION = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
@@ -110,6 +110,11 @@ def rigid(rotation: FloatArray, shift: FloatArray) -> FloatArray:
     return matrix
 
 
+def pose_slice(pose: int) -> slice:
+    """Return the place of the motion of a board pose in the parameter vector."""
+    return slice(POSES + 6 * pose, POSES + 6 * pose + 6)
+
+
 def project_pose(
     vector: FloatArray, pose: int, points_mm: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -126,7 +131,7 @@ def project_pose(
     (n, 4) float: camera x, y, projector column, row, px
     (n, 4, parameters) float: the derivatives of these four numbers by all elements of `vector`
     """
-    place = slice(POSES + 6 * pose, POSES + 6 * pose + 6)
+    place = pose_slice(pose)
     motion, stereo = vector[place], vector[STEREO]
     pixels = np.zeros((len(points_mm), 4))
     slopes = np.zeros((len(points_mm), 4, len(vector)))

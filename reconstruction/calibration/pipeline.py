@@ -19,6 +19,7 @@ from reconstruction.calibration.parameters import (
     INTRINSICS,
     MOTION,
     STEREO,
+    Freedom,
     RigEstimate,
     rigid,
     rotation_vector,
@@ -190,7 +191,8 @@ def calibrate(
     Parameters
     ----------
     observations : one per board pose; the board frame of the first pose becomes the world frame
-    options : estimated parameters and corrections; None: the defaults
+    options : estimated parameters and corrections; None: the defaults. The pixel ratio of the
+        projector that the captures state replaces the default, 1
 
     Raises
     ------
@@ -205,7 +207,7 @@ def calibrate(
             f"the poses have different image sizes (camera, projector): {sorted(sizes)}; "
             "calibrate each size by itself"
         )
-    chosen = options or AdjustOptions()
+    chosen = _as_stated(observations, options or AdjustOptions())
     fit, doubt = _adjusted(observations, chosen)
     checks = _plausible(observations, chosen, fit)
     return Calibrated(
@@ -216,6 +218,18 @@ def calibrate(
         checks=checks,
         doubts=(*([doubt] if doubt else []), *misfits(fit, observations)),
     )
+
+
+def _as_stated(observations: Sequence[Observation], options: AdjustOptions) -> AdjustOptions:
+    """Return the options with the projector's pixel ratio of the captures, if none is given."""
+    stated = {observation.projector_pixel_ratio for observation in observations} or {1.0}
+    if len(stated) > 1:
+        ratios = ", ".join(f"{ratio:g}" for ratio in sorted(stated))
+        raise InputError(f"the captures state different pixel_ratio ({ratios}); give one in all")
+    if options.freedom.projector_pixel_ratio != Freedom.projector_pixel_ratio:
+        return options
+    freedom = replace(options.freedom, projector_pixel_ratio=stated.pop())
+    return replace(options, freedom=freedom)
 
 
 def _adjusted(

@@ -33,7 +33,12 @@ from reconstruction.calibration.parameters import CAMERA, PROJECTOR, STEREO, Fre
 from reconstruction.calibration.plane_images import apply_homography, fit_homography
 from reconstruction.errors import InputError
 from reconstruction.rig.calibration import DEVICES
-from reconstruction.rig.plausibility import TRIANGULATION_ANGLES_DEG, Check, lens_checks
+from reconstruction.rig.plausibility import (
+    BASELINES_MM,
+    TRIANGULATION_ANGLES_DEG,
+    Check,
+    lens_checks,
+)
 
 MOST_RMS_PX, DIAGONALS_PER_RMS, MOST_SCATTERS = 1.0, 2000.0, 5.0
 # Least RMS residual that gives a warning, if it also exceeds MOST_SCATTERS times the scatter.
@@ -178,7 +183,7 @@ def _ratio_checks(fit: Adjustment, freedom: Freedom) -> list[Check]:
 
 
 def _place_checks(fit: Adjustment, observations: Sequence[Observation]) -> list[Check]:
-    """Return the checks of least depths, angles of incidence and the triangulation angle."""
+    """Return the checks of depths, angles of incidence, baseline and triangulation angle."""
     stereo = fit.rig.T_proj_from_cam
     centre_mm = -stereo[:3, :3].T @ stereo[:3, 3]
     depths, cosines, angles = [], [], []
@@ -195,6 +200,8 @@ def _place_checks(fit: Adjustment, observations: Sequence[Observation]) -> list[
         most = float(incidence[k])
         checks.append(Check(f"{name}_incidence_deg", most, 0.0, MOST_INCIDENCE_DEG))
     angle = float(np.median(angles))
+    baseline_mm = float(np.linalg.norm(stereo[:3, 3]))
+    checks.append(Check("baseline_mm", baseline_mm, *BASELINES_MM))
     return [*checks, Check("triangulation_angle_deg", angle, *TRIANGULATION_ANGLES_DEG)]
 
 

@@ -15,6 +15,7 @@ from typing import Any
 from reconstruction.codes import CODES, AxisFrames, AxisFringes, PatternCode, code_of
 from reconstruction.errors import CaptureError, require_integer
 from reconstruction.patterns import AXES, STEPS_RANGE, Axis, Kind, PatternSet
+from reconstruction.pixel_shape import PixelRatio, require_pixel_ratio
 from reconstruction.words import WORDS
 
 # Largest deviation of a shift from equal steps, as a share of a step: shifts may be rounded.
@@ -57,14 +58,16 @@ class ListedFrame:
 
 @dataclass(frozen=True)
 class ProjectorSize:
-    """Image size of the projector, px."""
+    """Image size of the projector, px, and shape of its pixels, see `pixel_shape`."""
 
     width_px: int
     height_px: int
+    pixel_ratio: PixelRatio = 1.0
 
     def __post_init__(self) -> None:
         require_integer("projector width_px", self.width_px, 1, 65536)
         require_integer("projector height_px", self.height_px, 1, 65536)
+        require_pixel_ratio("projector pixel_ratio", self.pixel_ratio)
 
 
 class Arrangement:
@@ -241,6 +244,7 @@ class Arrangement:
             inverse=has_inverse.pop(),
             uniform=all(uniform.values()),
             first_shifts_deg=tuple(shifts) if any(shifts) else (),
+            pixel_ratio=self._size.pixel_ratio,
         )
 
     def _periods_px(

@@ -27,7 +27,7 @@ from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.imported_lens import read_lens
 from reconstruction.rig.importers import importer_of
 from reconstruction.rig.named_numbers import DEVICE_NAMES, DEVICES, MATRIX, NamedNumbers, plain
-from reconstruction.rig.plausibility import Check, require_plausible, rig_checks
+from reconstruction.rig.plausibility import BASELINES_MM, Check, require_plausible, rig_checks
 from reconstruction.rig.pose_conventions import (
     LEAST_SINE,
     Pose,
@@ -39,9 +39,6 @@ from reconstruction.rig.pose_conventions import (
 
 TO_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 """Length of each unit in mm."""
-
-# Plausible baselines, from lenses in contact to the size of a hall: detects a wrong unit of length.
-_BASELINES_MM = (1.0, 2e4)
 
 
 @dataclass(frozen=True)
@@ -235,10 +232,10 @@ def _in_mm(motion: FloatArray, options: Importing, to_mm: float) -> FloatArray:
     plausible = [
         f"{factor * stored:.4g} mm with --unit {unit}"
         for unit, factor in TO_MM.items()
-        if _BASELINES_MM[0] <= factor * stored <= _BASELINES_MM[1]
+        if BASELINES_MM[0] <= factor * stored <= BASELINES_MM[1]
     ]
     require_plausible(
-        [Check("baseline_mm", to_mm * stored, *_BASELINES_MM)],
+        [Check("baseline_mm", to_mm * stored, *BASELINES_MM)],
         f"it is {' or '.join(plausible) or 'implausible in mm, cm and m'}; else --baseline-mm",
     )
     scaled = motion.copy()

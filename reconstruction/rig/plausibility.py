@@ -8,6 +8,7 @@ its numbers are far outside these limits. An inaccurate but valid calibration is
 | diagonal field of view | 0.1 to 170 degrees | below: parallel rays; above: no pinhole lens |
 | image centre to principal point | up to 80 degrees | it is 63 at 100 % offset, throw ratio 0.25 |
 | pixel ratio fy / fx | 0.1 to 10 | real devices have 1/2, 1 or 2 |
+| baseline | 1 mm to 20 m | lenses in contact to the size of a hall: a wrong unit of length |
 | triangulation angle | 0.5 to 150 degrees | below: no depth; above: no surface visible to both |
 """
 
@@ -16,14 +17,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from reconstruction.errors import InputError
+from reconstruction.pixel_shape import PIXEL_RATIOS
 from reconstruction.rig.calibration import Calibration
 from reconstruction.rig.pinhole import Pinhole
 
 FIELDS_OF_VIEW_DEG = (0.1, 170.0)
 MOST_AXIS_OFFSET_DEG = 80.0
-PIXEL_RATIOS = (0.1, 10.0)
-"""Plausible range of fy / fx, the width of a pixel divided by its height."""
 TRIANGULATION_ANGLES_DEG = (0.5, 150.0)
+BASELINES_MM = (1.0, 2e4)
 # Largest number of failed checks in a message: a meaningless calibration fails nearly all checks.
 MOST_NAMED = 3
 

@@ -87,7 +87,9 @@ def relative_light(
     return np.asarray(relative**gamma)
 
 
-def blurred(light: FloatArray, nodes_px: FloatArray, blur_px: float) -> FloatArray:
+def blurred(
+    light: FloatArray, nodes_px: FloatArray, blur_px: float, smear_px: float = 0.0
+) -> FloatArray:
     """Return the light (node, frame) at positions `nodes_px` after the pixel box and lens blur.
 
     The weight of pixel j at position x is the integral of the Gaussian over
@@ -98,11 +100,14 @@ def blurred(light: FloatArray, nodes_px: FloatArray, blur_px: float) -> FloatArr
     light : (pixel, frame), relative light of each pixel
     nodes_px : (node,) positions along the axis, projector px
     blur_px : standard deviation of the Gaussian, projector px
+    smear_px : width of a further box over which the light is averaged, see `pixel_shape`
     """
-    reach = int(np.ceil(0.5 + _REACH_SIGMAS * blur_px))
+    reach = int(np.ceil(0.5 + 0.5 * smear_px + _REACH_SIGMAS * blur_px))
     pixel = np.rint(nodes_px).astype(int)[:, None] + np.arange(-reach, reach + 1)
     inside = (pixel >= 0) & (pixel < len(light))
-    weight = _mass(nodes_px[:, None] - pixel, blur_px) * inside
+    offset_px = nodes_px[:, None] - pixel
+    mass = _smeared_mass(offset_px, blur_px, smear_px) if smear_px else _mass(offset_px, blur_px)
+    weight = mass * inside
     row_starts = np.arange(len(nodes_px) + 1) * pixel.shape[1]
     pixel = np.clip(pixel, 0, len(light) - 1)
     weights = csr_array(
@@ -118,3 +123,22 @@ def _mass(offset_px: FloatArray, blur_px: float) -> FloatArray:
         return np.sign(edge_px) if blur_px == 0.0 else erf(edge_px / (np.sqrt(2.0) * blur_px))
 
     return np.asarray(0.5 * (below(offset_px + 0.5) - below(offset_px - 0.5)))
+
+
+def _smeared_mass(offset_px: FloatArray, blur_px: float, smear_px: float) -> FloatArray:
+    """Return the mean of `_mass` over a box of width `smear_px` around each offset."""
+
+    def integral(edge_px: FloatArray) -> FloatArray:
+        """Return the integral of the Gaussian's distribution function up to `edge_px`."""
+        if blur_px == 0.0:
+            return np.maximum(edge_px, 0.0)
+        share = 0.5 * (1.0 + erf(edge_px / (np.sqrt(2.0) * blur_px)))
+        density = np.exp(-0.5 * (edge_px / blur_px) ** 2) / np.sqrt(2.0 * np.pi)
+        return np.asarray(edge_px * share + blur_px * density)
+
+    half_px = 0.5 * smear_px
+    ends = [
+        integral(offset_px + edge_px + half_px) - integral(offset_px + edge_px - half_px)
+        for edge_px in (0.5, -0.5)
+    ]
+    return np.asarray((ends[0] - ends[1]) / smear_px)

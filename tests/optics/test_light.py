@@ -13,6 +13,7 @@ from twin.optics.light import (
     pattern_set,
     response,
 )
+from twin.optics.rig import projector_pinhole
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +56,24 @@ def test_no_blur_is_the_limit_of_little_blur(experiment):
     )
     np.testing.assert_allclose(without, little, atol=5e-4)
     assert abs(np.mean(without - at_px)) < 5e-4
+
+
+def test_diamond_pixels_have_blur_in_rows_and_their_shape(experiment):
+    """Expected: fy = 2 fx; along rows twice the blur and a wider pixel; square ones unnamed."""
+    changed = vary(experiment, {"projector.pixel_ratio": {"value": "diamond", "source": "test"}})
+    lens, square = projector_pinhole(changed.projector), projector_pinhole(experiment.projector)
+    assert (lens.fx_px, lens.fy_px) == (square.fx_px, 2.0 * square.fx_px)
+    assert lens.cy_px == square.cy_px
+    patterns = pattern_set(changed.projector, changed.patterns)
+    assert patterns.pixel_ratio == "diamond"
+    tables = light_tables(changed.projector, patterns)
+    for axis, blur, smear in (("column", 1.0, 0.5), ("row", 2.0, 1.0)):
+        profiles = tables[axis].profiles
+        nodes_px = tables[axis].first_px + np.arange(len(profiles)) / OVERSAMPLING
+        length = patterns.width_px if axis == "column" else patterns.height_px
+        outline = blurred(np.ones((length, 1)), nodes_px, blur * changed.projector.blur_px, smear)
+        np.testing.assert_allclose(profiles[:, -1], outline[:, 0], atol=1e-6)
+    assert "pixel_ratio" not in to_toml(experiment)
 
 
 def _decoded_px(experiment, patterns, at_px):

@@ -158,6 +158,7 @@ def test_located_dots_keep_their_distances(rig, exact):
 def test_stated_covariance_is_the_actual_scatter(rig):
     """Setup: 6 noisy draws. Expected: Mahalanobis distances of the rig's parameters are chi^2.
 
+    The errors are independent. Correlated ones: `test_calibrate_intervals`.
     The covariance must hold as a whole, since focal length and distance err together. Bounds leave
     one false alarm in 1000.
     """
@@ -169,7 +170,8 @@ def test_stated_covariance_is_the_actual_scatter(rig):
         noise = (0.02, 0.003)
         result = calibrate(observations(rig, poses, noise, seed)).adjustment
         miss = result.vector[free] - truth[free]
-        total += miss @ np.linalg.solve(result.covariance[np.ix_(free, free)], miss)
+        stated = result.independent_covariance[np.ix_(free, free)]
+        total += miss @ np.linalg.solve(stated, miss)
     low, high = chi2.ppf([0.0005, 0.9995], draws * len(free))
     assert low < total < high
     np.testing.assert_allclose(result.spread_px, noise, rtol=0.1)

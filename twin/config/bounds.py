@@ -12,6 +12,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
+from reconstruction.pixel_shape import PIXEL_RATIOS
+
 
 @dataclass(frozen=True)
 class Because:
@@ -134,6 +136,11 @@ Flux = Annotated[
 Irradiance = Annotated[float, Field(ge=0, le=1e4), Because("1e4 mW/mm^2 burns the coat")]
 ThrowRatio = Annotated[
     float, Field(ge=0.05, le=100), Because("projection lenses have 0.2 (wall-mounted) to 10")
+]
+PixelWidth = Annotated[
+    float,
+    Field(ge=PIXEL_RATIOS[0], le=PIXEL_RATIOS[1]),
+    Because("chips have 1; patterns of half the columns or rows 2 or 0.5"),
 ]
 Contrast = Annotated[
     float, Field(gt=1, le=1e9), Because("above 1e9 black is darker than any camera measures")

@@ -23,6 +23,7 @@ from twin.config.bounds import (
     Length,
     LightDrift,
     PixelPitch,
+    PixelWidth,
     Rate,
     ReadNoise,
     ResponseSpread,
@@ -69,6 +70,12 @@ class Projector(Model):
     offset_percent: Annotated[float, Field(ge=-200, le=200)] = Field(
         description="100: the optical axis is at the lower edge of the image, 0: centred"
     )
+    pixel_ratio: PixelWidth | Literal["diamond"] = Field(
+        default=1.0,
+        exclude_if=lambda ratio: ratio == 1.0,
+        description="width of a pixel / its height; 'diamond': mirrors turned by 45 degrees, every "
+        "other row displaced by half a column (912 x 1140), ratio 2",
+    )
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     pose: Pose
     flux_mw: Flux = Field(description="radiant flux of a full white image")
@@ -89,7 +96,7 @@ class Projector(Model):
         "255, between which it is interpolated; not decreasing, the last is 1; black is `contrast`",
     )
     blur_px: Annotated[float, Field(ge=0, le=10)] = Field(
-        description="lens blur at best focus, Gaussian sigma in projector pixels, on top of the "
+        description="lens blur at best focus, Gaussian sigma in projector columns, on top of the "
         "DMD pixel box"
     )
     aperture_mm: Annotated[float, Field(ge=0, le=100)] = Field(

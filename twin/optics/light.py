@@ -12,6 +12,9 @@ f a (1/z - 1/z_focus) projector pixels. This is exact for a thin lens, anywhere 
 from a uniformly filled pupil of diameter D therefore spreads over a circle of confusion of diameter
 c = f D |1/z - 1/z_focus| pixels. The standard deviation of this disc along each axis is c / 4.
 
+Lengths of the blur are in columns; in rows they are larger by the ratio of a pixel's width to its
+height.
+
 Approximations: the disc is replaced by a Gaussian of equal variance, which is added to the variance
 of the lens blur. The transfer functions of disc and Gaussian agree to second order in c times the
 spatial frequency. f is that of the undistorted image. Irradiance and shadows are those of the
@@ -26,6 +29,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Levels
 from reconstruction.patterns import PatternFrame, PatternSet
+from reconstruction.pixel_shape import smear_px, width_over_height
 from reconstruction.rig.projected_light import blurred, relative_light
 from twin.config.models import Patterns, Projector
 from twin.optics.rig import projector_pinhole, world_from_device
@@ -146,7 +150,8 @@ class LightTable:
 
 def pattern_set(projector: Projector, patterns: Patterns) -> PatternSet:
     """Return the sequence of patterns that the projector shows and the decoder assumes."""
-    return PatternSet(projector.width_px, projector.height_px, **patterns.model_dump())
+    shown = patterns.model_dump() | {"pixel_ratio": projector.pixel_ratio}
+    return PatternSet(projector.width_px, projector.height_px, **shown)
 
 
 def light_tables(
@@ -183,13 +188,18 @@ def _table(
     light = np.concatenate([shown, np.ones((length, 1))], axis=1)
     first_px = -0.5 - MARGIN_PX
     nodes_px = np.arange(first_px, length - 0.5 + MARGIN_PX, 1.0 / OVERSAMPLING)
-    table = LightTable(
-        blurred(light, nodes_px, projector.blur_px).astype(np.float32), first_px, tuple(chosen)
-    )
+    smear, scale = smear_px(projector.pixel_ratio, axis), pixels_per_column(projector, axis)
+    sharp = blurred(light, nodes_px, scale * projector.blur_px, smear)
+    table = LightTable(sharp.astype(np.float32), first_px, tuple(chosen))
     if blur_levels is None:
         return table
-    defocused = [blurred(light, nodes_px, sigma_px) for sigma_px in blur_levels.blurs_px()]
+    defocused = [blurred(light, nodes_px, scale * blur, smear) for blur in blur_levels.blurs_px()]
     return replace(table, levels=blur_levels, defocused=np.stack(defocused).astype(np.float32))
+
+
+def pixels_per_column(projector: Projector, axis: str) -> float:
+    """Return the width of a column of the projector in pixels along an axis, "column" or "row"."""
+    return width_over_height(projector.pixel_ratio) if axis == "row" else 1.0
 
 
 def along(frame: PatternFrame) -> str:

@@ -29,6 +29,7 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage
 from reconstruction.errors import InputError
+from reconstruction.pixel_shape import width_over_height
 from reconstruction.rig.calibration import Calibration, Pinhole
 from reconstruction.rig.layers import plane_layers
 from twin.config.layers import media_of
@@ -67,9 +68,10 @@ def projector_pinhole(projector: Projector) -> Pinhole:
     """Return a projector's pinhole; at 100 % offset, the axis is at the lower edge of the image."""
     width_px, height_px = projector.width_px, projector.height_px
     focal_px = projector.throw_ratio * width_px
+    focal_rows_px = focal_px * width_over_height(projector.pixel_ratio)
     axis_row_px = (height_px - 1) / 2 + projector.offset_percent / 100 * height_px / 2
     centre = (width_px - 1) / 2, axis_row_px
-    return Pinhole(width_px, height_px, focal_px, focal_px, *centre, projector.distortion)
+    return Pinhole(width_px, height_px, focal_px, focal_rows_px, *centre, projector.distortion)
 
 
 def world_from_device(pose: Pose, pinhole: Pinhole) -> FloatArray:

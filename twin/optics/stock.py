@@ -37,23 +37,25 @@ class Canvas:
     ----------
     kind : "projector" or "spot"; emitter that has this texture
     half_width_px, half_height_px : half of the width and height, in projector pixels
-    texels_per_px : number of texels along a projector pixel
+    texels_per_px : number of texels along a projector column
+    rows_per_column : width of a projector column in rows; texels are square
     """
 
     kind: Emitter
     half_width_px: float
     half_height_px: float
     texels_per_px: int
+    rows_per_column: float = 1.0
 
     def centres_px(self) -> tuple[FloatArray, FloatArray]:
         """Return x (col,) and y (row,) of the texel centres, px relative to the optical axis."""
         return (
             _centres(self.half_width_px, self.texels_per_px),
-            _centres(self.half_height_px, self.texels_per_px),
+            _centres(self.half_height_px, self.texels_per_px / self.rows_per_column),
         )
 
 
-def _centres(half_px: float, texels_per_px: int) -> FloatArray:
+def _centres(half_px: float, texels_per_px: float) -> FloatArray:
     count = 2 * round(half_px * texels_per_px)
     return (np.arange(count, dtype=np.float64) + 0.5) * (2.0 * half_px / count) - half_px
 
@@ -66,10 +68,12 @@ def canvas_for(rig: Rig, kind: Emitter, texels_per_px: int = TEXELS_PER_PX) -> C
     """
     p = rig.projector.pinhole
     half_width = max(p.cx_px, p.width_px - 1 - p.cx_px) + MARGIN_PX
-    half_height = max(p.cy_px, p.height_px - 1 - p.cy_px) + MARGIN_PX
+    ratio = p.fy_px / p.fx_px
+    half_height = (max(p.cy_px, p.height_px - 1 - p.cy_px) + MARGIN_PX) / ratio  # in columns
     if kind == "spot":  # the texture is square; the round cone of the spot must contain all of it
         half_width = half_height = float(np.hypot(half_width, half_height))
-    return Canvas(kind, float(np.ceil(half_width)), float(np.ceil(half_height)), texels_per_px)
+    height_px = float(np.ceil(half_height)) * ratio
+    return Canvas(kind, float(np.ceil(half_width)), height_px, texels_per_px, ratio)
 
 
 def frame_texture(

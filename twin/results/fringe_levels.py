@@ -10,12 +10,13 @@ import numpy as np
 
 from reconstruction.arrays import FloatArray, FloatImage, Reason, ReasonImage
 from reconstruction.decoding import DecodeOptions
-from reconstruction.patterns import Axis
+from reconstruction.patterns import AXES, Axis
+from reconstruction.pixel_shape import smear_px
 from reconstruction.rig.sensor import QUANTISATION_DN2
 from twin.camera import electrons_per_ms, noise_model
 from twin.config.models import Experiment
 from twin.optics.contrast import FringeLight, extent_variance_px2, outline, transfer
-from twin.optics.light import Defocus, pattern_set
+from twin.optics.light import Defocus, pattern_set, pixels_per_column
 from twin.optics.stack import TraceMaps
 
 
@@ -36,6 +37,8 @@ class FringeNumbers:
     growth_px_mm, focus_mm : growth of the blur with the distance, and distance of the focus, see
         `Defocus`; 0 and 1 without defocus
     period_px : finest period of the fringes, projector px
+    rows_per_column : width of a projector column in rows
+    column_smear_px2, row_smear_px2 : variance that the shape of the pixels adds, px^2
     """
 
     electrons_per_radiance: Any
@@ -48,6 +51,9 @@ class FringeNumbers:
     growth_px_mm: Any
     focus_mm: Any
     period_px: Any
+    rows_per_column: Any
+    column_smear_px2: Any
+    row_smear_px2: Any
 
     @classmethod
     def of(cls, experiment: Experiment, exposure_ms: float) -> "FringeNumbers":
@@ -66,6 +72,9 @@ class FringeNumbers:
             growth_px_mm=blur.growth_px_mm,
             focus_mm=blur.focus_mm,
             period_px=experiment.patterns.period_px,
+            rows_per_column=pixels_per_column(projector, "row"),
+            column_smear_px2=smear_px(projector.pixel_ratio, "column") ** 2 / 12.0,
+            row_smear_px2=smear_px(projector.pixel_ratio, "row") ** 2 / 12.0,
         )
 
     def moved(self, along: "FringeNumbers", step: complex) -> "FringeNumbers":
@@ -73,9 +82,16 @@ class FringeNumbers:
         names = [field.name for field in fields(self)]
         return FringeNumbers(**{n: getattr(self, n) + step * getattr(along, n) for n in names})
 
-    def blur_px2(self, axial_mm: Any) -> Any:
-        """Return the variance of the blur, px^2, at axial distances from the projector, mm."""
-        return Defocus(self.blur_px, self.growth_px_mm, self.focus_mm).variance_px2(axial_mm)
+    def blur_px2(self, axial_mm: Any, axis: Axis) -> Any:
+        """Return the variance of the blur along an axis, px^2, at axial distances, mm.
+
+        The distances are from the projector. The blur includes the shape of pixels that are not
+        rectangular.
+        """
+        blur = Defocus(self.blur_px, self.growth_px_mm, self.focus_mm).variance_px2(axial_mm)
+        if axis == "column":
+            return blur + self.column_smear_px2
+        return blur * self.rows_per_column**2 + self.row_smear_px2
 
 
 @dataclass(frozen=True)
@@ -97,9 +113,10 @@ def outlines(maps: TraceMaps, numbers: FringeNumbers, experiment: Experiment) ->
 
     It is 1 far inside the projected image and 0 far outside.
     """
-    projector, sigma = experiment.projector, np.sqrt(numbers.blur_px2(maps.axial_mm))
-    along = outline(maps.column_px, projector.width_px, sigma)
-    return along * outline(maps.row_px, projector.height_px, sigma)
+    projector = experiment.projector
+    across, down = (np.sqrt(numbers.blur_px2(maps.axial_mm, axis)) for axis in AXES)
+    along = outline(maps.column_px, projector.width_px, across)
+    return along * outline(maps.row_px, projector.height_px, down)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +152,7 @@ def axis_levels(
     electrons = white * numbers.electrons_per_radiance
     light_dn = numbers.gain_dn_per_e * (electrons * numbers.mean + numbers.dark_e)
     reach = maps.column_range_px if axis == "column" else maps.row_range_px
-    blur = numbers.blur_px2(maps.axial_mm) + extent_variance_px2(reach, maps.samples)
+    blur = numbers.blur_px2(maps.axial_mm, axis) + extent_variance_px2(reach, maps.samples)
     read_dn = numbers.gain_dn_per_e * numbers.read_noise_e
     noise = np.sqrt(read_dn**2 + numbers.gain_dn_per_e * light_dn + QUANTISATION_DN2)
     modulations, information, worst = [], 0.0, 0.0
