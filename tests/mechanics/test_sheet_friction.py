@@ -109,7 +109,7 @@ def test_the_work_of_dragging_is_stored_or_dissipated() -> None:
 @cache
 def wrapped(coefficient: float, *, sticks: bool = True) -> tuple[Sheet, SheetState]:
     """Return a round sheet pressed over a ball, then by air on it."""
-    sheet = round_sheet(laws(0.2), ball(3.0), line(5.0, 2.0, 0.4), sticks)
+    sheet = round_sheet(laws(0.2), ball(3.0), line(4.0, 2.0, 0.5), sticks)
     sheet.friction_coefficient = coefficient
     return sheet, follow(sheet, Loads(1.0, 2.0), FINE)
 
