@@ -90,6 +90,13 @@ def following():
     return load_problem("paper/identify_next")
 
 
+def test_the_next_problem_frees_the_friction_of_every_sheet(loaded, following):
+    friction = following[0].free["friction_coefficient"]
+    assert "friction_coefficient" not in loaded[0].free
+    assert set(friction.experiments) == set(following[0].free["thickness_mm"].experiments)
+    assert (friction.low, friction.high) == (0.0, 2.0)
+
+
 def test_the_next_problem_holds_out_the_row_of_the_stated_rule(loaded, following):
     """Of the fitted rows that were not held out in turn: the smallest relative SD."""
     problem = loaded[0]

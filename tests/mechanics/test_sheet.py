@@ -70,6 +70,7 @@ def everything_at_once(wedge: float = 0.0, **frame: float) -> tuple[Sheet, Sheet
         (random.uniform(size=points) < 0.5).astype(float),
         random.normal(size=(*points, 3)),
         normal / np.linalg.norm(normal, axis=-1, keepdims=True),
+        random.choice([np.inf, 100.0], size=points),
     )
     return sheet, replace(result, grip=grip)
 

@@ -103,7 +103,7 @@ class ToAndFro:
 )
 def test_a_step_between_two_sides_is_cut(force: Callable[[float], float], share: float) -> None:
     sheet = ToAndFro(force)
-    state = SheetState(np.zeros((1, 1, 3)), Grip(*(np.zeros(0) for _ in range(3))))
+    state = SheetState(np.zeros((1, 1, 3)), Grip(*(np.zeros(0) for _ in range(4))))
     descent = _Descent(sheet, state, Accuracy())  # type: ignore[arg-type]
     step = np.array([[[0.0, 0.0, 1.0]]])
     result, new = _searched(descent, step, slope=-1e-9)

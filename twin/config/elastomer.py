@@ -89,6 +89,14 @@ class Elastomer(Model):
         description="between clear face and specimen; stick: no slip after contact; auto: stick "
         "where there is tack (sheet model)",
     )
+    # Excluded if None, so that digests of experiments without it do not change.
+    friction_coefficient: Annotated[float, Field(ge=0, le=10)] | None = Field(
+        default=None,
+        exclude_if=lambda coefficient: coefficient is None,
+        description="Coulomb friction of the clear face on the specimen: it slips where friction "
+        "would exceed this number times the contact pressure; 0: no friction; absent: as friction "
+        "says (sheet model)",
+    )
     # Excluded if None, so that digests of experiments with a uniform sheet do not change.
     thickness_field: ThicknessField | None = Field(
         default=None,
@@ -107,6 +115,10 @@ class Elastomer(Model):
                 f"film.thickness_mm: found {self.film.thickness_mm:g}, allowed less than "
                 f"thickness_mm, {self.thickness_mm:g}, of which it is a part"
             )
+        if self.friction_coefficient is not None and self.friction != "auto":
+            raise ValueError(
+                f"friction_coefficient needs friction = 'auto', found '{self.friction}': remove one"
+            )
         if self.outline == "round" and self.length_x_mm != self.length_y_mm:
             raise ValueError(
                 f"outline: a round opening needs length_x_mm = length_y_mm, found "
@@ -123,8 +135,17 @@ class Elastomer(Model):
 
     @property
     def sticks(self) -> bool:
-        """Whether the sheet cannot slip on the specimen after contact."""
+        """Whether the sheet has friction on the specimen: it cannot slip freely after contact."""
+        if self.friction_coefficient is not None:
+            return self.friction_coefficient > 0
         return self.friction == "stick" or (self.friction == "auto" and self.tack_j_m2 > 0)
+
+    @property
+    def largest_friction(self) -> float:
+        """Largest ratio of friction to contact pressure; infinite for a sheet that sticks."""
+        if self.friction_coefficient is not None:
+            return self.friction_coefficient
+        return float("inf") if self.sticks else 0.0
 
     @property
     def mounted_thickness_mm(self) -> float:

@@ -216,6 +216,7 @@ def sheet_keys(elastomer: Elastomer) -> list[str]:
         "rim_compliance_mm2_per_n": elastomer.rim_compliance_mm2_per_n > 0,
         "tack_j_m2": elastomer.tack_j_m2 > 0,
         "friction": elastomer.friction == "stick",
+        "friction_coefficient": (elastomer.friction_coefficient or 0.0) > 0,
         "thickness_field": elastomer.thickness_field is not None,
     }
     return [key for key, is_given in given.items() if is_given]

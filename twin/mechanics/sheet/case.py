@@ -62,6 +62,8 @@ class SheetCase:
     parts: int
     shape: Shape
     sticks: bool
+    #: largest friction over contact pressure where it sticks; infinite: no slip
+    friction_coefficient: float
     #: width of the finest cells
     cell_mm: float
     #: the experiment specifies the cells
@@ -76,7 +78,15 @@ class SheetCase:
         # With a cohesive range below half a cell the sheet would jump from point to point.
         laws = self.laws._replace(tack_range_mm=max(_TACK_RANGE_MM, 0.5 * cells.pitch_mm))
         grid = sheet_grid(self.frame, *self.lines(cells)).with_thickness(self.thickness)
-        return Sheet(grid, laws, self.bodies, self.touched_z_mm, self.sticks, cells.pitch_mm)
+        return Sheet(
+            grid,
+            laws,
+            self.bodies,
+            self.touched_z_mm,
+            self.sticks,
+            cells.pitch_mm,
+            self.friction_coefficient,
+        )
 
     @property
     def touched_z_mm(self) -> float:
@@ -127,6 +137,7 @@ def sheet_case(
         parts=len(parts),
         shape=shape,
         sticks=elastomer.sticks,
+        friction_coefficient=elastomer.largest_friction,
         cell_mm=finest_cell_mm(elastomer, load),
         is_cell_specified=load.cell_mm is not None,
         ridge_pitch_mm=specimen.finest_pitch_mm,

@@ -14,6 +14,7 @@ import numpy as np
 from reconstruction.arrays import BoolArray, FloatArray
 from reconstruction.cells import box_of
 from reconstruction.machine import threads
+from twin.mechanics.sheet.friction import Friction, friction_at, friction_limit_kpa
 from twin.mechanics.sheet.grid import SheetGrid, normal_of, thinning_of
 from twin.mechanics.sheet.kernel import (
     SLOTS,
@@ -102,9 +103,12 @@ class Sheet:
     bodies: Bodies
     #: specimen's z = 0 plane in the sheet's frame at zero travel
     touched_z_mm: float
+    #: points that touch have anchors
     sticks: bool = False
     #: width of the cells in the contact
     cell_mm: float = 0.0
+    #: largest friction over contact pressure of a sheet with anchors; infinite: it cannot slip
+    friction_coefficient: float = np.inf
     system: System = field(init=False)
     pool: ThreadPoolExecutor = field(init=False)
     #: springs of a compliant rim
@@ -295,28 +299,83 @@ class Sheet:
         return gap
 
     def regripped(self, state: SheetState) -> SheetState:
-        """Return the state with updated anchors; the update does not increase the energy.
+        """Return the state with updated anchors and limits of the friction.
 
-        Points that touch a body without an anchor get one; points that have left lose theirs.
+        Points that touch a body without an anchor get one; points that have left lose theirs. This
+        does not increase the energy. The limits follow the contact pressure. With a friction
+        coefficient points that have left have a limit of 0, and lose their anchors in `slid`: they
+        may touch again within the load step.
         """
         surface = self.surface(state.control_mm)
         touch = self.touch(surface[..., 0, :], state.travel_mm)
         gap = self.gap_mm(surface, touch)
         nearest = gap.argmin(axis=0)[None]
         gap = gap.min(axis=0)
+        limit_kpa = friction_limit_kpa(
+            gap, self.laws, self.thickness_ratio, self.friction_coefficient
+        )
         normal = np.take_along_axis(touch.gradient, nearest[..., None], axis=0)[0]
         # Tabulated distances have gradients that are not quite 1 long; springs need unit length.
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         reach = self.laws.tack_range_mm if self.laws.tack > 0 else 0.0
         new = ((gap < _GRIPS * reach) & (state.grip.held == 0))[..., None]
         place = surface[..., 0, :] - np.array([0.0, 0.0, state.travel_mm])
-        held = np.where(new[..., 0] | ((state.grip.held > 0) & (gap <= _LETS_GO * reach)), 1.0, 0.0)
+        near = (gap <= _LETS_GO * reach) | np.isfinite(limit_kpa)
+        held = np.where(new[..., 0] | ((state.grip.held > 0) & near), 1.0, 0.0)
+        turned = new
+        if np.isfinite(self.friction_coefficient):
+            place = self._first_touch(surface, gap, state)
+            # The tangent plane of a point that slips on a curved body turns with it.
+            turned = new | self.friction(surface, state).slips[..., None]
         grip = Grip(
             held,
             np.where(new, place, state.grip.anchor_mm),
-            np.where(new, normal, state.grip.normal),
+            np.where(turned, normal, state.grip.normal),
+            np.where(held > 0, limit_kpa, state.grip.limit_kpa),
         )
         return replace(state, grip=grip)
+
+    def _first_touch(
+        self, surface: FloatArray, gap_mm: FloatArray, state: SheetState
+    ) -> FloatArray:
+        """Return where points first touch in this load step, (row, col, 4, xyz), at travel 0.
+
+        The gap decreases in proportion to the path from the position before the load step, see
+        `slid`. Without a position before, and where the gap is not negative, it is the place now.
+        """
+        lift = np.array([0.0, 0.0, state.travel_mm])
+        place = surface[..., 0, :] - lift
+        known = np.isfinite(state.grip.limit_kpa)[..., None]
+        before = np.where(known, state.grip.anchor_mm, place)
+        touch = self.touch(before + lift, state.travel_mm)
+        gap_before = self.gap_mm(surface, touch).min(axis=0)
+        share = np.clip(gap_before / np.maximum(gap_before - gap_mm, 1e-12), 0.0, 1.0)
+        return np.asarray(before + share[..., None] * (place - before))
+
+    def friction(self, surface: FloatArray, state: SheetState) -> Friction:
+        """Return the friction of specimen and plate at the Gauss points of a surface."""
+        lift = np.array([0.0, 0.0, state.travel_mm])
+        away = surface[..., 0, :] - state.grip.anchor_mm - lift
+        return friction_at(away, state.grip, self.laws.stick_stiffness / self.thickness_ratio)
+
+    def slid(self, state: SheetState) -> SheetState:
+        """Return the state with anchors set back where it slips; the friction does not change.
+
+        It is the return mapping of plasticity, once for each load step. Points without friction
+        lose their anchors; their positions are stored for their first touch in the next load step.
+        """
+        if np.isinf(self.friction_coefficient):
+            return state
+        surface, grip = self.surface(state.control_mm), state.grip
+        set_back = grip.anchor_mm + self.friction(surface, state).slip_mm
+        held = np.where(grip.limit_kpa > 0, grip.held, 0.0)
+        place = surface[..., 0, :] - np.array([0.0, 0.0, state.travel_mm])
+        slid = grip._replace(
+            held=held,
+            anchor_mm=np.where(held[..., None] > 0, set_back, place),
+            limit_kpa=np.where(held > 0, grip.limit_kpa, 0.0),
+        )
+        return replace(state, grip=slid)
 
 
 def _stacked(distances: list[Distances], shape: tuple[int, ...]) -> Touch:

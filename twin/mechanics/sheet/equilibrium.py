@@ -13,6 +13,7 @@ from reconstruction.arrays import FloatArray
 from twin.mechanics.errors import SolverError
 from twin.mechanics.sheet.energy import Evaluation, Sheet, SheetState
 from twin.mechanics.sheet.grid import thinning_of
+from twin.mechanics.sheet.laws import Grip
 
 _LARGEST_MOVE_MM, _SMALLEST_SHARE, _SUFFICIENT = 0.5, 1e-3, 1e-4
 #: cosine of the largest turn of a normal in one step
@@ -168,8 +169,8 @@ class _Descent:
 
     def anchor(self) -> None:
         """Update the anchors, see `Sheet.regripped`; evaluate again if an anchor was changed."""
-        held, self.state = self.state.grip.held, self.sheet.regripped(self.here)
-        if (self.state.grip.held != held).any():
+        grip, self.state = self.state.grip, self.sheet.regripped(self.here)
+        if _differs(self.state.grip, grip):
             self.move(self.control_mm)
 
     def damp(self) -> None:
@@ -183,6 +184,14 @@ class _Descent:
         self.serves = unhindered and converges and self.residual_kpa < most_kpa
         viscosity = _adapted(self.viscosity, self.share, self.gain)
         self.damping = replace(self.damping, viscosity=viscosity)
+
+
+def _differs(grip: Grip, before: Grip) -> bool:
+    """Return True if points have been anchored or released, or limits of friction have changed."""
+    return bool(
+        (grip.held != before.held).any()
+        or (grip.limit_kpa != before.limit_kpa)[grip.held > 0].any()
+    )
 
 
 def _settled(descent: _Descent) -> SheetState:
@@ -201,10 +210,10 @@ def _settled(descent: _Descent) -> SheetState:
             descent.anchor()
         end = _end(descent)
         if end is not None:
-            return replace(end, steps=descent.state.steps + count + 1)
+            return sheet.slid(replace(end, steps=descent.state.steps + count + 1))
         descent.damp()
     if not accuracy.strict:
-        return replace(descent.here, steps=descent.state.steps + accuracy.most_steps)
+        return sheet.slid(replace(descent.here, steps=descent.state.steps + accuracy.most_steps))
     raise SolverError(
         f"sheet: no equilibrium at {descent.state.travel_mm:.3g} mm of travel and "
         f"{descent.state.pressure_kpa:.3g} kPa within {accuracy.most_steps} steps (last step "
@@ -228,11 +237,12 @@ def _end(descent: _Descent) -> SheetState | None:
     if rest is None:
         return None
     descent.control_mm = descent.control_mm + rest
-    held = descent.state.grip.held
+    before = descent.state.grip
     gripped = descent.sheet.regripped(descent.here) if descent.sheet.sticks else descent.here
-    if not (gripped.grip.held < held).any():
+    limits_differ = (gripped.grip.limit_kpa != before.limit_kpa)[gripped.grip.held > 0].any()
+    if not ((gripped.grip.held < before.held).any() or limits_differ):
         return gripped
-    # The released points had carried a part of the load.
+    # The released points had carried a part of the load, and limits of friction have changed.
     descent.state = gripped
     descent.move(descent.control_mm)
     return gripped if _rest_mm(descent, descent.step_mm) is not None else None

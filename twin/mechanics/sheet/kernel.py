@@ -88,8 +88,7 @@ def assemble_rows(
     options : whether the tangent is computed, and in which form
     work : work arrays, see `scratch`
     """
-    held, anchor, normal = map(np.ascontiguousarray, state.grip)
-    plain = state._replace(grip=Grip(held, anchor, normal))
+    plain = state._replace(grip=Grip(*map(np.ascontiguousarray, state.grip)))
     _assemble_rows(rows, np.ascontiguousarray(c), _contiguous(rest), plain, options, work, sums)
 
 

@@ -69,10 +69,11 @@ class Touch(NamedTuple):
 
 
 class Grip(NamedTuple):
-    """Anchors of a sheet that sticks: positions of its middle surface at first contact.
+    """Anchors of a sheet with friction: positions of its middle surface at first contact.
 
     They move with the specimen, and are given in the solver's frame at travel 0. `normal` is the
-    unit normal of the touched body there.
+    unit normal of the touched body there. With a friction coefficient the anchor of a point that
+    slips follows the point after each load step.
     """
 
     #: (row, col, 4) 1 where it sticks
@@ -81,6 +82,8 @@ class Grip(NamedTuple):
     anchor_mm: FloatArray
     #: (row, col, 4, 3)
     normal: FloatArray
+    #: (row, col, 4) largest friction per undeformed area, kPa; infinite: the sheet cannot slip
+    limit_kpa: FloatArray
 
 
 class Laws(NamedTuple):

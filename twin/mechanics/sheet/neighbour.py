@@ -49,9 +49,13 @@ class Neighbourhood:
         sheet, state = copy(self.rest.sheet), self.rest.state
         sheet.system = System.of(sheet.grid.free)  # factors that no further sheet overwrites
         if sheet.sticks:
+            coefficient = self.rest.elastomer.friction_coefficient
+            key = "friction: found 'stick'"
+            if coefficient is not None:
+                key = f"friction_coefficient: found {coefficient:g}"
             raise PressError(
-                "elastomer.friction: found 'stick', which depends on the path of the press and has "
-                "no derivative by the press' data; set 'none', or press at two values"
+                f"elastomer.{key}, which depends on the path of the press and has no derivative by "
+                "the press' data; set friction = 'none', or press at two values"
             )
         sheet.evaluate(state.control_mm, state, tangent=True)
         self._sheet, self._forces = sheet, sheet.forces()

@@ -58,7 +58,8 @@ class Loads:
 def mounted(grid: SheetGrid) -> SheetState:
     """Return the state of the mounted sheet without loads and anchors."""
     points = grid.rest.area_mm2.shape
-    grip = Grip(np.zeros(points), np.zeros((*points, 3)), np.zeros((*points, 3)))
+    no_limit = np.full(points, np.inf)
+    grip = Grip(np.zeros(points), np.zeros((*points, 3)), np.zeros((*points, 3)), no_limit)
     return SheetState(grid.mounted_mm, grip)
 
 

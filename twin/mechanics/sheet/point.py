@@ -101,7 +101,7 @@ def potentials(at: At, state: ContactState, options: EvaluationOptions, point: P
     for part in range(touch.distance_mm.shape[0]):
         total += _touch(part, at, metric, laws, touch, options.convex, point)
     if grip.held[at] > 0:
-        total += _stick(at, grip, laws.stick_stiffness, point)
+        total += _friction(at, grip, laws.stick_stiffness, point)
     total += laws.weight_kpa * v[0, 2]
     point.force[0, 2] += laws.weight_kpa
     if laws.pressure_kpa != 0.0:
@@ -171,6 +171,51 @@ def _touch(
     point.modulus[1, 0] += 0.5 * bend
     point.modulus[2, 2] -= bend
     return psi
+
+
+@inlined
+def _friction(at: At, grip: Grip, stiffness: float, point: Point) -> float:
+    """Return the energy of a point with an anchor; add its derivatives to `point`.
+
+    Up to the limit of the friction it is that of a spring, and beyond it the limit's work.
+    """
+    if grip.limit_kpa[at] < np.inf:
+        j_row, i_col, q = at
+        away = along = 0.0
+        for k in range(3):
+            x = point.v[0, k] - grip.anchor_mm[j_row, i_col, q, k]
+            away += x * x
+            along += x * grip.normal[j_row, i_col, q, k]
+        slip_mm = np.sqrt(max(away - along * along, 0.0))
+        if stiffness * slip_mm > grip.limit_kpa[at]:
+            return _slip(at, grip, slip_mm, along, stiffness, point)
+    return _stick(at, grip, stiffness, point)
+
+
+@inlined
+def _slip(
+    at: At, grip: Grip, slip_mm: float, along: float, stiffness: float, point: Point
+) -> float:
+    """Return the energy of a point that slips; add its derivatives to `point`.
+
+    The force is the limit of the friction, along the tangent plane and towards the anchor.
+
+    Parameters
+    ----------
+    slip_mm : distance from the anchor along the tangent plane
+    along : distance from the anchor along the normal, mm
+    """
+    j_row, i_col, q = at
+    normal, anchor = grip.normal[j_row, i_col, q], grip.anchor_mm[j_row, i_col, q]
+    limit, hold = grip.limit_kpa[at], grip.limit_kpa[at] / slip_mm
+    for k in range(3):
+        x = point.v[0, k] - anchor[k] - along * normal[k]
+        point.force[0, k] += hold * x
+        point.at_r[k, k] += hold
+        for m in range(3):
+            y = point.v[0, m] - anchor[m] - along * normal[m]
+            point.at_r[k, m] -= hold * (normal[k] * normal[m] + x * y / (slip_mm * slip_mm))
+    return float(limit * (slip_mm - 0.5 * limit / stiffness))
 
 
 @inlined

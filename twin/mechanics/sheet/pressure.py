@@ -80,11 +80,7 @@ def lift_kpa(sheet: Sheet, state: SheetState) -> FloatArray:
     lifted = -(slope * touch.gradient[..., 2]).sum(axis=0)
     if not sheet.sticks:
         return np.asarray(lifted)
-    grip = state.grip
-    away = surface[..., 0, :] - grip.anchor_mm - np.array([0.0, 0.0, state.travel_mm])
-    along = (away * grip.normal).sum(axis=-1)
-    pulled = sheet.laws.stick_stiffness / ratio * (away[..., 2] - along * grip.normal[..., 2])
-    return np.asarray(lifted - np.where(grip.held > 0, pulled, 0.0))
+    return np.asarray(lifted + sheet.friction(surface, state).traction_kpa[..., 2])
 
 
 def _contact_slope(gap_mm: FloatArray, laws: Laws, ratio: FloatArray) -> FloatArray:
