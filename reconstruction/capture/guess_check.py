@@ -67,7 +67,7 @@ class DecodingCheck:
 
 
 @dataclass(frozen=True)
-class Description:
+class CheckedGuess:
     """Text of a capture.toml that was tested on its images.
 
     Attributes
@@ -84,7 +84,7 @@ class Description:
 
 def describe_and_test(
     guessed: Guess, folder: Path, size: tuple[int, int], *, is_known: bool = True
-) -> Description:
+) -> CheckedGuess:
     """Write the description of guessed patterns, and test it on the images.
 
     If it fails, and it passes with one other encoding of the bits only, that encoding is written,
@@ -98,7 +98,7 @@ def describe_and_test(
     text = written(guessed, size, is_known=is_known)
     listed = _listed(text)
     if isinstance(listed, str):
-        return Description(guessed, text, (f"unsure: {DecodingCheck(why=listed).in_words()}",))
+        return CheckedGuess(guessed, text, (f"unsure: {DecodingCheck(why=listed).in_words()}",))
     check = _tested(listed, folder)
     others = {} if check.passes else {
         change: (other, _tested(other, folder)) for change, other in _others(listed)
@@ -113,7 +113,7 @@ def describe_and_test(
     lines += [f"with {change}: {tested.in_words()}" for change, (_, tested) in passing.items()]
     if check.noise_ratio is not None:
         lines.append(_noise_line(check.noise_ratio))
-    return Description(guessed, text, tuple(lines))
+    return CheckedGuess(guessed, text, tuple(lines))
 
 
 def _listed(text: str) -> ListedSet | str:
