@@ -14,7 +14,8 @@ glint_error_um_capped, glint_error_um_capped_at_three: the same with weights up 
     modulation over 9 x 9 pixels, and up to three times this median.
 noisy_um_weighted, noisy_um_robust: with camera noise. robust_normalised: error over sigma, RMS.
 plain_noise_ratio: noise of "equal" over that of "modulation" on a coat without flakes.
-unmasked_wrong: number of valid pixels off by more than half a period, with glints that saturate.
+unmasked_wrong, masked_share: number of valid pixels with an error of more than half a period, and
+    share of the masked pixels, with glints that saturate.
 """
 
 from collections.abc import Iterator
@@ -36,7 +37,7 @@ from reconstruction.rig.sensor import SensorNoise
 PATTERNS = PatternSet(1280, 720)
 SENSOR = SensorNoise(gain_dn_per_e=0.17, read_noise_e=6.2, black_level_dn=64, saturation_dn=4095)
 # So little noise that the rounding of the levels is most of it.
-QUIET = SensorNoise(gain_dn_per_e=0.001, read_noise_e=0.0, black_level_dn=64, saturation_dn=4095)
+QUIET = SensorNoise(gain_dn_per_e=1e-5, read_noise_e=0.0, black_level_dn=64, saturation_dn=4095)
 ACROSS_PX_PER_MM, UP_PX_PER_MM, ROWS_PX_PER_MM = 5.8, 2.9, 6.3
 UM_PER_PX = 1e3 / UP_PX_PER_MM
 # Fine cells per pixel along each direction, and rim of the image that is not evaluated, px.
@@ -84,8 +85,8 @@ class FlakedCoat:
         flakes = np.maximum(fftconvolve(centres, disc.astype(float), mode="same"), 0.0)
         return 1.0 - self.light_share + self.light_share * flakes / flakes.mean()
 
-    def seen(self, image: FloatArray) -> FloatArray:
-        """Return what the pixels see of an image on the fine grid, (row, col)."""
+    def footprint_means(self, image: FloatArray) -> FloatArray:
+        """Return the mean of an image on the fine grid over each pixel's footprint, (row, col)."""
         blurred = gaussian_filter(image, self.blur_um / self.pixel_um * FINE, mode="nearest")
         return _pixel_means(blurred)
 
@@ -149,24 +150,21 @@ def capture(
     """
     radiance = coat.radiance(shape, np.random.default_rng(seed))
     fine_px = coat.coordinates_px(shape)
-    centre_px = [_pixel_means(image) for image in fine_px]
-    light = coat.seen(radiance)
+    light = coat.footprint_means(radiance)
     gain_dn = exposure * WHITE_DN / (1.0 + CONTRAST) / max(np.quantile(light, 0.999), 1.0)
-    frames = np.stack(list(_signals(coat, radiance, fine_px, centre_px)))
+    frames = np.stack(list(_signals(coat, radiance, fine_px)))
     clean = SENSOR.black_level_dn + gain_dn * (light + CONTRAST * frames)
-    return FlakedCapture(clean, centre_px[0])
+    return FlakedCapture(clean, _pixel_means(fine_px[0]))
 
 
 def _signals(
-    coat: FlakedCoat,
-    radiance: FloatArray,
-    fine_px: tuple[FloatArray, FloatArray],
-    centre_px: list[FloatArray],
+    coat: FlakedCoat, radiance: FloatArray, fine_px: tuple[FloatArray, FloatArray]
 ) -> Iterator[FloatArray]:
-    """Yield the modulated light of every frame; that of Gray frames is at the pixel's centre."""
-    light, period_px = coat.seen(radiance), PATTERNS.period_px
+    """Yield the modulated light of every frame, (row, col)."""
+    period_px = PATTERNS.period_px
     phasors = [
-        coat.seen(radiance * np.cos(angle)) + 1j * coat.seen(radiance * np.sin(angle))
+        coat.footprint_means(radiance * np.cos(angle))
+        + 1j * coat.footprint_means(radiance * np.sin(angle))
         for angle in (2.0 * np.pi * image / period_px for image in fine_px)
     ]
     for frame in PATTERNS.frames:
@@ -176,8 +174,8 @@ def _signals(
             yield (phasors[along] * np.exp(2j * np.pi * shift)).real
         else:
             bright = 2.0 * (PATTERNS.profile(frame) > 127) - 1.0
-            places = np.clip(np.rint(centre_px[along]).astype(np.intp), 0, bright.size - 1)
-            yield light * bright[places]
+            places = np.clip(np.rint(fine_px[along]).astype(np.intp), 0, bright.size - 1)
+            yield coat.footprint_means(radiance * bright[places])
 
 
 def rms(values: FloatArray) -> float:
