@@ -90,6 +90,30 @@ def reconstruct(
 
 
 @app.command
+def cloud(result: Path, /, *, out: Annotated[Path, Parameter(name=["--out", "-o"])]) -> None:
+    """Write the points of all camera pixels as an organised point cloud, a PCD file.
+
+    Parameters
+    ----------
+    result
+        Result folder of `twin measure` or `twin reconstruct`.
+    out
+        File to write, NAME.pcd; an existing file is never overwritten.
+    """
+    from reconstruction.organised import write_organised_pcd
+    from reconstruction.pipeline import read_reconstruction
+    from twin.files import creating
+    from twin.output import end_exchange
+
+    end_exchange(result)
+    measured = read_reconstruction(result / "reconstruction.nc")
+    with creating(out) as part:
+        write_organised_pcd(part, measured)
+    rows, cols = measured.point_map.valid.shape
+    say(f"wrote {out}: {cols} x {rows} points, {measured.point_map.valid.sum()} of them valid")
+
+
+@app.command
 def merge(
     *captures: Path,
     out: Out,
