@@ -105,9 +105,10 @@ def test_projected_codes_are_decoded(projector, case):
 
 
 def test_configuration_and_decoder_have_the_same_fields():
-    """Size is that of the projector; all other defaults and names are one."""
+    """Size and shape of the pixels are the projector's; all other defaults and names are one."""
     of_set = {item.name: item.default for item in fields(PatternSet)}
-    of_set.pop("width_px"), of_set.pop("height_px")
+    for of_projector in ("width_px", "height_px", "pixel_ratio"):
+        of_set.pop(of_projector)
     of_model = {name: field.default for name, field in Patterns.model_fields.items()}
     assert of_model.keys() == of_set.keys()
     required = {"period_px", "steps"}

@@ -44,7 +44,7 @@ def test_transforms_compose(calibration):
         ("[ 900., 0.,", "[ 1e300, 0.,", "fx_px is 1e[+]300; give a number of at least 0.001"),
         ("[ 900., 0.,", "[ 1e-300, 0.,", "fx_px is 1e-300; give a number of at least 0.001"),
         ("dt: d", "dt: u", "line 6: a matrix is of dt: u; write d, its numbers are reals"),
-        ("dt: d", "dt: 3d", "line 6: a matrix is of dt: 3d; write d"),
+        ("dt: d", "dt: 3d", "line 6: a matrix of 3 rows and 3 cols of dt 3d holds 9 numbers"),
     ],
 )
 def test_damaged_files_are_explained(tmp_path, calibration, find, replace, message):

@@ -1,4 +1,4 @@
-"""Importer of npz files, such as scripts write with `np.savez("rig.npz", K1=..., D1=...)`."""
+"""Importer of npz files, such as scripts write by NumPy's savez with arrays K1, D1, ..."""
 
 from pathlib import Path
 
