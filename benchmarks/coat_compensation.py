@@ -28,6 +28,7 @@ import trimesh
 from benchmarks._harness import print_figures, quick_parser
 from reconstruction.arrays import FloatArray
 from reconstruction.evaluate.deviation import normals_of
+from reconstruction.evaluate.fit import rms
 from reconstruction.triangulation import PointMap
 from twin.config import Experiment, load_experiment
 from twin.config.sensor_layer import LayerSigma, sensor_layer_of
@@ -87,8 +88,8 @@ def bodies(folder: Path) -> dict[str, Settings]:
     }
 
 
-def stairs(folder: Path) -> Settings:
-    """Return the settings of the stairs; the mesh is written to a folder."""
+def stairs_mesh() -> trimesh.Trimesh:
+    """Return three sharp steps along x, whose outline is the same at all y."""
     outline = [(STEPS_END_MM[0], 0.0)]
     for number, (low, high) in enumerate(pairwise(STEPS_END_MM)):
         top = FOOT_MM + number * STEP_MM
@@ -106,7 +107,12 @@ def stairs(folder: Path) -> Settings:
     # From the foot of the highest step the whole outline is visible.
     caps = [(count - 1, i + 1, i) for i in range(count - 2)]
     caps += [(2 * count - 1, count + i, count + i + 1) for i in range(count - 2)]
-    trimesh.Trimesh(corners, [*sides, *caps]).export(folder / "stairs.stl")
+    return trimesh.Trimesh(corners, [*sides, *caps])
+
+
+def stairs(folder: Path) -> Settings:
+    """Return the settings of the stairs; the mesh is written to a folder."""
+    stairs_mesh().export(folder / "stairs.stl")
     return {"specimen": {"kind": "mesh", "file": str(folder / "stairs.stl")}, **SHEET}
 
 
@@ -157,10 +163,6 @@ def plate_mm(experiment: Experiment, lift_mm: float) -> float:
 def nearest(of_body: FloatArray, of_plate: FloatArray) -> FloatArray:
     """Return the distances of the smaller size, (n,), from the body or from its plate."""
     return np.where(np.abs(of_plate) < np.abs(of_body), of_plate, of_body)
-
-
-def rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def farthest_from_1(values: list[float]) -> float:

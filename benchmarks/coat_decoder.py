@@ -31,6 +31,7 @@ from reconstruction.decoding import AxisDecode, DecodeOptions, Weights
 from reconstruction.decoding._filter import gaussian_weights
 from reconstruction.decoding.by_modulation import filter_phase
 from reconstruction.decoding.decode import Decoded, decode
+from reconstruction.evaluate.fit import rms
 from reconstruction.patterns import PatternSet
 from reconstruction.rig.sensor import SensorNoise
 
@@ -176,10 +177,6 @@ def _signals(
             bright = 2.0 * (PATTERNS.profile(frame) > 127) - 1.0
             places = np.clip(np.rint(fine_px[along]).astype(np.intp), 0, bright.size - 1)
             yield coat.footprint_means(radiance * bright[places])
-
-
-def rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def capped_error_um(glinting: FlakedCapture, multiple: float) -> float:

@@ -26,7 +26,7 @@ from twin.pipeline.fringes import evaluate, expose_capture, record
 from twin.pipeline.progress import Stopwatch
 
 FLICKER_TRIALS = 3
-STEPS_PERCENT = 1.0
+DRIFT_PERCENT = 1.0
 """Drift over the frames of one fringe set, percent."""
 
 
@@ -77,7 +77,7 @@ def drift_left_um(
 
 def _lamps(experiment: Experiment, frames: int) -> list[tuple[str, dict[str, Any], int]]:
     """Return name, settings and trial of every lamp; the trial selects its flicker."""
-    drift = STEPS_PERCENT * (frames - 1) / (experiment.patterns.steps - 1)
+    drift = DRIFT_PERCENT * (frames - 1) / (experiment.patterns.steps - 1)
     drifting, flickering = {"projector.drift_percent": drift}, {"projector.flicker_percent": 0.5}
     warming = {"projector.drift_percent": 1.0, "projector.drift_frames": 10.0}
     return [

@@ -5,7 +5,6 @@ Error over stated sigma, signed distance over the sigma of the point, root mean 
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,9 @@ import pytest
 import trimesh
 from scipy.interpolate import RectBivariateSpline
 
+from benchmarks.coat_compensation import stairs_mesh
 from reconstruction.arrays import FloatArray, Reason
+from reconstruction.evaluate.fit import rms
 from reconstruction.triangulation import PointMap
 from tests.compensation.test_command import coat_map
 from twin.config.coatings import Texture
@@ -102,40 +103,12 @@ def ellipsoid(tmp_path_factory: pytest.TempPathFactory) -> MeshFile:
 @pytest.fixture(scope="module")
 def stairs(tmp_path_factory: pytest.TempPathFactory) -> MeshFile:
     """Three steps of 0.3 mm along x, upright and sharp."""
-    boxes, ends = [], (-3.2, -1.8, -0.4, 3.0)
-    for number, (low, high) in enumerate(pairwise(ends)):
-        box = trimesh.creation.box((high - low, 2.4, 1.0 + 0.3 * number))
-        box.apply_translation(((low + high) / 2, 0.0, box.extents[2] / 2))
-        boxes.append(box)
-    path = tmp_path_factory.mktemp("body") / "stairs.stl"
-    return _written(_one_body(boxes), path)
-
-
-def _one_body(boxes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """Return the boxes' outline along x and z, drawn out along y."""
-    low, high = boxes[0].bounds[0], boxes[-1].bounds[1]
-    top = [(box.bounds[side][0], box.bounds[1][2]) for box in boxes for side in (0, 1)]
-    outline = np.array([(low[0], 0.0), *top, (high[0], 0.0)])
-    count = len(outline)
-    corners = np.concatenate([np.insert(outline, 1, y, axis=1) for y in (low[1], high[1])])
-    sides = [
-        face
-        for i, j in ((i, (i + 1) % count) for i in range(count))
-        for face in ((i, j, count + j), (i, count + j, count + i))
-    ]
-    # From the foot of the highest step the whole outline is visible.
-    caps = [(count - 1, i + 1, i) for i in range(count - 2)]
-    caps += [(2 * count - 1, count + i, count + i + 1) for i in range(count - 2)]
-    return trimesh.Trimesh(corners, [*sides, *caps])
+    return _written(stairs_mesh(), tmp_path_factory.mktemp("body") / "stairs.stl")
 
 
 def _written(body: trimesh.Trimesh, path: Path) -> MeshFile:
     body.export(path)
     return MeshFile(file=str(path))
-
-
-def rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 @pytest.mark.parametrize("texture", [None, TEXTURE])
