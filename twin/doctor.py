@@ -255,7 +255,7 @@ def _warm_sheets() -> None:
     import numpy as np
 
     from reconstruction.decoding._filter import Unfiltered, smooth
-    from reconstruction.decoding._glints import GlintScale, Speckled, add_glint_rows
+    from reconstruction.decoding._glints import GlintPixels, GlintScale, add_glint_rows
     from twin.camera import expose
     from twin.config import load_experiment
     from twin.pipeline.press import press_specimen
@@ -270,7 +270,7 @@ def _warm_sheets() -> None:
     smooth(Unfiltered(coordinate_px, sigma, mask), 5, 1.0, 9.0, 1e-3)
     one = np.float32(1.0)
     scale = GlintScale(one, np.ones(2, np.float32), one, one)
-    add_glint_rows(0, 16, Speckled(coordinate_px, sigma, mask, sigma[0]), scale)
+    add_glint_rows(0, 16, GlintPixels(coordinate_px, sigma, mask, sigma[0]), scale)
     press_specimen(experiment)
 
 

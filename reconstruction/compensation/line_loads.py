@@ -2,12 +2,12 @@
 
 Lengths are in mm, pressures in kPa, line loads and line tensions in kPa mm. A sharp edge carries
 the sheet along a line. A line load F turns the line of tension N by the angle F / N. Bending rounds
-this kink over the length l = sqrt(B / N), with the bending stiffness B. The deflection at the
-distance s from the load is F l / (2 N) exp(-s / l) relative to the line of tension: the load is
-F l / (2 N) below that line, and the sheet behind an edge lifts off a flat face by this height.
-Pressure p and tension bend it back onto the face over the length L = sqrt(F l / p), because a
-parabola of the curvature p / N has the height F l / (2 N) at this length. p is the contact pressure
-of the sheet behind the edge.
+this kink over the length l = sqrt(h^2 / 6 + B / N), with the bending stiffness B and the local
+thickness h (see `bar`). The deflection at the distance s from the load is F l / (2 N) exp(-s / l)
+relative to the line of tension: the load is F l / (2 N) below that line, and the sheet behind an
+edge lifts off a flat face by this height. Pressure p and tension bend it back onto the face over
+the length L = sqrt(F l / p), because a parabola of the curvature p / N has the height F l / (2 N)
+at this length. p is the contact pressure of the sheet behind the edge.
 """
 
 from dataclasses import dataclass
@@ -24,6 +24,7 @@ from reconstruction.compensation.sheet_layer import SheetLayer
 _LEAST_LIFT_MM = 1e-3
 # Half width of the window that separates faces from lines, in widths of the blur.
 _WINDOW_WIDTHS = 2.0
+# Longer lift-offs are limited, so that a pressure near 0 does not remove all points.
 _LONGEST_MM = 3.0
 # The lengths are rounded up to so many levels.
 _LEVELS = 8
@@ -97,19 +98,19 @@ def line_loads(pressed: PressureMap, relief: Relief, layer: SheetLayer) -> LineL
     wider than the blur, by more than the noise. A line load F, blurred to a Gaussian of standard
     deviation s, has the largest pressure F / (sqrt(2 pi) s).
     """
-    reach_mm = _WINDOW_WIDTHS * pressed.blur_mm
-    window = [2 * int(np.ceil(reach_mm / step)) + 1 for step in relief.pitch_mm[::-1]]
+    half_mm = _WINDOW_WIDTHS * pressed.blur_mm
+    window = [2 * int(np.ceil(half_mm / step)) + 1 for step in relief.pitch_mm[::-1]]
     of_faces = ndimage.grey_opening(np.maximum(pressed.pressure_kpa, 0.0), window)
     of_faces = ndimage.maximum_filter(of_faces, window)
     # The blurred line itself is wider than the window: there it has the share `tail` of its peak.
     tail = np.exp(-(_WINDOW_WIDTHS**2) / 2)
     excess = (pressed.pressure_kpa - of_faces) / (1 - tail)
     excess = np.where(excess > _SIGMAS_OF_LOAD * pressed.noise_kpa, excess, 0.0)
-    held = np.maximum(of_faces - tail * excess, max(layer.back_pressure_kpa, _LEAST_KPA))
+    face_kpa = np.maximum(of_faces - tail * excess, max(layer.back_pressure_kpa, _LEAST_KPA))
     load = np.sqrt(2 * np.pi) * pressed.blur_mm * excess
     tension = np.maximum(pressed.tension_kpa_mm, _LEAST_KPA_MM)
     moment = load * _bending_mm(tension, pressed.local_mm, layer)
-    reach = np.minimum(np.sqrt(moment / held), _LONGEST_MM)
+    reach = np.minimum(np.sqrt(moment / face_kpa), _LONGEST_MM)
     return LineLoads(np.where(moment / (2 * tension) > _LEAST_LIFT_MM, reach, 0.0), relief.pitch_mm)
 
 

@@ -49,13 +49,14 @@ class AxisDecode:
     phase_rad : fringe phase
     order : number of the fringe period, so that coordinate = period (order + phase / 2 pi)
     mean_dn, modulation_dn : mean and amplitude of the fringe, DN
-    sigma_px : predicted standard deviation of coordinate_px by camera noise, filter bias and the
-        uncertainty of the projector's response, if one is given
+    sigma_px : predicted standard deviation of coordinate_px by camera noise, filter bias, glints
+        (filtered coordinates only), the uncertainty of `FrameGains.relative`, and the uncertainty
+        of the projector's response, if one is given
     residual_dn : RMS residual of the sine fit, with N - 3 degrees of freedom for N frames; 0 if N
         is 3
     order_error : probability that the order is wrong, given for every pixel with a phase
-    bias_share : share of sigma_px squared that is possible bias, because the filter removes relief;
-        the rest is noise and the uncertainty of the projector's response
+    bias_share : share of sigma_px squared that is possible bias, because the filter removes relief
+        or, with `weights` "modulation", glints move the result
 
     Notes
     -----

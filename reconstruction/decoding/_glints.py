@@ -26,7 +26,7 @@ PER_MODULATION = np.float32(1.0 / BIAS)
 NOWHERE = np.float32(1e30)
 
 
-class Speckled(NamedTuple):
+class GlintPixels(NamedTuple):
     """Maps of single pixels; the variance by glints is added to sigma in place."""
 
     coordinate_px: Any  # (axis, row, col) float32
@@ -106,7 +106,7 @@ def _place(x: Any, reason: Any, out: Any) -> None:
 
 
 @merged
-def _load(row: int, maps: Speckled, lines: GlintLines) -> None:
+def _load(row: int, maps: GlintPixels, lines: GlintLines) -> None:
     """Load an image row to its lines.
 
     Outside the image there is no coordinate, and the modulation is that of the nearest pixel.
@@ -132,7 +132,7 @@ def _around(lines: Any) -> Any:
 
 @compiled
 def _add_glints(
-    first_row: int, end_row: int, maps: Speckled, scale: GlintScale, lines: GlintLines
+    first_row: int, end_row: int, maps: GlintPixels, scale: GlintScale, lines: GlintLines
 ) -> None:
     _load(first_row - 1, maps, lines)
     _load(first_row, maps, lines)
@@ -156,7 +156,7 @@ def _add_glints(
             pack_row(own, scale.sigma_factor, spare, maps.sigma[axis, row])
 
 
-def add_glint_rows(first_row: int, end_row: int, maps: Speckled, scale: GlintScale) -> None:
+def add_glint_rows(first_row: int, end_row: int, maps: GlintPixels, scale: GlintScale) -> None:
     """Add the variance by glints to the sigmas of image rows first_row to end_row - 1."""
     lines = make_lines(maps.coordinate_px.shape[0], maps.reason.shape[1])
     _add_glints(first_row, end_row, maps, scale, lines)

@@ -1,7 +1,7 @@
-"""Uncertainty of coordinates by flakes that glint, from the speckle of the modulation.
+"""Uncertainty of coordinates by flakes that glint, from the graininess of the modulation.
 
 `_glints` has the formula for a pixel. The width of the footprint, i.e. the area from which a pixel
-collects light, is estimated from the speckle: the wider the footprint, the more alike are the
+collects light, is estimated from the graininess: the wider the footprint, the more alike are the
 modulations of neighbouring pixels. Let D(k) be the mean square of B(-k) - 2 B + B(+k), relative to
 the largest of the three modulations, without the camera's noise; its median over parts of image
 rows and columns is used, so that a few edges do not matter. For a Gaussian footprint of
@@ -21,7 +21,7 @@ from reconstruction.arrays import BoolImage, FloatArray, FloatImage, Reason
 from reconstruction.compact import Half
 from reconstruction.compiling import run_over_rows
 from reconstruction.decoding._decode import Maps
-from reconstruction.decoding._glints import GlintScale, Speckled, add_glint_rows
+from reconstruction.decoding._glints import GlintPixels, GlintScale, add_glint_rows
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding.plan import SIGMA_UNIT_PX
 from reconstruction.patterns import AXES, PatternSet
@@ -31,10 +31,10 @@ BAND_ROWS = 128
 SAMPLED = 24
 # Length of the parts of these rows and columns of which the median is used.
 PART_PX = 48
-# Speckle below this multiple of the camera's noise is neglected, and a contrast below 1 %, which
+# Graininess below this multiple of the camera's noise is neglected, and a contrast below 1 %, which
 # differences of the pixels' response have.
 LEAST_OVER_NOISE, LEAST_BEND = 3.0, 6.0 * 0.01**2
-# A larger ratio D(2) / D(1) is not speckle, but shading by the relief (5 for the texture of a
+# A larger ratio D(2) / D(1) is not graininess, but shading by the relief (5 for the texture of a
 # sprayed coat at 2.5 px per correlation length, 16 for a parabola) or the ripple of the modulation
 # by a projector response that is not linear. Both hardly move the centroid. 4: s = 0.8 px.
 LARGEST_RATIO = 4.0
@@ -59,7 +59,7 @@ def add_glints(maps: Maps, patterns: PatternSet) -> None:
         return
     first, last = AXES.index(patterns.axes[0]), AXES.index(patterns.axes[-1])
     periods_px = [float(patterns.period_along(axis)) for axis in patterns.axes]
-    # With fewer than 8 pixels per period the pixels have other bodies or wrong orders.
+    # Neighbours that differ by more are on different surfaces, or one has a wrong order.
     scale = GlintScale(
         np.float32(factor),
         np.array(periods_px, np.float32) / 8.0,
@@ -67,15 +67,17 @@ def add_glints(maps: Maps, patterns: PatternSet) -> None:
         np.float32(BIAS / SIGMA_UNIT_PX),
     )
     at = slice(first, last + 1)
-    speckled = Speckled(maps.coordinate_px[at], maps.sigma[at], maps.reason, maps.modulation[first])
-    run_over_rows(add_glint_rows, len(maps.reason), speckled, scale, band_rows=BAND_ROWS)
+    pixels = GlintPixels(
+        maps.coordinate_px[at], maps.sigma[at], maps.reason, maps.modulation[first]
+    )
+    run_over_rows(add_glint_rows, len(maps.reason), pixels, scale, band_rows=BAND_ROWS)
 
 
 def _factor(maps: Maps, patterns: PatternSet) -> float:
-    """Return `GlintScale.factor` of a decoded image, 0: no speckle.
+    """Return `GlintScale.factor` of a decoded image, 0: no graininess.
 
     Glints are alike along rows and along columns. Steep shading, of grooves for example, may look
-    like speckle along one of them only.
+    like graininess along one of them only.
     """
     axis, (rows, cols) = AXES.index(patterns.axes[0]), maps.reason.shape
     per_px = 2.0 * np.pi / float(patterns.period_along(patterns.axes[0]))
@@ -127,7 +129,7 @@ def _bends(modulation: FloatImage, noise: FloatImage, usable: BoolImage, step: i
 def factor_of(near: FloatArray, far: FloatArray) -> float:
     """Return the factor of `_glints` from two results of `_bends`, of distance 1 and 2 px.
 
-    The factor is 0 if the modulation has no speckle above the camera's noise.
+    The factor is 0 if the modulation has no graininess above the camera's noise.
     """
     close, wide = near[0] - near[1], far[0] - far[1]
     least = max(LEAST_BEND, LEAST_OVER_NOISE * near[1])

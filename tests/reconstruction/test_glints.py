@@ -12,17 +12,17 @@ from benchmarks.coat_decoder import (
     FlakedCoat,
     capture,
     inner,
-    rms,
     sigma_um,
 )
 from reconstruction.compact import Half
-from reconstruction.decoding import _glints, glints
+from reconstruction.decoding import glints
 from reconstruction.decoding._filter import gaussian_weights
-from reconstruction.decoding._glints import GlintScale, Speckled, add_glint_rows
+from reconstruction.decoding._glints import GlintPixels, GlintScale, add_glint_rows
 from reconstruction.decoding._rows import BIAS
 from reconstruction.decoding.by_modulation import filter_phase
 from reconstruction.decoding.decode import DecodeOptions, Reason, decode
 from reconstruction.errors import InputError
+from reconstruction.evaluate.fit import rms
 from twin.config import decode_settings
 from twin.pipeline.captures import options_of
 
@@ -109,7 +109,7 @@ def test_clipped_threshold_of_the_bits_masks_the_pixel(patterns, quiet_sensor, s
         assert np.all(decode(stack, patterns, quiet_sensor).mask_reason == reason)
 
 
-def speckle(s_px, contrast=0.1, fine=5):
+def grainy_modulation(s_px, contrast=0.1, fine=5):
     """Return modulations and their noise variance: white noise blurred by a footprint of s px."""
     rough = np.random.default_rng(3).normal(size=(200 * fine, 300 * fine))
     rough = gaussian_filter(rough, s_px * fine)[::fine, ::fine]
@@ -123,27 +123,27 @@ def factor(modulation, noise):
 
 
 @pytest.mark.parametrize("s_px", [0.5, 0.65, 0.75])
-def test_footprint_is_estimated_from_the_speckle(s_px):
-    """Setup: weak Gaussian speckle. Expected: the factor of the footprint, within 15 %."""
+def test_footprint_is_estimated_from_the_graininess(s_px):
+    """Setup: weak Gaussian graininess. Expected: the factor of the footprint, within 15 %."""
     share = 1.0 - np.exp(-1.0 / s_px**2)
     expected = glints.DENOMINATOR * 0.25 * s_px**2 / share
-    assert factor(*speckle(s_px)) == pytest.approx(expected, rel=0.15)
+    assert factor(*grainy_modulation(s_px)) == pytest.approx(expected, rel=0.15)
 
 
-def test_a_few_edges_are_no_speckle():
+def test_a_few_edges_are_no_graininess():
     """Setup: steps of 30 % at two columns of a smooth image. Expected: no glints."""
-    modulation, noise = speckle(0.0, contrast=1e-6)
+    modulation, noise = grainy_modulation(0.0, contrast=1e-6)
     modulation[:, 100:] *= 1.3
     modulation[:, 203:] *= 0.7
     assert factor(modulation, noise) == 0.0
 
 
-def test_noise_and_shading_are_no_speckle():
-    modulation, noise = speckle(0.0, contrast=0.03)
+def test_noise_and_shading_are_no_graininess():
+    modulation, noise = grainy_modulation(0.0, contrast=0.03)
     assert factor(modulation, noise) == pytest.approx(1 / 24, rel=0.2)
     assert factor(modulation, noise + np.float32(4e-4)) == 0.0
-    assert factor(*speckle(0.0, contrast=0.005)) == 0.0
-    assert factor(*speckle(1.0)) == factor(*speckle(3.0)) == 0.0
+    assert factor(*grainy_modulation(0.0, contrast=0.005)) == 0.0
+    assert factor(*grainy_modulation(1.0)) == factor(*grainy_modulation(3.0)) == 0.0
     assert factor(modulation[:, :2], noise[:, :2]) == 0.0
     modulation[:, ::7] = 0.0
     assert factor(modulation, noise) >= 0.0
@@ -153,7 +153,7 @@ def added_px2(column_px, modulation, reason=None, limit_px=9.0):
     """Return the variance that glints add, (row, col) px^2, for a factor of 1 / 24."""
     sigma = np.full((1, *modulation.shape), 2.0**-8, np.float32)
     reason = np.zeros(modulation.shape, np.uint8) if reason is None else reason
-    maps = Speckled(
+    maps = GlintPixels(
         column_px[None].astype(np.float32), Half.of(sigma * (reason == 0), UNIT).bits, reason,
         Half.of(modulation, 1.0).bits,
     )  # fmt: skip
@@ -198,7 +198,6 @@ def test_bands_leave_no_trace(glinting, monkeypatch):
     expected = glinting.decoded("equal").column.sigma_px
     monkeypatch.setattr(glints, "BAND_ROWS", 7)
     np.testing.assert_array_equal(glinting.decoded("equal").column.sigma_px, expected)
-    assert _glints.NOWHERE > 1e20
 
 
 def test_variance_is_propagated_with_the_weights():
